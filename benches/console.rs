@@ -1,5 +1,5 @@
-//! What the console costs on a terminal, beside htop and btop in the same harness: `cargo bench --bench console`.
-//! bottom's figures are the ones listed in the specification. Run it on a machine that does nothing else.
+//! What the console costs on a terminal, compared with htop and btop in the same harness: `cargo bench --bench
+//! console`. bottom's figures are those in the specification. Run it on an idle machine.
 
 #![allow(
     clippy::expect_used,
@@ -35,7 +35,7 @@ struct Row {
 }
 
 fn main() {
-    // `cargo test` builds and runs benches too; there it has nothing to do.
+    // `cargo test` builds and runs benches too; there this one does nothing.
     if !std::env::args().any(|argument| argument == "--bench") {
         return;
     }
@@ -106,7 +106,7 @@ fn idle(rows: &mut Vec<Row>, others: &[Subject]) {
 
 fn keys(rows: &mut Vec<Row>, others: &[Subject]) {
     let ours = figures::bytes_per_key(&Subject::authros(4, &[]), &["2", "f"], &["j", "k"], 40);
-    // Down and up, as their tables take them; their own redraws in between count, as they do for who uses them.
+    // Down and up, as their tables accept them; their own redraws in between count, because users see them too.
     let theirs = others.iter().map(|subject| figures::bytes_per_key(subject, &[], &["\u{1b}[B", "\u{1b}[A"], 20));
     rows.push(Row {
         figure: "bytes per cursor key",
@@ -117,7 +117,7 @@ fn keys(rows: &mut Vec<Row>, others: &[Subject]) {
     });
 }
 
-/// Twenty messages a second are captured while keys are pressed on a link of 4 kB/s.
+/// Twenty messages a second are captured while keys are pressed over a link of 4 kB/s.
 fn slow_link(rows: &mut Vec<Row>) {
     let home = Home::new();
     let authros = home.authros().with(&["--robots", "1"]);

@@ -1,5 +1,5 @@
-//! How long sealing, checking and opening take, per provider, at the sizes that robots send:
-//! 1 KiB (odometry), 58 KB (a compressed picture), 800 KB (the paper's largest).
+//! How long sealing, checking and opening take, per provider, at the sizes robots send: 1 KiB (odometry), 58 KB (a
+//! compressed picture), 800 KB (the paper's largest).
 
 #![allow(clippy::expect_used, missing_docs, reason = "a benchmark that cannot go on stops")]
 

@@ -1,4 +1,4 @@
-//! The house rules of the source: order of rooms, size of files, where `unsafe` may be, names and openings.
+//! The house rules for the source: order of rooms, size of files, where `unsafe` is allowed, names and openings.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::fs;
@@ -9,14 +9,14 @@ const CRATES: [&str; 17] = [
     "model", "fault", "crypto", "evidence", "pipe", "ros2", "ros", "chain", "store", "gateway", "pipeline", "config",
     "service", "console", "output", "bench", "authros",
 ];
-/// The rooms of the console, in their order.
+/// The rooms of the console, in order.
 const CONSOLE: [&str; 3] = ["app", "ui", "term"];
 /// The longest file, lines.
 const LONGEST: usize = 450;
 /// The longest opening, lines; the map of the screen may be longer.
 const LONGEST_OPENING: usize = 6;
 const OPENS_WITH_A_MAP: &str = "crates/console/src/ui/mod.rs";
-/// Where requests, answers, verbs and tags are told apart: a new one that is forgotten there must not compile.
+/// Where requests, answers, verbs and tags are dispatched: forgetting a new one there must not compile.
 const DISPATCH: [&str; 11] = [
     "crates/service/src/site/handle.rs",
     "crates/console/src/app/administration.rs",
@@ -59,7 +59,7 @@ fn read(path: &Path) -> String {
     fs::read_to_string(root().join(path)).expect("a readable source file")
 }
 
-/// The code alone: comments and what stands between quotes are taken out, lines stay.
+/// The code alone: comments and string literals are removed, lines stay.
 fn code_only(source: &str) -> String {
     let mut code = String::with_capacity(source.len());
     let mut rest = source;
@@ -77,7 +77,7 @@ fn code_only(source: &str) -> String {
     code
 }
 
-/// Length of the comment or literal at the front of `rest`; 0 where there is none.
+/// Length of the comment or literal at the start of `rest`; 0 if there is none.
 fn skipped_length(rest: &str, before: Option<char>) -> usize {
     let in_word = before.is_some_and(|character| character.is_alphanumeric() || character == '_');
     let until = |start: usize, end: &str| rest[start..].find(end).map_or(rest.len(), |found| start + found + end.len());
@@ -96,7 +96,7 @@ fn skipped_length(rest: &str, before: Option<char>) -> usize {
     if rest.starts_with('"') {
         return quoted_length(rest, '"');
     }
-    // A lifetime has no second quote right behind its first character.
+    // A lifetime has no second quote right after its first character.
     let characters: Vec<char> = rest.chars().take(3).collect();
     match characters[..] {
         ['\'', '\\', _] => quoted_length(rest, '\''),
@@ -116,7 +116,7 @@ fn quoted_length(rest: &str, quote: char) -> usize {
     rest.len()
 }
 
-/// The first words behind every `crate::`, those of grouped imports too.
+/// The first words after every `crate::`, including grouped imports.
 fn crate_names(code: &str) -> Vec<String> {
     let mut names = Vec::new();
     for (index, found) in code.match_indices("crate::") {
@@ -153,7 +153,7 @@ fn word(text: &str) -> String {
     text.chars().take_while(|&character| character.is_alphanumeric() || character == '_').collect()
 }
 
-/// The words of code, for a search of whole words.
+/// The words of the code, for searching whole words.
 fn words(code: &str) -> impl Iterator<Item = &str> {
     code.split(|character: char| !(character.is_alphanumeric() || character == '_'))
 }
@@ -163,7 +163,7 @@ fn product() -> Vec<PathBuf> {
     ["src", "crates"].into_iter().flat_map(rust_files).collect()
 }
 
-/// The crates of this workspace that a crate depends on, as its manifest says.
+/// The workspace crates that a crate depends on, according to its manifest.
 fn dependencies(name: &str) -> Vec<String> {
     let folder = if name == "authros" { PathBuf::new() } else { Path::new("crates").join(name) };
     let manifest = read(&folder.join("Cargo.toml"));
@@ -226,7 +226,7 @@ fn nothing_falls_through_where_requests_answers_and_verbs_are_told_apart() {
     assert!(!catches_all("Some(_) => {}") && !catches_all("Verb::Keys(verb) => keys(verb),"));
 }
 
-/// Whether a line begins an arm that takes everything.
+/// Whether a line begins a catch-all arm.
 #[test]
 fn rights_are_decided_in_one_place() {
     let mut found = Vec::new();
@@ -281,7 +281,7 @@ fn no_file_or_module_has_an_empty_name() {
     assert_none("names that say nothing", &empty);
 }
 
-/// A wheel of a hundred megabytes came into the repository once with `git add`.
+/// A wheel of a hundred megabytes once got into the repository through `git add`.
 #[test]
 fn no_file_is_larger_than_a_text_has_to_be() {
     let listed = std::process::Command::new("git").args(["ls-files", "-z"]).current_dir(root()).output();
@@ -296,7 +296,7 @@ fn no_file_is_larger_than_a_text_has_to_be() {
 #[test]
 fn every_module_opens_with_what_lives_in_it() {
     let mut wrong = Vec::new();
-    // A file of unit tests says by its name what it is.
+    // A file of unit tests is recognised by its name.
     for path in product().into_iter().filter(|path| !path.ends_with("tests.rs")) {
         let source = read(&path);
         let opening = source.lines().take_while(|line| line.starts_with("//!")).count();

@@ -1,6 +1,6 @@
-//! After a change of a format: `cargo run -p authros-fuzz --example corpus -- write` writes `fuzz/corpus`
-//! anew. The targets are compiled with what is valid in it, so the same without `write` then says in a second run
-//! which files are accepted all the way through.
+//! After a change of format: `cargo run -p authros-fuzz --example corpus -- write` rewrites `fuzz/corpus`. The targets
+//! are compiled with the valid samples in it, so a second run without `write` then shows which files are fully
+//! accepted.
 
 use std::path::Path;
 use std::{fs, io};
@@ -10,7 +10,7 @@ use authros_fuzz::{
     sm2, state_proof, time_stamp,
 };
 
-/// Name, valid encodings, what is done with them.
+/// Name, valid encodings, and their target.
 type Target = (&'static str, Vec<Sample>, fn(&[u8]) -> bool);
 
 fn main() -> io::Result<()> {

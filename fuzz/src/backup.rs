@@ -1,4 +1,4 @@
-//! Back-ups: the header in clear, and the archive inside.
+//! Backups: the header in clear, and the archive inside.
 
 use std::io::{self, Read as _};
 
@@ -9,7 +9,7 @@ use crate::{Sample, sample, way};
 
 const WAYS: u8 = 2;
 
-/// Whatever claims to be a back-up, or what is in one.
+/// Any claimed backup, or its contents.
 pub fn run(data: &[u8]) -> bool {
     match way(data, WAYS) {
         Some((0, bytes)) => header(bytes),
@@ -18,14 +18,14 @@ pub fn run(data: &[u8]) -> bool {
     }
 }
 
-/// One encoding for one header; nothing is derived from it here, for that takes its time on purpose.
+/// One encoding per header; nothing is derived from it here, because that is slow on purpose.
 fn header(bytes: &[u8]) -> bool {
     let Ok(parsed) = StreamHeader::parse(bytes) else { return false };
     assert_eq!(parsed.encode(), bytes);
     true
 }
 
-/// Names lead nowhere else, and no more comes out than went in.
+/// Names do not lead outside, and no more comes out than went in.
 fn inside(bytes: &[u8]) -> bool {
     let mut given = 0;
     let read = archive::read(&mut &bytes[..], |name, length, file| {

@@ -1,4 +1,4 @@
-//! Bundles of evidence, as a stranger gets them.
+//! Evidence bundles, as a stranger receives them.
 
 use authros::evidence::{Bundle, archive, verify};
 
@@ -6,10 +6,10 @@ use crate::cast::provider;
 use crate::{Sample, masked, way};
 
 const WAYS: u8 = 3;
-/// A valid bundle: salts and signatures differ each time, so it is kept.
+/// A valid bundle: salts and signatures differ each time, so it is stored.
 const BUNDLE: &[u8] = include_bytes!("../corpus/bundle/bundle");
 
-/// Whatever claims to be a bundle.
+/// Any claimed bundle.
 pub fn run(data: &[u8]) -> bool {
     match way(data, WAYS) {
         Some((0, bytes)) => whole(bytes),
@@ -19,7 +19,7 @@ pub fn run(data: &[u8]) -> bool {
     }
 }
 
-/// What can be read can be judged, and has a word for every level.
+/// Whatever can be read can be judged, with a result for every level.
 fn whole(bytes: &[u8]) -> bool {
     let Ok(bundle) = Bundle::parse(bytes, provider()) else { return false };
     let report = verify(&bundle, None, provider());
@@ -27,7 +27,7 @@ fn whole(bytes: &[u8]) -> bool {
     bundle.signed
 }
 
-/// Whatever is changed: it is no bundle, or its exporter did not sign it.
+/// Whatever is changed: it is not a bundle, or its exporter did not sign it.
 fn altered(mask: &[u8]) -> bool {
     let (bytes, changed) = masked(BUNDLE.get(1..).unwrap_or_default(), mask);
     let signed = whole(&bytes);
@@ -35,14 +35,14 @@ fn altered(mask: &[u8]) -> bool {
     signed
 }
 
-/// An archive has one form.
+/// An archive has exactly one form.
 fn packed(bytes: &[u8]) -> bool {
     let Ok(members) = archive::read(bytes) else { return false };
     assert_eq!(archive::write(&members).as_deref(), Ok(bytes));
     true
 }
 
-/// Those that are kept.
+/// The stored ones.
 pub fn samples() -> Vec<Sample> {
     vec![("bundle", BUNDLE.to_vec())]
 }

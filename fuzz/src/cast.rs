@@ -1,4 +1,4 @@
-//! Who takes part: keys that never change, so that a crash can be had again from its input alone.
+//! The participants: keys that never change, so that a crash can be reproduced from its input alone.
 
 use std::sync::LazyLock;
 
@@ -19,7 +19,7 @@ pub fn context() -> Context {
     Context { provider: provider(), domain: DOMAIN }
 }
 
-/// The keys of everybody.
+/// Everyone's keys.
 pub struct Cast {
     /// Signs records and allocations.
     pub owner: SmKeyPair,

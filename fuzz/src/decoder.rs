@@ -1,4 +1,4 @@
-//! Definitions and bodies of messages, each taken for hostile; the readable form of well-known types.
+//! Definitions and bodies of messages, all treated as hostile; the readable form of well-known types.
 
 use authros::model::clean;
 use authros::ros::readable::{place, read};
@@ -43,7 +43,7 @@ const KNOWN: [(&str, &str); 6] = [
     ("sensor_msgs/Imu", "Header header\nfloat64[9] orientation_covariance\nfloat64[9] angular_velocity_covariance"),
 ];
 
-/// Whatever claims to be a message.
+/// Any claimed message.
 pub fn run(data: &[u8]) -> bool {
     match way(data, WAYS) {
         Some((0, bytes)) => any_definition(bytes),
@@ -63,7 +63,7 @@ fn any_definition(bytes: &[u8]) -> bool {
     tried(&definition, body)
 }
 
-/// Decoded, flattened, written as JSON: all of it or nothing, and nothing that a terminal must not see.
+/// Decoded, flattened, written as JSON: all of it or nothing, and nothing unsafe for a terminal.
 fn tried(definition: &Definition, body: &[u8]) -> bool {
     let mut json = Vec::new();
     let written = definition.write_json(body, &mut json).is_ok();

@@ -1,4 +1,4 @@
-//! Export folders: `proof.json`, and all five files as a stranger gets them.
+//! Export folders: `proof.json`, and all five files as a stranger receives them.
 
 use authros::chain::merkle::{Leaf, Tree};
 use authros::crypto::{SealRequest, TopicKey, keyfile, record, seal, signature_der};
@@ -11,10 +11,10 @@ use crate::cast::{CAST, DOMAIN, provider};
 use crate::{Sample, masked, sample, way};
 
 const WAYS: u8 = 3;
-/// A valid folder: salt and signature differ each time, so it is kept.
+/// A valid folder: salt and signature differ each time, so it is stored.
 const FOLDER: &[u8] = include_bytes!("../corpus/export_folder/folder");
 
-/// Whatever claims to be an exported record.
+/// Any claimed exported record.
 pub fn run(data: &[u8]) -> bool {
     match way(data, WAYS) {
         Some((0, text)) => proof(text),
@@ -24,7 +24,7 @@ pub fn run(data: &[u8]) -> bool {
     }
 }
 
-/// What is read from `proof.json` is what would be written.
+/// Whatever is read from `proof.json` would be written the same way.
 fn proof(text: &[u8]) -> bool {
     let Ok(parsed) = ClaimedProof::parse(text) else { return false };
     let written = serde_json::to_vec(&parsed).expect("words and numbers");
@@ -32,7 +32,7 @@ fn proof(text: &[u8]) -> bool {
     true
 }
 
-/// The five files, each behind its length (4).
+/// The five files, each preceded by its length (4).
 fn split(bytes: &[u8]) -> Option<ExportFolder> {
     let mut reader = Reader::new(bytes);
     let mut file = || {
@@ -43,7 +43,7 @@ fn split(bytes: &[u8]) -> Option<ExportFolder> {
     ExportFolder::parse(record, message, &signature, &signer, &proof).ok()
 }
 
-/// Whatever is changed: with the owner's key, only the genuine record holds.
+/// Whatever is changed: with the owner's key, only the genuine record is accepted.
 fn folder(bytes: &[u8]) -> bool {
     let Some(found) = split(bytes) else { return false };
     let holds = found.check(provider()).iter().all(|step| step.ok == Some(true));

@@ -16,11 +16,11 @@ use crate::messages::{answers, client_text, gateway_text, requests};
 use crate::{Sample, masked, sample, way};
 
 const WAYS: u8 = 7;
-/// The most parts that are tried in a row: each may be a MiB.
+/// The most parts tried in a row: each may be a MiB.
 const MOST_PARTS: usize = 6;
 const LIST: ListSummary = ListSummary { version: 3, digest: Digest([3; 32]) };
 
-/// Whatever comes over a line.
+/// Anything that arrives on a connection.
 pub fn run(data: &[u8]) -> bool {
     match way(data, WAYS) {
         Some((0, bytes)) => stream(bytes),
@@ -44,7 +44,7 @@ static SEALED: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
     requests().iter().map(|request| client.seal(&client_text(request)).expect("seals")).collect()
 });
 
-/// Bytes as they come off a socket: flags (1: larger frames, 2: larger pieces), length of a piece, bytes.
+/// Bytes as read from a socket: flags (1: larger frames, 2: larger pieces), length of a piece, bytes.
 fn stream(bytes: &[u8]) -> bool {
     let Some((&[flags, step], bytes)) = bytes.split_first_chunk() else { return false };
     let (mut decoder, mut session) = (FrameDecoder::new(), session(Side::Gateway));
@@ -87,7 +87,7 @@ fn payload_of(kind: FrameKind, payload: &[u8], session: &mut Session) -> bool {
     }
 }
 
-/// Opens only what the client sealed; after a refusal not even that.
+/// Opens only what the client sealed; after a refusal nothing at all.
 fn transfer(payload: &[u8], session: &mut Session) -> bool {
     if let Ok((counter, text)) = session.open(payload) {
         let genuine = usize::try_from(counter).ok().and_then(|counter| SEALED.get(counter));
@@ -138,7 +138,8 @@ fn sealed(bytes: &[u8]) -> bool {
     true
 }
 
-/// A message in parts, by a script: each step is what the part says and how long it is, then the claim of a first one.
+/// A message in parts, by a script: each step is the claimed part and its length, then the length claimed in the first
+/// part.
 fn parts(script: &[u8]) -> bool {
     let mut assembler = Assembler::<usize>::new();
     let mut rest = script;
@@ -176,7 +177,7 @@ fn whole(message: &Message<usize>, last: usize) -> bool {
     true
 }
 
-/// A payload as the first word of a client, and as the answer of a gateway to a hello that is fresh.
+/// A payload as the first message of a client, and as a gateway's answer to a fresh hello.
 fn greeting(payload: &[u8]) -> bool {
     let fresh = ClientHello::begin(context()).expect("random");
     assert!(fresh.agree(payload).is_err(), "an answer to another hello");
@@ -189,7 +190,7 @@ fn greeting(payload: &[u8]) -> bool {
     true
 }
 
-/// A hello in which one message is altered on its way: which (1), then the mask.
+/// A hello in which one message is altered in transit: which (1), then the mask.
 fn handshake(bytes: &[u8]) -> bool {
     let Some((which, mask)) = bytes.split_first() else { return false };
     let mask_of = |number| if which % 4 == number { mask } else { &[] };
@@ -231,7 +232,7 @@ pub fn samples() -> Vec<Sample> {
     let mut samples = vec![
         sample("stream", 0, &line),
         sample("sealed", 3, &[&[0, 40, 1], &client_text(&Request::Ping)[..]].concat()),
-        // First, claiming 2 MiB, a middle one, and a last one of what is left.
+        // First, claiming 2 MiB, a middle one, and a last one with the rest.
         sample("parts", 4, &[1, 21, 0, 2, 0, 0, 3 | 2 << 2, 1, 86]),
         sample("one_part", 4, &[2 << 2, 0, 90]),
         sample("greeting", 5, &hello),

@@ -15,12 +15,12 @@ use crate::cast::{CAST, DOMAIN, context, provider};
 use crate::{Sample, masked, sample, way};
 
 const WAYS: u8 = 7;
-/// The bytes of a valid request, list and registration: signatures differ each time, so they are kept.
+/// The bytes of a valid request, list and registration: signatures differ each time, so they are stored.
 const REQUEST: &[u8] = include_bytes!("../corpus/key_allocation/request");
 const LIST: &[u8] = include_bytes!("../corpus/key_allocation/list");
 const REGISTRATION: &[u8] = include_bytes!("../corpus/key_allocation/registration");
 
-/// Without its first byte, the way.
+/// Without its first byte, which selects the test.
 fn genuine(file: &'static [u8]) -> &'static [u8] {
     &file[1..]
 }
@@ -46,7 +46,7 @@ fn agreed(list: ListSummary) -> Agreed {
 
 static AGREED: LazyLock<Agreed> = LazyLock::new(|| agreed(ListSummary { version: 7, digest: Digest([0x77; 32]) }));
 
-/// Whatever comes in a session for allocation.
+/// Anything that arrives in a session for allocation.
 pub fn run(data: &[u8]) -> bool {
     match way(data, WAYS) {
         Some((0, body)) => request(body),
@@ -83,7 +83,7 @@ fn plaintext(plain: &[u8]) -> bool {
 fn list(bytes: &[u8]) -> bool {
     let Ok(list) = SystemKeyList::parse(bytes) else { return false };
     assert_eq!(list.encode(), bytes, "one encoding for one list");
-    // As if the gateway had announced just this one.
+    // As if the gateway had announced exactly this one.
     let agreed = agreed(list.summary(provider()));
     let checked = list.check(provider(), &DOMAIN, &agreed, Timestamp(500));
     assert_eq!(checked.is_ok(), bytes == genuine(LIST), "took a list that nobody signed, or refused one that was");
@@ -93,13 +93,13 @@ fn list(bytes: &[u8]) -> bool {
 fn registration(body: &[u8]) -> bool {
     let Ok(Request::Register(registration)) = Request::parse(Command::Register, body) else { return false };
     assert_eq!(Request::Register(registration.clone()).encode(), body, "one encoding for one registration");
-    // The transaction behind account (20) and identity (224) is the chain's to judge.
+    // The transaction after account (20) and identity (224) is for the chain to judge.
     let proven = body[..244] == genuine(REGISTRATION)[..244];
     assert_eq!(check_registration(&context(), &registration).is_ok(), proven);
     proven
 }
 
-/// Both providers open the same ciphertexts, and both forms of a signature say the same.
+/// Both providers open the same ciphertexts, and both forms of a signature give the same verdict.
 fn both_providers(bytes: &[u8]) -> bool {
     let one = provider().decrypt(&CAST.system.secret, bytes);
     let other = crypto::provider(ProviderName::Libsm).decrypt(&CAST.system.secret, bytes);

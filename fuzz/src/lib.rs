@@ -1,5 +1,5 @@
-//! What the fuzz targets do: each takes bytes, the first of which says how they are tried, and panics where the
-//! product breaks its word. `run` gives whether something valid went all the way through.
+//! The work of the fuzz targets: each takes bytes, the first of which selects the test, and panics if the product
+//! breaks a promise. `run` returns whether something valid was fully accepted.
 
 pub mod backup;
 pub mod bundle;
@@ -19,15 +19,15 @@ pub mod time_stamp;
 mod cast;
 mod messages;
 
-/// A name for a file of the corpus, and its bytes.
+/// A file name in the corpus, and its bytes.
 pub type Sample = (&'static str, Vec<u8>);
 
-/// The way of trying, and what it is tried with.
+/// The test selected, and its input.
 fn way(data: &[u8], ways: u8) -> Option<(u8, &[u8])> {
     data.split_first().map(|(way, rest)| (way % ways, rest))
 }
 
-/// `genuine` with `mask` laid over it (XOR), and whether that changed anything.
+/// `genuine` XORed with `mask`, and whether that changed anything.
 fn masked(genuine: &[u8], mask: &[u8]) -> (Vec<u8>, bool) {
     let mut bytes = genuine.to_vec();
     bytes.iter_mut().zip(mask).for_each(|(byte, bits)| *byte ^= bits);
@@ -35,7 +35,7 @@ fn masked(genuine: &[u8], mask: &[u8]) -> (Vec<u8>, bool) {
     (bytes, changed)
 }
 
-/// A sample of a way.
+/// A sample for a test.
 fn sample(name: &'static str, way: u8, bytes: &[u8]) -> Sample {
     (name, [&[way], bytes].concat())
 }

@@ -36,7 +36,7 @@ fn registration() -> Registration {
     Registration { account: Address([5; 20]), identity, transaction: vec![9; 20] }
 }
 
-/// What a client asks.
+/// A client's request.
 pub fn requests() -> Vec<Request> {
     let upload = |length| Upload { signature: Signature([7; 64]), blob: vec![8; length] };
     let query = |selection| Query { selection, from: Timestamp(1), until: Timestamp(u64::MAX), cursor: 9, limit: 500 };
@@ -76,7 +76,7 @@ fn entry() -> Entry {
     }
 }
 
-/// What the gateway answers.
+/// The gateway's answer.
 pub fn answers() -> Vec<Answer> {
     let (signer, signature) = (PublicKey([1; 64]), Signature([2; 64]));
     let record = Fetched { signer, signature, proof: vec![3; 10], blob: vec![4; 20] };

@@ -11,7 +11,7 @@ const WAYS: u8 = 4;
 
 const IMAGE: &str = "uint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\nuint8[] data";
 
-/// Whatever claims to be a picture.
+/// Any claimed picture.
 pub fn run(data: &[u8]) -> bool {
     match way(data, WAYS) {
         Some((0, bytes)) => file(bytes),
@@ -42,7 +42,7 @@ fn raw(bytes: &[u8]) -> bool {
     true
 }
 
-/// Code (1), length (2, big endian), packed bytes: no more and no less than the length comes out.
+/// Code (1), length (2, big endian), packed bytes: exactly that length comes out.
 fn packed(bytes: &[u8]) -> bool {
     let Some((head, rest)) = bytes.split_first_chunk::<3>() else { return false };
     let compression = if head[0].is_multiple_of(2) { Compression::Lz4 } else { Compression::Matrix };
@@ -52,7 +52,7 @@ fn packed(bytes: &[u8]) -> bool {
     true
 }
 
-/// Start, columns, channels, sample, order, distance (1 each), body: comes back as it was.
+/// Start, columns, channels, sample, order, distance (1 each), body: comes back unchanged.
 fn any_matrix(bytes: &[u8]) -> bool {
     let Some((shape, body)) = bytes.split_first_chunk::<6>() else { return false };
     let shape = shape.map(usize::from);

@@ -1,4 +1,4 @@
-//! Proofs: as they travel with a record, paths to a batch's root, trees of any width.
+//! Proofs: as carried with a record, paths to a batch's root, trees of any width.
 
 use std::sync::LazyLock;
 
@@ -11,12 +11,12 @@ use crate::cast::provider;
 use crate::{Sample, masked, sample, way};
 
 const WAYS: u8 = 5;
-/// Leaves of the batch that proofs are tried against.
+/// Leaves of the batch that proofs are tested against.
 const COUNT: u64 = 11;
-/// The widest tree that is built from an input.
+/// The widest tree built from an input.
 const WIDEST: usize = 300;
 
-/// Whatever claims to prove a record.
+/// Any claimed proof of a record.
 pub fn run(data: &[u8]) -> bool {
     match way(data, WAYS) {
         Some((0, bytes)) => inclusion(bytes),
@@ -38,7 +38,7 @@ fn leaf(number: u64) -> Leaf {
     }
 }
 
-/// The batch whose root the chain has.
+/// The batch whose root is on the chain.
 static BATCH: LazyLock<Tree> =
     LazyLock::new(|| Tree::new((0..COUNT).map(|number| leaf(number).hash()).collect()).expect("within bounds"));
 
@@ -71,7 +71,7 @@ fn genuine(index: u64) -> Vec<u8> {
     encode(&leaf(index), index, COUNT, &BATCH.path(place))
 }
 
-/// A proof against the root and the count that the chain has: only the batch's own leaves pass, at their places.
+/// A proof against the chain's root and count: only the batch's own leaves are accepted, at their places.
 fn inclusion(bytes: &[u8]) -> bool {
     let Some((leaf, index, count, path)) = decode(bytes) else { return false };
     let proof = Inclusion { index, count, path, root: BATCH.root() };
@@ -84,7 +84,7 @@ fn inclusion(bytes: &[u8]) -> bool {
     proven
 }
 
-/// A good proof with a mask over it: which leaf (1), then the mask.
+/// A valid proof with a mask applied: which leaf (1), then the mask.
 fn altered(bytes: &[u8]) -> bool {
     let Some((&which, mask)) = bytes.split_first() else { return false };
     let (bytes, changed) = masked(&genuine(u64::from(which) % COUNT), mask);
@@ -92,7 +92,7 @@ fn altered(bytes: &[u8]) -> bool {
     !changed
 }
 
-/// Numbers and paths of any size lead somewhere or nowhere, always the same, and not from another leaf.
+/// Numbers and paths of any size lead to a root or to nothing, always the same, and not from another leaf.
 fn any_path(bytes: &[u8]) -> bool {
     let Some((leaf, index, count, path)) = decode(bytes) else { return false };
     let Some(root) = root_of(leaf.hash(), index, count, &path) else { return false };

@@ -18,16 +18,16 @@ use crate::cast::{CAST, DOMAIN, provider};
 use crate::{Sample, masked, sample, way};
 
 const WAYS: u8 = 7;
-/// A valid upload and a valid envelope: salts and signatures differ each time, so they are kept.
+/// A valid upload and a valid envelope: salts and signatures differ each time, so they are stored.
 const UPLOAD: &[u8] = include_bytes!("../corpus/record/upload");
 const ENVELOPE: &[u8] = include_bytes!("../corpus/record/envelope");
 
-/// Without its first byte, the way.
+/// Without its first byte, which selects the test.
 fn genuine(file: &'static [u8]) -> &'static [u8] {
     &file[1..]
 }
 
-/// Whatever claims to be a record.
+/// Any claimed record.
 pub fn run(data: &[u8]) -> bool {
     match way(data, WAYS) {
         Some((0, body)) => upload(body),
@@ -68,7 +68,7 @@ fn upload(body: &[u8]) -> bool {
     is_genuine
 }
 
-/// An altered record that its own owner signs: the signature holds, the tags must not.
+/// An altered record signed by its own owner: the signature is valid, the tags must not be.
 fn signed_anew(mask: &[u8]) -> bool {
     let (blob, changed) = masked(&genuine(UPLOAD)[Signature::LENGTH..], mask);
     let digest = Digest(provider().sm3(&[&blob]));
@@ -85,7 +85,7 @@ fn head(bytes: &[u8]) -> bool {
     true
 }
 
-/// Sealed as the bytes say, opened as it was, and under no other topic key.
+/// Sealed as the bytes say, opened unchanged, and under no other topic key.
 fn sealed(bytes: &[u8]) -> bool {
     let Some((record, head, body)) = made(bytes) else { return false };
     let signer = &CAST.owner.public;

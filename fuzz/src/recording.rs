@@ -1,4 +1,4 @@
-//! Recordings: whatever a bag or an MCAP file holds is read to its end, and what was read is written and read again.
+//! Recordings: any bag or MCAP file is read to its end, and what was read is written and read again.
 
 use std::io::Cursor;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use authros::ros::recording::{Channel, ChunkCompression, Encoding, RecordedMessa
 
 use crate::Sample;
 
-/// More is not read: a few bytes may unpack to many messages.
+/// No more is read: a few bytes may decompress to many messages.
 const MOST: usize = 10_000;
 
 /// The bytes as a bag.
@@ -52,11 +52,12 @@ fn all(mut next: impl FnMut() -> Option<RecordedMessage>) -> Vec<RecordedMessage
     std::iter::from_fn(&mut next).take(MOST).collect()
 }
 
-/// How to write the messages again: not all, for that costs time; and nanoseconds beyond a second are another time.
+/// How to write the messages again: not all, because that costs time; and nanoseconds beyond a second give another
+/// time.
 fn rewrites(messages: &[RecordedMessage], bytes: &[u8], ways: [ChunkCompression; 2]) -> Option<ChunkCompression> {
     let small = messages.iter().map(|message| message.body.len()).sum::<usize>() < 1 << 20;
     let plain = messages.iter().all(|message| u32::try_from(message.time.0 / 1_000_000_000).is_ok());
-    // An IDL schema has two names, of which one is written; a schema's number 0 is none.
+    // An IDL schema has two names, of which one is written; a schema's number 0 means none.
     (!messages.is_empty() && small && plain).then(|| ways[usize::from(bytes.last().is_some_and(|last| last & 1 == 1))])
 }
 

@@ -1,4 +1,4 @@
-//! Definitions and bodies of ROS 2, each taken for hostile.
+//! ROS 2 definitions and bodies, all treated as hostile.
 
 use authros::model::clean;
 use authros::ros::message::type_hash;
@@ -38,7 +38,7 @@ const KNOWN: [(&str, &str); 5] = [
     ),
 ];
 
-/// Whatever claims to be a message of ROS 2.
+/// Any claimed ROS 2 message.
 pub fn run(data: &[u8]) -> bool {
     match way(data, WAYS) {
         Some((0, bytes)) => any_definition(bytes),
@@ -57,7 +57,7 @@ fn any_definition(bytes: &[u8]) -> bool {
     tried(&definition, body)
 }
 
-/// Decoded, flattened, written as JSON: all of it or nothing, and nothing that a terminal must not see.
+/// Decoded, flattened, written as JSON: all of it or nothing, and nothing unsafe for a terminal.
 fn tried(definition: &Definition, body: &[u8]) -> bool {
     let mut json = Vec::new();
     let written = definition.write_json(body, &mut json).is_ok();

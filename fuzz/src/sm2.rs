@@ -1,5 +1,5 @@
-//! SM2 by our kernels against the crate's and libsm's: keys, signatures, ciphertexts and points on which all must say
-//! the same. What is valid is the standard's own (GB/T 32918.5-2017, annexes A and C).
+//! SM2 by our kernels compared with the crate's and libsm's: keys, signatures, ciphertexts and points on which all must
+//! agree. The valid samples are the standard's own (GB/T 32918.5-2017, annexes A and C).
 
 use authros::crypto::{Ephemeral, Provider, ProviderName, SmSecret, provider};
 use authros::model::bytes::unhex;
@@ -23,7 +23,7 @@ fn hex(text: &str) -> Vec<u8> {
     unhex(text).expect("hex")
 }
 
-/// What all providers say, which must be the same.
+/// The common result of all providers.
 fn alike<T: PartialEq + std::fmt::Debug>(what: impl Fn(&'static dyn Provider) -> T) -> T {
     let [ours, one, other] = ProviderName::ALL.map(|name| what(provider(name)));
     assert_eq!(ours, one, "ours and the crate's differ");
@@ -31,7 +31,7 @@ fn alike<T: PartialEq + std::fmt::Debug>(what: impl Fn(&'static dyn Provider) ->
     ours
 }
 
-/// Whatever comes to SM2.
+/// Any input to SM2.
 pub fn run(data: &[u8]) -> bool {
     match way(data, WAYS) {
         Some((0, bytes)) => signature(bytes),

@@ -1,4 +1,4 @@
-//! Headers of blocks and nodes of the state, out of bundles of evidence.
+//! Block headers and state nodes, from evidence bundles.
 
 use authros::evidence::{BlockHeader, Nodes, Storage};
 use authros::model::{Address, Hash};
@@ -11,7 +11,7 @@ const HEADER: &[u8] = include_bytes!("../corpus/state_proof/header");
 /// The nodes of the states after it and after the next.
 const NODES: &[u8] = include_bytes!("../corpus/state_proof/nodes");
 
-/// Whatever claims to be a proof.
+/// Any claimed proof.
 pub fn run(data: &[u8]) -> bool {
     match way(data, WAYS) {
         Some((0, bytes)) => header(bytes),
@@ -25,7 +25,7 @@ fn header(bytes: &[u8]) -> bool {
     let Some(found) = BlockHeader::parse(bytes) else { return false };
     let genuine = HEADER.get(1..).and_then(BlockHeader::parse).expect("the kept one");
     if found.sealer() == genuine.sealer() {
-        // The seal itself is not signed: r and s have one form, the vanity is.
+        // The seal itself is not signed: r and s have one form; the vanity is.
         assert_eq!(
             (found.state_root, found.number, found.timestamp),
             (genuine.state_root, genuine.number, genuine.timestamp)
@@ -35,7 +35,7 @@ fn header(bytes: &[u8]) -> bool {
     false
 }
 
-/// Nodes have one form, and what they show below a root is the same whatever else lies beside them.
+/// Nodes have one form, and what they show below a root is the same whatever other nodes are present.
 fn nodes(bytes: &[u8]) -> bool {
     let Some(found) = Nodes::parse(bytes) else { return false };
     assert_eq!(found.encode(), bytes);
@@ -50,7 +50,7 @@ fn nodes(bytes: &[u8]) -> bool {
     !found.is_empty()
 }
 
-/// Those that are kept.
+/// The stored ones.
 pub fn samples() -> Vec<Sample> {
     vec![("header", HEADER.to_vec()), ("nodes", NODES.to_vec())]
 }

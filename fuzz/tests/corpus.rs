@@ -1,5 +1,5 @@
 //! The committed corpus of every fuzz target, replayed: each file must end as the target promises, without a panic, and
-//! each target must take at least one of its files all the way through.
+//! each target must fully accept at least one of its files.
 
 use std::fs;
 use std::path::Path;
@@ -9,7 +9,7 @@ use authros_fuzz::{
     state_proof, time_stamp,
 };
 
-/// Replays a target's files; how many there are, and how many of them went all the way through.
+/// Replays a target's files; returns how many there are, and how many were fully accepted.
 fn replayed(target: &str, run: fn(&[u8]) -> bool) -> (usize, usize) {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus").join(target);
     let files = fs::read_dir(folder).expect("the target has a corpus").map(|file| file.expect("readable").path());

@@ -18,7 +18,7 @@ use authros_output::Output;
 /// `agent …`; the home of `run` follows from its enrolment.
 ///
 /// # Errors
-/// What the arguments, the site or the outbox say.
+/// Errors of the arguments, the site or the outbox.
 pub async fn run(global: Global, verb: AgentVerb, output: &Output) -> Result<u8, Failure> {
     match verb {
         AgentVerb::Enrol(arguments) => enrol(Context::new(global, output)?, arguments, output).await,
@@ -29,7 +29,7 @@ pub async fn run(global: Global, verb: AgentVerb, output: &Output) -> Result<u8,
 /// Enrols a robot and writes its file.
 ///
 /// # Errors
-/// What the site, the gateway or the arguments say.
+/// Errors of the site, the gateway or the arguments.
 async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> Result<u8, Failure> {
     let out = arguments.out;
     if out.exists() {
@@ -103,10 +103,10 @@ struct Summary {
     topics: Vec<TopicCounts>,
 }
 
-/// Runs an agent until it is done or told to end.
+/// Runs an agent until it is done or told to stop.
 ///
 /// # Errors
-/// What the enrolment, the outbox or the arguments say.
+/// Errors of the enrolment, the outbox or the arguments.
 async fn capture(global: Global, arguments: RunArguments, output: &Output) -> Result<u8, Failure> {
     let tags: Result<Vec<_>, Failure> = arguments.tags.iter().map(|text| parse::tag(text)).collect();
     let wishes = AgentWishes {
@@ -181,7 +181,7 @@ fn text(figures: &AgentFigures) -> String {
     )
 }
 
-/// An end that was told is a good one for an agent without an end of its own: the outbox goes on later.
+/// For an agent that runs indefinitely, being told to stop is success: the outbox continues later.
 fn code(end: AgentEnd, unlimited: bool, figures: &AgentFigures) -> u8 {
     let kind = match end {
         _ if figures.tampered > 0 => Some(ErrorKind::Tampered),

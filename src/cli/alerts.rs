@@ -1,4 +1,4 @@
-//! `alerts`: those that stand, and whether they arrive where the settings say.
+//! `alerts`: the active ones, and whether they reach their recipient.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 

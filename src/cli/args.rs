@@ -1,4 +1,4 @@
-//! The command line: every verb and flag, in the words of the issue and the console.
+//! The command line: every verb and flag, in the same terms as the console.
 
 mod agent;
 mod chain;

@@ -1,5 +1,5 @@
-//! Backups on a schedule: a new file in a folder, the oldest of its own kind removed; and the drill that one of them
-//! would make a home again.
+//! Scheduled backups: a new file in a folder, removing the oldest of its kind; and the drill that shows one of them can
+//! be restored.
 
 use std::path::{Path, PathBuf};
 
@@ -15,13 +15,13 @@ use crate::service::failure::input;
 use crate::service::{Failure, restoring};
 use authros_output::Output;
 
-/// How the names of these files begin and end; between them stands when they were written.
+/// Prefix and suffix of these files' names; the time they were written is in between.
 const NAME: (&str, &str) = ("authros-", ".backup");
 
 /// `backup --to DIR --keep N`: one more file, then at most `keep` of them.
 ///
 /// # Errors
-/// Where the folder is not there, or what the site says; nothing is removed then.
+/// If the folder does not exist, or errors of the site; nothing is removed then.
 pub async fn run(context: Context, folder: &Path, keep: Option<usize>, output: &Output) -> Result<u8, Failure> {
     let passphrase = backup_passphrase(&context.global)?;
     let folder = absolute(folder)?;
@@ -45,7 +45,7 @@ pub async fn run(context: Context, folder: &Path, keep: Option<usize>, output: &
     Ok(0)
 }
 
-/// `authros-20270131T120000Z.backup`: names in the order of their times.
+/// `authros-20270131T120000Z.backup`: names sort by time.
 fn name_at(now: Timestamp) -> String {
     let digits: String =
         now.to_string().split('.').next().unwrap_or_default().chars().filter(char::is_ascii_alphanumeric).collect();
@@ -63,7 +63,7 @@ fn is_own(name: &str) -> bool {
     time.len() == 16 && time.bytes().enumerate().all(fits)
 }
 
-/// Removes all but the newest `keep` of our files; their names. Anything else in the folder stays.
+/// Removes all but the newest `keep` of our files; returns their names. Anything else in the folder stays.
 fn remove_old(folder: &Path, keep: usize) -> std::io::Result<Vec<String>> {
     let mut own = Vec::new();
     for entry in std::fs::read_dir(folder)? {
@@ -79,10 +79,10 @@ fn remove_old(folder: &Path, keep: usize) -> std::io::Result<Vec<String>> {
     Ok(own)
 }
 
-/// `restore --check FILE`: makes a home of it in a folder of its own, audits every record of it, and removes it.
+/// `restore --check FILE`: restores it into a folder of its own, audits every record of it, and removes it.
 ///
 /// # Errors
-/// Where the file is no backup, its passphrase is another one, or the disk has no room for it.
+/// If the file is not a backup, its passphrase is wrong, or the disk has no room for it.
 pub async fn check(context: Context, file: &Path, output: &Output) -> Result<u8, Failure> {
     let passphrase = backup_passphrase(&context.global)?;
     let beside = absolute(context.home.root())?.parent().map_or_else(std::env::temp_dir, Path::to_path_buf);

@@ -1,4 +1,4 @@
-//! `authros capture`: headless, ends when all that was captured is verified.
+//! `authros capture`: headless, ends when everything captured is verified.
 
 use super::args::CaptureArguments;
 use super::connect::{Context, ProfileNeed};
@@ -10,10 +10,10 @@ use crate::service::reply::CaptureSummary;
 use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
 
-/// Runs one capture; Ctrl-C ends it early, a second one leaves at once.
+/// Runs one capture; Ctrl-C ends it early, a second one exits at once.
 ///
 /// # Errors
-/// What the site or the arguments say.
+/// Errors of the site or the arguments.
 pub async fn run(context: Context, arguments: CaptureArguments, output: &Output) -> Result<u8, Failure> {
     let tags: Result<Vec<_>, Failure> = arguments.tags.iter().map(|text| parse::tag(text)).collect();
     let length = arguments.duration.as_deref().map(parse::duration).transpose()?;

@@ -24,7 +24,7 @@ use authros_output::Output;
 /// `chain …`; only `genesis` needs no home.
 ///
 /// # Errors
-/// What the arguments or the site say.
+/// Errors of the arguments or the site.
 pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8, Failure> {
     let unlocked = |act: Administration| Plan::new(CHAIN, ProfileNeed::Unlocked, Administer(act));
     let plan = match verb {
@@ -75,14 +75,13 @@ fn seconds(text: &str) -> Result<u64, Failure> {
     parse::duration(text).map(|length| length.as_secs())
 }
 
-/// Serves the embedded chain's JSON-RPC until a signal: through the running site of this home, or as
-/// the site itself.
+/// Serves the embedded chain's JSON-RPC until a signal: through this home's running site, or as the site itself.
 ///
 /// # Errors
-/// Where the address is not loopback or not free, or the chain is a node.
+/// If the address is not loopback or not free, or the chain is a node.
 async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<u8, Failure> {
     if !listen.ip().is_loopback() {
-        // Said before a site is started for it.
+        // Reported before a site is started for it.
         drop(crate::chain::serve::listen(listen).await?);
     }
     let connection = context.connect(Needs { ros: true, chain: true }).await?;
@@ -134,7 +133,7 @@ async fn start(client: &Client, address: SocketAddr) -> Result<ServedView, Failu
 /// Makes a genesis file, or prints the guide.
 ///
 /// # Errors
-/// Where the arguments do not fit, or a file is there already.
+/// If the arguments do not match, or a file exists already.
 fn genesis(arguments: &GenesisArguments, output: &Output) -> Result<u8, Failure> {
     let Some(consensus) = &arguments.consensus else {
         output.result(&serde_json::json!({ "guide": GUIDE }), || GUIDE.to_owned());
@@ -169,7 +168,7 @@ fn genesis(arguments: &GenesisArguments, output: &Output) -> Result<u8, Failure>
     Ok(0)
 }
 
-/// A genesis file that a network was founded with must not be lost by a slip.
+/// A genesis file that a network was founded with must not be lost by accident.
 fn write_new(path: &Path, text: &str) -> Result<(), Failure> {
     let mut file = match OpenOptions::new().write(true).create_new(true).open(path) {
         Ok(file) => file,

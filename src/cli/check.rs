@@ -15,7 +15,7 @@ use crate::service::{Failure, Needs, doctor, restoring, socket};
 use crate::store::SiteLock;
 use authros_output::{Output, table};
 
-/// `uploads list`: of the profile that is named, else of all profiles of the home.
+/// `uploads list`: of the given profile, otherwise of all profiles of the home.
 pub fn list_uploads(context: &Context, query: UploadQuery) -> Question {
     // The ids of tags follow from each profile's own key.
     let of_one = context.global.profile.is_some()
@@ -25,7 +25,7 @@ pub fn list_uploads(context: &Context, query: UploadQuery) -> Question {
     if of_one { ListUploads(query).into() } else { ListAllUploads(query).into() }
 }
 
-/// What an audit of records needs: the chain where the home is bound to one.
+/// What an audit of records needs: the chain, if the home is bound to one.
 pub fn audit_needs(context: &Context) -> Needs {
     Needs { ros: false, chain: context.home.pin().exists() }
 }
@@ -34,7 +34,7 @@ fn rounded(value: f64) -> String {
     if value < 10.0 { format!("{value:.1}") } else { format!("{value:.0}") }
 }
 
-/// What an audit found, for people.
+/// The findings of an audit, for people.
 pub fn audit(audit: &RecordAudit) -> String {
     let how = if audit.deep { "re-hashed, signatures checked" } else { "compared (rows, proofs, chain)" };
     let megabytes = rounded(audit.megabytes_per_second);
@@ -75,7 +75,7 @@ pub fn audit_code(audit: &RecordAudit) -> u8 {
     audit.worst().map_or(0, ErrorKind::exit_code)
 }
 
-/// A back-up or what was restored, for people.
+/// A backup or a restore, for people.
 pub fn backed_up(view: &BackupView) -> String {
     let profiles = if view.profiles.is_empty() { "no profile".to_owned() } else { view.profiles.join(", ") };
     let mut lines = vec![format!("{}: {} files, {} bytes, keyrings of {profiles}", view.file, view.files, view.bytes)];
@@ -86,7 +86,7 @@ pub fn backed_up(view: &BackupView) -> String {
 /// `doctor`.
 ///
 /// # Errors
-/// Where nothing can be looked at.
+/// If nothing can be examined.
 pub async fn run_doctor(context: Context, output: &Output) -> Result<u8, Failure> {
     let site = running_site(&context).await;
     let view = doctor::examine(&context.home, &context.config, site).await;
@@ -94,7 +94,7 @@ pub async fn run_doctor(context: Context, output: &Output) -> Result<u8, Failure
     Ok(if view.ok { 0 } else { ErrorKind::Incomplete.exit_code() })
 }
 
-/// What a running site says; `None` where none runs.
+/// The running site's answer; `None` if none runs.
 async fn running_site(context: &Context) -> Option<Result<SiteView, String>> {
     if !context.home.site_lock().exists() || matches!(SiteLock::acquire(&context.home.site_lock()), Ok(Some(_))) {
         return None;
@@ -127,7 +127,7 @@ fn doctor_text(view: &DoctorView) -> String {
 /// `verify DIR`.
 ///
 /// # Errors
-/// Where the folder is none, or a flag cannot be used.
+/// If the folder is not an export, or a flag is invalid.
 pub async fn run_verify(global: &Global, folder: &Path, genesis: Option<&str>, output: &Output) -> Result<u8, Failure> {
     let set = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
     let url = global.chain.clone().or_else(|| set("AUTHROS_CHAIN"));
@@ -151,10 +151,10 @@ fn verify_text(check: &FolderCheck) -> String {
     format!("{steps}\n{}", verdict(check))
 }
 
-/// The passphrase of a back-up: given, never the home's own.
+/// The passphrase of a backup: given, never the home's own.
 ///
 /// # Errors
-/// That none was given, or what its file says.
+/// If none was given, or errors of its file.
 pub fn backup_passphrase(global: &Global) -> Result<SecretText, Failure> {
     passphrase::of_file(global, Path::new(""))?.ok_or_else(|| {
         Failure::new(
@@ -167,7 +167,7 @@ pub fn backup_passphrase(global: &Global) -> Result<SecretText, Failure> {
 /// `backup FILE`.
 ///
 /// # Errors
-/// What the site says.
+/// Errors of the site.
 pub async fn run_backup(context: Context, file: &Path, output: &Output) -> Result<u8, Failure> {
     let passphrase = backup_passphrase(&context.global)?;
     let file = absolute(file)?;
@@ -180,7 +180,7 @@ pub async fn run_backup(context: Context, file: &Path, output: &Output) -> Resul
 /// `restore FILE`.
 ///
 /// # Errors
-/// Where the home is not empty, or the file is no back-up.
+/// If the home is not empty, or the file is not a backup.
 pub fn run_restore(context: &Context, file: &Path, output: &Output) -> Result<u8, Failure> {
     let passphrase = backup_passphrase(&context.global)?;
     let view = restoring::restore(file, &context.home, &passphrase)?;
@@ -188,10 +188,10 @@ pub fn run_restore(context: &Context, file: &Path, output: &Output) -> Result<u8
     Ok(0)
 }
 
-/// The whole path of a file.
+/// The absolute path of a file.
 ///
 /// # Errors
-/// Where there is none.
+/// If there is none.
 pub fn absolute(path: &Path) -> Result<PathBuf, Failure> {
     std::path::absolute(path).map_err(|error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display())))
 }

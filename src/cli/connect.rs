@@ -1,5 +1,5 @@
-//! From arguments to a client: settings resolved, the running site joined or one opened here,
-//! the profile made or unlocked where the command needs it.
+//! From arguments to a client: settings resolved, the running site joined or one opened here, the profile created or
+//! unlocked if the command needs it.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,10 +15,10 @@ use crate::service::{Client, Failure, Needs, Site};
 use crate::store::{SiteLock, files};
 use authros_output::Output;
 
-/// How long joined processes may still wait for an answer once a signal has come.
+/// How long joined processes may still wait for an answer after a signal.
 const FAREWELL: Duration = Duration::from_millis(500);
 
-/// What every command begins with.
+/// The start of every command.
 pub struct Context {
     /// The flags.
     pub global: Global,
@@ -30,9 +30,9 @@ pub struct Context {
     pub config: Config,
 }
 
-/// A client, and the site where this process is it.
+/// A client, and the site if this process is it.
 pub struct Connection {
-    /// Speaks for the profile.
+    /// Acts for the profile.
     pub client: Client,
     /// The site, to be stopped at the end.
     pub site: Option<Arc<Site>>,
@@ -45,7 +45,7 @@ pub enum ProfileNeed {
     None,
     /// Its keyring open.
     Unlocked,
-    /// Its keyring open; made first where there is none.
+    /// Its keyring open; created first if there is none.
     Made,
 }
 
@@ -57,7 +57,7 @@ fn misplaced(error: PlaceError) -> Failure {
     Failure::new(error.kind(), error.to_string())
 }
 
-/// Nobody should have to search for a home that lies where the program happened to be started.
+/// Nobody should have to search for a home that is in whichever directory the program was started.
 fn say_without_home(home: &Home, output: &Output) {
     if std::env::var_os("HOME").is_none_or(|value| value.is_empty()) {
         let root = home.root().display();
@@ -69,7 +69,7 @@ impl Context {
     /// Resolves profile, home and settings.
     ///
     /// # Errors
-    /// Where one of them is not usable.
+    /// If one of them is invalid.
     pub fn new(global: Global, output: &Output) -> Result<Self, Failure> {
         let profile = super::parse::value(global.profile.as_deref().unwrap_or("default"))?;
         let standard = || Home::standard().map_err(misplaced);
@@ -84,10 +84,10 @@ impl Context {
         Ok(Self { global, home, profile, config })
     }
 
-    /// For an agent: without `--home` it has a home of its own below the standard one.
+    /// For an agent: without `--home` it has its own home below the standard one.
     ///
     /// # Errors
-    /// As [`Self::new`].
+    /// See [`Self::new`].
     pub fn for_agent(global: Global, name: &ProfileName, output: &Output) -> Result<Self, Failure> {
         if global.home.is_some() {
             return Self::new(global, output);
@@ -115,7 +115,7 @@ impl Context {
     /// Joins the running site, or opens one here with the parts needed.
     ///
     /// # Errors
-    /// Where the home cannot be used, or flags contradict the running site.
+    /// If the home cannot be used, or flags contradict the running site.
     pub async fn connect(&self, needs: Needs) -> Result<Connection, Failure> {
         for _ in 0..50 {
             if let Some((client, greeting)) = socket::join(&self.home, self.profile.clone()).await? {
@@ -139,7 +139,7 @@ impl Context {
     /// The home's lock, if no other process holds it.
     ///
     /// # Errors
-    /// Where the home cannot be made or written.
+    /// If the home cannot be created or written.
     pub fn lock(&self) -> Result<Option<SiteLock>, Failure> {
         files::private_directory(self.home.root())?;
         Ok(SiteLock::acquire(&self.home.site_lock())?)
@@ -149,7 +149,7 @@ impl Context {
         let mine = self.config.show();
         for (name, theirs) in &greeting.settings {
             let Some(setting) = mine.iter().find(|setting| setting.name == name) else { continue };
-            // Without an address of a site they are about another gateway than the one joined through.
+            // Without a site's address they concern another gateway than the one joined through.
             if name.starts_with("site.") && self.config.source("site.address") != Source::Flag {
                 continue;
             }
@@ -165,10 +165,10 @@ impl Context {
         Ok(())
     }
 
-    /// Brings the profile to where the command needs it.
+    /// Brings the profile to the state the command needs.
     ///
     /// # Errors
-    /// Where there is no identity or no passphrase.
+    /// If there is no identity or no passphrase.
     pub async fn prepare(&self, client: &Client, need: ProfileNeed, output: &Output) -> Result<(), Failure> {
         if need == ProfileNeed::None {
             return Ok(());
@@ -199,14 +199,14 @@ impl Context {
 }
 
 impl Connection {
-    /// Begins what watches over a site that is to stay, where this process is it.
+    /// Starts supervision of a site that is to stay, if this process is it.
     pub fn oversee(&self) {
         if let Some(site) = &self.site {
             site.oversee();
         }
     }
 
-    /// Ends the site where this process is it, once no joined process waits for an answer of it.
+    /// Ends the site if this process is it, once no joined process waits for its answer.
     pub async fn close(self) {
         if let Some(site) = self.site {
             tokio::select! {
@@ -217,10 +217,10 @@ impl Connection {
         }
     }
 
-    /// The same after a signal: joined processes that wait are given half a second, they can ask the next site.
+    /// The same after a signal: waiting joined processes get half a second; they can ask the next site.
     pub async fn end(self) {
         if let Some(site) = self.site {
-            // Whether they were all answered makes no difference.
+            // Whether all were answered makes no difference.
             drop(tokio::time::timeout(FAREWELL, unasked(&site)).await);
             site.stop().await;
         }

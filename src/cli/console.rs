@@ -88,7 +88,7 @@ async fn prepare(client: Client, reader: ProfileName, events: broadcast::Sender<
 
 async fn refuse(mut waiting: Calls, failure: &Failure) {
     while let Some(Call { answer, .. }) = waiting.recv().await {
-        // A console that no longer waits is no fault.
+        // The console may have stopped waiting.
         drop(answer.send(Err(failure.clone())));
     }
 }
@@ -101,7 +101,7 @@ async fn relay(site: Client, mut calls: Calls, events: broadcast::Sender<Event>)
                 let Some(Call { request, answer }) = call else { return };
                 let site = site.for_profile(request.profile);
                 tokio::spawn(async move {
-                    // A console that no longer waits is no fault.
+                    // The console may have stopped waiting.
                     drop(answer.send(site.send(request.command).await.unwrap_or_else(|_| Err(site_gone()))));
                 });
             }
@@ -118,7 +118,7 @@ async fn relay(site: Client, mut calls: Calls, events: broadcast::Sender<Event>)
     }
 }
 
-/// Opens the keyring by itself where its passphrase was given or lies beside it.
+/// Opens the keyring automatically if its passphrase was given or is stored beside it.
 async fn unlock(context: Context, client: Client) {
     if !context.home.keyring(&context.profile).exists() {
         return;

@@ -21,7 +21,7 @@ use crate::paths::Home;
 use crate::service::Failure;
 use authros_output::Output;
 
-/// Transactions and gas of the mission, deployment and registration included.
+/// Transactions and gas of the mission, including deployment and registration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Work {
     /// Transactions in blocks.
@@ -30,7 +30,7 @@ pub struct Work {
     pub gas: u64,
 }
 
-/// What the demo prints.
+/// The demo's output.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 pub struct Story {
     /// Messages captured by CURA A.
@@ -45,7 +45,7 @@ pub struct Story {
     pub refused_stranger: bool,
     /// Whether the flipped bit and every other forgery was refused, each by its own check.
     pub refused_tampered: bool,
-    /// Records sealed after the revocation that CURA B opened with every key kept.
+    /// Records sealed after the revocation that CURA B opened with every key it kept.
     pub opened_after_revoke: u64,
     /// Pictures that CURA B restored byte-identical to what the robot sent.
     pub restored_images: u64,
@@ -57,10 +57,10 @@ pub struct Story {
     pub ok: bool,
 }
 
-/// Runs the demo; exit 0 with `ok: true`, else 1.
+/// Runs the demo; exit 0 with `ok: true`, otherwise 1.
 ///
 /// # Errors
-/// Where a step cannot be taken at all.
+/// If a step cannot be taken at all.
 pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output) -> Result<u8, Failure> {
     if context.config.robots == 0 {
         return Err(Failure::new(
@@ -89,7 +89,7 @@ pub(super) fn temporary_home(context: &mut Context, prefix: &str) -> Result<temp
     let directory = directory
         .map_err(|error| Failure::new(ErrorKind::Home, format!("no temporary directory can be made: {error}")))?;
     context.home = Home::new(directory.path().to_owned());
-    // The settings of the standard home are not those of this one.
+    // The settings of the standard home do not apply to this one.
     let global = context.global.clone();
     context.config = Config::resolve(&|name| global.setting(name), &|name| std::env::var(name).ok(), None)?;
     Ok(directory)

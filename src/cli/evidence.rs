@@ -1,4 +1,4 @@
-//! `evidence export`, and `verify` of a bundle: what the levels say, for people.
+//! `evidence export`, and `verify` of a bundle: the meaning of the levels, for people.
 
 use std::path::{Path, PathBuf};
 

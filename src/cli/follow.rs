@@ -1,4 +1,4 @@
-//! `uploads list --follow`, `shared list --follow`: one line for each record whenever its state changes.
+//! `uploads list --follow`, `shared list --follow`: one line per record whenever its state changes.
 
 use std::collections::HashMap;
 use std::time::Duration;
@@ -10,7 +10,7 @@ use crate::service::reply::{RecordPage, RecordView, ShownState};
 use crate::service::{Client, Event, Failure, Needs, Part, UploadQuery};
 use authros_output::Output;
 
-/// Records captured longer ago than this before the newest are looked at no more, nanoseconds.
+/// Records captured longer than this before the newest are no longer followed, nanoseconds.
 const WINDOW: u64 = 60_000_000_000;
 
 /// Which list.
@@ -22,10 +22,10 @@ pub enum Which {
     Shared,
 }
 
-/// Follows until a signal ends it; opens the site, robots and chain included, where none runs.
+/// Follows until a signal; opens the site, including robots and chain, if none runs.
 ///
 /// # Errors
-/// What the site says.
+/// Errors of the site.
 pub async fn run(context: Context, which: Which, query: UploadQuery, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(Needs { ros: true, chain: true }).await?;
     let followed = async {

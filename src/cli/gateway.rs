@@ -19,7 +19,7 @@ use authros_output::{Output, table};
 /// `gateway …`
 ///
 /// # Errors
-/// What the arguments or the site say.
+/// Errors of the arguments or the site.
 pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result<u8, Failure> {
     let question: Question = match verb {
         GatewayVerb::Serve { listen, open } => return serve(context, listen, open, output).await,
@@ -31,10 +31,10 @@ pub async fn run(context: Context, verb: GatewayVerb, output: &Output) -> Result
     super::verbs::run(context, Plan::new(NEITHER, ProfileNeed::None, question), output).await
 }
 
-/// Serves until a signal: through the running site of this home, or as a site of its own without ROS.
+/// Serves until a signal: through this home's running site, or as a site of its own without ROS.
 ///
 /// # Errors
-/// Where the profile cannot be opened or registered, or the address is not free.
+/// If the profile cannot be opened or registered, or the address is not free.
 async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(Needs { ros: false, chain: true }).await?;
     connection.oversee();

@@ -47,7 +47,7 @@ pub fn settings(settings: &[SettingView]) -> String {
     table(&["setting", "value", "from", "meaning"], &rows)
 }
 
-/// The profiles of a home; the one that commands speak for is marked.
+/// The profiles of a home, with the one in use marked.
 pub fn profiles(context: &Context, output: &Output) -> u8 {
     let all = context.home.profiles();
     let is_used = |profile: &ProfileName| *profile == context.profile;
@@ -171,7 +171,7 @@ pub fn records(page: &RecordPage) -> String {
     lines.join("\n")
 }
 
-/// What of a page is the ledger's word alone, or contradicts the records.
+/// Which parts of a page come only from the ledger, or contradict the records.
 fn doubts(page: &RecordPage) -> Vec<String> {
     let count = |is: &dyn Fn(&RecordView) -> bool| page.records.iter().filter(|record| is(record)).count();
     let altered =
@@ -195,7 +195,7 @@ fn doubts(page: &RecordPage) -> Vec<String> {
     lines
 }
 
-/// One record's way.
+/// The steps of one record.
 pub fn provenance(view: &Provenance) -> String {
     let record = &view.record;
     let mut rows = vec![("id", record.id.clone()), ("topic", record.topic.clone()), ("type", record.type_name.clone())];

@@ -1,4 +1,4 @@
-//! `--log json`: what a process that stays says, for journals and containers. Also a panic is one line then.
+//! `--log json`: the messages of a long-running process, for journals and containers. A panic is one line too.
 
 use clap::ValueEnum;
 
@@ -30,7 +30,7 @@ pub fn panics_too() {
     std::panic::set_hook(Box::new(|about| {
         use std::io::Write as _;
         let line = log_line(Timestamp::now(), NoticeLevel::Error, "panic", &about.to_string());
-        // Nobody is left to tell where that fails.
+        // If that fails there is nobody to inform.
         drop(writeln!(std::io::stderr().lock(), "{line}"));
     }));
 }

@@ -1,4 +1,4 @@
-//! How the console looks and which keys do what: flags, settings, and the operator's own files.
+//! The console's appearance and keys: flags, settings, and the operator's own files.
 
 use std::path::Path;
 
@@ -15,10 +15,10 @@ use crate::ui::Themes;
 /// The longest file read, bytes.
 const LONGEST: u64 = 256 * 1024;
 
-/// What flags, settings and files say.
+/// The result of flags, settings and files.
 ///
 /// # Errors
-/// Where a file is wrong, by file and line.
+/// If a file is wrong, with file and line.
 pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<ConsoleOptions, Failure> {
     let settings = &context.config.console;
     let options = ConsoleOptions {
@@ -62,7 +62,7 @@ fn themes(home: &Home) -> Result<Themes, Failure> {
     Themes::with_files(&files).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))
 }
 
-/// A file of the operator's; `None` where there is none.
+/// A file of the operator's; `None` if there is none.
 fn read(path: &Path) -> Result<Option<String>, Failure> {
     let wrong = |what: String| Failure::new(ErrorKind::Input, format!("{}: {what}", path.display()));
     match std::fs::metadata(path) {
@@ -74,7 +74,7 @@ fn read(path: &Path) -> Result<Option<String>, Failure> {
     std::fs::read_to_string(path).map(Some).map_err(|error| wrong(error.to_string()))
 }
 
-/// Whether the locale takes more than ASCII; where nothing is said, terminals do nowadays.
+/// Whether the locale allows more than ASCII; if it does not say, terminals nowadays do.
 fn locale_has_unicode(variable: impl Fn(&str) -> Option<String>) -> bool {
     let set = ["LC_ALL", "LC_CTYPE", "LANG"].into_iter().filter_map(variable).find(|value| !value.is_empty());
     set.is_none_or(|value| {

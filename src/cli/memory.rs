@@ -1,11 +1,11 @@
-//! The memory of this process is nobody else's: keys lie in it.
+//! Keeps this process's memory private: it holds keys.
 
 use rustix::process::{DumpableBehavior, Resource, Rlimit, set_dumpable_behavior, setrlimit};
 
 /// From now on no core file is written, and processes of the same user can neither attach to this one nor read its
-/// memory; root can. Children that are started inherit the first alone.
+/// memory; root can. Child processes inherit only the first.
 pub fn keep_private() {
-    // Where the system refuses either, the program is of use all the same.
+    // If the system refuses either, the program is still useful.
     setrlimit(Resource::Core, Rlimit { current: Some(0), maximum: Some(0) }).ok();
     set_dumpable_behavior(DumpableBehavior::NotDumpable).ok();
 }

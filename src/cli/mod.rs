@@ -1,7 +1,7 @@
 //! Arguments in, results out: the headless twin of the console, over the same commands.
 //!
-//! stdout carries the result and nothing else, stderr the rest; `--json` changes the format,
-//! never the channel. Nothing here does work of its own but the demo's story.
+//! stdout carries the result and nothing else, stderr the rest; `--json` changes the format, never the channel. Nothing
+//! here does work of its own except the demo's story.
 
 mod adopt;
 mod agent;
@@ -64,7 +64,7 @@ pub fn main() -> ExitCode {
         Ok(arguments) => arguments,
         Err(error) => {
             let code = error.exit_code();
-            // A closed stdout or stderr leaves nobody to tell.
+            // If stdout or stderr is closed there is nobody to inform.
             drop(error.print());
             return ExitCode::from(u8::try_from(code).unwrap_or(2));
         }
@@ -79,7 +79,7 @@ pub fn main() -> ExitCode {
         .map_err(|error| Failure::new(crate::model::ErrorKind::Internal, format!("threads cannot be started: {error}")))
         .and_then(|runtime| {
             let result = run(&runtime, arguments, &output);
-            // All is flushed; tasks that still wait end with the process, not one by one.
+            // Everything is flushed; tasks that still wait end with the process, not one by one.
             std::mem::forget(runtime);
             result
         });
@@ -92,7 +92,7 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// Every verb has its arm here, so one that nothing runs does not compile. Some need no home and do not look at one.
+/// Every verb has its arm here, so one that nothing runs does not compile. Some need no home and do not touch one.
 #[deny(clippy::wildcard_enum_match_arm)]
 fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, Failure> {
     if let Some(text) = printed::defaults(&arguments.print)? {
@@ -180,7 +180,7 @@ async fn back_up(context: Context, backup: args::BackupArguments, output: &Outpu
     }
 }
 
-/// Runs a plain verb: one request, its answer printed.
+/// Runs a plain verb: one request, and its answer printed.
 fn asked(
     runtime: &Runtime,
     global: Global,
@@ -192,7 +192,7 @@ fn asked(
     runtime.block_on(verbs::run(context, plan, output))
 }
 
-/// Measures until it is done or somebody asks for the end.
+/// Measures until it is done or interrupted.
 async fn run_bench(
     global: &args::Global,
     arguments: authros_bench::args::BenchArguments,

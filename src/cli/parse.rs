@@ -1,4 +1,4 @@
-//! Turns the text of arguments into the model's words, with errors of kind `Input`.
+//! Parses arguments into the model's types, with errors of kind `Input`.
 
 use std::fmt::Display;
 use std::str::FromStr;
@@ -14,7 +14,7 @@ use super::args::ListArguments;
 /// Parses one value.
 ///
 /// # Errors
-/// A [`Failure`] of kind `Input` with the type's own words.
+/// A [`Failure`] of kind `Input` with the type's own message.
 pub fn value<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {
     text.parse().map_err(|error: T::Err| Failure::new(ErrorKind::Input, error.to_string()))
 }
@@ -22,12 +22,12 @@ pub fn value<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {
 /// Parses several values.
 ///
 /// # Errors
-/// As [`value`], for the first that fails.
+/// See [`value`], for the first that fails.
 pub fn values<T: FromStr<Err: Display>>(texts: &[String]) -> Result<Vec<T>, Failure> {
     texts.iter().map(|text| value(text)).collect()
 }
 
-/// A length of time that is not 0.
+/// A time span other than 0.
 ///
 /// # Errors
 /// A [`Failure`] of kind `Input` that says how to write it.
@@ -35,7 +35,7 @@ pub fn duration(text: &str) -> Result<Duration, Failure> {
     positive_span(text).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))
 }
 
-/// A gateway's fingerprint: the whole id, with or without spaces between.
+/// A gateway's fingerprint: the whole id, with or without spaces in between.
 ///
 /// # Errors
 /// A [`Failure`] of kind `Input` that says how to write it.
@@ -50,7 +50,7 @@ pub fn fingerprint(text: &str) -> Result<SignerId, Failure> {
     })
 }
 
-/// A moment that has passed: a time, a day, or so long ago.
+/// A moment in the past: a time, a day, or a time span ago.
 ///
 /// # Errors
 /// A [`Failure`] of kind `Input` that says how to write it.

@@ -1,5 +1,5 @@
-//! Where headless use finds a keyring's passphrase: a file, a descriptor, or the file it wrote
-//! for itself beside the keyring. Never argv, never the environment.
+//! Where headless use gets a keyring's passphrase: a file, a descriptor, or the file it stored for itself beside the
+//! keyring. Never argv, never the environment.
 
 use std::io::Read as _;
 use std::path::Path;
@@ -26,7 +26,7 @@ fn first_line(text: &str) -> SecretText {
 /// The first line of a 0600 file.
 ///
 /// # Errors
-/// Where the file cannot be read, or others may read it.
+/// If the file cannot be read, or others can read it.
 pub fn from_file(path: &Path) -> Result<SecretText, Failure> {
     let bytes = private_file::read_private(path, LONGEST)?;
     let text = std::str::from_utf8(&bytes)
@@ -44,10 +44,10 @@ fn from_descriptor(number: u32) -> Result<SecretText, Failure> {
     Ok(first_line(&text))
 }
 
-/// The passphrase given, or the one that headless use wrote; `None` where there is neither.
+/// The passphrase given, or the one stored by headless use; `None` if there is neither.
 ///
 /// # Errors
-/// Where a file or descriptor that was named cannot be read.
+/// If a given file or descriptor cannot be read.
 pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Option<SecretText>, Failure> {
     if let Some(path) = &global.passphrase_file {
         return from_file(path).map(Some);
@@ -59,16 +59,16 @@ pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Opti
     if own.exists() { from_file(&own).map(Some) } else { Ok(None) }
 }
 
-/// Whether a passphrase is given, or lies beside the keyring, without reading it.
+/// Whether a passphrase is given, or stored beside the keyring, without reading it.
 pub fn is_given(global: &Global, home: &Home, profile: &ProfileName) -> bool {
     global.passphrase_file.is_some() || global.passphrase_fd.is_some() || home.passphrase(profile).exists()
 }
 
-/// The plan of `keys passphrase`: the present passphrase as given, beside the keyring or asked; the new one from its
-/// file or descriptor, or asked twice.
+/// The plan of `keys passphrase`: the present passphrase as given, stored beside the keyring or asked for; the new one
+/// from its file or descriptor, or asked for twice.
 ///
 /// # Errors
-/// Where one of them is neither given nor can be asked.
+/// If one of them is neither given nor can be asked for.
 pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -> Result<Plan, Failure> {
     let (global, home, profile) = (&context.global, &context.home, &context.profile);
     if descriptor.is_some() && descriptor == global.passphrase_fd {
@@ -87,11 +87,11 @@ pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -
     Ok(Plan::new(NEITHER, ProfileNeed::None, ChangePassphrase { old, new }))
 }
 
-/// Takes away the file that headless use wrote beside the keyring: after a change it opens nothing, and who changed the
-/// passphrase may have done so because of that file.
+/// Removes the file that headless use stored beside the keyring: after a change it opens nothing, and it may be the
+/// very reason for the change.
 ///
 /// # Errors
-/// Where it cannot be removed.
+/// If it cannot be removed.
 pub fn forget(home: &Home, profile: &ProfileName, output: &Output) -> Result<(), Failure> {
     let own = home.passphrase(profile);
     if !own.exists() {
@@ -126,10 +126,10 @@ fn asked_twice() -> Result<SecretText, Failure> {
     Err(Failure::new(ErrorKind::Input, "the two differ; nothing was changed, begin again"))
 }
 
-/// The passphrase given, or that in a file beside what it protects; `None` where there is neither.
+/// The passphrase given, or that in a file beside what it protects; `None` if there is neither.
 ///
 /// # Errors
-/// As [`given`].
+/// See [`given`].
 pub fn of_file(global: &Global, beside: &Path) -> Result<Option<SecretText>, Failure> {
     match (&global.passphrase_file, global.passphrase_fd) {
         (Some(path), _) => from_file(path).map(Some),
@@ -139,10 +139,10 @@ pub fn of_file(global: &Global, beside: &Path) -> Result<Option<SecretText>, Fai
     }
 }
 
-/// The passphrase given, or a new random one written beside the keyring, which is said.
+/// The passphrase given, or a new random one stored beside the keyring, which is reported.
 ///
 /// # Errors
-/// Where the file cannot be written.
+/// If the file cannot be written.
 pub fn given_or_new(
     global: &Global,
     home: &Home,

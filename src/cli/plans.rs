@@ -1,4 +1,4 @@
-//! Verbs of keys, grants and the audit log as the site understands them.
+//! Verbs of keys, grants and the audit log, as requests to the site.
 
 use std::path::{Path, PathBuf};
 
@@ -18,7 +18,7 @@ use crate::service::{Epochs, Failure, KeyKind, SecretText};
 /// `audit …`
 ///
 /// # Errors
-/// A time that cannot be read.
+/// An invalid time.
 pub fn audit(context: &Context, arguments: &AuditArguments) -> Result<Plan, Failure> {
     let Some(verb) = &arguments.verb else {
         let ask = AuditRecords { deep: arguments.deep, since: arguments.since()? };
@@ -53,7 +53,7 @@ fn absolute(path: &Path) -> Result<PathBuf, Failure> {
     std::path::absolute(path).map_err(|error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display())))
 }
 
-/// A change of a pair: whom it touches is said first, or alone.
+/// A change of a key pair: those affected are reported first, or only they are.
 fn changes(profile: ProfileNeed, kind: PairKind, dry_run: bool, question: impl Into<Question>) -> Plan {
     let touched = ForeseeKeyChange { kind };
     if dry_run {
@@ -65,7 +65,7 @@ fn changes(profile: ProfileNeed, kind: PairKind, dry_run: bool, question: impl I
 /// `keys …`
 ///
 /// # Errors
-/// A file that cannot be read, a key that is not named.
+/// An unreadable file, a missing key.
 pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
     let secret = |file: Option<PathBuf>| file.as_deref().map(passphrase::from_file).transpose();
     Ok(match verb {
@@ -102,7 +102,7 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
 /// `grant …`
 ///
 /// # Errors
-/// A party, topic or time that cannot be read.
+/// An invalid party, topic or time.
 pub fn grant(arguments: &GrantArguments) -> Result<Grant, Failure> {
     let expires = arguments.expires.as_deref().map(super::adopt::end).transpose()?;
     Ok(Grant {

@@ -1,4 +1,4 @@
-//! `shared play`: shared records into a ROS graph, until all is played or something ends it.
+//! `shared play`: shared records into a ROS graph, until everything is played or something ends it.
 
 use clap::Args;
 
@@ -80,7 +80,7 @@ impl PlayArguments {
 /// What the site or the arguments say.
 pub async fn run(context: Context, arguments: PlayArguments, output: &Output) -> Result<u8, Failure> {
     let wishes = arguments.wishes()?;
-    // A graph that is named needs no node of ours that captures.
+    // If a graph is given, no capturing node of ours is needed.
     let is_named = wishes.master.is_some() || context.config.ros_master.is_some();
     let live = Needs { ros: !is_named, chain: true };
     let connection = context.connect(live).await?;

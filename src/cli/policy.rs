@@ -1,4 +1,4 @@
-//! `topics policy`: the rule of each topic, and a draft of rules learned from the live graph.
+//! `topics policy`: the rule of each topic, and draft rules learnt from the live graph.
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,4 @@
-//! What is printed and needs no home: defaults to write one's own files from, completions, the manual page.
+//! What is printed and needs no home: defaults as templates, completions, the manual page.
 
 use std::fmt::Write as _;
 
@@ -13,10 +13,10 @@ use crate::model::{ErrorKind, clean};
 use crate::service::Failure;
 use crate::ui::theme;
 
-/// The defaults that were asked for; `None` where something is to be done instead.
+/// The defaults requested; `None` if something is to be done instead.
 ///
 /// # Errors
-/// Where a theme is asked for that is not embedded.
+/// If the requested theme is not embedded.
 pub fn defaults(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
     match arguments {
         PrintArguments { default_config: true, .. } => Ok(Some(config())),
@@ -65,17 +65,17 @@ fn setting(text: &mut String, key: &str, default: &str, help: &str, variable: &s
     let _ = writeln!(text, "\n# {help} ({variable})\n#{key} = {value}");
 }
 
-/// What a shell needs to complete the commands.
+/// A shell's completion script for the commands.
 pub fn completions(shell: clap_complete::Shell) -> String {
     let mut bytes = Vec::new();
     clap_complete::generate(shell, &mut Arguments::command(), "authros", &mut bytes);
     complete::with_words(shell, String::from_utf8_lossy(&bytes).into_owned())
 }
 
-/// The page of the program, and behind it one section per command.
+/// The program's page, followed by one section per command.
 ///
 /// # Errors
-/// Where it cannot be rendered.
+/// If it cannot be rendered.
 pub fn manual() -> Result<String, Failure> {
     let failed = |error: std::io::Error| Failure::new(ErrorKind::Internal, format!("the manual page: {error}"));
     let mut bytes = Vec::new();
@@ -112,7 +112,7 @@ fn commands(text: &mut String, command: &clap::Command, path: &str) {
     }
 }
 
-/// Text that roff takes as text.
+/// Text escaped for roff.
 fn roff(text: &str) -> String {
     let text = text.replace('\\', "\\e").replace('-', "\\-").replace('\n', " ");
     if text.starts_with(['.', '\'']) { format!("\\&{text}") } else { text }

@@ -12,10 +12,10 @@ use crate::service::event::NoticeLevel;
 use crate::service::{Event, Failure, Needs};
 use authros_output::Output;
 
-/// Whether whoever started this process wants it to outlive its terminal (nohup), as its signals were at the start.
+/// Whether the parent wants this process to outlive its terminal (nohup), judged by its signals at the start.
 static KEEPS_ON: OnceLock<bool> = OnceLock::new();
 
-/// Looks whether SIGHUP is ignored; to be called before anything listens to signals.
+/// Checks whether SIGHUP is ignored; to be called before anything listens to signals.
 pub fn note_hangup() {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     KEEPS_ON.get_or_init(|| ignores_hangup(&status));
@@ -60,7 +60,7 @@ pub async fn asked_to_end() -> Ending {
 /// Runs the site until a signal ends it.
 ///
 /// # Errors
-/// Where another process is the site already, or the profile cannot be opened.
+/// If another process is the site already, or the profile cannot be opened.
 pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(Needs { ros: true, chain: true }).await.map_err(not_started)?;
     if connection.site.is_none() {
@@ -71,15 +71,15 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
         ));
     }
     connection.oversee();
-    // What goes wrong while it begins is shown too.
+    // Problems during startup are shown too.
     let events = connection.client.events();
-    // One that worked here before needs no chain to begin.
+    // If it worked here before, no chain is needed to start.
     let known = context.home.pin().exists() && context.home.keyring(&context.profile).exists();
     let prepared = async {
         context.prepare(&connection.client, ProfileNeed::Made, output).await?;
         connection.client.ask(Register).await
     };
-    // Listened to from here to the end, so that no signal falls in between.
+    // Listened to from here to the end, so that no signal is missed in between.
     let end = asked_to_end();
     tokio::pin!(end);
     let ended = tokio::select! {
@@ -116,14 +116,13 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     Ok(0)
 }
 
-/// Nothing goes on by itself where nothing runs.
+/// Nothing continues by itself if nothing runs.
 fn not_started(failure: Failure) -> Failure {
     let message = format!("the site did not start and has ended: {}", failure.message);
     Failure::new(failure.kind, message)
 }
 
-/// Shows the site's warnings until `end`, or the site's end. What was told since `events` were listened to is shown
-/// as well.
+/// Shows the site's warnings until `end`, or the site's end, including those since `events` were subscribed to.
 pub async fn follow(mut events: broadcast::Receiver<Event>, output: &Output, end: impl Future<Output = Ending>) {
     tokio::pin!(end);
     loop {

@@ -1,4 +1,4 @@
-//! Answers of the site, printed for people or as JSON; files written where a verb asked for some.
+//! Answers of the site, printed for people or as JSON; files written if a verb requested some.
 
 use std::io::Write as _;
 use std::path::Path;
@@ -19,7 +19,7 @@ use authros_output::Output;
 
 /// An answer that a verb prints.
 pub trait Printed: Answer {
-    /// Prints it; `out` is where its files go. The exit code.
+    /// Prints it; `out` is where its files go. Returns the exit code.
     ///
     /// # Errors
     /// A file that cannot be written.
@@ -30,7 +30,7 @@ type Print = fn(Result<Reply, Failure>, Option<&Path>, &Output) -> Result<u8, Fa
 
 /// A request whose answer a verb prints.
 pub struct Question {
-    /// What is asked.
+    /// The request.
     pub command: Command,
     print: Print,
 }
@@ -46,13 +46,13 @@ where
 }
 
 impl Question {
-    /// Asks; what comes back prints the answer.
+    /// Asks; the result prints the answer.
     pub async fn ask(self, client: &Client) -> Told {
         Told { reply: client.request(self.command).await, print: self.print }
     }
 }
 
-/// What the site said to a [`Question`].
+/// The site's answer to a [`Question`].
 pub struct Told {
     reply: Result<Reply, Failure>,
     print: Print,
@@ -64,10 +64,10 @@ impl Told {
         self.reply.is_ok()
     }
 
-    /// Prints the answer; the exit code.
+    /// Prints the answer; returns the exit code.
     ///
     /// # Errors
-    /// What the site failed with, or a file that cannot be written.
+    /// The site's failure, or a file that cannot be written.
     pub fn print(self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         (self.print)(self.reply, out, output)
     }
@@ -180,7 +180,7 @@ impl Printed for Vec<ExportedFile> {
     fn print(self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         let directory = out.unwrap_or(Path::new("."));
         std::fs::create_dir_all(directory).map_err(|error| not_written(directory, &error))?;
-        // None is written where any is there already: files of two records side by side would be no proof.
+        // Nothing is written if any file exists already: files of two records side by side would prove nothing.
         if let Some(there) = self.iter().map(|file| directory.join(&file.name)).find(|path| path.exists()) {
             let text = format!("{} exists and is not overwritten; name another folder with --dir", there.display());
             return Err(Failure::new(ErrorKind::Input, text));

@@ -1,4 +1,4 @@
-//! `config dump` and `config apply`: a site as one file that a repository can hold.
+//! `config dump` and `config apply`: a site as a single file that a repository can hold.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
@@ -19,15 +19,15 @@ use crate::service::{Client, Failure};
 use crate::store::files::{atomic_write, private_directory};
 use authros_output::Output;
 
-/// The longest file that is taken, bytes.
+/// The longest file accepted, bytes.
 const LONGEST: u64 = 4 << 20;
-/// Beside `config.toml`: what it held before the last application.
+/// Beside `config.toml`: its content before the last `apply`.
 const BEFORE: &str = "toml.before";
 
 /// `config dump`
 ///
 /// # Errors
-/// Where the home or its settings cannot be read.
+/// If the home or its settings cannot be read.
 pub async fn dump(context: &Context, output: &Output) -> Result<u8, Failure> {
     let home = home_settings(&context.home.config())?;
     let here = here(context).await?;
@@ -48,7 +48,7 @@ pub async fn dump(context: &Context, output: &Output) -> Result<u8, Failure> {
     Ok(0)
 }
 
-/// What flags and environment set holds for this process alone.
+/// What flags and environment set applies only to this process.
 fn tell_overridden(context: &Context, output: &Output) {
     for setting in context.config.show() {
         match context.config.source(setting.name) {
@@ -64,8 +64,8 @@ fn tell_overridden(context: &Context, output: &Output) {
 /// `config apply FILE`
 ///
 /// # Errors
-/// Where the file cannot be used, or a change is refused; what was changed before stays, and another application goes
-/// on from there.
+/// If the file cannot be used, or a change is refused; changes made before stay, and another `apply` continues from
+/// there.
 pub async fn apply(context: &Context, path: &Path, check: bool, output: &Output) -> Result<u8, Failure> {
     let file = SiteFile::read(path, &read(path)?)?;
     let home = home_settings(&context.home.config())?;
@@ -87,7 +87,7 @@ pub async fn apply(context: &Context, path: &Path, check: bool, output: &Output)
         output.result(&document, || shown);
         return Ok(if differences.is_empty() { 0 } else { ErrorKind::Incomplete.exit_code() });
     }
-    // With --json there is one document, at the end; people see what comes in any case.
+    // With --json there is one document, at the end; the text output appears in any case.
     if context.global.json {
         output.note(&shown)
     } else {
@@ -104,7 +104,8 @@ pub async fn apply(context: &Context, path: &Path, check: bool, output: &Output)
     Ok(0)
 }
 
-/// A joined site takes no contact without the fingerprint of its key: said before one is taken out to be entered anew.
+/// A joined site accepts no contact without the fingerprint of its key: checked before one is removed to be added
+/// again.
 fn check_keys(differences: &[Difference]) -> Result<(), Failure> {
     for difference in differences {
         if let Difference::AddContact { name, fingerprint: None, .. } = difference {
@@ -131,7 +132,7 @@ fn read(path: &Path) -> Result<String, Failure> {
     Ok(text)
 }
 
-/// What `config.toml` says; nothing where there is none.
+/// The content of `config.toml`; nothing if there is none.
 fn home_settings(path: &Path) -> Result<HomeSettings, Failure> {
     if !path.exists() {
         return Ok(HomeSettings::default());
@@ -139,7 +140,7 @@ fn home_settings(path: &Path) -> Result<HomeSettings, Failure> {
     Ok(HomeSettings::read(path, &read(path)?)?)
 }
 
-/// What the ledger of this home keeps; nothing where there is none yet, and then none is made.
+/// The operator's decisions in this home's ledger; nothing if there is none yet, and then none is created.
 async fn here(context: &Context) -> Result<Here, Failure> {
     let nothing = Decisions {
         watches: Some(BTreeMap::default()),
@@ -183,16 +184,16 @@ fn pinned(pin: &PinView) -> Option<(TopicName, Publisher)> {
     Some((pin.topic.parse().ok()?, pin.publisher.clone()))
 }
 
-/// Accounts of the profiles of this home; one whose keyring cannot be read is told of where it is opened.
+/// Accounts of the profiles of this home; one with an unreadable keyring is reported where it is opened.
 fn own_accounts(context: &Context) -> BTreeSet<crate::model::Address> {
     let profiles = context.home.profiles().into_iter();
     let read = |profile| crate::crypto::read_public(&context.home.keyring(&profile)).ok();
     profiles.filter_map(read).map(|public| public.address).collect()
 }
 
-/// Writes `config.toml` anew, once it is known that it can be used; what it held goes beside it.
+/// Rewrites `config.toml`, once it is known to be valid; its previous content is kept beside it.
 fn write_settings(context: &Context, file: &SiteFile, home: &HomeSettings) -> Result<(), Failure> {
-    // Who keeps it elsewhere keeps it there.
+    // A symlink to elsewhere stays one.
     let path = context.home.config();
     let path = std::fs::canonicalize(&path).unwrap_or(path);
     let head = ["Written by `authros config apply`; what is changed here by hand is changed back by the next one."];
@@ -213,13 +214,13 @@ fn before(path: &Path) -> PathBuf {
     path.with_extension(BEFORE)
 }
 
-/// Each value can be used, but not beside one that stays in this home.
+/// Each value is valid on its own, but not beside one that stays in this home.
 fn together(error: crate::config::ConfigError) -> Failure {
     let text = format!("with what stays in this home's config.toml, the file cannot be used: {error}");
     Failure::new(error.kind(), without_password(&text))
 }
 
-/// Brings the ledger to what the file says, one decision after the other: each is in the audit log.
+/// Brings the ledger to the file's state, one decision after the other, each of them in the audit log.
 async fn decide(context: &Context, differences: &[Difference]) -> Result<(), Failure> {
     if differences.iter().all(Difference::is_setting) {
         return Ok(());

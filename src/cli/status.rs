@@ -1,5 +1,6 @@
-//! `authros status`: health of the site's parts and where the profile's records stand. Without a running site the peers
-//! are asked here. The exit code is of what is wrong: 6 where records are gone or altered, 4 where a part is not well.
+//! `authros status`: health of the site's parts and the states of the profile's records. Without a running site the
+//! peers are queried here. The exit code says what is wrong: 6 if records are gone or altered, 4 if a part is not
+//! healthy.
 
 use std::time::Duration;
 
@@ -15,7 +16,7 @@ use authros_output::Output;
 /// `status`.
 ///
 /// # Errors
-/// Where there is no such profile, or neither a site nor the home's files answer.
+/// If there is no such profile, or neither a site nor the home's files answer.
 pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     known(&context)?;
     let connection = context.connect(NEITHER).await?;
@@ -34,13 +35,13 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     Ok(code(&view))
 }
 
-/// Between two looks of `--watch`.
+/// The interval of `--watch`.
 const LOOK: Duration = Duration::from_secs(2);
 
-/// `status --watch`: what a running site says, whenever it says something else, until a signal.
+/// `status --watch`: the running site's status, whenever it changes, until a signal.
 ///
 /// # Errors
-/// Where no site runs, or it ends.
+/// If no site runs, or it ends.
 pub async fn watch(context: Context, output: &Output) -> Result<u8, Failure> {
     known(&context)?;
     let connection = context.connect(NEITHER).await?;
@@ -68,7 +69,7 @@ pub async fn watch(context: Context, output: &Output) -> Result<u8, Failure> {
     }
 }
 
-/// A profile that was named, or the usual one beside others, must exist.
+/// A profile that was given, or the default one beside others, must exist.
 fn known(context: &Context) -> Result<(), Failure> {
     if context.home.keyring(&context.profile).exists() {
         return Ok(());
@@ -82,7 +83,7 @@ fn known(context: &Context) -> Result<(), Failure> {
     Err(input(format!("the home {root} has no profile '{}'; {there}: name one with --profile", context.profile)))
 }
 
-/// The exit code that a state of things has.
+/// The exit code of a status.
 fn code(view: &SiteView) -> u8 {
     let is_well = |part: &PartHealth| matches!(part.level, HealthLevel::Ok | HealthLevel::Absent);
     if view.life.tampered > 0 || !view.life.conserved {

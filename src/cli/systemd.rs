@@ -1,5 +1,5 @@
-//! What systemd is told of a process that stays (`sd_notify`): that it is ready, that it is alive, that it ends. Nothing
-//! where another started it.
+//! Notifications to systemd for a long-running process (`sd_notify`): that it is ready, alive, or ending. None if
+//! something else started it.
 
 use std::ffi::OsStr;
 use std::os::linux::net::SocketAddrExt as _;
@@ -9,13 +9,13 @@ use std::time::Duration;
 
 use tokio::task::JoinHandle;
 
-/// A process that systemd was told is ready; at its end it is told that too.
+/// A process reported to systemd as ready; its end is reported too.
 pub struct Ready {
     beating: Option<JoinHandle<()>>,
 }
 
-/// Tells that everything asked for works. From then on a sign of life is given twice in each period of the watchdog, as
-/// long as the program's threads come to do anything at all: a peer that does not answer is no reason to be ended.
+/// Reports that everything requested works. From then on a keep-alive is sent twice in each period of the watchdog, as
+/// long as the program's threads make progress: a peer that does not answer is no reason to be killed.
 pub fn ready() -> Ready {
     say("READY=1");
     let beating = period(&variable("WATCHDOG_USEC"), &variable("WATCHDOG_PID"), std::process::id()).map(|period| {
@@ -42,7 +42,7 @@ fn variable(name: &str) -> String {
     std::env::var(name).unwrap_or_default()
 }
 
-/// The watchdog's period, where it is this process that it watches.
+/// The watchdog's period, if this is the process it watches.
 fn period(microseconds: &str, process: &str, own: u32) -> Option<Duration> {
     let is_meant = process.is_empty() || process.parse() == Ok(own);
     let microseconds = microseconds.parse().ok().filter(|microseconds| *microseconds > 0 && is_meant)?;
@@ -51,7 +51,7 @@ fn period(microseconds: &str, process: &str, own: u32) -> Option<Duration> {
 
 fn say(state: &str) {
     let Some(place) = std::env::var_os("NOTIFY_SOCKET").filter(|place| !place.is_empty()) else { return };
-    // Where systemd does not listen, the program is of use all the same.
+    // If systemd does not listen, the program is still useful.
     drop(send(&place, state));
 }
 

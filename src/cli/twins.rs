@@ -1,7 +1,7 @@
-//! The headless twin of every command of the console's palette: what a script runs for the same. The manual
-//! page lists them; a test fails where a command of the palette has none.
+//! The headless twin of every command in the console's palette: what a script runs for the same effect. The manual page
+//! lists them; a test fails if a palette command has none.
 
-/// What does the same without a console.
+/// The equivalent without a console.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Twin {
     /// This command line, with placeholders in capitals.
@@ -12,7 +12,7 @@ pub enum Twin {
 
 use Twin::{OnlyLooks, Runs};
 
-/// The twin of each command of the palette, by its name there.
+/// The twin of each palette command, by its name there.
 pub const TWINS: &[(&str, Twin)] = &[
     ("mark", OnlyLooks),
     ("mark-all", OnlyLooks),

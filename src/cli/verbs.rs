@@ -17,22 +17,22 @@ use crate::service::command::{
 use crate::service::{Command, Failure, Needs};
 use authros_output::Output;
 
-/// The chain alone.
+/// Only the chain.
 pub const CHAIN: Needs = Needs { ros: false, chain: true };
-/// ROS alone.
+/// Only ROS.
 pub const ROS: Needs = Needs { ros: true, chain: false };
 /// Ledger and vault are enough.
 pub const NEITHER: Needs = Needs { ros: false, chain: false };
 
-/// A verb as the site understands it.
+/// A verb as a request to the site.
 pub struct Plan {
     /// Parts of the site it needs.
     pub needs: Needs,
-    /// What the profile must be.
+    /// The state the profile must be in.
     pub profile: ProfileNeed,
-    /// What is asked before, its answer told beside the result.
+    /// A question asked first, its answer shown beside the result.
     pub first: Option<ForeseeKeyChange>,
-    /// What is asked.
+    /// The request.
     pub question: Question,
     /// Where files of the answer go.
     pub out: Option<PathBuf>,
@@ -45,10 +45,10 @@ impl Plan {
     }
 }
 
-/// Asks what was planned and prints the answer.
+/// Sends the planned request and prints the answer.
 ///
 /// # Errors
-/// What the site says.
+/// Errors of the site.
 pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(plan.needs).await?;
     let forgets = matches!(plan.question.command, Command::ChangePassphrase { .. });
@@ -71,7 +71,7 @@ pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Fa
 /// `config …`
 ///
 /// # Errors
-/// What the file, the settings or the site say.
+/// Errors of the file, the settings or the site.
 pub async fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Result<u8, Failure> {
     let settings = context.config.show();
     match verb {
@@ -88,7 +88,7 @@ pub async fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Re
 /// `identity …`
 ///
 /// # Errors
-/// What is wrong with the arguments.
+/// Invalid arguments.
 pub fn identity(context: &Context, verb: IdentityVerb, output: &Output) -> Result<Plan, Failure> {
     use ProfileNeed::{None as NoProfile, Unlocked};
     Ok(match verb {
@@ -114,7 +114,7 @@ pub fn identity(context: &Context, verb: IdentityVerb, output: &Output) -> Resul
 /// `topics …`
 ///
 /// # Errors
-/// What is wrong with the arguments.
+/// Invalid arguments.
 pub fn topics(verb: TopicsVerb) -> Result<Plan, Failure> {
     let kept = |question: Question| Plan::new(NEITHER, ProfileNeed::None, question);
     Ok(match verb {
@@ -135,7 +135,7 @@ pub fn topics(verb: TopicsVerb) -> Result<Plan, Failure> {
 /// `quarantine …`
 ///
 /// # Errors
-/// What is wrong with the arguments.
+/// Invalid arguments.
 pub fn quarantine(verb: QuarantineVerb) -> Result<Plan, Failure> {
     let decides = !matches!(verb, QuarantineVerb::List { .. });
     let (needs, profile) = if decides { (CHAIN, ProfileNeed::Unlocked) } else { (NEITHER, ProfileNeed::None) };
@@ -145,7 +145,7 @@ pub fn quarantine(verb: QuarantineVerb) -> Result<Plan, Failure> {
 /// `uploads …`
 ///
 /// # Errors
-/// What the arguments or the site say.
+/// Errors of the arguments or the site.
 pub async fn uploads(context: Context, verb: UploadsVerb, output: &Output) -> Result<u8, Failure> {
     let plan = match verb {
         UploadsVerb::List(list) if list.follow => {
@@ -165,7 +165,7 @@ pub async fn uploads(context: Context, verb: UploadsVerb, output: &Output) -> Re
 /// `grants …`
 ///
 /// # Errors
-/// What is wrong with the arguments.
+/// Invalid arguments.
 pub fn grants(verb: GrantsVerb) -> Result<Plan, Failure> {
     Ok(match verb {
         GrantsVerb::List => Plan::new(CHAIN, ProfileNeed::Unlocked, ListGrants),
@@ -179,7 +179,7 @@ pub fn grants(verb: GrantsVerb) -> Result<Plan, Failure> {
 /// `shared …`
 ///
 /// # Errors
-/// What the arguments or the site say.
+/// Errors of the arguments or the site.
 pub async fn shared(context: Context, verb: SharedVerb, output: &Output) -> Result<u8, Failure> {
     let plan = match verb {
         SharedVerb::Export(export) => return recordings::export(context, export, output).await,

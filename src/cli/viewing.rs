@@ -16,14 +16,14 @@ pub fn plan(question: impl Into<Question>) -> Plan {
     Plan::new(CHAIN, ProfileNeed::Unlocked, question)
 }
 
-/// `shared open`, with a file where one is to be written.
+/// `shared open`, with a file if one is to be written.
 pub fn open(id: String, out: Option<PathBuf>) -> Plan {
     let Some(path) = &out else { return plan(OpenShared { id }) };
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     Plan { out: Some(path.clone()), ..plan(ViewFile { id, kind: file_of(&name) }) }
 }
 
-/// Takes out what is for screens alone or for files.
+/// Removes what is only for screens or for files.
 pub fn without_bytes(view: &mut OpenedView) {
     view.body = None;
     view.picture = None;
@@ -34,7 +34,7 @@ pub fn without_bytes(view: &mut OpenedView) {
     }
 }
 
-/// An opened record: what it is, its readable form, every field.
+/// An opened record: its description, its readable form, every field.
 pub fn opened(view: &OpenedView) -> String {
     let record = &view.record;
     let held = if record.state.word() == RecordState::Quarantined.word() { "  QUARANTINED" } else { "" };

@@ -1,4 +1,4 @@
-//! Somebody who copied a home anchors under its account, on the same chain, while its owner looks on and notices nothing.
+//! Someone who copied a home anchors under its account, on the same chain, while its owner watches without noticing.
 
 use std::process::Command;
 

@@ -1,4 +1,5 @@
-//! To have the chain build an answer of any size: transactions that log as much as they can, then one request for all.
+//! To make the chain build an answer of any size: transactions that log as much as they can, then one request for all
+//! of it.
 
 use std::time::{Duration, Instant};
 
@@ -10,7 +11,7 @@ use crate::{Outcome, judge, served::Served};
 const GAS: u64 = 9_900_000;
 /// How many transactions log.
 const LOGGED: u64 = 8;
-/// An answer of so many bytes is what the attacker wants.
+/// An answer of this many bytes is what the attacker wants.
 const LARGE: usize = 12 * 1024 * 1024;
 
 /// JUMPDEST, LOG0(0, 32,768), back to the beginning until no gas is left for one more, then STOP.

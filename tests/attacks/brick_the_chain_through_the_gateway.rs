@@ -1,5 +1,5 @@
-//! Wants to stand still a chain that it does not own: frames of a hundred bytes, through the gateway's line to it, that
-//! take the chain's only thread for seconds and its memory for ever.
+//! To stall a chain that the attacker does not own: frames of a hundred bytes, through the gateway's connection to it,
+//! that occupy the chain's only thread for seconds and its memory forever.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -21,14 +21,14 @@ use super::support::{hex, long, text, unhex};
 use super::{Outcome, judge};
 
 const NAME: &str = "brick_the_chain_through_the_gateway";
-/// Enough to be noticed, and little enough to end on the build that takes it.
+/// Enough to be noticed, and little enough to finish on a build that accepts it.
 const GAS: u64 = 30_000_000;
 /// No block may come later, while transactions wait.
 const LATE: Duration = Duration::from_secs(2);
 /// How much more memory it may hold after a minute, MiB.
 const ROOM: u64 = 32;
 
-/// Creation code that burns what it is given.
+/// Creation code that burns all its gas.
 fn payloads(gas: u64) -> [(&'static str, Vec<u8>); 3] {
     // A call gets 63 of 64 parts.
     let rounds = u32::try_from(gas / 64 * 60).unwrap_or(u32::MAX).to_be_bytes();
@@ -210,8 +210,8 @@ async fn three_lines(gate: &Gate) -> Vec<Gateway> {
     lines
 }
 
-/// Three addresses for a minute, each frame with all the gas there is or with as much as is admitted, two of visitors
-/// and one of a registered robot, while another robot uploads.
+/// Three addresses for a minute, each frame with all available gas or with as much as is admitted, two of visitors and
+/// one of a registered robot, while another robot uploads.
 #[tokio::test(flavor = "multi_thread")]
 async fn three_addresses_for_a_minute_while_a_robot_uploads() {
     if !long() {

@@ -1,4 +1,5 @@
-//! A gateway, an owner and her robots, and a thief who has a robot's enrolment with its passphrase, but nothing of hers.
+//! A gateway, an owner and her robots, and a thief who has a robot's enrolment with its passphrase, but nothing of
+//! hers.
 
 use std::path::Path;
 use std::time::Duration;
@@ -35,7 +36,7 @@ impl Scene {
     }
 }
 
-/// Where the gateway takes owners by its keeper's word alone, alice has it.
+/// If the gateway admits owners only through its keeper, alice is admitted.
 fn admit(home: &Home, alice: &Authros) {
     let keeper = home.profile("keeper");
     if keeper.run(&["gateway", "--help"]).stdout.contains("admit") {
@@ -73,13 +74,13 @@ impl Robot {
         agent.spawn(&[&["agent", "run", &self.file, "--robots", "1"], arguments].concat())
     }
 
-    /// Captures so many messages, all of them verified at the gateway.
+    /// Captures this many messages, all of them verified at the gateway.
     pub fn capture(&self, count: u64) {
         let count = count.to_string();
         self.spawn(&["--topic", "/robot1/odom", "--count", &count]).wait(180).expect_code(0);
     }
 
-    /// What the thief reads in its file.
+    /// The content of its file, as read by the thief.
     pub fn stolen(&self) -> Enrolment {
         let passphrase = std::fs::read_to_string(format!("{}.passphrase", self.file)).expect("a passphrase");
         let passphrase = Passphrase::new(passphrase.trim_end().to_owned()).expect("long enough");
@@ -100,7 +101,7 @@ pub async fn session(enrolment: &Enrolment) -> Result<Client, GatewayError> {
     Client::connect(&endpoint, &mut trust, &Credentials { name, key, token: enrolment.token }).await
 }
 
-/// The first page of what alice has.
+/// The first page of alice's records.
 pub fn all_of(enrolment: &Enrolment) -> Query {
     of(Selection::all(enrolment.owner))
 }

@@ -1,5 +1,5 @@
-//! Wants the log that can never be shortened to fill the disk: an account without any right asks for another's records
-//! again and again, and each question costs its keeper a durable line.
+//! To fill the disk through the log that can never be shortened: an account without any right keeps requesting
+//! another's records, and each request costs its keeper a durable line.
 
 use authros::gateway::{Code, Query, Selection};
 use authros::model::Timestamp;

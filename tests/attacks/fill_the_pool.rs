@@ -7,7 +7,7 @@ use crate::{Outcome, judge, served::Served};
 
 /// How many are sent.
 const SENT: u64 = 1_500;
-/// How many may be taken without the attack having reached anything.
+/// How many may be accepted without the attack having achieved anything.
 const FEW: usize = 200;
 
 #[test]

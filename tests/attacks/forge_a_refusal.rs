@@ -1,5 +1,5 @@
-//! Wants evidence to stay on the robot: somebody on the line answers uploads with a refusal in clear, which anybody can
-//! write, and goes away again.
+//! To keep evidence on the robot: someone on the network answers uploads with a refusal in clear, which anyone can
+//! write, and then goes away again.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -15,12 +15,12 @@ use super::{Outcome, judge};
 
 /// `Malformed`, in clear.
 const FORGED: [u8; 7] = [0, 0, 0, 3, 5, 0, 8];
-/// So many uploads are answered so.
+/// This many uploads are answered that way.
 const FORGERIES: u32 = 6;
-/// Frames of a client that are longer carry records, bytes.
+/// Frames of a client longer than this carry records, bytes.
 const UPLOAD: u32 = 450;
 
-/// Passes frames of the client on, until one carries records and a forgery is left.
+/// Forwards frames of the client, until one carries records and a forgery is left.
 async fn pass(mut from: OwnedReadHalf, mut to: OwnedWriteHalf, left: Arc<AtomicU32>) -> bool {
     loop {
         let Ok(length) = from.read_u32().await else { return false };

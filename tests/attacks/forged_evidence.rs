@@ -1,5 +1,5 @@
-//! Evidence of somebody's own making: a record signed with a key that he has, anchored by an account that nobody
-//! suspended, in a folder as `uploads export` writes it; and what `authros verify` says of it.
+//! Fabricated evidence: a record signed with a key the attacker has, anchored by an account that nobody suspended, in a
+//! folder like that of `uploads export`; and the verdict of `authros verify`.
 
 use std::path::{Path, PathBuf};
 
@@ -14,10 +14,10 @@ use crate::served::Served;
 use crate::support::member::Member;
 use crate::support::{Authros, Home, text, wait_until};
 
-/// What is signed: this label, the domain, the digest.
+/// The signed bytes: this label, the domain, the digest.
 const LABEL: &[u8] = b"AuthROS/signature/1";
 
-/// A chain that is served, its administrator, alice, and an account that anchors for anybody.
+/// A chain that is served, its administrator, alice, and an account that anchors for anyone.
 pub struct Scene {
     pub home: Home,
     pub boss: Authros,
@@ -50,7 +50,7 @@ impl Scene {
         Member::of(&self.home, "alice", self.domain)
     }
 
-    /// A record in alice's name, anchored and written down as evidence.
+    /// A record in alice's name, anchored and written out as evidence.
     pub async fn forge(&self, signer: &SmKeyPair, captured_at: Timestamp) -> PathBuf {
         let member = self.stolen();
         let sealed = member.record_of(signer, "/robot1/odom", 1, b"what never was", captured_at);
@@ -83,7 +83,7 @@ impl Scene {
         folder
     }
 
-    /// A root anchored by the account that anchors for anybody: transaction, block, its hash.
+    /// A root anchored by the account that anchors for anyone: transaction, block, its hash.
     async fn anchor(&self, root: Hash) -> (Hash, u64, Hash) {
         let eoa = Member::of(&self.home, "free", self.domain).keyring.eoa;
         let account: Address = eoa.address();
@@ -102,7 +102,7 @@ impl Scene {
         panic!("not mined in 30 s");
     }
 
-    /// What a stranger without a home reads of a folder: refused for `reason`, or taken for evidence.
+    /// How a stranger without a home judges a folder: refused for `reason`, or accepted as evidence.
     pub fn judge(&self, folder: &Path, reason: &str) -> Outcome {
         let place = self.home.root().join("stranger");
         std::fs::create_dir_all(&place).expect("a folder");
@@ -118,7 +118,7 @@ impl Scene {
         }
     }
 
-    /// Waits until the program holds a device's loan for ended.
+    /// Waits until the program considers a device's loan ended.
     pub fn until_expired(&self, device: &str) -> Value {
         wait_until(60, "the loan ends", || {
             let devices = crate::support::list(&self.alice.json(&["devices", "list"]), "devices");

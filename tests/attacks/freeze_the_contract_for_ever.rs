@@ -1,4 +1,4 @@
-//! The administrator stops all changes of everybody, and never lets them go on.
+//! The administrator pauses everyone's changes, and never lets them resume.
 
 use crate::support::clock::days_ahead;
 use crate::support::{Home, skipped, text};
@@ -26,7 +26,7 @@ fn freeze_the_contract_for_ever() {
         };
         return judge("freeze_the_contract_for_ever", outcome);
     }
-    // It ended by itself; she goes on with the next pause at once.
+    // It ended by itself; she tries the next pause at once.
     let again = days_ahead(&boss, 4).expect("libfaketime").with(&["--json"]).run(&["chain", "pause"]);
     let outcome = if again.code == Some(0) {
         Outcome::Succeeded("one pause after the other".to_owned())

@@ -1,5 +1,5 @@
-//! Wants the keys of an owner who joins through its gateway: whoever passes the chain on can show a key of its own as the
-//! reader's. What it needs is an owner who grants to a key that nobody compared.
+//! To get the keys of an owner who joins through the attacker's gateway: whoever relays the chain can present a key of
+//! their own as the reader's. All it takes is an owner who grants to a key that nobody compared.
 
 use super::support::Home;
 use super::support::gate::Gate;

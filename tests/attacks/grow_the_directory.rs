@@ -1,4 +1,4 @@
-//! To wear out the disk and the memory of everybody who reads the chain: two throw-away accounts, one of which grants the
+//! To exhaust the disk and memory of everyone who reads the chain: two throw-away accounts, one of which grants the
 //! other an envelope and revokes it, over and over.
 
 use authros::chain::Call;
@@ -14,7 +14,7 @@ use crate::{Outcome, judge};
 const NAME: &str = "grow_the_directory";
 /// The attacker, and the account it grants to.
 const STRANGERS: [u8; 2] = [41, 42];
-/// Rounds whose transactions are handed in together.
+/// Rounds whose transactions are sent together.
 const TOGETHER: u64 = 8;
 /// What gas costs where it costs something, wei.
 const PRICE: u64 = 2_000_000_000;
@@ -85,7 +85,7 @@ impl Field {
         Token([self.tokens.to_be_bytes(); 4].concat().try_into().expect("32 bytes"))
     }
 
-    /// One of the strangers makes calls, all of which must do what they say.
+    /// One of the strangers makes calls, all of which must succeed.
     fn calls(&mut self, stranger: usize, calls: &[Call]) {
         let mut batch = Vec::new();
         for call in calls {

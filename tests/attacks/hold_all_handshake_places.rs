@@ -1,4 +1,4 @@
-//! Wants nobody else to enter: three addresses open connections and say nothing, until every place is taken.
+//! To keep everyone else out: three addresses open connections and say nothing, until every place is taken.
 
 use std::time::{Duration, Instant};
 

@@ -43,9 +43,9 @@ mod use_a_gateway_uninvited;
 /// How an attack ended.
 #[derive(Debug)]
 pub enum Outcome {
-    /// It reached nothing; this is the refusal that was read.
+    /// It achieved nothing; this is the refusal that was read.
     Refused(String),
-    /// It reached what it wanted.
+    /// It achieved its goal.
     Succeeded(String),
     /// Neither: something else happened, in its own words.
     Otherwise(String),

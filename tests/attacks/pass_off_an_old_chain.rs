@@ -1,5 +1,6 @@
-//! An operator founds a chain of his own under a clock of 2019, and wants whoever checks a record of it to take it for
-//! one that existed in 2019: `verify` against his own `chain serve` should say VERIFIED and no word of whose clock it was.
+//! An operator founds a chain of his own under a clock of 2019, and wants anyone who checks a record of it to believe
+//! that it existed in 2019: `verify` against his own `chain serve` should say VERIFIED without saying whose clock it
+//! was.
 
 use crate::Outcome;
 use crate::support::{Home, free_port, skipped, system_program, text};

@@ -1,4 +1,4 @@
-//! Somebody who sees the program die looks for keys in the core that it leaves.
+//! Someone who sees the program crash looks for keys in its core file.
 
 use std::fs;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::support::{Home, holds, unhex, wait_until};
 use crate::{Outcome, judge};
 
-/// Lets cores of any size be written, then becomes the program.
+/// Allows cores of any size to be written, then becomes the program.
 const ALLOWING: &str = "ulimit -c unlimited || exit 99; exec \"$@\"";
 
 #[test]

@@ -1,4 +1,4 @@
-//! The thief of a living robot that may record one topic reads what else its owner has.
+//! The thief of a working robot that may record one topic reads what else its owner has.
 
 use authros::gateway::{Code, Selection};
 use authros::model::Digest;

@@ -1,5 +1,5 @@
-//! A reader whom the administrator has suspended wants to go on reading: by the subscription that was open before, and by
-//! new questions in the same session.
+//! A reader whom the administrator has suspended wants to keep reading: through the subscription opened before, and by
+//! new requests in the same session.
 
 use std::time::Duration;
 

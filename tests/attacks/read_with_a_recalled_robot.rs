@@ -1,4 +1,4 @@
-//! The thief of a robot goes on reading after its owner has recalled it: lists, records, live ones, notices.
+//! The thief of a robot keeps reading after its owner has recalled it: lists, records, live ones, notices.
 
 use std::time::Duration;
 
@@ -35,7 +35,7 @@ async fn read_with_a_recalled_robot() {
     let records = scene.alice.records(&["uploads", "list"]);
     let known: Digest = crate::support::text(&records[0], "digest").parse().expect("a digest");
     let mut client = session(&stolen).await.expect("it is not recalled yet");
-    // Opened before, on all that he may have.
+    // Opened before, on everything he may have.
     let notices =
         Selection { topic_id: Some(stolen.notice_id), kind: Some(RecordKind::Key), ..Selection::all(stolen.owner) };
     let mut listening = session(&stolen).await.expect("it is not recalled yet");

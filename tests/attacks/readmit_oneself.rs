@@ -1,4 +1,4 @@
-//! Somebody whom the administrator admitted by mistake registers after she has withdrawn that.
+//! Someone whom the administrator admitted by mistake registers after she has withdrawn the admission.
 
 use crate::support::{Home, text};
 use crate::{Outcome, judge};

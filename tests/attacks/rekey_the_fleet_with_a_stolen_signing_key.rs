@@ -1,5 +1,5 @@
-//! A thief of the owner's SM2 key tells her robots that hers is another key from now on, his own; so does a thief of her
-//! account. Each has what a stolen robot holds beside it. The program of before knew no change of keys at all, so that it
+//! A thief of the owner's SM2 key tells her robots that her key is now another one, his own; so does a thief of her
+//! account. Each also has what a stolen robot holds. The earlier program did not support changing keys at all, so it
 //! obeys neither: it refuses too.
 
 use std::path::Path;
@@ -24,7 +24,7 @@ fn keyring(scene: &Scene) -> Keyring {
     UnlockedKeyring::open(&directory.join("keyring"), &passphrase).expect("opens").keyring
 }
 
-/// A notice to the robot that its owner's key is `to` from now on, signed by `signer` and, within it, by `account`.
+/// A notice to the robot that its owner's key is `to` from now on, signed by `signer` and, inside, by `account`.
 fn notice(robot: &Enrolment, signer: &SmKeyPair, account: &EoaSecret, to: PublicKey) -> Upload {
     let change = OwnerKeyChange::sign(&robot.domain, account, robot.owner_key, to).expect("signs");
     let body = [&[1], &change.encode()[..]].concat();
@@ -57,7 +57,7 @@ fn notice(robot: &Enrolment, signer: &SmKeyPair, account: &EoaSecret, to: Public
     Upload::from(&seal(provider(ProviderName::RustCrypto), &request).expect("seals"))
 }
 
-/// Whom the robot takes for its owner, by what it keeps.
+/// Whom the robot considers its owner, according to its files.
 fn believed(robot: &Robot) -> PublicKey {
     let passphrase = std::fs::read_to_string(format!("{}.passphrase", robot.file)).expect("a passphrase");
     let passphrase = Passphrase::new(passphrase.trim_end().to_owned()).expect("long enough");

@@ -1,5 +1,5 @@
-//! Somebody copies a home and lets it run beside the first, so that each number of a topic stands for two records, and
-//! either can be shown as the one.
+//! Someone copies a home and runs it beside the first, so that each number of a topic stands for two records, and
+//! either can be presented as the one.
 
 use std::process::Command;
 
@@ -17,7 +17,7 @@ fn site(home: &Home) -> (Authros, Running) {
     (authros, running)
 }
 
-/// All that was captured since there were `before` records.
+/// Everything captured since there were `before` records.
 fn newer(authros: &Authros, before: &[Value]) -> Vec<Value> {
     let known: Vec<String> = before.iter().map(|record| text(record, "digest")).collect();
     let all = authros.records(&["uploads", "list", "--topic", TOPIC, "--state", "verified"]);

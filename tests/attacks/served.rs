@@ -1,4 +1,4 @@
-//! The embedded chain through `chain serve`, and strangers who sign for it with keys of their own.
+//! The embedded chain through `chain serve`, and strangers who sign for it with their own keys.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -14,10 +14,10 @@ use crate::support::{Home, Running, text};
 /// How long an answer may take.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// What a call of the contract has, more than it needs.
+/// Gas for a call of the contract beyond what it needs.
 const CALL_GAS: u64 = 1_000_000;
 
-/// The account of a stranger who is a number.
+/// The account of a numbered stranger.
 pub fn account_of(stranger: u8) -> H160 {
     use ethers::signers::Signer as _;
     LocalWallet::from_bytes(&[stranger; 32]).expect("a key").address()
@@ -75,7 +75,7 @@ impl Line {
         format!("http://{}", self.address)
     }
 
-    /// The answer to a body, or nothing where none comes in time.
+    /// The answer to a body, or nothing if none comes in time.
     pub fn post(&self, body: &Value) -> Option<Value> {
         let body = body.to_string();
         let mut stream = TcpStream::connect(self.address).ok()?;
@@ -91,7 +91,7 @@ impl Line {
         serde_json::from_str(answer.split_once("\r\n\r\n")?.1).ok()
     }
 
-    /// One request: its result, or the words of the refusal.
+    /// One request: its result, or the text of the refusal.
     pub fn ask(&self, method: &str, parameters: Value) -> Result<Value, String> {
         let body = json!({ "jsonrpc": "2.0", "id": 1, "method": method, "params": parameters });
         let answer = self.post(&body).ok_or("no answer")?;

@@ -1,5 +1,5 @@
-//! Whoever can write to a home's files wants a record to have been captured on another day, and to be shown so as
-//! verified: the ledger's column is edited while the site is down, the record and its signature are not touched.
+//! Someone who can write to a home's files wants a record to appear as captured on another day, and to be shown as
+//! verified: the ledger's column is edited while the site is down, the record and its signature are untouched.
 
 use serde_json::Value;
 

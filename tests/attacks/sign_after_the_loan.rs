@@ -1,5 +1,5 @@
-//! Whoever has a device whose loan has ended writes a record, says that it was captured while the loan ran, and anchors it
-//! from an account of his own: `verify` should say VERIFIED.
+//! Someone with a device whose loan has ended writes a record, claims that it was captured during the loan, and anchors
+//! it from an account of his own: `verify` should say VERIFIED.
 
 use authros::crypto::{ProviderName, SmKeyPair, provider, signer_id};
 use authros::model::Timestamp;

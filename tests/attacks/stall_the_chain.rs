@@ -1,5 +1,5 @@
-//! To keep everybody's transactions out of the chain with one short frame that costs nothing: BLAKE2F at a gas a round,
-//! new storage slots, MODEXP with a long exponent.
+//! To keep everyone's transactions out of the chain with one short frame that costs nothing: BLAKE2F at one gas per
+//! round, new storage slots, MODEXP with a long exponent.
 
 use std::time::{Duration, Instant};
 
@@ -54,7 +54,7 @@ fn stall_the_chain() {
             }
         }
     }
-    // As much as is taken: a small transaction that comes after goes before most of it.
+    // As much as is accepted: a small transaction that comes later goes before most of it.
     for stranger in 20..60u8 {
         let code = match stranger % 3 {
             0 => blake2f(9_800_000),

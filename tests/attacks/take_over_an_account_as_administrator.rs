@@ -24,7 +24,7 @@ fn take_over_an_account_as_administrator() {
         return judge("take_over_an_account_as_administrator", Outcome::Succeeded(reached));
     }
     victim.json(&["identity", "recovery", &recovery]);
-    // Once in the open, waiting for it; and by turning a clock of her own forward.
+    // Once openly, waiting for the delay; and once by setting a clock of her own forward.
     at(&boss, 8).json(&["chain", "succession", "propose", &lost, &next]);
     let early = at(&boss, 9).fails(5, &["chain", "succession", "complete", &lost]);
     at(&friend, 10).json(&["chain", "succession", "cancel", &lost]);

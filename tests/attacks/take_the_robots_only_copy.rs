@@ -1,4 +1,4 @@
-//! A gateway that lies takes records over, says that they are verified, proves nothing, and has the robot delete them.
+//! A lying gateway takes records over, reports them as verified, proves nothing, and has the robot delete them.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -22,7 +22,7 @@ use crate::support::member::Member;
 use crate::support::{count, wait_until};
 use crate::{Outcome, judge};
 
-/// Throws away what it is given.
+/// Discards what it is given.
 struct Liar {
     binding: Binding,
     device: SmKeyPair,
@@ -131,7 +131,7 @@ async fn take_the_robots_only_copy() {
     let keeper = Member::of(&scene.home, "keeper", stolen.domain);
     let alice = Member::of(&scene.home, "alice", stolen.domain);
     scene.site.stop("TERM", 20);
-    // The keeper of the gateway is the attacker: his key and his names serve another program at the same place.
+    // The keeper of the gateway is the attacker: his key and his names serve another program at the same address.
     let provider = provider(ProviderName::RustCrypto);
     let directory = tempfile::tempdir().expect("a directory");
     let identity = SmKeyPair { secret: keeper.keyring.signing.secret.clone(), public: keeper.keyring.signing.public };

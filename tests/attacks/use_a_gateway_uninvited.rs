@@ -1,5 +1,5 @@
-//! Wants somebody else's disk and anchors: a stranger registers on the open chain, takes a name at the gateway and sends
-//! records that its keeper never asked for.
+//! To use somebody else's disk and anchors: a stranger registers on the open chain, takes a name at the gateway and
+//! sends records that its keeper never asked for.
 
 use authros::gateway::{Code, GatewayError};
 

@@ -1,4 +1,4 @@
-//! Who may use a gateway: owners whom its keeper admits, and at an open one everybody, within quotas.
+//! Who may use a gateway: owners whom its keeper admits, and at an open one everyone, within quotas.
 
 use authros::gateway::{Code, GatewayError};
 

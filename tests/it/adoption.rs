@@ -1,4 +1,4 @@
-//! Another chain where the pinned one was: everything stands still until the operator adopts it.
+//! A different chain in place of the pinned one: everything stops until the operator adopts it.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -30,7 +30,7 @@ fn a_home_whose_embedded_chain_is_gone_adopts_the_new_one() {
     let message = authros.fails(5, &["chain", "status"]);
     assert!(message.contains("not the pinned one") && message.contains("authros chain adopt"), "{message}");
     let adopted = authros.json(&["chain", "adopt"]);
-    // The message definition is a record, too.
+    // The message definition is a record too.
     assert!(text(&adopted, "text").contains("5 verified records keep their anchors"), "{adopted}");
     let after = authros.json(&["chain", "status"]);
     assert_ne!(before["genesis"], after["genesis"]);
@@ -119,7 +119,7 @@ fn devices_are_lent_and_recalled() {
     assert!(again.contains("no such device"), "{again}");
 }
 
-/// Every record of the home opens as verified, and nothing is found by an audit of all of it.
+/// Every record of the home opens as verified, and a full audit finds nothing.
 fn expect_sound(authros: &Authros, records: &[Value]) {
     for record in records {
         let opened = authros.json(&["shared", "open", &text(record, "id")]);

@@ -11,7 +11,7 @@ use authros::crypto::{Passphrase, SealedEnrolment, SealingKey};
 use serde_json::Value;
 use support::{Authros, Home, Running, Wire, count, free_port, heavy, holds, is_verified, text, wait_until};
 
-/// A gateway's home with a profile of its own, and owners who use the same site.
+/// A gateway's home with its own profile, and owners who use the same site.
 struct Gateway {
     home: Home,
     port: u16,
@@ -81,7 +81,7 @@ impl Robot {
     }
 }
 
-/// The newest document that a running agent has printed.
+/// The newest document printed by a running agent.
 fn figures(agent: &Running) -> Option<Value> {
     agent.stdout().lines().rev().find_map(|line| serde_json::from_str(line).ok())
 }
@@ -108,7 +108,7 @@ fn four_robots_of_two_accounts_through_one_gateway() {
     let robots: Vec<Robot> = (1..=4)
         .map(|number| {
             let owner = if number <= 2 { &alice } else { &bob };
-            // Some with EK, some with topic keys alone.
+            // Some with EK, some only with topic keys.
             let topics: &[&str] = if number % 2 == 0 { &["/robot1/odom"] } else { &[] };
             Robot::enrol(&gateway, owner, &wire.address(), &format!("scout-{number}"), topics)
         })
@@ -144,7 +144,7 @@ fn four_robots_of_two_accounts_through_one_gateway() {
     }));
 }
 
-/// What passed between robots and gateway holds no key and no word of theirs.
+/// The traffic between robots and gateway contains no key and no word of theirs.
 fn nothing_shows(bytes: &[u8], robots: &[Robot]) {
     assert!(bytes.len() > 100 * 500, "the records went this way");
     // None so short that random bytes hold it by chance.
@@ -199,10 +199,10 @@ fn the_outbox_outlives_gateway_and_agent() {
     let more = count(&away, "captured") + 20;
     let grown = with(&agent, "the outbox grows", &|figures| count(figures, "captured") >= more);
     assert!(count(&grown, "pending") >= 20, "{grown}");
-    // Between seal and upload, without a word.
+    // Between seal and upload, without notice.
     agent.stop("KILL", 10);
 
-    // The outbox goes on growing in the next run, still without a gateway; told to end, it ends.
+    // The outbox keeps growing in the next run, still without a gateway; told to stop, it stops.
     let agent = robot.run(&["--robots", "1"]);
     let kept = count(&grown, "captured");
     with(&agent, "nothing that was acknowledged is missing", &|figures| count(figures, "captured") > kept);
@@ -238,7 +238,7 @@ fn a_gateway_that_comes_back_is_found_by_a_working_agent() {
     gateway.start();
     let begun = std::time::Instant::now();
     with("it takes records again", &|figures| count(figures, "accepted") > accepted);
-    // Ten seconds are the promise; a busy machine is given more.
+    // The target is ten seconds; a busy machine gets more.
     println!("the gateway is back: first record accepted after {:?}", begun.elapsed());
     with("nothing waits any more but the newest", &|figures| count(figures, "pending") < 60);
     agent.stop("TERM", 10).expect_code(0);
@@ -279,7 +279,7 @@ fn a_recalled_device_and_a_topic_without_a_key_are_refused() {
     robot.run(&["--robots", "1", "--count", "3"]).wait(120).expect_code(0);
     let recalled = alice.json(&["devices", "recall", &robot.device]);
     assert_eq!(count(&recalled, "epoch"), 2, "what it holds opens nothing new: {recalled}");
-    // What the gateway says in clear proves nothing: the robot keeps what it has and says that it waits.
+    // What the gateway says in clear proves nothing: the robot keeps its records and says that it is waiting.
     let mut waits = robot.run(&["--robots", "1", "--count", "3"]);
     waits.wait_for_text("records wait in the outbox", 120);
     let summary = wait_until(120, "all three are captured", || {
@@ -308,7 +308,7 @@ fn a_new_epoch_reaches_the_robots() {
     let opened = alice.json(&["shared", "open", &text(&newer, "id")]);
     assert_eq!((&opened["verdict"], &opened["topic"]), (&"verified".into(), &"/robot1/odom".into()), "{opened}");
     agent.stop("TERM", 10).expect_code(0);
-    // What it was told outlives the run; the enrolment file itself is as it was.
+    // What it learnt survives the run; the enrolment file itself is unchanged.
     let outcome = robot.run(&["--robots", "1", "--count", "2", "--log", "json"]).wait(120).expect_code(0);
     outcome.log();
     assert_eq!(count(&last(&outcome.stdout), "pending"), 0);
@@ -316,7 +316,7 @@ fn a_new_epoch_reaches_the_robots() {
     assert_eq!(epochs.last(), Some(&2), "{epochs:?}");
 }
 
-/// The digests that a search finds, once it finds so many.
+/// The digests that a search finds, once it finds this many.
 fn found(who: &Authros, arguments: &[&str], least: usize) -> Vec<String> {
     wait_until(120, &arguments.join(" "), || {
         let records = who.records(arguments);
@@ -332,7 +332,7 @@ fn a_new_topic_and_a_new_tag_of_a_scoped_robot_are_found_by_owner_and_reader() {
     let address = format!("127.0.0.1:{}", gateway.port);
     let owner = text(&alice.json(&["identity", "show"]), "address");
     alice.json(&["grant", &text(&bob.json(&["identity", "show"]), "address")]);
-    // One of all topics makes its pseudonyms as robots of version 1 and the owner do: with IK.
+    // One for all topics computes its pseudonyms like robots of version 1 and the owner: with IK.
     let elder = Robot::enrol(&gateway, &alice, &address, "elder", &[]);
     let tagged = ["--tag", "mission=harbour", "--robots", "1", "--count", "2"];
     elder.run(&[&["--topic", "/robot1/odom"], &tagged[..]].concat()).wait(120).expect_code(0);
@@ -340,7 +340,7 @@ fn a_new_topic_and_a_new_tag_of_a_scoped_robot_are_found_by_owner_and_reader() {
     assert!(scout.secrets().enrolment.index.is_none());
     scout.run(&tagged).wait(120).expect_code(0);
 
-    // A topic that it was not given is refused and counted; with the owner's notice it is taken, without hands.
+    // A topic it was not given is refused and counted; after the owner's notice it is accepted automatically.
     let both = ["--topic", "/robot1/odom", "--topic", "/robot1/camera/compressed", "--robots", "1"];
     let agent = scout.run(&[&both[..], &["--tag", "shift=night"]].concat());
     wait_until(90, "it is refused and counted", || figures(&agent).filter(|figures| count(figures, "lost") > 0));
@@ -372,7 +372,7 @@ fn a_new_topic_and_a_new_tag_of_a_scoped_robot_are_found_by_owner_and_reader() {
     }
 }
 
-/// A home of commit 7ed4b9f, its robot's, and the enrolment that was written then.
+/// A home of commit 7ed4b9f, its robot's, and the enrolment written then.
 #[test]
 fn a_robot_of_an_earlier_version_brings_its_outbox_to_this_gateway() {
     let Some(archive) = support::shared_data("home-7ed4b9f.tar.xz") else {
@@ -396,9 +396,9 @@ fn a_robot_of_an_earlier_version_brings_its_outbox_to_this_gateway() {
     let outcome = robot.with(&["--json"]).spawn(&run).wait(180).expect_code(0);
     let summary = last(&outcome.stdout);
     assert_eq!(["captured", "verified", "pending"].map(|field| count(&summary, field)), [27, 27, 0], "{summary}");
-    // 20 and 2 of hers, 25 of the robot's first time, 2 of now.
+    // 20 and 2 of hers, 25 from the robot's first run, 2 from now.
     assert_eq!(verified(&alice, 49).len(), 49);
-    // What it signed before the gateway kept whose its name is tells whose it is: it ends with the loan.
+    // What it signed before the gateway recorded the owner of its name shows the owner: it ends with the loan.
     let device = text(&alice.json(&["devices", "list"])["devices"][0], "device");
     alice.json(&["devices", "recall", &device]);
     let mut waits = robot.with(&["--json"]).spawn(&run);

@@ -1,4 +1,4 @@
-//! Alerts reach a webhook that refuses four times and hangs once: each begins once and ends once, over a kill of the
+//! Alerts reach a webhook that refuses four times and hangs once: each begins once and ends once, across a kill of the
 //! site, signed, and naming nobody.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
@@ -15,10 +15,10 @@ use support::{Authros, Home, Running, count, free_port, list, skipped, system_pr
 
 const SECRET: &str = "0123456789abcdef0123456789abcdef";
 
-/// What was asked of a server: the head, and the body.
+/// A request to a server: the head, and the body.
 type Asked = (String, Vec<u8>);
 
-/// A server that refuses what comes first, then says nothing once, then takes all.
+/// A server that refuses at first, then hangs once, then accepts everything.
 pub(crate) struct Webhook {
     port: u16,
     asked: Arc<Mutex<Vec<Asked>>>,
@@ -55,7 +55,7 @@ impl Webhook {
         self.asked.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Bodies that were taken, of this state and about this alert.
+    /// Accepted bodies with this state about this alert.
     pub(crate) fn told(&self, state: &str, key: &str) -> Vec<Value> {
         let bodies = self.taken().into_iter().map(|(_, body)| serde_json::from_slice(&body).expect("JSON"));
         bodies.filter(|body: &Value| body["state"] == state && body["alert"]["key"] == key).collect()
@@ -90,11 +90,11 @@ fn header(head: &str, name: &str) -> String {
 
 fn answer(stream: &mut TcpStream, status: &str) {
     let text = format!("HTTP/1.1 {status}\r\nContent-Length: 2\r\nConnection: close\r\n\r\nok");
-    // Whoever asked may have gone.
+    // The client may have gone.
     drop(stream.write_all(text.as_bytes()));
 }
 
-/// By an implementation that is not ours.
+/// By an independent implementation.
 fn signature(python: &Path, time: &str, body: &[u8]) -> String {
     let script = "import sys, hmac, hashlib\n\
                   print(hmac.new(sys.argv[1].encode(), sys.stdin.buffer.read(), hashlib.sha256).hexdigest())";
@@ -121,14 +121,14 @@ fn an_alert_arrives_once_begun_and_once_over_at_a_webhook_that_refuses_and_hangs
     let Some(python) = system_program("python3") else { skipped!("no python3") };
     let home = Home::new();
     let webhook = Webhook::start(4);
-    // No disk has so much room.
+    // No disk has this much room.
     let full = watched(&home, &webhook.url(), "1000000GiB");
     let mut site = full.serve(&home);
     wait_until(120, "the alert, refused four times and hung once", || webhook.told("begun", "disk").pop());
     let standing = full.json(&["alerts", "list"]);
     assert!(list(&standing, "alerts").iter().any(|alert| alert["key"] == "disk"), "{standing}");
     site.expect_running();
-    // It does not begin again with another process, not even behind a kill.
+    // It does not begin again with another process, not even after a kill.
     site.stop("KILL", 20);
     let again = full.with_variable("AUTHROS_DISK_RESERVE", "65MiB");
     let site = again.serve(&home);
@@ -289,7 +289,7 @@ fn a_webhook_over_tls_is_told_where_its_authority_is_known_and_nobody_else_is() 
     server.stop("KILL", 10);
 }
 
-/// What an Alertmanager holds of our alerts that are not over.
+/// What an Alertmanager holds of our active alerts.
 fn held(port: u16) -> Option<Vec<Value>> {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).ok()?;
     stream.write_all(b"GET /api/v2/alerts HTTP/1.0\r\n\r\n").ok()?;

@@ -1,5 +1,5 @@
-//! A home at rest: commands that only look leave every file as it was, to the byte and to its time; those that open the
-//! keyring for it leave a line in the audit log.
+//! A home at rest: commands that only read leave every file unchanged, to the byte and to its time; those that open the
+//! keyring to do so leave a line in the audit log.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -12,7 +12,7 @@ use support::authros::files_below;
 
 type Files = BTreeMap<PathBuf, (Vec<u8>, SystemTime)>;
 
-/// Every file with what it holds; not the index that SQLite keeps of a log while it is open, nor an empty log.
+/// Every file with its content; except the index that SQLite keeps of a log while it is open, and an empty log.
 fn files(home: &Home) -> Files {
     let read = |path: PathBuf| {
         let changed = std::fs::metadata(&path).and_then(|about| about.modified()).expect("a time");
@@ -23,7 +23,7 @@ fn files(home: &Home) -> Files {
     all.filter(|(path, (bytes, _))| !(bytes.is_empty() && path.to_string_lossy().ends_with("-wal"))).collect()
 }
 
-/// What is other than before, in words.
+/// What has changed, in words.
 fn changes(before: &Files, after: &Files) -> Vec<String> {
     let all: std::collections::BTreeSet<&PathBuf> = before.keys().chain(after.keys()).collect();
     let word = |path: &PathBuf| match (before.get(path), after.get(path)) {
@@ -52,7 +52,7 @@ fn who_only_looks_writes_nothing() {
         &["chain", "status"],
         &["audit"],
     ];
-    // What the run before left open is settled by whoever comes next.
+    // Whatever the previous run left open is settled by the next one.
     for arguments in looking {
         authros.run(arguments).expect_code(0);
     }
@@ -64,7 +64,7 @@ fn who_only_looks_writes_nothing() {
     }
     assert!(written.is_empty(), "{}", written.join("\n"));
 
-    // Who opens the keyring to look is noted in the audit log, and nothing else is.
+    // Opening the keyring to read is noted in the audit log, and nothing else is.
     for opening in [&["grants", "list"], &["shared", "list"]] {
         let before = rows(&home);
         authros.run(opening).expect_code(0);

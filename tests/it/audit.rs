@@ -1,4 +1,4 @@
-//! The audit log: what is a line, what is counted, heads on the chain, and a disk that takes no more.
+//! The audit log: what gets a line, what is counted, heads on the chain, and a full disk.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -108,7 +108,7 @@ fn body(home: &Home, authros: &Authros, record: &Value) -> Vec<u8> {
     fs::read(path).expect("written")
 }
 
-/// Changes the ledger behind the program's back, tells what the check says, and puts the ledger back.
+/// Changes the ledger behind the program's back, returns what the check says, and restores the ledger.
 fn forged(home: &Home, authros: &Authros, sql: &str) -> Value {
     let (ledger, kept) = (home.path().join("ledger.db"), home.root().join("kept.db"));
     let connection = rusqlite::Connection::open(&ledger).expect("opens");
@@ -161,7 +161,7 @@ fn heads_are_anchored_while_the_log_changes_and_find_what_was_cut_off() {
     assert_eq!(count(&edited, "broken_line"), 2, "{edited}");
     let removed = forged(&home, &authros, "DELETE FROM audit WHERE line = 3");
     assert_eq!(count(&removed, "broken_line"), 3, "{removed}");
-    // The note in the ledger goes with it: what tells is the record that the chain holds.
+    // The note in the ledger goes with it: the record on the chain still reveals it.
     let cut =
         format!("DELETE FROM audit WHERE line > {}; DELETE FROM settings WHERE key LIKE 'audit-head:%'", covered - 3);
     let found = forged(&home, &authros, &cut);
@@ -219,7 +219,7 @@ fn on_a_full_disk_nothing_is_granted_or_opened_but_a_revoke_goes_through() {
     alice.run(&["topics", "watch", TOPIC]).expect_code(0);
 
     fill(&inside("fill"));
-    // What the ledger has of space in its own files is used up first.
+    // The ledger first uses up the free space in its own files.
     wait_until(120, "the ledger is full", || (bob.run(&["shared", "check", &id]).code == Some(HOME)).then_some(()));
     bob.fails(HOME, &["shared", "open", &id]);
     alice.fails(HOME, &["grant", &third]);
@@ -246,13 +246,13 @@ fn on_a_full_disk_nothing_is_granted_or_opened_but_a_revoke_goes_through() {
     assert_eq!(alice.json(&["audit", "verify"])["ok"], true);
 }
 
-/// An edit of the ledger, and what is to be said of it.
+/// An edit of the ledger, and what must be reported about it.
 struct Edit {
     column: &'static str,
     sql: &'static str,
-    /// The field of a list that it changes; empty where the edit hides the record or changes none.
+    /// The field of a list that it changes; empty if the edit hides the record or changes none.
     field: &'static str,
-    /// Whether it can only be seen by whoever has a key.
+    /// Whether only someone with a key can see it.
     sealed: bool,
 }
 
@@ -295,7 +295,7 @@ const EDITS: [Edit; 21] = [
     ),
 ];
 
-/// Columns that no edit is made of, and why not.
+/// Columns that no edit covers, and why not.
 const EXEMPT: [(&str, &str); 13] = [
     ("records.n", "the row"),
     ("records.digest", "the record's name: another one names bytes that nobody has"),
@@ -312,7 +312,7 @@ const EXEMPT: [(&str, &str); 13] = [
     ("filters.record", "the same pair, from the other side"),
 ];
 
-/// Every column of the tables that records lie in is edited, or exempt: a new one has to be thought of.
+/// Every column of the tables that hold records is edited, or exempt: a new one must be considered.
 fn expect_every_column(ledger: &rusqlite::Connection) {
     for table in ["records", "streams", "topics", "recorders", "filters"] {
         let mut statement = ledger.prepare(&format!("SELECT name FROM pragma_table_info('{table}')")).expect("a table");
@@ -325,7 +325,7 @@ fn expect_every_column(ledger: &rusqlite::Connection) {
     }
 }
 
-/// What an export to a bag holds of the topic, without the callers; nothing where the edit leaves nothing to export.
+/// The content of an export to a bag for the topic, without the callers; nothing if the edit leaves nothing to export.
 fn exported(authros: &Authros, home: &Home) -> Option<Vec<Value>> {
     support::system_program("rosbag")?;
     let bag = home.root().join("exported.bag");
@@ -341,7 +341,7 @@ const fn edit(column: &'static str, sql: &'static str, field: &'static str) -> E
 /// Whether a document shows the record as verified with another value of the field than the true one.
 fn shows_falsely(edit: &Edit, document: &Value, record: &Value) -> bool {
     let verified = is_verified(document) && (document["verdict"].is_null() || document["verdict"] == "verified");
-    // Without a key, what lies sealed is told as the ledger's word, and its state says so.
+    // Without a key, sealed fields are shown as the ledger's word, and the state says so.
     let told = edit.sealed && document["state"] == "verified, names unchecked" && document["compared"] == "header";
     verified && !told && !edit.field.is_empty() && document[edit.field] != record[edit.field]
 }
@@ -417,7 +417,7 @@ fn no_edited_column_is_shown_as_verified() {
                 "{column}: {opened} {audit}"
             );
         } else {
-            // Signatures are shown nowhere: whoever opens, exports or re-hashes checks them.
+            // Signatures are not shown anywhere: opening, exporting and re-hashing check them.
             let shallow = if column == "signature" && opened.code == Some(TAMPERED) { 0 } else { TAMPERED };
             assert_eq!((audit.code, deep.code), (Some(shallow), Some(TAMPERED)), "{column}: {audit} {deep}");
         }

@@ -35,7 +35,7 @@ fn export(authros: &Authros, path: &Path, options: &[&str]) -> Value {
     authros.json_within(900, &[&["shared", "export", format, utf8(path)], options].concat())
 }
 
-/// Of a bag's messages in any order: topic, type, md5sum, definition, time and bytes; the caller where it is known.
+/// A bag's messages in any order: topic, type, md5sum, definition, time and bytes; the caller if known.
 fn sorted(mut entries: Vec<Value>) -> Vec<Value> {
     entries.sort_by_key(ToString::to_string);
     entries
@@ -81,7 +81,7 @@ fn bags_of_every_compression_come_back_as_they_were() {
         let summary = two.alice.json_within(240, &["bag", "import", utf8(&bag), "--tag", &tag, "--again"]);
         assert_eq!((count(&summary, "imported"), count(&summary, "verified")), (126, 126), "{summary}");
     }
-    // One import after the other: the same messages three times over.
+    // One import after the other: the same messages three times.
     let all = path(&two, "all.bag");
     let written = export(&two.alice, &all, &["--compression", "bz2"]);
     assert_eq!(count(&written, "messages"), 3 * 126, "{written}");
@@ -92,7 +92,7 @@ fn bags_of_every_compression_come_back_as_they_were() {
     let written = export(&two.alice, &words, &["--topic", "/w*", "--until", "2023-11-14T22:13:21Z"]);
     assert_eq!((count(&written, "messages"), list(&written, "topics").len()), (15, 1), "{written}");
     support::process::output_of("/usr/bin/rosbag", &["info", utf8(&words)]);
-    // A file that is there is not overwritten.
+    // An existing file is not overwritten.
     two.alice.fails(3, &["shared", "export", "--bag", utf8(&words)]);
 
     let opened = two.alice.records(&["uploads", "list", "--topic", "/words"]);
@@ -124,7 +124,7 @@ fn damaged_bags_are_read_as_far_as_they_are_readable_and_nothing_twice() {
         (code, outcome.document())
     };
     let (code, summary) = damaged("flipped.bag", &|bytes| {
-        // In the data of a chunk: between the chunks lie indexes, which nobody needs.
+        // In the data of a chunk: between the chunks are indexes, which nobody needs.
         let chunks: Vec<usize> =
             (0..bytes.len() - 15).filter(|at| bytes[*at..].starts_with(b"compression=lz4")).collect();
         bytes[chunks[chunks.len() / 2] + 200] ^= 4;
@@ -134,7 +134,7 @@ fn damaged_bags_are_read_as_far_as_they_are_readable_and_nothing_twice() {
     let (code, summary) = damaged("cut.bag", &|bytes| bytes.truncate(bytes.len() * 2 / 3));
     assert_eq!(code, Some(INCOMPLETE), "{summary}");
     assert!((100..630).contains(&count(&summary, "verified")), "{summary}");
-    // All that came out of the damaged ones is in the good one.
+    // Everything that came out of the damaged ones is in the good one.
     let part = path(&two, "part.mcap");
     export(&two.alice, &part, &["--compression", "zstd"]);
     let back = path(&two, "back.bag");
@@ -149,7 +149,7 @@ fn damaged_bags_are_read_as_far_as_they_are_readable_and_nothing_twice() {
         bytes[index..index + 8].fill(0);
     });
     assert_eq!((code, count(&summary, "verified")), (Some(0), 630), "{summary}");
-    // The very same file a second time.
+    // The very same file again.
     let again = import(&two.alice, &path(&two, "unindexed.bag"));
     assert_eq!((count(&again, "imported"), count(&again, "already")), (0, 630), "{again}");
     let no_bag = two.home.file("no.bag", "#ROSBAG V1.2\n", 0o600);
@@ -184,7 +184,7 @@ fn an_import_that_is_cut_goes_on_where_it_was() {
     println!("cut after {already} of 4200 messages");
 }
 
-/// Imports a bag in a process of its own and kills that after so long; how much is sealed then.
+/// Imports a bag in a separate process and kills that after this long; returns how much is sealed then.
 fn cut_import(authros: &Authros, bag: &Path, after: Duration) -> usize {
     let import = authros.spawn(&["bag", "import", utf8(bag)]);
     std::thread::sleep(after);
@@ -200,7 +200,7 @@ fn two_recordings_are_never_taken_for_each_other_however_often_one_is_cut() {
         skipped!(NO_ROS);
     }
     let (messages, cuts) = if long() { (20_000, 20) } else { (1_000, 2) };
-    // A fixed seed: places spread over the whole import.
+    // A fixed seed: points spread over the whole import.
     let mut chance = 0x2545_f491_4f6c_dd1d_u64;
     for _ in 0..cuts {
         let home = Home::new();
@@ -220,7 +220,7 @@ fn two_recordings_are_never_taken_for_each_other_however_often_one_is_cut() {
         println!("cut at {} of {messages}: {already} were sealed, {imported} came then", after - before);
         assert_eq!(imported + already, messages, "{summary}");
         assert_eq!(count(&import(&authros, &bags[1]), "already"), messages, "a third time nothing is sealed");
-        // What was sealed before the cut is anchored by whichever site runs next.
+        // What was sealed before the kill is anchored by whichever site runs next.
         let site = authros.serve(&home);
         wait_until(900, "all is verified", || (authros.json(&["status"])["life"]["pending"] == 0).then_some(()));
         site.stop("INT", 60);
@@ -284,13 +284,13 @@ fn what_was_tampered_with_or_is_not_shared_is_never_exported() {
     let document = outcome.expect_code(TAMPERED).document();
     assert_eq!((count(&document, "messages"), count(&document["refused"], "tampered")), (11, 1), "{document}");
     assert_eq!(list(&document, "suspicious").len(), 1);
-    // What was written is read by everyone as it was recorded.
+    // Everyone reads what was written as it was recorded.
     let carol = two.home.profile("carol");
     carol.enrol();
     let back = import(&carol, &spoiled);
     assert_eq!(count(&back, "verified"), 11, "{back}");
 
-    // ROS 2: raw CDR, kept as it is, in MCAP alone.
+    // ROS 2: raw CDR, kept unchanged, only in MCAP.
     let cdr = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/mcap/foreign_zstd");
     let dave = two.home.profile("dave");
     dave.enrol();

@@ -1,5 +1,5 @@
-//! Recordings in which single bits were flipped, through the program: no altered message is sealed unless the import
-//! tells of damage, or of messages that no checksum covers.
+//! Recordings with single bits flipped, through the program: no altered message is sealed unless the import reports
+//! damage, or messages that no checksum covers.
 #![allow(clippy::print_stdout, reason = "figures that the run shows")]
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
@@ -14,7 +14,7 @@ use support::{Authros, Two, count, heavy, list, list_bag, long, skipped, system_
 
 const ROUNDS: usize = 10;
 
-/// The same recording in every form: bags by rosbag, MCAP by us, also without the checksums of chunks.
+/// The same recording in every form: bags by rosbag, MCAP by us, also without chunk checksums.
 fn recordings(two: &Two) -> Vec<(String, Vec<u8>)> {
     let mut forms = Vec::new();
     for compression in ["none", "bz2", "lz4"] {
@@ -34,7 +34,7 @@ fn recordings(two: &Two) -> Vec<(String, Vec<u8>)> {
     forms
 }
 
-/// MCAP as writers leave it that reckon no checksums: those of chunks (record 6) and of the data section (15) are zero.
+/// MCAP as left by writers that compute no checksums: those of chunks (record 6) and of the data section (15) are zero.
 fn without_checksums(mut bytes: Vec<u8>) -> Vec<u8> {
     let mut at = 8;
     while let Some(lead) = bytes.get(at..at + 9) {
@@ -76,7 +76,7 @@ fn no_flipped_bit_is_sealed_untold() {
     let forms = recordings(&two);
     let recorded = known(&two.home.root().join("none.bag"));
     let flips = if long() { 200 } else { 2 };
-    // A fixed seed: a place that fails is found again.
+    // A fixed seed: a failing place can be reproduced.
     let mut chance = 0x9e37_79b9_7f4a_7c15_u64;
     let mut untold = 0;
     for (form, bytes) in &forms {
@@ -107,7 +107,7 @@ fn no_flipped_bit_is_sealed_untold() {
             };
             figures[which] += 1;
             if which == 3 {
-                // Nothing was told, so all that is sealed must be what was recorded: Bob keeps these alone.
+                // Nothing was reported, so everything sealed must be what was recorded: Bob keeps only these.
                 let (_, kept) = import(&two.bob, &file);
                 untold += count(&kept, "imported");
                 let whole = count(&kept, "imported") + count(&kept, "already");

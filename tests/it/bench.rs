@@ -1,4 +1,4 @@
-//! `authros bench`: its documents have the promised shape, and what they count is right. No time is judged.
+//! `authros bench`: its documents have the promised shape, and its counts are right. No time is judged.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -7,7 +7,7 @@ use serde_json::Value;
 use support::{Anvil, Authros, Home, count, heavy, list, text};
 
 const NO_NODE: &str = "no anvil; tests/run installs it into target/peers";
-/// A busy machine takes its time, seconds.
+/// Allowance for a busy machine, seconds.
 const LIMIT: u64 = 400;
 const UPLOADERS: u64 = 20;
 
@@ -19,7 +19,7 @@ fn number(value: &Value, field: &str) -> f64 {
     value[field].as_f64().unwrap_or_else(|| panic!("no number '{field}' in {value}"))
 }
 
-/// What every bench prints, and nothing left behind.
+/// What every bench prints, and that nothing is left behind.
 fn expect_shape(report: &Value, name: &str, home: &Home) {
     assert_eq!(text(report, "name"), name);
     assert!(count(&report["machine"], "cores") > 0 && count(&report["machine"], "memory_bytes") > 0);
@@ -69,7 +69,7 @@ fn gas_is_under_its_caps() {
     assert!(acceptance.len() == 2 && acceptance.iter().all(|one| one["ok"] == true), "{acceptance:?}");
 }
 
-/// Every upload of every run succeeded, and each run's figures fit each other.
+/// Every upload of every run succeeded, and each run's figures are consistent.
 fn expect_all_uploaded(rows: &[Value]) {
     for row in rows {
         assert_eq!((count(row, "uploaders"), count(row, "succeeded")), (UPLOADERS, UPLOADERS), "{row}");
@@ -117,7 +117,7 @@ fn uploaders_succeed_on_every_network() {
     }
 }
 
-/// Every page is XML, and holds what it must.
+/// Every page is XML, and contains what it must.
 fn expect_pages(directory: &Home, names: &[&str], words: &[&str]) {
     let script = "import sys, xml.dom.minidom as x; print(x.parse(sys.argv[1]).documentElement.tagName)";
     for name in names {
@@ -156,7 +156,7 @@ fn messages_of_all_sizes_are_uploaded_both_ways() {
         assert!((number(row, "success") - 100.0).abs() < 1e-9 && number(row, "uploads_per_second") > 0.0, "{row}");
         let (bytes, gas) = (number(row, "bytes"), number(row, "gas_per_upload"));
         let on_chain = bytes / 32.0 * 20_000.0;
-        // What lies on the chain costs by its length; a digest and a root do not.
+        // Data on the chain costs by its length; a digest and a root do not.
         assert!(if row["way"] == "prototype" { gas > on_chain } else { gas < 120_000.0 }, "{row}");
         let transactions = if row["mode"] == "each" { 4..=4 } else { 1..=4 };
         assert!(transactions.contains(&count(row, "transactions")), "{row}");
@@ -242,7 +242,7 @@ fn what_cannot_be_measured_is_told() {
     bare(&home).fails(2, &["bench", "--csv", "gas"]);
     let told = bare(&home).with(&["--json"]).run(&["bench", "consensus", "--uploaders", "0"]).expect_code(2);
     assert!(told.stderr.contains("1..=10000") || told.stderr.contains("1..10000"), "{told}");
-    // The node is asked first: nobody waits for two networks to learn that the third is not there.
+    // The node is queried first: nobody waits for two networks to learn that the third is not there.
     let message = bare(&home).fails(4, &["bench", "consensus", "--uploaders", "1", "--node", &silent]);
     assert!(message.contains("--node") && message.contains("does not answer"), "{message}");
     expect_nothing_left(&home);
@@ -326,7 +326,7 @@ fn what_is_published_is_verified_and_counted() {
             ["durable", "confirmed", "verified"]
         );
         for row in of_load() {
-            // Definitions are confirmed as well, one for each topic.
+            // Definitions are confirmed too, one for each topic.
             assert!((published..=published + 8).contains(&count(row, "runs")), "{row}");
         }
         let busy = list(load, "stages");

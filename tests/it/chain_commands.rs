@@ -11,14 +11,14 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use support::{Home, Running, list, text, wait_until};
 
-/// Where a `chain serve --json` says that it serves.
+/// The address in the output of `chain serve --json`.
 fn address(serving: &mut Running) -> SocketAddr {
     let line = serving.wait_for_text("serving", 60);
     let document: Value = line.lines().find_map(|line| serde_json::from_str(line).ok()).expect("one JSON line");
     text(&document["serving"], "url").trim_start_matches("http://").parse().expect("an address")
 }
 
-/// One JSON-RPC request, as any other tool sends it.
+/// One JSON-RPC request, as sent by any other tool.
 fn ask(address: SocketAddr, method: &str, parameters: Value) -> Value {
     let body = json!({ "jsonrpc": "2.0", "id": 1, "method": method, "params": parameters }).to_string();
     let request = format!(
@@ -44,7 +44,7 @@ fn a_chain_is_served_by_a_site_of_its_own_or_by_the_running_one() {
     let id = ask(first, "eth_chainId", json!([]));
     assert!(ask(first, "web3_clientVersion", json!([])).as_str().is_some_and(|name| name.contains("not ethash")));
 
-    // Everything else joins this site, and a second server may stand beside the first.
+    // Everything else joins this site, and a second server may run beside the first.
     let deployed = authros.json(&["chain", "deploy"]);
     let contract = text(&deployed, "contract");
     let code = ask(first, "eth_getCode", json!([contract, "latest"]));
@@ -68,7 +68,7 @@ fn a_chain_is_served_by_a_site_of_its_own_or_by_the_running_one() {
     });
     assert_eq!(ask(first, "eth_chainId", json!([])), id);
 
-    // One that is killed cannot say goodbye, and its door closes all the same.
+    // A killed one cannot say goodbye, but its listener closes all the same.
     let mut killed = authros.with(&["--json"]).spawn(&["chain", "serve", "--listen", "127.0.0.1:0"]);
     let third = address(&mut killed);
     killed.signal("KILL");

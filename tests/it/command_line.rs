@@ -1,4 +1,4 @@
-//! The command line: exit codes by kind of error, clear words, and standard output for the result alone.
+//! The command line: exit codes by kind of error, clear messages, and standard output only for the result.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -262,7 +262,7 @@ fn topics_and_chain_are_described_in_the_promised_fields() {
     assert!(text(&chain, "balance").chars().all(|digit| digit.is_ascii_digit()), "{chain}");
 }
 
-/// The memory of the program is closed to other processes of the same user, and leaves no core.
+/// The program's memory is closed to other processes of the same user, and leaves no core.
 #[test]
 fn nobody_else_reads_the_memory() {
     use std::os::unix::fs::MetadataExt;
@@ -272,7 +272,7 @@ fn nobody_else_reads_the_memory() {
     let limits = std::fs::read_to_string(format!("/proc/{}/limits", site.id())).expect("it runs");
     let limit = limits.lines().find(|line| line.starts_with("Max core file size")).expect("told");
     assert_eq!(limit.split_whitespace().collect::<Vec<_>>()[4..6], ["0", "0"], "{limit}");
-    // Of a process that cannot be dumped, everything in /proc is root's; to root itself that says nothing.
+    // For a process that cannot be dumped, everything in /proc belongs to root; to root itself that proves nothing.
     let own = std::fs::metadata("/proc/self").expect("Linux").uid();
     let owner = std::fs::metadata(format!("/proc/{}/mem", site.id())).expect("it runs").uid();
     assert_eq!(owner, 0);

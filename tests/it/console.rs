@@ -56,7 +56,7 @@ fn a_topic_watched_with_a_key_is_seen_verified() {
     assert!(!list(&uploads, "records").is_empty(), "what the console captured is kept");
 }
 
-/// Finds odometry by a filter and watches it with one key; only now is the passphrase asked for.
+/// Finds odometry with a filter and watches it with one key; only now is the passphrase asked for.
 fn watch_odometry(console: &mut Console, authros: &Authros) {
     console.press("/");
     console.press("odometry\r");

@@ -1,4 +1,5 @@
-//! Robot users at the console, in a pseudo-terminal of 80x24: one script for each behaviour, as an operator tells it.
+//! Robot users at the console, in a pseudo-terminal of 80x24: one script for each behaviour, from the operator's point
+//! of view.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -8,7 +9,7 @@ use support::{Authros, Console, Home, Terminal, heavy, text, wait_until};
 const ODOMETRY: &str = "/robot1/odom";
 const CAMERA: &str = "/robot1/camera/compressed";
 const PASSPHRASE: &str = "an operator's passphrase";
-/// Seconds that anything may take on a busy machine.
+/// Seconds allowed for anything on a busy machine.
 const PATIENCE: u64 = 60;
 
 fn one_robot(authros: Authros) -> Authros {
@@ -44,7 +45,7 @@ impl Operator {
         self
     }
 
-    /// Leaves, also where records are still on their way.
+    /// Quits, even while records are pending.
     fn leaves(&mut self) {
         self.presses("\u{3}");
         let gone = |operator: &mut Self| {
@@ -143,7 +144,7 @@ fn a_locked_console_captures_on_and_opens_nothing_until_it_is_unlocked() {
     authros.run(&["topics", "watch", ODOMETRY]).expect_code(0);
     operator.presses("3").sees("verified");
 
-    // What is said about it may be overtaken by other news at once; the keys' screen says it as long as it is so.
+    // The message about it may soon be overtaken by other news; the Keys screen says it as long as it holds.
     operator.presses(":lock\r");
     operator.presses("6").sees("locked (u unlocks it)");
     let verified = || {
@@ -250,10 +251,10 @@ fn a_moving_record_is_aimed_at_opened_searched_for_and_left_while_others_come() 
     }
 }
 
-/// Topic, sequence number and size of the row with the cursor: what of it does not change.
+/// Topic, sequence number and size of the row at the cursor: the part that does not change.
 fn selected(shown: &str) -> Vec<String> {
     let row = shown.lines().find(|line| line.starts_with('▌')).expect("a row with the cursor");
-    // On a wide terminal the pane stands beside the list.
+    // On a wide terminal the pane is beside the list.
     let row = row.split('│').next().unwrap_or_default();
     row.split_whitespace()
         .skip(1)

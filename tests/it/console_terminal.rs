@@ -1,4 +1,4 @@
-//! The console and its terminal: signals, panic, loss, suspension, other terminals, sizes, colours, hostile text.
+//! The console and its terminal: signals, panic, hang-up, suspension, other terminals, sizes, colours, hostile text.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -338,7 +338,7 @@ fn of_a_million_hostile_strings_no_control_byte_reaches_the_terminal() {
     }
 }
 
-/// A master that knows hostile nodes, topics and types; it answers until the test ends.
+/// A master that lists hostile nodes, topics and types; it answers until the test ends.
 fn hostile_master(count: usize) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     let uri = format!("http://{}", listener.local_addr().expect("its address"));

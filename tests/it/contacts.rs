@@ -1,4 +1,4 @@
-//! The address book: names for accounts, keys they are known by, and what is told of them to others.
+//! The address book: names for accounts, their keys, and what is revealed of them to others.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;

@@ -1,4 +1,4 @@
-//! `authros demo`: the mission from capture to refusal, without a terminal and without a question.
+//! `authros demo`: the mission from capture to refusal, without a terminal and without questions.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -22,7 +22,7 @@ fn expect_the_whole_story(told: &Value) {
     assert!(pictures > 0 && pictures < opened, "{told}");
     assert_eq!(told["refused_stranger"], true, "{told}");
     assert_eq!(told["refused_tampered"], true, "{told}");
-    // Three registrations, a grant, a revoke, about a batch a second (of 20 records and more), and four that may come
+    // Three registrations, a grant, a revoke, about one batch a second (of 20 records and more), and four that may come
     // early.
     let transactions = count(&told["chain"], "transactions");
     assert!(transactions >= 7 && transactions < 11 + captured / 10, "{told}");
@@ -37,7 +37,7 @@ fn the_demo_of_the_readme_shows_the_whole_mission() {
     let temporary = home.root().to_str().expect("UTF-8");
     let told = Authros::bare(home.root()).with_variable("TMPDIR", temporary).json_within(180, &["demo"]);
     expect_the_whole_story(&told);
-    // Four robots for ten seconds at 20 Hz odometry and 2 Hz pictures: 880; a slow machine may be late by a third.
+    // Four robots for ten seconds at 20 Hz odometry and 2 Hz pictures: 880; a slow machine may be a third behind.
     assert!((580..=960).contains(&count(&told, "captured")), "{told}");
     assert_eq!(fs::read_dir(home.root()).expect("HOME").count(), 0, "a demo without --home leaves nothing behind");
 }
@@ -67,7 +67,7 @@ fn without_json_it_is_a_story_with_figures_and_no_escape_codes() {
     assert!(!outcome.stdout.contains('\u{1b}'), "{outcome}");
 }
 
-/// The build whose checks can be switched off one by one lies beside the product's own.
+/// The build whose checks can be switched off individually is beside the product's own.
 fn faulty() -> Option<std::path::PathBuf> {
     let built = std::path::Path::new(env!("CARGO_BIN_EXE_authros")).with_file_name("authros-faulty");
     built.exists().then_some(built)

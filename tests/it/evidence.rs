@@ -1,4 +1,4 @@
-//! A bundle of evidence, from a home to somebody who has neither home nor network nor our word.
+//! An evidence bundle, from a home to someone who has neither home nor network and does not take our word.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -29,19 +29,19 @@ fn export() -> Exported {
     let place = bundle.to_str().expect("UTF-8");
     let view =
         authros.json(&["evidence", "export", place, "--topic", "/robot1/odom", "--reveal", &text(&records[0], "id")]);
-    // Heads are far between here, and that there is none is told.
+    // Heads are far apart here, and their absence is reported.
     let untold = list(&view, "notes").into_iter().filter(|note| !note.to_string().contains(" here: nothing says "));
     assert_eq!((&view["revealed"], untold.count()), (&1.into(), 0), "{view}");
     let again = authros.run(&["evidence", "export", place]);
     assert_eq!(again.code, Some(3), "a file that exists is not replaced: {again}");
     let audit = authros.json(&["audit", "list"]);
-    // The newest first: what is disclosed is written down before the export begins.
+    // The newest first: a disclosure is logged before the export begins.
     let deeds: Vec<String> =
         list(&audit, "audit").iter().map(|line| text(line, "action") + " " + &text(line, "outcome")).collect();
     let place =
         |deed: &str| deeds.iter().position(|found| found == deed).unwrap_or_else(|| panic!("no {deed}: {deeds:?}"));
     assert!(place("disclose record begun") > place("export evidence begun"), "{deeds:?}");
-    // What the exporter suggests; here the test has looked at it.
+    // The exporter's suggestion; here the test has checked it.
     let suggested = unzipped(&bundle, "trust.toml");
     fs::write(&trust, suggested).expect("written");
     Exported { home, bundle, trust, revealed, records }
@@ -72,7 +72,7 @@ pub(crate) fn verified(bundle: &Path, trust: Option<&Path>) -> Outcome {
     outcome
 }
 
-/// The second verifier, in Python alone.
+/// The second verifier, in plain Python.
 fn by_the_second(bundle: &Path, trust: Option<&Path>) -> Outcome {
     let mut command = Command::new("python3");
     command.args(["-B", concat!(env!("CARGO_MANIFEST_DIR"), "/tools/verify.py")]).arg(bundle);
@@ -100,10 +100,10 @@ pub(crate) fn expect_agreement(bundle: &Path, trust: Option<&Path>) {
     assert_eq!(stretches(&ours), stretches(&theirs));
 }
 
-/// What both verifiers say of a topic.
+/// What both verifiers say about a topic.
 fn stretch(told: &Value) -> Vec<String> {
     let (first, named) = (told["first"].as_u64(), told["heads"]["number"].as_u64());
-    // Ours tells the head's number and the gaps; the other, up to where nothing is missing.
+    // Ours reports the head's number and the gaps; the other, up to where nothing is missing.
     let is_whole = |number: &u64| {
         let until = |gap: &Value| gap[0].as_u64().is_some_and(|from| from <= *number);
         first.is_some_and(|first| first <= *number)
@@ -120,7 +120,7 @@ fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
         skipped!("no python3");
     }
     let Exported { home, bundle, trust, revealed, records } = export();
-    // The home seals its chain itself: that is no proof against it, and no success.
+    // The home seals its chain itself: that proves nothing against it, and is not a success.
     let report = verified(&bundle, Some(&trust)).expect_code(8).document();
     assert_eq!((text(&report, "outcome").as_str(), &report["pinned"]), ("incomplete", &true.into()), "{report}");
     assert_eq!(text(&report["exporter"], "standing"), "own_chain", "{report}");
@@ -129,7 +129,7 @@ fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
     for record in &found {
         let standing = |level: &str| text(&record[level], "standing");
         assert_eq!(standing("bytes"), "proven", "{record}");
-        // The home seals its chain itself, and is told so.
+        // The home seals its chain itself, which is reported.
         assert_eq!((standing("key"), standing("anchor")), ("own_chain".into(), "own_chain".into()), "{record}");
         let opened = text(record, "digest") == revealed;
         assert_eq!(standing("opened"), if opened { "own_chain" } else { "absent" }, "{record}");
@@ -157,7 +157,7 @@ fn a_bundle_is_verified_on_another_machine_and_every_lie_is_refused() {
     refused(&home, &bundle, &trust);
 }
 
-/// What people read.
+/// The text output.
 fn told(home: &Home, bundle: &Path, trust: &Path) {
     let shown = |trust: &Path| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_authros"));
@@ -227,7 +227,7 @@ fn the_same_export_twice_differs_in_its_signature_alone() {
     assert_ne!(unzipped(&one, "manifest.der"), unzipped(&other, "manifest.der"), "signatures are drawn anew");
 }
 
-/// The recorder's own head says how far a topic went: an end that is left out is told.
+/// The recorder's own head says how far a topic went: an omitted end is reported.
 #[test]
 fn a_topic_is_complete_to_the_number_that_the_recorders_head_names() {
     if system_program("python3").is_none() {
@@ -242,7 +242,7 @@ fn a_topic_is_complete_to_the_number_that_the_recorders_head_names() {
     let last = odom.iter().filter_map(|record| record["seq"].as_u64()).max().expect("numbers");
     let (trust, cut) = (home.root().join("trust.toml"), home.root().join("cut.authros"));
     let mut tries = 0;
-    // A head on its way may be of fewer numbers, and its birth may be anchored later.
+    // A head in progress may cover fewer numbers, and its birth may be anchored later.
     let whole = wait_until(90, "the newest numbers and the birth are anchored, and exported", || {
         tries += 1;
         let file = home.root().join(format!("whole{tries}.authros"));
@@ -258,7 +258,7 @@ fn a_topic_is_complete_to_the_number_that_the_recorders_head_names() {
     site.stop("INT", 30).expect_code(0);
     let topic = |bundle: &Path| {
         let report = verified(bundle, Some(&trust)).expect_code(8).document();
-        // The head names every topic but its own.
+        // The head covers every topic but its own.
         let named = |stretch: &Value| stretch["heads"].is_object();
         list(&report, "complete").into_iter().find(named).expect("the topic")
     };
@@ -272,7 +272,7 @@ fn a_topic_is_complete_to_the_number_that_the_recorders_head_names() {
     expect_agreement(&cut, Some(&trust));
 }
 
-/// The proofs are another program's here (anvil's), and so are the headers, which nobody signs.
+/// The proofs come from another program here (anvil), as do the headers, which nobody signs.
 #[test]
 fn a_foreign_nodes_proofs_show_the_anchor_and_its_unsigned_headers_are_named() {
     if system_program("python3").is_none() {

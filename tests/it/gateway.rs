@@ -1,4 +1,4 @@
-//! `authros gateway serve`: records of robots kept, anchored and answered for; revocation; replay; what a kill leaves.
+//! `authros gateway serve`: records of robots stored, anchored and served; revocation; replay; what a kill leaves.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 #![allow(clippy::print_stdout, reason = "figures that the run shows")]
 
@@ -75,7 +75,7 @@ fn refused(result: Result<impl std::fmt::Debug, GatewayError>) -> Code {
     }
 }
 
-/// The name under which a record of these bytes is kept; also the order in which they were written.
+/// The name under which a record of these bytes is stored; also the order in which they were written.
 fn bodies(count: u64) -> Vec<Vec<u8>> {
     (1..=count).map(|number| format!("entry {number} of the log").into_bytes()).collect()
 }
@@ -299,7 +299,7 @@ async fn the_gateways_redis_is_blind() {
     process.stop("TERM", 20).expect_code(0);
 }
 
-/// What a full Redis does not take waits on disk as far as it may; then a robot keeps its records itself.
+/// What a full Redis does not accept waits on disk as far as allowed; after that a robot keeps its records itself.
 #[tokio::test(flavor = "multi_thread")]
 async fn beyond_its_backlog_a_gateway_takes_no_records_until_its_vault_does() {
     let Some(redis) = Redis::start(&[]) else { skipped!("no redis-server and redis-cli") };
@@ -321,7 +321,7 @@ async fn beyond_its_backlog_a_gateway_takes_no_records_until_its_vault_does() {
     process.stop("TERM", 20).expect_code(0);
 }
 
-/// The frames of a stream: length (4), then so many bytes.
+/// The frames of a stream: length (4), then that many bytes.
 fn frames(stream: &[u8]) -> Vec<&[u8]> {
     let (mut rest, mut found) = (stream, Vec::new());
     while let Some((length, _)) = rest.split_first_chunk::<4>() {
@@ -333,18 +333,18 @@ fn frames(stream: &[u8]) -> Vec<&[u8]> {
     found
 }
 
-/// Sends bytes to the gateway and gives how many bytes it answered before it closed.
+/// Sends bytes to the gateway and returns how many bytes it answered before it closed.
 fn replay(address: &str, bytes: &[u8]) -> Vec<u8> {
     let mut stream = TcpStream::connect(address).expect("connects");
     stream.set_read_timeout(Some(Duration::from_secs(20))).expect("sets");
-    // A gateway that closes in between is what is wanted.
+    // The gateway is supposed to close in between.
     drop(stream.write_all(bytes));
     let mut answer = Vec::new();
     drop(stream.read_to_end(&mut answer));
     answer
 }
 
-/// Replays every recorded stream whole: the answers are a hello and a refusal, never a transfer frame.
+/// Replays every recorded stream in full: the answers are a hello and a refusal, never a transfer frame.
 fn expect_refused(address: &str, streams: &[Vec<u8>]) -> usize {
     const TRANSFER: u8 = 4;
     let mut replayed = 0;
@@ -414,7 +414,7 @@ async fn replay_all() {
     process.stop("TERM", 20).expect_code(0);
 }
 
-/// Recorded frames inside a session of today: it ends at the first, and nothing came of it.
+/// Recorded frames inside a present session: it ends at the first, without any effect.
 async fn inject(gateway: &Gateway, owner: &Member, credentials: &Credentials, streams: &[Vec<u8>]) {
     let stream = streams.last().expect("recorded");
     for frame in frames(stream).iter().rev().take(5) {
@@ -423,7 +423,7 @@ async fn inject(gateway: &Gateway, owner: &Member, credentials: &Credentials, st
         let mut session = connect(&through, credentials).await;
         session.ping().await.expect("alive");
         let own = recorder.recorded().concat();
-        // The same bytes again on a line of their own, then the old frame: neither opens.
+        // The same bytes again on their own connection, then the old frame: neither opens.
         assert!(!replay(&gateway.address, &[&own[..], frame].concat()).is_empty(), "refused in words");
     }
     let mut session = connect(gateway, credentials).await;

@@ -1,4 +1,4 @@
-//! Identities: made once, registered once, kept in files that only their owner reads.
+//! Identities: created once, registered once, kept in files that only their owner can read.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;

@@ -1,4 +1,4 @@
-//! Keys that change while others rely on them: readers open what they were granted, robots go on without hands.
+//! Keys that change while others rely on them: readers open what they were granted, robots continue automatically.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -43,7 +43,7 @@ fn readers_open_old_and_new_records_after_a_new_signing_key() {
     two.alice.json(&["keys", "rotate"]);
     two.alice.capture(&["/robot1/odom"], 2);
 
-    // Neither side remembers anything but what is on its disk and on the chain.
+    // Neither side remembers anything beyond its disk and the chain.
     two.site.stop("TERM", 30).expect_code(0);
     let _site = two.home.authros().with(&["--robots", "0"]).serve(&two.home);
     let records = two.bob.records(&["shared", "list"]);
@@ -73,7 +73,7 @@ fn a_new_envelope_key_is_wrapped_for_and_the_old_one_opens_what_was() {
     let rotated = two.bob.json(&["keys", "rotate", "--envelope"]);
     assert_ne!(rotated["envelope_key"], before["envelope_key"]);
     assert_eq!(rotated["signing_key"], before["signing_key"]);
-    // The owner wraps the present epoch for the new key by herself.
+    // The owner wraps the present epoch for the new key automatically.
     wait_until(90, "the present epoch is wrapped anew", || {
         let lines = list(&two.alice.json(&["audit", "list"]), "audit");
         lines.into_iter().find(|line| line["action"] == "wrap" && line["subject"].to_string().contains("epoch 2"))
@@ -90,7 +90,7 @@ fn a_new_envelope_key_is_wrapped_for_and_the_old_one_opens_what_was() {
     assert_eq!(two.bob.json(&["keys", "list"])["envelope_key"], rotated["envelope_key"]);
 }
 
-/// The newest document that a running agent has printed.
+/// The newest document printed by a running agent.
 fn figures(agent: &Running) -> Option<Value> {
     agent.stdout().lines().rev().find_map(|line| serde_json::from_str(line).ok())
 }
@@ -131,7 +131,7 @@ fn a_robot_goes_on_through_new_keys_of_its_owner_and_its_gateway() {
     let loaded = alice.run(&["keys", "load", "--sm2", &signing_key(&home, '1')]).expect_code(0);
     assert!(loaded.stderr.contains("1 robot (scout)"), "said beforehand: {loaded}");
     accepts(&agent, 10, "records after the owner's new key");
-    // What the new key alone can tell it.
+    // What only the new key can tell it.
     alice.json(&["keys", "rotate"]);
     let of_epoch = |epoch: u64| {
         wait_until(120, "records of the new epoch", || {
@@ -141,7 +141,7 @@ fn a_robot_goes_on_through_new_keys_of_its_owner_and_its_gateway() {
     };
     opens(&bob, &of_epoch(2));
 
-    // The gateway's keeper changes both of its pairs; the gateway stays who it is.
+    // The gateway's keeper changes both of its pairs; the gateway keeps its identity.
     let loaded = keeper.run(&["keys", "load", "--sm2", &signing_key(&home, '2')]).expect_code(0);
     assert!(loaded.stderr.contains("keeps its identity"), "{loaded}");
     keeper.json(&["keys", "rotate", "--envelope"]);
@@ -155,7 +155,7 @@ fn a_robot_goes_on_through_new_keys_of_its_owner_and_its_gateway() {
 
     alice.run(&["keys", "load", "--sm2", &signing_key(&home, '3')]).expect_code(0);
     alice.json(&["keys", "rotate"]);
-    // It was down while its owner changed the key and then the epoch: both are in the list, in their order.
+    // It was down while its owner changed the key and then the epoch: both are in the list, in order.
     let agent = run(&[]);
     opens(&bob, &of_epoch(3));
     agent.stop("TERM", 20).expect_code(0);
@@ -203,7 +203,7 @@ fn a_passphrase_is_changed_in_one_step_and_only_by_who_knows_it() {
     with(&old).fails(5, &["keys", "list"]);
     assert_eq!(with(&new).json(&["keys", "list"])["address"], made["address"]);
 
-    // Of a keyring that is open in a site: what the site saves later is under the new one too.
+    // For a keyring that is open in a site: what the site saves later is under the new passphrase too.
     let site = with(&new).serve(&home);
     with(&wrong).fails(5, &["keys", "passphrase", "--new-passphrase-file", &old]);
     with(&new).run(&["keys", "passphrase", "--new-passphrase-file", &old]).expect_code(0);

@@ -22,7 +22,7 @@ fn current_epochs(keys: &Value) -> Vec<Value> {
     list(keys, "epochs").into_iter().filter(|epoch| epoch["current"] == true).collect()
 }
 
-/// x || y of a key file, as OpenSSL reads it.
+/// x || y of a key file, as read by OpenSSL.
 fn public_key(pem: &str) -> String {
     let der = format!("{pem}.der");
     output_of("openssl", &["pkey", "-in", pem, "-pubout", "-outform", "DER", "-out", &der]);

@@ -1,5 +1,5 @@
-//! The flows through the public face: the program, the console in a pseudo-terminal, the real peers. A file per behaviour,
-//! and one binary for all, so that it is compiled once and its tests share the machine.
+//! The flows through the public interface: the program, the console in a pseudo-terminal, real peers. A file per
+//! behaviour, and one binary for all, so that it is compiled once and its tests share the machine.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 #[path = "../support/mod.rs"]

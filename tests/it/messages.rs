@@ -1,5 +1,5 @@
-//! Messages of any type: decoded as ROS's own Python does, compressed and restored to the byte, seen and exported;
-//! hostile ones within bounds.
+//! Messages of any type: decoded as by ROS's own Python, compressed and restored to the byte, viewed and exported;
+//! hostile ones within limits.
 #![allow(clippy::print_stdout, reason = "figures that the run shows")]
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
@@ -26,7 +26,7 @@ const NO_ROS: &str = "no roscore, rosbag and rostopic in /usr/bin";
 const CAMERA: &str = "/robot1/camera/compressed";
 const MEBIBYTE: u64 = 1 << 20;
 
-/// What `rospy_messages.py` prints.
+/// The output of `rospy_messages.py`.
 fn rospy(arguments: &[&str]) -> String {
     let mut command = Command::new("/usr/bin/python3");
     command.env("PATH", "/usr/bin:/bin").env_remove("PYTHONPATH");
@@ -34,7 +34,7 @@ fn rospy(arguments: &[&str]) -> String {
     Running::start(command).wait(180).expect_code(0).stdout
 }
 
-/// Our JSON of every message of `made`, held against rospy's decoding; how many messages and types that were.
+/// Our JSON of every message of `made`, compared with rospy's decoding; returns how many messages and types that were.
 fn compared(home: &Home, made: &str) -> (u64, u64) {
     let mut ours = Vec::new();
     for line in made.lines() {
@@ -64,7 +64,7 @@ fn every_type_is_decoded_as_rospy_does() {
 #[test]
 fn every_message_of_a_recorded_robot_is_decoded_as_rospy_does() {
     let Some(made) = robot_recording() else { skipped!(NO_ROS) };
-    // A recording of a real robot lies beside the developers' checkouts; it is an extra.
+    // A recording of a real robot is kept beside the developers' checkouts; it is an extra.
     for bag in [Some(made), shared_data("jackal.bag")].into_iter().flatten() {
         let made = rospy(&["bag", bag.to_str().expect("UTF-8")]);
         assert_eq!(compared(&Home::new(), &made), (6121, 2));
@@ -116,7 +116,7 @@ fn a_picture_taken_at_the_robot_is_restored_and_seen_by_the_grantee() {
     site.stop("TERM", 60);
 }
 
-/// The bytes of each record, decoded by rospy, are the JSON that is written of it.
+/// The bytes of each record, decoded by rospy, equal the JSON written for it.
 fn expect_as_rospy(home: &Home, reader: &Authros, records: [(&String, &str); 2]) {
     if system_program("rosbag").is_none() {
         return;
@@ -151,8 +151,8 @@ fn picture_opened(reader: &Authros) -> Console {
     console
 }
 
-/// Waits until so many complete pictures have come, each between `begin` and `end`; gives the last one and what stands
-/// before and behind it.
+/// Waits until this many complete pictures have come, each between `begin` and `end`; returns the last one and what is
+/// before and after it.
 fn pictures(console: &Console, begin: &str, end: &str, count: usize) -> [Vec<u8>; 3] {
     let find = |hay: &[u8], needle: &str| hay.windows(needle.len()).position(|window| window == needle.as_bytes());
     support::wait_until(60, &format!("picture {count}"), || {
@@ -181,7 +181,8 @@ fn rgb_of_png(file: &[u8]) -> Vec<u8> {
 const KITTY: [&str; 2] = ["\u{1b}_Ga=T,", "\u{1b}\\\u{1b}8"];
 const KITTY_AWAY: &[u8] = b"\x1b_Ga=d,d=I,i=1096111176,q=2\x1b\\";
 
-/// The grantee's console leaves the picture to a terminal that knows kitty's commands: once, and gone when it is closed.
+/// The grantee's console sends the picture to a terminal that supports kitty's commands: once, and removed when it is
+/// closed.
 fn expect_seen_by_kitty(reader: &Authros, picture: &[u8]) {
     let reader = reader.with_variable("AUTHROS_PICTURES", "kitty");
     let mut console = picture_opened(&reader);
@@ -219,7 +220,7 @@ fn expect_seen_by_kitty(reader: &Authros, picture: &[u8]) {
     assert!(holds(&pictures(&console, KITTY[0], KITTY[1], 3)[2], KITTY_AWAY), "nothing is left behind");
 }
 
-/// The same for sixel graphics: what it covered is written over.
+/// The same for sixel graphics: the cells it covered are rewritten.
 fn expect_seen_as_sixel(reader: &Authros) {
     let reader = reader.with_variable("AUTHROS_PICTURES", "sixel");
     let mut console = picture_opened(&reader);
@@ -229,7 +230,7 @@ fn expect_seen_as_sixel(reader: &Authros) {
     let numbers = |text: &str| -> Vec<u16> { text.split(';').filter_map(|part| part.parse().ok()).collect() };
     let place = numbers(before.rsplit_once("\u{1b}[").expect("a place").1.trim_end_matches('H'));
     let size = numbers(put["\u{1b}P0;1q\"1;1;".len()..].split('#').next().expect("a size"));
-    // A pseudo-terminal of no pixels: cells of 8 x 16 are assumed.
+    // A pseudo-terminal without a pixel size: cells of 8 x 16 are assumed.
     let (columns, rows) = (size[0].div_ceil(8), size[1].div_ceil(16));
     assert!(columns > 20 && place[0] - 1 + rows <= 26 && place[1] - 1 + columns <= 100, "{place:?} {size:?}");
 
@@ -287,7 +288,7 @@ fn publish(home: &Home, roscore: &Roscore, topic: &str, name: &str, file: &Path,
     running
 }
 
-/// A message's body without the `header.seq` that rospy counts up.
+/// A message's body without the `header.seq` that rospy increments.
 fn without_seq(body: &[u8]) -> &[u8] {
     &body[4..]
 }
@@ -321,7 +322,7 @@ fn a_raw_picture_is_compressed_sealed_and_restored() {
     assert!(matrix.starts_with(b"\x93NUMPY") && matrix.ends_with(pixels), "the matrix as it is");
 }
 
-/// The most memory that a process has had, bytes.
+/// The peak memory of a process, bytes.
 fn peak(process: &str) -> u64 {
     let status = fs::read_to_string(format!("/proc/{process}/status")).expect("a process");
     let line = status.lines().find(|line| line.starts_with("VmHWM")).expect("VmHWM");
@@ -362,7 +363,7 @@ fn a_message_of_64_mib_is_taken_and_opened_within_bounds() {
 
 const HOSTILE: &str = "AUTHROS_TEST_HOSTILE";
 
-/// In a process of its own, so that its memory is its own.
+/// In a separate process, so that its memory is its own.
 #[test]
 fn hostile_messages_cost_no_more_than_the_cap() {
     if std::env::var_os(HOSTILE).is_some() {
@@ -416,7 +417,7 @@ fn hostile() {
     assert!(grown <= cap + 32 * MEBIBYTE, "grown by {} MiB, the cap is {}", grown / MEBIBYTE, cap / MEBIBYTE);
 }
 
-/// A black PNG, written row by row in as little memory as it is small.
+/// A black PNG, written row by row, using as little memory as the file is small.
 fn bomb(width: u32, height: u32) -> Vec<u8> {
     let mut out = Vec::new();
     write_black(&mut out, width, height);

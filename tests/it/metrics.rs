@@ -1,5 +1,5 @@
-//! Figures for Prometheus: an independent parser takes them, their terms are those of `status`, they name nobody, and
-//! strangers cannot wear the listener out.
+//! Figures for Prometheus: an independent parser accepts them, their terms are those of `status`, they name nobody, and
+//! strangers cannot exhaust the listener.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -18,7 +18,7 @@ use support::{Home, count, free_port, is_verified, skipped, system_program, wait
 const TOPIC: &str = "/robot1/odom";
 const GET: &[u8] = b"GET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n";
 
-/// What a connection answers to `GET /metrics`.
+/// A connection's answer to `GET /metrics`.
 fn asked(mut stream: impl std::io::Read + std::io::Write) -> String {
     stream.write_all(GET).expect("asked");
     let mut told = String::new();
@@ -75,7 +75,7 @@ fn figures_of_a_site_are_those_of_status_and_promtool_takes_them() {
     assert!(authros.records(&["uploads", "list"]).iter().all(is_verified));
     let status = authros.json(&["status"]);
     let life = &status["life"];
-    // What was read is given out again for a second.
+    // Results are cached for a second.
     let told = wait_until(30, "the figures of the capture", || {
         figures(port).filter(|told| value(told, "authros_records_captured_total{") >= 5.0)
     });
@@ -110,7 +110,7 @@ fn figures_of_a_site_are_those_of_status_and_promtool_takes_them() {
         assert!(!told.to_lowercase().contains(&key), "{key} is in the figures");
     }
     promtool(&["check", "metrics"], &told);
-    // The best of some, so that a busy machine does not decide.
+    // The best of several, so that a busy machine does not decide.
     let best = (0..5).map(|_| {
         std::thread::sleep(Duration::from_millis(1100));
         let begun = Instant::now();
@@ -154,7 +154,7 @@ fn who_holds_connections_or_asks_for_something_else_does_not_keep_the_figures_fr
         [&b"GET /metrics HTTP/1.1\r\nHost: evil.example\r\n\r\n"[..], b"POST /metrics HTTP/1.1\r\n\r\n", &[b'x'; 9000]]
     {
         let mut stream = TcpStream::connect(("127.0.0.1", port)).expect("connected");
-        // It may be refused before all of it was taken.
+        // It may be refused before all of it was accepted.
         drop(stream.write_all(request));
         let mut told = Vec::new();
         drop(stream.read_to_end(&mut told));

@@ -1,4 +1,4 @@
-//! Node forging on a real roscore: whoever is not the pinned publisher raises an alarm, and nothing of it is anchored.
+//! Node forging on a real roscore: anyone but the pinned publisher raises an alarm, and nothing of theirs is anchored.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -9,7 +9,7 @@ use support::{Authros, Home, Roscore, Running, count, heavy, is_verified, list, 
 const NO_ROS: &str = "no roscore, rosbag and rostopic in /usr/bin";
 const TOPIC: &str = "/words";
 const MD5: &str = "992ce8a1687cec8c8bd883ec73ca41d1";
-/// What the pinned publisher says, and what the others say: told apart by their lengths.
+/// The messages of the pinned publisher, and those of the others: distinguished by their lengths.
 const GOOD: (&str, u64) = ("good", 8);
 const FORGED: (&str, u64) = ("forged", 10);
 
@@ -55,7 +55,7 @@ impl Scene {
         list(&self.authros.json(&["topics", "pins", "--topic", TOPIC]), "alarms")
     }
 
-    /// Waits for an alarm of this kind; it is told, and marked on the topic.
+    /// Waits for an alarm of this kind; it is reported, and marked on the topic.
     fn wait_for_alarm(&self, reason: &str) -> Value {
         let of_kind = || self.alarms().into_iter().find(|alarm| alarm["reason"] == reason);
         let alarm = poll(60, of_kind).unwrap_or_else(|| panic!("no alarm '{reason}': {:?}", self.alarms()));
@@ -65,7 +65,7 @@ impl Scene {
     }
 
     /// No message of a forger has ever been on the way to the chain, and every one of the pinned publisher is verified.
-    /// The pinned publisher ends first: while it goes on there is always one on the way.
+    /// The pinned publisher ends first: while it continues there is always one on the way.
     fn expect_clean(&mut self) {
         self.pinned = None;
         let forged = self.of(FORGED.1);
@@ -104,7 +104,7 @@ fn a_second_publisher_is_quarantined_and_the_operator_decides() {
     scene.expect_clean();
     let forged = scene.of(FORGED.1);
 
-    // The tag is in the sealed head, and nobody but the owner is shown what is held back.
+    // The tag is in the sealed head, and only the owner is shown what is quarantined.
     let opened = scene.authros.json(&["shared", "open", &forged[0].0]);
     let tags = list(&opened, "tags");
     assert!(tags.iter().any(|tag| tag[0] == "quarantined" && tag[1] == "new"), "{opened}");
@@ -135,14 +135,14 @@ fn a_second_publisher_is_quarantined_and_the_operator_decides() {
     scene.authros.fails(6, &["shared", "open", discarded]);
     scene.authros.fails(3, &["quarantine", "release", discarded]);
 
-    // The rest of the topic at once; the alarm is seen.
+    // The rest of the topic at once; the alarm is acknowledged.
     let decided = scene.authros.json(&["quarantine", "discard", "--topic", TOPIC, "--yes"]);
     assert_eq!(count(&decided, "messages"), forged.len() as u64 - 2);
     assert!(scene.alarms().iter().all(|alarm| alarm["open"] == false));
     assert_eq!(count(&scene.held(), "messages"), 0);
     let dropped = scene.of(FORGED.1).iter().filter(|(_, state)| state == "dropped").count();
     assert_eq!(dropped, forged.len() - 1);
-    // The quarantine records count all that was held, and are anchored like data.
+    // The quarantine records count everything quarantined, and are anchored like data.
     let reports = || scene.authros.records(&["uploads", "list", "--kind", "quarantine"]);
     let anchored = || (!reports().is_empty() && reports().iter().all(is_verified)).then_some(());
     assert!(poll(60, anchored).is_some(), "{:?}", reports());
@@ -152,7 +152,7 @@ fn a_second_publisher_is_quarantined_and_the_operator_decides() {
 fn a_node_that_takes_the_pinned_ones_name_is_quarantined() {
     let _alone = heavy();
     let Some(mut scene) = Scene::open() else { skipped!(NO_ROS) };
-    // The master ends the elder of two nodes of one name, so this is all it takes in ROS 1.
+    // The master shuts down the older of two nodes with the same name, so this is all it takes in ROS 1.
     let _forger = scene.roscore.publish_as("driver", TOPIC, FORGED.0, 20);
     scene.wait_for(FORGED.1, "quarantined", 10);
     let alarm = scene.wait_for_alarm("replaced");
@@ -160,7 +160,7 @@ fn a_node_that_takes_the_pinned_ones_name_is_quarantined() {
     let mut pinned = scene.pinned.take().expect("it was there");
     assert!(poll(30, || (!pinned.is_running()).then_some(())).is_some(), "the master ended it");
     scene.expect_clean();
-    // Nobody can tell who comes next under this name: held back too, until the operator decides.
+    // Nobody can tell who comes next under this name: quarantined too, until the operator decides.
     scene.authros.run(&["topics", "pin", TOPIC]).expect_code(0);
     assert!(scene.alarms().is_empty());
     scene.wait_for(FORGED.1, "verified", 5);
@@ -186,7 +186,7 @@ fn a_restarted_node_is_accepted() {
 fn a_raw_publisher_update_is_an_alarm_and_no_connection() {
     let _alone = heavy();
     let Some(mut scene) = Scene::open() else { skipped!(NO_ROS) };
-    // A real publisher of the topic, known to another master only.
+    // A real publisher of the topic, known only to another master.
     let elsewhere = Roscore::start().expect("a second roscore");
     let forger = elsewhere.publish_as("driver", TOPIC, FORGED.0, 20);
     let uri = elsewhere.uri_of("/driver");

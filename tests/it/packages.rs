@@ -1,5 +1,5 @@
-//! What is installed: packed twice it is the same to the byte, and holds what its manual says. The program's own bytes are
-//! not looked at here: `packaging/build` makes them, and takes minutes.
+//! The installed packages: packed twice they are identical to the byte, and hold what the manual says. The program's
+//! own bytes are not checked here: `packaging/build` makes them, and takes minutes.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::path::{Path, PathBuf};
@@ -83,7 +83,7 @@ fn every_library_of_the_program_is_in_the_list_with_the_checksum_of_the_lock_fil
     for expected in ["revm", "ethers", "rusqlite", "ratatui", "libsm"] {
         assert!(components.iter().any(|one| text(one, "name") == expected), "no {expected}");
     }
-    // Neither what only tests it nor our own crates.
+    // Neither test-only dependencies nor our own crates.
     for foreign in ["divan", "proptest", "authros-model"] {
         assert!(components.iter().all(|one| text(one, "name") != foreign), "{foreign}");
     }

@@ -1,5 +1,5 @@
-//! Where things lie: data, settings and console memory each in the user's folder for them, an old home goes on as it is,
-//! and a back-up brings all of it back.
+//! Where things are stored: data, settings and console memory each in the user's folder for them, an old home continues
+//! as it is, and a backup restores all of it.
 
 use std::fs;
 use std::path::Path;
@@ -38,7 +38,7 @@ fn the_ledger_lies_with_the_data_and_settings_lie_apart() {
     assert_eq!(source_of_robots(&authros), "config.toml line 1");
     authros.run(&["identity", "create"]).expect_code(0);
     assert!(is_there(&user, &format!("{DATA}/ledger.db")) && !is_there(&user, &format!("{DATA}/config.toml")));
-    // Each variable moves its folder alone.
+    // Each variable moves only its folder.
     write(&user, "c/authros/config.toml", "\nrobots = 0\n");
     let place = |name: &str| user.root().join(name).to_str().expect("UTF-8").to_owned();
     let moved = authros.with_variable("XDG_CONFIG_HOME", &place("c"));

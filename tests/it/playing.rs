@@ -1,4 +1,4 @@
-//! Shared records in the reader's own ROS: what a real recorder hears there, when it ends, and what is never played.
+//! Shared records in the reader's own ROS: what a real recorder receives there, when it ends, and what is never played.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -19,7 +19,7 @@ const ODOM: &str = "/robot1/odom";
 const INCOMPLETE: i32 = 8;
 const REFUSED: i32 = 5;
 
-/// Per topic what a bag holds of it: type, md5sum, definition and bytes, in its order.
+/// The content of a bag per topic: type, md5sum, definition and bytes, in order.
 fn messages(bag: &Path, topic: &str) -> Vec<Value> {
     let all = list_bag(bag).into_iter().filter(|entry| entry[0] == topic);
     all.map(|entry| Value::from(vec![entry[1].clone(), entry[2].clone(), entry[4].clone(), entry[6].clone()])).collect()
@@ -34,7 +34,7 @@ fn expect_same(recorded: &Path, original: &Path, times: usize) {
     }
 }
 
-/// A site at one graph with two profiles, of which the first watches the topics.
+/// A site on one graph with two profiles, of which the first watches the topics.
 struct Plant {
     home: Home,
     _site: Running,
@@ -57,7 +57,7 @@ fn plant(robot: &Roscore) -> Plant {
 
 /// Plays the bag at the robot until all of it is verified for the `times`-th time.
 fn drive(robot: &Roscore, plant: &Plant, bag: &Path, times: usize) {
-    // Another name would be another publisher than the pinned one, and be held back.
+    // Another name would be another publisher than the pinned one, and be quarantined.
     robot.play_as("robot", bag, 2).wait(120).expect_code(0);
     let expected = list_bag(bag).len() * times;
     wait_until(120, "all is verified", || {
@@ -131,7 +131,7 @@ fn what_is_played_live_ends_with_the_grant_and_late_subscribers_get_what_was_lat
     let played = player.wait(60).expect_code(REFUSED).document();
     assert_eq!((&played["ended_by"], count(&played, "refused")), (&"revoked".into(), 0), "{played}");
     assert_eq!(reader.publishers(LATCHED), "", "nobody publishes it any more");
-    // What comes after the revoke is never heard.
+    // What comes after the revoke is never received.
     drive(&robot, &plant, &bag, 3);
     recorder.stop("INT", 60);
     for topic in ["/odom", "/words"] {

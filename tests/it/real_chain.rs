@@ -1,4 +1,4 @@
-//! Against a real Ethereum node: three ways to speak with it, its usual gas price, and a restart in between.
+//! With a real Ethereum node: three ways of connecting, its usual gas price, and a restart in between.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -12,7 +12,7 @@ const TOPIC: &str = "/robot1/odom";
 
 /// A profile with ether of its own, registered on the node.
 fn funded(home: &Home, node: &Anvil, url: &str) -> Authros {
-    // One by one, so that each digest is in a log; batches meet anvil in tests/it/chain_faults.
+    // One by one, so that each digest is in a log; batches are tested with anvil in tests/it/chain_faults.
     let authros = home.authros().with(&["--chain", url, "--robots", "1", "--anchor-mode", "each"]);
     let made = authros.json(&["identity", "create"]);
     node.fund(&text(&made, "address"));
@@ -111,7 +111,7 @@ fn an_account_with_too_little_ether_is_told_so() {
     let home = Home::new();
     let authros = home.authros().with(&["--chain", &node.http(), "--robots", "0"]);
     let address = text(&authros.json(&["identity", "create"]), "address");
-    // One wei: a development node gives only to an account that holds nothing.
+    // One wei: a development node gives ether only to an account that holds nothing.
     node.call("anvil_setBalance", &json!([address, "0x1"]));
     let message = authros.fails(5, &["register"]);
     assert!(message.contains("ether"), "{message}");

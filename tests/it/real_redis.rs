@@ -1,4 +1,4 @@
-//! Against a real Redis: ciphertext lies there, names do not, and one that forgets by itself is refused.
+//! With a real Redis: it stores ciphertext but no names, and one that evicts is refused.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;

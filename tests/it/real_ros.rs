@@ -1,4 +1,4 @@
-//! Against the distribution's own ROS: a recorded robot captured message by message, late publishers, a new master.
+//! With the distribution's own ROS: a recorded robot captured message by message, late publishers, a new master.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -33,7 +33,7 @@ const FIELDS: [&str; 12] = [
     "twist.covariance.0",
 ];
 
-/// As [`at`], with numbers for places in arrays.
+/// Like [`at`], with numbers as indices of arrays.
 fn field(message: &Value, path: &str) -> f64 {
     let pointer = format!("/{}", path.replace('.', "/"));
     message.pointer(&pointer).and_then(Value::as_f64).unwrap_or_else(|| panic!("no number '{path}' in {message}"))
@@ -48,7 +48,7 @@ fn by_seq(mut records: Vec<Value>) -> Vec<Value> {
     records
 }
 
-/// Plays the bag at a rate, captures for some seconds, and holds the result against the bag itself.
+/// Plays the bag at a rate, captures for a few seconds, and compares the result with the bag itself.
 fn expect_the_bag(bag: &Path, roscore: &Roscore, rate: u32, seconds: u32) {
     let home = Home::new();
     let _site = home.authros().with(&["--ros-master", &roscore.uri()]).serve(&home);
@@ -58,7 +58,7 @@ fn expect_the_bag(bag: &Path, roscore: &Roscore, rate: u32, seconds: u32) {
     let duration = format!("{seconds}s");
     let capture = ["capture", "--topic", ODOMETRY, "--topic", INERTIA, "--for", &duration];
     let capture = alice.with(&["--json"]).spawn(&capture);
-    // Nobody publishes yet: the topics are waited for.
+    // Nobody publishes yet: capture waits for the topics.
     let player = roscore.play(bag, rate);
     player.wait(u64::from(seconds)).expect_code(0);
     let summary = capture.wait(u64::from(seconds) + 240).expect_code(0).document();

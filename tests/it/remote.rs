@@ -1,4 +1,4 @@
-//! An operator who runs no chain client: joins a site on another home through its gateway, registers, reads what is
+//! An operator without a chain client: joins a site on another home through its gateway, registers, reads what is
 //! shared, and is cut off by a revoke.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
@@ -60,7 +60,7 @@ fn an_operator_without_a_chain_client_reads_what_is_shared_until_the_revoke() {
     let away = Home::new();
     let bob = gate.joined(&away, "bob");
     let address = bob.enrol();
-    // Who may use a gateway is its keeper's choice; reading the chain and registering is everybody's.
+    // Who may use a gateway is its keeper's choice; anyone may read the chain and register.
     let refused = bob.fails(REFUSED, &["shared", "list"]);
     assert!(refused.contains("admit"), "{refused}");
     assert!(list(&gate.alice.json(&["gateway", "admitted"]), "admitted").is_empty());
@@ -94,7 +94,7 @@ fn an_operator_without_a_chain_client_reads_what_is_shared_until_the_revoke() {
         assert_eq!((&opened["message"], &opened["tags"]), (&at_home["message"], &at_home["tags"]));
     }
 
-    // Live: a site that runs gets what is captured without being asked.
+    // Live: a running site gets what is captured without asking.
     let site = bob.serve(&away);
     gate.alice.capture(&["/robot1/odom"], 3);
     let all = ids(&gate.alice.records(&["uploads", "list"]));
@@ -129,7 +129,7 @@ fn only_the_gateway_whose_key_was_told_is_joined() {
     assert!(message.contains("not the pinned gateway") && message.contains(&wrong), "{message}");
     let unnamed = away.profile("bob").with(&["--site", &gate.address]).fails(REFUSED, &["register"]);
     assert!(unnamed.contains(&gate.fingerprint) && unnamed.contains("compare"), "{unnamed}");
-    // By explicit wish; from then on it is pinned.
+    // On explicit request; from then on it is pinned.
     let bob = away.profile("bob").with(&["--site", &gate.address]);
     bob.with(&["--trust-first"]).enrol();
     assert_eq!(bob.json(&["identity", "show"])["registered"], true);
@@ -234,7 +234,7 @@ fn a_live_subscriber_is_cut_by_the_revokes_block() {
     let (before, after) = (at.saturating_duration_since(cut), cut.saturating_duration_since(at));
     println!("revoke in block {block}: cut {after:?} after the block was seen here, or {before:?} before");
     println!("{} records before the cut, {late} of them arrived after the block was seen here", received.len());
-    // What was captured meanwhile is with its owner.
+    // What was captured meanwhile has reached its owner.
     let records = poll(60, || {
         let records = gate.alice.records(&["uploads", "list"]);
         records.iter().any(|record| record["epoch"] == 2).then_some(records)

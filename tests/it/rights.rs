@@ -1,5 +1,5 @@
-//! Who may sign, as the program lives it: what a suspension or the end of a loan holds back, is kept, and goes on by itself;
-//! evidence of robots is checked where there are no keys.
+//! Who may sign, in the program's practice: what a suspension or the end of a loan holds back, is kept, and continues
+//! by itself; evidence of robots is checked where there are no keys.
 
 use serde_json::Value;
 
@@ -109,7 +109,7 @@ fn a_robots_record_is_evidence_for_whoever_has_neither_home_nor_keys() {
     let found = stranger.run(&[&arguments[..], &["--json"]].concat()).expect_code(0).document();
     assert!(list(&found, "steps").iter().all(|step| step["ok"] == true), "{found}");
     assert!(!nobody.path().exists(), "no home was made");
-    // What was anchored while the loan ran stays evidence when it has been taken back.
+    // What was anchored during the loan stays evidence after it has ended.
     alice.json(&["devices", "recall", &device]);
     stranger.run(&arguments).expect_code(0);
     chain.stop("INT", 30);

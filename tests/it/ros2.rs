@@ -1,5 +1,5 @@
-//! Recordings of ROS 2: a foreign one is imported, its messages are looked at, and it comes out as it went in.
-//! `tests/peers/ros2_messages.py` made it with mcap-ros2-support and rosbags.
+//! ROS 2 recordings: a foreign one is imported, its messages are viewed, and it is exported unchanged.
+//! `tests/peers/ros2_messages.py` generated it with mcap-ros2-support and rosbags.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -14,7 +14,7 @@ use authros::ros::recording::RecordedMessage;
 use serde_json::{Value, json};
 use support::{Authros, Home, count, heavy, list, text};
 
-/// The exit code of an input that cannot be used.
+/// The exit code for an invalid input.
 const INPUT: i32 = 3;
 
 fn recording() -> PathBuf {
@@ -69,7 +69,7 @@ fn messages_of_ros_2_are_looked_at_like_those_of_ros_1() {
     assert_eq!(opened["/latched"]["message"], json!({"data": "kept /latched"}));
     assert!(opened.values().all(|view| view["topic"] == "/idl" || view["note"].is_null()), "{opened:?}");
 
-    // The picture and the matrix are those that were written: bytes 0, 1, 2 ... of 251.
+    // The picture and the matrix are unchanged: bytes 0, 1, 2 ... of 251.
     let id = text(&opened["/camera"], "id");
     let numbers: Vec<u8> = (0..288_u32).map(|number| u8::try_from(number % 251).expect("a byte")).collect();
     let matrix = home.root().join("camera.npy");
@@ -90,7 +90,7 @@ fn messages_of_ros_2_are_looked_at_like_those_of_ros_1() {
     comes_out_as_it_went_in(&alice, &home);
 }
 
-/// Topic, times, number, bytes, and what is said of the channel.
+/// Topic, times, number, bytes, and the channel's metadata.
 fn read(path: &Path) -> Vec<RecordedMessage> {
     let mut reader = McapReader::open(BufReader::new(File::open(path).expect("a file"))).expect("MCAP");
     let mut messages = Vec::new();
@@ -138,7 +138,7 @@ fn what_a_recording_describes_in_idl_is_read_by_the_definitions_of_this_machine(
     let view = there.json(&["shared", "open", &id]);
     assert_eq!(view["message"], json!({"data": "kept /idl"}), "{view}");
     assert!(text(&view, "note").contains("its type hash is that of the recording"), "{view}");
-    // Another definition of that name is not taken for it.
+    // Another definition with that name is not accepted for it.
     fs::write(share.join("String.msg"), "string<=5 data\n").expect("written");
     let view = there.json(&["shared", "open", &id]);
     assert!(list(&view, "fields").is_empty() && text(&view, "note").contains("has the hash RIHS01_"), "{view}");

@@ -1,5 +1,5 @@
-//! A site in one file: what is dumped from one home makes another one behave alike, and nothing is in it that nobody
-//! else may read.
+//! A site in one file: a dump from one home makes another one behave the same, and contains nothing that others may not
+//! read.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::alerts::Webhook;
@@ -87,7 +87,7 @@ fn a_site_is_dumped_and_another_home_behaves_alike() {
     assert_eq!(fs::read_to_string(&config).expect("the settings"), written);
     other.run(&["config", "apply", &file, "--check"]).expect_code(0);
 
-    // It watches, samples, tags, deletes and tells as the first one would.
+    // It watches, samples, tags, deletes and alerts like the first one.
     let site = other.serve(&second);
     wait_until(60, "a disk alert at the webhook", || webhook.told("begun", "disk").pop());
     wait_until(120, "a watched topic is captured and deleted by its retention", || {
@@ -128,7 +128,7 @@ fn a_file_for_others_holds_no_secret_and_nothing_unknown() {
         let place = format!("site.toml line {line}");
         assert!(message.contains(&place) && !message.contains("hunter2"), "{message}");
     }
-    // Whoever may write a file that names a program could run it as this user.
+    // Anyone who may write a file that names a program could run it as this user.
     let file = home.file("site.toml", "[alerts]\ncommand = [\"/bin/true\"]\n", 0o622);
     assert!(home.authros().fails(INPUT, &["config", "apply", &file]).contains("chmod go-w"));
     home.authros().fails(INPUT, &["config", "apply", "/not/there"]);

@@ -1,4 +1,4 @@
-//! Lost keys: an SM2 key is replaced with its history kept; for a lost account the administrator names who continues.
+//! Lost keys: an SM2 key is replaced with its history kept; for a lost account the administrator names a successor.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -50,7 +50,7 @@ fn administration(authros: &Authros) -> serde_json::Value {
 #[test]
 fn a_lost_account_has_the_successor_that_the_administrator_names_for_all_to_see() {
     let home = Home::new();
-    // A contract of the first revision, where names count at once.
+    // A contract of the first revision, where appointments take effect at once.
     home.authros().with(&["--robots", "0"]).json(&["chain", "deploy", "--revision", "1"]);
     let mut site = home.authros().with(&["--robots", "0"]).serve(&home);
     let [admin, lost, heir] = ["admin", "lost", "heir"].map(|name| home.profile(name));

@@ -1,4 +1,4 @@
-//! The systemd units: systemd finds nothing wrong with them, and their commands are ones that the program takes.
+//! The systemd units: systemd finds no fault with them, and the program accepts their commands.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -39,7 +39,7 @@ fn their_commands_are_known_and_no_secret_is_in_them() {
         assert!(line.contains("--passphrase-file ${CREDENTIALS_DIRECTORY}/passphrase"), "{line}");
         let home = Home::new();
         let arguments: Vec<&str> = line.split(' ').filter(|word| *word != "$AGENT_ARGUMENTS").collect();
-        // Known to the parser: it fails later, at the file that is not there.
+        // Known to the parser: it fails later, at the missing file.
         let outcome = authros(&home).run(&arguments).expect_code(3);
         assert!(outcome.stderr.contains("passphrase cannot be read"), "{outcome}");
     }

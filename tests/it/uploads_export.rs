@@ -1,4 +1,4 @@
-//! An exported record is checked by OpenSSL alone: its digest, its signer, its signature.
+//! An exported record is checked with OpenSSL alone: its digest, its signer, its signature.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -12,7 +12,7 @@ use support::member::Member;
 use support::process::output_of;
 use support::{Home, Outcome, Running, hex, list, skipped, system_program, text, unhex};
 
-/// What is signed: this label, the domain, the digest.
+/// The signed bytes: this label, the domain, the digest.
 const LABEL: &[u8] = b"AuthROS/signature/1";
 
 struct Exported {
@@ -66,7 +66,7 @@ impl Exported {
     }
 }
 
-/// OpenSSL reads signatures as DER; a raw r || s of 64 bytes is written that way first.
+/// OpenSSL reads signatures as DER; a raw r || s of 64 bytes is converted first.
 fn der(signature: &[u8]) -> Vec<u8> {
     if signature.len() != 64 {
         return signature.to_vec();

@@ -1,4 +1,4 @@
-//! A real Ethereum node (anvil), with the few calls the tests make to it themselves.
+//! A real Ethereum node (anvil), with the few calls the tests make to it directly.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -26,7 +26,7 @@ pub struct Anvil {
 }
 
 impl Anvil {
-    /// Starts one; `None` where it is not installed.
+    /// Starts one; `None` if it is not installed.
     pub fn start(arguments: &[&str]) -> Option<Self> {
         let directory = tempfile::Builder::new().prefix("anvil").tempdir().expect("a temporary directory");
         Self::start_at(0, directory, arguments)
@@ -45,7 +45,7 @@ impl Anvil {
         Some(Self { node, port, directory })
     }
 
-    /// Kills it, which it does not survive with anything, and starts an empty one on the same port.
+    /// Kills it, which loses all its state, and starts an empty one on the same port.
     pub fn kill_and_start_empty(self, arguments: &[&str]) -> Self {
         self.node.stop("KILL", 10);
         drop(self.directory);
@@ -53,7 +53,7 @@ impl Anvil {
         Self::start_at(self.port, directory, arguments).expect("it was there before")
     }
 
-    /// Asks it to end, and starts it on the same port after `meanwhile`.
+    /// Asks it to stop, and starts it on the same port after `meanwhile`.
     pub fn end_and_start_again(self, arguments: &[&str], meanwhile: impl FnOnce()) -> Self {
         self.node.stop("INT", 30);
         meanwhile();
@@ -90,7 +90,7 @@ impl Anvil {
         self.set_balance(address, "0x56bc75e2d63100000");
     }
 
-    /// Gives an account exactly so much, wei in hex.
+    /// Sets an account's balance, wei in hex.
     pub fn set_balance(&self, address: &str, wei: &str) {
         self.call("anvil_setBalance", &json!([address, wei]));
     }
@@ -112,34 +112,34 @@ impl Anvil {
         number(&self.call("eth_blockNumber", &json!([])))
     }
 
-    /// Puts so many blocks on the chain now.
+    /// Mines this many blocks now.
     pub fn mine(&self, blocks: u64) {
         self.call("anvil_mine", &json!([format!("{blocks:#x}")]));
     }
 
-    /// One block every so many seconds from now on; 0 = none by itself.
+    /// One block every this many seconds from now on; 0 = none automatically.
     pub fn set_interval(&self, seconds: u64) {
         self.call("evm_setIntervalMining", &json!([seconds]));
     }
 
-    /// Replaces the newest blocks by as many empty ones; their transactions are gone from the node.
+    /// Replaces the newest blocks by as many empty ones; the node loses their transactions.
     pub fn reorganise(&self, depth: u64) {
         self.call("anvil_reorg", &json!([depth, []]));
     }
 
-    /// How many transactions wait for a block, those behind a gap too.
+    /// How many transactions are pending, including those behind a gap.
     pub fn waiting(&self) -> u64 {
         let status = self.call("txpool_status", &json!([]));
         number(&status["pending"]) + number(&status["queued"])
     }
 
-    /// Waits until at least so many transactions wait for a block.
+    /// Waits until at least this many transactions are pending.
     pub fn expect_waiting(&self, least: u64) {
         let enough = poll(60, || (self.waiting() >= least).then_some(()));
         assert!(enough.is_some(), "{} transactions wait at the node, not {least}", self.waiting());
     }
 
-    /// Forgets every transaction that waits for a block.
+    /// Drops every pending transaction.
     pub fn drop_waiting(&self) {
         self.call("anvil_dropAllTransactions", &json!([]));
     }

@@ -1,4 +1,4 @@
-//! The program under test, run as a user runs it: own home, no terminal, no inherited settings.
+//! The program under test, run as by a user: its own home, no terminal, no inherited settings.
 
 use std::fs;
 use std::os::unix::fs::FileTypeExt;
@@ -20,7 +20,7 @@ fn program_under_test() -> PathBuf {
     std::env::var_os("AUTHROS_TEST_BINARY").map_or_else(|| env!("CARGO_BIN_EXE_authros").into(), PathBuf::from)
 }
 
-/// A fresh machine account: an empty `HOME` and a home of AuthROS in it that does not exist yet.
+/// A fresh user account: an empty `HOME`, and in it the path of an AuthROS home that does not exist yet.
 #[derive(Debug)]
 pub struct Home {
     directory: TempDir,
@@ -32,12 +32,12 @@ impl Home {
         Self { directory: tempfile::Builder::new().prefix("authros").tempdir().expect("a temporary directory") }
     }
 
-    /// What `HOME` is.
+    /// The value of `HOME`.
     pub fn root(&self) -> &Path {
         self.directory.path()
     }
 
-    /// What `--home` is.
+    /// The value of `--home`.
     pub fn path(&self) -> PathBuf {
         self.root().join("site")
     }
@@ -59,7 +59,7 @@ impl Home {
             root: self.root().to_owned(),
             prefix: Vec::new(),
             options: vec!["--home".into(), site.to_str().expect("UTF-8").to_owned()],
-            // Records that the site states in between would be counted by tests that are not about them.
+            // Records that the site states on its own would be counted by tests that are not about them.
             environment: vec![("AUTHROS_AUDIT_ANCHOR_EVERY".to_owned(), "86400".to_owned())],
         }
     }
@@ -69,7 +69,7 @@ impl Home {
         self.authros().with(&["--profile", name])
     }
 
-    /// The site's socket, once one accepts.
+    /// The site's socket, once it accepts connections.
     pub fn socket(&self) -> Option<PathBuf> {
         let is_open = |path: &PathBuf| is_socket(path) && UnixStream::connect(path).is_ok();
         files_below(&self.path()).into_iter().find(is_open)
@@ -98,13 +98,13 @@ pub struct Authros {
 }
 
 impl Authros {
-    /// In a `HOME` and without `--home`.
+    /// With this `HOME` and without `--home`.
     pub fn bare(root: &Path) -> Self {
         let program = program_under_test();
         Self { program, root: root.to_owned(), prefix: Vec::new(), options: Vec::new(), environment: Vec::new() }
     }
 
-    /// The same with more options, given behind every command's own.
+    /// The same with more options, given after every command's own.
     pub fn with(&self, options: &[&str]) -> Self {
         let mut more = self.clone();
         more.options.extend(options.iter().map(|&option| option.to_owned()));
@@ -116,7 +116,7 @@ impl Authros {
         Self { program: program.to_owned(), ..self.clone() }
     }
 
-    /// The same with arguments before every command's own: for a program that runs another one.
+    /// The same with arguments before every command's own, for a program that runs another one.
     pub fn with_prefix(&self, arguments: &[&str]) -> Self {
         Self { prefix: arguments.iter().map(|&argument| argument.to_owned()).collect(), ..self.clone() }
     }
@@ -165,8 +165,8 @@ impl Authros {
         self.spawn(arguments).wait(LIMIT)
     }
 
-    /// Runs a command that must succeed, with `--json`. What `status` tells it also tells by its exit code, 4 and 6
-    /// included: a test that wants to know runs it itself.
+    /// Runs a command that must succeed, with `--json`. `status` also reports through its exit code, so 4 and 6 are
+    /// allowed: a test that checks the code runs it itself.
     pub fn json(&self, arguments: &[&str]) -> Value {
         let outcome = self.with(&["--json"]).run(arguments);
         let tells = arguments == ["status"] && matches!(outcome.code, Some(4 | 6));
@@ -178,7 +178,7 @@ impl Authros {
         self.with(&["--json"]).spawn(arguments).wait(seconds).expect_code(0).document()
     }
 
-    /// Runs a command that must fail with `code`, as text and with `--json`; gives the message.
+    /// Runs a command that must fail with `code`, as text and with `--json`; returns the message.
     pub fn fails(&self, code: i32, arguments: &[&str]) -> String {
         let outcome = self.with(&["--json"]).run(arguments).expect_code(code);
         let error = &outcome.document()["error"];
@@ -197,14 +197,14 @@ impl Authros {
         assert!(told && !shown, "{outcome}");
     }
 
-    /// Registers the profile, whose identity is made where there is none; gives its address.
+    /// Registers the profile, whose identity is created if there is none; returns its address.
     pub fn enrol(&self) -> String {
         let registered = self.json(&["register"]);
         assert_eq!(registered["registered"], true, "{registered}");
         text(&registered, "address")
     }
 
-    /// Starts a site, whose own profile is then registered, and waits until it says that it serves.
+    /// Starts a site, whose own profile is then registered, and waits until it reports that it serves.
     pub fn serve(&self, home: &Home) -> Running {
         let mut site = self.spawn(&["serve"]);
         site.wait_for_text("serving", 60);

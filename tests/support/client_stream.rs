@@ -1,17 +1,17 @@
-//! A line to a gateway that keeps what the client sends, connection by connection, so that it can be replayed.
+//! A connection to a gateway that records what the client sends, so that it can be replayed.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Passes bytes on and keeps what the client sent.
+/// Forwards bytes and records what the client sent.
 pub struct Recorder {
     pub address: String,
     streams: Arc<Mutex<Vec<Vec<u8>>>>,
 }
 
 impl Recorder {
-    /// One before a gateway.
+    /// One in front of a gateway.
     pub fn before(upstream: &str) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         let address = listener.local_addr().expect("an address").to_string();

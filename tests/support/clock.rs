@@ -1,4 +1,4 @@
-//! Commands under another clock, where libfaketime is installed.
+//! Commands under another clock, if libfaketime is installed.
 
 use std::path::PathBuf;
 
@@ -10,13 +10,13 @@ pub fn faketime() -> Option<PathBuf> {
     places.iter().map(|place| PathBuf::from(place).join("faketime/libfaketimeMT.so.1")).find(|path| path.exists())
 }
 
-/// The same program by a clock that is so many days ahead; `None` where libfaketime is not installed.
+/// The same program with a clock that is this many days ahead; `None` if libfaketime is not installed.
 pub fn days_ahead(authros: &Authros, days: u32) -> Option<Authros> {
     let library = faketime()?;
     let shifted = authros
         .with_variable("LD_PRELOAD", library.to_str().expect("UTF-8"))
         .with_variable("FAKETIME", &format!("+{days}d"))
-        // As a real clock that is set: what counts durations goes on.
+        // As when a real clock is set: durations are not affected.
         .with_variable("FAKETIME_DONT_FAKE_MONOTONIC", "1")
         .with_variable("DONT_FAKE_MONOTONIC", "1");
     Some(shifted)

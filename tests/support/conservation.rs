@@ -1,5 +1,5 @@
-//! An observer who joins a home's site whenever there is one: asserts the conservation law of its life line, notes
-//! which records were acknowledged and when, and how the background tasks were.
+//! An observer that joins a home's site whenever there is one: asserts the conservation law, and notes which records
+//! were acknowledged and when, and the state of the background tasks.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -14,33 +14,33 @@ use authros::service::command::{ListUploads, SiteStatus};
 use authros::service::reply::{LifeLine, SiteView};
 use authros::service::{Client, UploadQuery, socket};
 
-/// Between two looks.
+/// The time between observations.
 const LOOK: Duration = Duration::from_millis(100);
 /// How long a site may take to answer before it counts as gone.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// Records looked at, the newest ones.
+/// The most records examined, the newest ones.
 const NEWEST: usize = 300;
 
-/// What was seen so far.
+/// Observations so far.
 #[derive(Debug, Default)]
 pub struct Seen {
     /// Acknowledged records by digest: topic and number.
     pub noted: BTreeMap<String, (String, u64)>,
-    /// When a record was noted that had been captured later than every other.
+    /// When a record was noted that had been captured later than all others.
     pub newest: Option<(u64, Instant)>,
-    /// The last life line.
+    /// The last counts by state.
     pub life: Option<LifeLine>,
-    /// Looks at which the law held.
+    /// Observations in which the law held.
     pub looks: u64,
-    /// How often each task was begun again, at most, by its name.
+    /// The most restarts of each task, by its name.
     pub restarts: BTreeMap<String, u64>,
-    /// Names of tasks that ran at the last look.
+    /// Names of tasks that ran at the last observation.
     pub running: BTreeSet<String>,
-    /// What broke the law, in words.
+    /// Violations of the law, in words.
     pub broken: Vec<String>,
 }
 
-/// The observer's thread; the law is asserted when it is told to finish.
+/// The observer's thread; the law is asserted when it finishes.
 #[derive(Debug)]
 pub struct Conservation {
     seen: Arc<Mutex<Seen>>,
@@ -53,7 +53,7 @@ fn lock(seen: &Mutex<Seen>) -> MutexGuard<'_, Seen> {
 }
 
 impl Conservation {
-    /// Watches a profile of the home at `path`, from now on and over restarts of its site.
+    /// Watches a profile of the home at `path`, from now on and across restarts of its site.
     pub fn watch(path: &Path, profile: &str) -> Self {
         let (seen, ending) = (Arc::<Mutex<Seen>>::default(), Arc::<AtomicBool>::default());
         let (home, profile) = (Home::new(path.to_owned()), profile.parse().expect("a profile's name"));
@@ -65,17 +65,17 @@ impl Conservation {
         Self { seen, ending, thread: Some(thread) }
     }
 
-    /// What was seen so far.
+    /// Observations so far.
     pub fn seen(&self) -> MutexGuard<'_, Seen> {
         lock(&self.seen)
     }
 
-    /// Waits until a record is noted that was captured after `moment`, nanoseconds since 1970; when that was.
+    /// Waits until a record is noted that was captured after `moment`, nanoseconds since 1970; returns when that was.
     pub fn wait_for_capture_after(&self, moment: u64, seconds: u64) -> Option<Instant> {
         super::poll(seconds, || self.seen().newest.filter(|(at, _)| *at > moment).map(|(_, noted)| noted))
     }
 
-    /// Ends, and fails the test where the law was ever broken, or never looked at.
+    /// Ends, and fails the test if the law was ever violated, or never observed.
     pub fn finish(mut self) -> Seen {
         self.end();
         let seen = std::mem::take(&mut *self.seen());
@@ -103,7 +103,7 @@ async fn observe(home: &Home, profile: &ProfileName, seen: &Mutex<Seen>, ending:
     while !ending.load(Ordering::SeqCst) {
         if client.is_none() {
             client = socket::join(home, profile.clone()).await.ok().flatten().map(|(client, _)| client);
-            // Another run begins: what its counters say may have grown, and never shrunk.
+            // Another run begins: its counters may have grown, but never shrunk.
             lock(seen).running.clear();
         }
         if let Some(joined) = &client
@@ -115,7 +115,7 @@ async fn observe(home: &Home, profile: &ProfileName, seen: &Mutex<Seen>, ending:
     }
 }
 
-/// One look; nothing where the site went away.
+/// One observation; nothing if the site went away.
 async fn look(client: &Client, seen: &Mutex<Seen>) -> Option<()> {
     if let Ok(view) = client.ask(SiteStatus).await {
         hold_to_the_law(&mut lock(seen), view);
@@ -138,7 +138,7 @@ async fn look(client: &Client, seen: &Mutex<Seen>) -> Option<()> {
 
 fn hold_to_the_law(seen: &mut Seen, view: SiteView) {
     let life = view.life;
-    // Before a profile is open its line is empty.
+    // Before a profile is open its counts are empty.
     if view.profiles.is_empty() {
         return;
     }

@@ -1,4 +1,4 @@
-//! The console in a pseudo-terminal, with a terminal emulator that keeps what it shows.
+//! The console in a pseudo-terminal, with a terminal emulator that keeps its screen.
 
 use std::io::{Read, Write};
 use std::num::NonZeroU16;
@@ -20,9 +20,9 @@ pub struct Terminal {
     pub rows: u16,
     /// Columns.
     pub columns: u16,
-    /// What TERM says.
+    /// The value of TERM.
     pub name: &'static str,
-    /// How many bytes a second it takes; as many as come where none is said.
+    /// How many bytes a second it accepts; no limit if not set.
     pub bytes_per_second: Option<u32>,
 }
 
@@ -40,7 +40,7 @@ struct Received {
     kept: Mutex<Vec<u8>>,
 }
 
-/// A console at work; killed when dropped.
+/// A running console; killed on drop.
 pub struct Console {
     child: Box<dyn Child + Send + Sync>,
     pair: PtyPair,
@@ -62,7 +62,7 @@ impl Console {
         Self::run(terminal, &words, &authros.variables())
     }
 
-    /// Runs any program in a terminal, with that environment and no other.
+    /// Runs any program in a terminal, with exactly that environment.
     pub fn run(terminal: &Terminal, words: &[String], variables: &[(String, String)]) -> Self {
         let Terminal { rows, columns, .. } = *terminal;
         let pair = native_pty_system()
@@ -94,7 +94,7 @@ impl Console {
         self.received.bytes.load(Ordering::SeqCst)
     }
 
-    /// All it has sent so far, as it came.
+    /// Everything it has sent so far, unchanged.
     pub fn raw(&self) -> Vec<u8> {
         self.received.kept.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -109,12 +109,12 @@ impl Console {
         matches!(self.child.try_wait(), Ok(None))
     }
 
-    /// What it shows now.
+    /// Its current screen.
     pub fn shown(&self) -> String {
         self.emulator().screen().contents()
     }
 
-    /// Waits until it shows `text`; gives the whole screen.
+    /// Waits until it shows `text`; returns the whole screen.
     pub fn wait_for(&mut self, text: &str, seconds: u64) -> String {
         poll(seconds, || Some(self.shown()).filter(|shown| shown.contains(text))).unwrap_or_else(|| {
             let ended = self.child.try_wait();
@@ -153,7 +153,7 @@ impl Console {
 
     /// Fails the test unless the terminal is as it was before.
     pub fn expect_restored(&self) {
-        // Its last bytes may still be on their way to the emulator when the process has ended.
+        // When the process has ended, its last bytes may still be on their way to the emulator.
         poll(5, || Some(()).filter(|()| !self.emulator().screen().alternate_screen()));
         let emulator = self.emulator();
         let screen = emulator.screen();
@@ -192,11 +192,11 @@ fn modes(master: &dyn MasterPty) -> String {
     format!("{:?}", master.get_termios().expect("the terminal's modes"))
 }
 
-/// Reads what comes, no faster than the terminal takes it, and keeps it.
+/// Reads its output, no faster than the terminal accepts it, and keeps it.
 fn watch(mut source: Box<dyn Read + Send>, received: Arc<Received>, bytes_per_second: Option<u32>) {
     std::thread::spawn(move || {
         let mut buffer = [0; 8192];
-        // Fifty pieces a second, as a slow link brings them.
+        // Fifty pieces a second, as over a slow link.
         let most = bytes_per_second.map_or(buffer.len(), |rate| usize::try_from(rate / 50).unwrap_or(1).max(1));
         while let Ok(length @ 1..) = source.read(&mut buffer[..most]) {
             if let Some(rate) = bytes_per_second {

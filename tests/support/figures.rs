@@ -1,5 +1,5 @@
-//! How a program behaves in a terminal, measured from outside: bytes, times, CPU, what it leaves behind.
-//! The same for `authros`, `htop` and `btop`, so that they can stand side by side.
+//! How a program behaves in a terminal, measured from outside: bytes, times, CPU, what it leaves behind. The same for
+//! `authros`, `htop` and `btop`, so that they can be compared.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ pub struct Subject {
 }
 
 impl Subject {
-    /// The console, with so many simulated robots.
+    /// The console, with this many simulated robots.
     pub fn authros(robots: u32, variables: &[(&str, &str)]) -> Self {
         let home = Home::new();
         let robots = robots.to_string();
@@ -31,14 +31,14 @@ impl Subject {
         Self::of(home, &authros)
     }
 
-    /// The console as it is given.
+    /// The given console.
     pub fn of(home: Home, authros: &Authros) -> Self {
         let program = authros.program().to_str().expect("UTF-8").to_owned();
         let words = [vec![program], authros.arguments(&[])].concat();
         Self { name: "authros", words, variables: authros.variables(), _home: home }
     }
 
-    /// A program of the machine; nothing where it is not installed.
+    /// A program of the machine; nothing if it is not installed.
     pub fn installed(name: &'static str) -> Option<Self> {
         let path = std::env::var("PATH").unwrap_or_default();
         std::env::split_paths(&path).find(|directory| directory.join(name).is_file())?;
@@ -64,7 +64,7 @@ pub struct FirstFrame {
     pub bytes: u64,
 }
 
-/// Starts it and waits for its first frame: a screen more than five lines of which hold text.
+/// Starts it and waits for its first frame: a screen with text on more than five lines.
 pub fn first_frame(subject: &Subject) -> FirstFrame {
     let begin = Instant::now();
     let console = subject.start(&Terminal::of(80, 24));
@@ -77,7 +77,7 @@ pub fn first_frame(subject: &Subject) -> FirstFrame {
     FirstFrame { milliseconds, bytes: whole }
 }
 
-/// What it costs while nobody does anything.
+/// What it costs while idle.
 #[derive(Debug, Clone, Copy)]
 pub struct Idle {
     /// Bytes a second.
@@ -86,7 +86,7 @@ pub struct Idle {
     pub cpu: f64,
 }
 
-/// Waits until it is up, then looks on for so long.
+/// Waits until it is up, then observes it for this long.
 pub fn idle(subject: &Subject, terminal: &Terminal, settle: Duration, watch: Duration) -> Idle {
     let console = subject.start(terminal);
     std::thread::sleep(settle);
@@ -100,8 +100,8 @@ pub fn idle(subject: &Subject, terminal: &Terminal, settle: Duration, watch: Dur
     }
 }
 
-/// Bytes that one press of a cursor key costs, the mean of `presses`; `before` are pressed first, and one more
-/// round is made before the counting begins.
+/// Bytes for one press of a cursor key, the mean of `presses`; `before` are pressed first, and one more round is made
+/// before counting begins.
 pub fn bytes_per_key(subject: &Subject, before: &[&str], keys: &[&str], presses: u32) -> f64 {
     let mut console = subject.start(&Terminal::of(80, 24));
     std::thread::sleep(Duration::from_secs(2));
@@ -121,11 +121,11 @@ pub fn bytes_per_key(subject: &Subject, before: &[&str], keys: &[&str], presses:
     f64::from(u32::try_from(console.bytes() - begin).unwrap_or(u32::MAX)) / f64::from(presses)
 }
 
-/// Seconds from each key to the moment its text stands on a terminal that takes `rate` bytes a second.
+/// Seconds from each key to the moment its text is on a terminal that accepts `rate` bytes a second.
 pub fn key_to_frame(console: &mut Console, keys: &[(&str, &str)]) -> Vec<f64> {
     keys.iter()
         .map(|(key, text)| {
-            // A moment in which data has drawn since the last key.
+            // A moment at which data has been drawn since the last key.
             std::thread::sleep(Duration::from_millis(1500));
             let begin = Instant::now();
             console.press(key);
@@ -136,7 +136,7 @@ pub fn key_to_frame(console: &mut Console, keys: &[(&str, &str)]) -> Vec<f64> {
         .collect()
 }
 
-/// Ends it by a signal: whether the terminal is as it was before.
+/// Ends it by a signal: returns whether the terminal is as it was before.
 pub fn restores(subject: &Subject, name: &str) -> bool {
     let mut console = subject.start(&Terminal::of(80, 24));
     std::thread::sleep(Duration::from_secs(2));
@@ -145,18 +145,18 @@ pub fn restores(subject: &Subject, name: &str) -> bool {
     ended && console.is_restored()
 }
 
-/// How it takes the loss of its terminal.
+/// How it reacts to losing its terminal.
 #[derive(Debug, Clone)]
 pub struct Lost {
-    /// Seconds until its end; nothing where it stays.
+    /// Seconds until its end; nothing if it stays.
     pub ended_after: Option<f64>,
     /// CPU while it was still there, percent.
     pub cpu: f64,
-    /// Its exit code, where it ended.
+    /// Its exit code, if it ended.
     pub code: Option<i32>,
 }
 
-/// Takes the terminal away, with the signal that comes with it (`hung_up`) or without it.
+/// Takes the terminal away, with the accompanying signal (`hung_up`) or without it.
 pub fn lost(subject: &Subject, directory: &Path, hung_up: bool) -> Lost {
     let (running, process) = in_script(subject, directory, hung_up);
     std::thread::sleep(Duration::from_secs(2));
@@ -176,7 +176,7 @@ pub fn lost(subject: &Subject, directory: &Path, hung_up: bool) -> Lost {
     Lost { ended_after, cpu: (last - before) / seconds * 100.0, code: code.filter(|_| ended_after.is_some()) }
 }
 
-/// Runs it in the terminal of `script`, whose end takes the terminal away; gives `script` and the program's id.
+/// Runs it in the terminal of `script`, whose end takes the terminal away; returns `script` and the program's id.
 fn in_script(subject: &Subject, directory: &Path, hung_up: bool) -> (Running, u32) {
     let quoted: Vec<String> = subject.words.iter().map(|word| format!("'{word}'")).collect();
     let (id, code) = (directory.join("id"), directory.join("code"));
@@ -184,7 +184,7 @@ fn in_script(subject: &Subject, directory: &Path, hung_up: bool) -> (Running, u3
         drop(fs::remove_file(file));
     }
     let path = |path: &PathBuf| path.to_str().expect("UTF-8").to_owned();
-    // The shell outlives the terminal to note the exit code. Without a controlling terminal no SIGHUP comes.
+    // The shell outlives the terminal to record the exit code. Without a controlling terminal no SIGHUP is sent.
     let own_session = if hung_up { "" } else { "setsid -w " };
     let inner = format!(
         "trap : HUP; stty rows 24 cols 80; {own_session}sh -c 'echo $$ > \"$0\"; exec \"$@\"' '{}' {}; echo $? > '{}'",
@@ -200,7 +200,7 @@ fn in_script(subject: &Subject, directory: &Path, hung_up: bool) -> (Running, u3
     (running, process)
 }
 
-/// CPU that all threads of a process have used, seconds; 0 where it is gone.
+/// CPU used by all threads of a process, seconds; 0 if it is gone.
 pub fn cpu_seconds(process: u32) -> f64 {
     let threads = fs::read_dir(format!("/proc/{process}/task")).into_iter().flatten().flatten();
     let nanoseconds = |thread: fs::DirEntry| -> Option<f64> {
@@ -227,7 +227,7 @@ fn quiet(console: &Console) {
     });
 }
 
-/// [`poll`] with a finer step, for measuring.
+/// [`poll`] with a finer interval, for measuring.
 fn tight<T>(seconds: u64, mut probe: impl FnMut() -> Option<T>) -> Option<T> {
     let end = Instant::now() + Duration::from_secs(seconds);
     loop {

@@ -1,9 +1,9 @@
-//! A gateway with a home of its own, served by the program.
+//! A gateway with its own home, served by the program.
 
 use super::member::Gateway;
 use super::{Home, Running};
 
-/// A running gateway; it ends with this.
+/// A running gateway; it ends on drop.
 pub struct Gate {
     pub home: Home,
     pub gateway: Gateway,
@@ -17,7 +17,7 @@ impl Gate {
         Self::with("")
     }
 
-    /// The same under settings of its home.
+    /// The same with settings for its home.
     pub fn with(settings: &str) -> Self {
         let home = Home::new();
         std::fs::create_dir_all(home.path()).expect("a home");

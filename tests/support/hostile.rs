@@ -1,6 +1,6 @@
-//! Text that wants to be acted on by a terminal, and the look-out for any of it that got through.
+//! Text that tries to control a terminal, and the check that none of it gets through.
 
-/// Hostile pieces: control sequences of both ends of the range, direction, invisibility, wide and broken things.
+/// Hostile pieces: control sequences from both ends of the range, direction, invisibility, wide and broken characters.
 const PIECES: [&str; 18] = [
     "\u{1b}[2J",
     "\u{1b}]0;owned\u{7}",
@@ -56,8 +56,8 @@ impl Hostile {
     }
 }
 
-/// Where bytes for a terminal hold something that is not the console's own: it writes text, and of control sequences
-/// only moves, looks, clearing and modes.
+/// Where bytes for a terminal contain something that is not the console's own: it writes text, and of control sequences
+/// only movement, styles, clearing and modes.
 pub fn foreign(bytes: &[u8]) -> Option<String> {
     let Ok(text) = std::str::from_utf8(bytes) else { return Some("not UTF-8".to_owned()) };
     let mut rest = text;
@@ -79,7 +79,7 @@ pub fn foreign(bytes: &[u8]) -> Option<String> {
     None
 }
 
-/// What in plain lines (output, JSON, logs) a terminal would act on.
+/// What a terminal would interpret in plain lines (output, JSON, logs).
 pub fn foreign_in_lines(text: &str) -> Option<char> {
     text.chars().find(|character| *character != '\n' && !harmless(*character))
 }

@@ -1,4 +1,4 @@
-//! A profile's keys in the test's own hands: what a second client of the gateway's protocol would have.
+//! A profile's keys in the test's own hands, as a second client of the gateway's protocol would have them.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -16,7 +16,7 @@ use serde_json::Value;
 
 use super::{Home, text};
 
-/// A gateway that a test started, as its JSON tells of it.
+/// A gateway started by a test, as described in its JSON.
 #[derive(Debug, Clone)]
 pub struct Gateway {
     pub address: String,
@@ -56,7 +56,7 @@ pub struct Member {
 }
 
 impl Member {
-    /// Of a profile whose passphrase lies beside its keyring.
+    /// For a profile whose passphrase is stored beside its keyring.
     pub fn of(home: &Home, profile: &str, domain: Domain) -> Self {
         let directory = home.path().join("profiles").join(profile);
         let passphrase = std::fs::read_to_string(directory.join("passphrase")).expect("a passphrase");
@@ -97,7 +97,7 @@ impl Member {
         self.record_of(signer, topic, seq, body, Timestamp::now())
     }
 
-    /// The same, said to have been captured at another time.
+    /// The same, with another stated capture time.
     pub fn record_of(&self, signer: &SmKeyPair, topic: &str, seq: u64, body: &[u8], captured_at: Timestamp) -> Upload {
         let (id, key) = self.topic(topic);
         let head = Head {
@@ -140,7 +140,7 @@ impl Member {
     }
 }
 
-/// A session; a gateway that was just started is given a moment.
+/// A session; a gateway that was just started gets a moment.
 pub async fn connect(gateway: &Gateway, credentials: &Credentials) -> Client {
     Client::connect(&gateway.endpoint(), &mut gateway.trust(), credentials).await.expect("connects")
 }

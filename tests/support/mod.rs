@@ -1,7 +1,7 @@
-//! What the tests share: the program under test, real peers beside it, and a pseudo-terminal.
+//! What the tests share: the program under test, real peers, and a pseudo-terminal.
 //!
-//! Everything started here is stopped when its handle is dropped, and every wait has an end.
-//! A test whose peer is absent calls `skipped!`, which says so in a way `tests/run` counts.
+//! Everything started here is stopped when its handle is dropped, and every wait has an end. A test whose peer is
+//! absent calls `skipped!`, which reports it in a way `tests/run` counts.
 #![allow(dead_code, unused_imports, unused_macros, reason = "each test file uses its part of this module")]
 
 pub mod anvil;
@@ -55,28 +55,28 @@ pub(crate) use skipped;
 pub fn tell_skipped(place: &str, reason: &str) {
     let name = place.trim_end_matches("::here");
     let line = format!("\nSKIPPED {name}: {reason}\n");
-    // In one write, so that no other test's words come in between.
+    // In one write, so that no other test's output comes in between.
     drop(std::io::stderr().write_all(line.as_bytes()));
 }
 
-/// Held by tests that fill both cores, so that they do not run into each other's time limits.
+/// Held by tests that fill both cores, so that they do not exceed each other's time limits.
 pub fn heavy() -> MutexGuard<'static, ()> {
     static HEAVY: Mutex<()> = Mutex::new(());
     HEAVY.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Whether the long variants are wanted (`tests/run --long`).
+/// Whether the long variants are requested (`tests/run --long`).
 pub fn long() -> bool {
     std::env::var_os("AUTHROS_LONG").is_some()
 }
 
-/// A file of the shared data beside the checkout, where there is one.
+/// A file of the shared data beside the checkout, if it is there.
 pub fn shared_data(name: &str) -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(name);
     path.is_file().then_some(path)
 }
 
-/// A program that `tests/run` installed from the npm registry, where it is there.
+/// A program that `tests/run` installed from the npm registry, if it is there.
 pub fn npm_program(name: &str) -> Option<PathBuf> {
     let peers = std::env::var_os("AUTHROS_PEERS")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("target/peers"), PathBuf::from);
@@ -84,7 +84,7 @@ pub fn npm_program(name: &str) -> Option<PathBuf> {
     program.is_file().then_some(program)
 }
 
-/// A program of the distribution, where it is there.
+/// A program of the distribution, if it is there.
 pub fn system_program(name: &str) -> Option<PathBuf> {
     ["/usr/bin", "/usr/sbin", "/bin", "/usr/local/bin"]
         .iter()
@@ -98,7 +98,7 @@ pub fn free_port() -> u16 {
     listener.local_addr().expect("its address").port()
 }
 
-/// Asks again and again until there is an answer, at most for `seconds`.
+/// Polls until there is an answer, for at most `seconds`.
 pub fn poll<T>(seconds: u64, mut answer: impl FnMut() -> Option<T>) -> Option<T> {
     let end = Instant::now() + Duration::from_secs(seconds);
     loop {
@@ -109,12 +109,12 @@ pub fn poll<T>(seconds: u64, mut answer: impl FnMut() -> Option<T>) -> Option<T>
     }
 }
 
-/// [`poll`] that fails the test where no answer comes.
+/// [`poll`] that fails the test if no answer comes.
 pub fn wait_until<T>(seconds: u64, what: &str, answer: impl FnMut() -> Option<T>) -> T {
     poll(seconds, answer).unwrap_or_else(|| panic!("{what}: not within {seconds} s"))
 }
 
-/// Whether a listed record is verified, by whoever has its keys or not.
+/// Whether a listed record is verified, with or without its keys here.
 pub fn is_verified(record: &Value) -> bool {
     ["verified", "verified, names unchecked"].iter().any(|state| record["state"] == *state)
 }
@@ -155,7 +155,7 @@ pub fn unhex(text: &str) -> Vec<u8> {
     digits.chunks(2).map(pair).collect()
 }
 
-/// Whether `needle` lies anywhere in `hay`.
+/// Whether `needle` occurs anywhere in `hay`.
 pub fn holds(hay: &[u8], needle: &[u8]) -> bool {
     hay.windows(needle.len()).any(|window| window == needle)
 }

@@ -9,12 +9,12 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-/// How a process ended and what it said.
+/// How a process ended, and its output.
 #[derive(Debug)]
 pub struct Outcome {
     /// What was run.
     pub command: String,
-    /// Exit code; `None` where a signal ended it.
+    /// Exit code; `None` if a signal ended it.
     pub code: Option<i32>,
     /// The signal that ended it.
     pub signal: Option<i32>,
@@ -31,7 +31,7 @@ impl Outcome {
         self
     }
 
-    /// Lines of a log in JSON: whatever it wrote, each line is an object, and on stderr one with these four fields.
+    /// Lines of a log in JSON: whatever was written, each line is an object, and on stderr one with these four fields.
     pub fn log(&self) -> Vec<Value> {
         let object = |line: &str| serde_json::from_str::<Value>(line).unwrap_or_else(|_| panic!("no JSON: {line}"));
         assert!(self.stdout.lines().map(object).all(|line| line.is_object()), "{self}");
@@ -90,7 +90,7 @@ impl Pipe {
         String::from_utf8_lossy(&self.bytes.lock().unwrap_or_else(PoisonError::into_inner)).into_owned()
     }
 
-    /// A grandchild may hold the pipe open for ever, so the end of the reader is not waited for without limit.
+    /// A grandchild may hold the pipe open forever, so waiting for the reader has a limit.
     fn settle(&self) {
         let end = Instant::now() + Duration::from_secs(2);
         while !self.reader.is_finished() && Instant::now() < end {
@@ -115,8 +115,8 @@ pub struct Running {
     stderr: Pipe,
 }
 
-/// Whoever started the tests may ignore signals (`nohup`, a shell's `&`); what is tested begins as a login shell would
-/// start it.
+/// The parent of the tests may ignore signals (`nohup`, a shell's `&`); the program under test starts as from a login
+/// shell.
 #[allow(unsafe_code, reason = "between fork and exec only signal(2) is called, which is async-signal-safe")]
 fn default_signals(command: &mut Command) {
     // SAFETY: the closure calls nothing but signal(2) and touches no memory of the parent.
@@ -147,12 +147,12 @@ impl Running {
         self.child.id()
     }
 
-    /// What it wrote to standard output so far.
+    /// Its standard output so far.
     pub fn stdout(&self) -> String {
         self.stdout.text()
     }
 
-    /// What it wrote to standard error so far.
+    /// Its standard error so far.
     pub fn stderr(&self) -> String {
         self.stderr.text()
     }
@@ -167,14 +167,14 @@ impl Running {
         signal(name, &self.child.id().to_string());
     }
 
-    /// Fails the test where it has ended.
+    /// Fails the test if it has ended.
     pub fn expect_running(&mut self) {
         if let Ok(Some(status)) = self.child.try_wait() {
             panic!("ended too early: {}", self.outcome(status));
         }
     }
 
-    /// Waits until one of its outputs holds `text`; fails the test where it ends or takes too long.
+    /// Waits until one of its outputs contains `text`; fails the test if it ends or takes too long.
     pub fn wait_for_text(&mut self, text: &str, seconds: u64) -> String {
         let end = Instant::now() + Duration::from_secs(seconds);
         loop {
@@ -188,7 +188,7 @@ impl Running {
         }
     }
 
-    /// Waits for its end; after `seconds` it is killed and the test fails with what it said.
+    /// Waits for its end; after `seconds` it is killed and the test fails with its output.
     pub fn wait(mut self, seconds: u64) -> Outcome {
         let end = Instant::now() + Duration::from_secs(seconds);
         loop {
@@ -242,7 +242,7 @@ pub fn signal(name: &str, target: &str) {
     drop(shell.status());
 }
 
-/// Runs a program to its end and gives its standard output; fails the test unless it succeeds.
+/// Runs a program to its end and returns its standard output; fails the test unless it succeeds.
 pub fn output_of(program: &str, arguments: &[&str]) -> String {
     let mut command = Command::new(program);
     command.args(arguments);

@@ -1,4 +1,4 @@
-//! A loopback proxy before a node's HTTP port, which spoils chosen requests on their way.
+//! A loopback proxy in front of a node's HTTP port, which interferes with chosen requests.
 
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, Error, ErrorKind, Read, Write};
@@ -10,22 +10,22 @@ use std::time::Duration;
 
 use serde_json::Value;
 
-/// What happens to a request that is to be spoilt.
+/// The way to interfere with a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Spoil {
-    /// The node gets the request, nobody gets its answer: the connection is closed.
+    /// The node gets the request, but nobody gets its answer: the connection is closed.
     DropAnswer,
     /// The connection is closed before the node gets anything.
     Refuse,
-    /// The answer is held back so long.
+    /// The answer is delayed by this long.
     Delay(Duration),
     /// The connection is closed after half of the answer's bytes.
     CutAnswer,
-    /// A whole answer of HTTP, whose JSON ends in the middle.
+    /// A complete HTTP answer whose JSON ends in the middle.
     TruncateJson,
 }
 
-/// Stands for every method.
+/// Matches every method.
 pub const EVERY: &str = "*";
 
 #[derive(Debug)]
@@ -44,7 +44,7 @@ struct Shared {
     open: Mutex<HashMap<u64, TcpStream>>,
 }
 
-/// A running proxy; every connection through it ends when it is dropped.
+/// A running proxy; every connection through it ends on drop.
 #[derive(Debug)]
 pub struct Proxy {
     port: u16,
@@ -57,7 +57,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Proxy {
-    /// One that passes everything on to a port of this machine until it is told otherwise.
+    /// One that forwards everything to a port on this machine until instructed otherwise.
     pub fn before(upstream: u16) -> Self {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a free port");
         let port = listener.local_addr().expect("its address").port();
@@ -72,24 +72,24 @@ impl Proxy {
         format!("http://127.0.0.1:{}", self.port)
     }
 
-    /// Spoils the next `times` requests of a JSON-RPC method; the count of spoilt ones begins anew.
+    /// Interferes with the next `times` requests of a JSON-RPC method; the count starts again.
     pub fn spoil(&self, method: &str, how: Spoil, times: u64) {
         let mut rule = lock(&self.shared.rule);
         self.shared.spoilt.store(0, Ordering::SeqCst);
         *rule = Some(Rule { method: method.to_owned(), how, left: times });
     }
 
-    /// Passes everything on again.
+    /// Forwards everything again.
     pub fn calm(&self) {
         *lock(&self.shared.rule) = None;
     }
 
-    /// How many requests were spoilt.
+    /// How many requests were interfered with.
     pub fn spoilt(&self) -> u64 {
         self.shared.spoilt.load(Ordering::SeqCst)
     }
 
-    /// How many requests of a method came, spoilt ones too.
+    /// How many requests of a method came, all included.
     pub fn seen(&self, method: &str) -> u64 {
         lock(&self.shared.seen).get(method).copied().unwrap_or(0)
     }
@@ -110,7 +110,7 @@ impl Drop for Proxy {
 }
 
 impl Shared {
-    /// What is to happen to a request of `method`, which is counted.
+    /// What to do with a request of `method`, which is counted.
     fn decide(&self, method: &str) -> Option<Spoil> {
         *lock(&self.seen).entry(method.to_owned()).or_default() += 1;
         let mut rule = lock(&self.rule);
@@ -131,7 +131,7 @@ fn accept(listener: &TcpListener, upstream: u16, shared: &Arc<Shared>) {
         }
         let shared = Arc::clone(shared);
         std::thread::spawn(move || {
-            // A broken line on either side ends this connection, as it would without a proxy.
+            // A broken connection on either side ends this one, as it would without a proxy.
             drop(serve(&client, upstream, &shared));
             drop(client.shutdown(Shutdown::Both));
             lock(&shared.open).remove(&number);
@@ -169,7 +169,7 @@ fn open(upstream: u16) -> Result<BufReader<TcpStream>, Error> {
     Ok(BufReader::new(stream))
 }
 
-/// Gives an answer to the client; returns whether the connection goes on.
+/// Passes an answer to the client; returns whether the connection continues.
 fn pass_on(mut client: &TcpStream, answer: &Message, spoil: Option<Spoil>) -> Result<bool, Error> {
     match spoil {
         Some(Spoil::DropAnswer | Spoil::Refuse) => return Ok(false),
@@ -199,7 +199,7 @@ struct Message {
 }
 
 impl Message {
-    /// The next one; `None` where the other side has closed the line.
+    /// The next one; `None` if the other side has closed the connection.
     fn read(source: &mut impl BufRead) -> Result<Option<Self>, Error> {
         let (mut head, mut length) = (Vec::new(), 0);
         loop {
@@ -227,7 +227,7 @@ impl Message {
         [head.as_bytes(), &self.body].concat()
     }
 
-    /// The JSON-RPC method asked for.
+    /// The JSON-RPC method requested.
     fn method(&self) -> Option<String> {
         let document: Value = serde_json::from_slice(&self.body).ok()?;
         document["method"].as_str().map(str::to_owned)

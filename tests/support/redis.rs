@@ -7,26 +7,26 @@ use tempfile::TempDir;
 use super::process::Running;
 use super::{free_port, system_program};
 
-/// A server that keeps nothing unless a test asks for it.
+/// A server that persists nothing unless a test asks for it.
 #[derive(Debug)]
 pub struct Redis {
     server: Option<Running>,
     port: u16,
-    /// Where the nodes of a cluster talk to each other.
+    /// Where the nodes of a cluster communicate.
     bus: u16,
     directory: TempDir,
     arguments: Vec<String>,
 }
 
 impl Redis {
-    /// Starts one with more arguments of `redis-server`; `None` where it is not installed.
+    /// Starts one with more arguments of `redis-server`; `None` if it is not installed.
     pub fn start(arguments: &[&str]) -> Option<Self> {
         system_program("redis-server")?;
         system_program("redis-cli")?;
         let directory = tempfile::Builder::new().prefix("redis").tempdir().expect("a temporary directory");
         let arguments: Vec<String> = arguments.iter().map(|&argument| argument.to_owned()).collect();
         let mut redis = Self { server: None, port: 0, bus: 0, directory, arguments };
-        // Somebody else may take a free port first: then others are tried.
+        // Another process may take a free port first: then others are tried.
         for _ in 0..5 {
             (redis.port, redis.bus) = (free_port(), free_port());
             if redis.spawn() {
@@ -53,12 +53,12 @@ impl Redis {
         ready
     }
 
-    /// Starts it again on the same ports, over what it kept.
+    /// Starts it again on the same ports, with its data.
     pub fn revive(&mut self) {
         super::wait_until(30, "redis-server is up again", || self.spawn().then_some(()));
     }
 
-    /// Ends it as a crash does.
+    /// Ends it like a crash.
     pub fn kill(&mut self) {
         if let Some(server) = self.server.take() {
             server.stop("KILL", 20);
@@ -96,7 +96,7 @@ impl Redis {
         super::process::output_of("redis-cli", &[&["-h", "127.0.0.1", "-p", &port], arguments].concat())
     }
 
-    /// Everything it holds, as the bytes of its own uncompressed dump file.
+    /// All its contents, as the bytes of its own uncompressed dump file.
     pub fn dump(&self) -> Vec<u8> {
         assert_eq!(self.cli(&["SAVE"]).trim(), "OK");
         std::fs::read(self.directory.path().join("dump.rdb")).expect("the dump is there")

@@ -1,4 +1,4 @@
-//! Real ROS 1 of the distribution: roscore, rosbag, rostopic, and Python's reading of a bag.
+//! Real ROS 1 from the distribution: roscore, rosbag, rostopic, and Python's reading of a bag.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -19,7 +19,7 @@ pub struct Roscore {
 }
 
 impl Roscore {
-    /// Starts one on a free port; `None` where ROS is not installed.
+    /// Starts one on a free port; `None` if ROS is not installed.
     pub fn start() -> Option<Self> {
         for program in ["roscore", "rosbag", "rostopic"] {
             system_program(program)?;
@@ -43,7 +43,7 @@ impl Roscore {
         format!("http://127.0.0.1:{}", self.port)
     }
 
-    /// Ends it and starts another at the same address, which knows nothing of before.
+    /// Ends it and starts another at the same address, with no memory of the past.
     pub fn restart(&mut self) {
         self.end();
         self.begin();
@@ -51,7 +51,7 @@ impl Roscore {
 
     fn end(&mut self) {
         let Some(mut master) = self.master.take() else { return };
-        // Only an interrupt makes roscore take its own children with it.
+        // Only an interrupt makes roscore end its own children too.
         master.signal("INT");
         poll(15, || (!master.is_running()).then_some(()));
     }
@@ -69,7 +69,7 @@ impl Roscore {
         Running::start(self.player(bag, rate))
     }
 
-    /// The same as a node of this name, which is the same robot each time.
+    /// The same with this node name, so that it is the same robot each time.
     pub fn play_as(&self, name: &str, bag: &Path, rate: u32) -> Running {
         let mut command = self.player(bag, rate);
         command.arg(format!("__name:={name}"));
@@ -83,17 +83,17 @@ impl Roscore {
         command
     }
 
-    /// Plays a bag, and gives what a real subscriber of its topics heard: per topic the messages in hex.
+    /// Plays a bag, and returns what a real subscriber of its topics received: per topic the messages in hex.
     pub fn play_to_subscriber(&self, bag: &Path, rate: u32, count: usize, topics: &[&str]) -> Value {
         let ear = self.listen(count, topics);
         self.play(bag, rate).wait(240).expect_code(0);
         ear.wait(120).expect_code(0).document()
     }
 
-    /// Records topics by ROS's own recorder into a new bag; ends with an interrupt.
+    /// Records topics with ROS's own recorder into a new bag; ended with an interrupt.
     pub fn record(&self, bag: &Path, topics: &[&str]) -> Running {
         let mut command = self.command("rosbag");
-        // What it says would wait in a buffer, since nobody's terminal reads it.
+        // Its output would be buffered, because it does not go to a terminal.
         command.env("ROSCONSOLE_STDOUT_LINE_BUFFERED", "1");
         command.args(["record", "--output-name"]).arg(bag).args(topics);
         let mut recorder = Running::start(command);
@@ -103,7 +103,7 @@ impl Roscore {
         recorder
     }
 
-    /// A subscriber that ends when it has heard so many messages of the topics, and says them in hex.
+    /// A subscriber that ends when it has received this many messages of the topics, and prints them in hex.
     pub fn listen(&self, count: usize, topics: &[&str]) -> Running {
         let mut command = self.command("python3");
         command.args([BAG_SCRIPT, "hear", &count.to_string()]).args(topics);
@@ -112,24 +112,24 @@ impl Roscore {
         ear
     }
 
-    /// What a subscriber that comes now hears: the first `count` messages of the topics, in hex.
+    /// What a subscriber that comes now receives: the first `count` messages of the topics, in hex.
     pub fn hear(&self, count: usize, topics: &[&str]) -> Value {
         self.listen(count, topics).wait(120).expect_code(0).document()
     }
 
-    /// Names of the nodes that publish a topic, with blanks between.
+    /// Names of the nodes that publish a topic, separated by spaces.
     pub fn publishers(&self, topic: &str) -> String {
         Running::start(self.forge(&["publishers", topic])).wait(60).expect_code(0).stdout.trim().to_owned()
     }
 
-    /// Publishes one message again and again, `hz` times a second.
+    /// Publishes one message repeatedly, `hz` times a second.
     pub fn publish(&self, topic: &str, type_name: &str, message: &str, hz: u32) -> Running {
         let mut command = self.command("rostopic");
         command.args(["pub", "-r", &hz.to_string(), topic, type_name, message]);
         Running::start(command)
     }
 
-    /// Publishes a text as a node of exactly this name, `hz` times a second; another one of the name ends it.
+    /// Publishes a text as a node with exactly this name, `hz` times a second; another one with that name ends it.
     pub fn publish_as(&self, name: &str, topic: &str, text: &str, hz: u32) -> Running {
         let mut node = Running::start(self.forge(&["publish", name, topic, text, &hz.to_string()]));
         node.wait_for_text("publishing", 60);
@@ -141,7 +141,7 @@ impl Roscore {
         Running::start(self.forge(&["uri", name])).wait(60).expect_code(0).stdout
     }
 
-    /// Tells the subscribers of a topic that `uri` publishes it, without being the master; gives their answers.
+    /// Tells the subscribers of a topic that `uri` publishes it, without being the master; returns their answers.
     pub fn announce(&self, topic: &str, uri: &str) -> String {
         Running::start(self.forge(&["announce", topic, uri])).wait(60).expect_code(0).stdout
     }
@@ -167,19 +167,19 @@ pub fn write_bag(bag: &Path, compression: &str, count: usize) {
     super::process::output_of("/usr/bin/python3", &[BAG_SCRIPT, "write", bag, compression, &count.to_string()]);
 }
 
-/// Runs the script that writes bags by ROS's own library: `simulated FILE COUNT SEED`, `named FILE`.
+/// Runs the script that writes bags with ROS's own library: `simulated FILE COUNT SEED`, `named FILE`.
 pub fn make_bag(arguments: &[&str]) {
     super::process::output_of("/usr/bin/python3", &[&[BAG_SCRIPT], arguments].concat());
 }
 
-/// A minute of a wheeled robot, written by ROS's own library once a run: 3,060 of odometry, 3,061 of an inertial unit.
-/// `None` where ROS is not installed.
+/// A minute of a wheeled robot, written by ROS's own library once per run: 3,060 odometry messages, 3,061 of an
+/// inertial unit. `None` if ROS is not installed.
 pub fn robot_recording() -> Option<PathBuf> {
     static MADE: OnceLock<Option<PathBuf>> = OnceLock::new();
     let made = MADE.get_or_init(|| {
         super::system_program("rosbag")?;
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
-        // Renamed when it is whole: another run of the tests may read it.
+        // Renamed when it is complete: another run of the tests may read it.
         let (path, new) = (folder.join("robot.bag"), folder.join(format!("robot-{}.bag", std::process::id())));
         super::process::output_of("/usr/bin/python3", &[BAG_SCRIPT, "robot", new.to_str().expect("UTF-8")]);
         std::fs::rename(&new, &path).expect("renamed");
@@ -188,13 +188,13 @@ pub fn robot_recording() -> Option<PathBuf> {
     made.clone()
 }
 
-/// All messages of a bag by ROS's own library: topic, type, md5sum, caller id, definition, nanoseconds, hex.
+/// All messages of a bag, read by ROS's own library: topic, type, md5sum, caller id, definition, nanoseconds, hex.
 pub fn list_bag(bag: &Path) -> Vec<Value> {
     let output = super::process::output_of("/usr/bin/python3", &[BAG_SCRIPT, "list", bag.to_str().expect("UTF-8")]);
     serde_json::from_str(&output).expect("a list as JSON")
 }
 
-/// What a bag holds, by ROS's own library: per topic its type, `bodies` in hex and `messages` as fields.
+/// The contents of a bag, read by ROS's own library: per topic its type, `bodies` in hex and `messages` as fields.
 pub fn read_bag(bag: &Path) -> Value {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/support/read_bag.py");
     let output = super::process::output_of("/usr/bin/python3", &[script, bag.to_str().expect("UTF-8")]);

@@ -1,4 +1,4 @@
-//! Other addresses of this machine: lines that come from 127.0.0.2, 127.0.0.3 and so on.
+//! Other addresses of this machine: connections that come from 127.0.0.2, 127.0.0.3 and so on.
 
 use std::net::{Ipv4Addr, SocketAddr};
 
@@ -11,7 +11,7 @@ pub async fn connect_from(last: u8, to: SocketAddr) -> std::io::Result<TcpStream
     socket.connect(to).await
 }
 
-/// Passes connections on as if they came from 127.0.0.`last`; where to connect.
+/// Forwards connections as if they came from 127.0.0.`last`; returns where to connect.
 pub async fn line_from(last: u8, to: SocketAddr) -> SocketAddr {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a free port");
     let address = listener.local_addr().expect("its address");

@@ -2,7 +2,7 @@
 
 use super::{Authros, Home, Running};
 
-/// The site and its two profiles; it ends with this.
+/// The site and its two profiles; it ends on drop.
 pub struct Two {
     pub home: Home,
     pub site: Running,
@@ -12,7 +12,7 @@ pub struct Two {
     pub bob_address: String,
 }
 
-/// Starts a site with so many robots and registers the profiles.
+/// Starts a site with this many robots and registers the profiles.
 pub fn two_profiles(robots: u8) -> Two {
     let home = Home::new();
     let site = home.authros().with(&["--robots", &robots.to_string()]).serve(&home);

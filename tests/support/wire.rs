@@ -1,4 +1,4 @@
-//! A loopback line between a robot and its gateway that keeps every byte of both directions.
+//! A loopback connection between a robot and its gateway that records every byte in both directions.
 
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
@@ -17,7 +17,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A running line; it is cut when it is dropped.
+/// A running relay; it is cut on drop.
 #[derive(Debug)]
 pub struct Wire {
     port: u16,
@@ -66,7 +66,7 @@ fn accept(listener: &TcpListener, upstream: u16, shared: &Arc<Shared>) {
         if shared.ending.load(Ordering::SeqCst) {
             return;
         }
-        // Nobody there: the client finds its line closed.
+        // Nobody there: the client's connection is closed.
         let Ok(gateway) = TcpStream::connect((Ipv4Addr::LOCALHOST, upstream)) else { continue };
         for (from, to) in [(&client, &gateway), (&gateway, &client)] {
             let (Ok(from), Ok(to)) = (from.try_clone(), to.try_clone()) else { return };

@@ -30,7 +30,7 @@ fn body() -> Vec<u8> {
     body
 }
 
-/// The median of some rounds, microseconds.
+/// The median of several rounds, microseconds.
 fn median(rounds: usize, mut work: impl FnMut()) -> f64 {
     let mut times: Vec<f64> = (0..rounds)
         .map(|_| {

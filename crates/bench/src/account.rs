@@ -1,5 +1,5 @@
-//! A throw-away profile: an account with keys of its own, registered, with a nonce lane that many
-//! uploaders share. Its keys never leave memory.
+//! A throw-away profile: a registered account with its own keys and a nonce lane shared by many uploaders. Its keys
+//! never leave memory.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -15,7 +15,7 @@ use authros_model::{Address, Digest, Domain, Head, RecordKind, RecorderId, Times
 use authros_service::Failure;
 use authros_service::failure::internal;
 
-/// The topic that all records are of.
+/// The topic of all records.
 const TOPIC: &str = "/robot1/odom";
 
 /// One account.
@@ -37,9 +37,9 @@ pub struct Account {
     nonce: AtomicU64,
 }
 
-/// A record sealed, before it is stored.
+/// A record sealed but not stored yet.
 pub struct Sealed {
-    /// What a batch binds.
+    /// Its leaf in a batch.
     pub leaf: Leaf,
     /// When its message was captured.
     pub captured_at: Timestamp,
@@ -51,7 +51,7 @@ impl Account {
     /// Fresh keys for an account on the chain's contract; nothing is sent.
     ///
     /// # Errors
-    /// Where no contract is in use, or the random source fails.
+    /// If no contract is in use, or the random source fails.
     pub fn new(chain: &Chain, eoa: EoaSecret, nonce: u64, provider: &'static dyn Provider) -> Result<Self, Failure> {
         let pin = chain.pin().ok_or_else(|| internal("the contract is not deployed"))?;
         let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
@@ -74,17 +74,17 @@ impl Account {
         })
     }
 
-    /// The call that registers it, its proof signed.
+    /// The call that registers it, with its proof signed.
     ///
     /// # Errors
-    /// The random source's.
+    /// Errors of the random source.
     pub fn registration(&self) -> Result<Call, Failure> {
         let envelope = &self.envelope.public;
         let identity = prove(self.provider, &self.domain, &self.address, &self.signing, envelope, self.token)?;
         Ok(Call::Register { identity })
     }
 
-    /// Begins its lane at the nonce that the chain expects next.
+    /// Starts its lane at the nonce that the chain expects next.
     pub fn begin_lane(&self, nonce: u64) {
         self.nonce.store(nonce, Ordering::Relaxed);
     }
@@ -97,7 +97,7 @@ impl Account {
     /// Seals a message captured now as the next record.
     ///
     /// # Errors
-    /// The random source's.
+    /// Errors of the random source.
     pub fn seal(&self, body: &[u8]) -> Result<Sealed, Failure> {
         let (seq, captured_at) = (self.seq.fetch_add(1, Ordering::Relaxed), Timestamp::now());
         let head = head(body.len());
@@ -137,10 +137,10 @@ pub(super) fn head(length: usize) -> Head {
     }
 }
 
-/// A message of random bytes: nothing in one may be cheaper than in another.
+/// A message of random bytes, so that none is cheaper than another.
 ///
 /// # Errors
-/// The random source's.
+/// Errors of the random source.
 pub(super) fn message(length: usize) -> Result<Vec<u8>, Failure> {
     let mut message = Vec::with_capacity(length);
     while message.len() < length {

@@ -27,18 +27,18 @@ use authros_service::failure::internal;
 
 /// The paper's largest message.
 const LARGEST: usize = 800_000;
-/// What SM2 signs and encrypts.
+/// The length of what SM2 signs and encrypts.
 const SIGNED: usize = 32;
 /// The paper's four, and the largest.
 const SIZES: [usize; 5] = [1024, 2048, 4096, 8192, LARGEST];
-/// The paper's time for SM3 of 800 KB, microseconds: the most it names (section V).
+/// The paper's time for SM3 of 800 KB, microseconds: the longest it states (section V).
 const PAPER_SM3: f64 = 6340.0;
-/// The least it names.
+/// The shortest it states.
 const PAPER_SM3_LEAST: f64 = 6190.0;
-/// A value is an outlier where it is above the median by more than this share of it.
+/// A value is an outlier if it exceeds the median by more than this share of it.
 const OUTLYING: f64 = 0.25;
 
-/// Which of the three.
+/// The algorithm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Algorithm {
     /// Signatures and envelopes.
@@ -69,9 +69,9 @@ struct Row {
     by: &'static str,
     #[serde(flatten)]
     measured: Measured,
-    /// 5th of a hundred.
+    /// 5th percentile.
     p5: f64,
-    /// Values far above the median, the greatest first.
+    /// Values far above the median, greatest first.
     outliers: Vec<f64>,
     /// The paper's figure, in the same unit.
     paper: Option<f64>,
@@ -92,7 +92,7 @@ struct Acceptance {
 /// Measures; [`Judgement::Missed`] where an acceptance figure is missed.
 ///
 /// # Errors
-/// Where an algorithm fails.
+/// If an algorithm fails.
 pub async fn run(
     algorithm: Algorithm,
     AlgorithmArguments { runs }: AlgorithmArguments,
@@ -148,9 +148,9 @@ fn measure(algorithm: Algorithm, runs: u32, provider: &'static dyn Provider) -> 
     Ok((rows, words))
 }
 
-/// Microseconds for each of the messages that a piece of work takes.
+/// Microseconds for each of the messages in a piece of work.
 fn timed(piece: &Piece<'_>) -> Result<f64, Failure> {
-    // What it needs is made before the clock starts.
+    // What it needs is prepared before the clock starts.
     let prepared = (piece.prepare)();
     let start = Instant::now();
     let done = (piece.run)(prepared);
@@ -224,7 +224,7 @@ fn acceptance_of_sm3(rows: &[Row]) -> Vec<Acceptance> {
     if let Some(row) = find(rows, "digest", "authros", LARGEST) {
         found.push(at_most("SM3 of 800 KB over the paper's 6.34 ms", 1.0 / 3.0, row.measured.spread.p50 / PAPER_SM3));
         let width = |row: &Row| (row.measured.spread.p95 - row.p5) / 1e3;
-        // What the machine adds is in both.
+        // The machine's overhead is in both.
         let other =
             find(rows, "digest", "libgcrypt", LARGEST).map(|row| format!(" (libgcrypt's here: {:.3})", width(row)));
         found.push(at_most(format!("SM3 of 800 KB, p5 to p95, ms{}", other.unwrap_or_default()), 0.15, width(row)));
@@ -233,7 +233,7 @@ fn acceptance_of_sm3(rows: &[Row]) -> Vec<Acceptance> {
 }
 
 fn acceptance_of_sm4(rows: &[Row]) -> Vec<Acceptance> {
-    // Only GFNI with AVX-512 is held to twice libgcrypt's speed.
+    // Only GFNI with AVX-512 is expected to reach twice libgcrypt's speed.
     let wide = authros_crypto::kernel::Available::decided().kernel() == Kernel::GfniAvx512;
     let mut found = Vec::new();
     for (bytes, name) in [(8192, "8 KB"), (LARGEST, "800 KB")] {

@@ -1,4 +1,4 @@
-//! `authros bench all`: every bench, one after the other, short enough for some minutes; one set of figures and plots.
+//! `authros bench all`: every bench, one after the other, shortened to a few minutes; one set of figures and plots.
 
 use std::time::Instant;
 
@@ -19,7 +19,7 @@ use authros_model::Consensus;
 use authros_output::table;
 use authros_service::Failure;
 
-/// What becomes of one bench of the set.
+/// The outcome of one bench of the set.
 #[derive(Debug, Serialize)]
 struct Entry {
     bench: &'static str,
@@ -51,7 +51,7 @@ const PLAN: [(BenchName, &str, &str); 12] = [
 /// judged, of all.
 ///
 /// # Errors
-/// None of its own: what a bench says is told, and the next one begins.
+/// None of its own: a bench's error is reported, and the next one begins.
 pub async fn run(
     global: Global<'_>,
     arguments: AllArguments,
@@ -132,7 +132,7 @@ fn show_plan(plan: &[(BenchName, &'static str, &'static str)], outlet: &Outlet) 
     outlet.tell(&json!(report), || table(&["bench", "what"], &rows));
 }
 
-/// Results of all, each with its bench; and what each bench says of itself.
+/// All results, each with its bench; and each bench's description of itself.
 fn document(entries: &[Entry], reports: &[Value], seconds: f64) -> Value {
     let mut results = Vec::new();
     let mut benches = Vec::new();

@@ -1,5 +1,5 @@
-//! Anchors the records of one account as Merkle batches, closed as the pipeline closes them
-//! (`pipeline::pace`). Every record's proof is checked before its uploader hears of it.
+//! Anchors the records of one account as Merkle batches, closed like the pipeline's (`pipeline::pace`). Every record's
+//! proof is checked before its uploader is notified.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
@@ -25,14 +25,14 @@ struct Item {
     told: oneshot::Sender<Told>,
 }
 
-/// The way into the batches of one account.
+/// The input of one account's batches.
 pub struct Batcher(mpsc::UnboundedSender<Item>);
 
 impl Batcher {
-    /// Has a record anchored: when its batch was sent. Returns after the batch's receipt.
+    /// Has a record anchored; returns when its batch was sent. Returns after the batch's receipt.
     ///
     /// # Errors
-    /// The chain's, or where the proof does not fit.
+    /// Errors of the chain, or if the proof is wrong.
     pub async fn anchor(&self, leaf: Leaf) -> Result<Instant, Failure> {
         let (told, answer) = oneshot::channel();
         let gone = || internal("the batcher has ended");
@@ -42,18 +42,18 @@ impl Batcher {
     }
 }
 
-/// What was anchored in a run.
+/// The anchors of a run.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Anchored {
     /// Roots.
     pub transactions: u64,
-    /// Gas of all.
+    /// Total gas.
     pub gas: u64,
     /// Leaves, as the contract counts them.
     pub leaves: u64,
 }
 
-/// The roots that were anchored: account, root, gas.
+/// The anchored roots: account, root, gas.
 #[derive(Clone, Default)]
 pub struct Roots(Arc<Mutex<Vec<(Address, Hash, u64)>>>);
 
@@ -65,7 +65,7 @@ impl Roots {
     /// Asks the contract for every one of them.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn confirmed(&self, network: &Network) -> Result<Anchored, Failure> {
         let roots = self.0.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let mut sum = Anchored::default();
@@ -82,7 +82,7 @@ impl Roots {
 /// Starts one batcher for each account, as tasks of `beside`.
 ///
 /// # Errors
-/// The node's.
+/// Errors of the node.
 pub async fn start(
     network: &Arc<Network>,
     mined: &Arc<Mined>,
@@ -140,7 +140,7 @@ impl Line {
         }
     }
 
-    /// Batches are sent one after the other, as they are chained; receipts are waited for side by side.
+    /// Batches are sent one after the other, because they are chained; receipts are awaited in parallel.
     async fn close(&mut self, items: Vec<Item>, sending: &mut JoinSet<()>) {
         let Some(tree) = Tree::new(items.iter().map(|item| item.leaf.hash()).collect()) else { return };
         let call = Call::Anchor { root: tree.root(), count: items.len() as u64, previous: self.previous };

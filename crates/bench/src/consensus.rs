@@ -48,7 +48,7 @@ pub struct Paper {
 }
 
 impl Paper {
-    /// Of a consensus they measured, for so many uploads of 1 KB.
+    /// For a consensus they measured, for this many uploads of 1 KB.
     pub fn of(consensus: &str, uploaders: f64) -> Option<Self> {
         let (from, to) = match consensus {
             "poa" => (15.4, 15.8),
@@ -84,14 +84,14 @@ struct Row {
     on_chain: f64,
     per_request: f64,
     uploads_per_second: f64,
-    /// That over the authors', whose fastest request is taken.
+    /// The ratio to the authors' time, taking their fastest request.
     times_authors: Option<f64>,
     transactions: u64,
     gas: u64,
     blocks: usize,
-    /// As set, milliseconds; `None` where the chain has none or does not tell.
+    /// As configured, milliseconds; `None` if the chain has none or does not say.
     period_set: Option<u64>,
-    /// Between blocks of the run, as seen, milliseconds; `None` for a single block.
+    /// Observed between blocks of the run, milliseconds; `None` for a single block.
     period_seen: Option<f64>,
     difficulty: Option<u64>,
     gas_limit: u64,
@@ -101,10 +101,10 @@ struct Row {
     failures: std::collections::BTreeMap<String, u64>,
 }
 
-/// Runs all combinations; exit code 8 where an upload failed.
+/// Runs all combinations; exit code 8 if an upload failed.
 ///
 /// # Errors
-/// Where a network cannot be opened, or its count differs from the receipts.
+/// If a network cannot be opened, or its count differs from the receipts.
 pub async fn run(
     arguments: ConsensusArguments,
     provider: &'static dyn Provider,

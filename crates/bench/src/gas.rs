@@ -1,5 +1,5 @@
-//! `authros bench gas`: what a record costs on the chain, in one run on one embedded chain: by the paper's
-//! dataUpload, in batches, and the prototype's way, whose ciphertexts lie on the chain.
+//! `authros bench gas`: what a record costs on the chain, in one run on one embedded chain: by the paper's dataUpload,
+//! in batches, and as in the prototype, which stores ciphertexts on the chain.
 
 use std::time::Duration;
 
@@ -33,7 +33,7 @@ const SIZES: [usize; 4] = [1024, 2048, 4096, 8192];
 const RUNS: usize = 5;
 /// The most gas of a batch.
 const MOST_GAS: f64 = 70_000.0;
-/// How much cheaper a record in a batch of 256 must be than one by one.
+/// How much cheaper a record in a batch of 256 must be than an individual one.
 const LEAST_RATIO: f64 = 150.0;
 
 const NOTES: [&str; 4] = [
@@ -54,10 +54,10 @@ struct Row {
     measured: Measured,
     /// Gas of the first transaction.
     first: u64,
-    /// The least and the most gas of the later ones.
+    /// The least and the greatest gas of the later ones.
     later_from: u64,
     later_to: u64,
-    /// `each`'s median over this one's, per record.
+    /// `each`'s median divided by this one's, per record.
     cheaper_than_each: f64,
     paper: Option<f64>,
 }
@@ -71,7 +71,7 @@ struct Acceptance {
     ok: bool,
 }
 
-/// Measures; exit code 1 where an acceptance figure is missed.
+/// Measures; exit code 1 if an acceptance figure is missed.
 ///
 /// # Errors
 /// Where the chain cannot be made, or a transaction fails.
@@ -149,7 +149,7 @@ fn leaves(account: &Account) -> Result<Vec<Leaf>, Failure> {
     (0..most).map(|_| Ok(account.seal(&body)?.leaf)).collect()
 }
 
-/// Batches of one size by an account of their own, so that its first one finds its storage empty.
+/// Batches of one size by their own account, so that the first one finds its storage empty.
 async fn batch(
     network: &Network,
     provider: &'static dyn Provider,
@@ -160,7 +160,7 @@ async fn batch(
     let account = join(chain, EoaSecret::generate()?, provider).await?;
     let (mut gas, mut previous) = (Vec::new(), Hash([0; 32]));
     for turn in 0..RUNS {
-        // The same records in another order make another root.
+        // The same records in another order give another root.
         let mut chosen: Vec<Leaf> = leaves.iter().cycle().skip(turn).take(count).copied().collect();
         chosen.rotate_left(turn % count);
         let tree = Tree::new(Leaf::hashes(&chosen)).ok_or_else(|| internal("no leaves"))?;
@@ -183,7 +183,7 @@ async fn check(chain: &Chain, account: &Account, tree: &Tree, leaves: &[Leaf]) -
     if held && proven { Ok(()) } else { Err(internal("a batch is not on the chain as it was anchored")) }
 }
 
-/// Whole ciphertexts of one size, by a contract and an account of their own.
+/// Whole ciphertexts of one size, by their own contract and account.
 async fn prototype(network: &Network, size: usize) -> Result<Row, Failure> {
     let (chain, eoa) = (&network.chain, EoaSecret::generate()?);
     let nonce = chain.nonce(eoa.address(), true).await?;
@@ -198,7 +198,7 @@ async fn prototype(network: &Network, size: usize) -> Result<Row, Failure> {
     Ok(row("prototype", 1, size, &gas))
 }
 
-/// Judged by what is least in our favour: the dearest batch, the cheapest single upload.
+/// Judged by what is least favourable to us: the most expensive batch, the cheapest individual upload.
 fn acceptance(rows: &[Row]) -> Vec<Acceptance> {
     let batches = || rows.iter().filter(|row| row.way == "batch");
     let dearest = batches().map(|row| row.first.max(row.later_to)).max().map_or(f64::NAN, number);

@@ -1,5 +1,5 @@
 //! `authros bench gateway`: records that a gateway accepts per second and core, beside what SM2 verification and SM3
-//! alone would allow in the same run, and what idle connections cost. Both ends are in this process.
+//! alone would allow in the same run, and the cost of idle connections. Both ends are in this process.
 
 mod desk;
 mod idle;
@@ -36,9 +36,9 @@ use authros_output::table;
 use authros_service::Failure;
 use authros_service::failure::internal;
 
-/// Bytes of a message, and how many records for each eight asked for.
+/// Bytes of a message, and how many records for each eight requested.
 const SIZES: [(usize, usize); 2] = [(1024, 8), (58 * 1024, 1)];
-/// Uploads under way at once.
+/// Simultaneous uploads.
 const WINDOW: usize = 32;
 /// Records in one UploadMany.
 const MANY: usize = 64;
@@ -46,7 +46,7 @@ const MANY: usize = 64;
 const RUNS: usize = 3;
 /// How long an answer may take.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// A file system in memory, where fsync costs nothing.
+/// A file system in memory, where fsync is free.
 const MEMORY: &str = "/dev/shm";
 
 const NOTES: [&str; 6] = [
@@ -69,9 +69,9 @@ struct Row {
     records: usize,
     #[serde(flatten)]
     measured: Measured,
-    /// Of the median: messages' bytes, 10^6 a second.
+    /// By the median: bytes of messages, 10^6 a second.
     mb_per_second: f64,
-    /// Of the median: records a second and core.
+    /// By the median: records a second and core.
     per_core: f64,
     /// `per_core` over the bound's median.
     of_bound: f64,
@@ -88,7 +88,7 @@ pub async fn run(
     outlet: &Outlet,
 ) -> Result<Judgement, Failure> {
     let sender = Sender::new(provider)?;
-    // First, while the allocator holds nothing that was freed.
+    // First, while the allocator holds no freed memory.
     let idle = idle::measure(&sender, arguments.idle as usize).await?;
     let places = places()?;
     let cores = Machine::read().cores;
@@ -180,10 +180,10 @@ fn row(way: &'static str, bytes: usize, records: usize, rates: &[f64]) -> Row {
     Row { way, kept, connections, records, measured, mb_per_second, per_core: spread.p50, of_bound, paper: None }
 }
 
-/// Which of [`bounds`] is both together.
+/// The index in [`bounds`] of both together.
 const BOUND: usize = 2;
 
-/// What one core does at most: SM3, SM2 verification, both, and what a receipt's signature costs.
+/// The most one core can do: SM3, SM2 verification, both, and the cost of a receipt's signature.
 fn bounds(
     provider: &'static dyn Provider,
     sender: &Sender,
@@ -207,7 +207,7 @@ fn bounds(
     ])
 }
 
-/// Work done for every record a second, by this thread alone; it must give the record's digest.
+/// Work done for every record, per second, by this thread alone; it must return the record's digest.
 fn timed(
     digests: &[Digest],
     work: impl Fn(usize) -> Result<Digest, authros_crypto::CryptoError>,
@@ -272,7 +272,7 @@ fn of_gateway(error: GatewayError) -> Failure {
     Failure::new(error.kind(), error.to_string())
 }
 
-/// Records accepted per second, each run by a new gateway with empty ledger and vault.
+/// Records accepted per second, each run with a new gateway and empty ledger and vault.
 async fn rates(
     sender: &Sender,
     place: &Place,

@@ -1,6 +1,6 @@
-//! `authros bench growth`: how cost grows with what is there. Ledgers of 10^3, 10^4 to 10^6 records are filled; of each
-//! a record more, its way to verified, a page of a list and a frame of the console are timed. Pages and frames of all
-//! ledgers take turns, so that whatever else the machine does meets all of them.
+//! `authros bench growth`: how cost grows with the number of records. Ledgers of 10^3, 10^4 to 10^6 records are filled;
+//! for each, another record, its way to verified, a page of a list and a frame of the console are timed. Pages and
+//! frames of all ledgers take turns, so that other load on the machine affects all of them.
 
 pub(crate) mod fill;
 mod frames;
@@ -28,7 +28,7 @@ use authros_service::Failure;
 use authros_service::failure::internal;
 use authros_store::Ledger;
 
-/// Where the first figures are taken.
+/// The number of records at which the first figures are taken.
 const FIRST: u64 = 1_000;
 /// How often the ledgers take turns, and how often each piece of work is timed in a turn.
 const TURNS: usize = 7;
@@ -49,7 +49,7 @@ const NOTES: [&str; 4] = [
      own in two indices.",
 ];
 
-/// One piece of work with so many records there.
+/// One piece of work at one number of records.
 #[derive(Debug, Serialize)]
 struct Row {
     /// `append`, `page`, `frame`, and so on.
@@ -80,13 +80,13 @@ pub async fn run(arguments: GrowthArguments, outlet: &Outlet) -> Result<Judgemen
     Ok(Judgement::Reached)
 }
 
-/// Powers of ten from [`FIRST`] up to the most records, which counts itself.
+/// Powers of ten from [`FIRST`] up to the greatest number of records, which is always included.
 fn levels(most: u64) -> Vec<u64> {
     let powers = std::iter::successors(Some(FIRST), |level| level.checked_mul(10)).take_while(|level| *level < most);
     powers.chain([most.max(FIRST)]).collect()
 }
 
-/// A ledger with so many records, and the times of each work on it, microseconds.
+/// A ledger with this many records, and the times of each work on it, microseconds.
 struct Level {
     records: u64,
     ledger: Ledger,
@@ -97,7 +97,7 @@ struct Level {
 type Figures = Vec<(&'static str, Vec<f64>)>;
 
 impl Level {
-    /// Fills a ledger; small ones several times, until there are figures enough.
+    /// Fills a ledger; small ones several times, until there are enough figures.
     fn fill(directory: &Path, records: u64, mut done: impl FnMut(u64)) -> Result<Self, Failure> {
         let mut costs = Costs::default();
         for place in 0..fill::FIGURES {
@@ -149,7 +149,7 @@ fn whole(count: u64) -> usize {
     usize::try_from(count).unwrap_or(usize::MAX)
 }
 
-/// Microseconds of each of some rounds, after one that warms up.
+/// Microseconds of each of several rounds, after a warm-up.
 fn timed(mut work: impl FnMut() -> Result<(), Failure>) -> Result<Vec<f64>, Failure> {
     work()?;
     let mut times = Vec::with_capacity(ROUNDS);

@@ -1,5 +1,5 @@
-//! Sends calls in the nonce lane of an account that many uploaders share. A node that does not answer is
-//! asked again: the nonce is taken, and a hole would hold up all behind it.
+//! Sends calls in an account's nonce lane, shared by many uploaders. A node that does not answer is asked again: the
+//! nonce is taken, and a gap would hold up everything after it.
 
 use std::time::{Duration, Instant};
 
@@ -18,12 +18,12 @@ const ATTEMPTS: u32 = 8;
 /// How long to wait in between.
 const PAUSE: Duration = Duration::from_millis(500);
 
-/// What a transaction does.
+/// The action of a transaction.
 #[derive(Debug, Clone, Copy)]
 pub enum Deed<'a> {
     /// A call of our contract.
     Call(&'a Call),
-    /// A call of another one, whose gas is known.
+    /// A call of another one, with known gas.
     Foreign {
         /// The contract.
         to: Address,
@@ -34,7 +34,7 @@ pub enum Deed<'a> {
     },
 }
 
-/// A transaction on its way.
+/// A transaction in flight.
 pub struct Posted {
     /// Its hash.
     pub hash: Hash,
@@ -47,7 +47,7 @@ pub struct Posted {
 /// Signs a call with the lane's next nonce and sends it.
 ///
 /// # Errors
-/// The chain's.
+/// Errors of the chain.
 pub async fn post(network: &Network, mined: &Mined, account: &Account, deed: Deed<'_>) -> Result<Posted, Failure> {
     let _turn = network.line.acquire().await.map_err(|_| internal("the line is closed"))?;
     let nonce = account.next_nonce();
@@ -88,7 +88,7 @@ async fn broadcast(chain: &Chain, raw: &[u8]) -> Result<(), ChainError> {
     loop {
         match chain.broadcast(raw).await {
             Ok(_) => return Ok(()),
-            // An attempt whose answer was lost had arrived.
+            // An attempt whose answer was lost had arrived after all.
             Err(ChainError::AlreadyKnown | ChainError::NonceTooLow) if attempt > 1 => return Ok(()),
             Err(ChainError::Unreachable { .. }) if attempt < ATTEMPTS => tokio::time::sleep(PAUSE).await,
             Err(error) => return Err(error),

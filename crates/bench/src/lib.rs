@@ -1,5 +1,5 @@
-//! `authros bench`: the paper's measurements, repeated on this machine. No home and no site: everything
-//! lies in temporary directories that go with the command.
+//! `authros bench`: the paper's measurements, repeated on this machine. No home and no site: everything is in temporary
+//! directories that are removed with the command.
 
 pub mod args;
 
@@ -44,12 +44,12 @@ use authros_model::ErrorKind;
 use authros_output::Output;
 use authros_service::Failure;
 
-/// What the flags of every command say to a bench.
+/// The global flags that concern a bench.
 #[derive(Clone, Copy)]
 pub struct Global<'a> {
     /// One JSON document on stdout.
     pub json: bool,
-    /// Who computes SM2, SM3 and SM4.
+    /// The SM provider.
     pub provider: ProviderName,
     /// The flags' values for settings.
     pub settings: &'a (dyn Fn(&str) -> Option<String> + Sync),
@@ -59,7 +59,7 @@ pub struct Global<'a> {
 /// future ends it.
 ///
 /// # Errors
-/// What the bench or the arguments say.
+/// Errors of the bench or the arguments.
 pub async fn run(global: Global<'_>, arguments: BenchArguments, output: &Output) -> Result<u8, Failure> {
     let form = match (arguments.csv, global.json) {
         (true, true) => return Err(Failure::new(ErrorKind::Usage, "give --json or --csv, not both")),
@@ -75,7 +75,7 @@ pub async fn run(global: Global<'_>, arguments: BenchArguments, output: &Output)
     }
 }
 
-/// Reads a name that a setting or an environment variable gives.
+/// Reads a name given by a setting or an environment variable.
 fn read<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {
     text.parse().map_err(|error: T::Err| Failure::new(ErrorKind::Input, error.to_string()))
 }

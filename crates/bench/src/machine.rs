@@ -1,20 +1,20 @@
-//! The machine that a figure was measured on, as /proc describes it.
+//! The machine that a figure was measured on, according to /proc.
 
 use serde::Serialize;
 
 use authros_model::clean;
 
-/// Longest text taken over from /proc, characters.
+/// Longest text taken from /proc, characters.
 const LONGEST: usize = 80;
 
-/// What a figure depends on most.
+/// What figures depend on most.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Machine {
     /// The processor's name.
     pub cpu: String,
     /// Hardware threads that this process may use.
     pub cores: usize,
-    /// Main memory, bytes; 0 where it is not known.
+    /// Main memory, bytes; 0 if unknown.
     pub memory_bytes: u64,
     /// The operating system.
     pub system: String,
@@ -23,7 +23,7 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// This one.
+    /// This machine.
     pub fn read() -> Self {
         let text = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
         let release = clean(text("/proc/sys/kernel/osrelease").trim(), LONGEST);

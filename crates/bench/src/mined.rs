@@ -14,7 +14,7 @@ use authros_service::Failure;
 const STALL: Duration = Duration::from_secs(120);
 /// How long a node may be silent.
 const SILENCE: Duration = Duration::from_secs(20);
-/// How often a node is asked for its head; the embedded chain tells by itself.
+/// How often a node is asked for its head; the embedded chain announces it.
 const POLL: Duration = Duration::from_millis(20);
 /// How long to wait after a node did not answer.
 const REST: Duration = Duration::from_millis(200);
@@ -49,7 +49,7 @@ impl Mined {
     /// Waits for a transaction that was expected, and reads its receipt.
     ///
     /// # Errors
-    /// Where it is not mined while nothing moves for two minutes, the node is silent, or it failed.
+    /// If it is not mined while nothing moves for two minutes, the node is silent, or it failed.
     pub async fn receipt(&self, chain: &Chain, hash: Hash, told: oneshot::Receiver<()>) -> Result<Receipt, Failure> {
         if told.await.is_err() {
             let trouble = lock(&self.trouble).clone();
@@ -66,12 +66,12 @@ impl Mined {
         }
     }
 
-    /// When the blocks that hold transactions of the run were seen.
+    /// When the blocks with transactions of the run were seen.
     pub fn blocks(&self) -> Vec<Instant> {
         lock(&self.blocks).clone()
     }
 
-    /// Reads blocks after `head` until nothing moves any more; then all who still wait are told so.
+    /// Reads blocks after `head` until nothing moves any more; then notifies all who still wait.
     pub async fn watch(self: Arc<Self>, chain: Chain, mut head: u64, embedded: bool) {
         let patience = if embedded { Duration::from_secs(1) } else { POLL };
         let (mut moved, mut answered) = (Instant::now(), Instant::now());

@@ -1,5 +1,5 @@
-//! A network to measure on: a throw-away embedded chain or a node, with the contract freshly deployed and
-//! two throw-away accounts registered.
+//! A network to measure on: a throw-away embedded chain or a node, with a freshly deployed contract and two registered
+//! throw-away accounts.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -19,13 +19,13 @@ use authros_service::failure::internal;
 /// How long a single transaction may wait for its block.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// How often it is tried to remove a directory.
+/// How often removing a directory is tried.
 const REMOVALS: u32 = 10;
 /// How long to wait in between.
 const BETWEEN_REMOVALS: Duration = Duration::from_millis(20);
-/// How long a gas price is good.
+/// How long a gas price is used.
 const PRICE_HOLDS: Duration = Duration::from_secs(1);
-/// Requests to a node at once, so that neither runs out of descriptors.
+/// Simultaneous requests to a node, so that neither side runs out of descriptors.
 const MOST_REQUESTS: usize = 64;
 
 /// Where to measure.
@@ -37,14 +37,14 @@ pub enum Place {
     Node(String),
 }
 
-/// A directory that goes when it is dropped, even while a chain that ends closes its files in it.
+/// A directory removed on drop, even while a chain that is ending closes its files in it.
 pub struct Directory(TempDir);
 
 impl Directory {
     /// A new one.
     ///
     /// # Errors
-    /// Where none can be made.
+    /// If it cannot be created.
     pub fn new() -> Result<Self, Failure> {
         Self::within(&std::env::temp_dir())
     }
@@ -52,7 +52,7 @@ impl Directory {
     /// A new one in `parent`.
     ///
     /// # Errors
-    /// Where none can be made.
+    /// If it cannot be created.
     pub fn within(parent: &Path) -> Result<Self, Failure> {
         let made = tempfile::Builder::new().prefix("authros-bench-").tempdir_in(parent);
         let made = made.map_err(|error| {
@@ -61,7 +61,7 @@ impl Directory {
         made.map(Self)
     }
 
-    /// Where it lies.
+    /// Its path.
     pub fn path(&self) -> &Path {
         self.0.path()
     }
@@ -86,13 +86,13 @@ pub struct Network {
     pub consensus: String,
     /// The node's name and version.
     pub client: String,
-    /// Its period or difficulty, as far as it tells.
+    /// Its period or difficulty, if it says.
     pub sealing: Sealing,
     /// The most gas in a block.
     pub gas_limit: u64,
     /// The chain.
     pub chain: Chain,
-    /// Those who upload.
+    /// The uploaders.
     pub accounts: [Arc<Account>; 2],
     /// The vault.
     pub storer: Storer,
@@ -102,10 +102,10 @@ pub struct Network {
 }
 
 impl Network {
-    /// Opens it, deploys the contract, registers the accounts, opens a vault; files lie in `directory`.
+    /// Opens it, deploys the contract, registers the accounts, opens a vault; the files are in `directory`.
     ///
     /// # Errors
-    /// Where the node does not answer or gives no ether, or nothing can be written.
+    /// If the node does not answer or gives no ether, or nothing can be written.
     pub async fn open(place: &Place, provider: &'static dyn Provider, directory: &Path) -> Result<Self, Failure> {
         let chain = connect(place, directory).await?;
         let [one, other] = [EoaSecret::generate()?, EoaSecret::generate()?];
@@ -132,10 +132,10 @@ impl Network {
         })
     }
 
-    /// What gas costs, wei, asked again every second: the embedded chain's is zero, a node's may rise.
+    /// The gas price, wei, requested again every second: the embedded chain's is zero, a node's may rise.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn price(&self) -> Result<u128, ChainError> {
         let mut known = self.price.lock().await;
         if let Some((_, price)) = known.filter(|(asked, _)| asked.elapsed() < PRICE_HOLDS) {
@@ -151,7 +151,7 @@ impl Network {
         self.kind == "embedded"
     }
 
-    /// What it is and how it is set, in one line.
+    /// Its kind and settings, in one line.
     pub fn preset(&self) -> String {
         let sealing = match (self.sealing.period, &self.sealing.difficulty) {
             (Some(period), _) => format!("block period at least {period} ms"),
@@ -164,16 +164,16 @@ impl Network {
         format!("{}: {}, {sealing}, gas limit {:#x}", self.name(), self.client, self.gas_limit)
     }
 
-    /// What to call it.
+    /// Its name.
     pub fn name(&self) -> String {
         format!("{} {}", self.kind, self.consensus)
     }
 }
 
-/// Whether a node answers, so that nobody waits for other networks to learn that it does not.
+/// Checks that a node answers, so that nobody waits for other networks before learning that it does not.
 ///
 /// # Errors
-/// Where it does not.
+/// If it does not.
 pub async fn reach(url: &str) -> Result<(), Failure> {
     connect(&Place::Node(url.to_owned()), Path::new("")).await.map(drop)
 }
@@ -186,7 +186,7 @@ async fn connect(place: &Place, directory: &Path) -> Result<Chain, Failure> {
         Place::Node(url) => Endpoint::Node { url: url.clone() },
     };
     let options = ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 };
-    // The advice of this error names a setting; here it is an argument.
+    // This error's advice names a setting; here it is an argument.
     Chain::connect(options).await.map_err(|error| match error {
         ChainError::Unreachable { url, reason } => {
             let text = format!("the node at {url} does not answer ({reason}); start it, or correct --node");
@@ -210,10 +210,10 @@ fn poor(error: ChainError, chain: &Chain) -> Failure {
     }
 }
 
-/// A registered account of these keys.
+/// A registered account with these keys.
 ///
 /// # Errors
-/// The chain's.
+/// Errors of the chain.
 pub async fn join(chain: &Chain, eoa: EoaSecret, provider: &'static dyn Provider) -> Result<Account, Failure> {
     let nonce = chain.nonce(eoa.address(), true).await?;
     let account = Account::new(chain, eoa, nonce, provider)?;
@@ -225,7 +225,7 @@ pub async fn join(chain: &Chain, eoa: EoaSecret, provider: &'static dyn Provider
 /// Sends one signed transaction and waits until it took effect.
 ///
 /// # Errors
-/// The chain's, or why it failed.
+/// Errors of the chain, or why it failed.
 pub async fn settle(chain: &Chain, signed: SignedTransaction) -> Result<Receipt, Failure> {
     chain.broadcast(&signed.raw).await.map_err(|error| poor(error, chain))?;
     let receipt = receipt(chain, signed.hash).await?;

@@ -1,5 +1,5 @@
-//! Where the figures of a bench go: text, one JSON document or comma-separated lines on stdout, and a page of plots
-//! in a directory where one is named. Benches that run as a set are gathered and told at its end.
+//! Where a bench's figures go: text, one JSON document or comma-separated lines on stdout, and a page of plots in a
+//! directory if one is given. Benches that run as a set are collected and reported at its end.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -14,18 +14,18 @@ use authros_output::Output;
 use authros_service::Failure;
 use authros_store::files::atomic_write;
 
-/// How the figures are written.
+/// The format of the figures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Form {
     /// For people.
     Text,
     /// One document.
     Json,
-    /// A line for each result.
+    /// One line per result.
     Csv,
 }
 
-/// The way out.
+/// The output.
 #[derive(Debug)]
 pub struct Outlet {
     form: Form,
@@ -35,10 +35,10 @@ pub struct Outlet {
 }
 
 impl Outlet {
-    /// Makes the directory for plots where it is missing, so that nobody measures in vain.
+    /// Creates the directory for plots if missing, so that nobody measures in vain.
     ///
     /// # Errors
-    /// Where it cannot be made.
+    /// If it cannot be created.
     pub fn open(form: Form, output: Output, plots: Option<PathBuf>) -> Result<Self, Failure> {
         if let Some(directory) = &plots {
             std::fs::create_dir_all(directory).map_err(|error| unwritten(directory, &error))?;
@@ -46,12 +46,12 @@ impl Outlet {
         Ok(Self { form, output, plots, gathered: None })
     }
 
-    /// The same, but documents and lines of single benches are kept for the set's end.
+    /// The same, but documents and lines of single benches are kept for the end of the set.
     pub fn gathering(self) -> Self {
         Self { gathered: Some(Mutex::default()), ..self }
     }
 
-    /// For people, beside the figures.
+    /// For people, besides the figures.
     pub fn note(&self, text: &str) {
         self.output.note(text);
     }
@@ -61,10 +61,10 @@ impl Outlet {
         self.output
     }
 
-    /// Tells a report, and draws its page.
+    /// Prints a report, and draws its page.
     ///
     /// # Errors
-    /// Where the page cannot be written.
+    /// If the page cannot be written.
     pub fn show<R: Serialize>(
         &self,
         report: &Report<R>,
@@ -85,7 +85,7 @@ impl Outlet {
         Ok(())
     }
 
-    /// Tells a document that has `results`.
+    /// Prints a document with `results`.
     pub fn tell(&self, document: &Value, text: impl FnOnce() -> String) {
         let results = document.get("results").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
         match self.form {

@@ -1,5 +1,5 @@
-//! `authros bench pictures`: raw matrices and small messages compressed, sealed, opened, restored, per codec and
-//! beside none. What is measured is drawn here: smooth surfaces under sensor noise.
+//! `authros bench pictures`: raw matrices and small messages compressed, sealed, opened, restored, with each codec and
+//! without. The data are synthetic: smooth surfaces with sensor noise.
 
 mod drawn;
 mod plots;
@@ -35,14 +35,14 @@ const NOTES: [&str; 3] = [
     "total = compress + seal (SM4-GCM, SM3, SM2 signature); open = the same checked and decrypted; restore = unpacked.",
 ];
 
-/// One message under one codec.
+/// One message with one codec.
 #[derive(Debug, Serialize)]
 struct Row {
     message: &'static str,
     codec: &'static str,
     #[serde(flatten)]
     measured: Measured,
-    /// Bytes that are sealed.
+    /// Bytes sealed.
     sealed: usize,
     /// Medians, milliseconds.
     compress: f64,
@@ -52,7 +52,7 @@ struct Row {
     paper: Option<f64>,
 }
 
-/// One way to make it smaller and back.
+/// One codec.
 struct Codec {
     name: &'static str,
     pack: fn(&Message) -> Option<Vec<u8>>,
@@ -122,7 +122,7 @@ struct Times {
     sealed: usize,
 }
 
-/// Measures every message under every codec.
+/// Measures every message with every codec.
 ///
 /// # Errors
 /// Where a message is not restored as it was, or the random source fails.
@@ -185,7 +185,7 @@ impl Bench {
             kind: RecordKind::Data,
             filters: Vec::new(),
             captured_at: Timestamp(1),
-            // Every codec's bytes are sealed alike, as a message of their own length.
+            // Every codec's bytes are sealed the same way, as a message of their own length.
             head: &head(packed.len()),
             body: packed,
         };

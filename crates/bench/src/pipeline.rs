@@ -1,5 +1,5 @@
-//! `authros bench pipeline`: the whole line of a throw-away site at a held rate, publishers included, through real
-//! TCPROS. ROS master, chain and vault are embedded, or those that --ros-master, --chain and --vault name.
+//! `authros bench pipeline`: the whole line of a throw-away site at a constant rate, publishers included, through real
+//! TCPROS. ROS master, chain and vault are embedded, or those given by --ros-master, --chain and --vault.
 
 mod before;
 pub(crate) mod host;
@@ -27,7 +27,7 @@ use authros_output::table;
 use authros_pipeline::stages::{Milestone, Stages};
 use authros_service::Failure;
 
-/// Bytes of a picture, as in DESIGN section 10.
+/// Bytes of a picture, as in docs/format.md, section 10.
 const PICTURE: usize = 58 * 1024;
 /// Within how many milliseconds 99 of 100 messages must be verified for a rate to count as held.
 const VERIFIED_WITHIN: f64 = 5_000.0;

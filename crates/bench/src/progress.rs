@@ -1,4 +1,4 @@
-//! One line on stderr that says how far a bench is, where somebody looks.
+//! One progress line on stderr, if it is a terminal.
 
 use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
@@ -10,7 +10,7 @@ const WIDTH: usize = 78;
 /// Columns of the bar.
 const BAR: usize = 12;
 
-/// The line. It is wiped when dropped.
+/// The line. It is erased on drop.
 #[derive(Debug)]
 pub struct Progress {
     shown: bool,
@@ -20,12 +20,12 @@ pub struct Progress {
 }
 
 impl Progress {
-    /// For a run of that name; silent where stderr is no terminal.
+    /// For a run of that name; silent if stderr is not a terminal.
     pub fn new(what: impl Into<String>) -> Self {
         Self { shown: std::io::stderr().is_terminal(), begun: Instant::now(), last: None, what: what.into() }
     }
 
-    /// So many of all are done.
+    /// This many of all are done.
     pub fn at(&mut self, done: usize, all: usize) {
         let now = Instant::now();
         if !self.shown || self.last.is_some_and(|last| now.duration_since(last) < PAUSE) {
@@ -62,7 +62,7 @@ fn write(text: &str) {
     let mut stderr = std::io::stderr().lock();
     let text: String = text.chars().take(WIDTH).collect();
     let end = if text.is_empty() { "\r" } else { "" };
-    // Nobody is left to tell where stderr is closed.
+    // If stderr is closed there is nobody to inform.
     drop(write!(stderr, "\r{text:<WIDTH$}{end}").and_then(|()| stderr.flush()));
 }
 

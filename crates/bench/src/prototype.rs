@@ -1,5 +1,5 @@
-//! The prototype's way, as the paper tells it: ciphertexts lie on the chain, in a contract that is deployed for
-//! benches alone.
+//! The prototype's method, as described in the paper: ciphertexts are stored on the chain, in a contract deployed only
+//! for benches.
 
 use super::account::{Account, Sealed};
 use super::network::settle;
@@ -9,14 +9,14 @@ use authros_model::Address;
 use authros_service::Failure;
 
 const CONTRACT: &str = include_str!("../../../contracts/bench/Prototype.json");
-/// Gas of a word of storage that was empty (Istanbul).
+/// Gas for a word of storage that was empty (Istanbul).
 const WORD_GAS: u64 = 20_000;
 
 /// Its contract on a chain.
 #[derive(Debug)]
 pub struct Prototype {
     contract: ForeignContract,
-    /// Where it is.
+    /// Its address.
     pub address: Address,
     // In the paper the token is the SM4 key: 16 bytes. This one opens nothing.
     token: [u8; 16],
@@ -26,7 +26,7 @@ impl Prototype {
     /// Deploys it with the account's nonce.
     ///
     /// # Errors
-    /// The chain's.
+    /// Errors of the chain.
     pub async fn deploy(chain: &Chain, eoa: &EoaSecret, nonce: u64) -> Result<Self, Failure> {
         let contract = ForeignContract::parse(CONTRACT)?;
         let address = created_address(eoa.address(), nonce);
@@ -37,16 +37,16 @@ impl Prototype {
     /// Registers an account.
     ///
     /// # Errors
-    /// The chain's.
+    /// Errors of the chain.
     pub async fn register(&self, chain: &Chain, eoa: &EoaSecret, nonce: u64) -> Result<(), Failure> {
         let data = self.contract.call("register", &[&self.token])?;
         settle(chain, chain.sign_bytes(eoa, nonce, Some(self.address), data).await?).await.map(drop)
     }
 
-    /// A message sealed by the account, and the call that stores its ciphertext, as long as the message, whole.
+    /// A message sealed by the account, and the call that stores its whole ciphertext, which is as long as the message.
     ///
     /// # Errors
-    /// The random source's.
+    /// Errors of the random source.
     pub fn upload(&self, account: &Account, message: &[u8]) -> Result<Vec<u8>, Failure> {
         let Sealed { blob, captured_at, .. } = account.seal(message)?;
         let ciphertext = blob.get(blob.len().saturating_sub(message.len())..).unwrap_or_default();
@@ -54,7 +54,7 @@ impl Prototype {
         Ok(self.contract.call("dataUpload", &[ciphertext, &self.token, &timestamp])?)
     }
 
-    /// Gas that storing so many bytes costs at least.
+    /// The least gas for storing this many bytes.
     pub fn least_gas(bytes: usize) -> u64 {
         (bytes as u64).div_ceil(32) * WORD_GAS
     }

@@ -1,5 +1,5 @@
-//! `authros bench record`: one record's way on one core, step by step: compressed, sealed, digested and signed, then
-//! checked, proven and opened. The steps are those of the very code that the program runs.
+//! `authros bench record`: one record on one core, step by step: compressed, sealed, digested and signed, then checked,
+//! proven and opened. The steps are those of the very code that the program runs.
 
 mod plots;
 mod timed;
@@ -19,11 +19,11 @@ use authros_output::table;
 use authros_service::Failure;
 use authros_service::failure::internal;
 
-/// 1 KiB (odometry), 58 KB (a compressed picture, as of `bench pipeline`), 1 MB (a raw one).
+/// 1 KiB (odometry), 58 KB (a compressed picture, as in `bench pipeline`), 1 MB (a raw one).
 const SIZES: [usize; 3] = [1024, 58 * 1024, 1_000_000];
 /// The longest bar, characters.
 const LONGEST_BAR: usize = 50;
-/// The word for all steps together.
+/// The name of all steps together.
 const WHOLE: &str = "whole";
 
 const NOTES: [&str; 4] = [
@@ -36,7 +36,7 @@ const NOTES: [&str; 4] = [
     "share: of the sum of all runs. Times are microseconds of one message; a second and core: from the medians.",
 ];
 
-/// A step, or the whole of them, at one size.
+/// A step, or all of them, at one size.
 #[derive(Debug, Serialize)]
 struct Row {
     /// `seal` or `open`.
@@ -86,7 +86,7 @@ fn measure(runs: u32, provider: &'static dyn Provider) -> Result<Vec<Row>, Failu
     Ok(rows)
 }
 
-/// The whole first, then its steps in their order.
+/// The whole first, then its steps in order.
 fn rows_of(way: &'static str, size: usize, laps: &[Lap]) -> Vec<Row> {
     let whole: Vec<f64> = laps.iter().map(|lap| lap.iter().map(|(_, time)| time).sum()).collect();
     let sum: f64 = whole.iter().sum();

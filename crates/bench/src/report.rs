@@ -1,4 +1,4 @@
-//! What every bench prints: one JSON document, comma-separated lines, or text.
+//! The output of every bench: one JSON document, comma-separated lines, or text.
 
 use serde::Serialize;
 use serde_json::{Map, Value};
@@ -6,7 +6,7 @@ use serde_json::{Map, Value};
 use super::machine::Machine;
 use super::spread::Spread;
 
-/// The outcome of a bench. `about` is more about the run, field by field beside the others.
+/// The result of a bench. `about` adds fields about the run beside the others.
 #[derive(Debug, Serialize)]
 pub struct Report<R> {
     /// Which bench.
@@ -20,21 +20,21 @@ pub struct Report<R> {
     pub results: Vec<R>,
 }
 
-/// The part of a result that all benches share.
+/// The part of a result common to all benches.
 #[derive(Debug, Clone, Serialize)]
 pub struct Measured {
     /// Length of a message, bytes.
     pub bytes: u64,
-    /// How many values the spread is of.
+    /// The number of values in the spread.
     pub runs: u64,
-    /// What they are in.
+    /// Their unit.
     pub unit: &'static str,
     /// The values.
     #[serde(flatten)]
     pub spread: Spread,
 }
 
-/// One line of column names, one line for each result; fields of fields are named `outer.inner`.
+/// One line of column names, one line per result; nested fields are named `outer.inner`.
 pub fn csv(results: &[Value]) -> String {
     let rows: Vec<Vec<(String, String)>> = results.iter().map(row).collect();
     let mut names: Vec<&str> = Vec::new();
@@ -70,7 +70,7 @@ fn flatten(name: &str, value: &Value, cells: &mut Vec<(String, String)>) {
     }
 }
 
-/// As RFC 4180 quotes.
+/// Quoted as in RFC 4180.
 fn quoted(text: &str) -> String {
     if text.contains([',', '"', '\n', '\r']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
 }

@@ -1,5 +1,5 @@
-//! `authros bench size`: the paper's figure 12. Messages of 1, 2, 4 and 8 KB, so many of each uploaded at once: sealed,
-//! stored and anchored as we do it, and the prototype's way, whose ciphertexts lie on the chain.
+//! `authros bench size`: the paper's figure 12. Messages of 1, 2, 4 and 8 KB, many of each uploaded at once: sealed,
+//! stored and anchored as we do it, and as in the prototype, which stores ciphertexts on the chain.
 
 mod plots;
 
@@ -39,7 +39,7 @@ const NOTES: [&str; 6] = [
      run's times say little: compare gas and what one machine shows in many runs.",
 ];
 
-/// One size, one way, on one network.
+/// One size and method on one network.
 #[derive(Debug, Serialize)]
 struct Row {
     network: &'static str,
@@ -78,7 +78,7 @@ impl Row {
     }
 }
 
-/// Uploads all sizes every way on every network; exit code 8 where an upload failed.
+/// Uploads all sizes with every method on every network; exit code 8 if an upload failed.
 ///
 /// # Errors
 /// Where a network cannot be opened, or its count differs from the receipts.
@@ -216,7 +216,7 @@ fn text(report: &Report<Row>, presets: &[String]) -> String {
     lines.join("\n")
 }
 
-/// The two columns of the paper's question: ours beside the prototype's way.
+/// The two columns of the paper's comparison: ours beside the prototype's.
 fn columns(rows: &[Row]) -> String {
     let head = ["network", "bytes", "ours, batch", "ours, each", "prototype", "times batch", "times each"];
     let beside = rows.chunks(3).filter_map(|ways| {

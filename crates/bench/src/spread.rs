@@ -1,4 +1,4 @@
-//! How measured values are spread: least, median, 95th of a hundred, greatest; and their histogram in text.
+//! The spread of measured values: least, median, 95th percentile, greatest; and their histogram in text.
 
 use serde::Serialize;
 
@@ -7,7 +7,7 @@ const BARS: usize = 8;
 /// The longest bar, characters.
 const LONGEST_BAR: usize = 40;
 
-/// Nearest-rank percentiles; all of them not a number (`null` in JSON) where there are no values.
+/// Nearest-rank percentiles; all NaN (`null` in JSON) if there are no values.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[allow(missing_docs, reason = "the type's line says it")]
 pub struct Spread {
@@ -18,7 +18,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of values in any order.
+    /// For values in any order.
     pub fn of(values: &[f64]) -> Self {
         let mut sorted = values.to_vec();
         sorted.sort_by(f64::total_cmp);
@@ -51,7 +51,7 @@ pub fn histogram(values: &[f64], unit: &str) -> Vec<String> {
     counts.iter().enumerate().map(line).collect()
 }
 
-/// A bar for each name, as long as its value; by its logarithm where they differ by more than a hundred times.
+/// A bar for each name, as long as its value; by its logarithm if they differ by more than a hundred times.
 pub fn bars(rows: &[(String, f64)], unit: &str) -> Vec<String> {
     let known = || rows.iter().map(|(_, value)| *value).filter(|value| value.is_finite() && *value > 0.0);
     let (least, most) = (known().fold(f64::INFINITY, f64::min), known().fold(0.0, f64::max));
@@ -67,12 +67,12 @@ pub fn bars(rows: &[(String, f64)], unit: &str) -> Vec<String> {
     rows.iter().map(line).chain(scale).collect()
 }
 
-/// A count as a number to reckon with; exact up to 2^32, and no count here is larger.
+/// A count as a float; exact up to 2^32, and no count here is larger.
 pub fn number(count: impl TryInto<u32>) -> f64 {
     f64::from(count.try_into().unwrap_or(u32::MAX))
 }
 
-/// One decimal, or a dash where there is no value.
+/// One decimal, or a dash if there is no value.
 pub fn decimal(value: f64) -> String {
     if value.is_finite() { format!("{value:.1}") } else { "-".to_owned() }
 }

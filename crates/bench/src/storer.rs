@@ -1,5 +1,5 @@
-//! A throw-away embedded vault, and the thread that puts into it all that waits in one commit, as the
-//! pipeline does: what it acknowledges is on disk.
+//! A throw-away embedded vault, and the thread that commits everything waiting to it at once, as in the pipeline: what
+//! it acknowledges is on disk.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use authros_service::Failure;
 use authros_service::failure::internal;
 use authros_store::{StoreError, Vault, open_vault};
 
-/// Records in one commit at most, as in the pipeline.
+/// The most records in one commit, as in the pipeline.
 const ROUND: usize = 256;
 
 struct Item {
@@ -21,7 +21,7 @@ struct Item {
     stored: oneshot::Sender<Result<(), String>>,
 }
 
-/// The way into the vault.
+/// The input of the vault.
 pub struct Storer {
     vault: Arc<dyn Vault>,
     items: Sender<Item>,
@@ -31,7 +31,7 @@ impl Storer {
     /// Opens a vault in `directory`; the thread ends with the storer.
     ///
     /// # Errors
-    /// Where it cannot be made.
+    /// If it cannot be created.
     pub fn open(directory: &Path) -> Result<Self, Failure> {
         let vault = open_vault(None, directory)?;
         let (items, inbox) = channel();
@@ -41,10 +41,10 @@ impl Storer {
         Ok(Self { vault, items })
     }
 
-    /// Puts one record in; when this returns it is on disk.
+    /// Stores one record; when this returns it is on disk.
     ///
     /// # Errors
-    /// The vault's.
+    /// Errors of the vault.
     pub async fn put(&self, digest: Digest, blob: Vec<u8>) -> Result<(), Failure> {
         let (stored, answer) = oneshot::channel();
         let gone = || internal("the vault's thread has ended");
@@ -55,7 +55,7 @@ impl Storer {
     /// How many records it holds.
     ///
     /// # Errors
-    /// The vault's.
+    /// Errors of the vault.
     pub fn entries(&self) -> Result<u64, Failure> {
         Ok(self.vault.usage()?.entries)
     }

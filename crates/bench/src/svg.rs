@@ -1,5 +1,5 @@
-//! Plots as SVG, written as text: axes with ticks, bars, lines, columns and bands, a legend. No script, no font and
-//! no file from elsewhere, so that a page looks alike wherever it is opened.
+//! Plots as SVG, written as text: axes with ticks, bars, lines, columns and bands, a legend. No scripts, fonts or
+//! external files, so that a page looks the same wherever it is opened.
 
 mod axis;
 mod canvas;
@@ -12,9 +12,9 @@ pub use plot::{Bar, Mark, Plot, Series, Side};
 
 use canvas::{Anchor, Canvas, Text};
 
-/// Colours that people who do not see all colours can tell apart; ours first.
+/// Colours that colour-blind people can tell apart; ours first.
 pub const COLOURS: [&str; 8] = ["#0072b2", "#56b4e9", "#009e73", "#e69f00", "#d55e00", "#cc79a7", "#5d4a9c", "#6b6b00"];
-/// What the paper or its authors give.
+/// The colour for figures of the paper or its authors.
 pub const PAPER: &str = "#8c8c8c";
 
 /// The least width of a page.
@@ -23,7 +23,7 @@ const WIDTH: f64 = 1040.0;
 const COLUMN: f64 = 400.0;
 /// Height of a plot with its title and labels.
 const PLOT: f64 = 320.0;
-/// Around everything.
+/// The margin around everything.
 const MARGIN: f64 = 20.0;
 /// Between plots.
 const GAP: f64 = 22.0;
@@ -49,7 +49,7 @@ pub struct Page {
     pub notes: Vec<String>,
 }
 
-/// Where something is drawn.
+/// The position of a plot.
 #[derive(Debug, Clone, Copy)]
 struct Area {
     x: f64,
@@ -87,7 +87,7 @@ impl Page {
     }
 }
 
-/// A note in lines that fit on the page.
+/// A note in lines that fit the page.
 fn wrapped(note: &str) -> Vec<String> {
     let mut lines = vec![String::new()];
     for word in note.split_whitespace() {

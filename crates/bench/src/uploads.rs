@@ -1,6 +1,6 @@
-//! Many uploaders at once: each seals a message, stores the record, has it anchored, and waits for the receipt.
-//! `each` is one `dataUpload` per record; `batch` is one root over the records that wait; `prototype` stores nothing
-//! beside the chain and puts the ciphertext on it.
+//! Many uploaders at once: each seals a message, stores the record, has it anchored, and waits for the receipt. `each`
+//! is one `dataUpload` per record; `batch` is one root over the waiting records; `prototype` stores only on the chain,
+//! the ciphertext itself.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -22,22 +22,22 @@ use authros_service::failure::internal;
 
 /// Length of a message, bytes, as in the paper.
 pub const MESSAGE: usize = 1024;
-/// How often the progress line is renewed.
+/// How often the progress line is updated.
 const TICK: Duration = Duration::from_millis(200);
 
-/// How a record gets on the chain.
+/// How a record is put on the chain.
 #[derive(Debug, Clone)]
 pub enum Way {
     /// Under a Merkle root with others.
     Batch,
-    /// By a transaction of its own.
+    /// In its own transaction.
     Each,
     /// Whole, in the prototype's contract.
     Prototype(Arc<Prototype>),
 }
 
 impl Way {
-    /// As in results.
+    /// Its name in results.
     pub fn word(&self) -> &'static str {
         match self {
             Self::Batch => "batch",
@@ -47,10 +47,10 @@ impl Way {
     }
 }
 
-/// What one run does.
+/// The parameters of one run.
 #[derive(Debug, Clone)]
 pub struct Load {
-    /// How.
+    /// The method.
     pub way: Way,
     /// Length of a message.
     pub bytes: usize,
@@ -58,11 +58,11 @@ pub struct Load {
     pub uploaders: usize,
 }
 
-/// What became of one run.
+/// The outcome of one run.
 pub struct Outcome {
     /// How many uploaded.
     pub uploaders: usize,
-    /// From each uploader's start to its receipt, of those that got one, milliseconds.
+    /// From each uploader's start to its receipt, for those that got one, milliseconds.
     pub responses: Vec<f64>,
     /// From the first uploader's start to the last receipt.
     pub total: Duration,
@@ -74,7 +74,7 @@ pub struct Outcome {
     pub transactions: u64,
     /// Gas that they used.
     pub gas: u64,
-    /// Why uploads failed, and how many each.
+    /// Why uploads failed, and how many for each reason.
     pub failures: BTreeMap<String, u64>,
 }
 
@@ -83,7 +83,7 @@ struct Done {
     response: Duration,
     sent: Instant,
     received: Instant,
-    /// Gas of the transaction, where it was this uploader's own.
+    /// Gas of the transaction, if it was this uploader's own.
     gas: Option<u64>,
 }
 
@@ -94,7 +94,7 @@ struct Run {
     line: Line,
 }
 
-/// What stands between an uploader and the chain.
+/// The path from an uploader to the chain.
 enum Line {
     Batch([Batcher; 2]),
     Each,
@@ -105,8 +105,8 @@ enum Line {
 /// Runs all of its uploaders to the end.
 ///
 /// # Errors
-/// Where the run cannot begin, or the chain's count differs from the receipts; single uploads that fail
-/// are in the outcome.
+/// If the run cannot begin, or the chain's count differs from the receipts; individual failed uploads are in the
+/// outcome.
 pub async fn run(network: &Arc<Network>, load: &Load) -> Result<Outcome, Failure> {
     let mut progress = Progress::new(format!("{} {}, {} B", network.name(), load.way.word(), load.bytes));
     let gas = warm_up(network, load).await?;
@@ -142,8 +142,8 @@ pub async fn run(network: &Arc<Network>, load: &Load) -> Result<Outcome, Failure
     Ok(outcome)
 }
 
-/// The lanes begin where the chain stands, and gas is estimated once, so that no uploader has to wait for it;
-/// nothing is sent. Returns the gas of the prototype's call.
+/// The lanes begin at the chain's nonces, and gas is estimated once, so that no uploader has to wait for it; nothing is
+/// sent. Returns the gas of the prototype's call.
 async fn warm_up(network: &Network, load: &Load) -> Result<u64, Failure> {
     let mut most = 0;
     for account in &network.accounts {
@@ -175,7 +175,7 @@ async fn counted(network: &Network) -> Result<u64, Failure> {
     Ok(sum)
 }
 
-/// Chain and vault must hold what the uploaders were told; an upload that ended too early may be there as well.
+/// Chain and vault must hold what was reported to the uploaders; an upload that ended too early may be there as well.
 fn agree(found: u64, outcome: &Outcome) -> Result<(), Failure> {
     let (least, most) = (outcome.responses.len() as u64, outcome.uploaders as u64);
     if (least..=most).contains(&found) {
@@ -205,7 +205,7 @@ async fn all(run: &Arc<Run>, uploaders: usize, begun: Instant, progress: &mut Pr
     }
 }
 
-/// One uploader, on the account of that place. All begin at once, however late they get a thread.
+/// One uploader, on the account with that index. All begin at once, however late they get a thread.
 async fn upload(run: Arc<Run>, place: usize, begun: Instant) -> Result<Done, Failure> {
     let account = &run.network.accounts[place];
     let message = message(run.bytes)?;
@@ -223,7 +223,7 @@ async fn upload(run: Arc<Run>, place: usize, begun: Instant) -> Result<Done, Fai
     Ok(Done { response: received - begun, sent, received, gas })
 }
 
-/// When a transaction was sent, and its gas where it was for this record alone.
+/// When a transaction was sent, and its gas if it was for this record alone.
 type Settled = Result<(Instant, Option<u64>), Failure>;
 
 impl Run {

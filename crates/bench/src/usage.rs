@@ -1,10 +1,10 @@
-//! What this process uses, as /proc tells it: resident memory and processor time.
+//! This process's resource usage from /proc: resident memory and processor time.
 
 use super::machine::{field, kibibytes};
 
 /// Clock ticks a second in /proc, the same on every Linux that Rust runs on.
 const TICKS: f64 = 100.0;
-/// Resident bytes now; `None` where /proc does not tell.
+/// Resident bytes now; `None` if /proc does not say.
 pub fn resident() -> Option<u64> {
     kibibytes(&field(&std::fs::read_to_string("/proc/self/status").ok()?, "VmRSS")?)
 }
@@ -17,7 +17,7 @@ pub fn anonymous() -> Option<u64> {
 /// Processor time of all threads so far, seconds; 0 where /proc does not tell.
 pub fn processor_seconds() -> f64 {
     let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    // The command's name, in brackets, may hold anything.
+    // The command's name, in brackets, may contain anything.
     let fields = text.rsplit_once(')').map(|(_, rest)| rest).unwrap_or_default();
     let ticks = |index: usize| fields.split_whitespace().nth(index).and_then(|field| field.parse::<f64>().ok());
     (ticks(11).unwrap_or(0.0) + ticks(12).unwrap_or(0.0)) / TICKS

@@ -1,5 +1,5 @@
-//! Proof that a record is anchored, as it travels with the record: where the chain has its digest or its batch's
-//! root, and the path from the record to that root.
+//! Proof that a record is anchored, carried with the record: where the chain has its digest or its batch's root, and
+//! the path from the record to that root.
 
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Hash};
@@ -10,7 +10,8 @@ use super::merkle::{Inclusion, LONGEST_PATH};
 const VERSION: u8 = 1;
 
 /// Where a record was anchored: version (1) || account (20) || transaction (32) || block (8) || block hash (32) ||
-/// batched (1). A batched record's goes on: index (8) || leaves (8) || root (32) || steps (1) || 32 bytes a step.
+/// batched (1). For a batched record it continues: index (8) || leaves (8) || root (32) || steps (1) || 32 bytes a
+/// step.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AnchorProof {
     /// Who anchored it.
@@ -21,12 +22,12 @@ pub struct AnchorProof {
     pub block: u64,
     /// That block's hash.
     pub block_hash: Hash,
-    /// The record's place in its batch; `None` where its digest was uploaded by itself.
+    /// The record's place in its batch; `None` if its digest was uploaded on its own.
     pub inclusion: Option<Inclusion>,
 }
 
 impl AnchorProof {
-    /// Its bytes.
+    /// Its encoding.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = vec![VERSION];
         for part in [&self.account.0[..], &self.transaction.0, &self.block.to_be_bytes(), &self.block_hash.0] {
@@ -44,10 +45,10 @@ impl AnchorProof {
         out
     }
 
-    /// From its bytes; there is one encoding of each proof.
+    /// From its encoding; each proof has exactly one.
     ///
     /// # Errors
-    /// [`WireError`] where they are none.
+    /// [`WireError`] if it is malformed.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         if reader.u8("version")? != VERSION {

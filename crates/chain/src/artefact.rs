@@ -1,4 +1,4 @@
-//! The compiled contracts that this program carries and speaks: each revision that was ever in use.
+//! The compiled contracts built into this program: every revision that was ever in use.
 
 use std::fmt;
 use std::sync::LazyLock;
@@ -13,18 +13,18 @@ use crate::model::{Hash, bytes::unhex};
 const FIRST: &str = include_str!("../../../contracts/revision1/AuthROS.json");
 const SECOND: &str = include_str!("../../../contracts/AuthROS.json");
 
-/// A revision of the contract, told by the hash of its code.
+/// A revision of the contract, identified by the hash of its code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(into = "u8", try_from = "u8")]
 pub enum Revision {
-    /// The first: the administrator names successors at once, and a pause has no end.
+    /// The first: the administrator appoints successors at once, and a pause has no end.
     First,
-    /// The administrator is bounded, grants can be extended.
+    /// The administrator's powers are bounded, grants can be extended.
     Second,
 }
 
 impl Revision {
-    /// The one that is deployed where nothing else is asked for.
+    /// The one deployed by default.
     pub const NEWEST: Self = Self::Second;
 }
 
@@ -94,7 +94,7 @@ fn read(revision: Revision, json: &str) -> Result<Artefact, String> {
 /// All artefacts, the newest first.
 ///
 /// # Errors
-/// [`ChainError::Internal`] where a file built into the program is broken.
+/// [`ChainError::Internal`] if a file built into the program is broken.
 pub fn artefacts() -> Result<&'static [Artefact], ChainError> {
     ARTEFACTS.as_ref().map(<[_; 2]>::as_slice).map_err(|error| ChainError::Internal(error.clone()))
 }
@@ -102,7 +102,7 @@ pub fn artefacts() -> Result<&'static [Artefact], ChainError> {
 /// The artefact of a revision.
 ///
 /// # Errors
-/// As [`artefacts`].
+/// See [`artefacts`].
 pub fn artefact(revision: Revision) -> Result<&'static Artefact, ChainError> {
     the(|artefact| artefact.revision == revision, "revision")
 }
@@ -110,7 +110,7 @@ pub fn artefact(revision: Revision) -> Result<&'static Artefact, ChainError> {
 /// The newest revision that has this function.
 ///
 /// # Errors
-/// [`ChainError::Internal`] where none has, or as [`artefacts`].
+/// [`ChainError::Internal`] if none has, or see [`artefacts`].
 pub fn offering(function: &str) -> Result<&'static Artefact, ChainError> {
     the(|artefact| artefact.abi.function(function).is_ok(), function)
 }
@@ -118,15 +118,15 @@ pub fn offering(function: &str) -> Result<&'static Artefact, ChainError> {
 /// The newest revision that has this event.
 ///
 /// # Errors
-/// As [`offering`].
+/// See [`offering`].
 pub fn telling(event: &str) -> Result<&'static Artefact, ChainError> {
     the(|artefact| artefact.abi.event(event).is_ok(), event)
 }
 
-/// Which revision has code of this hash; `None` for any other contract.
+/// The revision whose code has this hash; `None` for any other contract.
 ///
 /// # Errors
-/// As [`artefacts`].
+/// See [`artefacts`].
 pub fn revision_of(code_hash: Hash) -> Result<Option<Revision>, ChainError> {
     Ok(artefacts()?.iter().find(|artefact| artefact.code_hash == code_hash).map(|artefact| artefact.revision))
 }
@@ -140,7 +140,7 @@ impl Artefact {
     /// A function of the contract.
     ///
     /// # Errors
-    /// [`ChainError::Internal`] where there is none of that name.
+    /// [`ChainError::Internal`] if there is none of that name.
     pub fn function(&self, name: &str) -> Result<&Function, ChainError> {
         self.abi.function(name).map_err(|error| ChainError::Internal(format!("{name}: {error}")))
     }
@@ -148,7 +148,7 @@ impl Artefact {
     /// Call data of a function.
     ///
     /// # Errors
-    /// [`ChainError::Internal`] where name or arguments do not fit the ABI.
+    /// [`ChainError::Internal`] if name or arguments do not match the ABI.
     pub fn encode(&self, name: &str, arguments: &[Token]) -> Result<Vec<u8>, ChainError> {
         let encoded = self.function(name)?.encode_input(arguments);
         encoded.map_err(|error| ChainError::Internal(format!("{name}: {error}")))
@@ -157,17 +157,17 @@ impl Artefact {
     /// The first topic of an event.
     ///
     /// # Errors
-    /// [`ChainError::Internal`] where there is none of that name.
+    /// [`ChainError::Internal`] if there is none of that name.
     pub fn event_signature(&self, name: &str) -> Result<Hash, ChainError> {
         let event = self.abi.event(name).map_err(|error| ChainError::Internal(format!("{name}: {error}")))?;
         Ok(Hash(event.signature().0))
     }
 
-    /// Creation code with the constructor's arguments: whether registration is open, and from the second revision on how
-    /// long a succession waits, seconds.
+    /// Creation code with the constructor's arguments: whether registration is open, and from the second revision on
+    /// the delay of a succession, seconds.
     ///
     /// # Errors
-    /// [`ChainError::Internal`] where the artefact has no constructor.
+    /// [`ChainError::Internal`] if the artefact has no constructor.
     pub fn creation(&self, open: bool, delay: u64) -> Result<Vec<u8>, ChainError> {
         let constructor = self.abi.constructor().ok_or_else(|| ChainError::Internal("no constructor".into()))?;
         let arguments = [Token::Bool(open), Token::Uint(delay.into())];
@@ -194,7 +194,7 @@ mod tests {
         assert_eq!(revision_of(Hash([1; 32])), Ok(None));
     }
 
-    /// Homes are pinned to it: it must stay what it was at 7ed4b9f.
+    /// Homes are pinned to it, so it must stay as it was at 7ed4b9f.
     #[test]
     fn the_first_revision_is_what_it_was() {
         let hash = artefact(Revision::First).expect("artefact").code_hash;

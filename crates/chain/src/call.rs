@@ -12,7 +12,7 @@ pub const MOST_WRAPS: usize = 32;
 /// The longest envelope, bytes (contract limit).
 pub const LONGEST_ENVELOPE: usize = 4096;
 
-/// A change of the contract's state; the sender of the transaction is who makes it.
+/// A change of the contract's state, made by the sender of the transaction.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Call {
     /// Registers the sender at epoch 1.
@@ -20,7 +20,7 @@ pub enum Call {
         /// Token, keys and proof.
         identity: Identity,
     },
-    /// Replaces the sender's SM2 keys; the epoch goes on.
+    /// Replaces the sender's SM2 keys; the epoch continues.
     RotateKeys {
         /// Current token, new keys and proof.
         identity: Identity,
@@ -29,34 +29,34 @@ pub enum Call {
     DataUpload {
         /// SM3 of the record.
         digest: Digest,
-        /// Any token that the sender ever registered.
+        /// Any token that the sender has ever registered.
         token: Token,
         /// When the record was captured.
         timestamp: Timestamp,
     },
     /// Lets a grantee read.
     AuthorityGrant {
-        /// Who.
+        /// The grantee.
         grantee: Address,
         /// The epoch whose key the envelope carries.
         epoch: u64,
-        /// When it ends, whole seconds; `None` = no end.
+        /// When it ends, whole seconds; `None` = never.
         expiry: Option<Timestamp>,
-        /// Which topics.
+        /// The topics.
         scope: Scope,
         /// The wrapped keys, at most [`LONGEST_ENVELOPE`].
         envelope: Vec<u8>,
     },
-    /// Gives grantees the envelopes of a further epoch.
+    /// Gives grantees the envelopes of another epoch.
     Wrap {
         /// The epoch.
         epoch: u64,
-        /// Grantees and envelopes, at most [`MOST_WRAPS`].
+        /// Grantees and their envelopes, at most [`MOST_WRAPS`].
         envelopes: Vec<(Address, Vec<u8>)>,
     },
     /// Ends a grant and the epoch.
     AuthorityRevoke {
-        /// Whose grant.
+        /// The grantee.
         grantee: Address,
         /// Token of the next epoch.
         new_token: Token,
@@ -79,22 +79,22 @@ pub enum Call {
     Lend {
         /// SM3 of its public key.
         device: SignerId,
-        /// When it ends, whole seconds; `None` = no end.
+        /// When it ends, whole seconds; `None` = never.
         until: Option<Timestamp>,
     },
-    /// Takes a loan back.
+    /// Ends a loan.
     Recall {
         /// SM3 of the device's public key.
         device: SignerId,
     },
     /// Administrator: lets an account register while registration is closed.
     Admit {
-        /// Who.
+        /// The account.
         account: Address,
     },
     /// Administrator: withdraws an admission.
     Dismiss {
-        /// Who.
+        /// The account.
         account: Address,
     },
     /// Administrator: opens or closes registration.
@@ -102,67 +102,67 @@ pub enum Call {
         /// Whether anyone may register.
         open: bool,
     },
-    /// Administrator: stops an account's changes.
+    /// Administrator: suspends an account's changes.
     Suspend {
-        /// Who.
+        /// The account.
         account: Address,
     },
-    /// Administrator: frees a suspended account.
+    /// Administrator: lifts an account's suspension.
     Restore {
-        /// Who.
+        /// The account.
         account: Address,
     },
-    /// Administrator: stops all changes but those that take rights away, without end (first revision).
+    /// Administrator: pauses all changes except those that take rights away, with no end (first revision).
     SetPaused {
-        /// Whether they are stopped.
+        /// Whether they are paused.
         paused: bool,
     },
-    /// Administrator: stops all changes but those that take rights away, until then.
+    /// Administrator: pauses all changes except those that take rights away, until a given time.
     Pause {
-        /// When they go on, whole seconds; at most [`super::LONGEST_PAUSE`] ahead.
+        /// When they resume, whole seconds; at most [`super::LONGEST_PAUSE`] ahead.
         until: Timestamp,
     },
-    /// Administrator: lets changes go on before the pause's end.
+    /// Administrator: resumes changes before the pause ends.
     Resume,
     /// Administrator: proposes the successor of a lost account.
     ProposeSuccession {
         /// The account whose key is lost.
         lost: Address,
-        /// Who is to continue.
+        /// The successor.
         successor: Address,
     },
-    /// Recovery account or administrator: stops a succession that waits.
+    /// Recovery account or administrator: stops a pending succession.
     CancelSuccession {
-        /// Whose.
+        /// The lost account.
         lost: Address,
     },
-    /// Anybody: completes a succession whose time has come.
+    /// Anyone: completes a succession whose delay is over.
     CompleteSuccession {
-        /// Whose.
+        /// The lost account.
         lost: Address,
     },
-    /// Names who may stop a succession of the sender's account.
+    /// Names the account that may stop a succession of the sender's account.
     NameRecovery {
-        /// Who; `None` = nobody.
+        /// The recovery account; `None` = nobody.
         recovery: Option<Address>,
     },
-    /// Lets a grant end later.
+    /// Extends a grant.
     Extend {
-        /// Whose grant.
+        /// The grantee.
         grantee: Address,
-        /// Its new end, whole seconds; `None` = no end.
+        /// Its new end, whole seconds; `None` = never.
         expiry: Option<Timestamp>,
     },
-    /// Administrator: names the successor of a lost account at once (first revision).
+    /// Administrator: appoints the successor of a lost account at once (first revision).
     Succeed {
         /// The account whose key is lost.
         lost: Address,
-        /// Who continues.
+        /// The successor.
         successor: Address,
     },
-    /// Administrator: names the next administrator.
+    /// Administrator: nominates the next administrator.
     Nominate {
-        /// Who; the zero address withdraws.
+        /// The nominee; the zero address withdraws the nomination.
         account: Address,
     },
     /// The nominee takes over.
@@ -205,7 +205,7 @@ impl Call {
     /// The call data.
     ///
     /// # Errors
-    /// [`ChainError::Input`] where a value breaks a limit of the contract.
+    /// [`ChainError::Input`] if a value breaks a limit of the contract.
     pub fn encode(&self) -> Result<Vec<u8>, ChainError> {
         offering(self.name())?.encode(self.name(), &self.arguments()?)
     }
@@ -213,7 +213,7 @@ impl Call {
     /// Whether a contract of this revision has the function.
     ///
     /// # Errors
-    /// [`ChainError::NotOffered`] where it has not, with what to do instead.
+    /// [`ChainError::NotOffered`] if it does not, saying what to do instead.
     pub fn expect_offered(&self, revision: Revision) -> Result<(), ChainError> {
         let name = self.name();
         let offered = artefacts()?.iter().any(|it| it.revision == revision && it.abi.function(name).is_ok());
@@ -273,7 +273,7 @@ fn number(value: u64) -> AbiToken {
     AbiToken::Uint(U256::from(value))
 }
 
-/// Whole seconds, 0 for no end. A fraction is refused: the chain would show another end than the one signed.
+/// Whole seconds, 0 for never. A fraction is refused: the chain would show a different end from the one signed.
 fn seconds(end: Option<Timestamp>) -> Result<u64, ChainError> {
     match end {
         None => Ok(0),

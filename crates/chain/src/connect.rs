@@ -1,4 +1,4 @@
-//! Connecting: which chain is this, is it the pinned one, and which contract is in use.
+//! Connecting: which chain this is, whether it is the pinned one, and which contract is in use.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
@@ -16,10 +16,10 @@ use super::transport::Transport;
 use super::{BlockRef, Chain, ChainError, ChainOptions, Endpoint, Pin};
 use crate::model::{Address, Hash, bytes::unhex, clean};
 
-/// How often a node is asked for news.
+/// How often a node is polled for news.
 pub(super) const POLL: Duration = Duration::from_millis(200);
 
-/// What all clones of a [`Chain`] share.
+/// State shared by all clones of a [`Chain`].
 #[derive(Debug)]
 pub(super) struct Inner {
     pub provider: Arc<Provider<Transport>>,
@@ -32,7 +32,7 @@ pub(super) struct Inner {
     pub gas: Mutex<HashMap<(Address, &'static str), u64>>,
 }
 
-/// A block as a node gives it, as far as we read it.
+/// A block as a node returns it, as far as it is read.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct RawBlock {
@@ -49,7 +49,7 @@ pub(super) struct RawBlock {
     pub base_fee_per_gas: Option<U256>,
 }
 
-/// Where a log stands.
+/// The position of a log.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "camelCase")]
 struct RawPlace {
@@ -57,12 +57,12 @@ struct RawPlace {
 }
 
 impl Chain {
-    /// Opens the embedded chain, or connects to a node, and holds it against the pin.
+    /// Opens the embedded chain, or connects to a node, and compares it with the pin.
     ///
     /// # Errors
-    /// [`ChainError::Unreachable`] naming the URL where a node does not answer within 5 s,
-    /// [`ChainError::Swapped`] where chain id, genesis block, contract or its code are not the pinned
-    /// ones, [`ChainError::Tampered`] and [`ChainError::File`] for the embedded chain's file.
+    /// [`ChainError::Unreachable`] naming the URL if a node does not answer within 5 s, [`ChainError::Swapped`] if
+    /// chain id, genesis block, contract or its code are not the pinned ones, [`ChainError::Tampered`] and
+    /// [`ChainError::File`] for the embedded chain's file.
     pub async fn connect(options: ChainOptions) -> Result<Self, ChainError> {
         let transport = Transport::open(&options.endpoint).await?;
         let provider = Provider::new(transport).interval(POLL);
@@ -98,11 +98,11 @@ impl Chain {
         }
     }
 
-    /// Asks again what is there, and holds it against what is in use: chain id, genesis block, contract code.
+    /// Asks again for chain id, genesis block and contract code, and compares them with those in use.
     ///
     /// # Errors
-    /// [`ChainError::Swapped`] where the chain behind the URL is another one by now, or was wiped;
-    /// [`ChainError::NoContract`] before a contract is used, or the node's.
+    /// [`ChainError::Swapped`] if the chain behind the URL is now another one or was wiped; [`ChainError::NoContract`]
+    /// before a contract is used, or an error of the node.
     pub async fn identify(&self) -> Result<(), ChainError> {
         let pin = self.pin().ok_or(ChainError::NoContract)?;
         let chain_id: U64 = self.rpc("eth_chainId", json!([])).await?;
@@ -133,14 +133,14 @@ impl Chain {
         Ok(())
     }
 
-    /// The same line with another contract of the same chain; nothing is asked. This one stays as it is.
+    /// The same connection with another contract of the same chain; nothing is requested. This one is unchanged.
     pub fn bound_to(&self, pin: Pin) -> Self {
         let bound = self.apart();
         bound.set_pin(pin);
         bound
     }
 
-    /// The same line without a contract.
+    /// The same connection without a contract.
     pub fn apart(&self) -> Self {
         let inner = Inner {
             provider: Arc::clone(&self.inner.provider),
@@ -155,10 +155,10 @@ impl Chain {
         Self { inner: Arc::new(inner) }
     }
 
-    /// Whether the contract of a pin still stands here, and the block that was seen last, where one was.
+    /// Whether the contract of a pin is still here, and the block seen last, if any.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn still_has(&self, pin: &Pin, seen: Option<(u64, Hash)>) -> Result<bool, ChainError> {
         if (pin.chain_id, pin.genesis) != (self.chain_id(), self.genesis()) {
             return Ok(false);
@@ -170,17 +170,17 @@ impl Chain {
         Ok(self.block(number).await?.is_some_and(|block| block.hash == hash))
     }
 
-    /// The same line with another pin, as if the chain behind it had been swapped: for the tests of other crates.
+    /// The same connection with another pin, as if the chain behind it had been swapped; for the tests of other crates.
     #[doc(hidden)]
     pub fn pretending(&self, pin: Pin) -> Self {
         self.set_pin(pin);
         self.clone()
     }
 
-    /// Uses a contract that somebody deployed, after its code was found to be one of this program's artefacts.
+    /// Uses an existing contract, after checking that its code is one of this program's artefacts.
     ///
     /// # Errors
-    /// [`ChainError::NotTheContract`], or the node's.
+    /// [`ChainError::NotTheContract`], or an error of the node.
     pub async fn use_contract(&self, contract: Address) -> Result<Pin, ChainError> {
         let found = self.code_hash(contract).await?;
         let Some(known) = found.filter(|hash| revision_of(*hash).is_ok_and(|revision| revision.is_some())) else {
@@ -200,7 +200,7 @@ impl Chain {
         pin
     }
 
-    /// The block of the constructor's event; 0 where the node does not tell, which only makes reading slower.
+    /// The block of the constructor's event; 0 if the node does not say, which only makes reading slower.
     async fn deployment_block(&self, contract: Address) -> Result<u64, ChainError> {
         let signature = artefact(Revision::NEWEST)?.event_signature("AdministratorChanged")?;
         let filter = json!({
@@ -213,22 +213,22 @@ impl Chain {
         }
     }
 
-    /// Keccak-256 of the code at an address; `None` where there is none.
+    /// Keccak-256 of the code at an address; `None` if there is no code.
     pub(super) async fn code_hash(&self, contract: Address) -> Result<Option<Hash>, ChainError> {
         let code: String = self.rpc("eth_getCode", json!([contract.to_string(), "latest"])).await?;
         let bytes = unhex(&code).ok_or_else(|| self.misunderstood("eth_getCode", "it is no hex"))?;
         Ok((!bytes.is_empty()).then(|| Hash(keccak256(bytes))))
     }
 
-    /// What is pinned: chain, contract, its code and where it was deployed. `None` before a contract is used.
+    /// The pin: chain, contract, its code and its deployment block. `None` before a contract is used.
     pub fn pin(&self) -> Option<Pin> {
         self.inner.contract.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Which revision the contract in use is of.
+    /// The revision of the contract in use.
     ///
     /// # Errors
-    /// [`ChainError::NoContract`] before one is used, [`ChainError::NotTheContract`] where its code is unknown here.
+    /// [`ChainError::NoContract`] before one is used, [`ChainError::NotTheContract`] if its code is not known here.
     pub fn revision(&self) -> Result<Revision, ChainError> {
         let pin = self.pin().ok_or(ChainError::NoContract)?;
         revision_of(pin.code_hash)?.ok_or(ChainError::NotTheContract(pin.contract))
@@ -248,12 +248,12 @@ impl Chain {
         self.inner.genesis
     }
 
-    /// How many blocks on top make a block count as final.
+    /// How many blocks on top make a block final.
     pub fn confirmations(&self) -> u64 {
         self.inner.confirmations
     }
 
-    /// Where the chain is, without credentials.
+    /// The chain's URL, without credentials.
     pub fn url(&self) -> String {
         self.transport().url().to_owned()
     }
@@ -276,7 +276,7 @@ impl Chain {
     /// The newest block.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn head(&self) -> Result<BlockRef, ChainError> {
         let block: RawBlock = self.rpc("eth_getBlockByNumber", json!(["latest", false])).await?;
         Ok(block.reference())
@@ -285,7 +285,7 @@ impl Chain {
     /// The block of that number; `None` above the head.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn block(&self, number: u64) -> Result<Option<BlockRef>, ChainError> {
         let block: Option<RawBlock> = self.rpc("eth_getBlockByNumber", json!([format!("{number:#x}"), false])).await?;
         Ok(block.as_ref().map(RawBlock::reference))
@@ -320,9 +320,9 @@ where
     })
 }
 
-/// How the network agrees, as far as a block shows it.
+/// The network's consensus, as far as a block shows it.
 fn consensus(latest: &RawBlock, client: &str) -> &'static str {
-    /// What QBFT and IBFT write into the mix hash.
+    /// Written into the mix hash by QBFT and IBFT.
     const BYZANTINE: &str = "0x63746963616c2062797a616e74696e65206661756c7420746f6c6572616e6365";
     let difficulty = latest.difficulty.as_str().unwrap_or("0x0");
     let client = client.to_lowercase();

@@ -1,4 +1,4 @@
-//! Putting the contract on a chain.
+//! Deploying the contract.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use crate::model::Address;
 /// How long a deployment may wait for its block.
 const PATIENCE: Duration = Duration::from_secs(60);
 const DAY: Duration = Duration::from_secs(86_400);
-/// How long a succession waits where nothing else is asked for.
+/// The default delay of a succession.
 pub const DEFAULT_DELAY: Duration = Duration::from_secs(7 * DAY.as_secs());
 /// The shortest delay of a succession (contract limit).
 pub const SHORTEST_DELAY: Duration = DAY;
@@ -26,17 +26,17 @@ impl Chain {
     /// Deploys the newest contract with open registration and [`DEFAULT_DELAY`], waits until it is mined, and uses it.
     ///
     /// # Errors
-    /// As [`Chain::deploy_revision`].
+    /// See [`Chain::deploy_revision`].
     pub async fn deploy(&self, eoa: &EoaSecret) -> Result<Pin, ChainError> {
         self.deploy_revision(eoa, Revision::NEWEST, DEFAULT_DELAY).await
     }
 
-    /// Deploys the contract with open registration, waits until it is mined, and uses it. `delay` is how long a
-    /// succession waits; the first revision knows none.
+    /// Deploys the contract with open registration, waits until it is mined, and uses it. `delay` is the delay of a
+    /// succession; the first revision has none.
     ///
     /// # Errors
-    /// [`ChainError::Reverted`] where the contract refuses the delay, [`ChainError::NotMined`] where no block takes it
-    /// within 60 s, or the node's.
+    /// [`ChainError::Reverted`] if the contract refuses the delay, [`ChainError::NotMined`] if no block includes it
+    /// within 60 s, or an error of the node.
     pub async fn deploy_revision(
         &self,
         eoa: &EoaSecret,

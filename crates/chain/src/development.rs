@@ -1,4 +1,4 @@
-//! Ether for test accounts, from development nodes that have more than enough. Never from others.
+//! Ether for test accounts, from development nodes, which have plenty; never from other nodes.
 
 use std::time::Duration;
 
@@ -12,15 +12,15 @@ use crate::model::Address;
 const GIFT: u64 = 10_000_000_000_000_000_000;
 /// How long the gift may take to arrive.
 const ARRIVAL: Duration = Duration::from_secs(15);
-/// The chain id of `geth --dev`, which its client version does not tell.
+/// The chain id of `geth --dev`, which its client version does not reveal.
 const GETH_DEV: u64 = 1337;
 
 impl Chain {
-    /// On a development node (anvil, ganache, hardhat, EthereumJS, `geth --dev`), gives an account that
-    /// holds nothing 10 ether. Returns whether it did; elsewhere, and where it is not possible, `false`.
+    /// On a development node (anvil, ganache, hardhat, EthereumJS, `geth --dev`), gives an account that holds nothing
+    /// 10 ether. Returns whether it did; `false` elsewhere, or if it is not possible.
     ///
     /// # Errors
-    /// [`ChainError::Unreachable`] and the like; a node's refusal is a `false`.
+    /// [`ChainError::Unreachable`] and the like; a refusal by the node returns `false`.
     pub async fn fund_from_node(&self, account: Address) -> Result<bool, ChainError> {
         if !self.is_development() || !self.balance(account).await?.is_zero() {
             return Ok(false);
@@ -70,7 +70,7 @@ impl Chain {
     }
 }
 
-/// A refusal is no answer; a broken line stays an error.
+/// A refusal just means no; a broken connection stays an error.
 fn answered<T>(result: Result<T, ChainError>) -> Result<Option<T>, ChainError> {
     match result {
         Ok(value) => Ok(Some(value)),

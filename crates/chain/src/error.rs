@@ -1,4 +1,4 @@
-//! What can go wrong with a chain, and the plain words for a contract's reason codes.
+//! What can go wrong with a chain, and plain words for a contract's reason codes.
 
 use std::path::PathBuf;
 
@@ -13,22 +13,22 @@ pub enum ChainError {
     /// The node does not answer.
     #[error("the node at {url} does not answer ({reason}); start it, or correct `chain.url`")]
     Unreachable {
-        /// Where it should be.
+        /// Its URL.
         url: String,
         /// What happened.
         reason: String,
     },
-    /// What answers does not speak Ethereum's JSON-RPC as expected.
+    /// The peer does not speak Ethereum's JSON-RPC as expected.
     #[error("the answer of {url} to {method} is not understood ({reason}); check that `chain.url` is an Ethereum node")]
     Answer {
-        /// Who answered.
+        /// The peer.
         url: String,
-        /// What was asked.
+        /// The request.
         method: String,
         /// What is wrong with it.
         reason: String,
     },
-    /// The URL is not one of a node.
+    /// The URL is not that of a node.
     #[error("'{0}' is not a node's address; write http://HOST:PORT, ws://HOST:PORT or ipc:/PATH")]
     Url(String),
     /// The chain is not the one that was pinned.
@@ -37,42 +37,42 @@ pub enum ChainError {
          stopped and nothing is lost; start the pinned chain again, or decide with `authros chain adopt` to go on here"
     )]
     Swapped {
-        /// Where.
+        /// The chain's URL.
         url: String,
         /// Which part of the pin differs.
         what: &'static str,
         /// What was pinned.
         pinned: String,
-        /// What is there.
+        /// What was found.
         found: String,
     },
     /// No contract is known yet.
     #[error("no contract is set for this chain; deploy one with `authros chain deploy`, or set `chain.contract`")]
     NoContract,
-    /// Another contract, or none, lies at the address.
+    /// Another contract, or none, is at the address.
     #[error("{0} does not hold the AuthROS contract of this version; check the address, or deploy a new one")]
     NotTheContract(Address),
-    /// The contract is of a revision that lacks what was asked for.
+    /// The contract's revision lacks what was requested.
     #[error("{}", lacking(*.revision, .function))]
     NotOffered {
-        /// Which one it is.
+        /// The revision.
         revision: Revision,
         /// What it lacks.
         function: &'static str,
     },
-    /// The contract refused.
+    /// The contract reverted.
     #[error("the contract refused: {}", explain(.code))]
     Reverted {
-        /// The contract's reason code, as it came.
+        /// The contract's reason code, unchanged.
         code: String,
     },
-    /// The node has this very transaction already.
+    /// The node already has this very transaction.
     #[error("the node knows this transaction already; wait for its receipt")]
     AlreadyKnown,
-    /// The transaction's nonce was used by a mined transaction.
+    /// The transaction's nonce was already used by a mined transaction.
     #[error("the transaction's nonce is used up; look for its receipt, else sign it anew with the next nonce")]
     NonceTooLow,
-    /// The node wants a higher gas price.
+    /// The node requires a higher gas price.
     #[error("the node refuses the gas price as too low; sign the transaction anew with the present gas price")]
     Underpriced,
     /// The account cannot pay.
@@ -81,7 +81,7 @@ pub enum ChainError {
     /// The node refused for another reason.
     #[error("the node refused {method}: {reason}")]
     Rejected {
-        /// What was asked.
+        /// The request.
         method: String,
         /// Why, in its own words.
         reason: String,
@@ -89,7 +89,7 @@ pub enum ChainError {
     /// A transaction was not mined in time.
     #[error("the transaction was sent but not mined within {0} s; check that the network makes blocks")]
     NotMined(u64),
-    /// A value cannot go into a call.
+    /// A value cannot be encoded in a call.
     #[error("{0}")]
     Input(String),
     /// The embedded chain's file was changed from outside.
@@ -100,9 +100,9 @@ pub enum ChainError {
     Tampered {
         /// The file.
         path: PathBuf,
-        /// The first block that does not fit.
+        /// The first block that does not match.
         block: u64,
-        /// What does not fit.
+        /// What does not match.
         what: String,
     },
     /// The embedded chain's file cannot be used.
@@ -131,9 +131,9 @@ pub enum ChainError {
     OtherConsensus {
         /// The file.
         path: PathBuf,
-        /// What it was founded with.
+        /// The consensus it was founded with.
         founded: Consensus,
-        /// What was asked for.
+        /// The consensus requested.
         asked: Consensus,
     },
     /// A fault of this program.
@@ -142,7 +142,7 @@ pub enum ChainError {
 }
 
 impl ChainError {
-    /// What sort of failure it was.
+    /// The kind of failure.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Unreachable { .. } | Self::Answer { .. } | Self::NotMined(_) => ErrorKind::Unreachable,
@@ -164,7 +164,7 @@ impl ChainError {
         }
     }
 
-    /// The contract's reason code, where the contract refused.
+    /// The contract's reason code, if it reverted.
     pub fn revert_code(&self) -> Option<&str> {
         match self {
             Self::Reverted { code } => Some(code),
@@ -172,7 +172,7 @@ impl ChainError {
         }
     }
 
-    /// From a node's error answer, by its words: nodes agree on no codes.
+    /// From a node's error answer, by its words, because nodes do not agree on codes.
     pub(super) fn from_node(method: &str, error: &JsonRpcError) -> Self {
         if let Some(code) = revert_code(error) {
             return Self::Reverted { code };
@@ -204,7 +204,7 @@ fn revert_code(error: &JsonRpcError) -> Option<String> {
     Some(clean(tail.trim_start_matches([':', ' ']), 80))
 }
 
-/// The text of `Error(string)` revert data; `None` where the bytes are something else.
+/// The text of `Error(string)` revert data; `None` if the bytes are something else.
 pub(super) fn decode_revert(data: &[u8]) -> Option<String> {
     const ERROR: [u8; 4] = [0x08, 0xc3, 0x79, 0xa0];
     let arguments = data.strip_prefix(&ERROR)?;
@@ -212,7 +212,7 @@ pub(super) fn decode_revert(data: &[u8]) -> Option<String> {
     tokens.into_iter().next()?.into_string().map(|text| clean(&text, 80))
 }
 
-/// As [`decode_revert`], from hex.
+/// Like [`decode_revert`], from hex.
 pub(super) fn decode_revert_hex(text: &str) -> Option<String> {
     decode_revert(&unhex(text)?)
 }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::artefact::artefacts;
 use crate::model::{Address, Digest, GrantTerms, Hash, Identity, Scope, SignerId, Timestamp, Token, TopicId};
 
-/// A change of the contract's state, as its event tells it.
+/// A change of the contract's state, as reported by its event.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum Event {
@@ -15,15 +15,16 @@ pub enum Event {
     Registered { owner: Address, identity: Identity, epoch: u64 },
     /// An account replaced its SM2 keys; `keys` is their version, from 1.
     KeysRotated { owner: Address, keys: u64, identity: Identity },
-    /// A grant ends later than it did; `None` = no end.
+    /// A grant was extended; `None` = no end.
     Extended { owner: Address, grantee: Address, expiry: Option<Timestamp> },
     /// From `from` on `recovery` may stop a succession of the owner's account; `None` = nobody.
     RecoveryNamed { owner: Address, recovery: Option<Address>, from: Timestamp },
-    /// A digest, the owner's `number`-th, sealed in `epoch`; the time is the owner's word, `None` where it is not 8 bytes.
+    /// A digest, the owner's `number`-th, sealed in `epoch`. The time is what the owner says, `None` if it is not 8
+    /// bytes.
     DataUploaded { owner: Address, digest: Digest, token: Token, epoch: u64, number: u64, timestamp: Option<Timestamp> },
     /// A grant began.
     Granted { terms: GrantTerms, envelope: Vec<u8> },
-    /// A grantee got the envelope of a further epoch.
+    /// A grantee got the envelope of another epoch.
     Wrapped { owner: Address, grantee: Address, epoch: u64, envelope: Vec<u8> },
     /// A grant ended; `epoch` and `token` are the owner's new ones.
     Revoked { owner: Address, grantee: Address, epoch: u64, token: Token },
@@ -41,23 +42,23 @@ pub enum Event {
     Dismissed { account: Address },
     /// Registration was opened or closed.
     OpenChanged { open: bool },
-    /// An account's changes are stopped.
+    /// An account was suspended.
     Suspended { account: Address },
-    /// An account is free again.
+    /// An account's suspension was lifted.
     Restored { account: Address },
-    /// All changes are stopped, or go on (first revision).
+    /// All changes are paused, or resumed (first revision).
     PausedChanged { paused: bool },
-    /// All changes are stopped until then; a moment that has come means that they go on.
+    /// All changes are paused until then; a time in the past means that they resumed.
     PausedUntil { until: Timestamp },
-    /// A succession waits until `due`; `recovery` may stop it.
+    /// A succession is pending until `due`; `recovery` may stop it.
     SuccessionProposed { lost: Address, successor: Address, recovery: Option<Address>, due: Timestamp },
-    /// A succession that waited was stopped, or withdrawn.
+    /// A pending succession was stopped or withdrawn.
     SuccessionCancelled { lost: Address, by: Address },
-    /// How long successions wait, seconds.
+    /// The delay of successions, seconds.
     DelayFixed { seconds: u64 },
     /// A lost account has a successor.
     Succeeded { lost: Address, successor: Address },
-    /// Who is to be the next administrator.
+    /// The nominee for administrator.
     AdministratorNominated { nominee: Address },
     /// The administrator changed.
     AdministratorChanged { previous: Address, administrator: Address },
@@ -95,7 +96,7 @@ impl Event {
         }
     }
 
-    /// From the topics and the data of a log of the contract.
+    /// From the topics and data of a log of the contract.
     ///
     /// # Errors
     /// What is wrong with the log, or with the artefact.
@@ -112,7 +113,7 @@ impl Event {
     }
 }
 
-/// The parameters of an event, taken in the contract's order.
+/// The parameters of an event, in the contract's order.
 struct Fields(std::vec::IntoIter<AbiToken>);
 
 impl Fields {

@@ -1,4 +1,4 @@
-//! What gas costs, and signed transactions signed once more: the same call at another price or nonce.
+//! Gas prices, and re-signing transactions: the same call at another price or nonce.
 
 use ethers::types::transaction::eip2718::TypedTransaction;
 use ethers::types::{H160, TransactionRequest, U256};
@@ -11,26 +11,26 @@ use super::{BlockRef, Call, Chain, ChainError, SignedTransaction};
 use crate::crypto::EoaSecret;
 use crate::model::Address;
 
-/// The most that is offered on top of the base fee, wei.
+/// The highest tip on top of the base fee, wei.
 const LARGEST_TIP: u128 = 1_000_000_000;
-/// What a plain transfer of ether costs (Yellow Paper, appendix G).
+/// The gas of a plain transfer of ether (Yellow Paper, appendix G).
 const TRANSFER_GAS: u64 = 21_000;
 
-/// The newest block and what its gas costs.
+/// The newest block and its gas price.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Market {
     /// The newest block.
     pub head: BlockRef,
-    /// Its base fee, wei; `None` where the network has none, or it is zero.
+    /// Its base fee, wei; `None` if the network has none, or it is zero.
     pub base: Option<u128>,
-    /// What the node would pay, wei.
+    /// The node's suggested price, wei.
     pub quoted: u128,
 }
 
 impl Market {
-    /// What a legacy transaction offers for its gas, wei: twice the base fee, which may rise until it is
-    /// mined, and a tip of at most 1 gwei. Where there is no base fee, the node's own price: a bump
-    /// would feed on itself, for nodes quote what was paid last.
+    /// The gas price of a legacy transaction, wei: twice the base fee, which may rise until it is mined, and a tip of
+    /// at most 1 gwei. Without a base fee, the node's own price, without a margin: nodes quote what was paid last, so a
+    /// margin would feed on itself.
     pub fn offer(&self) -> u128 {
         match self.base {
             Some(base) => base.saturating_mul(2) + self.quoted.saturating_sub(base).min(LARGEST_TIP),
@@ -39,7 +39,7 @@ impl Market {
     }
 }
 
-/// What signed bytes offer.
+/// The gas terms of signed bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Offered {
     /// Wei per gas.
@@ -56,10 +56,10 @@ impl Offered {
 }
 
 impl Chain {
-    /// The newest block and what gas costs now.
+    /// The newest block and the current gas price.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn market(&self) -> Result<Market, ChainError> {
         let block: RawBlock = self.rpc("eth_getBlockByNumber", json!(["latest", false])).await?;
         let quoted: U256 = self.rpc("eth_gasPrice", json!([])).await?;
@@ -72,18 +72,18 @@ impl Chain {
         u128::try_from(value).map_err(|_| self.misunderstood(method, "it is too large"))
     }
 
-    /// Wei held by an account; more than fits counts as the largest number.
+    /// Wei held by an account, saturating at the largest number.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn wealth(&self, account: Address) -> Result<u128, ChainError> {
         Ok(u128::try_from(self.balance(account).await?).unwrap_or(u128::MAX))
     }
 
-    /// As [`Chain::sign`], at a price given in wei per gas.
+    /// Like [`Chain::sign`], at a given price in wei per gas.
     ///
     /// # Errors
-    /// As [`Chain::sign`].
+    /// See [`Chain::sign`].
     pub async fn sign_at(
         &self,
         eoa: &EoaSecret,
@@ -104,7 +104,7 @@ impl Chain {
     /// Signs a transfer of `wei` to `to`, without data. Nothing is sent.
     ///
     /// # Errors
-    /// [`ChainError::Internal`] where it cannot be signed.
+    /// [`ChainError::Internal`] if it cannot be signed.
     pub fn sign_transfer(
         &self,
         eoa: &EoaSecret,
@@ -118,10 +118,10 @@ impl Chain {
         sign_request(&wallet(eoa)?, request.chain_id(self.chain_id()))
     }
 
-    /// Signs the call in `raw` once more, under another nonce or price. Nothing is sent.
+    /// Signs the call in `raw` again, with another nonce or price. Nothing is sent.
     ///
     /// # Errors
-    /// [`ChainError::Input`] where `raw` is no legacy transaction.
+    /// [`ChainError::Input`] if `raw` is not a legacy transaction.
     pub fn resign(
         &self,
         eoa: &EoaSecret,
@@ -134,10 +134,10 @@ impl Chain {
     }
 }
 
-/// What signed legacy bytes offer for their gas.
+/// The gas terms of signed legacy bytes.
 ///
 /// # Errors
-/// [`ChainError::Input`] where they are no legacy transaction.
+/// [`ChainError::Input`] if they are not a legacy transaction.
 pub fn offered(raw: &[u8]) -> Result<Offered, ChainError> {
     let request = decode(raw)?;
     let price = request.gas_price.and_then(|price| u128::try_from(price).ok());
@@ -145,7 +145,7 @@ pub fn offered(raw: &[u8]) -> Result<Offered, ChainError> {
     price.zip(gas).map(|(price, gas)| Offered { price, gas }).ok_or_else(no_transaction)
 }
 
-/// Whether two signed legacy transactions make the same call, whatever their nonces and prices.
+/// Whether two signed legacy transactions make the same call, regardless of nonce and price.
 pub fn is_same_call(one: &[u8], other: &[u8]) -> bool {
     let call = |raw| decode(raw).ok().map(|request| (request.to, request.value, request.data));
     call(one).is_some_and(|found| call(other) == Some(found))
@@ -154,7 +154,7 @@ pub fn is_same_call(one: &[u8], other: &[u8]) -> bool {
 /// The call data of signed legacy bytes.
 ///
 /// # Errors
-/// [`ChainError::Input`] where they are no legacy transaction.
+/// [`ChainError::Input`] if they are not a legacy transaction.
 pub fn call_data(raw: &[u8]) -> Result<Vec<u8>, ChainError> {
     Ok(decode(raw)?.data.map(|data| data.to_vec()).unwrap_or_default())
 }

@@ -1,4 +1,4 @@
-//! Contracts that are not AuthROS, deployed and called by their bytes: only to compare what they cost.
+//! Contracts other than AuthROS, deployed and called by their bytes; only to compare costs.
 
 use ethers::abi::{Abi, Token as AbiToken};
 use ethers::types::{H160, TransactionRequest};
@@ -9,7 +9,7 @@ use super::{Chain, ChainError, Offered, SignedTransaction};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, bytes::unhex};
 
-/// A compiled contract of somebody else, whose functions take byte strings alone.
+/// Another project's compiled contract, whose functions take only byte strings.
 #[derive(Debug)]
 pub struct ForeignContract {
     abi: Abi,
@@ -23,10 +23,10 @@ struct File {
 }
 
 impl ForeignContract {
-    /// From the JSON that a compiler writes: `abi` and `bytecode`.
+    /// From a compiler's JSON: `abi` and `bytecode`.
     ///
     /// # Errors
-    /// [`ChainError::Input`] where it is something else.
+    /// [`ChainError::Input`] if it is something else.
     pub fn parse(json: &str) -> Result<Self, ChainError> {
         let wrong = |reason: String| ChainError::Input(format!("this is no compiled contract: {reason}"));
         let file: File = serde_json::from_str(json).map_err(|error| wrong(error.to_string()))?;
@@ -34,7 +34,7 @@ impl ForeignContract {
         Ok(Self { abi: file.abi, creation })
     }
 
-    /// Code that creates it, for a constructor without arguments.
+    /// Its creation code, for a constructor without arguments.
     pub fn creation(&self) -> &[u8] {
         &self.creation
     }
@@ -42,7 +42,7 @@ impl ForeignContract {
     /// Call data of a function.
     ///
     /// # Errors
-    /// [`ChainError::Input`] where name or arguments do not fit.
+    /// [`ChainError::Input`] if name or arguments do not match.
     pub fn call(&self, name: &str, arguments: &[&[u8]]) -> Result<Vec<u8>, ChainError> {
         let arguments: Vec<AbiToken> = arguments.iter().map(|bytes| AbiToken::Bytes(bytes.to_vec())).collect();
         let encoded = self.abi.function(name).and_then(|function| function.encode_input(&arguments));
@@ -51,11 +51,11 @@ impl ForeignContract {
 }
 
 impl Chain {
-    /// Signs a call of any contract, or with `to: None` the creation of one, as a legacy transaction
-    /// whose gas is estimated. Nothing is sent.
+    /// Signs a call of any contract, or with `to: None` the creation of one, as a legacy transaction with estimated
+    /// gas. Nothing is sent.
     ///
     /// # Errors
-    /// [`ChainError::Reverted`] where it would fail, or the node's.
+    /// [`ChainError::Reverted`] if it would fail, or an error of the node.
     pub async fn sign_bytes(
         &self,
         eoa: &EoaSecret,
@@ -68,18 +68,18 @@ impl Chain {
         self.sign_bytes_at(eoa, nonce, to, data, Offered { price, gas })
     }
 
-    /// Gas for such a call: the node's estimate and a quarter.
+    /// Gas for such a call: the node's estimate plus a quarter.
     ///
     /// # Errors
-    /// As [`Chain::sign_bytes`].
+    /// See [`Chain::sign_bytes`].
     pub async fn gas_of_bytes(&self, from: Address, to: Option<Address>, data: &[u8]) -> Result<u64, ChainError> {
         self.estimate(from, to, data).await
     }
 
-    /// As [`Chain::sign_bytes`], at a price and with gas that are known. Nothing is asked or sent.
+    /// Like [`Chain::sign_bytes`], with given price and gas. Nothing is requested or sent.
     ///
     /// # Errors
-    /// [`ChainError::Internal`] where it cannot be signed.
+    /// [`ChainError::Internal`] if it cannot be signed.
     pub fn sign_bytes_at(
         &self,
         eoa: &EoaSecret,

@@ -1,7 +1,7 @@
 //! Genesis files for private networks of real nodes: geth (clique, ethash) and Besu (qbft).
 //!
-//! The chain id is drawn, and so are the first bytes of the extra data: neither id nor genesis block is
-//! shared with another network by accident. The code of the contract needs Istanbul, no later fork.
+//! The chain id and the first bytes of the extra data are drawn at random, so no other network shares its id or genesis
+//! block by accident. The contract's code needs Istanbul and no later fork.
 
 use std::collections::HashSet;
 use std::fmt;
@@ -21,47 +21,47 @@ const CLIQUE: &str = include_str!("../../../contracts/genesis/clique.json");
 const ETHASH: &str = include_str!("../../../contracts/genesis/ethash.json");
 const QBFT: &str = include_str!("../../../contracts/genesis/qbft.json");
 
-/// The most signers: their addresses stand in the extra data of the genesis block.
+/// The most signers: their addresses are in the extra data of the genesis block.
 const MOST_SIGNERS: usize = 32;
-/// Seconds between blocks where nothing is said.
+/// Default seconds between blocks.
 const USUAL_PERIOD: u64 = 2;
 /// The longest period, seconds.
 const LONGEST_PERIOD: u64 = 3600;
-/// The highest chain id that every wallet and every JSON reader takes.
+/// The highest chain id that every wallet and every JSON reader accepts.
 const HIGHEST_ID: u64 = (1 << 52) - 1;
 const VANITY: usize = 32;
 const SEAL: usize = 65;
 
-/// How the network agrees.
+/// The consensus of the network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum GenesisKind {
-    /// Proof of authority of geth (and Besu until it left it out).
+    /// Proof of authority in geth (and in Besu until it was removed there).
     Clique,
-    /// Proof of work of geth before 1.12.
+    /// Proof of work in geth before 1.12.
     Ethash,
-    /// Proof of authority of Besu.
+    /// Proof of authority in Besu.
     Qbft,
 }
 
-/// Ether that an account holds from the beginning.
+/// Ether that an account holds from the start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Allocation {
     account: Address,
     wei: U256,
 }
 
-/// What a network is founded with.
+/// The parameters of a new network.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Genesis {
-    /// How it agrees.
+    /// Its consensus.
     pub kind: GenesisKind,
-    /// EIP-155 chain id; drawn where it is not given.
+    /// EIP-155 chain id; drawn at random if not given.
     pub chain_id: Option<u64>,
     /// Who seals blocks; none for ethash.
     pub signers: Vec<Address>,
     /// Seconds between blocks; not for ethash.
     pub period: Option<u64>,
-    /// Who holds ether from the beginning.
+    /// Accounts that hold ether from the start.
     pub allocations: Vec<Allocation>,
 }
 
@@ -102,7 +102,7 @@ impl Genesis {
     /// The genesis file.
     ///
     /// # Errors
-    /// [`ChainError::Input`] naming what does not fit.
+    /// [`ChainError::Input`] naming the value that is not acceptable.
     pub fn file(&self) -> Result<Value, ChainError> {
         let signers = self.sorted_signers()?;
         let vanity: [u8; VANITY] = noise()?;
@@ -226,7 +226,7 @@ mod tests {
         value.as_object().expect("an object").keys().map(String::as_str).collect()
     }
 
-    /// What is the same in all three.
+    /// The part shared by all three.
     fn check_common(file: &Value) {
         let config = &file["config"];
         for fork in ["homestead", "eip150", "eip155", "eip158", "byzantium", "constantinople", "petersburg", "istanbul"]
@@ -321,7 +321,7 @@ mod tests {
         }
     }
 
-    /// The example of the QBFT page of Besu's documentation.
+    /// The example from Besu's QBFT documentation.
     #[test]
     fn the_extra_data_is_besus() {
         let validators = [

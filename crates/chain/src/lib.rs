@@ -1,8 +1,8 @@
-//! The Ethereum chain: one [`Chain`] over the embedded EVM and over real nodes by http, ws and ipc.
+//! The Ethereum chain: one [`Chain`] for the embedded EVM and for real nodes over http, ws and ipc.
 //!
-//! All of ethers and revm stays in this room; outside, the words are those of `model`. Here are the
-//! contract's calls and events, signing and sending, reads and news. Which record is in which
-//! transaction, when to resend and what to do after a reorg is the pipeline's business.
+//! All use of ethers and revm is in this crate; the interface uses the types of `model`. Here are the contract's calls
+//! and events, signing and sending, reads and news. Which record is in which transaction, when to resend and what to do
+//! after a reorg is up to the pipeline.
 
 use crate as chain;
 use authros_crypto as crypto;
@@ -56,15 +56,15 @@ pub use crate::crypto::merkle;
 pub use crate::model::Consensus;
 use crate::model::{Address, Digest, Hash, Identity, Timestamp, Token};
 
-/// Where the chain is.
+/// The location of the chain.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Endpoint {
-    /// In this process, kept in a folder. One process at a time.
+    /// In this process, kept in a folder. Only one process at a time.
     Embedded {
-        /// Holds `chain.db`; made where it is missing.
+        /// Holds `chain.db`; created if missing.
         directory: PathBuf,
-        /// How its blocks are sealed; `None` = as it was founded, and [`Consensus::POA`] for a new one.
-        /// A chain founded otherwise is refused.
+        /// Its consensus; `None` = as it was founded, and [`Consensus::POA`] for a new one. A chain founded otherwise
+        /// is refused.
         consensus: Option<Consensus>,
     },
     /// A node.
@@ -72,24 +72,24 @@ pub enum Endpoint {
         /// `http://…`, `ws://…`, `ipc:/path` or `/path.ipc`.
         url: String,
     },
-    /// Somebody who passes requests on, and whose word has to be taken for the answers.
+    /// A relay that passes requests on, and whose word must be taken for the answers.
     Relay(RelayLine),
 }
 
 /// How to connect.
 #[derive(Debug, Clone)]
 pub struct ChainOptions {
-    /// Where.
+    /// The location.
     pub endpoint: Endpoint,
-    /// The contract to use, where it is known.
+    /// The contract to use, if known.
     pub contract: Option<Address>,
-    /// What the chain must be.
+    /// What the chain must match.
     pub pinned: Option<Pin>,
-    /// How many blocks on top make a block count as final.
+    /// How many blocks on top make a block final.
     pub confirmations: u64,
 }
 
-/// What tells one chain and contract from another.
+/// Identifies one chain and contract.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Pin {
     /// Chain id (EIP-155).
@@ -100,7 +100,7 @@ pub struct Pin {
     pub contract: Address,
     /// Keccak-256 of the contract's code.
     pub code_hash: Hash,
-    /// The block to read events from: the deployment's, or 0 where it is not known.
+    /// The first block to read events from: the deployment's, or 0 if unknown.
     pub deployed_at: u64,
 }
 
@@ -113,11 +113,11 @@ pub struct Chain {
 /// A block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BlockRef {
-    /// Height.
+    /// Block number.
     pub number: u64,
     /// Its hash.
     pub hash: Hash,
-    /// Seconds since 1970, as its maker says.
+    /// Seconds since 1970, as stated by whoever sealed it.
     pub timestamp: u64,
 }
 
@@ -132,7 +132,7 @@ pub struct ChainStatus {
     pub chain_id: u64,
     /// Hash of block 0.
     pub genesis: Hash,
-    /// Height.
+    /// Block number.
     pub block: u64,
     /// The contract in use.
     pub contract: Option<Address>,
@@ -140,13 +140,13 @@ pub struct ChainStatus {
     pub balance: Option<String>,
     /// The account's next nonce, mined transactions only.
     pub nonce: Option<u64>,
-    /// How many of the account's transactions wait.
+    /// How many of the account's transactions are pending.
     pub pending: Option<u64>,
-    /// The node's name and version, in its own words.
+    /// The node's name and version, as it reports them.
     pub client: String,
 }
 
-/// A transaction, ready to be kept and sent.
+/// A transaction, ready to be stored and sent.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SignedTransaction {
     /// Its hash.
@@ -161,33 +161,33 @@ pub struct SignedTransaction {
     pub gas_price: u128,
 }
 
-/// What became of a transaction.
+/// The result of a transaction.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Receipt {
     /// Its block.
     pub block: u64,
-    /// Its block's hash: another one later means a reorg.
+    /// Its block's hash: if it changes later, there was a reorg.
     pub block_hash: Hash,
     /// Whether it took effect.
     pub success: bool,
     /// Gas used.
     pub gas_used: u64,
-    /// Why it failed, in plain words, where that can be found out.
+    /// Why it failed, in plain words, if that can be determined.
     pub reason: Option<String>,
 }
 
-/// An event and where it stands.
+/// An event and its position.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EventAt {
     /// Block number.
     pub block: u64,
     /// Block hash.
     pub block_hash: Hash,
-    /// Block time, seconds, where the node gives it with the event.
+    /// Block time, seconds, if the node includes it with the event.
     pub timestamp: Option<u64>,
     /// The transaction's hash.
     pub transaction: Hash,
-    /// Its place among the block's events.
+    /// Its index among the block's events.
     pub log_index: u64,
     /// What happened.
     pub event: Event,
@@ -196,42 +196,42 @@ pub struct EventAt {
 /// The state of a registered account.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AccountState {
-    /// The registered keys. The contract cannot check the proof in it: whoever reads it does.
+    /// The registered keys. The contract cannot verify the proof in it; the reader must.
     pub identity: Identity,
     /// The current epoch, from 1.
     pub epoch: u64,
-    /// The current epoch's token (the one in `identity` is of the registration or key rotation).
+    /// The current epoch's token (the one in `identity` dates from the registration or key rotation).
     pub token: Token,
-    /// Whether the administrator stopped its changes.
+    /// Whether the administrator suspended its changes.
     pub suspended: bool,
     /// Version of the SM2 keys, from 1.
     pub keys: u64,
-    /// How many digests it uploaded one by one.
+    /// How many digests it uploaded individually.
     pub count: u64,
     /// The last of them.
     pub last: Option<Digest>,
 }
 
-/// What an owner granted to an account.
+/// An owner's grant to an account.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GrantState {
-    /// Whether it was not revoked; it may have expired.
+    /// Whether it is not revoked; it may have expired.
     pub active: bool,
     /// The epoch it begins with.
     pub epoch: u64,
-    /// When it ends; `None` = no end.
+    /// When it ends; `None` = never.
     pub expiry: Option<Timestamp>,
 }
 
 /// The contract's answer to a dataQuery.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct QueryAnswer {
-    /// Whether the asker may read records of the token's epoch.
+    /// Whether the caller may read records of the token's epoch.
     pub authorised: bool,
-    /// The token's epoch; 0 where the owner never registered it.
+    /// The token's epoch; 0 if the owner never registered it.
     pub epoch: u64,
-    /// How many digests the owner uploaded; 0 where not authorised.
+    /// How many digests the owner uploaded; 0 if not authorised.
     pub count: u64,
-    /// The last of them; zero where not authorised.
+    /// The last of them; zero if not authorised.
     pub last: Digest,
 }

@@ -12,10 +12,10 @@ use super::{AccountState, Call, Chain, ChainError, ChainStatus, GrantState, Quer
 use crate::model::{Address, Digest, Hash, Identity, Token, bytes::hex, bytes::unhex};
 
 impl Chain {
-    /// What the chain is and, for `account`, what it holds.
+    /// The chain's properties and, for `account`, its holdings.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn status(&self, account: Option<Address>) -> Result<ChainStatus, ChainError> {
         let mut status = ChainStatus {
             kind: self.kind().to_owned(),
@@ -51,11 +51,11 @@ impl Chain {
         self.rpc("eth_getBalance", json!([account.to_string(), "latest"])).await
     }
 
-    /// The next nonce of an account; `pending` counts what waits to be mined. Where a node keeps
-    /// no pending state, the mined nonce is given.
+    /// The next nonce of an account; `pending` counts transactions not yet mined. If a node keeps no pending state, the
+    /// mined nonce is returned.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn nonce(&self, account: Address, pending: bool) -> Result<u64, ChainError> {
         let ask = |tag: &'static str| self.rpc::<U64>("eth_getTransactionCount", json!([account.to_string(), tag]));
         let nonce = match ask(if pending { "pending" } else { "latest" }).await {
@@ -65,10 +65,10 @@ impl Chain {
         Ok(nonce.as_u64())
     }
 
-    /// Tries a call without sending it.
+    /// Simulates a call without sending it.
     ///
     /// # Errors
-    /// [`ChainError::Reverted`] with the reason where the contract would refuse, else the node's.
+    /// [`ChainError::Reverted`] with the reason if the contract would refuse, otherwise an error of the node.
     pub async fn simulate(&self, from: Address, call: &Call) -> Result<(), ChainError> {
         call.expect_offered(self.revision()?)?;
         self.eth_call(from, self.contract()?, &call.encode()?, "latest").await.map(|_| ())
@@ -99,10 +99,10 @@ impl Chain {
         Ok(Answer { chain: self, name: name.to_owned(), values: values.into_iter() })
     }
 
-    /// The state of a registered account; `None` where it is not registered.
+    /// The state of a registered account; `None` if it is not registered.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn account(&self, owner: Address) -> Result<Option<AccountState>, ChainError> {
         let mut answer = self.view(owner, "accountOf", &[address(owner)]).await?;
         let identity = answer.take(AbiToken::into_bytes)?;
@@ -122,7 +122,7 @@ impl Chain {
     /// The paper's dataQuery, as `from` would be answered. A node does not authenticate `from`.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn data_query(&self, from: Address, token: Token, owner: Address) -> Result<QueryAnswer, ChainError> {
         let arguments = [AbiToken::Bytes(token.0.to_vec()), address(owner)];
         let mut answer = self.view(from, "dataQuery", &arguments).await?;
@@ -130,28 +130,28 @@ impl Chain {
         Ok(QueryAnswer { authorised, epoch: answer.number()?, count: answer.number()?, last: Digest(answer.word()?) })
     }
 
-    /// Whether an owner uploaded this digest one by one (not in a batch).
+    /// Whether an owner uploaded this digest individually (not in a batch).
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn anchored(&self, owner: Address, digest: Digest) -> Result<bool, ChainError> {
         Ok(self.uploaded_at(owner, digest).await?.is_some())
     }
 
-    /// The block in which an owner uploaded this digest one by one.
+    /// The block in which an owner uploaded this digest individually.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn uploaded_at(&self, owner: Address, digest: Digest) -> Result<Option<u64>, ChainError> {
         let mut answer = self.view(owner, "uploadedAt", &[address(owner), word(digest.0)]).await?;
         let block = answer.number()?;
         Ok((block != 0).then_some(block))
     }
 
-    /// The block in which an account first anchored a root, and over how many leaves.
+    /// The block in which an account first anchored a root, and the number of its leaves.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn root_anchored(&self, account: Address, root: Hash) -> Result<Option<(u64, u64)>, ChainError> {
         let mut answer = self.view(account, "anchorOf", &[address(account), word(root.0)]).await?;
         let (block, count) = (answer.number()?, answer.number()?);
@@ -161,32 +161,32 @@ impl Chain {
     /// The root that an account anchored last; zero before the first.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn anchor_head(&self, account: Address) -> Result<Hash, ChainError> {
         self.view(account, "headOf", &[address(account)]).await?.word().map(Hash)
     }
 
-    /// What an owner granted to an account; `None` where there never was a grant.
+    /// An owner's grant to an account; `None` if there never was one.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn grant(&self, owner: Address, grantee: Address) -> Result<Option<GrantState>, ChainError> {
         let mut answer = self.view(owner, "grantOf", &[address(owner), address(grantee)]).await?;
         let state = GrantState { active: answer.flag()?, epoch: answer.number()?, expiry: end(answer.number()?) };
         Ok((state.epoch != 0).then_some(state))
     }
 
-    /// Ends a chain that lies in this process and waits until its file is closed; any other goes on.
+    /// Ends a chain that runs in this process and waits until its file is closed; other chains are unaffected.
     pub async fn end(&self) {
         if let Some(chain) = self.transport().embedded() {
             chain.end().await;
         }
     }
 
-    /// Writes the embedded chain, as it is between two blocks, to a new file; `false` on other chains.
+    /// Writes the embedded chain, as it is between two blocks, to a new file; `false` for other chains.
     ///
     /// # Errors
-    /// [`ChainError::File`] where it cannot be written.
+    /// [`ChainError::File`] if it cannot be written.
     pub async fn copy_to(&self, path: std::path::PathBuf) -> Result<bool, ChainError> {
         match self.transport().embedded() {
             Some(embedded) => embedded.copy_to(path).await.map(|()| true),
@@ -194,10 +194,10 @@ impl Chain {
         }
     }
 
-    /// Runs every block of the embedded chain again and compares; gives how many, `None` on other chains.
+    /// Runs every block of the embedded chain again and compares; returns how many, `None` for other chains.
     ///
     /// # Errors
-    /// [`ChainError::Tampered`] for the first block, or the first node of the state, that is not what it was.
+    /// [`ChainError::Tampered`] for the first block, or the first node of the state, that was altered.
     pub async fn run_again(&self) -> Result<Option<u64>, ChainError> {
         match self.transport().embedded() {
             Some(embedded) => embedded.audit().await.map(Some),
@@ -208,7 +208,7 @@ impl Chain {
     /// All call data, storage slots and logs of the embedded chain, for the test that it holds no secret.
     ///
     /// # Errors
-    /// [`ChainError::Input`] on other chains.
+    /// [`ChainError::Input`] for other chains.
     pub async fn dump(&self) -> Result<Vec<Vec<u8>>, ChainError> {
         match self.transport().embedded() {
             Some(embedded) => embedded.dump().await,
@@ -217,7 +217,7 @@ impl Chain {
     }
 }
 
-/// The values that a view returned, taken in order.
+/// The values that a view returned, in order.
 struct Answer<'a> {
     chain: &'a Chain,
     name: String,
@@ -246,8 +246,8 @@ impl Answer<'_> {
     }
 }
 
-/// The reason why a mined transaction failed: from the receipt where the node gives it (ours and Besu),
-/// else by running it again on the block before.
+/// The reason why a mined transaction failed: from the receipt if the node includes it (ours and Besu), otherwise by
+/// running it again on the block before.
 pub(super) async fn reason(chain: &Chain, receipt: &Value, block: u64) -> Option<String> {
     if let Some(code) = receipt.get("revertReason").and_then(Value::as_str).and_then(decode_revert_hex) {
         return Some(code);

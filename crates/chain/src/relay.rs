@@ -1,5 +1,5 @@
-//! A chain through somebody else's line to it: what may pass, how it is passed on, and the port through which
-//! one's own requests go that way.
+//! A chain reached through another party's connection: what may pass, how it is passed on, and the transport that sends
+//! one's own requests that way.
 
 use std::fmt;
 use std::sync::Arc;
@@ -16,8 +16,8 @@ use super::Chain;
 use super::transport::TransportError;
 use crate::model::clean;
 
-/// What is passed on to some: what this program's own client asks, reading and raw transactions. Nothing here signs,
-/// keeps state at the node, or reaches its settings and keys. [`rules`] say what passes for whom.
+/// Only what this program's own client needs is passed on: reads and raw transactions. Nothing here signs, keeps state
+/// at the node, or reaches its settings and keys. [`rules`] say what passes for whom.
 const METHODS: [&str; 24] = [
     "clique_getSigners",
     "eth_blockNumber",
@@ -44,12 +44,12 @@ const METHODS: [&str; 24] = [
     "qbft_getValidatorsByBlockNumber",
     "web3_clientVersion",
 ];
-/// The longest signed transaction passed on, bytes: what old geth takes.
+/// The longest signed transaction passed on, bytes: the limit of old geth.
 pub const LONGEST_RAW: usize = 32 * 1024;
-/// The longest words of a node passed on, characters.
+/// The longest error text of a node passed on, characters.
 const LONGEST_WORDS: usize = 400;
 
-/// Why a relayed request got no result.
+/// Why a relayed request failed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RelayError {
     /// The method is not passed on.
@@ -62,25 +62,25 @@ pub enum RelayError {
         code: i64,
         /// The node's words, cleaned.
         message: String,
-        /// What it added: revert data.
+        /// Its data: revert data.
         data: Option<Value>,
     },
-    /// No answer came, or none that is JSON-RPC.
+    /// No answer came, or it was not JSON-RPC.
     #[error("{0}")]
     Silent(String),
 }
 
-/// Somebody who passes JSON-RPC requests on to a chain.
+/// Passes JSON-RPC requests on to a chain.
 #[async_trait]
 pub trait Relay: Send + Sync {
     /// Passes one request on.
     async fn ask(&self, method: &str, parameters: Value) -> Result<Value, RelayError>;
 
-    /// Where it is, for people.
+    /// Its location, for display.
     fn place(&self) -> String;
 }
 
-/// A shared [`Relay`], as an endpoint; two are equal where they are the same one.
+/// A shared [`Relay`], as an endpoint; two are equal if they are the same object.
 #[derive(Clone)]
 pub struct RelayLine(pub Arc<dyn Relay>);
 
@@ -121,7 +121,7 @@ impl From<TransportError> for RelayError {
     }
 }
 
-/// What a request costs the chain, beside one that only looks something up.
+/// What a request costs the chain, compared with a simple look-up.
 pub fn weight(method: &str) -> u32 {
     match method {
         "eth_getLogs" | "eth_estimateGas" | "eth_sendRawTransaction" | "eth_getProof" => 10,
@@ -130,8 +130,8 @@ pub fn weight(method: &str) -> u32 {
     }
 }
 
-/// Whether a request is one that is passed on: its method is known, its parameters are an array, and a transaction
-/// is not longer than any of ours.
+/// Whether a request is passed on: its method is known, its parameters are an array, and a transaction is no longer
+/// than any of ours.
 ///
 /// # Errors
 /// [`RelayError::NotAllowed`].
@@ -143,8 +143,8 @@ pub fn check(method: &str, parameters: &Value) -> Result<(), RelayError> {
 }
 
 impl Chain {
-    /// Passes somebody else's request on to this chain, over the line that this process itself uses. Whether it may
-    /// pass is for [`examine`] to say.
+    /// Passes another party's request on to this chain, over this process's own connection. Whether it may pass is for
+    /// [`examine`] to say.
     ///
     /// # Errors
     /// [`RelayError`].

@@ -1,32 +1,32 @@
-//! Who seals the blocks of a chain, in words for whoever has to take their word: an anchor proves no more than that they
+//! Who seals the blocks of a chain, worded for readers who must trust them: an anchor proves no more than that they
 //! agreed, and a block's time is their clock.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Chain, ChainError};
 
-/// What kind of sealers a chain has.
+/// The kind of sealers a chain has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SealerKind {
     /// One AuthROS program, with all keys in its home.
     Embedded,
-    /// A node made for development: whoever runs it sets blocks and times.
+    /// A development node: whoever runs it sets blocks and times.
     Development,
-    /// Accounts that are named, under proof of authority.
+    /// Named accounts, under proof of authority.
     Authority,
     /// Proof of work.
     Work,
-    /// Not told by the node.
+    /// Not reported by the node.
     Unknown,
 }
 
-/// Who seals a chain, as far as its node tells.
+/// Who seals a chain, as reported by its node.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SealedBy {
-    /// What kind of sealers.
+    /// The kind of sealers.
     pub kind: SealerKind,
-    /// Whether one alone decides about blocks and their times.
+    /// Whether a single party decides about blocks and their times.
     pub alone: bool,
     /// In words.
     pub text: String,
@@ -68,10 +68,10 @@ impl SealedBy {
 }
 
 impl Chain {
-    /// Who seals this chain. It is the node's word: whoever asks has to trust that node.
+    /// Who seals this chain, as the node reports it: the caller has to trust that node.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn sealed_by(&self) -> Result<SealedBy, ChainError> {
         let sealing = self.sealing().await?;
         let (client, consensus) = (&self.inner.client, self.inner.consensus);

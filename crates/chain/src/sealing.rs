@@ -1,4 +1,4 @@
-//! How the blocks of a chain are sealed, as far as the chain tells.
+//! How the blocks of a chain are sealed, as far as the chain reveals it.
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -9,11 +9,11 @@ use crate::model::{Address, bytes::unhex};
 /// Who seals the blocks of a chain, and how often.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Sealing {
-    /// The least time between two blocks, milliseconds; known of the embedded proof of authority.
+    /// The least time between two blocks, milliseconds; known for the embedded proof of authority.
     pub period: Option<u64>,
     /// Difficulty of the newest block under proof of work, decimal.
     pub difficulty: Option<String>,
-    /// Signers or validators under proof of authority; who gets the fees under the embedded proof of work.
+    /// Signers or validators under proof of authority; the recipient of the fees under the embedded proof of work.
     pub sealers: Vec<Address>,
 }
 
@@ -21,7 +21,7 @@ impl Chain {
     /// How the blocks are sealed.
     ///
     /// # Errors
-    /// The node's; what a node does not tell is left out.
+    /// Errors of the node; what a node does not report is left out.
     pub async fn sealing(&self) -> Result<Sealing, ChainError> {
         if let Some(chain) = self.transport().embedded() {
             let sealers = chain.sealers().to_vec();
@@ -47,7 +47,7 @@ impl Chain {
         Ok(difficulty.and_then(|hex| u128::from_str_radix(hex, 16).ok()).map(|difficulty| difficulty.to_string()))
     }
 
-    /// As geth's clique answers, or Besu's; else those that a Clique genesis block lists.
+    /// As geth's clique or Besu answers; otherwise those listed in a Clique genesis block.
     async fn signers(&self) -> Result<Vec<Address>, ChainError> {
         let asked = [
             ("clique_getSigners", json!([])),

@@ -20,11 +20,11 @@ use crate::model::{Address, Hash, bytes::hex};
 impl Chain {
     /// Signs a call as a legacy transaction. Nothing is sent.
     ///
-    /// Gas is estimated; for uploads and anchors once per account, then remembered until a
-    /// transaction fails, so that many can be signed ahead of each other.
+    /// Gas is estimated; for uploads and anchors once per account, then remembered until a transaction fails, so that
+    /// many can be signed in advance.
     ///
     /// # Errors
-    /// [`ChainError::Reverted`] where the contract would refuse the call, [`ChainError::Input`], or the node's.
+    /// [`ChainError::Reverted`] if the contract would refuse the call, [`ChainError::Input`], or an error of the node.
     pub async fn sign(&self, eoa: &EoaSecret, nonce: u64, call: &Call) -> Result<SignedTransaction, ChainError> {
         let price = self.market().await?.offer();
         self.sign_at(eoa, nonce, call, price).await
@@ -49,7 +49,7 @@ impl Chain {
         Ok(gas)
     }
 
-    /// The node's estimate and a quarter.
+    /// The node's estimate plus a quarter.
     pub(super) async fn estimate(&self, from: Address, to: Option<Address>, data: &[u8]) -> Result<u64, ChainError> {
         let mut message = json!({ "from": from.to_string(), "data": format!("0x{}", hex(data)) });
         if let Some(to) = to {
@@ -58,7 +58,7 @@ impl Chain {
         match self.rpc::<U64>("eth_estimateGas", json!([message])).await {
             Ok(gas) => Ok(gas.as_u64().saturating_add(gas.as_u64() / 4)),
             Err(error @ ChainError::Rejected { .. }) => {
-                // Old nodes say only that it always fails: the call itself tells why.
+                // Old nodes say only that it always fails: simulating the call gives the reason.
                 match to {
                     Some(to) => self.eth_call(from, to, data, "latest").await.and(Err(error)),
                     None => Err(error),
@@ -72,11 +72,11 @@ impl Chain {
         self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 
-    /// Whether these bytes are a transaction that `account` signed for this chain and that makes exactly this call
+    /// Checks that these bytes are a transaction that `account` signed for this chain and that makes exactly this call
     /// of the contract.
     ///
     /// # Errors
-    /// [`ChainError::Input`] with what is different.
+    /// [`ChainError::Input`] saying what differs.
     pub fn expect_call(&self, raw: &[u8], account: Address, call: &Call) -> Result<Hash, ChainError> {
         let transaction = Transaction::decode(raw, self.chain_id(), None).map_err(ChainError::Input)?;
         let contract = self.pin().map(|pin| pin.contract);
@@ -97,13 +97,13 @@ impl Chain {
     ///
     /// # Errors
     /// [`ChainError::AlreadyKnown`], [`ChainError::NonceTooLow`], [`ChainError::Underpriced`],
-    /// [`ChainError::InsufficientFunds`], or the node's.
+    /// [`ChainError::InsufficientFunds`], or an error of the node.
     pub async fn broadcast(&self, raw: &[u8]) -> Result<Hash, ChainError> {
         let sent = self.rpc::<String>("eth_sendRawTransaction", json!([format!("0x{}", hex(raw))])).await;
         let wrong = |_| self.misunderstood("eth_sendRawTransaction", "it is no transaction hash");
         match sent {
             Ok(hash) => hash.parse().map_err(wrong),
-            // A node that runs a transaction at once (ganache) reports its failure here; it is mined all the same.
+            // A node that runs a transaction at once (ganache) reports its failure here; it is mined nevertheless.
             Err(ChainError::Reverted { code }) => match self.receipt(Hash(keccak256(raw))).await? {
                 Some(_) => Ok(Hash(keccak256(raw))),
                 None => Err(ChainError::Reverted { code }),
@@ -112,10 +112,10 @@ impl Chain {
         }
     }
 
-    /// What became of a transaction; `None` while it is not mined.
+    /// The result of a transaction; `None` until it is mined.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn receipt(&self, hash: Hash) -> Result<Option<Receipt>, ChainError> {
         let Some((raw, value)) = self.raw_receipt(hash).await? else { return Ok(None) };
         let success = raw.status.is_none_or(|status| !status.is_zero());

@@ -1,4 +1,4 @@
-//! What a bundle of evidence needs of a chain: headers of blocks as they were hashed, and proofs of the contract's storage.
+//! What an evidence bundle needs from a chain: block headers as they were hashed, and proofs of the contract's storage.
 
 use ethers::utils::rlp::RlpStream;
 use serde_json::{Value, json};
@@ -9,13 +9,13 @@ use crate::model::Hash;
 use crate::model::bytes::unhex;
 use authros_evidence::{LONGEST_HEADER, Slot};
 
-/// The most slots asked for at once; nodes bound it.
+/// The most slots requested at once; nodes limit it.
 const MOST_SLOTS: usize = 32;
-/// The largest node of a trie, bytes, generously: a branch of sixteen hashes, or a leaf.
+/// A generous limit for a trie node, bytes: a branch of sixteen hashes, or a leaf.
 const LONGEST_NODE: usize = 1024;
 
-/// A header's fields in their order, by their names in JSON; those of later forks come last, and where one is missing so
-/// are all after it.
+/// A header's fields in order, by their names in JSON; those of later forks come last, and if one is missing so are all
+/// after it.
 const FIELDS: [(&str, Kind); 21] = [
     ("parentHash", Kind::Bytes),
     ("sha3Uncles", Kind::Bytes),
@@ -42,17 +42,17 @@ const FIELDS: [(&str, Kind); 21] = [
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
-    /// As it stands.
+    /// As it is.
     Bytes,
     /// Without leading zeros.
     Number,
 }
 
 impl Chain {
-    /// A block's header, RLP, as its hash was made of it; `None` where there is no such block.
+    /// A block's header, RLP, exactly as hashed; `None` if there is no such block.
     ///
     /// # Errors
-    /// The node's, or that its fields do not give its hash.
+    /// Errors of the node, or if its fields do not give its hash.
     pub async fn header_rlp(&self, number: u64) -> Result<Option<Vec<u8>>, ChainError> {
         let block: Value = self.rpc("eth_getBlockByNumber", json!([format!("{number:#x}"), false])).await?;
         if block.is_null() {
@@ -64,11 +64,11 @@ impl Chain {
         if named == Some(Hash(keccak256(&[&header]))) { Ok(Some(header)) } else { Err(wrong()) }
     }
 
-    /// The nodes that show slots of the contract's storage after a block (EIP-1186). What they show is for the reader of
-    /// the nodes to see.
+    /// The nodes that prove slots of the contract's storage after a block (EIP-1186). The caller must check what they
+    /// prove.
     ///
     /// # Errors
-    /// The node's: most keep the state of the newest blocks alone.
+    /// Errors of the node: most keep the state of the newest blocks only.
     pub async fn storage_nodes(&self, number: u64, slots: &[Slot]) -> Result<Vec<Vec<u8>>, ChainError> {
         let contract = self.contract()?.to_string();
         let mut nodes = Vec::new();

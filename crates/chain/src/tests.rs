@@ -1,4 +1,4 @@
-//! The room as others use it, on the embedded chain.
+//! The crate as others use it, on the embedded chain.
 
 use std::path::Path;
 use std::time::{Duration, Instant};

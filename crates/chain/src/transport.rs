@@ -1,4 +1,4 @@
-//! One JSON-RPC client for every kind of chain: embedded, http, ws, ipc, relayed; with time limits and reconnection.
+//! One JSON-RPC client for every kind of chain: embedded, http, ws, ipc, relayed; with timeouts and reconnection.
 
 use std::fmt::Debug;
 use std::path::PathBuf;
@@ -21,7 +21,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// How long it may take to collect logs.
 const PATIENCE_FOR_LOGS: Duration = Duration::from_secs(20);
 
-/// A line to a chain.
+/// A connection to a chain.
 #[derive(Debug)]
 pub struct Transport {
     line: Line,
@@ -39,19 +39,19 @@ enum Line {
     Relay(RelayLine),
 }
 
-/// Why a request got no result.
+/// Why a request failed.
 #[derive(Debug, thiserror::Error)]
 pub enum TransportError {
     /// The node answered with an error.
     #[error("{0}")]
     Answered(JsonRpcError),
-    /// What it answered is no JSON-RPC, or not of the expected shape.
+    /// Its answer is not JSON-RPC, or not of the expected shape.
     #[error("{0}")]
     Malformed(serde_json::Error),
-    /// The embedded chain cannot go on.
+    /// The embedded chain cannot continue.
     #[error("{0}")]
     Chain(ChainError),
-    /// The line broke.
+    /// The connection broke.
     #[error("{0}")]
     Broken(String),
     /// No answer came in time.
@@ -85,10 +85,10 @@ impl From<Fault> for TransportError {
 }
 
 impl Transport {
-    /// Opens the embedded chain, or prepares the line to a node; a node is first spoken to by the first request.
+    /// Opens the embedded chain, or prepares the connection to a node; the first request opens it.
     ///
     /// # Errors
-    /// [`ChainError::Url`], or what opening the embedded chain gives.
+    /// [`ChainError::Url`], or errors from opening the embedded chain.
     pub async fn open(endpoint: &Endpoint) -> Result<Self, ChainError> {
         match endpoint {
             Endpoint::Embedded { directory, consensus } => {
@@ -108,7 +108,7 @@ impl Transport {
         &self.url
     }
 
-    /// Whether somebody passes the requests on.
+    /// Whether requests go through a relay.
     pub fn is_relayed(&self) -> bool {
         matches!(self.line, Line::Relay(_))
     }
@@ -149,13 +149,13 @@ impl Transport {
         }
     }
 
-    /// The embedded chain's own error behind the words of one that went through ethers, which keeps no types.
+    /// The embedded chain's own error, behind the text of one that went through ethers, which drops the type.
     pub fn trouble_behind(&self, words: &str) -> Option<ChainError> {
         let trouble = self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone();
         trouble.filter(|trouble| words.contains(&trouble.to_string()))
     }
 
-    /// Closes a broken line, so that the next request opens a new one.
+    /// Closes a broken connection, so that the next request opens a new one.
     async fn hang_up(&self) {
         match &self.line {
             Line::Ws(slot) => *slot.lock().await = None,
@@ -207,7 +207,7 @@ where
     client.request(method, parameters).await.map_err(translate)
 }
 
-/// Through a connection that is kept open; it is opened first where there is none.
+/// Uses a connection that is kept open, opening it first if necessary.
 async fn kept<C, E, T, R>(
     slot: &Mutex<Option<C>>,
     open: impl Future<Output = Result<C, E>> + Send,
@@ -230,7 +230,7 @@ where
     through(&client, method, parameters).await
 }
 
-/// The first cause: "connection refused" rather than three lines around it.
+/// The root cause: "connection refused" rather than three layers around it.
 fn innermost(error: &dyn std::error::Error) -> String {
     let mut cause = error;
     while let Some(deeper) = cause.source() {

@@ -11,11 +11,11 @@ use super::connect::POLL;
 use super::{BlockRef, Chain, ChainError, Event, EventAt};
 use crate::model::Hash;
 
-/// The most blocks asked for at once; fewer where a node finds that too many.
+/// The most blocks requested at once; fewer if a node finds that too many.
 const CHUNK: u64 = 2000;
 
-/// The events that change nobody's rights: registrations, grants, loans and the administrator's acts are rebuilt from
-/// all others.
+/// Uploads and anchors, which change nobody's rights: rights are rebuilt from all other events (registrations, grants,
+/// loans and the administrator's acts).
 const ANCHORS: [&str; 2] = ["DataUploaded", "Anchored"];
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -34,18 +34,18 @@ struct RawLog {
 }
 
 impl Chain {
-    /// The contract's events of the blocks `from` to `to` (at most the head), in order.
+    /// The contract's events in blocks `from` to `to` (at most the head), in order.
     ///
     /// # Errors
-    /// [`ChainError::NoContract`], or the node's.
+    /// [`ChainError::NoContract`], or an error of the node.
     pub async fn events(&self, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
         self.collect(from, to, &Value::Null).await
     }
 
-    /// As [`Chain::events`], without uploads and anchors: what everybody's rights are rebuilt from.
+    /// Like [`Chain::events`], without uploads and anchors: the events from which rights are rebuilt.
     ///
     /// # Errors
-    /// As [`Chain::events`].
+    /// See [`Chain::events`].
     pub async fn changes(&self, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
         let mut wanted = Vec::new();
         let events = artefacts()?.iter().flat_map(|artefact| artefact.abi.events());
@@ -58,10 +58,10 @@ impl Chain {
         self.collect(from, to, &json!([wanted])).await
     }
 
-    /// Every anchor of one root in the blocks `from` to `to`, whoever made it, in the chain's order.
+    /// Every anchor of one root in blocks `from` to `to`, by any account, in the chain's order.
     ///
     /// # Errors
-    /// As [`Chain::events`].
+    /// See [`Chain::events`].
     pub async fn anchors_of(&self, root: Hash, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
         let name = telling("Anchored")?.event_signature("Anchored")?.to_string();
         let mut found = self.collect(from, to, &json!([name, null, root.to_string()])).await?;
@@ -118,14 +118,14 @@ impl Chain {
         })
     }
 
-    /// The head as soon as it is above `after`, or as it is when `patience` is over.
+    /// The head as soon as it is above `after`, or the current one when `patience` is over.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn next_block(&self, after: u64, patience: Duration) -> Result<BlockRef, ChainError> {
         if let Some(embedded) = self.transport().embedded() {
             let mut news = embedded.head();
-            // The guard must not live over the next wait.
+            // The guard must not be held across the next wait.
             let found = tokio::time::timeout(patience, news.wait_for(|head| head.number > after)).await;
             let found = found.ok().and_then(Result::ok).map(|head| *head);
             return match found {

@@ -20,7 +20,7 @@ impl Chain {
     /// What a block holds; `None` above the head.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn block_work(&self, number: u64) -> Result<Option<BlockWork>, ChainError> {
         const METHOD: &str = "eth_getBlockByNumber";
         let block: Value = self.rpc(METHOD, json!([format!("{number:#x}"), false])).await?;
@@ -35,10 +35,10 @@ impl Chain {
         Ok(Some(BlockWork { transactions, gas_used: field("gasUsed"), gas_limit: field("gasLimit") }))
     }
 
-    /// Transactions and gas of the blocks `from` to `to`, both included.
+    /// Transactions and gas of blocks `from` to `to`, inclusive.
     ///
     /// # Errors
-    /// The node's.
+    /// Errors of the node.
     pub async fn work(&self, from: u64, to: u64) -> Result<(u64, u64), ChainError> {
         let (mut transactions, mut gas) = (0, 0);
         for number in from..=to {

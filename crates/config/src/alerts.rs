@@ -1,4 +1,4 @@
-//! Who is told of trouble without looking, and what counts as trouble.
+//! Who is notified of trouble, and what counts as trouble.
 
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
@@ -10,58 +10,58 @@ use super::source::Source;
 use crate::crypto::private_file;
 use crate::model::clean;
 
-/// The shortest secret that signs deliveries, bytes.
+/// The shortest secret that may sign deliveries, bytes.
 const SHORTEST_SECRET: usize = 16;
-/// The longest file that holds it, bytes.
+/// The longest file for it, bytes.
 const LONGEST_SECRET: usize = 4096;
-/// The most words of a command.
+/// The most words in a command.
 const MOST_WORDS: usize = 32;
-/// Rights of group and others to write.
+/// Write permission for group and others.
 const WRITTEN_BY_OTHERS: u32 = 0o022;
 /// The right of a folder that leaves each its own files.
 const STICKY: u32 = 0o1000;
 
-/// How a webhook is spoken to.
+/// The format of a webhook.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AlertForm {
-    /// One JSON object of our own for each delivery.
+    /// One JSON object of our own format for each delivery.
     Authros,
-    /// As Prometheus speaks to an Alertmanager, version 2.
+    /// The format that Prometheus uses for an Alertmanager, version 2.
     Alertmanager,
 }
 
-/// Who is told.
+/// The recipient.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum AlertPlace {
     /// A server, over HTTP or HTTPS.
     Webhook {
         /// Its URL.
         url: String,
-        /// How it is spoken to.
+        /// Its format.
         form: AlertForm,
-        /// The file with the secret that signs what is sent.
+        /// The file with the secret that signs deliveries.
         secret: Option<PathBuf>,
-        /// The file with the authorities that its certificate may be of, instead of those that the machine trusts.
+        /// The file with the certificate authorities to accept, instead of those the machine trusts.
         roots: Option<PathBuf>,
     },
-    /// A program of this machine and its arguments.
+    /// A program on this machine and its arguments.
     Command(Vec<String>),
 }
 
-/// From where on something is an alert; `None` = that rule is off.
+/// The thresholds of the alerts; `None` = that rule is off.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct AlertLimits {
-    /// A robot has sent nothing for so long.
+    /// A robot has sent nothing for this long.
     pub robot_silent: Option<Duration>,
-    /// A record has waited for a block so long.
+    /// A record has waited for a block this long.
     pub unanchored: Option<Duration>,
-    /// Fewer bytes are free on the disk of the home.
+    /// Fewer bytes than this are free on the disk of the home.
     pub disk: u64,
-    /// The clock differs by so much from the time that rights go by.
+    /// The clock differs by this much from the time by which rights are judged.
     pub clock: Option<Duration>,
-    /// A grant ends within so long.
+    /// A grant ends within this time.
     pub grant_ends: Option<Duration>,
-    /// A line of the audit log has waited for an anchored head so long.
+    /// A line of the audit log has waited for an anchored head this long.
     pub audit: Option<Duration>,
 }
 
@@ -70,9 +70,9 @@ pub struct AlertLimits {
 pub struct AlertSettings {
     /// Who is told; `None` = nobody; what stands is shown all the same.
     pub place: Option<AlertPlace>,
-    /// Between two looks.
+    /// The time between checks.
     pub every: Duration,
-    /// From where on.
+    /// The thresholds.
     pub limits: AlertLimits,
 }
 
@@ -120,12 +120,12 @@ fn webhook(values: &Values) -> Result<Option<String>, ConfigError> {
     Ok(Some(text.to_owned()))
 }
 
-/// The file is read when it is used; whether it can be is known from the start.
+/// The file is read when it is used, but checked for readability at the start.
 fn secret(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
     let Some(path) = value(values, "alerts.secret").map(PathBuf::from) else { return Ok(None) };
     let wrong = |what: &str| wrong(values, "alerts.secret", what);
     if !path.is_absolute() {
-        // It may be the secret itself, and is not repeated.
+        // It may be the secret itself, so it is not repeated.
         let (name, value, source_name) = ("alerts.secret", "…".to_owned(), source_of(values, "alerts.secret"));
         let what = "write the path, from / on, of the file that holds the secret".to_owned();
         return Err(ConfigError::Value { name, value, source_name, what });
@@ -137,7 +137,7 @@ fn secret(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
     Ok(Some(path))
 }
 
-/// Whether it holds certificates is known when it is used.
+/// Whether it holds certificates is checked when it is used.
 fn roots(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
     let Some(path) = value(values, "alerts.roots").map(PathBuf::from) else { return Ok(None) };
     if !path.is_absolute() || !path.is_file() {
@@ -214,7 +214,7 @@ mod tests {
         None
     }
 
-    /// Settings out of a file with this mode.
+    /// Settings from a file with this mode.
     fn alerts(text: &str, mode: u32) -> Result<AlertSettings, String> {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("config.toml");

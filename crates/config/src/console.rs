@@ -1,4 +1,4 @@
-//! How the console looks, as far as settings say.
+//! The console's appearance, as far as the settings determine it.
 
 use super::error::ConfigError;
 use super::read::{Values, number, value, wrong};
@@ -9,20 +9,20 @@ pub enum Pictures {
     /// In cells, two pixels each.
     #[default]
     HalfBlocks,
-    /// As pixels, by the terminal: sixel graphics.
+    /// As pixels drawn by the terminal: sixel graphics.
     Sixel,
-    /// As pixels, by the terminal: the graphics protocol of kitty.
+    /// As pixels drawn by the terminal: kitty's graphics protocol.
     Kitty,
 }
 
 /// What the settings say about the console.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ConsoleSettings {
-    /// A theme's name; `None` = chosen by the terminal's colours.
+    /// A theme's name; `None` = chosen to match the terminal's colours.
     pub theme: Option<String>,
-    /// ASCII characters only; `None` = decided by the locale.
+    /// Only ASCII characters; `None` = decided by the locale.
     pub ascii: Option<bool>,
-    /// Whether the console takes the mouse.
+    /// Whether the console uses the mouse.
     pub mouse: bool,
     /// The most bytes a second drawn because data changed.
     pub bytes_per_second: Option<u32>,

@@ -10,10 +10,10 @@ pub enum ConfigError {
     Syntax {
         /// The file.
         file: String,
-        /// The parser's words, with the line.
+        /// The parser's message, with the line.
         what: String,
     },
-    /// A key that no setting has.
+    /// A key that is not a setting.
     #[error("{file} line {line} sets '{name}', which is no setting; `authros config show` lists them")]
     Unknown {
         /// The file.
@@ -23,7 +23,7 @@ pub enum ConfigError {
         /// The key.
         name: String,
     },
-    /// A rule for topics that cannot be used.
+    /// A rule for topics that is invalid.
     #[error("{file} line {line}: this rule cannot be used: {what}")]
     Rule {
         /// The file.
@@ -33,7 +33,7 @@ pub enum ConfigError {
         /// What is wrong.
         what: String,
     },
-    /// A secret in a file that others may read.
+    /// A secret in a file that others can read.
     #[error("{file} line {line}: {name} holds a secret, and this file is for others to read; {instead}")]
     Secret {
         /// The file.
@@ -42,10 +42,10 @@ pub enum ConfigError {
         line: usize,
         /// The key.
         name: String,
-        /// Where it belongs.
+        /// Where it belongs instead.
         instead: &'static str,
     },
-    /// An entry that a list of the file does not take.
+    /// An invalid entry in a list of the file.
     #[error("{file} line {line}: {what}")]
     Entry {
         /// The file.
@@ -55,22 +55,22 @@ pub enum ConfigError {
         /// What is wrong and how to write it.
         what: String,
     },
-    /// A value that its setting does not take.
+    /// A value that its setting does not accept.
     #[error("{name} = '{value}' (from {source_name}) is not usable: {what}")]
     Value {
         /// The setting.
         name: &'static str,
-        /// What was given.
+        /// The value given.
         value: String,
         /// Where it was given.
         source_name: String,
-        /// What it should be.
+        /// What is expected.
         what: String,
     },
 }
 
 impl ConfigError {
-    /// Decides the exit code.
+    /// Determines the exit code.
     pub fn kind(&self) -> ErrorKind {
         ErrorKind::Input
     }

@@ -1,4 +1,5 @@
-//! Settings: flag over environment over `config.toml` over default, each with where it came from.
+//! Settings: flags override the environment, which overrides `config.toml`, which overrides defaults; each value with
+//! its source.
 
 use authros_crypto as crypto;
 use authros_model as model;
@@ -39,7 +40,7 @@ use crate::model::{
     Address, AnchorMode, Consensus, Keeping, ListedPublishers, PinMode, RetentionRules, SignerId, TopicRules, clean,
 };
 
-/// How the URL of a vault begins.
+/// Prefixes of a vault's URL.
 const VAULTS: &[&str] = &["redis://", "redis+unix://", "unix://", "redis+cluster://", "redis+sentinel://"];
 
 /// Which topics' rates are measured.
@@ -51,21 +52,21 @@ pub enum MeterMode {
     Watched,
 }
 
-/// All settings in force.
+/// All effective settings.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Config {
     values: BTreeMap<&'static str, (String, Source)>,
     /// URI of a real ROS master.
     pub ros_master: Option<String>,
-    /// How other ROS nodes reach this machine.
+    /// The address at which other ROS nodes reach this machine.
     pub ros_host: Option<String>,
     /// Which topics are measured.
     pub meter: MeterMode,
-    /// How captured topics come to their pinned publishers.
+    /// How captured topics get their pinned publishers.
     pub pin_mode: PinMode,
-    /// Publishers that are pinned by the settings.
+    /// Publishers pinned by the settings.
     pub publishers: ListedPublishers,
-    /// Where ROS 2 is installed: prefixes, as `AMENT_PREFIX_PATH` lists them; empty = nowhere.
+    /// Where ROS 2 is installed: prefixes, as in `AMENT_PREFIX_PATH`; empty = nowhere.
     pub definitions: String,
     /// Domain of ROS 2 to capture from; `None` = no ROS 2.
     pub ros_domain: Option<u16>,
@@ -79,58 +80,58 @@ pub struct Config {
     pub contract: Option<Address>,
     /// The most wei per gas that a transaction may offer.
     pub max_fee: Option<u128>,
-    /// Accounts that anchor side by side, the owner's included.
+    /// Accounts that anchor in parallel, including the owner's.
     pub lanes: u8,
-    /// What the embedded chain's consensus must be; a new one is founded with it.
+    /// The consensus required of the embedded chain; a new one is founded with it.
     pub consensus: Option<Consensus>,
-    /// Memory for captured messages that wait to be stored, bytes.
+    /// Memory for captured messages waiting to be stored, bytes.
     pub capture_memory: u64,
     /// A real Redis.
     pub vault_url: Option<String>,
-    /// Disk space for records that wait for the vault, bytes.
+    /// Disk space for records waiting for the vault, bytes.
     pub vault_backlog: u64,
     /// How long verified records stay on this disk beside a vault that is only a cache; `None` = always.
     pub vault_local: Option<Duration>,
     /// How long a robot keeps ciphertext that its gateway has proven to hold; `None` = always.
     pub outbox_keep: Option<Duration>,
-    /// What the setting says of ciphertext that is kept; see [`Config::keeping`].
+    /// The retention setting; see [`Config::keeping`].
     pub retention: RetentionRules,
-    /// Disk space that records leave free, bytes.
+    /// Disk space that records must leave free, bytes.
     pub disk_reserve: u64,
     /// Whether messages are compressed before they are sealed.
     pub compression: bool,
-    /// Which SM implementation.
+    /// The SM provider.
     pub provider: ProviderName,
-    /// Which SM4 kernel, where it is not to be the fastest.
+    /// The SM4 kernel, if not the fastest.
     pub sm4_kernel: Option<Kernel>,
-    /// How digests go on the chain.
+    /// How digests are put on the chain.
     pub anchor_mode: AnchorMode,
-    /// How long a line of the audit log may wait until a head over it is anchored.
+    /// How long a line of the audit log may wait for an anchored head.
     pub audit_every: Duration,
-    /// Per cent of the stored records that a running site re-hashes an hour.
+    /// Per cent of the stored records that a running site re-hashes per hour.
     pub scrub_percent: u64,
-    /// Where figures are read, and which.
+    /// Where figures are served, and which.
     pub metrics: MetricsSettings,
     /// Whose time stamps are asked for.
     pub time_authorities: Vec<TimeAuthority>,
     /// Who is told of trouble, and what is trouble.
     pub alerts: AlertSettings,
-    /// Blocks until confirmed.
+    /// Required confirmations.
     pub confirmations: u64,
-    /// Whom the gateway of this home takes.
+    /// Who may use this home's gateway.
     pub gateway: GatewayRules,
     /// The gateway of the remote site that this one joins.
     pub site: Option<RemoteSite>,
     /// Rules for topics (`[[topic]]` tables of the file).
     pub topic_rules: TopicRules,
-    /// How the console looks.
+    /// The console's appearance.
     pub console: ConsoleSettings,
 }
 
-/// Whom the gateway of this home takes.
+/// Who may use this home's gateway.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GatewayRules {
-    /// Also owners whom nobody admitted, within the quotas that follow.
+    /// Also owners that were not admitted, within the following quotas.
     pub open: bool,
     /// Bytes of such an owner's records.
     pub bytes: u64,
@@ -140,20 +141,20 @@ pub struct GatewayRules {
     pub streams: u64,
 }
 
-/// A remote site as the settings name it.
+/// A remote site as named in the settings.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RemoteSite {
     /// HOST:PORT of its gateway.
     pub address: String,
     /// SM3 of its gateway's identity key.
     pub gateway_key: Option<SignerId>,
-    /// Whether to pin whatever gateway answers first.
+    /// Whether to pin whichever gateway answers first.
     pub trust_first: bool,
 }
 
 impl Config {
-    /// Resolves flags, environment and file. `flags` and `environment` look a value up by
-    /// setting and variable name; `file` is the text of `config.toml` where there is one.
+    /// Resolves flags, environment and file. `flags` and `environment` look up a value by setting and variable name;
+    /// `file` is the text of `config.toml` if it exists.
     ///
     /// # Errors
     /// [`ConfigError`] names the file and line, variable or flag at fault.
@@ -236,12 +237,12 @@ impl Config {
         })
     }
 
-    /// What ciphertext is kept, by the setting and the rules of topics.
+    /// What ciphertext is kept, according to the setting and the rules of topics.
     pub fn keeping(&self) -> Keeping {
         Keeping::new(self.topic_rules.clone(), self.retention.clone())
     }
 
-    /// All settings for people, passwords in URLs hidden.
+    /// All settings for display, with passwords in URLs hidden.
     pub fn show(&self) -> Vec<SettingView> {
         let view = |definition: &Definition| {
             let (value, source) = self.values.get(definition.name).cloned().unwrap_or((String::new(), Source::Default));
@@ -255,7 +256,7 @@ impl Config {
         DEFINITIONS.iter().map(view).collect()
     }
 
-    /// Where a setting came from.
+    /// The source of a setting.
     pub fn source(&self, name: &str) -> Source {
         self.values.get(name).map_or(Source::Default, |(_, source)| source.clone())
     }

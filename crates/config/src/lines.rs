@@ -1,4 +1,4 @@
-//! On which lines of a TOML text its keys stand.
+//! The lines of the keys in a TOML text.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use toml::de::{DeTable, DeValue};
 pub(super) struct Lines(BTreeMap<String, usize>);
 
 impl Lines {
-    /// Of a text; nothing is known of one that is no TOML.
+    /// For a text; invalid TOML yields nothing.
     pub fn of(text: &str) -> Self {
         let ends: Vec<usize> = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
         let line = |at: usize| ends.partition_point(|end| *end < at) + 1;
@@ -21,7 +21,7 @@ impl Lines {
         lines
     }
 
-    /// Where a key stands, or else what it is in; the first line where neither is known.
+    /// The line of a key, otherwise of what contains it; the first line if neither is known.
     pub fn line(&self, name: &str) -> usize {
         let mut name = name;
         loop {

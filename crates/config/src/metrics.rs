@@ -1,4 +1,4 @@
-//! Where the figures of a running site are read, as far as settings say.
+//! Where a running site's figures are served, according to the settings.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -6,26 +6,26 @@ use std::path::PathBuf;
 use super::error::ConfigError;
 use super::read::{Values, switch, value, wrong};
 
-/// Where figures are read.
+/// Where figures are served.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum FiguresPlace {
-    /// An address; of this machine alone, unless `open` says that others may reach it.
+    /// An address; on this machine only, unless `open` allows others to reach it.
     Address {
         /// The address.
         address: SocketAddr,
         /// Whether other machines may reach it.
         open: bool,
     },
-    /// A socket in the file system, which its folder's rights protect.
+    /// A socket in the file system, protected by its folder's permissions.
     Socket(PathBuf),
 }
 
 /// What the settings say about figures.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct MetricsSettings {
-    /// Where they are read; `None` = nowhere.
+    /// Where they are served; `None` = nowhere.
     pub listen: Option<FiguresPlace>,
-    /// Whether topics have figures by their names.
+    /// Whether topics have figures under their names.
     pub topics: bool,
 }
 

@@ -1,4 +1,4 @@
-//! Where things lie: what a site holds in its home, what its operator writes and what a console remembers beside it.
+//! Paths: what a site holds in its home, what its operator writes, and what a console remembers.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -7,11 +7,11 @@ use directories::ProjectDirs;
 
 use crate::model::{ErrorKind, ProfileName};
 
-/// The name of our folder in each of the user's folders.
+/// The name of our folder inside each of the user's folders.
 const FOLDER: &str = "authros";
-/// The home where neither `HOME` nor `XDG_DATA_HOME` names one.
+/// The home if neither `HOME` nor `XDG_DATA_HOME` is set.
 const WITHOUT_HOME: &str = "authros-home";
-/// What lies outside a standard home, by its name in a home of one folder.
+/// What lies outside a standard home, by its name in a single-folder home.
 const SETTINGS: &str = "config.toml";
 const KEYMAP: &str = "keymap.toml";
 const THEMES: &str = "themes";
@@ -20,15 +20,15 @@ const CONSOLE: &str = "console";
 /// Why the standard places cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PlaceError {
-    /// The same thing lies in its new and in its old place.
+    /// The same item exists in its new and in its old place.
     #[error(
         "{} and {} are both there, and only one can be used; keep one and move the other away",
         old.display(), new.display()
     )]
     Twice {
-        /// In the data folder.
+        /// The one in the data folder.
         old: PathBuf,
-        /// In the folder of its own.
+        /// The one in its own folder.
         new: PathBuf,
     },
     /// A variable that must hold an absolute path does not.
@@ -37,13 +37,13 @@ pub enum PlaceError {
 }
 
 impl PlaceError {
-    /// Decides the exit code.
+    /// Determines the exit code.
     pub fn kind(&self) -> ErrorKind {
         ErrorKind::Input
     }
 }
 
-/// The directory that holds everything of one site, and the places of what people write for it.
+/// The directory that holds everything of one site, and the paths of what people write for it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Home {
     root: PathBuf,
@@ -53,24 +53,24 @@ pub struct Home {
     console: PathBuf,
 }
 
-/// A variable of the environment that is set and not empty.
+/// An environment variable that is set and not empty.
 fn set(name: &str) -> Option<OsString> {
     std::env::var_os(name).filter(|value| !value.is_empty())
 }
 
-/// What `HOME` and the variables of the XDG base directories say; `None` where there is no `HOME`.
+/// The folders given by `HOME` and the XDG base directory variables; `None` if there is no `HOME`.
 fn folders() -> Result<Option<ProjectDirs>, PlaceError> {
     for name in ["XDG_DATA_HOME", "XDG_CONFIG_HOME", "XDG_STATE_HOME"] {
-        // The library would pass over it, and a home would seem to be empty.
+        // The library would ignore it, and a home would seem to be empty.
         if let Some(value) = set(name).filter(|value| Path::new(value).is_relative()) {
             return Err(PlaceError::Relative(name, crate::model::clean(&value.to_string_lossy(), 200)));
         }
     }
-    // Without HOME the library would ask the user database for a place that nobody named.
+    // Without HOME the library would take a folder from the user database that nobody specified.
     Ok(set("HOME").and_then(|_| ProjectDirs::from("", "", FOLDER)))
 }
 
-/// The old place of a thing while only it is used, else the new one.
+/// The old place of an item if only that is in use, otherwise the new one.
 fn in_use(old: PathBuf, new: PathBuf) -> Result<PathBuf, PlaceError> {
     let is_there = |path: &Path| path.symlink_metadata().is_ok();
     let is_one = || old.canonicalize().is_ok_and(|old| new.canonicalize().is_ok_and(|new| new == old));
@@ -82,17 +82,17 @@ fn in_use(old: PathBuf, new: PathBuf) -> Result<PathBuf, PlaceError> {
 }
 
 impl Home {
-    /// A home of one folder at `root`, as `--home` asks for.
+    /// A single-folder home at `root`, for `--home`.
     pub fn new(root: PathBuf) -> Self {
         let [settings, keymap, themes, console] = [SETTINGS, KEYMAP, THEMES, CONSOLE].map(|name| root.join(name));
         Self { root, settings, keymap, themes, console }
     }
 
-    /// The user's own: data, settings and console memory each in its folder. Without `HOME` a home of one folder,
+    /// The user's own: data, settings and console memory, each in its folder. Without `HOME` a single-folder home,
     /// `$XDG_DATA_HOME/authros` or `./authros-home`.
     ///
     /// # Errors
-    /// [`PlaceError`] where a variable is wrong or something lies in two places.
+    /// [`PlaceError`] if a variable is wrong or something exists in two places.
     pub fn standard() -> Result<Self, PlaceError> {
         let root = Self::standard_root()?;
         let Some(folders) = folders()? else { return Ok(Self::new(root)) };
@@ -100,7 +100,7 @@ impl Home {
         Self::apart(&root, config, state)
     }
 
-    /// The data folder of [`Self::standard`] alone.
+    /// Only the data folder of [`Self::standard`].
     ///
     /// # Errors
     /// [`PlaceError::Relative`].
@@ -120,7 +120,7 @@ impl Home {
         })
     }
 
-    /// What lies outside of [`Self::root`], each with its name in a home of one folder.
+    /// What lies outside [`Self::root`], each with its name in a single-folder home.
     pub fn outside(&self) -> Vec<(&'static str, &Path)> {
         let all =
             [(SETTINGS, &self.settings), (KEYMAP, &self.keymap), (THEMES, &self.themes), (CONSOLE, &self.console)];
@@ -140,7 +140,7 @@ impl Home {
         self.settings.clone()
     }
 
-    /// What differs from the console's preset keys.
+    /// Changes to the console's default keys.
     pub fn keymap(&self) -> PathBuf {
         self.keymap.clone()
     }
@@ -150,7 +150,7 @@ impl Home {
         self.themes.clone()
     }
 
-    /// What the console of a profile remembers of its last run.
+    /// What the console of a profile remembers from its last run.
     pub fn console(&self, profile: &ProfileName) -> PathBuf {
         self.console.join(format!("{profile}.json"))
     }
@@ -160,7 +160,7 @@ impl Home {
         self.root.join("site.lock")
     }
 
-    /// Further processes join here.
+    /// Where further processes join.
     pub fn socket(&self) -> PathBuf {
         self.root.join("site.sock")
     }
@@ -170,17 +170,17 @@ impl Home {
         self.root.join("ledger.db")
     }
 
-    /// Space set aside for a revoke on a full disk.
+    /// Space reserved for a revoke on a full disk.
     pub fn reserve(&self) -> PathBuf {
         self.root.join("reserve")
     }
 
-    /// Space set aside for the states of records on a full disk.
+    /// Space reserved for the states of records on a full disk.
     pub fn working_reserve(&self) -> PathBuf {
         self.root.join("reserve.states")
     }
 
-    /// Alerts that stand, and what of them is not delivered yet.
+    /// Active alerts, and those not delivered yet.
     pub fn alerts(&self) -> PathBuf {
         self.root.join("alerts.queue")
     }
@@ -200,12 +200,12 @@ impl Home {
         self.root.join("chain")
     }
 
-    /// Which chain and contract this home is bound to.
+    /// The chain and contract this home is bound to.
     pub fn pin(&self) -> PathBuf {
         self.root.join("chain-pin.json")
     }
 
-    /// What is known of the gateway that this home joins through.
+    /// What is known about the gateway through which this home joins.
     pub fn gateway_trust(&self) -> PathBuf {
         self.root.join("gateway-trust.json")
     }
@@ -225,7 +225,7 @@ impl Home {
         self.profile(profile).join("keyring")
     }
 
-    /// The passphrase that headless use wrote for itself.
+    /// The passphrase that headless use stored for itself.
     pub fn passphrase(&self, profile: &ProfileName) -> PathBuf {
         self.profile(profile).join("passphrase")
     }

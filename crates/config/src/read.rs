@@ -1,4 +1,4 @@
-//! Values as text: found in flags, environment, file or defaults, and turned into what they mean.
+//! Values as text: from flags, environment, file or defaults, parsed into their types.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -42,7 +42,7 @@ pub(super) fn find(
     )
 }
 
-/// A file as messages name it.
+/// A file's name in messages.
 pub(super) fn file_name(path: &Path) -> String {
     clean(&path.display().to_string(), 200)
 }
@@ -59,7 +59,7 @@ pub(super) fn read_file(path: &Path, text: &str) -> Result<(FileValues, TopicRul
     read_document(&file, document(&file, text)?, text)
 }
 
-/// Settings and rules of a document; `text` is what it was read from, for the lines.
+/// Settings and rules of a document; `text` is its source, for the line numbers.
 pub(super) fn read_document(
     file: &str,
     mut document: toml::Table,
@@ -106,7 +106,7 @@ pub(super) fn wrong(values: &Values, name: &'static str, what: &str) -> ConfigEr
     }
 }
 
-/// Where a value came from, for people.
+/// The source of a value, for display.
 pub(super) fn source_of(values: &Values, name: &str) -> String {
     values.get(name).map_or(Source::Default, |(_, source)| source.clone()).to_string()
 }
@@ -135,7 +135,7 @@ pub(super) fn switch(values: &Values, name: &'static str, words: (&str, &str)) -
     }
 }
 
-/// A length of time, or `None` for the word that stands for no end.
+/// A time span, or `None` for the word that means no limit.
 pub(super) fn span(values: &Values, name: &'static str, endless: &str) -> Result<Option<Duration>, ConfigError> {
     match value(values, name) {
         Some(text) if text == endless => Ok(None),

@@ -1,10 +1,10 @@
-//! Where the value of a setting came from, and how both are shown.
+//! The source of a setting's value, and how both are shown.
 
 use std::fmt;
 
 use serde::Serialize;
 
-/// Where a value came from.
+/// The source of a value.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Source {
     /// Built in.
@@ -28,15 +28,15 @@ impl fmt::Display for Source {
     }
 }
 
-/// One setting as `config show` prints it.
+/// One setting as printed by `config show`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct SettingView {
     /// Its name.
     pub name: &'static str,
     /// Its value.
     pub value: String,
-    /// Where it came from.
+    /// Its source.
     pub source: String,
-    /// What it is.
+    /// Its meaning.
     pub text: &'static str,
 }

@@ -1,4 +1,4 @@
-//! Settings: which source wins, and what a wrong one is told.
+//! Settings: which source wins, and the errors for invalid ones.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! `[[topic]]` tables of `config.toml`: rules for the topics of a pattern, in the order of the file.
+//! `[[topic]]` tables of `config.toml`: rules for topics that match a pattern, in file order.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -12,21 +12,21 @@ pub const TABLE: &str = "topic";
 const MOST_RULES: usize = 1000;
 /// The most tags of a rule.
 const MOST_TAGS: usize = 16;
-/// The fastest rate that limits anything, messages a second.
+/// The highest rate that limits anything, messages a second.
 const FASTEST: f64 = 100_000.0;
-/// Why a rule cannot be used: the line, from 1, and what is wrong.
+/// Why a rule is invalid: the line, from 1, and what is wrong.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RuleFault {
-    /// The line of the file.
+    /// The line in the file.
     pub line: usize,
     /// What is wrong, cleaned.
     pub what: String,
 }
 
-/// Reads the rules out of the value of `topic`; `text` is the file, for its lines.
+/// Reads the rules from the value of `topic`; `text` is the file, for its line numbers.
 ///
 /// # Errors
-/// [`RuleFault`] for the first rule that cannot be used.
+/// [`RuleFault`] for the first invalid rule.
 pub fn read(value: &toml::Value, text: &str) -> Result<TopicRules, RuleFault> {
     let starts = starts(text);
     let fault = |line: usize, what: &str| RuleFault { line, what: clean(what, 300) };
@@ -51,7 +51,7 @@ fn starts(text: &str) -> Vec<usize> {
     text.lines().enumerate().filter(|(_, line)| begins(line)).map(|(index, _)| index + 1).collect()
 }
 
-/// The line of a key behind the beginning of its table; that beginning where it is not found.
+/// The line of a key after the start of its table; that start if it is not found.
 fn line_of(text: &str, start: usize, key: &str) -> usize {
     let behind = text.lines().enumerate().skip(start).take_while(|(_, line)| !line.trim_start().starts_with("[["));
     let has = |line: &str| {

@@ -1,4 +1,4 @@
-//! Signatures of an externally owned account: typed data (EIP-712) and the address that signed.
+//! Signatures of an externally owned account over typed data (EIP-712), and the address that signed.
 
 use k256::ecdsa::{RecoveryId, Signature, SigningKey, VerifyingKey};
 use sha3::{Digest as _, Keccak256};
@@ -42,7 +42,7 @@ impl TypedStructure {
         self
     }
 
-    /// A `bytes` or a `string`: its hash.
+    /// A `bytes` or a `string`, as its hash.
     #[must_use]
     pub fn bytes(self, bytes: &[u8]) -> Self {
         let hash = keccak256(&[bytes]);
@@ -79,7 +79,7 @@ impl TypedStructure {
 /// Signs a 32-byte hash; s is in the lower half, as Ethereum demands.
 ///
 /// # Errors
-/// [`CryptoError::Internal`] where the algorithm fails.
+/// [`CryptoError::Internal`] if the algorithm fails.
 pub fn sign_hash(secret: &EoaSecret, hash: &[u8; 32]) -> Result<AccountSignature, CryptoError> {
     let failed = |_| CryptoError::Internal("secp256k1");
     let key = SigningKey::from_slice(secret.expose()).map_err(failed)?;
@@ -93,8 +93,8 @@ pub fn sign_hash(secret: &EoaSecret, hash: &[u8; 32]) -> Result<AccountSignature
 /// The account whose key signed `hash`.
 ///
 /// # Errors
-/// [`CryptoError::BadAccountSignature`] where it is no signature: r or s out of range, s in the upper half
-/// (it could be turned round by anybody), or v neither 27 nor 28.
+/// [`CryptoError::BadAccountSignature`] if this is not a signature: r or s out of range, s in the upper half (anyone
+/// could flip it), or v neither 27 nor 28.
 pub fn recover_account(hash: &[u8; 32], signature: &AccountSignature) -> Result<Address, CryptoError> {
     recovered(hash, signature).ok_or(CryptoError::BadAccountSignature)
 }

@@ -1,5 +1,5 @@
-//! Diffie-Hellman on the SM2 curve with keys that live for one session only.
-//! The standard's own key exchange (GB/T 32918.3) ties in long-lived keys; here the transcript is signed instead.
+//! Diffie-Hellman on the SM2 curve with keys that live for one session only. The standard's own key exchange (GB/T
+//! 32918.3) uses long-lived keys; here the transcript is signed instead.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use crate::model::PublicKey;
 
 use super::{CryptoError, Provider, SmSecret, sm2};
 
-/// A private key of one session, wiped when it is used or dropped.
+/// A private key for one session, wiped when it is used or dropped.
 pub struct Ephemeral {
     secret: SmSecret,
     public: PublicKey,
@@ -19,15 +19,15 @@ impl Ephemeral {
     /// Fresh, from the operating system's random source.
     ///
     /// # Errors
-    /// [`CryptoError::Random`] where that fails.
+    /// [`CryptoError::Random`] if that fails.
     pub fn generate(provider: &dyn Provider) -> Result<Self, CryptoError> {
         Self::from_secret(provider, SmSecret::generate()?)
     }
 
-    /// From a secret that was drawn elsewhere; only test vectors have reason to.
+    /// From a secret drawn elsewhere; only test vectors need this.
     ///
     /// # Errors
-    /// [`CryptoError::Internal`] where the algorithm fails.
+    /// [`CryptoError::Internal`] if the algorithm fails.
     pub fn from_secret(provider: &dyn Provider, secret: SmSecret) -> Result<Self, CryptoError> {
         let public = *secret.public_key(provider)?;
         Ok(Self { secret, public })
@@ -38,10 +38,10 @@ impl Ephemeral {
         self.public
     }
 
-    /// The x coordinate of `[d]peer`, 32 bytes big endian, in constant time; the secret ends with it.
+    /// The x coordinate of `[d]peer`, 32 bytes big endian, in constant time. Consumes the secret.
     ///
     /// # Errors
-    /// [`CryptoError::PublicPoint`] where `peer` is not a point of the curve in its canonical encoding.
+    /// [`CryptoError::PublicPoint`] if `peer` is not a point of the curve in its canonical encoding.
     pub fn agree(self, peer: &PublicKey) -> Result<Zeroizing<[u8; 32]>, CryptoError> {
         sm2::shared_x(self.secret.expose(), peer)
     }
@@ -59,7 +59,7 @@ mod tests {
     use crate::crypto::{ProviderName, provider};
     use crate::model::bytes::hex;
 
-    /// Of GB/T 32918.5-2017, annex C: the pair of the encryption example is a point like any other.
+    /// From GB/T 32918.5-2017, annex C: the key pair of the encryption example is as good as any other.
     const STANDARD_SECRET: &str = "3945208f7b2144b13f36e38ac6d39f95889393692860b51a42fb81ef4df7c5b8";
 
     #[test]
@@ -95,7 +95,7 @@ mod tests {
         let valid = Ephemeral::generate(provider).expect("random").public();
         let mut off = valid;
         off.0[63] ^= 1;
-        // x + p encodes the same residue wherever it fits in 32 bytes; it is not canonical and not accepted.
+        // x + p encodes the same residue whenever it fits in 32 bytes; it is not canonical and not accepted.
         for bad in [off, PublicKey([0; 64]), PublicKey([0xff; 64])] {
             let ephemeral = Ephemeral::generate(provider).expect("random");
             assert!(matches!(ephemeral.agree(&bad), Err(CryptoError::PublicPoint)), "{bad}");

@@ -1,5 +1,5 @@
-//! The default provider: SM2, SM3 and SM4-GCM by our own kernels. The crates' SM2 (`rustcrypto`) and libsm stay beside it,
-//! to be chosen and to be compared with.
+//! The default provider: SM2, SM3 and SM4-GCM by our own kernels. The crate's SM2 (`rustcrypto`) and libsm remain
+//! available, as alternatives and for comparison.
 
 use zeroize::Zeroizing;
 

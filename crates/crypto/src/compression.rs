@@ -1,5 +1,5 @@
-//! Lossless compression of a message before it is sealed, each message by itself, and its bounded reverse.
-//! Which messages are worth it is decided in `pipeline`; how a message's matrix lies in it, in `ros`.
+//! Lossless compression of each message before it is sealed, and bounded decompression. `pipeline` decides which
+//! messages are worth compressing; `ros` says where the matrix of a message lies.
 
 mod filter;
 mod matrix;
@@ -9,25 +9,25 @@ pub use matrix::{MOST_CHANNELS, Matrix};
 use crate::model::head::Compression;
 use crate::model::wire::WireError;
 
-/// Messages shorter than this are left alone, bytes.
+/// Messages shorter than this are not compressed, bytes.
 pub const SHORTEST: usize = 128;
 
-/// The most that LZ4 makes out of one byte.
+/// The most bytes that LZ4 expands one byte to.
 const MOST_PER_BYTE: usize = 255;
 
-/// Bytes looked at to see whether a long message is worth it.
+/// Bytes sampled to see whether a long message is worth compressing.
 const PROBE: usize = 16 * 1024;
 
 /// A compressed message.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Packed {
-    /// How.
+    /// The method.
     pub compression: Compression,
-    /// What is sealed.
+    /// The bytes to seal.
     pub bytes: Vec<u8>,
 }
 
-/// Compresses `body` where that saves at least an eighth of it.
+/// Compresses `body` if that saves at least an eighth of it.
 pub fn pack(body: &[u8], matrix: Option<&Matrix>) -> Option<Packed> {
     if body.len() < SHORTEST {
         return None;
@@ -51,10 +51,10 @@ fn pays(packed: &[u8], body: &[u8]) -> bool {
     packed.len() <= body.len() - body.len() / 8
 }
 
-/// Restores a message of `length` bytes, which the caller has bounded. No more than that is allocated.
+/// Restores a message of `length` bytes; the caller has bounded `length`. Allocates no more than that.
 ///
 /// # Errors
-/// [`WireError`] where `packed` is not what [`pack`] makes of a message of that length.
+/// [`WireError`] if `packed` is not what [`pack`] produces for a message of that length.
 pub fn unpack(compression: Compression, packed: &[u8], length: usize) -> Result<Vec<u8>, WireError> {
     let damaged = WireError::Value("compressed body");
     match compression {

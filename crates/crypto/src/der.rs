@@ -1,5 +1,5 @@
-//! The little DER that SM2 needs, read strictly: signatures (GB/T 35276) and ciphertexts (GM/T 0009).
-//! Lengths and integers must be minimal, integers positive, and nothing may be left over.
+//! The small part of DER that SM2 needs, read strictly: signatures (GB/T 35276) and ciphertexts (GM/T 0009). Lengths
+//! and integers must be minimal, integers positive, and no bytes may be left over.
 
 use crate::model::Signature;
 use crate::model::wire::{Reader, WireError};
@@ -10,7 +10,7 @@ const INTEGER: u8 = 0x02;
 const OCTETS: u8 = 0x04;
 const SEQUENCE: u8 = 0x30;
 
-/// An SM2 ciphertext in parts: C1 = (x, y), C3 the check value, C2 the masked text.
+/// The parts of an SM2 ciphertext: C1 = (x, y), the check value C3, the masked text C2.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CipherParts {
     /// x of C1.
@@ -37,7 +37,7 @@ impl CipherParts {
     /// Reads exactly one ciphertext.
     ///
     /// # Errors
-    /// [`CryptoError::Malformed`] where it is not canonical DER or its text is empty.
+    /// [`CryptoError::Malformed`] if it is not canonical DER or its text is empty.
     pub fn parse(der: &[u8]) -> Result<Self, CryptoError> {
         parse_cipher(der).map_err(CryptoError::malformed("SM2 ciphertext"))
     }
@@ -67,7 +67,7 @@ pub fn signature_der(signature: &Signature) -> Vec<u8> {
 /// A signature from DER; its range is checked when it is verified.
 ///
 /// # Errors
-/// [`CryptoError::Malformed`] where it is not canonical DER of two 256-bit integers.
+/// [`CryptoError::Malformed`] if it is not canonical DER of two 256-bit integers.
 pub fn signature_from_der(der: &[u8]) -> Result<Signature, CryptoError> {
     parse_signature(der).map_err(CryptoError::malformed("SM2 signature"))
 }

@@ -1,5 +1,5 @@
-//! How keys, tokens and pseudonyms follow from each other (DESIGN section 3).
-//! Every derivation begins with its own label; none reads a clock, a file or a random source.
+//! How keys, tokens and pseudonyms are derived from each other (docs/format.md, section 3). Every derivation begins
+//! with its own label; none reads a clock, a file or a random source.
 
 use zeroize::Zeroizing;
 
@@ -10,8 +10,8 @@ use super::secret::uncompressed;
 use super::sm3::sm3;
 use super::{CryptoError, EoaSecret, EpochKey, FilterKey, IndexKey, Sm4Key, SmSecret, TopicKey};
 
-/// What binds signed, derived and hashed structures to one chain and contract:
-/// SM3(label || chain id (8) || genesis hash || contract).
+/// Binds everything signed, derived and hashed to one chain and contract: SM3(label || chain id (8) || genesis hash ||
+/// contract).
 pub fn domain(chain_id: u64, genesis: &Hash, contract: &Address) -> Domain {
     Domain(sm3(&[b"AuthROS/domain/1", &chain_id.to_be_bytes(), &genesis.0, &contract.0]))
 }
@@ -27,13 +27,13 @@ pub fn token(domain: &Domain, owner: &Address, epoch: u64, key: &EpochKey) -> To
     Token(sm3(&[b"AuthROS/token/1", &domain.0, &owner.0, &epoch.to_be_bytes(), key.expose()]))
 }
 
-/// The key of a topic in an epoch. By its pseudonym, which every header holds: whoever has EK opens a record without
-/// having to know its topic's name first.
+/// The key of a topic in an epoch, derived from its pseudonym, which every header carries: anyone who has EK can open a
+/// record without knowing the topic's name.
 pub fn topic_key(key: &EpochKey, topic: &TopicId) -> TopicKey {
     TopicKey::new(derived(key.expose(), &[], &Info::new("AuthROS/topic/2").fixed(&topic.0)))
 }
 
-/// The key of a topic as it was derived before pseudonyms were used: for records sealed then.
+/// The key of a topic as derived before pseudonyms were used, for records sealed then.
 pub fn topic_key_by_name(key: &EpochKey, topic: &str) -> TopicKey {
     TopicKey::new(derived(key.expose(), &[], &Info::new("AuthROS/topic/1").text(topic)))
 }
@@ -48,7 +48,7 @@ pub fn filter_id(key: &IndexKey, kind: &str, value: &str) -> FilterId {
     FilterId(derived(key.expose(), &[], &Info::new("AuthROS/filterid/1").text(kind).text(value)))
 }
 
-/// The filter key of a topic: for devices that make pseudonyms of their own topics and of nothing else.
+/// The filter key of a topic, for devices that compute pseudonyms for their own topics only.
 pub fn filter_key(key: &IndexKey, topic: &TopicId) -> FilterKey {
     FilterKey::new(derived(key.expose(), &[], &Info::new("AuthROS/filterkey/1").fixed(&topic.0)))
 }
@@ -61,31 +61,31 @@ pub fn topic_filter_id(key: &FilterKey, kind: &str, value: &str) -> FilterId {
 /// The key of an owner's `index`-th witness account on a network, from the owner's EOA key.
 ///
 /// # Errors
-/// [`CryptoError::SecretRange`] where the derived number is no key, which happens once in 2^127.
+/// [`CryptoError::SecretRange`] if the derived number is not a valid key (probability about 2^-127).
 pub fn witness_secret(owner: &EoaSecret, domain: &Domain, index: u8) -> Result<EoaSecret, CryptoError> {
     let info = Info::new("AuthROS/witness/1").fixed(&domain.0).number(u64::from(index));
     let bytes = Zeroizing::new(derived::<32>(owner.expose(), &[], &info));
     EoaSecret::from_slice(&*bytes)
 }
 
-/// What seals transport keys at rest with the gateway whose keeper has this d_E.
+/// The key that seals a gateway's transport keys at rest, derived from its keeper's d_E.
 pub(super) fn kept_key(keeper: &SmSecret) -> Zeroizing<[u8; 16]> {
     Zeroizing::new(derived(keeper.expose(), &[], &Info::new("AuthROS/binding/1")))
 }
 
-/// What the notices of an owner to a device are sealed under, from the owner's EOA key: the owner need not
-/// keep it, the device has it from its enrolment, and nobody else has it.
+/// The key that seals an owner's notices to a device, derived from the owner's EOA key: the owner need not store it,
+/// the device gets it at enrolment, and nobody else has it.
 pub fn notice_key(owner: &EoaSecret, domain: &Domain, device: &SignerId) -> TopicKey {
     let info = Info::new("AuthROS/notice/1").fixed(&domain.0).fixed(&device.0);
     TopicKey::new(derived(owner.expose(), &[], &info))
 }
 
-/// The name under which notices to a device are filed; no ROS name begins like this.
+/// The topic under which notices to a device are filed; no ROS name begins like this.
 pub fn notice_topic(device: &SignerId) -> String {
     format!("authros/keys/{device}")
 }
 
-/// SM3 of 04 || x || y: names a signer in headers and on the chain.
+/// SM3 of 04 || x || y: identifies a signer in headers and on the chain.
 pub fn signer_id(public: &PublicKey) -> SignerId {
     SignerId(sm3(&[&uncompressed(public)]))
 }

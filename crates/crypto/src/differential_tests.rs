@@ -1,4 +1,4 @@
-//! The providers against each other, on random inputs.
+//! Compares the providers with each other on random inputs.
 
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -12,7 +12,7 @@ fn all() -> [&'static dyn Provider; 3] {
     ProviderName::ALL.map(provider)
 }
 
-/// Each with each other one.
+/// Every provider with every other.
 fn pairs() -> Vec<(&'static dyn Provider, &'static dyn Provider)> {
     let others = |one: usize| (1..3).map(move |step| (all()[one], all()[(one + step) % 3]));
     (0..3).flat_map(others).collect()
@@ -28,7 +28,7 @@ proptest! {
     #[test]
     fn public_keys_are_equal(bytes in any::<[u8; 32]>()) {
         prop_assume!(secret(bytes).is_some());
-        // A secret remembers its public key, so each provider gets its own.
+        // A secret caches its public key, so each provider gets its own copy.
         let [ours, one, other] = all().map(|provider| {
             let secret = secret(bytes).expect("in range");
             provider.public_key(&secret).expect("point")

@@ -1,6 +1,6 @@
-//! What a robot gets from its owner: its own signing pair, K_T of its name at a gateway, and what its records are sealed
-//! with, of some topics or of all. It holds neither d_C, K_C nor the EOA: a stolen robot is not a stolen identity; IK
-//! only where it covers all topics, or was enrolled by version 1. How it lies on disk is `file`.
+//! What a robot gets from its owner: its own signing pair, its name and K_T at a gateway, and the keys to seal its
+//! records with, for some topics or for all. It never holds d_C, K_C or the EOA key, so a stolen robot is not a stolen
+//! identity; it holds IK only if it covers all topics or was enrolled by version 1. The file format is in `file`.
 
 use zeroize::Zeroizing;
 
@@ -19,11 +19,11 @@ pub use file::{SealedEnrolment, version_of};
 pub use issue::{EpochIssue, IssuedKeys, IssuedTopic, Pseudonyms, SealingKey};
 pub use notice::Notice;
 
-/// The most topics whose keys are issued at once, those of statements included.
+/// The most topics whose keys are issued at once, including those for statements.
 pub const MOST_TOPICS: usize = 1024;
-/// The longest address of a gateway, bytes.
+/// The longest gateway address, bytes.
 pub const LONGEST_GATEWAY: usize = 255;
-/// The most gateways of an enrolment.
+/// The most gateways in an enrolment.
 pub const MOST_GATEWAYS: usize = 8;
 
 /// A gateway that knows the robot.
@@ -37,41 +37,41 @@ pub struct GatewayAccess {
     pub transport: TransportKey,
 }
 
-/// All that a robot works with.
+/// Everything a robot works with.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Enrolment {
     /// The network.
     pub domain: Domain,
-    /// Its chain id, for people.
+    /// Its chain id, shown to people.
     pub chain_id: u64,
     /// The gateways, at least one; the first is used.
     pub gateways: Vec<GatewayAccess>,
-    /// N: what the gateways know the robot by.
+    /// N: the name by which the gateways know the robot.
     pub name: ProfileName,
-    /// Whose records these are.
+    /// The owner of the records.
     pub owner: Address,
-    /// P_C: signs the notices.
+    /// P_C: verifies the notices.
     pub owner_key: PublicKey,
-    /// The device's own pair, lent on chain: signs the records.
+    /// The device's own pair, lent to it on chain: signs the records.
     pub device: SmKeyPair,
-    /// IK, where it covers all topics or was enrolled by version 1.
+    /// IK, if the device covers all topics or was enrolled by version 1.
     pub index: Option<IndexKey>,
-    /// Where the owner's notices to it are filed.
+    /// The topic under which the owner's notices to it are filed.
     pub notice_id: TopicId,
-    /// Opens them.
+    /// The key that opens them.
     pub notice_key: TopicKey,
-    /// A token that the chain has: what the robot shows the gateway.
+    /// A token registered on the chain, which the robot shows to the gateway.
     pub token: Token,
-    /// The owner's ledger and number of the newest notice that was taken.
+    /// The owner's recorder and the number of the newest notice applied.
     pub noticed: Option<(RecorderId, u64)>,
-    /// What to seal under.
+    /// The keys to seal with.
     pub keys: IssuedKeys,
-    /// How it is written: 1 as earlier versions did, 2.
+    /// Format version: 1 (earlier versions) or 2.
     pub version: u8,
 }
 
 impl Enrolment {
-    /// The version that is written for new robots.
+    /// The version written for new robots.
     pub const NEWEST: u8 = 2;
 
     /// SM3 of the device's public key.
@@ -82,12 +82,12 @@ impl Enrolment {
     /// The gateway in use.
     ///
     /// # Errors
-    /// [`WireError`] where there is none, which no enrolment that was read lacks.
+    /// [`WireError`] if there is none; an enrolment that was parsed always has one.
     pub fn gateway(&self) -> Result<&GatewayAccess, WireError> {
         self.gateways.first().ok_or(WireError::Value("gateway"))
     }
 
-    /// Its bytes, as its version has them.
+    /// Its encoding, in its own version's format.
     fn encode(&self) -> Result<Zeroizing<Vec<u8>>, WireError> {
         let keys = self.keys.encode();
         let places: usize = self.gateways.iter().map(|gateway| gateway.address.len() + 66).sum();
@@ -127,8 +127,8 @@ impl Enrolment {
         Ok(())
     }
 
-    /// Version 2: count of gateways (1), each address || fingerprint (32) || K_T (32), || N || owner (20) || P_C (64) ||
-    /// device secret (32) || 0, or 1 || IK (32), || topic id of the notices (16) || notice key (32) || token (32).
+    /// Version 2: count of gateways (1), each address || fingerprint (32) || K_T (32), || N || owner (20) || P_C (64)
+    /// || device secret (32) || 0, or 1 || IK (32), || topic id of the notices (16) || notice key (32) || token (32).
     fn put_secrets_2(&self, out: &mut Vec<u8>) {
         let gateways = &self.gateways[..self.gateways.len().min(MOST_GATEWAYS)];
         out.push(u8::try_from(gateways.len()).unwrap_or(0));
@@ -172,7 +172,7 @@ impl Enrolment {
         if enrolment.gateways.iter().any(long) {
             return Err(WireError::Value("gateway"));
         }
-        // Without IK there is no pseudonym but those that were given.
+        // Without IK, the only pseudonyms are those that were issued.
         let issues = std::iter::once(&enrolment.keys.now).chain(enrolment.keys.next.as_ref().map(|(_, next)| next));
         if enrolment.index.is_none() && !issues.into_iter().all(EpochIssue::stands_alone) {
             return Err(WireError::Value("index key"));

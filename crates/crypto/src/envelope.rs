@@ -1,6 +1,5 @@
-//! The wrapped keys of a grant: SM2 encryption to the grantee's P_E around the terms and keys,
-//! signed by the owner's d_C. Whether the chain grants anything is the chain's to say; the terms
-//! inside must be exactly those of its event.
+//! The wrapped keys of a grant: SM2 encryption to the grantee's P_E around the terms and keys, signed by the owner's
+//! d_C. Whether the grant exists is for the chain to say; the terms inside must be exactly those of its event.
 
 use std::collections::BTreeSet;
 
@@ -18,14 +17,14 @@ pub const LARGEST_ENVELOPE: usize = 64 * 1024;
 const VERSION: u8 = 1;
 const WHAT: &str = "key envelope";
 
-/// What a grant gives to read with.
+/// The keys a grant gives.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum GrantedKeys {
     /// Every topic of some epochs.
     All {
-        /// (epoch, EK), each epoch once, the grant's own among them.
+        /// (epoch, EK), each epoch once, including the grant's own.
         epochs: Vec<(u64, EpochKey)>,
-        /// IK, to compute topic and filter ids.
+        /// IK, for computing topic and filter ids.
         index_key: IndexKey,
     },
     /// Some topics of some epochs.
@@ -35,20 +34,20 @@ pub enum GrantedKeys {
     },
 }
 
-/// Terms of a grant with the keys that fulfil them.
+/// The terms of a grant with the keys that match them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct WrappedKeys {
-    /// As the chain's event states them.
+    /// The terms, as the chain's event states them.
     pub terms: GrantTerms,
-    /// What they give.
+    /// The keys they give.
     pub keys: GrantedKeys,
 }
 
 /// Seals keys for a grantee: version || length (4) || SM2 ciphertext (DER) || signature (64).
 ///
 /// # Errors
-/// [`CryptoError::Inconsistent`] where keys and terms do not fit, [`CryptoError::PublicPoint`],
-/// [`CryptoError::Length`] where the envelope would exceed [`LARGEST_ENVELOPE`].
+/// [`CryptoError::Inconsistent`] if keys and terms do not match, [`CryptoError::PublicPoint`], [`CryptoError::Length`]
+/// if the envelope would exceed [`LARGEST_ENVELOPE`].
 pub fn wrap(
     provider: &dyn Provider,
     domain: &Domain,
@@ -124,8 +123,8 @@ fn compare(domain: &Domain, named: &Domain, expected: &GrantTerms, terms: &Grant
     differing.map_or(Ok(()), |(field, _)| Err(CryptoError::NotAccepted { what: WHAT, field }))
 }
 
-/// Keys fit terms: same kind of scope, no epoch beyond the grant's, the grant's own covered,
-/// nothing twice, only topics of the scope, only names that are names.
+/// Checks that keys match terms: same kind of scope, no epoch beyond the grant's, the grant's own covered, nothing
+/// twice, only topics of the scope, only valid names.
 fn check_fit(wrapped: &WrappedKeys) -> Result<(), CryptoError> {
     let epoch = wrapped.terms.epoch;
     let fits = match (&wrapped.keys, &wrapped.terms.scope) {

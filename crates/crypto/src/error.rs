@@ -1,5 +1,5 @@
-//! What can go wrong with keys, records and envelopes, in words that say what to do next.
-//! No message carries a secret, and no text of a peer enters one uncleaned.
+//! What can go wrong with keys, records and envelopes; each message says what to do next. No message carries a secret,
+//! and text from a peer is always cleaned first.
 
 use std::path::{Path, PathBuf};
 
@@ -12,19 +12,19 @@ pub enum CryptoError {
     /// The operating system's random source failed.
     #[error("the operating system gave no random bytes; nothing was sealed or generated, try again")]
     Random,
-    /// An algorithm refused what it should accept.
+    /// An algorithm refused input it should accept.
     #[error("{0} failed inside the crypto provider; try another one with crypto.provider")]
     Internal(&'static str),
     /// A private key out of range.
     #[error("the {0} private key is out of its range; use one made for its curve")]
     SecretRange(&'static str),
-    /// A public key that is no point of the curve.
+    /// A public key that is not a point of the curve.
     #[error("the SM2 public key is not a point of the curve; ask its owner to register again")]
     PublicPoint,
     /// A signature that does not verify.
     #[error("the SM2 signature is not valid; do not trust what it came with, and fetch it again")]
     BadSignature,
-    /// A signature of an account that recovers no address.
+    /// An account signature that recovers to no address.
     #[error("the account's signature is not valid; do not trust what it came with, and ask its sender to sign again")]
     BadAccountSignature,
     /// A GCM tag or an SM2 check value that does not match.
@@ -37,10 +37,10 @@ pub enum CryptoError {
         what: &'static str,
         /// Its length, bytes.
         found: usize,
-        /// What would be accepted.
+        /// What length would be accepted.
         allowed: &'static str,
     },
-    /// Bytes that are not the structure they should be.
+    /// Bytes that do not have the expected structure.
     #[error("the {what} is malformed ({why}); get it again from where it came from")]
     Malformed {
         /// The structure.
@@ -54,16 +54,16 @@ pub enum CryptoError {
     /// A record that does not parse.
     #[error("the record is damaged ({0}); fetch it again, its owner may hold an intact copy")]
     DamagedRecord(WireError),
-    /// A record whose bytes are not the ones anchored, signed or sealed.
+    /// A record whose bytes differ from those anchored, signed or sealed.
     #[error("the record was tampered with: its {0} does not match; keep it as evidence and fetch it again")]
     Tampered(&'static str),
-    /// A record that is intact, but is not the one asked for.
+    /// A record that is intact but is not the one requested.
     #[error("the record is not the one asked for: its {0} differs; the vault may have swapped it")]
     NotAsked(&'static str),
     /// The topic key does not open the record.
     #[error("this key does not open the record; ask its owner for a grant of its epoch and topic")]
     WrongKey,
-    /// An envelope or identity that names other terms than the chain.
+    /// An envelope or identity whose terms differ from those on the chain.
     #[error("the {what} was not accepted: its {field} is not what the chain says; ask its owner to issue it again")]
     NotAccepted {
         /// Envelope or identity.
@@ -93,12 +93,12 @@ pub enum CryptoError {
         /// The permission bits it should have.
         wanted: u32,
     },
-    /// A file that is not what it should be.
+    /// A file of the wrong kind or form.
     #[error("{path} is not {wanted}: {found}")]
     NotAKey {
         /// The file.
         path: String,
-        /// What was wanted, with its article.
+        /// What was expected, with its article.
         wanted: &'static str,
         /// What was found, and what to do.
         found: String,
@@ -128,7 +128,7 @@ pub enum CryptoError {
 }
 
 impl CryptoError {
-    /// What sort of failure it is.
+    /// The kind of failure.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Random | Self::Internal(_) => ErrorKind::Internal,
@@ -157,25 +157,25 @@ impl CryptoError {
         }
     }
 
-    /// That something read is not what it should be.
+    /// Something read is not what it should be.
     pub fn malformed(what: &'static str) -> impl Fn(WireError) -> Self {
         move |why| Self::Malformed { what, why }
     }
 
-    /// That a file could not be read.
+    /// A file could not be read.
     pub fn read(path: &Path) -> impl Fn(std::io::Error) -> Self {
         let path = shown(path);
         move |source| Self::Read { path: path.clone(), source }
     }
 
-    /// That a file could not be written.
+    /// A file could not be written.
     pub fn write(path: &Path) -> impl Fn(std::io::Error) -> Self {
         let path = shown(path);
         move |source| Self::Write { path: path.clone(), source }
     }
 }
 
-/// A path as it may be shown in a message.
+/// A path, cleaned for use in a message.
 pub fn shown(path: &Path) -> String {
     clean(&PathBuf::from(path).display().to_string(), 240)
 }

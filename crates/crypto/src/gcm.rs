@@ -1,5 +1,5 @@
-//! SM4-GCM (RFC 8998, GB/T 36624): counter mode and GHASH over any SM4 block; the kernels have their own.
-//! Nonces are 96 bits, tags 128; who chooses keys and nonces lives elsewhere.
+//! SM4-GCM (RFC 8998, GB/T 36624): counter mode and GHASH over any SM4 block; the kernels have their own version.
+//! Nonces are 96 bits, tags 128; keys and nonces are chosen elsewhere.
 
 use ghash::universal_hash::UniversalHash as _;
 use ghash::{Block, GHash};
@@ -10,7 +10,7 @@ use super::{CryptoError, fault};
 
 /// The tag's length, bytes.
 pub const TAG: usize = 16;
-/// The longest text of one nonce: 2^32 - 2 blocks (NIST SP 800-38D, 5.2.1.1).
+/// The longest text under one nonce: 2^32 - 2 blocks (NIST SP 800-38D, 5.2.1.1).
 pub(super) const LONGEST: u64 = ((1 << 32) - 2) * 16;
 
 /// One SM4 key, ready to encrypt.

@@ -1,14 +1,14 @@
-//! The proof that an identity registered on the chain was made by the holder of its keys.
-//! The contract cannot check SM2: every client does, or treats the identity as unregistered.
+//! The proof that an identity registered on the chain was made by the holder of its keys. The contract cannot verify
+//! SM2, so every client does, and treats an identity without a valid proof as unregistered.
 
 use crate::model::{Address, Domain, Identity, PublicKey, Token};
 
 use super::{CryptoError, Provider, SmKeyPair};
 
-/// An identity with its proof: SM2 by d_C over label, domain, address, P_C, P_E and token.
+/// An identity with its proof: an SM2 signature by d_C over label, domain, address, P_C, P_E and token.
 ///
 /// # Errors
-/// [`CryptoError::PublicPoint`] where P_E is no point, [`CryptoError::Random`].
+/// [`CryptoError::PublicPoint`] if P_E is not a point, [`CryptoError::Random`].
 pub fn prove(
     provider: &dyn Provider,
     domain: &Domain,
@@ -23,11 +23,11 @@ pub fn prove(
     Ok(Identity { token, signing: signing.public, envelope: *envelope, proof })
 }
 
-/// Checks an identity read from the chain: both keys are points, they differ, the proof is valid.
+/// Checks an identity read from the chain: both keys are points, they differ, and the proof is valid.
 ///
 /// # Errors
-/// [`CryptoError::PublicPoint`], [`CryptoError::BadSignature`], or [`CryptoError::NotAccepted`] where
-/// one key is used for both purposes.
+/// [`CryptoError::PublicPoint`], [`CryptoError::BadSignature`], or [`CryptoError::NotAccepted`] if one key is used for
+/// both purposes.
 pub fn check_identity(
     provider: &dyn Provider,
     domain: &Domain,

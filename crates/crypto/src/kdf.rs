@@ -1,5 +1,5 @@
-//! HKDF-SM3 (RFC 5869 over SM3) and HMAC-SM3 (GM/T 0042-2015), and how their infos are written:
-//! a label, fixed-width parts raw, variable parts with a two-byte big-endian length before them.
+//! HKDF-SM3 (RFC 5869 over SM3) and HMAC-SM3 (GM/T 0042-2015), and the encoding of their infos: a label, fixed-width
+//! parts raw, variable parts with a two-byte big-endian length before them.
 
 use hkdf::Hkdf;
 use hmac::{Hmac, KeyInit as _, Mac as _};
@@ -12,7 +12,7 @@ use super::sm3::sm3;
 /// Fills `out` from input key material, salt and info (RFC 5869, extract and expand).
 ///
 /// # Errors
-/// [`CryptoError::Length`] where `out` is longer than 255 hashes (8,160 bytes).
+/// [`CryptoError::Length`] if `out` is longer than 255 hashes (8,160 bytes).
 pub fn hkdf_sm3(key_material: &[u8], salt: &[u8], info: &[u8], out: &mut [u8]) -> Result<(), CryptoError> {
     let found = out.len();
     Hkdf::<Sm3>::new(Some(salt), key_material).expand(info, out).map_err(|_| CryptoError::Length {
@@ -22,10 +22,10 @@ pub fn hkdf_sm3(key_material: &[u8], salt: &[u8], info: &[u8], out: &mut [u8]) -
     })
 }
 
-/// `N` bytes of HKDF-SM3; that `N` can be derived is checked when this is compiled.
+/// `N` bytes of HKDF-SM3; that `N` is allowed is checked at compile time.
 ///
 /// # Panics
-/// Never: a length that HKDF refuses does not compile.
+/// Cannot happen: a length that HKDF refuses does not compile.
 pub fn derived<const N: usize>(key_material: &[u8], salt: &[u8], info: &Info) -> [u8; N] {
     const { assert!(N <= 255 * 32, "HKDF-SM3 gives at most 8,160 bytes") };
     let mut out = [0; N];
@@ -35,10 +35,10 @@ pub fn derived<const N: usize>(key_material: &[u8], salt: &[u8], info: &Info) ->
     out
 }
 
-/// As [`derived`], from what was extracted of key material and salt already (RFC 5869, expand alone).
+/// Like [`derived`], from key material and salt already extracted (RFC 5869, expand only).
 ///
 /// # Panics
-/// Never: a length that HKDF refuses does not compile.
+/// Cannot happen: a length that HKDF refuses does not compile.
 pub fn expanded<const N: usize>(extracted: &[u8; 32], info: &Info) -> [u8; N] {
     const { assert!(N <= 255 * 32, "HKDF-SM3 gives at most 8,160 bytes") };
     let mut out = [0; N];
@@ -64,7 +64,7 @@ pub fn hmac_sm3(key: &[u8], parts: &[&[u8]]) -> [u8; 32] {
     mac.finalize().into_bytes().into()
 }
 
-/// The info of a derivation: label, then its parts as they come.
+/// The info of a derivation: a label, then its parts in order.
 #[derive(Debug, Clone)]
 pub struct Info(Vec<u8>);
 

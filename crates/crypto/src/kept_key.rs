@@ -1,17 +1,16 @@
-//! Transport keys at rest with a gateway: sealed under a key that follows from d_E of its keeper, which no grant gives
-//! away.
+//! A gateway's transport keys at rest, sealed under a key derived from its keeper's d_E, which no grant gives away.
 
 use super::derive::kept_key;
 use super::random::random_bytes;
 use super::{CryptoError, Provider, SmSecret, TransportKey};
 
-/// Bytes of the nonce before what is sealed.
+/// Bytes of the nonce in front of the ciphertext.
 const NONCE: usize = 12;
 
 /// Seals the transport key of a name: nonce (12) || SM4-GCM (32 + 16), with the name as AAD.
 ///
 /// # Errors
-/// Of the random source.
+/// From the random source.
 pub fn seal_transport_key(
     provider: &dyn Provider,
     keeper: &SmSecret,
@@ -19,7 +18,7 @@ pub fn seal_transport_key(
     key: &TransportKey,
 ) -> Result<Vec<u8>, CryptoError> {
     let nonce: [u8; NONCE] = random_bytes()?;
-    // Reserved in one piece, tag included: growing would leave an unwiped copy behind.
+    // Reserved in one piece, tag included: growing the buffer would leave an unwiped copy behind.
     let mut buffer = Vec::with_capacity(TransportKey::LENGTH + 16);
     buffer.extend_from_slice(key.expose());
     provider.gcm_seal(&kept_key(keeper), &nonce, name.as_bytes(), &mut buffer)?;
@@ -29,7 +28,7 @@ pub fn seal_transport_key(
 /// Opens what [`seal_transport_key`] sealed for this name.
 ///
 /// # Errors
-/// [`CryptoError::BadCiphertext`] where it was sealed for another name, by another keeper, or altered.
+/// [`CryptoError::BadCiphertext`] if it was sealed for another name, by another keeper, or altered.
 pub fn open_transport_key(
     provider: &dyn Provider,
     keeper: &SmSecret,

@@ -1,5 +1,5 @@
-//! Key files that people bring and take: SM4 as bytes or hex, SM2 as PKCS#8 PEM or hex, EOA as hex
-//! or Ethereum keystore. Files must be closed to others; messages say what was found instead.
+//! Key files that users import and export: SM4 as bytes or hex, SM2 as PKCS#8 PEM or hex, EOA as hex or Ethereum
+//! keystore. Files must not be accessible to others; errors say what was found instead.
 
 use std::path::Path;
 
@@ -20,7 +20,7 @@ const SM4_KEY: &str = "an SM4 key";
 const SM2_KEY: &str = "an SM2 private key";
 const EOA_KEY: &str = "the key of an Ethereum account";
 
-/// What is wrong with the content of a key file: what was wanted, what was found.
+/// What is wrong with the content of a key file: what was expected, what was found.
 type Found = (&'static str, String);
 
 /// Reads an SM4 key: exactly 16 raw bytes, or 32 hex characters.
@@ -124,7 +124,7 @@ fn parse_eoa_hex(bytes: &[u8]) -> Result<EoaSecret, Found> {
     EoaSecret::from_slice(&*key).map_err(|_| (EOA_KEY, "its number is out of the range 1 to n - 1".to_owned()))
 }
 
-/// Without one line break at the end.
+/// Without one trailing line break.
 fn line(bytes: &[u8]) -> &[u8] {
     let line = bytes.strip_suffix(b"\n").unwrap_or(bytes);
     line.strip_suffix(b"\r").unwrap_or(line)
@@ -134,7 +134,7 @@ fn is_text(bytes: &[u8]) -> bool {
     std::str::from_utf8(bytes).is_ok_and(|text| !text.chars().any(char::is_control))
 }
 
-/// Exactly `2 N` hex digits, without a copy that stays behind.
+/// Exactly `2 N` hex digits, without leaving a copy behind.
 fn hex_of<const N: usize>(digits: &[u8]) -> Option<Zeroizing<[u8; N]>> {
     if digits.len() != 2 * N {
         return None;
@@ -155,7 +155,7 @@ pub fn sm4_hex(key: &Sm4Key) -> Zeroizing<String> {
 /// An SM2 private key as PKCS#8 PEM, as `openssl pkey` reads it.
 ///
 /// # Errors
-/// [`CryptoError::Internal`] where encoding fails.
+/// [`CryptoError::Internal`] if encoding fails.
 pub fn sm2_pem(secret: &SmSecret) -> Result<Zeroizing<String>, CryptoError> {
     sm2::SecretKey::from_slice(secret.expose())
         .ok()
@@ -166,7 +166,7 @@ pub fn sm2_pem(secret: &SmSecret) -> Result<Zeroizing<String>, CryptoError> {
 /// An SM2 public key as SPKI PEM, as `openssl pkey -pubin` reads it.
 ///
 /// # Errors
-/// [`CryptoError::PublicPoint`] where it is no point of the curve.
+/// [`CryptoError::PublicPoint`] if it is not a point of the curve.
 pub fn sm2_public_pem(public: &PublicKey) -> Result<String, CryptoError> {
     let point = rustcrypto::point(public)?;
     point.to_public_key_pem(LineEnding::LF).map_err(|_| CryptoError::Internal("SPKI encoding"))
@@ -175,7 +175,7 @@ pub fn sm2_public_pem(public: &PublicKey) -> Result<String, CryptoError> {
 /// An SM2 public key from SPKI PEM.
 ///
 /// # Errors
-/// [`CryptoError::PublicPoint`] where the text holds none.
+/// [`CryptoError::PublicPoint`] if the text holds no such key.
 pub fn sm2_public_from_pem(text: &str) -> Result<PublicKey, CryptoError> {
     let point = text.parse::<sm2::PublicKey>().map_err(|_| CryptoError::PublicPoint)?;
     point.to_sec1_point(false).as_bytes().get(1..).and_then(PublicKey::from_slice).ok_or(CryptoError::PublicPoint)
@@ -184,7 +184,7 @@ pub fn sm2_public_from_pem(text: &str) -> Result<PublicKey, CryptoError> {
 /// An EOA key as an Ethereum V3 keystore (JSON); derives a key from the passphrase (about 0.3 s).
 ///
 /// # Errors
-/// [`CryptoError::Random`] where the random source fails.
+/// [`CryptoError::Random`] if the random source fails.
 pub fn eoa_keystore(secret: &EoaSecret, passphrase: &str) -> Result<String, CryptoError> {
     keystore::seal(secret, passphrase)
 }

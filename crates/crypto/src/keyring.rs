@@ -1,6 +1,6 @@
-//! The keys of one profile: EOA, the two SM2 pairs, K_C, IK, and the secrets of every epoch on
-//! every network, from which all old epoch keys can be derived again. How they lie on disk is
-//! `file`; what is registered on the chain is not known here.
+//! The keys of one profile: EOA, the two SM2 pairs, K_C, IK, and the secrets of every epoch on every network, from
+//! which all old epoch keys can be derived again. The file format is in `file`; what is registered on the chain is not
+//! known here.
 
 use std::collections::BTreeMap;
 
@@ -21,7 +21,7 @@ pub enum EpochState {
     Active,
 }
 
-/// What an epoch's key follows from.
+/// What an epoch's key is derived from.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EpochSecret {
     /// r: secret and random.
@@ -35,13 +35,13 @@ pub struct EpochSecret {
 /// The epochs of a profile on one network.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct NetworkKeys {
-    /// Every epoch there ever was.
+    /// Every epoch so far.
     pub epochs: BTreeMap<u64, EpochSecret>,
-    /// The epoch that new records are sealed under; 0 before the first.
+    /// The epoch that seals new records; 0 before the first.
     pub current: u64,
 }
 
-/// What may be known of a profile without its passphrase.
+/// What is readable of a profile without its passphrase.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PublicIdentity {
     /// The EOA's address.
@@ -52,21 +52,21 @@ pub struct PublicIdentity {
     pub envelope: PublicKey,
 }
 
-/// SM2 pairs of a profile beside the two in use.
+/// SM2 pairs of a profile other than the two in use.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct FurtherPairs {
-    /// What was (d_E, P_E) before, oldest first: opens what was sealed to it.
+    /// Former (d_E, P_E), oldest first: they open what was encrypted to them.
     pub envelopes: Vec<SmKeyPair>,
-    /// What becomes (d_C, P_C) once the chain has it: robots may know it already.
+    /// The next (d_C, P_C), to be used once the chain has it: robots may know it already.
     pub next_signing: Option<SmKeyPair>,
-    /// What becomes (d_E, P_E) once the chain has it.
+    /// The next (d_E, P_E), to be used once the chain has it.
     pub next_envelope: Option<SmKeyPair>,
-    /// The identity of the gateway that this profile keeps, where (d_C, P_C) has changed since it was founded.
+    /// The identity of the gateway that this profile keeps, if (d_C, P_C) has changed since the gateway was founded.
     pub gateway: Option<SmKeyPair>,
 }
 
 impl FurtherPairs {
-    /// Whether there is none.
+    /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
@@ -81,21 +81,21 @@ pub struct Keyring {
     pub signing: SmKeyPair,
     /// (d_E, P_E): opens envelopes.
     pub envelope: SmKeyPair,
-    /// K_C of epochs to come.
+    /// K_C for future epochs.
     pub sm4: Sm4Key,
     /// IK.
     pub index: IndexKey,
     /// Epochs by network.
     pub networks: BTreeMap<Domain, NetworkKeys>,
-    /// Pairs that were, or will be.
+    /// Former and future pairs.
     pub further: FurtherPairs,
 }
 
 impl Keyring {
-    /// Fresh keys, no network yet.
+    /// Fresh keys, with no network yet.
     ///
     /// # Errors
-    /// [`CryptoError::Random`] where the random source fails.
+    /// [`CryptoError::Random`] if the random source fails.
     pub fn generate(provider: &dyn Provider) -> Result<Self, CryptoError> {
         Ok(Self {
             eoa: EoaSecret::generate()?,
@@ -113,11 +113,11 @@ impl Keyring {
         PublicIdentity { address: self.eoa.address(), signing: self.signing.public, envelope: self.envelope.public }
     }
 
-    /// Begins the next epoch of a network under K_C and a fresh salt, and makes it the current one.
-    /// It is pending until [`Self::confirm_epoch`]; save the keyring before its token is sent.
+    /// Begins the next epoch of a network under K_C and a fresh salt, and makes it the current one. It is pending until
+    /// [`Self::confirm_epoch`]; save the keyring before sending its token.
     ///
     /// # Errors
-    /// [`CryptoError::Random`] where the random source fails.
+    /// [`CryptoError::Random`] if the random source fails.
     pub fn start_epoch(&mut self, domain: &Domain) -> Result<u64, CryptoError> {
         let salt = EpochSalt::generate()?;
         let network = self.networks.entry(*domain).or_default();
@@ -131,7 +131,7 @@ impl Keyring {
     /// Notes that the chain confirmed an epoch's token.
     ///
     /// # Errors
-    /// [`CryptoError::NoEpoch`] where the keyring lacks the epoch.
+    /// [`CryptoError::NoEpoch`] if the keyring lacks the epoch.
     pub fn confirm_epoch(&mut self, domain: &Domain, epoch: u64) -> Result<(), CryptoError> {
         let network = self.networks.get_mut(domain).ok_or(CryptoError::NoEpoch(epoch))?;
         let secret = network.epochs.get_mut(&epoch).ok_or(CryptoError::NoEpoch(epoch))?;
@@ -139,7 +139,7 @@ impl Keyring {
         Ok(())
     }
 
-    /// The epoch that new records of a network are sealed under.
+    /// The epoch that seals new records of a network.
     pub fn current_epoch(&self, domain: &Domain) -> Option<u64> {
         self.networks.get(domain).map(|network| network.current).filter(|epoch| *epoch > 0)
     }
@@ -150,10 +150,10 @@ impl Keyring {
         epochs.filter(|(_, secret)| secret.state == EpochState::Pending).map(|(epoch, _)| *epoch).collect()
     }
 
-    /// EK of any epoch there ever was, derived again.
+    /// EK of any past or present epoch, derived again.
     ///
     /// # Errors
-    /// [`CryptoError::NoEpoch`] where the keyring lacks the epoch.
+    /// [`CryptoError::NoEpoch`] if the keyring lacks the epoch.
     pub fn epoch_key(&self, domain: &Domain, epoch: u64) -> Result<EpochKey, CryptoError> {
         let secret = self.networks.get(domain).and_then(|network| network.epochs.get(&epoch));
         let secret = secret.ok_or(CryptoError::NoEpoch(epoch))?;
@@ -163,7 +163,7 @@ impl Keyring {
     /// The token of an epoch.
     ///
     /// # Errors
-    /// [`CryptoError::NoEpoch`] where the keyring lacks the epoch.
+    /// [`CryptoError::NoEpoch`] if the keyring lacks the epoch.
     pub fn token(&self, domain: &Domain, epoch: u64) -> Result<Token, CryptoError> {
         Ok(token(domain, &self.eoa.address(), epoch, &self.epoch_key(domain, epoch)?))
     }

@@ -1,5 +1,5 @@
-//! The Ethereum V3 keystore: an EOA key under scrypt and AES-128-CTR with a Keccak MAC, as JSON.
-//! Written at scrypt n = 2^17; foreign files are read within bounds.
+//! The Ethereum V3 keystore: an EOA key under scrypt and AES-128-CTR with a Keccak MAC, as JSON. Written with scrypt n
+//! = 2^17; foreign files are read within bounds.
 
 use aes::Aes128;
 use ctr_legacy::Ctr128BE;
@@ -55,7 +55,7 @@ struct ScryptParams {
 pub(super) enum Refusal {
     /// The MAC does not match.
     Passphrase,
-    /// The file is not what it should be.
+    /// The file is not a valid keystore.
     Content(String),
 }
 

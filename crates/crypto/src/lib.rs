@@ -1,5 +1,5 @@
-//! SM2, SM3, SM4-GCM and HKDF-SM3, and what is built of them: records, envelopes, identities,
-//! and keys at rest. Three providers compute the algorithms; nothing here knows ROS, the chain or the ledger.
+//! SM2, SM3, SM4-GCM and HKDF-SM3, and what is built from them: records, envelopes, identities, and keys at rest. Three
+//! providers compute the algorithms; nothing here knows ROS, the chain or the ledger.
 #![doc = include_str!("../README.md")]
 
 use crate as crypto;

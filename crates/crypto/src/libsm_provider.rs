@@ -1,6 +1,6 @@
-//! Another provider: the `libsm` crate behind guards. libsm panics on malformed input, takes
-//! private keys 0 and n and non-canonical points, and writes C1 || C2 || C3, so lengths, ranges and
-//! points are checked here before it is called. It is not constant-time and wipes no secret.
+//! An alternative provider: the `libsm` crate behind guards. libsm panics on malformed input, accepts private keys 0
+//! and n and non-canonical points, and writes C1 || C2 || C3, so lengths, ranges and points are checked here first. It
+//! is not constant-time and wipes no secret.
 
 use std::sync::{LazyLock, Once};
 
@@ -31,11 +31,11 @@ const MODULUS: [u8; 32] = [
     0xff, 0, 0, 0, 0, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff,
 ];
 
-/// Starts, once, a thread that builds libsm's table of multiples of the generator.
+/// Starts a thread, once, that builds libsm's table of multiples of the generator.
 pub(super) fn warm_up() {
     static STARTED: Once = Once::new();
     STARTED.call_once(|| {
-        // Where no thread can be had the table is built by the first call instead.
+        // If no thread can be started, the first call builds the table instead.
         let _ = std::thread::Builder::new().name("libsm-tables".into()).spawn(|| {
             let _ = CONTEXT.load_seckey(&[1; 32]).map(|one| CONTEXT.pk_from_sk(&one).is_ok());
         });
@@ -57,16 +57,16 @@ impl BlockCipher for Sm4Block {
     }
 }
 
-/// SM4-GCM by libsm's own mode, which takes 16 bytes of nonce: only to be measured against.
+/// SM4-GCM with libsm's own mode, which takes 16 bytes of nonce; only for comparison measurements.
 ///
 /// # Errors
-/// [`CryptoError::Internal`] where it fails.
+/// [`CryptoError::Internal`] if it fails.
 pub fn seal_by_libsm(key: &[u8; 16], nonce: &[u8; 16], aad: &[u8], text: &[u8]) -> Result<Vec<u8>, CryptoError> {
     let mode = Sm4CipherMode::new(key, CipherMode::Gcm).map_err(|_| CryptoError::Internal("SM4"))?;
     mode.encrypt(aad, text, nonce).map_err(|_| CryptoError::Internal("SM4-GCM"))
 }
 
-/// A point of the curve whose coordinates are below p; libsm must write it back as it was.
+/// A point of the curve whose coordinates are below p; libsm must write it back unchanged.
 fn point(public: &PublicKey) -> Result<Pubkey, CryptoError> {
     let bytes = uncompressed(public);
     let (x, y) = public.0.split_at(32);
@@ -88,7 +88,7 @@ fn in_range(number: &[u8]) -> bool {
     number.iter().any(|byte| *byte != 0) && number < &ORDER[..]
 }
 
-/// A number of at most 32 bytes, zeros in front.
+/// A number of at most 32 bytes, padded with leading zeros.
 fn padded(big_endian: &[u8]) -> Result<[u8; 32], CryptoError> {
     let mut out = [0; 32];
     let start = 32usize.checked_sub(big_endian.len()).ok_or(CryptoError::Internal("SM2 signature"))?;
@@ -192,7 +192,7 @@ impl Provider for LibsmProvider {
     }
 }
 
-/// Takes libsm's 04 || x || y || C2 || C3 apart.
+/// Splits libsm's 04 || x || y || C2 || C3.
 fn reordered(raw: &[u8], length: usize) -> Option<CipherParts> {
     let (prefix, rest) = raw.split_first()?;
     let (x, rest) = rest.split_first_chunk::<32>()?;

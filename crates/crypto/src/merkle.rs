@@ -1,4 +1,4 @@
-//! Merkle batches: RFC 6962's tree with SM3 (DESIGN section 6).
+//! Merkle batches: RFC 6962's tree with SM3 (docs/format.md, section 6).
 //!
 //! leaf = SM3(0x00 || owner || recorder || topic id || seq || D), node = SM3(0x01 || left || right);
 //! seq is 8 bytes, big endian. The root goes on the chain; each record keeps its path.
@@ -16,16 +16,16 @@ const NODE: &[u8] = &[1];
 const HEIGHT: &[u8] = b"AuthROS/height/1";
 const STAMP: &[u8] = b"AuthROS/stamp/1";
 
-/// One record as its batch binds it.
+/// One record as bound by its batch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Leaf {
-    /// Whose record.
+    /// The owner of the record.
     pub owner: Address,
-    /// The ledger that numbered it.
+    /// The recorder that numbered it.
     pub recorder: RecorderId,
     /// Its topic's pseudonym.
     pub topic_id: TopicId,
-    /// Its number there.
+    /// Its seq.
     pub seq: u64,
     /// SM3 of the stored bytes.
     pub digest: Digest,
@@ -37,12 +37,12 @@ impl Leaf {
         Hash(sm3(&[&self.hashed()]))
     }
 
-    /// The hashes of many leaves, in their order; several at once where the processor can.
+    /// The hashes of many leaves, in order; several at once if the processor can.
     pub fn hashes(leaves: &[Self]) -> Vec<Hash> {
         hashes(leaves.iter().map(Self::hashed))
     }
 
-    /// What its hash is of.
+    /// The bytes that its hash covers.
     fn hashed(&self) -> Vec<u8> {
         let seq = self.seq.to_be_bytes();
         [LEAF, &self.owner.0, &self.recorder.0, &self.topic_id.0, &seq, &self.digest.0].concat()
@@ -73,12 +73,12 @@ pub fn stamp_hash(root: &Hash) -> Hash {
 /// A tree over the leaves of one batch.
 #[derive(Debug, Clone)]
 pub struct Tree {
-    /// From the leaves up to the root; a node without a sibling moves up as it is.
+    /// From the leaves up to the root; a node without a sibling moves up unchanged.
     levels: Vec<Vec<Hash>>,
 }
 
 impl Tree {
-    /// The tree over these leaf hashes; `None` where there are none or more than [`MOST_LEAVES`].
+    /// The tree over these leaf hashes; `None` if there are none or more than [`MOST_LEAVES`].
     pub fn new(leaves: Vec<Hash>) -> Option<Self> {
         if leaves.is_empty() || leaves.len() > MOST_LEAVES {
             return None;
@@ -106,8 +106,8 @@ impl Tree {
     }
 }
 
-/// The root that a leaf's path leads to in a tree of `count` leaves; `None` where `index` is not in
-/// such a tree or the path has not exactly the length that (index, count) demand (RFC 9162, 2.1.3.2).
+/// The root that a leaf's path leads to in a tree of `count` leaves; `None` if `index` is not in such a tree or the
+/// path does not have exactly the length that (index, count) demand (RFC 9162, 2.1.3.2).
 pub fn root_of(leaf: Hash, index: u64, count: u64, path: &[Hash]) -> Option<Hash> {
     if index >= count || path.len() > LONGEST_PATH {
         return None;
@@ -119,7 +119,7 @@ pub fn root_of(leaf: Hash, index: u64, count: u64, path: &[Hash]) -> Option<Hash
         }
         if place & 1 == 1 || place == last {
             hash = node(sibling, &hash);
-            // A node without a sibling moved up as it is.
+            // A node without a sibling was moved up unchanged.
             while place & 1 == 0 && place != 0 {
                 (place, last) = (place >> 1, last >> 1);
             }
@@ -131,10 +131,10 @@ pub fn root_of(leaf: Hash, index: u64, count: u64, path: &[Hash]) -> Option<Hash
     (last == 0).then_some(hash)
 }
 
-/// A record's proof of being in a batch.
+/// A record's proof of membership in a batch.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Inclusion {
-    /// The leaf's place, from 0.
+    /// The leaf's index, from 0.
     pub index: u64,
     /// Leaves in the batch.
     pub count: u64,
@@ -221,7 +221,7 @@ mod tests {
         assert_ne!(node(&one.hash(), &one.hash()), one.hash(), "leaves and nodes hash apart");
     }
 
-    /// What an attacker changes in a proof.
+    /// What an attacker may change in a proof.
     #[derive(Debug, Clone)]
     enum Change {
         Leaf(u8, Index),
@@ -267,8 +267,8 @@ mod tests {
         }
     }
 
-    /// Whether leaf `index` has the same path shape (turns and length) in trees of both sizes: then the
-    /// count alone changes nothing, and it is the chain that says the count.
+    /// Whether leaf `index` has the same path shape (turns and length) in trees of both sizes: then the count alone
+    /// changes nothing, and it is the chain that states the count.
     fn same_shape(index: u64, one: u64, other: u64) -> bool {
         let turns = |count: u64| {
             let (mut place, mut last, mut turns) = (index, count.wrapping_sub(1), Vec::new());

@@ -1,4 +1,4 @@
-//! Cross-checks with the openssl command, both ways. Without it each test says that it was skipped.
+//! Cross-checks with the openssl command, in both directions. Without it each test says that it was skipped.
 
 use std::fs;
 use std::path::Path;

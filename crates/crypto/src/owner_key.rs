@@ -1,23 +1,23 @@
-//! What tells a robot that its owner signs with another key from now on. The notice that carries it is signed by the old
-//! key, and the owner's account signs what it says: a thief of either alone takes no robot over.
+//! The notice that an owner's signing key has changed. The notice is signed by the old key, and its content by the
+//! owner's account, so a thief who has only one of them cannot take a robot over.
 
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Domain, PublicKey};
 
 use super::{AccountSignature, CryptoError, EoaSecret, Provider, TypedStructure, recover_account, sign_hash};
 
-/// The type that the account signs (EIP-712).
+/// The EIP-712 type that the account signs.
 const TYPE: &str = "OwnerKey(address owner,bytes oldKey,bytes newKey)";
 const WHAT: &str = "owner's new key";
 
-/// One P_C in place of another.
+/// A change from one P_C to another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct OwnerKeyChange {
-    /// P_C until now: signs the notice.
+    /// The P_C until now, which signs the notice.
     pub old: PublicKey,
-    /// P_C from now on.
+    /// The P_C from now on.
     pub new: PublicKey,
-    /// By the owner's EOA over both.
+    /// The owner's EOA signature over both.
     pub account_signature: AccountSignature,
 }
 
@@ -25,7 +25,7 @@ impl OwnerKeyChange {
     /// Length of the encoding, bytes.
     pub const LENGTH: usize = 193;
 
-    /// The owner's change of `old` to `new`, signed by the account.
+    /// The owner's change from `old` to `new`, signed by the account.
     ///
     /// # Errors
     /// [`CryptoError::Internal`].
@@ -34,11 +34,10 @@ impl OwnerKeyChange {
         Ok(Self { old, new, account_signature: sign_hash(account, &hash)? })
     }
 
-    /// Whether the owner may change the key that is `known` to this one. Who signed the notice around it was checked
-    /// with the record.
+    /// Whether the owner may change the `known` key to this one. The signer of the notice was checked with the record.
     ///
     /// # Errors
-    /// [`CryptoError::NotAccepted`] where it replaces another key than the known one, or its account did not sign;
+    /// [`CryptoError::NotAccepted`] if it replaces a key other than the known one, or the account did not sign it;
     /// [`CryptoError::PublicPoint`].
     pub fn check(
         &self,
@@ -63,10 +62,10 @@ impl OwnerKeyChange {
         [&self.old.0[..], &self.new.0, &self.account_signature.0].concat()
     }
 
-    /// From its bytes; nothing but the form is checked.
+    /// From its encoding; only the form is checked.
     ///
     /// # Errors
-    /// [`WireError`] where they are not exactly [`Self::LENGTH`] bytes.
+    /// [`WireError`] if it is not exactly [`Self::LENGTH`] bytes.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         let change = Self {

@@ -17,10 +17,10 @@ pub const SHORTEST_PASSPHRASE: usize = 8;
 pub struct Passphrase(Zeroizing<String>);
 
 impl Passphrase {
-    /// From what a person typed or a file holds; a line break at the end is not part of it.
+    /// From what a person typed or a file holds, without the trailing line break.
     ///
     /// # Errors
-    /// [`CryptoError::ShortPassphrase`] where it has too few characters.
+    /// [`CryptoError::ShortPassphrase`] if it has too few characters.
     pub fn new(text: String) -> Result<Self, CryptoError> {
         let text = Zeroizing::new(text);
         let line = text.strip_suffix('\n').unwrap_or(&text);
@@ -35,7 +35,7 @@ impl Passphrase {
     /// A random one of 128 bits, in hex.
     ///
     /// # Errors
-    /// [`CryptoError::Random`] where the random source fails.
+    /// [`CryptoError::Random`] if the random source fails.
     pub fn random() -> Result<Self, CryptoError> {
         let bytes = Zeroizing::new(random_bytes::<16>()?);
         Ok(Self(Zeroizing::new(hex(&*bytes))))
@@ -53,7 +53,7 @@ impl fmt::Debug for Passphrase {
     }
 }
 
-/// The work that scrypt does; memory is 128 * r * 2^`log_n` bytes.
+/// The scrypt parameters; memory is 128 * r * 2^`log_n` bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Work {
     pub log_n: u8,
@@ -62,10 +62,10 @@ pub(super) struct Work {
 }
 
 impl Work {
-    /// What this program writes: 128 MiB, about 0.3 s.
+    /// The parameters this program writes: 128 MiB, about 0.3 s.
     pub const WRITTEN: Self = Self { log_n: 17, r: 8, p: 1 };
 
-    /// Whether a foreign file may ask for it: at most 512 MiB and 16 times the usual time.
+    /// Whether a foreign file may ask for these parameters: at most 512 MiB and 16 times the usual time.
     pub fn is_bearable(self) -> bool {
         let bytes = 128u64.saturating_mul(u64::from(self.r)).saturating_mul(1 << self.log_n.min(40));
         let usual = (128 * 8) << 17;

@@ -1,30 +1,32 @@
-//! Work on several records at once: by the caller and by as many helpers as it can have. Their places are counted for
-//! the whole process, so that sealer, verifier and gateway together never have more helpers than there are cores.
+//! Works on several records at once, on the caller's thread and as many helper threads as it can get. Their number is
+//! limited for the whole process, so that sealer, verifier and gateway together never have more helpers than there are
+//! cores.
 
 use std::panic::resume_unwind;
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::{Builder, available_parallelism, scope};
 
-/// Helpers at most, of all callers together.
+/// The most helpers of all callers together.
 const MOST: usize = 7;
-/// Work that pays the start of a helper several times over, nanoseconds.
+/// Work that outweighs the start of a helper several times over, nanoseconds.
 const WORTH: usize = 200_000;
-/// What a signature or its verification costs about, nanoseconds: `authros bench sm2` says 20 to 50 microseconds.
+/// The approximate cost of a signature or its verification, nanoseconds; `authros bench sm2` measures 20 to 50
+/// microseconds.
 const PER_RECORD: usize = 35_000;
-/// What a byte costs about, nanoseconds: SM3 nearly alone.
+/// The approximate cost of a byte, nanoseconds: almost all of it SM3.
 const PER_BYTE: usize = 4;
 
-/// Places for helpers: one for each core but the caller's.
+/// The most helpers: one for each core but the caller's.
 static PLACES: LazyLock<usize> = LazyLock::new(|| available_parallelism().map_or(0, |cores| cores.get() - 1).min(MOST));
-/// Places taken.
+/// Helpers in use.
 static TAKEN: AtomicUsize = AtomicUsize::new(0);
 
-/// Some places for helpers, free again when this is dropped.
+/// A reservation of some helpers, released when dropped.
 struct Places(usize);
 
 impl Places {
-    /// Up to `wanted` places: as many as are free.
+    /// Reserves up to `wanted` helpers, as many as are free.
     fn take(wanted: usize) -> Self {
         let mut found = 0;
         let taken = TAKEN.fetch_update(Ordering::AcqRel, Ordering::Acquire, |taken| {
@@ -41,14 +43,14 @@ impl Drop for Places {
     }
 }
 
-/// How many helpers pay for so many records of together so many bytes: none for a small one.
+/// How many helpers are worthwhile for this many records and bytes: none for a small job.
 pub fn helpers_for(records: usize, bytes: usize) -> usize {
     let work = records.saturating_mul(PER_RECORD).saturating_add(bytes.saturating_mul(PER_BYTE));
     (work / WORTH).min(records).saturating_sub(1)
 }
 
-/// Does `work` for each item and gives the results in their order. The caller works, and up to `helpers` threads with
-/// it, fewer where others have them. A panic of `work` is the caller's, once all threads are done.
+/// Runs `work` on each item and returns the results in order. The caller works, together with up to `helpers` threads,
+/// fewer if other callers have them. A panic in `work` is passed to the caller once all threads are done.
 pub fn each<T: Sync, R: Send>(items: &[T], helpers: usize, work: impl Fn(&T) -> R + Sync) -> Vec<R> {
     let places = Places::take(helpers.min(items.len().saturating_sub(1)));
     each_with(items, places.0, work)
@@ -68,7 +70,7 @@ fn each_with<T: Sync, R: Send>(items: &[T], helpers: usize, work: impl Fn(&T) ->
         }
     };
     let mut done = scope(|scope| {
-        // Where a thread cannot be had, the others do its share.
+        // If a thread cannot be started, the others do its share.
         let start = |_| Builder::new().name("records".to_owned()).spawn_scoped(scope, share).ok();
         let helpers: Vec<_> = (0..helpers).filter_map(start).collect();
         let mut done = share();
@@ -102,7 +104,7 @@ mod tests {
 
     #[test]
     fn helpers_work_at_the_same_time_as_the_caller() {
-        // Nobody passes before three are there.
+        // Nobody passes until three have arrived.
         let (barrier, threads) = (Barrier::new(3), Mutex::new(HashSet::new()));
         each_with(&[1, 2, 3], 2, |_| {
             threads.lock().expect("not poisoned").insert(std::thread::current().id());
@@ -119,7 +121,7 @@ mod tests {
             assert!(catch_unwind(AssertUnwindSafe(|| each_with(&items, 3, work))).is_err());
             assert!(catch_unwind(AssertUnwindSafe(|| each(&items, 3, work))).is_err());
         }
-        // Other tests may have some of them now, but what a panic kept would be kept for ever.
+        // Other tests may hold some of them now, but one lost in a panic would be lost forever.
         let all_free = || TAKEN.load(Ordering::Acquire) == 0;
         let deadline = std::time::Instant::now() + std::time::Duration::from_secs(60);
         while !all_free() && std::time::Instant::now() < deadline {

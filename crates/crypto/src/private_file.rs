@@ -1,4 +1,4 @@
-//! Files that hold secrets: read only where nobody else can, replaced in one step.
+//! Files that hold secrets: read only if nobody else can read them, replaced in one step.
 
 use std::fs::{self, DirBuilder, File};
 use std::io::{Read as _, Write as _};
@@ -16,10 +16,10 @@ const OTHERS: u32 = 0o077;
 /// Reads a file of at most `most` bytes that only its owner may read.
 ///
 /// # Errors
-/// [`CryptoError::Read`], [`CryptoError::OpenToOthers`] where group or others have any right, or
-/// [`CryptoError::Length`] where it is longer.
+/// [`CryptoError::Read`], [`CryptoError::OpenToOthers`] if group or others have any permission, or
+/// [`CryptoError::Length`] if it is longer.
 pub fn read_private(path: &Path, most: usize) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
-    // Looked at before it is opened, since opening a pipe would wait for its writer.
+    // Checked before it is opened, because opening a pipe would wait for its writer.
     let metadata = fs::metadata(path).map_err(CryptoError::read(path))?;
     if !metadata.is_file() {
         let found = "it is a directory or a device; name the file itself".to_owned();
@@ -39,8 +39,8 @@ pub fn read_private(path: &Path, most: usize) -> Result<Zeroizing<Vec<u8>>, Cryp
     Ok(bytes)
 }
 
-/// Writes a file that only its owner may read: a temporary file beside it, fsync, rename, fsync of
-/// the directory. A crash leaves the old content or the new.
+/// Writes a file that only its owner may read: a temporary file beside it, fsync, rename, fsync of the directory. After
+/// a crash the file has either the old content or the new.
 ///
 /// # Errors
 /// [`CryptoError::Write`].
@@ -48,10 +48,10 @@ pub fn write_private(path: &Path, bytes: &[u8]) -> Result<(), CryptoError> {
     replace(path, bytes, true)
 }
 
-/// [`write_private`], but never over a file that is there.
+/// Like [`write_private`], but never over an existing file.
 ///
 /// # Errors
-/// [`CryptoError::Write`], also where the file exists.
+/// [`CryptoError::Write`], also if the file exists.
 pub fn create_private(path: &Path, bytes: &[u8]) -> Result<(), CryptoError> {
     replace(path, bytes, false)
 }
@@ -76,7 +76,7 @@ pub fn make_private_directory(directory: &Path) -> Result<(), CryptoError> {
     check_private_directory(directory)
 }
 
-/// Checks that group and others have no right to a directory.
+/// Checks that group and others have no permission on a directory.
 ///
 /// # Errors
 /// [`CryptoError::Read`] or [`CryptoError::OpenToOthers`].
@@ -85,7 +85,7 @@ pub fn check_private_directory(directory: &Path) -> Result<(), CryptoError> {
     check_mode(directory, metadata.permissions().mode(), 0o700)
 }
 
-/// The directory that a file lies in.
+/// The directory that holds a file.
 pub(super) fn directory_of(path: &Path) -> PathBuf {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent.to_owned(),
@@ -93,7 +93,7 @@ pub(super) fn directory_of(path: &Path) -> PathBuf {
     }
 }
 
-/// systemd lets a service read its credentials by an access list, which shows as a right of the group.
+/// systemd lets a service read its credentials through an access list, which shows as a group permission.
 fn shown_as_group(path: &Path) -> u32 {
     let credentials = std::env::var_os("CREDENTIALS_DIRECTORY").filter(|directory| !directory.is_empty());
     if credentials.is_some_and(|directory| path.starts_with(directory)) { 0o040 } else { 0 }

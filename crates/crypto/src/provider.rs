@@ -1,5 +1,5 @@
-//! The port behind which the SM algorithms lie: three providers that agree on every byte.
-//! Which one runs is the setting `crypto.provider`.
+//! The interface to the SM algorithms: three providers that agree on every byte. The setting `crypto.provider` selects
+//! one.
 
 use std::fmt;
 use std::str::FromStr;
@@ -15,8 +15,8 @@ use super::libsm_provider::LibsmProvider;
 use super::rustcrypto::RustCryptoProvider;
 use super::{CryptoError, SmSecret, sm4_gcm};
 
-/// SM2, SM3 and SM4-GCM as this program uses them. All providers accept and refuse the same inputs. SM3 and SM4-GCM are
-/// those of our own kernels where a provider brings none.
+/// SM2, SM3 and SM4-GCM as this program uses them. All providers accept and refuse the same inputs. SM3 and SM4-GCM
+/// come from our own kernels unless a provider brings its own.
 pub trait Provider: Send + Sync {
     /// `authros`, `rustcrypto` or `libsm`.
     fn name(&self) -> &'static str;
@@ -26,7 +26,7 @@ pub trait Provider: Send + Sync {
         super::sm3::sm3(parts)
     }
 
-    /// SM3 of each message; many short ones at once where the processor can.
+    /// SM3 of each message; many short ones at once if the processor can.
     fn sm3_many(&self, messages: &[&[u8]]) -> Vec<[u8; 32]> {
         super::sm3::sm3_many(messages)
     }
@@ -34,7 +34,7 @@ pub trait Provider: Send + Sync {
     /// SM4-GCM (RFC 8998, 96-bit nonce): encrypts `text` in place and returns the tag that follows it.
     ///
     /// # Errors
-    /// [`CryptoError::Length`] where the text is longer than GCM allows.
+    /// [`CryptoError::Length`] if the text is longer than GCM allows.
     fn gcm_seal_in_place(
         &self,
         key: &[u8; 16],
@@ -48,7 +48,7 @@ pub trait Provider: Send + Sync {
     /// SM4-GCM (RFC 8998, 96-bit nonce): encrypts `buffer` in place and appends the 16-byte tag.
     ///
     /// # Errors
-    /// [`CryptoError::Length`] where the buffer is longer than GCM allows.
+    /// [`CryptoError::Length`] if the buffer is longer than GCM allows.
     fn gcm_seal(&self, key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], buffer: &mut Vec<u8>) -> Result<(), CryptoError> {
         let tag = self.gcm_seal_in_place(key, nonce, aad, buffer)?;
         buffer.extend_from_slice(&tag);
@@ -58,7 +58,7 @@ pub trait Provider: Send + Sync {
     /// SM4-GCM: checks the tag in constant time, then decrypts.
     ///
     /// # Errors
-    /// [`CryptoError::BadCiphertext`] where key, nonce, AAD or a byte differ; nothing was decrypted.
+    /// [`CryptoError::BadCiphertext`] if key, nonce, AAD or a byte differ; nothing is decrypted then.
     fn gcm_open(
         &self,
         key: &[u8; 16],
@@ -72,7 +72,7 @@ pub trait Provider: Send + Sync {
     /// SM2 signature (GB/T 32918.2-2016, 6.1) under the ID 1234567812345678, raw r || s.
     ///
     /// # Errors
-    /// [`CryptoError`] where the random source or the algorithm fails.
+    /// [`CryptoError`] if the random source or the algorithm fails.
     fn sign(&self, secret: &SmSecret, message: &[u8]) -> Result<Signature, CryptoError>;
 
     /// SM2 verification (GB/T 32918.2-2016, 7.1) under the ID 1234567812345678.
@@ -84,7 +84,7 @@ pub trait Provider: Send + Sync {
     /// SM2 encryption (GB/T 32918.4-2016, 6.1) as GM/T 0009 DER, order C1 || C3 || C2.
     ///
     /// # Errors
-    /// [`CryptoError::PublicPoint`], or [`CryptoError::Length`] where `plain` is empty or over 1 MiB.
+    /// [`CryptoError::PublicPoint`], or [`CryptoError::Length`] if `plain` is empty or over 1 MiB.
     fn encrypt(&self, public: &PublicKey, plain: &[u8]) -> Result<Vec<u8>, CryptoError>;
 
     /// SM2 decryption (GB/T 32918.4-2016, 7.1) of GM/T 0009 DER.
@@ -96,20 +96,20 @@ pub trait Provider: Send + Sync {
     /// The public key of `secret`.
     ///
     /// # Errors
-    /// [`CryptoError::Internal`] where the algorithm fails.
+    /// [`CryptoError::Internal`] if the algorithm fails.
     fn public_key(&self, secret: &SmSecret) -> Result<PublicKey, CryptoError>;
 
-    /// Whether `public` is a point of the curve in its canonical encoding.
+    /// Checks that `public` is a point of the curve in its canonical encoding.
     ///
     /// # Errors
-    /// [`CryptoError::PublicPoint`] where it is not.
+    /// [`CryptoError::PublicPoint`] if it is not.
     fn check_public_key(&self, public: &PublicKey) -> Result<(), CryptoError>;
 }
 
-/// The most bytes that SM2 encrypts in one piece.
+/// The most bytes that SM2 encrypts at once.
 pub const LARGEST_SM2_PLAIN: usize = 1024 * 1024;
 
-/// Refuses what SM2 encryption cannot or should not take: nothing, or more than it is meant for.
+/// Refuses what SM2 encryption cannot or should not take: nothing at all, or more than it is meant for.
 pub(super) fn check_plain(plain: &[u8]) -> Result<(), CryptoError> {
     if (1..=LARGEST_SM2_PLAIN).contains(&plain.len()) {
         return Ok(());
@@ -136,7 +136,7 @@ pub enum ProviderName {
 pub struct ProviderNameError(String);
 
 impl ProviderName {
-    /// All of them, the default first.
+    /// All providers, the default first.
     pub const ALL: [Self; 3] = [Self::Authros, Self::RustCrypto, Self::Libsm];
 }
 
@@ -163,7 +163,7 @@ impl fmt::Display for ProviderName {
     }
 }
 
-/// The provider of that name. Choosing it the first time starts a thread that builds its tables of the curve.
+/// The provider of that name. Its first use starts a thread that builds its tables of the curve.
 pub fn provider(name: ProviderName) -> &'static dyn Provider {
     match name {
         ProviderName::Authros => {

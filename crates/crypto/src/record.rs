@@ -1,6 +1,6 @@
-//! Sealing and opening of records (DESIGN section 4). Opening checks in one fixed order and shows
-//! nothing before the last check: parse, digest, signature, commitment, tags, what was asked for.
-//! Where blobs come from and whether a signer may sign for an owner is decided elsewhere.
+//! Sealing and opening of records (docs/format.md, section 4). Opening checks in one fixed order and shows nothing
+//! before the last check: parse, digest, signature, commitment, tags, what was requested. Where blobs come from and
+//! whether a signer may sign for an owner is decided elsewhere.
 
 use zeroize::{Zeroize as _, Zeroizing};
 
@@ -24,18 +24,18 @@ pub use opening::{Anchor, Expected, OpenedRecord, check, check_deleted, open, op
 pub use reveal::{RecordSecret, Revealed, open_revealed, open_revealed_within, reveal_bytes};
 pub use steps::Step;
 
-/// All that is sealed into one record.
+/// Everything that is sealed into one record.
 #[derive(Debug)]
 pub struct SealRequest<'a> {
     /// The network it belongs to.
     pub domain: Domain,
-    /// Who owns it.
+    /// The owner.
     pub owner: Address,
-    /// Who signs it: the owner's d_C or a lent device.
+    /// The signer: the owner's d_C or a lent device.
     pub signer: &'a SmKeyPair,
     /// The epoch that `topic_key` belongs to, from 1.
     pub epoch: u64,
-    /// What it is sealed under.
+    /// The key it is sealed under.
     pub topic_key: &'a TopicKey,
     /// The ledger that records it.
     pub recorder: RecorderId,
@@ -43,13 +43,13 @@ pub struct SealRequest<'a> {
     pub seq: u64,
     /// Pseudonym of the topic.
     pub topic_id: TopicId,
-    /// What the record is.
+    /// The kind of record.
     pub kind: RecordKind,
     /// Pseudonyms of type and tags, at most four.
     pub filters: Vec<FilterId>,
     /// When the message was captured.
     pub captured_at: Timestamp,
-    /// What only readers may know; its plain length is that of the message.
+    /// The part that only readers may see; its plain length is that of the message.
     pub head: &'a Head,
     /// The message, compressed as the head says.
     pub body: &'a [u8],
@@ -58,7 +58,7 @@ pub struct SealRequest<'a> {
 /// A record as it is stored and anchored.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SealedRecord {
-    /// Its public header, as it stands in front of `blob`.
+    /// Its public header, as at the start of `blob`.
     pub header: Header,
     /// Header, sealed head and sealed body.
     pub blob: Vec<u8>,
@@ -71,16 +71,16 @@ pub struct SealedRecord {
 /// Seals one record under a fresh random salt.
 ///
 /// # Errors
-/// [`CryptoError::Length`] or [`CryptoError::Inconsistent`] where a field is out of bounds,
-/// [`CryptoError::Random`] where the random source fails.
+/// [`CryptoError::Length`] or [`CryptoError::Inconsistent`] if a field is out of bounds, [`CryptoError::Random`] if the
+/// random source fails.
 pub fn seal(provider: &dyn Provider, request: &SealRequest<'_>) -> Result<SealedRecord, CryptoError> {
     seal_in_steps(provider, request, &mut |_| ())
 }
 
-/// As [`seal`], and `done` hears of each step that is done.
+/// Like [`seal`]; `done` is called after each step.
 ///
 /// # Errors
-/// As [`seal`].
+/// See [`seal`].
 pub fn seal_in_steps(
     provider: &dyn Provider,
     request: &SealRequest<'_>,
@@ -105,7 +105,7 @@ pub fn seal_in_steps(
     Ok(SealedRecord { header, blob, digest, signature })
 }
 
-/// Copies `plain` behind the blob, the only copy there is, and seals it there.
+/// Appends `plain` to the blob, the only copy made, and seals it in place.
 fn append(
     provider: &dyn Provider,
     (key, nonce): (&[u8; 16], &[u8; 12]),
@@ -163,7 +163,7 @@ fn check_request(request: &SealRequest<'_>, head: usize) -> Result<(), CryptoErr
     if is_length(request.head, request.body) { Ok(()) } else { Err(CryptoError::Inconsistent("plain length")) }
 }
 
-/// Whether a body of that many bytes can be what the head says; a message is never longer than a record may be.
+/// Whether a body of that many bytes can match the head; a message is never longer than a record may be.
 fn is_length(head: &Head, body: &[u8]) -> bool {
     let length = u64::try_from(body.len()).unwrap_or(u64::MAX);
     match head.compression {
@@ -174,7 +174,7 @@ fn is_length(head: &Head, body: &[u8]) -> bool {
     }
 }
 
-/// What the signature of a record is over.
+/// The bytes that a record's signature covers.
 pub fn signed_bytes(domain: &Domain, digest: &Digest) -> Vec<u8> {
     [&b"AuthROS/signature/1"[..], &domain.0, &digest.0].concat()
 }
@@ -189,7 +189,7 @@ struct RecordKeys {
 }
 
 impl RecordKeys {
-    /// From the topic key and the header's salt and names.
+    /// From the topic key, and the header's salt and names.
     fn derive(key: &TopicKey, header: &Header) -> Self {
         Self::of(&Zeroizing::new(derived::<88>(key.expose(), &header.salt.0, &record_info(header))))
     }
@@ -205,7 +205,7 @@ impl RecordKeys {
     }
 }
 
-/// What the keys of a record are bound to, beside its salt.
+/// What binds the keys of a record, besides its salt.
 fn record_info(header: &Header) -> Info {
     Info::new("AuthROS/record/1")
         .fixed(&header.domain.0)

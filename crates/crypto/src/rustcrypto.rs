@@ -1,6 +1,6 @@
-//! The `RustCrypto` crate sm2 with our own kernels for SM3 and SM4-GCM. What the crates sm4, ctr and ghash make of the
-//! latter is kept beside, to be compared with: sm4 looks its S-box up in a table.
-//! Nonces of signatures are hedged: derived from key and message (RFC 6979) and fresh random bytes.
+//! The `RustCrypto` crate sm2 with our own kernels for SM3 and SM4-GCM. The crates sm4, ctr and ghash are kept for
+//! comparison: sm4 looks its S-box up in a table. Nonces of signatures are hedged: derived (RFC 6979) from key, message
+//! and fresh random bytes.
 
 use std::sync::Once;
 
@@ -31,11 +31,11 @@ pub(super) const DISTINGUISHED_ID: &str = "1234567812345678";
 #[derive(Debug, Clone, Copy)]
 pub struct RustCryptoProvider;
 
-/// Starts, once, a thread that builds the crate's table of multiples of the generator.
+/// Starts a thread, once, that builds the crate's table of multiples of the generator.
 pub(super) fn warm_up() {
     static STARTED: Once = Once::new();
     STARTED.call_once(|| {
-        // Where no thread can be had the table is built by the first signature instead.
+        // If no thread can be started, the first signature builds the table instead.
         let _ = std::thread::Builder::new().name("sm2-tables".into()).spawn(|| signing_key(&[1; 32]).is_ok());
     });
 }
@@ -64,17 +64,17 @@ impl BlockCipher for Sm4Block {
     }
 }
 
-/// SM4-GCM by the crates sm4, ctr and ghash alone, the tag appended: what the kernels are measured against.
+/// SM4-GCM with the crates sm4, ctr and ghash alone, the tag appended: the reference for measuring the kernels.
 ///
 /// # Errors
-/// [`CryptoError::Length`] where the buffer is longer than GCM allows.
+/// [`CryptoError::Length`] if the buffer is longer than GCM allows.
 pub fn seal_by_crates(key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], buffer: &mut Vec<u8>) -> Result<(), CryptoError> {
     let tag = gcm::seal(&Sm4Block::new(key), nonce, aad, buffer)?;
     buffer.extend_from_slice(&tag);
     Ok(())
 }
 
-/// The point of a public key, checked to lie on the curve.
+/// The point of a public key, checked to be on the curve.
 pub(super) fn point(public: &PublicKey) -> Result<sm2::PublicKey, CryptoError> {
     sm2::PublicKey::from_sec1_bytes(&uncompressed(public)).map_err(|_| CryptoError::PublicPoint)
 }
@@ -124,7 +124,7 @@ impl Provider for RustCryptoProvider {
         let key = DecryptingKey::from_slice(secret.expose()).map_err(|_| CryptoError::SecretRange("SM2"))?;
         let mut plain = Zeroizing::new(vec![0; text.len()]);
         key.decrypt_cipher_with_buf::<sm3::Sm3>(&cipher, &mut plain).map_err(|_| CryptoError::BadCiphertext)?;
-        // An all-zero mask (GB/T 32918.4, 7.1 B4) is an error, and shows as an unmasked text.
+        // An all-zero mask (GB/T 32918.4, 7.1 B4) is an error; it shows as an unmasked text.
         if *plain == text { Err(CryptoError::BadCiphertext) } else { Ok(plain) }
     }
 

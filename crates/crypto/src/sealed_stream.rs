@@ -1,6 +1,6 @@
-//! A stream of any length sealed under a passphrase: SM4-GCM in chunks whose order is bound and whose last one says
-//! so. Header (106): magic (8) version (1) work (9) salt (32) save salt (24) commitment (32), then chunks: last (1),
-//! length (4), ciphertext, tag (16); nonce = the stream's XOR the chunk's number, AAD = header, number, last, length.
+//! A stream of any length sealed under a passphrase: SM4-GCM in chunks whose order is bound, the last one marked.
+//! Header (106): magic (8) version (1) work (9) salt (32) save salt (24) commitment (32), then chunks: last (1), length
+//! (4), ciphertext, tag (16); nonce = the stream's XOR the chunk's number, AAD = header, number, last, length.
 
 use std::io::{self, Read, Write};
 
@@ -21,7 +21,7 @@ pub const HEADER: usize = 106;
 const CHUNK: usize = 1 << 20;
 const TAG: usize = 16;
 
-/// What a sealed stream begins with.
+/// The header of a sealed stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StreamHeader {
     work: Work,
@@ -31,7 +31,7 @@ pub struct StreamHeader {
 }
 
 impl StreamHeader {
-    /// Its bytes.
+    /// Its encoding.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(HEADER);
         out.extend_from_slice(&MAGIC);
@@ -43,10 +43,10 @@ impl StreamHeader {
         out
     }
 
-    /// From its bytes; there is one encoding of each header.
+    /// From its encoding; each header has exactly one.
     ///
     /// # Errors
-    /// [`WireError`] where they are none, or ask for more work than anyone should be made to do.
+    /// [`WireError`] if it is malformed, or asks for an unreasonable amount of work.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         if reader.array("magic")? != MAGIC {
@@ -66,7 +66,7 @@ impl StreamHeader {
     }
 }
 
-/// What both ends keep.
+/// State that both ends keep.
 struct Line {
     header: Vec<u8>,
     keys: SaveKeys,
@@ -92,7 +92,7 @@ fn other(error: CryptoError) -> io::Error {
     io::Error::other(error)
 }
 
-/// Seals what is written to it. Without [`SealedWriter::finish`] the stream has no end and opens nowhere.
+/// Seals what is written to it. Without [`SealedWriter::finish`] the stream has no end and does not open.
 pub struct SealedWriter<W: Write> {
     inner: W,
     line: Line,
@@ -103,7 +103,7 @@ impl<W: Write> SealedWriter<W> {
     /// Begins a stream; derives the passphrase's key (about 0.3 s).
     ///
     /// # Errors
-    /// What writing the header or deriving the key says.
+    /// Errors from writing the header or deriving the key.
     pub fn new(inner: W, passphrase: &Passphrase) -> io::Result<Self> {
         Self::with(inner, &FileKey::new(passphrase).map_err(other)?)
     }
@@ -120,7 +120,7 @@ impl<W: Write> SealedWriter<W> {
     fn put(&mut self, last: bool) -> io::Result<()> {
         let length = u32::try_from(self.waiting.len()).map_err(io::Error::other)?;
         let (nonce, aad) = self.line.next(last, length);
-        // Room for the tag, so that the plaintext is not left behind by a move.
+        // Room for the tag, so that appending it does not move the plaintext and leave a copy behind.
         let mut sealed = Vec::with_capacity(self.waiting.len() + TAG);
         sealed.extend_from_slice(&self.waiting);
         Line::provider().gcm_seal(&self.line.keys.key, &nonce, &aad, &mut sealed).map_err(other)?;
@@ -131,10 +131,10 @@ impl<W: Write> SealedWriter<W> {
         Ok(())
     }
 
-    /// Writes the last chunk; gives back what was written to.
+    /// Writes the last chunk; returns the inner writer.
     ///
     /// # Errors
-    /// What writing says.
+    /// Errors from writing.
     pub fn finish(mut self) -> io::Result<W> {
         self.put(true)?;
         self.inner.flush()?;
@@ -157,7 +157,7 @@ impl<W: Write> Write for SealedWriter<W> {
     }
 }
 
-/// Opens a sealed stream. What is read is authentic so far; only its end says that all of it came.
+/// Opens a sealed stream. What has been read is authentic so far; only its end proves that nothing is missing.
 pub struct SealedReader<R: Read> {
     inner: R,
     line: Line,
@@ -174,8 +174,8 @@ impl<R: Read> SealedReader<R> {
     /// Reads the header; derives the passphrase's key (about 0.3 s).
     ///
     /// # Errors
-    /// [`io::ErrorKind::InvalidData`] where it is no such stream, [`io::ErrorKind::PermissionDenied`] where the
-    /// passphrase is another one, or what reading says.
+    /// [`io::ErrorKind::InvalidData`] if this is not such a stream, [`io::ErrorKind::PermissionDenied`] if the
+    /// passphrase is wrong, or errors from reading.
     pub fn open(inner: R, passphrase: &Passphrase) -> io::Result<Self> {
         Self::with(inner, |header| FileKey::with(passphrase, header.work, header.salt))
     }
@@ -245,7 +245,7 @@ impl<R: Read> Read for SealedReader<R> {
 mod tests {
     use super::*;
 
-    /// Cheap, since it is derived again and again.
+    /// Cheap, because the tests derive it again and again.
     const WORK: Work = Work { log_n: 4, r: 8, p: 1 };
 
     fn key(passphrase: &str, salt: [u8; 32]) -> Result<FileKey, CryptoError> {

@@ -1,5 +1,5 @@
-//! Secret keys as types: range-checked when made, wiped when dropped, never printed.
-//! How keys follow from each other is `derive`, how they rest on disk is `keyring`.
+//! Secret keys as types: range-checked on construction, wiped on drop, never printed. `derive` says how keys are
+//! derived from each other, `keyring` how they are stored on disk.
 
 use std::fmt;
 
@@ -34,7 +34,7 @@ macro_rules! secret_bytes {
             /// Fresh, from the operating system's random source.
             ///
             /// # Errors
-            /// [`CryptoError::Random`] where that fails.
+            /// [`CryptoError::Random`] if that fails.
             pub fn generate() -> Result<Self, CryptoError> {
                 random_bytes().map(Self)
             }
@@ -70,15 +70,16 @@ macro_rules! secret_bytes {
 secret_bytes! {
     /// K_C: the SM4 key of a profile. Input to epoch keys, never a working key.
     Sm4Key(16);
-    /// EK: what an epoch's topic keys follow from.
+    /// EK: the key from which an epoch's topic keys are derived.
     EpochKey(32);
-    /// What the records of one topic in one epoch are sealed under.
+    /// The key that seals the records of one topic in one epoch.
     TopicKey(32);
-    /// IK: turns topic names and tags into pseudonyms; stable over epochs.
+    /// IK: turns topic names and tags into pseudonyms; stable across epochs.
     IndexKey(32);
-    /// What turns the types and tags of one topic's records into pseudonyms; follows from IK, which does not follow from it.
+    /// Turns the types and tags of one topic's records into pseudonyms; derived from IK, which cannot be derived from
+    /// it.
     FilterKey(32);
-    /// K_T: what a client and its gateway mix into every session; opens no record.
+    /// K_T: the key a client and its gateway mix into every session; it opens no record.
     TransportKey(32);
     /// r: the secret random salt of an epoch, kept in the keyring.
     EpochSalt(32);

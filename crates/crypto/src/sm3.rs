@@ -1,5 +1,4 @@
-//! SM3 (GB/T 32905-2016) as a running hash, for data that does not lie in one piece.
-//! One-shot hashes go through the provider.
+//! SM3 (GB/T 32905-2016) as a running hash, for data in several pieces. One-shot hashes go through the provider.
 
 use zeroize::ZeroizeOnDrop;
 
@@ -9,9 +8,9 @@ use super::kernel::{BLOCK, INITIAL, compress, ending};
 #[derive(Clone, ZeroizeOnDrop)]
 pub struct Sm3Hasher {
     state: [u32; 8],
-    /// Bytes taken in.
+    /// Bytes hashed so far.
     length: u64,
-    /// The last of them, as many as fill no block.
+    /// The last of them, which do not fill a block.
     waiting: [u8; BLOCK],
     filled: usize,
 }
@@ -23,12 +22,12 @@ impl Default for Sm3Hasher {
 }
 
 impl Sm3Hasher {
-    /// Of nothing yet.
+    /// Of no bytes yet.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Takes in more bytes.
+    /// Adds bytes.
     pub fn update(&mut self, mut bytes: &[u8]) {
         self.length = self.length.wrapping_add(bytes.len() as u64);
         if self.filled > 0 {
@@ -47,7 +46,7 @@ impl Sm3Hasher {
         self.filled = rest.len();
     }
 
-    /// The hash of all bytes taken in.
+    /// The hash of all bytes added.
     pub fn finish(mut self) -> [u8; 32] {
         let (end, count) = ending(&self.waiting[..self.filled], self.length);
         compress(&mut self.state, &end[..count]);
@@ -79,7 +78,7 @@ pub fn sm3(parts: &[&[u8]]) -> [u8; 32] {
     hasher.finish()
 }
 
-/// SM3 of each message, in their order: up to 16 side by side where the processor has the vectors for it.
+/// SM3 of each message, in order: up to 16 side by side if the processor has the vectors for it.
 pub fn sm3_many(messages: &[&[u8]]) -> Vec<[u8; 32]> {
     super::kernel::digest_many(messages)
 }

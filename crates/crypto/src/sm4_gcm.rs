@@ -1,5 +1,5 @@
-//! SM4-GCM (RFC 8998, GB/T 36624) over the kernels: H and E(J0) come with the first stretch of the stream,
-//! and the text is hashed while it is in the cache. [`super::gcm`] is the same over any block cipher.
+//! SM4-GCM (RFC 8998, GB/T 36624) on the kernels: H and E(J0) come with the first stretch of the stream, and the text
+//! is hashed while it is in the cache. [`super::gcm`] does the same over any block cipher.
 
 use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
@@ -10,14 +10,14 @@ use super::{CryptoError, fault};
 
 /// Bytes of the stream that come with H and E(J0).
 const EARLY: usize = FIRST - 32;
-/// The number of the block behind those.
+/// The number of the block after those.
 const NEXT: u32 = 16;
-/// Bytes encrypted before they are hashed: few enough to stay in the first cache.
+/// Bytes encrypted before they are hashed: few enough to stay in the first-level cache.
 const STRETCH: usize = 4096;
 /// The same in blocks.
 const STRETCH_BLOCKS: u32 = 256;
 
-/// One key and one nonce at work.
+/// One key and one nonce in use.
 struct Gcm<'a> {
     cipher: Sm4,
     nonce: &'a [u8; 12],

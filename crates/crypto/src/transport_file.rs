@@ -1,5 +1,5 @@
-//! A transport key at rest: sealed under a key that follows from d_E, so that it opens where the keyring is open and
-//! nowhere else. Magic (8) || version (1) || salt (32) || SM4-GCM(K_T) (48).
+//! A transport key at rest: sealed under a key derived from d_E, so that it opens only where the keyring is open. Magic
+//! (8) || version (1) || salt (32) || SM4-GCM(K_T) (48).
 
 use std::path::Path;
 
@@ -32,7 +32,7 @@ fn sealing_key(secret: &SmSecret, salt: &[u8; 32], usage: TransportUse<'_>) -> (
     (key, std::array::from_fn(|index| bytes[16 + index]))
 }
 
-/// Writes K_T down, sealed by d_E.
+/// Writes K_T to disk, sealed under d_E.
 ///
 /// # Errors
 /// [`CryptoError::Write`] or [`CryptoError::Random`].
@@ -45,14 +45,14 @@ pub fn save_transport_key(
 ) -> Result<(), CryptoError> {
     let salt = random_bytes()?;
     let (sealing, nonce) = sealing_key(secret, &salt, usage);
-    // Reserved in one piece, tag included: growing would leave an unwiped copy behind.
+    // Reserved in one piece, tag included: growing the buffer would leave an unwiped copy behind.
     let mut sealed = Vec::with_capacity(TransportKey::LENGTH + 16);
     sealed.extend_from_slice(key.expose());
     provider.gcm_seal(&sealing, &nonce, &MAGIC, &mut sealed)?;
     write_private(path, &[&MAGIC[..], &salt, &sealed].concat())
 }
 
-/// K_T from its file; `None` where there is none, or one for something else: a new one is to be allocated.
+/// K_T from its file; `None` if there is none, or if it is for something else: the caller allocates a new one.
 ///
 /// # Errors
 /// [`CryptoError::OpenToOthers`] or [`CryptoError::Read`].

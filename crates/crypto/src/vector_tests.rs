@@ -1,5 +1,4 @@
-//! The official vectors of SM2, SM3 and SM4, and the malformed inputs that libsm cannot take,
-//! against all providers.
+//! The official vectors of SM2, SM3 and SM4, and the malformed inputs that libsm cannot take, with all providers.
 
 use sm2::Scalar;
 use sm2::dsa::signature::hazmat::PrehashVerifier as _;
@@ -229,7 +228,7 @@ fn points_off_the_curve_or_not_canonical_are_errors() {
     let p = bytes::<64>(P);
     let mut off = p;
     off[63] ^= 1;
-    // The point with x = 0 exists; x = p is the same number, written past the modulus.
+    // The point with x = 0 exists; x = p is the same number, written beyond the modulus.
     let y: [u8; 32] = bytes("fd4511e81736a60f07e88a83d6cf5a167fae6d1a9c9330e76e232e00f5cdc154");
     let [zero, past, swapped] = [[[0; 32], y].concat(), [bytes(FIELD), y].concat(), [&p[32..], &p[..32]].concat()]
         .map(|point| bytes(&hex(&point)));

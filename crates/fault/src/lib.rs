@@ -1,14 +1,15 @@
-//! Switches for one purpose: to prove that the product notices and survives.
+//! Switches with a single purpose: to prove that the product notices faults and survives them.
 //!
-//! They exist only in the binary `authros-faulty`, built with the feature `fault`: `AUTHROS_FAULT` names a check that
-//! is off, `AUTHROS_FAIL_POINT` a place where the process ends as if it were killed, or where a task panics. In every
-//! other build each check is constantly on, and a point is nothing.
+//! They exist only in the binary `authros-faulty`, built with the feature `fault`: `AUTHROS_FAULT` names a check to
+//! switch off, `AUTHROS_FAIL_POINT` a place where the process ends as if killed, or where a task panics. In every other
+//! build each check is always on, and a fail point does nothing.
 
 /// The checks that can be named.
 pub const CHECKS: [&str; 9] =
     ["digest", "signature", "commit", "tag", "anchor", "proof", "revoke", "restore", "authorise"];
 
-/// The places of a record's life that can be named, in its order: at each edge before it, between its parts, behind it.
+/// The places in a record's life that can be named, in order: at each transition before it, between its parts, and
+/// after it.
 pub const POINTS: [&str; 24] = [
     "sealed",
     "vault-put",
@@ -48,11 +49,11 @@ pub fn is_off(check: &str) -> bool {
     std::env::var("AUTHROS_FAULT").is_ok_and(|name| name == check)
 }
 
-/// A place where the process may be made to end: nothing, in a build without the feature.
+/// A place where the process may be made to end: does nothing in a build without the feature.
 #[cfg(not(feature = "fault"))]
 pub const fn point(_place: &str) {}
 
-/// Ends the process without any tidying up where `AUTHROS_FAIL_POINT` is `PLACE[:N]`, at the N-th passing, or panics
+/// Ends the process without any cleanup if `AUTHROS_FAIL_POINT` is `PLACE[:N]`, the N-th time it is reached, or panics
 /// once with `panic:PLACE[:N]`.
 #[cfg(feature = "fault")]
 pub fn point(place: &str) {
@@ -67,8 +68,8 @@ pub async fn task_fails(_task: &str) {
     std::future::pending().await
 }
 
-/// Panics half a second after a task began where `AUTHROS_FAIL_TASK` is `TASK[:N]` or `all[:N]`, in each of its first
-/// N runs.
+/// Panics half a second after a task began if `AUTHROS_FAIL_TASK` is `TASK[:N]` or `all[:N]`, in each of its first N
+/// runs.
 #[cfg(feature = "fault")]
 pub async fn task_fails(task: &str) {
     if planned::task_is_due(task) {
@@ -137,7 +138,7 @@ mod planned {
 
     pub fn strike(how: How, place: &str) {
         match how {
-            // As kill -9: no destructor, no flush, nothing told.
+            // Like kill -9: no destructor, no flush, no message.
             How::End => std::process::abort(),
             How::Panic => std::panic::panic_any(format!("fail point {place}")),
         }

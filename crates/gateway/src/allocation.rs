@@ -1,6 +1,6 @@
-//! Key allocation (the paper's Initialization): the client hands K_T, P_C, P_E and Addr to the gateway under
-//! a system key; d_C and the EOA both sign one transcript. Body: system key id (32) || length of CT (2) ||
-//! CT || SM2 signature (64) || EOA signature (65).
+//! Key allocation (the paper's Initialization): the client sends K_T, P_C, P_E and Addr to the gateway under a system
+//! key; d_C and the EOA both sign one transcript. Body: system key id (32) || length of CT (2) || CT || SM2 signature
+//! (64) || EOA signature (65).
 
 use zeroize::Zeroizing;
 
@@ -16,15 +16,15 @@ use super::command::Command;
 use super::hello::{Agreed, Context};
 use super::system_keys::SystemKey;
 
-/// The longest CT accepted, bytes; what is sealed has 213.
+/// The longest CT accepted, bytes; ours has 213 bytes of plaintext.
 const LONGEST_CT: usize = 512;
 /// The longest name, bytes.
 const NAME: usize = 32;
-/// The type that the account signs (EIP-712).
+/// The EIP-712 type that the account signs.
 const TYPE: &str = "KeyAllocation(bytes32 gateway,bytes32 systemKey,bytes32 clientNonce,bytes32 gatewayNonce,\
                     uint8 command,string name,bytes signingKey,address account,bytes32 ciphertext)";
 
-/// The client's keys and what it asks for.
+/// The client's keys and what it requests.
 #[derive(Debug)]
 pub struct Applicant<'a> {
     /// N.
@@ -87,7 +87,7 @@ impl Allocation {
     }
 }
 
-/// What both keys sign.
+/// The transcript that both keys sign.
 struct Transcript<'a> {
     domain: &'a Domain,
     agreed: &'a Agreed,
@@ -133,10 +133,10 @@ impl Transcript<'_> {
     }
 }
 
-/// The client's part: a fresh K_T and the body of the command.
+/// The client's side: a fresh K_T and the body of the command.
 ///
 /// # Errors
-/// [`CryptoError`] where the random source fails or P_S is no point.
+/// [`CryptoError`] if the random source fails or P_S is not a point.
 pub fn apply(
     context: &Context,
     agreed: &Agreed,
@@ -161,21 +161,21 @@ pub fn apply(
     Ok((allocation.key, request.encode()))
 }
 
-/// What the client sends.
+/// The message the client sends.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AllocationRequest {
-    /// Which system key.
+    /// The system key.
     pub system_key: SignerId,
     /// CT.
     pub ciphertext: Vec<u8>,
-    /// By d_C.
+    /// Signature by d_C.
     pub signature: Signature,
-    /// By the EOA.
+    /// Signature by the EOA.
     pub account_signature: AccountSignature,
 }
 
 impl AllocationRequest {
-    /// Its bytes.
+    /// Its encoding.
     pub fn encode(&self) -> Vec<u8> {
         let length = u16::try_from(self.ciphertext.len()).unwrap_or(u16::MAX).to_be_bytes();
         let parts: [&[u8]; 5] =
@@ -183,10 +183,10 @@ impl AllocationRequest {
         parts.concat()
     }
 
-    /// From its bytes.
+    /// From its encoding.
     ///
     /// # Errors
-    /// [`WireError`] where they are none.
+    /// [`WireError`] if it is malformed.
     pub fn parse(body: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(body);
         let system_key = SignerId(reader.array("system key")?);
@@ -204,14 +204,14 @@ impl AllocationRequest {
         Ok(request)
     }
 
-    /// SM3(CT): what the receipt names.
+    /// SM3(CT), which the receipt names.
     pub fn digest(&self, provider: &dyn Provider) -> Digest {
         Digest(provider.sm3(&[&self.ciphertext]))
     }
 }
 
-/// The gateway's part without the chain: opens CT, checks that N is the session's, the SM2 signature, then the
-/// account's. `secret` is d_S of the request's system key, `None` where that is not in use.
+/// The gateway's side without the chain: opens CT, checks that N is the session's, then the SM2 signature, then the
+/// account's. `secret` is d_S of the request's system key, `None` if that key is not in use.
 ///
 /// # Errors
 /// [`Refusal`] with `SystemKey`, `Malformed`, `Signature` or `Account`.
@@ -224,7 +224,7 @@ pub fn examine(
 ) -> Result<Allocation, Refusal> {
     let secret = secret.ok_or_else(|| Refusal::new(Code::SystemKey, format_args!("key {}", request.system_key)))?;
     let provider = context.provider;
-    // One code for a CT that does not open and for a text that does not parse: no decryption oracle.
+    // One code both for a CT that does not open and for a text that does not parse: no decryption oracle.
     let plain = provider.decrypt(secret, &request.ciphertext).map_err(Refusal::because(Code::Malformed))?;
     let allocation = Allocation::parse(&plain).map_err(Refusal::because(Code::Malformed))?;
     if allocation.name != *name {

@@ -1,5 +1,5 @@
-//! The chain through a gateway: the chain room's port, over one connection that heals by itself. A visitor's session
-//! until there are credentials, then one under the transport key.
+//! The chain through a gateway: the chain crate's transport over one connection that reconnects by itself. A visitor's
+//! session until there are credentials, then a session under the transport key.
 
 use std::sync::{Arc, PoisonError, RwLock};
 
@@ -17,7 +17,7 @@ use super::error::GatewayError;
 use super::hello::Agreed;
 use super::trust::KeptTrust;
 
-/// One's own requests to the chain behind a gateway.
+/// A client's own requests to the chain behind a gateway.
 pub struct ChainLine {
     endpoint: Endpoint,
     trust: Arc<KeptTrust>,
@@ -32,23 +32,23 @@ struct Open {
 }
 
 impl ChainLine {
-    /// To the gateway at `endpoint`; nothing is sent yet. `visitor` is the name given before there are credentials.
+    /// To the gateway at `endpoint`; nothing is sent yet. `visitor` is the name to give before there are credentials.
     pub fn new(endpoint: Endpoint, trust: Arc<KeptTrust>, visitor: ProfileName) -> Self {
         Self { endpoint, trust, visitor, credentials: RwLock::default(), open: Mutex::default() }
     }
 
-    /// Where the gateway is.
+    /// The gateway's address.
     pub fn endpoint(&self) -> &Endpoint {
         &self.endpoint
     }
 
-    /// From the next request on, in the name of an account.
+    /// From the next request on, acts for an account.
     pub fn prove_by(&self, credentials: Credentials) {
         *self.credentials.write().unwrap_or_else(PoisonError::into_inner) = Some(credentials);
     }
 
-    /// Connects where there is no connection, so that a gateway which is not the pinned one is told apart from one
-    /// that does not answer.
+    /// Connects if there is no connection, so that a gateway other than the pinned one can be told from one that does
+    /// not answer.
     ///
     /// # Errors
     /// [`GatewayError`].
@@ -68,7 +68,7 @@ impl ChainLine {
         let mut trust = self.trust.current();
         if let Some(credentials) = credentials {
             match Client::connect(&self.endpoint, &mut trust, &credentials).await {
-                // A key that is void by now is its owner's to replace; the chain is open to visitors.
+                // Replacing a void key is up to its owner; the chain is open to visitors.
                 Err(GatewayError::RefusedInClear(Code::Tag) | GatewayError::Refused(Code::Tag | Code::Token)) => {
                     self.forget(&credentials);
                 }
@@ -92,7 +92,7 @@ impl ChainLine {
     async fn relay(&self, method: &str, parameters: &Value) -> Result<Relayed, GatewayError> {
         let mut slot = self.open.lock().await;
         let waiting = self.credentials.read().unwrap_or_else(PoisonError::into_inner).is_some();
-        // Taken out meanwhile: a request that is given up halfway must not leave its answer to the next one.
+        // Taken out meanwhile: a request abandoned halfway must not leave its answer to the next one.
         let kept = slot.take().filter(|open| !open.client.is_spent() && (open.proven || !waiting));
         let reused = kept.is_some();
         let mut open = match kept {
@@ -100,8 +100,8 @@ impl ChainLine {
             None => self.connect().await?,
         };
         let mut relayed = open.client.relay(method, parameters).await;
-        // A connection that was idle may have been closed at the other end long ago. Asking again does no harm: the
-        // very same transaction is known to the chain, whatever became of the first attempt.
+        // The other end may long since have closed an idle connection. Asking again does no harm: the chain recognises
+        // the same transaction, whatever became of the first attempt.
         if reused && !goes_on(&relayed) {
             open = self.connect().await?;
             relayed = open.client.relay(method, parameters).await;
@@ -113,7 +113,7 @@ impl ChainLine {
     }
 }
 
-/// Whether the session goes on after this answer.
+/// Whether the session continues after this answer.
 fn goes_on(relayed: &Result<Relayed, GatewayError>) -> bool {
     match relayed {
         Ok(_) => true,

@@ -1,5 +1,5 @@
-//! The client's end over TCP: connects, judges the gateway, proves itself by K_T, sends commands, verifies
-//! receipts and records. One request after the other, or several under way with `send` and `receive`.
+//! The client's end over TCP: connects, judges the gateway, proves itself with K_T, sends commands, verifies receipts
+//! and records. One request after the other, or several in flight with `send` and `receive`.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -28,25 +28,25 @@ use super::trust::Trust;
 
 mod exchange;
 
-/// Where a gateway is and how to speak to it.
+/// A gateway's address, and how to talk to it.
 #[derive(Clone)]
 pub struct Endpoint {
     /// Host and port.
     pub address: String,
-    /// The network, and what computes for it.
+    /// The network, and the crypto provider.
     pub context: Context,
     /// How long to wait for an answer.
     pub patience: Duration,
 }
 
-/// What a client proves itself with.
+/// A client's credentials.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Credentials {
     /// N.
     pub name: ProfileName,
     /// K_T.
     pub key: TransportKey,
-    /// A token of the account; the current one.
+    /// A token of the account, the current one.
     pub token: Token,
 }
 
@@ -59,15 +59,15 @@ pub struct Client {
     token: Token,
     requests: u32,
     assembler: Assembler<()>,
-    /// What came while something else was waited for.
+    /// Events that arrived while something else was awaited.
     waiting: VecDeque<(u32, Answer)>,
 }
 
 impl Client {
-    /// Connects with a transport key. `trust` has learnt what the gateway showed: save it.
+    /// Connects with a transport key. `trust` records what the gateway showed: save it.
     ///
     /// # Errors
-    /// [`GatewayError`]; `RefusedInClear(Tag)` also where the gateway does not know the name or has another K_T.
+    /// [`GatewayError`]; `RefusedInClear(Tag)` also if the gateway does not know the name or has another K_T.
     pub async fn connect(
         endpoint: &Endpoint,
         trust: &mut Trust,
@@ -103,10 +103,10 @@ impl Client {
         })
     }
 
-    /// Allocates a transport key: N bound to the account, K_T to the gateway. The receipt proves it.
+    /// Allocates a transport key: binds N to the account and gives K_T to the gateway. The receipt proves it.
     ///
     /// # Errors
-    /// [`GatewayError`]; nothing is bound then, or, where the answer was lost, bound to a key that nobody has:
+    /// [`GatewayError`]; then nothing is bound, or, if the answer was lost, N is bound to a key that nobody has:
     /// allocating again replaces it.
     pub async fn allocate(
         endpoint: &Endpoint,
@@ -124,7 +124,7 @@ impl Client {
         Ok((key, receipt))
     }
 
-    /// Has a gateway pass a registration to the chain; gives the transaction's hash.
+    /// Has a gateway pass a registration to the chain; returns the transaction's hash.
     ///
     /// # Errors
     /// [`GatewayError`].
@@ -141,7 +141,7 @@ impl Client {
         }
     }
 
-    /// Asks an address which network it stands on; nothing is proven yet, the hello on that network proves it.
+    /// Asks an address which network it is on. Nothing is proven yet; the hello on that network proves it.
     ///
     /// # Errors
     /// [`GatewayError`].
@@ -149,7 +149,7 @@ impl Client {
         timeout(patience, exchange::inquire(address, patience)).await.map_err(|_| GatewayError::TimedOut)?
     }
 
-    /// Connects without a transport key, to read the chain through the gateway. `name` is only for its log.
+    /// Connects without a transport key, to read the chain through the gateway. `name` is only for the gateway's log.
     ///
     /// # Errors
     /// [`GatewayError`].
@@ -161,10 +161,10 @@ impl Client {
         Ok(client)
     }
 
-    /// Has the gateway pass a JSON-RPC request on to its chain. Its word for the answer has to be taken.
+    /// Has the gateway pass a JSON-RPC request on to its chain. The answer is the gateway's word.
     ///
     /// # Errors
-    /// [`GatewayError`]; `Refused(Stale)` where the chain does not answer.
+    /// [`GatewayError`]; `Refused(Stale)` if the chain does not answer.
     pub async fn relay(&mut self, method: &str, parameters: &serde_json::Value) -> Result<Relayed, GatewayError> {
         let call = RelayCall { method: method.to_owned(), parameters: parameters.to_string() };
         if call.parameters.len() > LONGEST_PARAMETERS {
@@ -176,17 +176,17 @@ impl Client {
         }
     }
 
-    /// What was agreed with the gateway.
+    /// The terms agreed with the gateway.
     pub fn agreed(&self) -> &Agreed {
         &self.agreed
     }
 
-    /// Whether it is time to connect anew: the session's frames or its hour are nearly used up.
+    /// Whether it is time to reconnect: the session's frames or its hour are nearly used up.
     pub fn is_spent(&self) -> bool {
         self.session.is_spent(Instant::now() + self.endpoint.patience)
     }
 
-    /// The token sent from now on.
+    /// Sets the token sent from now on.
     pub fn set_token(&mut self, token: Token) {
         self.token = token;
     }
@@ -218,7 +218,7 @@ impl Client {
     /// Uploads records; the receipt is checked to cover all of them.
     ///
     /// # Errors
-    /// [`GatewayError`]; without a receipt nothing may be forgotten.
+    /// [`GatewayError`]; without a receipt nothing may be discarded.
     pub async fn upload(&mut self, mut uploads: Vec<Upload>) -> Result<Receipt, GatewayError> {
         let provider = self.endpoint.context.provider;
         let digests: Vec<Digest> = uploads.iter().map(|upload| Digest(provider.sm3(&[&upload.blob]))).collect();
@@ -240,7 +240,7 @@ impl Client {
         }
     }
 
-    /// How digests stand, in their order.
+    /// The standings of digests, in order.
     ///
     /// # Errors
     /// [`GatewayError`].
@@ -251,11 +251,11 @@ impl Client {
         }
     }
 
-    /// How digests stand, in their order, signed by the gateway, with the proofs of their anchors; the signature is
-    /// checked, the proofs are the caller's to check.
+    /// The standings of digests, in order, signed by the gateway, with the proofs of their anchors. The signature is
+    /// checked here; checking the proofs is up to the caller.
     ///
     /// # Errors
-    /// [`GatewayError`]; `Refused(Malformed)` where the gateway is of a version that signs none.
+    /// [`GatewayError`]; `Refused(Malformed)` if the gateway is of a version that signs none.
     pub async fn prove(&mut self, digests: &[Digest]) -> Result<SignedStandings, GatewayError> {
         let context = self.endpoint.context;
         match self.ask(&Request::Prove(digests.to_vec())).await? {
@@ -267,8 +267,8 @@ impl Client {
         }
     }
 
-    /// A record; its bytes have that digest and its signature is by the key that came with it. Whether that
-    /// key may sign for the owner, and whether the anchor holds, is for the reader to check on the chain.
+    /// A record; its bytes match that digest, and its signature is by the key that came with it. The reader must check
+    /// on the chain whether that key may sign for the owner and whether the anchor holds.
     ///
     /// # Errors
     /// [`GatewayError`].
@@ -285,7 +285,7 @@ impl Client {
         Ok(record)
     }
 
-    /// Subscribes; the number names the subscription.
+    /// Subscribes; returns the number of the subscription.
     ///
     /// # Errors
     /// [`GatewayError`].
@@ -297,10 +297,10 @@ impl Client {
         }
     }
 
-    /// The next record of any subscription, checked as [`Self::fetch`] does; `Err(Refused)` where one ended.
+    /// The next record of any subscription, checked like [`Self::fetch`]; `Err(Refused)` if one ended.
     ///
     /// # Errors
-    /// [`GatewayError::TimedOut`] where none came within `patience`; nothing is lost then.
+    /// [`GatewayError::TimedOut`] if none came within `patience`; nothing is lost then.
     pub async fn next_event(&mut self, patience: Duration) -> Result<(u32, Entry, Fetched), GatewayError> {
         let found = self.waiting.iter().position(|(_, answer)| matches!(answer, Answer::Event(_) | Answer::End(_)));
         let next = match found.and_then(|index| self.waiting.remove(index)) {
@@ -317,7 +317,7 @@ impl Client {
         }
     }
 
-    /// Ends a subscription; what was under way may still come.
+    /// Ends a subscription; records already in flight may still arrive.
     ///
     /// # Errors
     /// [`GatewayError`].
@@ -336,7 +336,7 @@ impl Client {
         self.signed(signing, &Request::GrantNotice(notice)).await
     }
 
-    /// Tells the gateway of a revoke, signed by d_C: it obeys at once.
+    /// Tells the gateway of a revoke, signed by d_C: it applies at once.
     ///
     /// # Errors
     /// [`GatewayError`].
@@ -344,10 +344,10 @@ impl Client {
         self.signed(signing, &Request::RevokeNotice(notice)).await
     }
 
-    /// Tells the gateway that this session's name is that of a device which the chain says is lent, signed by d_C.
+    /// Tells the gateway, signed by d_C, that this session's name belongs to a device that is lent on the chain.
     ///
     /// # Errors
-    /// [`GatewayError`]; `Refused(Malformed)` where an older gateway does not take the topic id of its notices.
+    /// [`GatewayError`]; `Refused(Malformed)` if an older gateway does not accept the topic id of its notices.
     pub async fn device(
         &mut self,
         signing: &SmKeyPair,

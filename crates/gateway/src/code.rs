@@ -1,4 +1,4 @@
-//! Why a gateway refuses: constant codes for the peer, the detail for the gateway's own log.
+//! Why a gateway refuses: fixed codes for the peer, details for the gateway's own log.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use crate::model::ErrorKind;
 
 macro_rules! codes {
     ($($(#[$doc:meta])* $name:ident = $number:literal $kind:ident $text:literal;)*) => {
-        /// A reason for refusing; the same for every peer, so that it tells nothing of others.
+        /// A reason for refusing; the same for every peer, so that it reveals nothing about others.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
         #[repr(u16)]
         pub enum Code {
@@ -24,7 +24,7 @@ macro_rules! codes {
                 }
             }
 
-            /// What sort of failure it is.
+            /// The kind of failure.
             pub fn kind(self) -> ErrorKind {
                 match self {
                     $(Self::$name => ErrorKind::$kind,)*
@@ -35,9 +35,9 @@ macro_rules! codes {
 }
 
 codes! {
-    /// A frame or message over its cap, or cut short.
+    /// A frame or message over its cap, or truncated.
     Length = 1 Refused "a frame has a length that is not allowed; connect again";
-    /// No such session, or one that has ended.
+    /// No such session, or it has ended.
     Session = 2 Refused "the session has ended; connect again";
     /// A frame out of order: replayed, lost or swapped.
     Counter = 3 Refused "a frame came out of order; connect again";
@@ -49,41 +49,41 @@ codes! {
     Signature = 6 Refused "the SM2 signature was not accepted; sign with the registered key or a lent one";
     /// An EOA signature that recovers another account.
     Account = 7 Refused "the account's signature was not accepted; sign with the key of the registered account";
-    /// Bytes that are no message.
+    /// Bytes that are not a message.
     Malformed = 8 Refused "the gateway does not understand the message; use the same version on both sides";
     /// Another version of the protocol.
     Version = 9 Refused "the gateway speaks another version of the protocol; use the same version on both sides";
     /// Another chain or contract.
     Network = 10 Refused "the gateway serves another network; check chain and contract on both sides";
-    /// A system key that is not in the list, or no longer.
+    /// A system key that is not, or no longer, in the list.
     SystemKey = 11 Refused "the system key is not in use; fetch the list again";
     /// N belongs to another account.
     NameBound = 12 Refused "this name belongs to another account; choose another name";
-    /// The chain knows no such identity.
+    /// The chain has no such identity.
     NotRegistered = 13 Refused "the chain knows no such identity; register it, or wait for its confirmation";
     /// The administrator suspended the account.
     Suspended = 14 Refused "the account is suspended; ask the administrator";
-    /// No grant covers what was asked for.
+    /// No grant covers the request.
     NotAuthorised = 15 Refused "no grant covers this; ask its owner, and the gateway's keeper whether this account is admitted";
-    /// Nothing of that digest.
+    /// Nothing with that digest.
     NotFound = 16 Refused "the gateway has no such record; check the digest";
     /// Stored bytes that differ from the chain.
     Tampered = 17 Tampered "the stored record is not the one anchored; fetch it from elsewhere";
-    /// More than this peer may have at a time.
+    /// More than this peer may use at a time.
     Quota = 18 Refused "too much at once; send less and try again";
     /// No room for another connection or handshake.
     Busy = 19 Unreachable "the gateway has no room at the moment; try again later";
-    /// Not in this session.
+    /// Not allowed in this session.
     NotHere = 20 Refused "this command is not accepted in this session; connect with a transport key";
-    /// The chain has no fresh head: authority cannot be told.
+    /// The chain has no recent head, so authority cannot be determined.
     Stale = 21 Unreachable "the gateway has lost sight of the chain; try again later";
-    /// The gateway stops.
+    /// The gateway is stopping.
     Closing = 22 Unreachable "the gateway is stopping; try again later";
-    /// A fault of the gateway itself.
+    /// An internal error of the gateway.
     Internal = 23 Unreachable "the gateway failed; try again later, its log says more";
     /// The peer took too long.
     TooSlow = 24 Unreachable "the connection was too slow or idle; connect again";
-    /// The record belongs to another network or another owner than the session.
+    /// The record belongs to a network or owner other than the session's.
     NotYours = 25 Refused "the record belongs to another account or network; send your own";
     /// A chain transaction that was refused.
     Transaction = 26 Refused "the chain refused the transaction; check account, nonce and balance";
@@ -102,7 +102,7 @@ impl Code {
         Self::ALL.iter().copied().find(|code| code.number() == number)
     }
 
-    /// Whether the connection ends with it: frames after it could not be trusted or told apart.
+    /// Whether it ends the connection: later frames could not be trusted or told apart.
     pub fn ends_session(self) -> bool {
         matches!(
             self,
@@ -125,13 +125,13 @@ impl fmt::Display for Code {
     }
 }
 
-/// A refusal as the gateway makes it: the code goes to the peer, the detail to the log only.
+/// A refusal made by the gateway: the code goes to the peer, the detail only to the log.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{code} ({detail})")]
 pub struct Refusal {
-    /// What the peer learns.
+    /// The code for the peer.
     pub code: Code,
-    /// What the operator learns; holds no secret, and peers' words only cleaned.
+    /// The detail for the operator; holds no secret, and text from peers only cleaned.
     pub detail: String,
 }
 

@@ -1,6 +1,6 @@
-//! ND2: what one frame asks or answers. From the client: Command (1) || part (1) || request (4) || token (32) ||
-//! signature (64, of signed Commands only) || body. From the gateway: Command + 128 (1) || part (1) ||
-//! request (4) || body. Later parts of a message carry no token and no signature.
+//! ND2: the request or answer in one frame. From the client: Command (1) || part (1) || request (4) || token (32) ||
+//! signature (64, of signed Commands only) || body. From the gateway: Command + 128 (1) || part (1) || request (4) ||
+//! body. Later parts of a message carry no token and no signature.
 
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Digest, Domain, Signature, SignerId, Token};
@@ -21,7 +21,7 @@ pub use request::{DeviceNotice, GrantNotice, Registration, Request, RevokeNotice
 pub const LARGEST_MESSAGE: usize = 64 * 1024 * 1024 + 128 * 1024;
 /// The largest body of one frame, bytes: the same in both directions and for every Command.
 pub const LARGEST_PART: usize = LONGEST_TEXT - 128;
-/// Added to a Command's number in what the gateway sends.
+/// Added to a Command's number in messages from the gateway.
 const FROM_GATEWAY: u8 = 128;
 
 macro_rules! commands {
@@ -45,27 +45,27 @@ commands! {
     SystemKeys = 1;
     /// K_T to the gateway, N bound to an account.
     KeyAllocation = 2;
-    /// A signed transaction that registers an identity, to be passed to the chain.
+    /// A signed transaction that registers an identity, for the chain.
     Register = 3;
     /// One record.
     Upload = 4;
     /// Several records.
     UploadMany = 5;
-    /// List of records by owner, topic, type, time, tag.
+    /// List records by owner, topic, type, time, tag.
     Query = 6;
-    /// How digests stand.
+    /// The standings of records.
     Check = 7;
     /// One record with signature and proof.
     Fetch = 8;
-    /// Records as they come.
+    /// Records as they arrive.
     Subscribe = 9;
-    /// No more of them.
+    /// End a subscription.
     Unsubscribe = 10;
     /// A grant was sent to the chain.
     GrantNotice = 11;
-    /// A revoke was sent to the chain: to be obeyed at once.
+    /// A revoke was sent to the chain; it applies at once.
     RevokeNotice = 12;
-    /// Nothing; the gateway answers its time.
+    /// Nothing; the gateway answers with its time.
     Ping = 13;
     /// Only from the gateway: a record of a subscription.
     Event = 14;
@@ -73,8 +73,8 @@ commands! {
     End = 15;
     /// Only from the gateway: a refusal.
     Refuse = 16;
-    /// The public key of a device that its owner has lent on the chain, which knows only its hash: the session's name
-    /// is the device's from now on.
+    /// The public key of a device that its owner has lent on the chain, which knows only its hash: from now on the
+    /// session's name is the device's.
     DeviceNotice = 17;
     /// A JSON-RPC request, passed on to the chain.
     Relay = 18;
@@ -96,8 +96,8 @@ impl Command {
         !matches!(self, Self::Event | Self::End | Self::Refuse)
     }
 
-    /// Whether it changes state and is signed by d_C. Uploads carry their records' signatures, an allocation
-    /// has its own, a registration is a signed transaction.
+    /// Whether it changes state and is signed by d_C. Uploads carry their records' signatures, an allocation has its
+    /// own signatures, a registration is a signed transaction.
     pub fn is_signed(self) -> bool {
         matches!(self, Self::GrantNotice | Self::RevokeNotice | Self::DeviceNotice)
     }
@@ -108,17 +108,17 @@ impl Command {
     }
 }
 
-/// Whether a frame is a whole message or a part of one. Parts of one message follow each other.
+/// Whether a frame is a whole message or a part of one. Parts of one message follow one another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Part {
-    /// All of it.
+    /// The whole message.
     Whole = 0,
-    /// The first: its body begins with the length of all bodies together (4).
+    /// The first part: its body begins with the total length of all bodies (4).
     First = 1,
-    /// One in between.
+    /// A middle part.
     Middle = 2,
-    /// The last.
+    /// The last part.
     Last = 3,
 }
 
@@ -132,12 +132,12 @@ impl Part {
     }
 }
 
-/// An ND2, read.
+/// A parsed ND2.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Inner<'a> {
-    /// What it is.
+    /// Its Command.
     pub command: Command,
-    /// Whether it is all.
+    /// Whether it is complete.
     pub part: Part,
     /// The client's number of the request; answers and events repeat it.
     pub request: u32,
@@ -150,10 +150,10 @@ pub struct Inner<'a> {
 }
 
 impl<'a> Inner<'a> {
-    /// From a client's text.
+    /// From a client's plaintext.
     ///
     /// # Errors
-    /// [`WireError`] where it is no ND2 of a client.
+    /// [`WireError`] if it is not a client's ND2.
     pub fn from_client(text: &'a [u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(text);
         let command = Command::from_number(reader.u8("command")?).filter(|command| command.is_request());
@@ -168,10 +168,10 @@ impl<'a> Inner<'a> {
         Ok(Self { command, part, request, token, signature, body: reader.rest() })
     }
 
-    /// From a gateway's text.
+    /// From a gateway's plaintext.
     ///
     /// # Errors
-    /// [`WireError`] where it is no ND2 of a gateway.
+    /// [`WireError`] if it is not a gateway's ND2.
     pub fn from_gateway(text: &'a [u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(text);
         let command = reader.u8("command")?.checked_sub(FROM_GATEWAY).and_then(Command::from_number);
@@ -180,7 +180,7 @@ impl<'a> Inner<'a> {
         Ok(Self { command, part, request, token: None, signature: None, body: reader.rest() })
     }
 
-    /// Its bytes, as a client or the gateway writes them.
+    /// Its encoding, as a client or the gateway writes it.
     pub fn encode(&self, from_gateway: bool) -> Vec<u8> {
         let mut out = Vec::with_capacity(128 + self.body.len());
         out.push(self.command.number() + if from_gateway { FROM_GATEWAY } else { 0 });
@@ -198,7 +198,7 @@ fn part_and_request(reader: &mut Reader<'_>) -> Result<(Part, u32), WireError> {
     Ok((part, reader.u32("request")?))
 }
 
-/// Who speaks, and what stands before the body.
+/// The sender, and the fields before the body.
 #[derive(Debug, Clone, Copy)]
 pub enum Speaker {
     /// A client, with its token.
@@ -229,7 +229,7 @@ pub fn split(command: Command, request: u32, speaker: Speaker, body: &[u8]) -> V
     out
 }
 
-/// What d_C signs of a signed Command: label || domain || gateway || session || counter || Command || SM3(body).
+/// The bytes d_C signs for a signed Command: label || domain || gateway || session || counter || Command || SM3(body).
 pub fn signed_bytes(
     domain: &Domain,
     gateway: &SignerId,

@@ -1,5 +1,5 @@
-//! One connection at the gateway's end: hello, then either key allocation or commands until it ends.
-//! Frames are handled one after the other; the counter's order is the order of effects.
+//! One connection at the gateway's end: hello, then either key allocation or commands until it ends. Frames are handled
+//! one after the other; effects follow the order of the counter.
 
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -33,12 +33,12 @@ use arrivals::Next;
 use commands::Commands;
 use feeds::Feeds;
 
-/// An allocation asks the chain: it has so many times the patience of a hello.
+/// An allocation asks the chain: it gets this many times the patience of a hello.
 const ALLOCATION_PATIENCE: u32 = 3;
 /// The most frames of a session for allocation.
 const MOST_ALLOCATION_FRAMES: usize = 8;
 
-/// What all connections share.
+/// State shared by all connections.
 pub(super) struct Shared {
     pub desk: Arc<dyn Desk>,
     pub context: Context,
@@ -47,7 +47,7 @@ pub(super) struct Shared {
     pub peers: Peers,
     /// Held while a name is bound.
     pub binding: tokio::sync::Mutex<()>,
-    /// For the operator's eyes.
+    /// For the operator's display.
     pub tally: Tally,
 }
 
@@ -68,7 +68,7 @@ impl Shared {
         self.with_cabinet(|cabinet| (cabinet.list().summary(self.provider()), cabinet.list().encode()))
     }
 
-    /// Counts a refusal and tells the desk of it.
+    /// Counts a refusal and reports it to the desk.
     pub fn refused(&self, peer: SocketAddr, refusal: &Refusal) {
         self.tally.refuse(refusal.code);
         self.desk.refused(peer, refusal);
@@ -79,7 +79,7 @@ impl Shared {
         self.with_cabinet(|cabinet| cabinet.list().clone())
     }
 
-    /// Rotates the system keys where it is time.
+    /// Rotates the system keys when it is time.
     pub fn rotate(&self) -> Result<(), Refusal> {
         let rotated = self.with_cabinet(|cabinet| cabinet.rotate(Timestamp::now()));
         rotated.map(|_| ()).map_err(Refusal::because(Code::Internal))
@@ -124,12 +124,12 @@ impl From<LineError> for End {
 /// Serves one connection until it ends.
 pub(super) async fn serve(shared: Arc<Shared>, line: Line, peer: SocketAddr, seat: Seat, stop: watch::Receiver<bool>) {
     let mut connection = Connection::new(shared, line, peer, seat, stop);
-    // The session's state is large and idle connections are many: only what runs is on the heap.
+    // The session's state is large and idle connections are many: only running ones are on the heap.
     let outcome = Box::pin(connection.run()).await;
     connection.close(outcome).await;
 }
 
-/// Serves a session that was agreed elsewhere: tests try thousands of frames, each in one of its own.
+/// Serves a session that was agreed elsewhere: tests try thousands of frames, each in its own session.
 #[cfg(test)]
 pub(super) async fn serve_agreed(
     (shared, line, seat, stop): (Arc<Shared>, Line, Seat, watch::Receiver<bool>),
@@ -153,12 +153,12 @@ struct Connection {
     peer: SocketAddr,
     seat: Seat,
     stop: watch::Receiver<bool>,
-    /// When the last frame was whole, or the present one began.
+    /// When the last frame was complete, or the present one began.
     since: Instant,
     partial: bool,
-    /// For the memory of the frame that is being read or answered, where it is a large one.
+    /// Charge for the memory of the frame being read or answered, if it is a large one.
     charge: Option<Charge>,
-    /// A message in parts is under way, which is charged as a whole.
+    /// A message in parts is under way; it is charged as a whole.
     in_parts: bool,
 }
 
@@ -215,7 +215,7 @@ impl Connection {
         Ok(())
     }
 
-    /// Sends what came of a request. A refusal that ends the session is returned instead.
+    /// Sends the outcome of a request. A refusal that ends the session is returned instead.
     async fn reply(
         &mut self,
         session: &mut Session,
@@ -223,7 +223,7 @@ impl Connection {
         outcome: Result<Answer, Refusal>,
     ) -> Result<(), End> {
         let charged = outcome.and_then(|answer| {
-            // The chain's answers are the chain's to bound: their memory is on the account of whoever asked.
+            // Chain answers are bounded by the chain crate; their memory counts against the caller.
             let length = answer.relayed_length();
             let charge = if length > 0 { Some(self.seat.charge(length)?) } else { None };
             Ok((answer, charge))
@@ -237,12 +237,12 @@ impl Connection {
             }
         };
         self.send(session, request, &answer).await?;
-        // What was sent delays what is read next.
+        // Time spent sending delays the next read.
         self.seat.pace(std::time::Instant::now(), answer.relayed_length());
         Ok(())
     }
 
-    /// A session without a transport key: small frames, few of them, soon over; longer only where it reads the chain.
+    /// A session without a transport key: few, small frames and a short life; a longer one only for reading the chain.
     async fn allocation(&mut self, identified: Identified, hello_deadline: Instant) -> Result<(), End> {
         let (agreed, name) = (identified.agreed(), identified.name().clone());
         self.allocation_frames(identified.session(None), agreed, name, hello_deadline).await
@@ -307,7 +307,7 @@ impl Connection {
         let mut desk = Commands { agreed, caller, binding, feeds: None };
         let payload = self.expect(FrameKind::Transfer, hello_deadline).await?;
         let first = session.open(&payload)?;
-        // Whoever sealed this frame holds K_T.
+        // The sender of this frame holds K_T.
         self.seat.authenticated();
         self.line.raise_cap();
         let presence = self.shared.tally.enter(present, desk.caller.account, self.peer);
@@ -339,7 +339,7 @@ impl Connection {
         }
     }
 
-    /// A name that nobody bound fails as a wrong key does.
+    /// An unbound name fails like a wrong key.
     async fn refuse_unknown(&mut self, identified: Identified, deadline: Instant) -> Result<(), End> {
         let key = TransportKey::generate().map_err(Refusal::because(Code::Internal))?;
         let mut session = identified.session(Some(&key));
@@ -358,7 +358,7 @@ impl Connection {
     ) -> Result<(), End> {
         let inner = Inner::from_client(text)?;
         if inner.part != Part::Whole {
-            // The whole message is charged, its frames are no more.
+            // The whole message is charged, so its frames no longer are.
             self.charge = None;
         }
         let message = assembler.take(&inner, counter, |bytes| self.seat.charge(bytes))?;

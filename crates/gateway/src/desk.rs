@@ -1,5 +1,5 @@
-//! The port to what a gateway does with a command once its sender is known: the service implements it.
-//! What reaches a desk has passed every check that frames, session and signatures allow.
+//! The interface to what a gateway does with a command once its sender is known; the service implements it. A command
+//! that reaches a desk has passed every check that frames, session and signatures allow.
 
 use std::net::SocketAddr;
 
@@ -20,7 +20,7 @@ use super::command::{
 use super::hello::NetworkName;
 use super::standings::Stood;
 
-/// What the chain says of an account.
+/// The chain's view of an account.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Account {
     /// P_C as registered now, its proof checked.
@@ -29,17 +29,17 @@ pub struct Account {
     pub envelope: PublicKey,
 }
 
-/// The device that a name belongs to.
+/// The device that owns a name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BoundDevice {
     /// SM3 of its public key.
     pub id: SignerId,
-    /// Where its owner's notices to it are filed; `None` where the owner did not tell.
+    /// Where its owner's notices to it are filed; `None` if the owner did not say.
     pub notices: Option<TopicId>,
 }
 
 impl BoundDevice {
-    /// Whether a selection is of nothing but `owner`'s notices to this device.
+    /// Whether a selection covers nothing but `owner`'s notices to this device.
     pub fn hears(&self, owner: &Address, selection: &Selection) -> bool {
         let of_this = match (selection.topic_id, self.notices) {
             (Some(asked), Some(told)) => asked == told,
@@ -55,7 +55,7 @@ impl BoundDevice {
     }
 }
 
-/// What a name stands for at this gateway.
+/// The binding of a name at this gateway.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Binding {
     /// Addr.
@@ -66,11 +66,11 @@ pub struct Binding {
     pub signing: PublicKey,
     /// P_E when the key was allocated.
     pub envelope: PublicKey,
-    /// Whose name it is, where it is a device's and not the account's own.
+    /// The device that owns the name, if it is not the account's own.
     pub device: Option<BoundDevice>,
 }
 
-/// Who asks: proven by K_T.
+/// The caller, authenticated by K_T.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Caller {
     /// N.
@@ -79,9 +79,9 @@ pub struct Caller {
     pub account: Address,
     /// P_C as registered when the session began.
     pub signing: PublicKey,
-    /// The device that asks, where it is one: it reaches only what a device needs.
+    /// The calling device, if it is one: it may use only what a device needs.
     pub device: Option<BoundDevice>,
-    /// Where from.
+    /// Its address.
     pub peer: SocketAddr,
 }
 
@@ -107,56 +107,55 @@ impl From<Received> for SealedRecord {
     }
 }
 
-/// What a gateway does. Refusals go to the peer as their code.
+/// The work of a gateway. Refusals go to the peer as their code.
 #[async_trait]
 pub trait Desk: Send + Sync + 'static {
-    /// What the chain says of an account: `NotRegistered`, `Suspended` or `Stale` where it says no.
+    /// The chain's view of an account: `NotRegistered`, `Suspended` or `Stale` if it does not allow it.
     async fn account(&self, account: &Address) -> Result<Account, Refusal>;
 
-    /// Whether the account may use this gateway at this moment: `NotAuthorised` where its keeper did not admit it.
+    /// Whether the account may use this gateway now: `NotAuthorised` if its keeper did not admit it.
     async fn admits(&self, account: &Address) -> Result<(), Refusal>;
 
     /// Whether the account ever registered the token.
     async fn is_token(&self, account: &Address, token: &Token) -> Result<bool, Refusal>;
 
-    /// Whether `owner` has lent this device, at this moment: `Stale` where the chain cannot tell.
+    /// Whether `owner` is lending this device now: `Stale` if the chain cannot tell.
     async fn is_lent(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal>;
 
-    /// The public key of a signer id, where it is the owner's or lent by the owner now.
+    /// The public key of a signer id, if it is the owner's or lent by the owner now.
     async fn signer(&self, owner: &Address, signer: &SignerId) -> Result<Option<PublicKey>, Refusal>;
 
-    /// What a name stands for; nothing where it was a device's that has been recalled.
+    /// A name's binding; nothing if it belonged to a device that has been recalled.
     async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal>;
 
-    /// Who continues for a lost account, as the administrator said on the chain.
+    /// The successor of a lost account, as the administrator declared on the chain.
     async fn successor(&self, lost: &Address) -> Result<Option<Address>, Refusal>;
 
-    /// Binds a name, durably before it returns. Called one at a time, and only where the name is free, bound to the
-    /// same account, or to one that this account continues for.
+    /// Binds a name, durably before it returns. Called one at a time, and only if the name is free, bound to the same
+    /// account, or to one that this account succeeds.
     async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal>;
 
-    /// Passes a registration to the chain: `Transaction` unless it is signed by the account and calls the
-    /// contract with exactly this identity, whose proof has been checked. Gives the transaction's hash.
+    /// Passes a registration to the chain: `Transaction` unless it is signed by the account and calls the contract with
+    /// exactly this identity, whose proof has been checked. Returns the transaction's hash.
     async fn register(&self, registration: &Registration) -> Result<Hash, Refusal>;
 
-    /// Keeps records, on disk before it returns; known ones are acknowledged again. Gives the time for the
-    /// receipt.
+    /// Stores records, on disk before it returns; known ones are acknowledged again. Returns the time for the receipt.
     async fn store(&self, caller: &Caller, records: Vec<Received>) -> Result<Timestamp, Refusal>;
 
-    /// A page of what the caller may see at this moment.
+    /// A page of what the caller may see now.
     async fn query(&self, caller: &Caller, query: &Query) -> Result<Page, Refusal>;
 
-    /// How digests stand; `Unknown` for what the caller may not see.
+    /// The standings of digests; `Unknown` for those the caller may not see.
     async fn check(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Standing>, Refusal>;
 
-    /// The same, each with the proof of its anchor where there is one.
+    /// The same, each with the proof of its anchor if there is one.
     async fn prove(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal>;
 
-    /// A record that the caller may read at this moment, its bytes compared with the chain.
+    /// A record that the caller may read now, its bytes compared with the chain.
     async fn fetch(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal>;
 
-    /// Entries as they come. The server fetches each one at the moment it sends it, so that [`Self::fetch`]
-    /// decides; closing the channel ends the subscription.
+    /// Entries as they arrive. The server fetches each one when it sends it, so that [`Self::fetch`] decides; closing
+    /// the channel ends the subscription.
     async fn subscribe(&self, caller: &Caller, selection: &Selection) -> Result<mpsc::Receiver<Entry>, Refusal>;
 
     /// The caller's grant, signed by d_C.
@@ -165,18 +164,18 @@ pub trait Desk: Send + Sync + 'static {
     /// The caller's revoke, signed by d_C: from now on the grantee is refused.
     async fn revoke(&self, caller: &Caller, notice: &RevokeNotice) -> Result<(), Refusal>;
 
-    /// Which network it stands on, told to whoever asks: `Stale` before it is known.
+    /// The network it is on, which anyone may ask: `Stale` before it is known.
     async fn network_name(&self) -> Result<NetworkName, Refusal>;
 
-    /// Passes a JSON-RPC request on to the chain, of somebody proven or (`None`) of a visitor without a transport
-    /// key. What may pass is the chain's to say ([`crate::chain::relay::examine`]).
+    /// Passes a JSON-RPC request on to the chain, for an authenticated caller or (`None`) for a visitor without a
+    /// transport key. What may pass is decided by [`crate::chain::relay::examine`].
     async fn relay(&self, caller: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError>;
 
-    /// The caller's name is that of a device whose public key, a point of the curve, was signed by d_C: both kept
-    /// durably, so that [`Self::signer`] can give the key as long as the device is lent, and the name ends with the
-    /// loan. `Signature` where the chain has no such loan.
+    /// Notes that the caller's name belongs to a device whose public key, a point of the curve, was signed by d_C:
+    /// both are stored durably, so that [`Self::signer`] can return the key as long as the device is lent, and the name
+    /// ends with the loan. `Signature` if the chain has no such loan.
     async fn device(&self, caller: &Caller, notice: &DeviceNotice) -> Result<(), Refusal>;
 
-    /// Something was refused: for the log, and counted by (peer, code, minute).
+    /// Reports a refusal: for the log, counted by (peer, code, minute).
     fn refused(&self, peer: SocketAddr, refusal: &Refusal);
 }

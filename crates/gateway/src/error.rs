@@ -1,4 +1,4 @@
-//! What can go wrong at the client's end, in words that say what to do next.
+//! What can go wrong at the client's end; each message says what to do next.
 
 use crate::crypto::CryptoError;
 use crate::model::wire::WireError;
@@ -12,7 +12,7 @@ pub enum GatewayError {
     /// Nobody listens, or the connection broke.
     #[error("the gateway at {address} does not answer ({source}); check the address and that it runs")]
     Unreachable {
-        /// Where it was looked for.
+        /// The address tried.
         address: String,
         /// The system's reason.
         source: std::io::Error,
@@ -26,37 +26,37 @@ pub enum GatewayError {
     /// The gateway refused.
     #[error("the gateway refused: {0}")]
     Refused(Code),
-    /// A refusal in clear: anybody on the line can write one, so it is obeyed no more than a closed connection.
+    /// A refusal in clear: anyone on the network can forge one, so it means no more than a closed connection.
     #[error("the gateway closed the connection and said in clear, which proves nothing: {0}")]
     RefusedInClear(Code),
-    /// No fingerprint is pinned, and trust on first use was not asked for.
+    /// No fingerprint is pinned, and trust on first use was not requested.
     #[error(
         "no gateway is pinned, and this one shows {0}; compare it with its operator and pin it, or allow trust on first use"
     )]
     NotPinned(SignerId),
-    /// Another gateway than the pinned one.
+    /// A gateway other than the pinned one.
     #[error("this is not the pinned gateway: {found} instead of {pinned}; someone may sit in between, do not go on")]
     NotTheGateway {
-        /// What was pinned.
+        /// The pinned fingerprint.
         pinned: SignerId,
-        /// What it showed.
+        /// The fingerprint it showed.
         found: SignerId,
     },
     /// An older system-key list than one seen before.
     #[error("the gateway shows version {found} of its system keys, version {seen} was seen before; do not go on")]
     RolledBack {
-        /// The highest version seen.
+        /// The highest version seen so far.
         seen: u64,
         /// The version shown.
         found: u64,
     },
-    /// Two lists of one version.
+    /// Two lists with the same version.
     #[error("the gateway shows two lists of system keys under version {0}; do not go on, its operator must explain")]
     TwoLists(u64),
     /// A system-key list that is not the gateway's, or no longer valid.
     #[error("the list of system keys was not accepted: {0}; fetch it again, or ask the gateway's operator")]
     List(&'static str),
-    /// Bytes that are not what they should be.
+    /// Malformed bytes.
     #[error("the gateway's {what} is malformed ({why}); use the same version on both sides")]
     Malformed {
         /// The message.
@@ -64,7 +64,7 @@ pub enum GatewayError {
         /// What is wrong with it.
         why: WireError,
     },
-    /// An answer to something else.
+    /// An answer to another request.
     #[error("the gateway answered something else than was asked ({0}); connect again")]
     Unexpected(&'static str),
     /// A receipt that does not cover what was sent.
@@ -82,7 +82,7 @@ pub enum GatewayError {
 }
 
 impl GatewayError {
-    /// What sort of failure it is.
+    /// The kind of failure.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Unreachable { .. } | Self::Closed | Self::RefusedInClear(_) | Self::TimedOut => {

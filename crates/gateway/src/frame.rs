@@ -1,20 +1,20 @@
-//! Frames on the wire: length (4, big endian), kind (1), payload. The length counts kind and payload.
-//! The cap is checked before anything is kept, and no buffer grows ahead of the bytes that arrived.
+//! Frames on the wire: length (4, big endian), kind (1), payload. The length counts kind and payload. The cap is
+//! checked before anything is stored, and no buffer grows ahead of the bytes that arrived.
 
 /// The cap until the peer is authenticated, bytes of kind and payload.
 pub const CAP_BEFORE: usize = 4 * 1024;
 /// The cap afterwards.
 pub const CAP_AFTER: usize = 1024 * 1024;
-/// A buffer larger than this is given back when it is empty, bytes.
+/// A buffer larger than this is released when it is empty, bytes.
 const KEPT: usize = 16 * 1024;
-/// Length of the length, bytes.
+/// Size of the length field, bytes.
 const PREFIX: usize = 4;
 
-/// What a frame is.
+/// The kind of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum FrameKind {
-    /// The client's first word.
+    /// The client's first message.
     Hello = 1,
     /// The gateway's answer, signed.
     Answer = 2,
@@ -24,7 +24,7 @@ pub enum FrameKind {
     Transfer = 4,
     /// A code in clear, before the connection closes.
     Refusal = 5,
-    /// Which network is this? Before the hello, by whoever does not know yet.
+    /// Asks for the network, before the hello, from a client that does not know it yet.
     Inquiry = 6,
     /// The network, in clear; the hello that follows proves it.
     Network = 7,
@@ -45,7 +45,7 @@ impl FrameKind {
     }
 }
 
-/// Why bytes are no frame; the stream is of no use any more.
+/// Why bytes are not a frame; the stream is of no further use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum FrameError {
     /// Longer than the cap, or without a kind.
@@ -56,7 +56,7 @@ pub enum FrameError {
     Kind(u8),
 }
 
-/// One frame as it is sent. A payload over [`CAP_AFTER`] is refused by every reader.
+/// Encodes one frame. Every reader refuses a payload over [`CAP_AFTER`].
 pub fn encode(kind: FrameKind, payload: &[u8]) -> Vec<u8> {
     let length = u32::try_from(payload.len().saturating_add(1)).unwrap_or(u32::MAX);
     let mut out = Vec::with_capacity(PREFIX + 1 + payload.len());
@@ -66,7 +66,7 @@ pub fn encode(kind: FrameKind, payload: &[u8]) -> Vec<u8> {
     out
 }
 
-/// Takes bytes as they come and gives frames.
+/// Takes bytes as they arrive and returns frames.
 #[derive(Debug)]
 pub struct FrameDecoder {
     cap: usize,
@@ -75,12 +75,12 @@ pub struct FrameDecoder {
 }
 
 impl FrameDecoder {
-    /// With the cap of a peer that is not authenticated.
+    /// With the cap for an unauthenticated peer.
     pub fn new() -> Self {
         Self { cap: CAP_BEFORE, buffer: Vec::new(), start: 0 }
     }
 
-    /// The peer is authenticated: larger frames from now on.
+    /// The peer is authenticated: allows larger frames from now on.
     pub fn raise_cap(&mut self) {
         self.cap = CAP_AFTER;
     }
@@ -96,12 +96,12 @@ impl FrameDecoder {
         &mut self.buffer
     }
 
-    /// Whether a frame has begun that is not whole yet.
+    /// Whether a frame has begun that is not complete yet.
     pub fn is_partial(&self) -> bool {
         self.start < self.buffer.len()
     }
 
-    /// Gives memory back while nothing is expected.
+    /// Releases memory while nothing is expected.
     pub fn rest(&mut self) {
         if !self.is_partial() {
             self.buffer = Vec::new();
@@ -109,7 +109,7 @@ impl FrameDecoder {
         }
     }
 
-    /// The length that the frame under way announces, bytes of kind and payload, where it is not over the cap.
+    /// The length announced by the current frame, bytes of kind and payload, if it is not over the cap.
     pub fn announced_length(&self) -> Option<usize> {
         self.announced().filter(|length| *length <= self.cap)
     }
@@ -119,7 +119,7 @@ impl FrameDecoder {
         usize::try_from(u32::from_be_bytes(*prefix)).ok()
     }
 
-    /// The next whole frame, `None` where more bytes are needed.
+    /// The next complete frame, `None` if more bytes are needed.
     ///
     /// # Errors
     /// [`FrameError`] as soon as the length or the kind is known to be wrong.

@@ -1,5 +1,5 @@
-//! The hello: both sides agree on fresh keys, the gateway signs what was said, the client names itself.
-//! Pure state machines; PROTOCOL.md has every byte. Nothing here is kept after the session's keys exist.
+//! The hello: both sides agree on fresh keys, the gateway signs the transcript, the client names itself. Pure state
+//! machines; PROTOCOL.md has every byte. Nothing here is kept once the session's keys exist.
 
 use zeroize::Zeroizing;
 
@@ -18,10 +18,10 @@ pub use messages::{Answer, Hello, ListSummary, NetworkName};
 
 /// The version of the protocol.
 pub const VERSION: u8 = 1;
-/// SM4-GCM, SM3, SM2, HKDF-SM3.
+/// The suite SM4-GCM, SM3, SM2, HKDF-SM3.
 pub const SUITE_SM: u8 = 1;
 
-/// The network a peer stands on, and what computes for it.
+/// A peer's network and crypto provider.
 #[derive(Clone, Copy)]
 pub struct Context {
     /// Computes SM2, SM3 and SM4.
@@ -30,7 +30,7 @@ pub struct Context {
     pub domain: Domain,
 }
 
-/// What the session is for.
+/// The purpose of the session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Purpose {
@@ -40,7 +40,7 @@ pub enum Purpose {
     Transfer = 1,
 }
 
-/// What both sides know once the hello is done.
+/// What both sides know after the hello.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Agreed {
     /// SM3 of the gateway's identity key.
@@ -51,9 +51,9 @@ pub struct Agreed {
     pub client_nonce: [u8; 32],
     /// The gateway's nonce.
     pub gateway_nonce: [u8; 32],
-    /// Names the session.
+    /// The session's id.
     pub session: SessionId,
-    /// The system-key list that the gateway uses now.
+    /// The gateway's current system-key list.
     pub list: ListSummary,
 }
 
@@ -63,12 +63,12 @@ fn transcript(context: &Context, hello: &Hello, answer: &Answer) -> Digest {
     Digest(context.provider.sm3(&parts))
 }
 
-/// What the gateway's identity key signs.
+/// The bytes that the gateway's identity key signs.
 fn signed_bytes(domain: &Domain, transcript: &Digest) -> Vec<u8> {
     [&b"AuthROS/hello/1"[..], &domain.0, &transcript.0].concat()
 }
 
-/// The secret both sides share and what was said so far.
+/// The shared secret and the transcript so far.
 struct Shared {
     context: Context,
     secret: Zeroizing<[u8; 32]>,
@@ -77,7 +77,7 @@ struct Shared {
 }
 
 impl Shared {
-    /// Key and iv that N is sealed under.
+    /// Key and iv that seal N.
     fn identify_key(&self) -> Zeroizing<[u8; 28]> {
         Zeroizing::new(derived(&*self.secret, &self.transcript.0, &Info::new("AuthROS/identify/1")))
     }
@@ -86,7 +86,7 @@ impl Shared {
         [&b"AuthROS/identify/1"[..], &self.agreed.session.0].concat()
     }
 
-    /// The session, its keys bound to all that was said, N included.
+    /// The session, its keys bound to the whole transcript, including N.
     fn session(self, side: Side, identify: &[u8], key: Option<&TransportKey>) -> Session {
         let parts: [&[u8]; 3] = [b"AuthROS/transcript/1", &self.transcript.0, identify];
         let salt = self.context.provider.sm3(&parts);
@@ -109,13 +109,13 @@ impl ClientHello {
     /// With fresh nonce and ephemeral key.
     ///
     /// # Errors
-    /// [`GatewayError::Crypto`] where the random source fails.
+    /// [`GatewayError::Crypto`] if the random source fails.
     pub fn begin(context: Context) -> Result<Self, GatewayError> {
         let ephemeral = Ephemeral::generate(context.provider)?;
         Ok(Self::with(context, random_bytes()?, ephemeral))
     }
 
-    /// With what was drawn elsewhere; only test vectors have reason to.
+    /// With values drawn elsewhere; only test vectors need this.
     pub(super) fn with(context: Context, nonce: [u8; 32], ephemeral: Ephemeral) -> Self {
         let hello = Hello { domain: context.domain, nonce, point: ephemeral.public() };
         Self { context, hello, ephemeral }
@@ -126,11 +126,11 @@ impl ClientHello {
         self.hello.encode()
     }
 
-    /// Takes the gateway's answer: its signature, its point. Whether the gateway is the one that was meant
-    /// is for the caller to judge by [`Agreed::gateway`] before it names itself.
+    /// Processes the gateway's answer: its signature, its point. Whether it is the intended gateway is for the caller
+    /// to judge by [`Agreed::gateway`] before naming itself.
     ///
     /// # Errors
-    /// [`GatewayError::Malformed`], or [`GatewayError::Crypto`] where signature or point are not valid.
+    /// [`GatewayError::Malformed`], or [`GatewayError::Crypto`] if signature or point is not valid.
     pub fn agree(self, payload: &[u8]) -> Result<ClientAgreed, GatewayError> {
         let answer = Answer::parse(payload).map_err(GatewayError::malformed("answer to the hello"))?;
         let transcript = transcript(&self.context, &self.hello, &answer);
@@ -146,7 +146,7 @@ impl ClientHello {
 pub struct ClientAgreed(Shared);
 
 impl ClientAgreed {
-    /// What was agreed.
+    /// The terms agreed.
     pub fn agreed(&self) -> &Agreed {
         &self.0.agreed
     }
@@ -164,7 +164,7 @@ impl ClientAgreed {
     /// The payload of the identify frame, and the session. A session for transfer needs the transport key.
     ///
     /// # Errors
-    /// [`GatewayError::Crypto`] where sealing fails.
+    /// [`GatewayError::Crypto`] if sealing fails.
     pub fn identify(self, name: &ProfileName, key: Option<&TransportKey>) -> Result<(Vec<u8>, Session), GatewayError> {
         let purpose = if key.is_some() { Purpose::Transfer } else { Purpose::Allocation };
         let mut sealed = messages::encode_name(purpose, name);
@@ -179,7 +179,7 @@ impl ClientAgreed {
 pub struct GatewayHello(Shared);
 
 impl GatewayHello {
-    /// Answers a hello: the payload to send, and what to go on with.
+    /// Answers a hello: the payload to send, and the next state.
     ///
     /// # Errors
     /// [`Refusal`] with `Malformed`, `Version`, `Network` or `Internal`.
@@ -195,7 +195,7 @@ impl GatewayHello {
         Self::answer_with(context, identity, list, payload, nonces, ephemeral)
     }
 
-    /// With what was drawn elsewhere; only test vectors have reason to.
+    /// With values drawn elsewhere; only test vectors need this.
     pub(super) fn answer_with(
         context: Context,
         identity: &SmKeyPair,
@@ -221,7 +221,7 @@ impl GatewayHello {
         Ok((answer.encode(), Self(Shared { context, secret, transcript, agreed })))
     }
 
-    /// What was agreed.
+    /// The terms agreed.
     pub fn agreed(&self) -> &Agreed {
         &self.0.agreed
     }
@@ -239,7 +239,7 @@ impl GatewayHello {
     }
 }
 
-/// The gateway once the client has named itself; that it is that client is proven by its first frame.
+/// The gateway once the client has named itself; the client's first frame proves it.
 pub struct Identified {
     shared: Shared,
     identify: Vec<u8>,
@@ -248,23 +248,23 @@ pub struct Identified {
 }
 
 impl Identified {
-    /// Who the client says it is.
+    /// The name the client gave.
     pub fn name(&self) -> &ProfileName {
         &self.name
     }
 
-    /// What the session is for.
+    /// The purpose of the session.
     pub fn purpose(&self) -> Purpose {
         self.purpose
     }
 
-    /// What was agreed.
+    /// The terms agreed.
     pub fn agreed(&self) -> Agreed {
         self.shared.agreed
     }
 
-    /// The session. For a name that nobody bound give a random key: the first frame then fails as it does
-    /// for a wrong key, and names cannot be probed.
+    /// The session. For an unbound name pass a random key: the first frame then fails as it does for a wrong key, so
+    /// names cannot be probed.
     pub fn session(self, key: Option<&TransportKey>) -> Session {
         self.shared.session(Side::Gateway, &self.identify, key)
     }
@@ -274,7 +274,7 @@ fn halves(bytes: &[u8; 28]) -> (Zeroizing<[u8; 16]>, [u8; 12]) {
     (Zeroizing::new(std::array::from_fn(|index| bytes[index])), std::array::from_fn(|index| bytes[16 + index]))
 }
 
-/// SM3 of an identity key: what is pinned, registered and compared.
+/// SM3 of an identity key: the fingerprint that is pinned, registered and compared.
 pub fn gateway_id(key: &PublicKey) -> SignerId {
     signer_id(key)
 }

@@ -1,5 +1,5 @@
-//! The identity check of a command, before anything changes: token, then signature, then account.
-//! Length, session, counter and tag have passed by then.
+//! The identity check of a command, before anything changes: token, then signature, then account. Length, session,
+//! counter and tag were checked before.
 
 use crate::crypto::record::Checked;
 use crate::crypto::{Anchor, SmSecret, Unchecked, check_identity, check_many};
@@ -12,13 +12,13 @@ use super::desk::{Account, Binding, Caller, Desk, Received};
 use super::hello::{Agreed, Context};
 use super::parts::Message;
 
-/// Records or bytes beyond which checking leaves the network's threads.
+/// Above this many records or bytes, checking moves off the network threads.
 const AT_ONCE: (usize, usize) = (8, 256 * 1024);
 
 /// The token is one that the caller registered.
 ///
 /// # Errors
-/// [`Refusal`] with `Token`, or what the desk says.
+/// [`Refusal`] with `Token`, or the desk's.
 pub async fn check_token(desk: &dyn Desk, caller: &Caller, token: Option<Token>) -> Result<(), Refusal> {
     let token = token.ok_or_else(|| Refusal::new(Code::Token, "no token"))?;
     if desk.is_token(&caller.account, &token).await? {
@@ -27,14 +27,14 @@ pub async fn check_token(desk: &dyn Desk, caller: &Caller, token: Option<Token>)
     Err(Refusal::new(Code::Token, format_args!("{} does not have token {token}", caller.account)))
 }
 
-/// The account is registered and not suspended, with the keys that the session was allocated under; a device's session
-/// needs its loan instead of these keys.
+/// The account is registered and not suspended, with the keys the session was allocated under; a device's session needs
+/// its loan instead of these keys.
 ///
 /// # Errors
-/// [`Refusal`] with `NotRegistered`, `NotAuthorised` for a device that is not lent, or what the desk says.
+/// [`Refusal`] with `NotRegistered`, `NotAuthorised` for a device that is not lent, or the desk's.
 pub async fn check_account(desk: &dyn Desk, binding: &Binding) -> Result<(), Refusal> {
     let account = desk.account(&binding.account).await?;
-    // A device is worth as much as its loan, whatever keys its owner has by now.
+    // A device is valid as long as its loan, whatever keys its owner has by now.
     let Some(device) = &binding.device else { return same_keys(&account, &binding.signing, &binding.envelope) };
     if desk.is_lent(&binding.account, &device.id).await? {
         return Ok(());
@@ -43,8 +43,8 @@ pub async fn check_account(desk: &dyn Desk, binding: &Binding) -> Result<(), Ref
     Err(Refusal::new(Code::NotAuthorised, text))
 }
 
-/// What a device may ask: to keep its records, how they stand, and its owner's notices to it; nothing else of its
-/// owner's. Of single records ([`Request::Check`], [`Request::Fetch`]) the desk decides.
+/// What a device may ask: to store its records, their standings, and its owner's notices to it; nothing else of its
+/// owner's. For single records ([`Request::Check`], [`Request::Fetch`]) the desk decides.
 ///
 /// # Errors
 /// [`Refusal`] with `NotAuthorised`.
@@ -90,7 +90,7 @@ pub fn check_signed<C>(
 /// The records of an upload: of this network, owned by the caller, signed by the owner or a lent device.
 ///
 /// # Errors
-/// [`Refusal`] with `Malformed`, `NotYours` or `Signature`, or what the desk says; one bad record refuses all.
+/// [`Refusal`] with `Malformed`, `NotYours` or `Signature`, or the desk's; one bad record refuses all.
 pub async fn check_records(
     context: Context,
     desk: &dyn Desk,
@@ -138,7 +138,7 @@ fn verify_all(context: Context, uploads: Vec<Upload>, signers: &[PublicKey]) -> 
     uploads.into_iter().zip(signers).zip(checked).map(one).collect()
 }
 
-/// The proof of an identity that is to be registered.
+/// The proof of an identity to be registered.
 ///
 /// # Errors
 /// [`Refusal`] with `Signature`.
@@ -147,12 +147,11 @@ pub fn check_registration(context: &Context, registration: &Registration) -> Res
         .map_err(Refusal::because(Code::Signature))
 }
 
-/// A key allocation, all of it: both signatures, the chain's registration, whose name it is. Binds the name
-/// as its last step; the caller must hold off other bindings meanwhile.
+/// A complete key allocation: both signatures, the chain's registration, the owner of the name. Binds the name as its
+/// last step; the caller must hold off other bindings meanwhile.
 ///
 /// # Errors
-/// [`Refusal`] with `SystemKey`, `Malformed`, `Signature`, `Account`, `NotRegistered` or `NameBound`, or what
-/// the desk says.
+/// [`Refusal`] with `SystemKey`, `Malformed`, `Signature`, `Account`, `NotRegistered` or `NameBound`, or the desk's.
 pub async fn allocate(
     context: &Context,
     desk: &dyn Desk,

@@ -6,7 +6,7 @@ use crate as gateway;
 use authros_chain as chain;
 use authros_crypto as crypto;
 use authros_model as model;
-// Fixtures that other crates' tests use as well name this crate as those do.
+// Fixtures shared with other crates' tests refer to this crate by the name those use.
 #[cfg(test)]
 extern crate self as authros_gateway;
 

@@ -1,6 +1,6 @@
 //! What one peer may cost: connections, handshakes, frames, bytes, memory, requests to the chain. A peer is an IPv4
-//! address or an IPv6 network of 64 bits; all peers of an IPv6 network of 48 bits share bounds of their own. Pure but
-//! for its lock: the caller says what time it is.
+//! address or an IPv6 network of 64 bits; all peers of an IPv6 network of 48 bits also share limits. Pure except for
+//! its lock: the caller passes the time.
 
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -17,51 +17,51 @@ mod tests;
 use counts::Counts;
 pub use seat::{Charge, Seat};
 
-/// The bounds of a gateway.
+/// The limits of a gateway.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Limits {
-    /// Connections in all.
+    /// Total connections.
     pub connections: usize,
     /// Connections of one peer.
     pub connections_of_peer: usize,
-    /// Connections in all that have not authenticated yet; one peer holds at most an eighth of them, a network of IPv6
-    /// a quarter. Where all places are taken, the oldest is dropped.
+    /// Total unauthenticated connections; one peer holds at most an eighth of them, an IPv6 network a quarter. When all
+    /// places are taken, the oldest is dropped.
     pub handshakes: usize,
-    /// Handshakes of one peer that may come at once.
+    /// Handshakes of one peer at once.
     pub handshake_burst: f64,
-    /// Handshakes of one peer per second in the long run.
+    /// Sustained handshakes of one peer per second.
     pub handshake_rate: f64,
     /// Frames of one peer per second; more are slowed down.
     pub frame_rate: f64,
     /// Bytes of one peer per second; more are slowed down.
     pub byte_rate: f64,
-    /// Requests to the chain of one peer that may come at once, weighed by what they cost.
+    /// Requests to the chain of one peer at once, weighted by their cost.
     pub relay_burst: f64,
-    /// The same per second in the long run; more are slowed down.
+    /// The same per second, sustained; more are slowed down.
     pub relay_rate: f64,
-    /// Transactions of newcomers from one peer that may come at once.
+    /// Transactions of newcomers from one peer at once.
     pub newcomer_burst: f64,
-    /// The same per second in the long run; more are refused.
+    /// The same per second, sustained; more are refused.
     pub newcomer_rate: f64,
-    /// Bytes of large frames and of messages in parts that one peer may have under way.
+    /// Bytes of large frames and of messages in parts that one peer may have in flight.
     pub quota_of_peer: usize,
     /// The same for all peers together.
     pub quota: usize,
-    /// From the connection until the first frame that opens.
+    /// From connecting until the first frame that opens.
     pub hello_time: Duration,
-    /// Until a frame that has begun, or a message in parts, is whole.
+    /// Until a frame that has begun, or a message in parts, is complete.
     pub frame_time: Duration,
-    /// Without any frame.
+    /// Without any frames.
     pub idle_time: Duration,
-    /// Until the peer takes what is sent to it.
+    /// Until the peer accepts what is sent to it.
     pub write_time: Duration,
     /// Subscriptions of one connection.
     pub subscriptions: usize,
-    /// Connections in all that read the chain without a transport key.
+    /// Total connections that read the chain without a transport key.
     pub visits: usize,
     /// The same of one peer.
     pub visits_of_peer: usize,
-    /// How long one of them may last.
+    /// The longest life of such a connection.
     pub visit_time: Duration,
 }
 
@@ -99,7 +99,7 @@ impl Limits {
         self.handshakes.div_ceil(8)
     }
 
-    /// Handshake places of one network of IPv6.
+    /// Handshake places of one IPv6 network.
     fn handshakes_of_network(&self) -> usize {
         self.handshakes.div_ceil(4)
     }
@@ -113,7 +113,7 @@ pub struct Peers {
 }
 
 impl Peers {
-    /// With nobody connected.
+    /// With no connections.
     pub fn new(limits: Limits) -> Self {
         Self { limits, counts: Arc::default() }
     }
@@ -127,13 +127,13 @@ impl Peers {
         self.counts.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Connections there are now.
+    /// The current number of connections.
     pub fn connections(&self) -> usize {
         self.lock().connections
     }
 
-    /// Admits a connection, which is a handshake until [`Seat::authenticated`]. Where every place for handshakes is
-    /// taken, the connection that has held one the longest is dropped ([`Seat::evicted`]).
+    /// Admits a connection, which is a handshake until [`Seat::authenticated`]. If every handshake place is taken, the
+    /// connection that has held one the longest is dropped ([`Seat::evicted`]).
     ///
     /// # Errors
     /// [`Refusal`] with `Busy`.

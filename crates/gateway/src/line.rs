@@ -1,4 +1,4 @@
-//! One TCP connection as a line of frames. While nothing arrives it holds no buffer.
+//! One TCP connection as a stream of frames. While nothing arrives it holds no buffer.
 
 use std::time::Duration;
 
@@ -9,17 +9,17 @@ use tokio::time::{Instant, timeout, timeout_at};
 use super::code::Code;
 use super::frame::{FrameDecoder, FrameError, FrameKind, encode};
 
-/// How long and how much is read on after a refusal, so that the peer gets to read it.
+/// How long and how much is read after a refusal, so that the peer gets to read it.
 const LAST_WORDS: (Duration, usize) = (Duration::from_millis(500), 256 * 1024);
 
-/// Why a line ended.
+/// Why a connection ended.
 #[derive(Debug)]
 pub(super) enum LineError {
     /// The peer closed, or the network broke.
     Closed(Option<std::io::Error>),
-    /// Bytes that are no frames.
+    /// Bytes that are not frames.
     Frame(FrameError),
-    /// The peer did not take what was sent.
+    /// The peer did not accept what was sent.
     TooSlow,
 }
 
@@ -30,7 +30,7 @@ pub(super) struct Line {
 
 impl Line {
     pub fn new(stream: TcpStream) -> Self {
-        // Without it only small answers are later; nothing breaks.
+        // Without it only small answers are delayed; nothing breaks.
         let _ = stream.set_nodelay(true);
         Self { stream, decoder: FrameDecoder::new() }
     }
@@ -39,17 +39,17 @@ impl Line {
         self.decoder.raise_cap();
     }
 
-    /// Whether a frame has begun that is not whole.
+    /// Whether an incomplete frame has begun.
     pub fn is_partial(&self) -> bool {
         self.decoder.is_partial()
     }
 
-    /// Length of the frame that has begun, as far as it says one that is allowed.
+    /// Length of the frame that has begun, if it announces an allowed one.
     pub fn announced(&self) -> Option<usize> {
         self.decoder.announced_length()
     }
 
-    /// A whole frame that has arrived already.
+    /// A complete frame that has already arrived.
     pub fn arrived(&mut self) -> Result<Option<(FrameKind, Vec<u8>)>, LineError> {
         let frame = self.decoder.next_frame().map_err(LineError::Frame)?;
         let frame = frame.map(|(kind, payload)| (kind, payload.to_vec()));
@@ -59,7 +59,7 @@ impl Line {
         Ok(frame)
     }
 
-    /// Waits for bytes and takes what is there. Can be cancelled at any point.
+    /// Waits for bytes and reads what is there. Can be cancelled at any point.
     pub async fn fill(&mut self) -> Result<(), LineError> {
         loop {
             self.stream.readable().await.map_err(|error| LineError::Closed(Some(error)))?;
@@ -90,8 +90,8 @@ impl Line {
         }
     }
 
-    /// Says why in clear, then closes. Unread bytes would make the system reset the connection and the
-    /// peer lose the reason: some are read first.
+    /// Sends the reason in clear, then closes. Unread bytes would make the system reset the connection and the peer
+    /// lose the reason, so some are read first.
     pub async fn refuse(mut self, code: Code) {
         let sent = self.send(FrameKind::Refusal, &code.number().to_be_bytes(), LAST_WORDS.0).await;
         if sent.is_err() || self.stream.shutdown().await.is_err() {

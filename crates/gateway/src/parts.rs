@@ -1,15 +1,15 @@
-//! Messages put together from the parts they came in. Nothing is allocated on a claim: the buffer grows with
-//! the bytes that arrive, and what is claimed is charged to the sender's quota first.
+//! Messages assembled from their parts. Nothing is allocated on a claim: the buffer grows with the bytes that arrive,
+//! and the claimed length is charged to the sender's quota first.
 
 use crate::model::{Signature, Token};
 
 use super::code::{Code, Refusal};
 use super::command::{Command, Inner, LARGEST_MESSAGE, LARGEST_PART, Part};
 
-/// A whole message.
+/// A complete message.
 #[derive(Debug)]
 pub struct Message<C> {
-    /// What it is.
+    /// Its Command.
     pub command: Command,
     /// The client's number of the request.
     pub request: u32,
@@ -19,9 +19,9 @@ pub struct Message<C> {
     pub signature: Option<Signature>,
     /// The counter of its last frame.
     pub counter: u64,
-    /// All of it.
+    /// The whole body.
     pub body: Vec<u8>,
-    /// Held while the message is.
+    /// Held as long as the message.
     pub charge: Option<C>,
 }
 
@@ -30,7 +30,7 @@ struct Unfinished<C> {
     total: usize,
 }
 
-/// Puts the parts of one direction together.
+/// Assembles the parts of one direction.
 pub struct Assembler<C> {
     unfinished: Option<Unfinished<C>>,
 }
@@ -41,16 +41,16 @@ impl<C> Assembler<C> {
         Self { unfinished: None }
     }
 
-    /// Whether a message has begun that is not whole yet.
+    /// Whether an incomplete message has begun.
     pub fn is_partial(&self) -> bool {
         self.unfinished.is_some()
     }
 
-    /// Takes the next ND2; gives the message where it is whole. `charge` is asked before a message in parts
-    /// is kept.
+    /// Takes the next ND2; returns the message once it is complete. `charge` is called before a message in parts is
+    /// stored.
     ///
     /// # Errors
-    /// [`Refusal`] with `Length` or `Malformed` where parts do not follow each other, or what `charge` says.
+    /// [`Refusal`] with `Length` or `Malformed` if parts do not follow one another, or from `charge`.
     pub fn take(
         &mut self,
         inner: &Inner<'_>,
@@ -79,7 +79,7 @@ impl<C> Assembler<C> {
             .split_first_chunk()
             .ok_or_else(|| Refusal::new(Code::Malformed, "a first part without length"))?;
         let total = usize::try_from(u32::from_be_bytes(*claim)).unwrap_or(usize::MAX);
-        // A message that fits one frame is sent in one: every message has one encoding.
+        // A message that fits into one frame is sent in one: every message has exactly one encoding.
         if total <= LARGEST_PART || total > LARGEST_MESSAGE || body.len() + claim.len() != LARGEST_PART {
             return Err(Refusal::new(Code::Length, format_args!("a message of {total} bytes in parts")));
         }

@@ -1,5 +1,5 @@
-//! An acknowledgement: the gateway's signature over the time and the digests it keeps, after fsync.
-//! time (8) || count (2) || digests (32 each) || signature (64).
+//! An acknowledgement: the gateway's signature over the time and the digests it stored, after fsync. time (8) || count
+//! (2) || digests (32 each) || signature (64).
 
 use crate::crypto::{CryptoError, Provider, SmKeyPair};
 use crate::model::wire::{Reader, WireError};
@@ -8,14 +8,14 @@ use crate::model::{Digest, Domain, PublicKey, Signature, Timestamp};
 /// The most digests in one receipt.
 pub const MOST_DIGESTS: usize = 1024;
 
-/// What a sender keeps until the proof arrives.
+/// Kept by the sender until the proof arrives.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Receipt {
-    /// When the gateway had them on its disk.
+    /// When the gateway had them on disk.
     pub time: Timestamp,
-    /// What it has.
+    /// The digests.
     pub digests: Vec<Digest>,
-    /// By the gateway's identity key.
+    /// Signature by the gateway's identity key.
     pub signature: Signature,
 }
 
@@ -51,7 +51,7 @@ impl Receipt {
         Ok(Self { time, digests, signature })
     }
 
-    /// Checks the signature; what it covers is [`Self::digests`].
+    /// Checks the signature; it covers [`Self::digests`].
     ///
     /// # Errors
     /// [`CryptoError::BadSignature`] or [`CryptoError::PublicPoint`].
@@ -59,7 +59,7 @@ impl Receipt {
         provider.verify(gateway, &signed_bytes(domain, self.time, &self.digests), &self.signature)
     }
 
-    /// Its bytes.
+    /// Its encoding.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(74 + 32 * self.digests.len());
         put(&mut out, self.time, &self.digests);
@@ -67,10 +67,10 @@ impl Receipt {
         out
     }
 
-    /// From its bytes.
+    /// From its encoding.
     ///
     /// # Errors
-    /// [`WireError`] where they are none.
+    /// [`WireError`] if it is malformed.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         let receipt = Self::read(&mut reader)?;

@@ -1,5 +1,5 @@
-//! The gateway's server over TCP: listens, admits peers within their limits, rotates the system keys, stops
-//! gracefully. What a command does is the desk's.
+//! The gateway's server over TCP: listens, admits peers within their limits, rotates the system keys, stops gracefully.
+//! What a command does is up to the desk.
 
 use std::io;
 use std::net::SocketAddr;
@@ -24,12 +24,12 @@ use super::system_keys::SystemKeyList;
 use super::system_keys::cabinet::Cabinet;
 use super::tally::{Sender, Tally};
 
-/// How often the system keys' schedule is looked at.
+/// How often the system keys' schedule is checked.
 const ROTATION: Duration = Duration::from_secs(10);
 /// How long to wait after the system refused a connection (too many open files).
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// A running gateway. Dropping it stops it at once; [`Self::stop`] lets requests under way finish.
+/// A running gateway. Dropping it stops it at once; [`Self::stop`] lets requests in progress finish.
 pub struct Server {
     address: SocketAddr,
     shared: Arc<Shared>,
@@ -41,7 +41,7 @@ impl Server {
     /// Listens and serves until it is stopped.
     ///
     /// # Errors
-    /// Where the address cannot be listened on.
+    /// If the address cannot be listened on.
     pub async fn start(
         address: impl ToSocketAddrs,
         desk: Arc<dyn Desk>,
@@ -66,40 +66,40 @@ impl Server {
         Ok(Self { address, shared, stop, task })
     }
 
-    /// Where it listens.
+    /// The address it listens on.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// SM3 of its identity key: what clients pin.
+    /// SM3 of its identity key, which clients pin.
     pub fn id(&self) -> SignerId {
         gateway_id(&self.shared.identity.public)
     }
 
-    /// Connections there are now.
+    /// The current number of connections.
     pub fn connections(&self) -> usize {
         self.shared.peers.connections()
     }
 
-    /// For the operator's eyes, also while it is stopped.
+    /// For the operator's display, also while it is stopped.
     pub fn watch(&self) -> ServerWatch {
         ServerWatch(Arc::clone(&self.shared))
     }
 
-    /// What its connections share, for tests that serve one themselves.
+    /// State shared by its connections, for tests that serve one themselves.
     #[cfg(test)]
     pub(super) fn shared(&self) -> Arc<Shared> {
         Arc::clone(&self.shared)
     }
 
-    /// Waits until it takes no more connections by a fault of its own. Drop it then.
+    /// Waits until it stops accepting connections through a fault of its own. Drop it then.
     pub async fn broken(&mut self) {
         // How it ended makes no difference.
         drop((&mut self.task).await);
     }
 
-    /// Takes no more connections, lets requests under way finish, closes all; whatever lasts longer than
-    /// `patience` is cut.
+    /// Accepts no more connections, lets requests in progress finish, closes all; whatever takes longer than `patience`
+    /// is cut off.
     pub async fn stop(mut self, patience: Duration) {
         self.stop.send_replace(true);
         let Ok(mut connections) = (&mut self.task).await else { return };
@@ -110,22 +110,22 @@ impl Server {
     }
 }
 
-/// Looks at a server without holding it up.
+/// A view of a server that does not delay it.
 #[derive(Clone)]
 pub struct ServerWatch(Arc<Shared>);
 
 impl ServerWatch {
-    /// Connections there are now, those in their handshake included.
+    /// The current number of connections, including handshakes.
     pub fn connections(&self) -> usize {
         self.0.peers.connections()
     }
 
-    /// Everybody with a session under a transport key.
+    /// All sessions under a transport key.
     pub fn senders(&self) -> Vec<Sender> {
         self.0.tally.senders()
     }
 
-    /// What was refused since it was started, by reason.
+    /// The refusals since it was started, by reason.
     pub fn refused(&self) -> Vec<(Code, u64)> {
         self.0.tally.refused()
     }
@@ -160,9 +160,9 @@ async fn listen(listener: TcpListener, shared: Arc<Shared>, mut stop: watch::Rec
     }
 }
 
-/// Ends when the gateway is to stop, also where its handle is gone.
+/// Completes when the gateway is to stop, or its handle is gone.
 pub(super) async fn stopped(stop: &mut watch::Receiver<bool>) {
-    // Both outcomes say the same.
+    // Both outcomes mean the same.
     let _ = stop.wait_for(|stop| *stop).await;
 }
 
@@ -179,13 +179,13 @@ fn admit(
         }
         Err(refusal) => {
             shared.refused(peer, &refusal);
-            // If it does not fit into the socket at once, the peer learns nothing: it costs us nothing.
+            // If it does not fit into the socket buffer at once, the peer gets nothing, at no cost to us.
             let _ = stream.try_write(&encode(FrameKind::Refusal, &Code::Busy.number().to_be_bytes()));
         }
     }
 }
 
-/// Writing keys waits for the disk: not on the network's threads.
+/// Writing keys waits for the disk, so not on the network threads.
 fn rotate(shared: &Arc<Shared>) {
     let shared = Arc::clone(shared);
     tokio::task::spawn_blocking(move || {

@@ -1,5 +1,5 @@
-//! A session: keys of both directions, counters that never repeat, and its end.
-//! ND3 = session id (16) || counter (8) || CT2; CT2 is SM4-GCM with kind, id and counter as AAD.
+//! A session: keys for both directions, counters that never repeat, and its end. ND3 = session id (16) || counter (8)
+//! || CT2; CT2 is SM4-GCM with kind, id and counter as AAD.
 
 use std::fmt;
 use std::time::{Duration, Instant};
@@ -18,12 +18,12 @@ use super::frame::{CAP_AFTER, FrameKind};
 pub const MOST_FRAMES: u64 = 1 << 24;
 /// The longest life of a session.
 pub const LONGEST_LIFE: Duration = Duration::from_secs(3600);
-/// Bytes of ND3 around the text: kind, session id, counter, tag.
+/// Bytes of ND3 around the plaintext: kind, session id, counter, tag.
 pub const OVERHEAD: usize = 1 + 16 + 8 + 16;
-/// The longest text of one frame, bytes.
+/// The longest plaintext of one frame, bytes.
 pub const LONGEST_TEXT: usize = CAP_AFTER - OVERHEAD;
 
-/// Names a session; random, drawn by the gateway.
+/// A session's id; random, drawn by the gateway.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct SessionId(pub [u8; 16]);
 
@@ -36,9 +36,9 @@ impl fmt::Debug for SessionId {
 /// Which end of the connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Side {
-    /// Who connected.
+    /// The side that connected.
     Client,
-    /// Who listened.
+    /// The side that listened.
     Gateway,
 }
 
@@ -95,7 +95,7 @@ struct Direction {
     counter: u64,
 }
 
-/// An agreed session. After any refusal by [`Self::open`] it opens nothing more.
+/// An agreed session. After [`Self::open`] has refused anything, it opens nothing more.
 pub struct Session {
     provider: &'static dyn Provider,
     id: SessionId,
@@ -117,12 +117,12 @@ impl Session {
         Self { provider, id, sending, receiving, begun: Instant::now(), broken: false }
     }
 
-    /// Its name.
+    /// Its id.
     pub fn id(&self) -> SessionId {
         self.id
     }
 
-    /// The counter of the next frame that is sealed here.
+    /// The counter of the next frame sealed here.
     pub fn next_counter(&self) -> u64 {
         self.sending.counter
     }
@@ -132,7 +132,7 @@ impl Session {
         self.begun
     }
 
-    /// Whether it must be followed by a new one: too many frames, or too old at `now`.
+    /// Whether it must be replaced by a new one: too many frames, or too old at `now`.
     pub fn is_spent(&self, now: Instant) -> bool {
         let frames = self.sending.counter.max(self.receiving.counter);
         self.broken || frames >= MOST_FRAMES || now.saturating_duration_since(self.begun) >= LONGEST_LIFE
@@ -141,7 +141,7 @@ impl Session {
     /// Seals an ND2: the payload of a transfer frame.
     ///
     /// # Errors
-    /// [`Refusal`] with `Session` after the last frame, `Length` where the text is over [`LONGEST_TEXT`].
+    /// [`Refusal`] with `Session` after the last frame, `Length` if the text is over [`LONGEST_TEXT`].
     pub fn seal(&mut self, text: &[u8]) -> Result<Vec<u8>, Refusal> {
         let counter = self.sending.counter;
         if self.broken || counter >= MOST_FRAMES {
@@ -161,7 +161,7 @@ impl Session {
         Ok([&aad[1..], &sealed].concat())
     }
 
-    /// Opens the payload of a transfer frame; gives its counter and ND2.
+    /// Opens the payload of a transfer frame; returns its counter and ND2.
     ///
     /// # Errors
     /// [`Refusal`] with `Length`, `Session`, `Counter` or `Tag`, in this order of checking.

@@ -1,5 +1,6 @@
-//! How records stand, signed by the gateway like a receipt: a robot keeps it and may then give its only copy away.
-//! In an answer: count (2, its highest bit set) || standings (1 each) || time (8) || signature (64) || for each: length (4) || proof.
+//! The standings of records, signed by the gateway like a receipt: a robot keeps them and may then discard its only
+//! copy. In an answer: count (2, its highest bit set) || standings (1 each) || time (8) || signature (64) || for each:
+//! length (4) || proof.
 
 use crate::crypto::{CryptoError, Provider, SmKeyPair};
 use crate::model::wire::{Reader, WireError};
@@ -9,28 +10,28 @@ use super::command::Standing;
 use super::command::answer::LONGEST_PROOF;
 use super::command::request::{MOST_CHECKED, SIGNED};
 
-/// How one record stands, with where the chain has it.
+/// The standing of one record, and where the chain has it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Stood {
-    /// How it stands.
+    /// Its standing.
     pub standing: Standing,
-    /// Proof of the anchor, as the chain room writes it; empty before there is one.
+    /// Proof of the anchor, as written by the chain crate; empty until there is one.
     pub proof: Vec<u8>,
 }
 
-/// How records stand, in the order in which they were asked for.
+/// Standings of records, in the order of the request.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SignedStandings {
-    /// When they stood so.
+    /// When they were determined.
     pub time: Timestamp,
-    /// How each stands.
+    /// Each record's standing.
     pub stood: Vec<Stood>,
-    /// By the gateway's identity key.
+    /// Signature by the gateway's identity key.
     pub signature: Signature,
 }
 
-/// What is signed after the domain: time (8) || count (2) || for each: digest (32) || standing (1) || SM3 of its proof
-/// (32, zeros where there is none).
+/// The bytes signed, after the domain: time (8) || count (2) || for each: digest (32) || standing (1) || SM3 of its
+/// proof (32, zeros if there is none).
 pub fn statement(provider: &dyn Provider, time: Timestamp, digests: &[Digest], stood: &[Stood]) -> Vec<u8> {
     let mut out = time.0.to_be_bytes().to_vec();
     out.extend_from_slice(&u16::try_from(stood.len()).unwrap_or(u16::MAX).to_be_bytes());
@@ -48,10 +49,10 @@ fn signed_bytes(domain: &Domain, statement: &[u8]) -> Vec<u8> {
 }
 
 impl SignedStandings {
-    /// Signs how these records stand.
+    /// Signs the standings of these records.
     ///
     /// # Errors
-    /// [`CryptoError::Length`] where there are not as many standings as digests, or more than fit; [`CryptoError::Random`].
+    /// [`CryptoError::Length`] if there are not as many standings as digests, or too many; [`CryptoError::Random`].
     pub fn sign(
         provider: &dyn Provider,
         domain: &Domain,
@@ -67,10 +68,10 @@ impl SignedStandings {
         Ok(Self { time, stood, signature: provider.sign(&identity.secret, &signed)? })
     }
 
-    /// Checks the signature for the digests that were asked for.
+    /// Checks the signature for the digests in the request.
     ///
     /// # Errors
-    /// [`CryptoError::Length`] where it is of another number of them, [`CryptoError::BadSignature`].
+    /// [`CryptoError::Length`] if it covers another number of them, [`CryptoError::BadSignature`].
     pub fn verify(
         &self,
         provider: &dyn Provider,

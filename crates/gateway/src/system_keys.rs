@@ -1,5 +1,5 @@
-//! k_s: the system keys for key allocation, published as a signed, versioned, dated list that expires.
-//! One key is current, one is next. How the gateway keeps and rotates them is `cabinet`.
+//! k_s: the system keys for key allocation, published as a signed, versioned, dated list that expires. One key is
+//! current, one is next. `cabinet` stores and rotates the gateway's own.
 
 use crate::crypto::{CryptoError, Provider, SmKeyPair, signer_id};
 use crate::model::wire::{Reader, WireError};
@@ -16,14 +16,14 @@ const VERSION: u8 = 1;
 /// The most keys in a list.
 const MOST_KEYS: usize = 2;
 
-/// One P_S and when it is in use.
+/// One P_S and its period of use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SystemKey {
     /// P_S.
     pub public: PublicKey,
-    /// In use from then on.
+    /// Start of use.
     pub not_before: Timestamp,
-    /// In use until then.
+    /// End of use.
     pub not_after: Timestamp,
 }
 
@@ -45,17 +45,17 @@ impl SystemKey {
 pub struct SystemKeyList {
     /// The network.
     pub domain: Domain,
-    /// Whose list it is: SM3 of the gateway's identity key.
+    /// The gateway: SM3 of its identity key.
     pub gateway: SignerId,
     /// Higher with every list of this gateway.
     pub version: u64,
     /// When it was signed.
     pub issued_at: Timestamp,
-    /// When it is of no use any more.
+    /// When it expires.
     pub expires_at: Timestamp,
     /// The current key, then the next.
     pub keys: Vec<SystemKey>,
-    /// By the gateway's identity key.
+    /// Signature by the gateway's identity key.
     pub signature: Signature,
 }
 
@@ -102,15 +102,15 @@ impl SystemKeyList {
         [&b"AuthROS/systemkeys/1"[..], &self.domain.0, &self.unsigned()].concat()
     }
 
-    /// Its bytes.
+    /// Its encoding.
     pub fn encode(&self) -> Vec<u8> {
         [&self.unsigned()[..], &self.signature.0].concat()
     }
 
-    /// From its bytes; nothing but the form is checked.
+    /// From its encoding; only the form is checked.
     ///
     /// # Errors
-    /// [`WireError`] where they are no list of this version.
+    /// [`WireError`] if it is not a list of this version.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         expect(reader.array("magic")? == MAGIC, "magic")?;
@@ -128,13 +128,13 @@ impl SystemKeyList {
         Ok(list)
     }
 
-    /// What the hello says of it.
+    /// The hello's reference to it.
     pub fn summary(&self, provider: &dyn Provider) -> ListSummary {
         ListSummary { version: self.version, digest: Digest(provider.sm3(&[&self.encode()])) }
     }
 
-    /// Checks that it is the list that the hello named, signed by that gateway for this network, and not
-    /// expired; gives the key that is in use.
+    /// Checks that it is the list named in the hello, signed by that gateway for this network, and not expired; returns
+    /// the key in use.
     ///
     /// # Errors
     /// [`GatewayError::List`] or [`GatewayError::Crypto`].

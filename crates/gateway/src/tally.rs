@@ -1,5 +1,5 @@
-//! Who is connected to a gateway and what it refused since it was started: counts for its operator, no content.
-//! Nothing here decides anything.
+//! Who is connected to a gateway and what it has refused since it was started: counts for its operator, no content.
+//! Nothing here makes decisions.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -16,9 +16,9 @@ pub struct Sender {
     pub name: ProfileName,
     /// Addr.
     pub account: Address,
-    /// Where from.
+    /// Its address.
     pub peer: SocketAddr,
-    /// Since when.
+    /// When it began.
     pub since: Timestamp,
     /// Frames of this session.
     pub frames: u64,
@@ -35,7 +35,7 @@ struct Counts {
     refused: BTreeMap<Code, u64>,
 }
 
-/// The counts of one gateway. Clones share them.
+/// The counts of one gateway, shared by clones.
 #[derive(Debug, Clone, Default)]
 pub struct Tally(Arc<Mutex<Counts>>);
 
@@ -44,7 +44,7 @@ impl Tally {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A session under a transport key begins; it counts until the guard is dropped.
+    /// A session under a transport key begins; it is counted until the guard is dropped.
     pub fn enter(&self, name: ProfileName, account: Address, peer: SocketAddr) -> Presence {
         let now = Timestamp::now();
         let sender = Sender { name, account, peer, since: now, frames: 0, bytes: 0, last: now };
@@ -60,12 +60,12 @@ impl Tally {
         *self.lock().refused.entry(code).or_default() += 1;
     }
 
-    /// Everybody connected, the longest first.
+    /// Everyone connected, the longest first.
     pub fn senders(&self) -> Vec<Sender> {
         self.lock().senders.values().cloned().collect()
     }
 
-    /// What was refused, by reason.
+    /// Refusals by reason.
     pub fn refused(&self) -> Vec<(Code, u64)> {
         self.lock().refused.iter().map(|(code, count)| (*code, *count)).collect()
     }

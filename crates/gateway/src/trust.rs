@@ -1,5 +1,5 @@
-//! Whom a client takes for its gateway: a pinned fingerprint, and the highest system-key list seen.
-//! Kept in a file, so that neither another gateway nor an older list passes after a restart.
+//! Which gateway a client trusts: a pinned fingerprint, and the highest system-key list seen. Kept in a file, so that
+//! neither another gateway nor an older list is accepted after a restart.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -17,12 +17,12 @@ use super::hello::{Agreed, ListSummary};
 /// The longest file, bytes.
 const LONGEST: usize = 4096;
 
-/// What a client knows of its gateway.
+/// What a client knows about its gateway.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Trust {
     /// SM3 of the gateway's identity key.
     pub pinned: Option<SignerId>,
-    /// Whether to pin whatever gateway answers first; only by the user's explicit wish.
+    /// Whether to pin whichever gateway answers first; only at the user's explicit request.
     pub first_use: bool,
     /// The highest list seen.
     pub seen: Option<ListSummary>,
@@ -37,12 +37,12 @@ struct File {
 }
 
 impl Trust {
-    /// In one gateway alone.
+    /// Trust in one gateway only.
     pub fn pinned(gateway: SignerId) -> Self {
         Self { pinned: Some(gateway), ..Self::default() }
     }
 
-    /// In whatever gateway answers first.
+    /// Trust in whichever gateway answers first.
     pub fn on_first_use() -> Self {
         Self { first_use: true, ..Self::default() }
     }
@@ -62,7 +62,7 @@ impl Trust {
         Ok(Self { pinned: Some(file.gateway), first_use: false, seen: Some(seen) })
     }
 
-    /// Writes it down. Before a gateway has been met there is nothing to write.
+    /// Saves it. Before a gateway has been met there is nothing to write.
     ///
     /// # Errors
     /// [`CryptoError::Write`].
@@ -73,7 +73,7 @@ impl Trust {
         write_private(path, &text)
     }
 
-    /// Judges a gateway that has just proven its identity key; remembers what it showed where it passes.
+    /// Judges a gateway that has just proven its identity key; remembers what it showed if it passes.
     ///
     /// # Errors
     /// [`GatewayError::NotPinned`], [`GatewayError::NotTheGateway`], [`GatewayError::RolledBack`] or
@@ -108,11 +108,11 @@ pub struct KeptTrust {
 }
 
 impl KeptTrust {
-    /// What the file says, where there is one; else what was asked for: a pinned fingerprint, or trust on first use.
+    /// The file's content, if it exists; otherwise what was requested: a pinned fingerprint, or trust on first use.
     ///
     /// # Errors
-    /// [`GatewayError::NotTheGateway`] where another gateway is pinned in the file than was asked for, or what
-    /// reading the file gives.
+    /// [`GatewayError::NotTheGateway`] if the file pins another gateway than requested, or errors from reading the
+    /// file.
     pub fn open(path: PathBuf, pinned: Option<SignerId>, first_use: bool) -> Result<Self, GatewayError> {
         let trust = match path.exists() {
             false => Trust { pinned, first_use: first_use && pinned.is_none(), seen: None },
@@ -129,7 +129,7 @@ impl KeptTrust {
         Ok(Self { path, trust: Mutex::new(trust) })
     }
 
-    /// What is known now: for a connection to judge by.
+    /// What is known now, for a connection to judge by.
     pub fn current(&self) -> Trust {
         self.trust.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -137,7 +137,7 @@ impl KeptTrust {
     /// Remembers what a connection has learnt, also in the file.
     ///
     /// # Errors
-    /// [`GatewayError::NotTheGateway`] where another connection met another gateway first, or what writing gives.
+    /// [`GatewayError::NotTheGateway`] if another connection met another gateway first, or errors from writing.
     pub fn learn(&self, learnt: &Trust) -> Result<(), GatewayError> {
         let mut trust = self.trust.lock().unwrap_or_else(PoisonError::into_inner);
         if let (Some(pinned), Some(found)) = (trust.pinned, learnt.pinned)

@@ -24,7 +24,7 @@ pub enum AddressError {
 pub struct Address(pub [u8; 20]);
 
 impl Address {
-    /// The address of an uncompressed secp256k1 public key (x || y, 64 bytes).
+    /// The address for an uncompressed secp256k1 public key (x || y, 64 bytes).
     pub fn from_public_key(point: &[u8; 64]) -> Self {
         let hash = Keccak256::digest(point);
         let mut bytes = [0; 20];
@@ -42,7 +42,7 @@ impl Address {
         &self.0
     }
 
-    /// `0x1234…`: as in files for others, who are not to tie an account to what the file tells.
+    /// `0x1234…`: for files given to others, so that they cannot link the content to an account.
     pub fn redacted(&self) -> String {
         format!("{}…", self.to_string().get(..6).unwrap_or_default())
     }
@@ -54,7 +54,7 @@ impl Address {
     }
 }
 
-/// The text with every address in it [`Address::redacted`]; hashes and keys, which are longer, stay.
+/// The text with every address in it [`Address::redacted`]; hashes and keys, which are longer, are left alone.
 pub fn redact_addresses(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     let mut rest = text;

@@ -1,4 +1,4 @@
-//! The body of an adoption record: the owner goes on with another chain, and says so on it first.
+//! The body of an adoption record: the owner moves to another chain, and states so first on that chain.
 
 use super::Domain;
 use super::wire::{Reader, WireError};
@@ -11,27 +11,27 @@ const LABEL: [u8; 18] = *b"AuthROS/adoption/1";
 pub struct Adoption {
     /// The network that was left.
     pub from: Domain,
-    /// The network that is used from now on.
+    /// The network used from now on.
     pub to: Domain,
-    /// The owner's last epoch on the network that was left.
+    /// The owner's last epoch on the old network.
     pub last_epoch: u64,
-    /// The owner's records whose anchors stay behind, verified before.
+    /// The owner's records verified before, whose anchors stay behind.
     pub verified: u64,
-    /// The owner's records that were not verified yet and are anchored on the new network.
+    /// The owner's records not verified yet, which are anchored on the new network.
     pub others: u64,
 }
 
 impl Adoption {
-    /// The bytes that are sealed.
+    /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
         let numbers = [self.last_epoch, self.verified, self.others].map(u64::to_be_bytes).concat();
         [&LABEL[..], &self.from.0, &self.to.0, &numbers].concat()
     }
 
-    /// Reads a whole body.
+    /// Parses a whole body.
     ///
     /// # Errors
-    /// [`WireError`] where the bytes are not exactly one adoption.
+    /// [`WireError`] if the bytes are not exactly one adoption.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         if reader.array::<18>("label")? != LABEL {

@@ -1,4 +1,4 @@
-//! How digests go on the chain.
+//! How digests are put on the chain.
 
 use std::fmt;
 use std::str::FromStr;
@@ -9,11 +9,11 @@ pub enum AnchorMode {
     /// The Merkle root of a batch in one transaction.
     #[default]
     Batch,
-    /// The paper's dataUpload: a transaction for every record.
+    /// The paper's dataUpload: one transaction per record.
     Each,
 }
 
-/// A word that names no mode.
+/// The word does not name a mode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("write batch (Merkle roots) or each (one dataUpload per record)")]
 pub struct AnchorModeError;

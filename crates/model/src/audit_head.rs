@@ -1,4 +1,4 @@
-//! The body of an audit record: the head of a home's audit log, put on the chain while it changes.
+//! The body of an audit record: the head of a home's audit log, anchored on the chain while the log changes.
 
 use super::Digest;
 use super::wire::{Reader, WireError};
@@ -11,25 +11,25 @@ const LABEL: [u8; 20] = *b"AuthROS/audit-head/1";
 pub struct AuditHead {
     /// How many lines the log had.
     pub line: u64,
-    /// The hash kept with its last line.
+    /// The hash stored with its last line.
     pub hash: Digest,
-    /// Lines under the head that this owner anchored before; 0 = this is the first.
+    /// The number of lines under the head that this owner anchored before; 0 = this is the first.
     pub previous_line: u64,
-    /// The hash of that head, zeros where there is none.
+    /// The hash of that head, zeros if there is none.
     pub previous_hash: Digest,
 }
 
 impl AuditHead {
-    /// The bytes that are sealed.
+    /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
         let (line, previous) = (self.line.to_be_bytes(), self.previous_line.to_be_bytes());
         [&LABEL[..], &line, &self.hash.0, &previous, &self.previous_hash.0].concat()
     }
 
-    /// Reads a whole body.
+    /// Parses a whole body.
     ///
     /// # Errors
-    /// [`WireError`] where the bytes are not exactly one head, or it does not go on from the one before.
+    /// [`WireError`] if the bytes are not exactly one head, or it does not continue the one before.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         if reader.array::<20>("label")? != LABEL {

@@ -1,5 +1,5 @@
-//! Bytes as one base64 text in JSON (RFC 4648), for serde's `with`: four characters for three bytes, where an
-//! array of numbers takes eleven.
+//! Bytes as base64 text in JSON (RFC 4648), for serde's `with`: four characters for three bytes, where an array of
+//! numbers takes eleven.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -8,7 +8,7 @@ use serde::{Deserialize, Deserializer, Serializer};
 /// Writes bytes.
 ///
 /// # Errors
-/// Of the serializer.
+/// Errors of the serializer.
 pub fn serialize<S: Serializer>(bytes: &[u8], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(&STANDARD.encode(bytes))
 }
@@ -16,13 +16,13 @@ pub fn serialize<S: Serializer>(bytes: &[u8], serializer: S) -> Result<S::Ok, S:
 /// Reads bytes.
 ///
 /// # Errors
-/// Where the text is not base64.
+/// If the text is not base64.
 pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<u8>, D::Error> {
     let text = std::borrow::Cow::<str>::deserialize(deserializer)?;
     STANDARD.decode(text.as_bytes()).map_err(serde::de::Error::custom)
 }
 
-/// The same for bytes that may be absent.
+/// The same for optional bytes.
 pub mod option {
     use base64::Engine as _;
 
@@ -31,7 +31,7 @@ pub mod option {
     /// Writes bytes, or null.
     ///
     /// # Errors
-    /// Of the serializer.
+    /// Errors of the serializer.
     #[allow(clippy::ref_option, reason = "serde's signature")]
     pub fn serialize<S: Serializer>(bytes: &Option<Vec<u8>>, serializer: S) -> Result<S::Ok, S::Error> {
         match bytes {
@@ -43,7 +43,7 @@ pub mod option {
     /// Reads bytes, or null.
     ///
     /// # Errors
-    /// Where the text is not base64.
+    /// If the text is not base64.
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<u8>>, D::Error> {
         let text = Option::<String>::deserialize(deserializer)?;
         text.map(|text| STANDARD.decode(text.as_bytes()).map_err(serde::de::Error::custom)).transpose()

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use super::clean;
 
-/// Units by what stands behind the number, longest first.
+/// Units by their suffix, longest first.
 const UNITS: [(&str, u64); 9] = [
     ("kib", 1 << 10),
     ("mib", 1 << 20),
@@ -22,7 +22,7 @@ const UNITS: [(&str, u64); 9] = [
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct ByteSize(pub u64);
 
-/// Why a text is no number of bytes.
+/// Why a text is not a number of bytes.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("'{0}' is no number of bytes; write for example 256MiB, 10GB or 1048576")]
 pub struct ByteSizeError(String);

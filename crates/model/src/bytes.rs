@@ -1,4 +1,4 @@
-//! Fixed-size byte strings, each with a name of its own, written in lower-case hex.
+//! Fixed-size byte strings, each a type of its own, written in lower-case hex.
 
 use std::fmt;
 use std::str::FromStr;
@@ -9,7 +9,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("expected {expected} hex characters, found {found}; write all bytes in hex, with or without 0x")]
 pub struct HexError {
-    /// Hex characters wanted.
+    /// Hex characters expected.
     pub expected: usize,
     /// Characters found (or the offset of the first that is not hex).
     pub found: usize,
@@ -26,7 +26,7 @@ pub fn hex(bytes: &[u8]) -> String {
     text
 }
 
-/// Bytes of a hex text, with or without `0x`; `None` where it is not hex of whole bytes.
+/// The bytes of a hex text, with or without `0x`; `None` if it is not hex of whole bytes.
 pub fn unhex(text: &str) -> Option<Vec<u8>> {
     let text = text.strip_prefix("0x").unwrap_or(text).as_bytes();
     if !text.len().is_multiple_of(2) {
@@ -104,20 +104,20 @@ macro_rules! fixed_bytes {
 }
 
 fixed_bytes! {
-    /// SM3 of a record's stored bytes: what the chain keeps.
+    /// SM3 of a record's stored bytes, as kept by the chain.
     Digest(32) "";
     /// Public commitment to an epoch's key; selects an epoch, authenticates nobody.
     Token(32) "";
     /// Binds every signed, derived or hashed structure to one chain and contract.
     Domain(32) "";
-    /// A 32-byte hash that is not a record digest: transactions, blocks, code, genesis.
-    /// Written with 0x before it, as Ethereum tools do.
+    /// A 32-byte hash that is not a record digest: of a transaction, block, code or genesis. Written with a leading 0x,
+    /// as Ethereum tools do.
     Hash(32) "0x";
     /// Pseudonym of a topic, computable only by readers.
     TopicId(16) "";
     /// Pseudonym of a type or tag, for queries.
     FilterId(8) "";
-    /// One ledger file's life; new per ledger and per restore.
+    /// Identifies the life of one ledger file; new for each ledger and each restore.
     RecorderId(16) "";
     /// SM3 of a signer's public key.
     SignerId(32) "";

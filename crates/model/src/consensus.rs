@@ -1,4 +1,4 @@
-//! How a chain agrees on its next block, in the words of the setting `chain.consensus`.
+//! How a chain agrees on its next block, in the terms of the setting `chain.consensus`.
 
 use std::fmt;
 use std::str::FromStr;
@@ -14,19 +14,19 @@ use super::display::clean;
 pub enum Consensus {
     /// Proof of authority as in Clique (EIP-225): signers take turns.
     Poa {
-        /// How many signers, 1 to 16.
+        /// Number of signers, 1 to 16.
         signers: u8,
         /// The least time between two blocks, whole milliseconds, at most 10 minutes.
         period: Duration,
     },
     /// Proof of work: Keccak-256 over seal hash and nonce, at a fixed difficulty. It is not ethash.
     Pow {
-        /// How many hashes a block takes on average, 1 to 2^40.
+        /// Average number of hashes per block, 1 to 2^40.
         difficulty: u64,
     },
 }
 
-/// Why a text is no consensus.
+/// Why a text is not a consensus.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "'{0}' is no consensus; write poa, poa:SIGNERS:PERIOD_MS (1 to 16 signers, up to 600000 ms), pow, or \
@@ -39,7 +39,7 @@ impl Consensus {
     pub const PAPER_DIFFICULTY: u64 = 0x4c_ccc8;
     /// The paper's proof of work.
     pub const POW: Self = Self::Pow { difficulty: Self::PAPER_DIFFICULTY };
-    /// One signer; a block as soon as something waits, at most every 100 ms.
+    /// One signer; a block as soon as a transaction waits, at most every 100 ms.
     pub const POA: Self = Self::Poa { signers: 1, period: Duration::from_millis(100) };
     /// The most signers.
     pub const MOST_SIGNERS: u8 = 16;
@@ -70,7 +70,7 @@ impl Consensus {
         (parts.next().is_none() && parsed.is_usable()).then_some(parsed)
     }
 
-    /// Whether its figures are within the bounds of their fields.
+    /// Whether its figures are within the limits of their fields.
     pub fn is_usable(&self) -> bool {
         match self {
             Self::Poa { signers, period } => {
@@ -82,7 +82,7 @@ impl Consensus {
     }
 }
 
-/// Plain digits, or `0x` and hex digits; no sign, no blanks.
+/// Plain digits, or `0x` and hex digits; no sign, no spaces.
 fn number(text: &str) -> Option<u64> {
     let (digits, radix) = text.strip_prefix("0x").map_or((text, 10), |hex| (hex, 16));
     digits.chars().all(|digit| digit.is_digit(radix)).then(|| u64::from_str_radix(digits, radix).ok())?

@@ -1,14 +1,14 @@
-//! The one sanitiser: every untrusted text passes it before screen, log or JSON.
+//! The only sanitiser: every untrusted text passes through it before screen, log or JSON.
 
 use std::borrow::Cow;
 
-/// The most combining marks kept in a row; more only pile up over other cells.
+/// The most consecutive combining marks kept; more would only pile up over other cells.
 const MOST_MARKS: usize = 4;
 
-/// Text that is safe to show: no control characters, no bidirectional controls, no zero-width
-/// or invisible characters, at most `width` characters (an ellipsis marks a cut).
+/// Text that is safe to show: no control characters, no bidirectional controls, no zero-width or invisible characters,
+/// at most `width` characters (an ellipsis marks truncation).
 ///
-/// What is taken out is replaced by `�`, so that a hostile name cannot pose as a clean one.
+/// Removed characters are replaced by `�`, so that a hostile name cannot pose as a clean one.
 pub fn clean(text: &str, width: usize) -> String {
     let mut out = String::with_capacity(text.len().min(width.saturating_mul(4)));
     for (count, (character, shown)) in judged(text).enumerate() {
@@ -22,8 +22,8 @@ pub fn clean(text: &str, width: usize) -> String {
     out
 }
 
-/// JSON in which what may not be shown stands as `\u` and four hex digits: it means the same, and a terminal gets none
-/// of it.
+/// JSON in which every character that must not be shown is written as `\u` and four hex digits: it means the same, and
+/// is safe on a terminal.
 pub fn spelt_out(json: &str) -> Cow<'_, str> {
     if json.bytes().all(|byte| matches!(byte, b' '..=b'~')) {
         return Cow::Borrowed(json);
@@ -39,7 +39,7 @@ pub fn spelt_out(json: &str) -> Cow<'_, str> {
     Cow::Owned(out)
 }
 
-/// Each character of a text, and whether it may be shown where it stands.
+/// Each character of a text, and whether it may be shown in its place.
 fn judged(text: &str) -> impl Iterator<Item = (char, bool)> {
     let mut marks = 0;
     text.chars().map(move |character| {
@@ -48,7 +48,7 @@ fn judged(text: &str) -> impl Iterator<Item = (char, bool)> {
     })
 }
 
-/// [`clean`] for each line of a longer text; lines stay lines.
+/// [`clean`] for each line of a longer text, keeping the line breaks.
 pub fn clean_lines(text: &str, width: usize) -> String {
     text.lines().map(|line| clean(line, width)).collect::<Vec<_>>().join("\n")
 }
@@ -58,7 +58,7 @@ fn is_mark(character: char) -> bool {
         | '\u{20d0}'..='\u{20ff}' | '\u{fe20}'..='\u{fe2f}')
 }
 
-/// Whether a character may be shown: no control, no bidirectional control, not invisible.
+/// Whether a character may be shown: not a control, not a bidirectional control, not invisible.
 pub fn is_shown(character: char) -> bool {
     !(character.is_control()
         || matches!(character,

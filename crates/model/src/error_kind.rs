@@ -1,26 +1,26 @@
-//! Kinds of error a person can meet; each has one exit code.
+//! The kinds of error a user can meet; each has its own exit code.
 
 use serde::{Deserialize, Serialize};
 
-/// What sort of failure it was. The command line's exit code follows from it.
+/// The kind of failure. It determines the command line's exit code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ErrorKind {
     /// A fault of the program itself.
     Internal,
-    /// The command was called wrongly.
+    /// The command was used incorrectly.
     Usage,
-    /// A value or file is not what it should be.
+    /// A value or file is invalid.
     Input,
     /// A peer (ROS master, node, Redis, gateway) does not answer.
     Unreachable,
-    /// A peer, the chain or a check said no.
+    /// A peer, the chain or a check refused.
     Refused,
-    /// Stored data differs from what was anchored, or is gone.
+    /// Stored data differs from what was anchored, or is missing.
     Tampered,
     /// The home is locked by another process or cannot be written.
     Home,
-    /// The work ended before all of it was done.
+    /// The work ended before it was complete.
     Incomplete,
 }
 

@@ -1,4 +1,5 @@
-//! The body of a gap record: which messages of a topic became no records, and why, so that loss itself is evidence.
+//! The body of a gap record: which messages of a topic did not become records, and why, so that the loss itself is
+//! evidence.
 
 use super::wire::{Reader, WireError, put_text};
 use super::{Timestamp, TopicId};
@@ -6,22 +7,22 @@ use super::{Timestamp, TopicId};
 /// First bytes of the body.
 const LABEL: [u8; 13] = *b"AuthROS/gap/1";
 
-/// Why messages became no records.
+/// Why messages did not become records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum LossReason {
     /// They never arrived here: numbers are missing in `header.seq`.
     Transport,
     /// The memory for waiting messages was full.
     Memory,
-    /// The disk was full, and then the memory for waiting messages.
+    /// The disk was full, then the memory for waiting messages too.
     Disk,
-    /// The vault did not take records, and the disk space for waiting ones was used up.
+    /// The vault accepted no records, and the disk space for waiting ones was used up.
     Backlog,
     /// There was no key to seal them with.
     Key,
     /// The program had to end before they could be stored.
     End,
-    /// Sealing them failed by a fault of the program.
+    /// Sealing them failed through a fault of the program.
     Fault,
 }
 
@@ -40,7 +41,7 @@ impl LossReason {
         Self::ALL.into_iter().find(|reason| reason.code() == code)
     }
 
-    /// The word in ledger and JSON.
+    /// Its name in the ledger and JSON.
     pub fn word(self) -> &'static str {
         match self {
             Self::Transport => "transport",
@@ -53,12 +54,12 @@ impl LossReason {
         }
     }
 
-    /// From the word in the ledger.
+    /// From its name in the ledger.
     pub fn from_word(word: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|reason| reason.word() == word)
     }
 
-    /// As a sentence goes on: "3 messages …".
+    /// As the continuation of a sentence: "3 messages …".
     pub fn text(self) -> &'static str {
         match self {
             Self::Transport => "never arrived (numbers are missing in header.seq)",
@@ -76,27 +77,27 @@ impl LossReason {
 /// first header.seq (4) || last header.seq (4) || first time (8) || last time (8)`, big endian.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GapReport {
-    /// The topic's pseudonym in its records.
+    /// The topic's pseudonym, as in its records.
     pub topic_id: TopicId,
     /// Its name.
     pub topic: String,
-    /// The node that sent them; empty where there were too many to tell apart.
+    /// The sending node; empty if there were too many to tell apart.
     pub publisher: String,
-    /// Why.
+    /// The reason.
     pub reason: LossReason,
-    /// How many messages.
+    /// The number of messages.
     pub count: u64,
-    /// `header.seq` of the first and of the last of them, where their type has a header. Others in between may have
-    /// become records.
+    /// `header.seq` of the first and the last of them, if their type has a header. Others in between may have become
+    /// records.
     pub numbers: Option<(u32, u32)>,
-    /// When the first was noticed to be lost.
+    /// When the first loss was noticed.
     pub first_at: Timestamp,
-    /// When the last was.
+    /// When the last loss was noticed.
     pub last_at: Timestamp,
 }
 
 impl GapReport {
-    /// The bytes that are sealed.
+    /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = [&LABEL[..], &self.topic_id.0].concat();
         put_text(&mut out, &self.topic);
@@ -112,10 +113,10 @@ impl GapReport {
         out
     }
 
-    /// Reads a whole body.
+    /// Parses a whole body.
     ///
     /// # Errors
-    /// [`WireError`] where the bytes are not exactly one report.
+    /// [`WireError`] if the bytes are not exactly one report.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         if reader.array::<13>("label")? != LABEL {

@@ -27,16 +27,16 @@ impl Scope {
     }
 }
 
-/// The public terms of a grant, as the chain's event states them.
+/// The public terms of a grant, as stated in the chain's event.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GrantTerms {
-    /// Who shares.
+    /// The owner.
     pub owner: Address,
-    /// Who may read.
+    /// The grantee.
     pub grantee: Address,
     /// The epoch whose key the envelope carries.
     pub epoch: u64,
-    /// When it ends; `None` = no end.
+    /// When it ends; `None` = never.
     pub expiry: Option<Timestamp>,
     /// What it covers.
     pub scope: Scope,

@@ -1,4 +1,4 @@
-//! The sealed head of a record: what only readers may know about a message.
+//! The sealed head of a record: the metadata of a message that only readers may see.
 
 use std::collections::BTreeMap;
 
@@ -11,16 +11,16 @@ pub const MOST_TAGS: usize = 64;
 /// How the body was compressed before it was sealed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Compression {
-    /// Not at all.
+    /// Not compressed.
     None,
-    /// LZ4, one block.
+    /// LZ4, a single block.
     Lz4,
     /// As a matrix of numbers: raw pictures, depth, clouds (`crypto::compression`).
     Matrix,
 }
 
 impl Compression {
-    /// Every way, in the order of their codes.
+    /// Every method, in the order of the codes.
     const ALL: [Self; 3] = [Self::None, Self::Lz4, Self::Matrix];
 
     /// Its code in the head.
@@ -36,7 +36,7 @@ impl Compression {
         Self::ALL.into_iter().find(|compression| compression.code() == code)
     }
 
-    /// As told to people.
+    /// Its name for people.
     pub fn word(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -46,14 +46,14 @@ impl Compression {
     }
 }
 
-/// The sealed head, in the order it is written.
+/// The sealed head, in the order of writing.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Head {
     /// Topic name.
     pub topic: String,
     /// Message type, `package/Type`.
     pub type_name: String,
-    /// The type's md5sum, 32 hex characters, as the publisher gave it.
+    /// The type's md5sum, 32 hex characters, as stated by the publisher.
     pub md5sum: String,
     /// SM3 of the message definition.
     pub definition: Digest,
@@ -69,7 +69,7 @@ pub struct Head {
     pub tags: BTreeMap<String, String>,
 }
 
-/// The tag of what simulated robots send.
+/// The tag that simulated robots send.
 pub const SIMULATED: (&str, &str) = ("simulated", "true");
 
 impl Head {
@@ -78,7 +78,7 @@ impl Head {
         self.tags.get(SIMULATED.0).is_some_and(|value| value == SIMULATED.1)
     }
 
-    /// The bytes that are sealed.
+    /// Encodes the bytes to be sealed.
     ///
     /// Texts have a two-byte length; definition (32), boot id (16), compression (1),
     /// plain length (8), tag count (2) and pairs, in the order of the tags' bytes.
@@ -101,10 +101,10 @@ impl Head {
         out
     }
 
-    /// Reads a whole head.
+    /// Parses a whole head.
     ///
     /// # Errors
-    /// [`WireError`] where the bytes are not exactly one head.
+    /// [`WireError`] if the bytes are not exactly one head.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         let head = Self {
@@ -131,7 +131,7 @@ fn read_tags(reader: &mut Reader<'_>) -> Result<BTreeMap<String, String>, WireEr
     let mut tags: BTreeMap<String, String> = BTreeMap::new();
     for _ in 0..count {
         let (tag, value) = (reader.text("tag")?, reader.text("tag value")?);
-        // In their order, none twice: every head has one encoding.
+        // In order and without duplicates: every head has exactly one encoding.
         if tags.last_key_value().is_some_and(|(last, _)| *last >= tag) {
             return Err(WireError::Value("tag"));
         }

@@ -1,4 +1,4 @@
-//! The public header of a record (CT1), version 1: what vault, Redis and gateway may see.
+//! The public header of a record (CT1), version 1: the part that vault, Redis and gateway may see.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,22 +6,23 @@ use super::bytes::{Commit, Domain, FilterId, RecorderId, Salt, SignerId, TopicId
 use super::wire::{Reader, WireError};
 use super::{Address, Timestamp};
 
-/// First eight bytes of every record; the first is no text, so no text tool mangles it unseen.
+/// First eight bytes of every record; the first is not a text character, so that text tools cannot corrupt a record
+/// unnoticed.
 pub const MAGIC: [u8; 8] = *b"\x89AuthROS";
 /// The format written by this program.
 pub const VERSION: u8 = 1;
-/// SM4-GCM, SM3, SM2, HKDF-SM3.
+/// The suite SM4-GCM, SM3, SM2, HKDF-SM3.
 pub const SUITE_SM: u8 = 1;
 /// The most filter ids in a header.
 pub const MOST_FILTERS: usize = 4;
 /// The largest sealed head accepted, bytes.
 pub const LARGEST_HEAD: u32 = 64 * 1024;
-/// The largest sealed body accepted, bytes (64 MiB and a tag).
+/// The largest sealed body accepted, bytes (64 MiB plus a tag).
 pub const LARGEST_BODY: u64 = 64 * 1024 * 1024 + 16;
 /// The GCM tag at the end of each sealed part, bytes.
 pub const TAG_LENGTH: usize = 16;
 
-/// What a record is; never derived from ROS names.
+/// The kind of a record; never derived from ROS names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordKind {
@@ -37,11 +38,12 @@ pub enum RecordKind {
     Key,
     /// What retention is about to delete.
     Retention,
-    /// A chain was adopted in place of another.
+    /// One chain was adopted in place of another.
     Adoption,
     /// A lost EOA's successor.
     Succession,
-    /// What a home says of itself: the head of its audit log, the birth of its recorder and its highest numbers.
+    /// A home's statements about itself: the head of its audit log, the birth of its recorder and its highest sequence
+    /// numbers.
     Audit,
 }
 
@@ -84,20 +86,20 @@ impl RecordKind {
     }
 }
 
-/// The public header, in the order it is written.
+/// The public header, in the order of writing.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Header {
-    /// What the record is.
+    /// The kind of record.
     pub kind: RecordKind,
     /// The network it belongs to.
     pub domain: Domain,
-    /// Who owns it.
+    /// The owner.
     pub owner: Address,
     /// SM3 of the key that signs it.
     pub signer: SignerId,
     /// The epoch whose key seals it.
     pub epoch: u64,
-    /// The ledger that recorded it.
+    /// The recorder.
     pub recorder: RecorderId,
     /// From 1, per recorder and topic, across epochs.
     pub seq: u64,
@@ -118,7 +120,7 @@ pub struct Header {
 }
 
 impl Header {
-    /// The bytes that lie in front of the sealed head, and are its and the body's AAD.
+    /// The bytes in front of the sealed head; they are the AAD of both head and body.
     ///
     /// Magic (8) version suite kind (1 each) domain (32) owner (20) signer (32) epoch (8)
     /// recorder (16) seq (8) topic id (16) filter count (1) filters (8 each) capture time (8)
@@ -147,10 +149,10 @@ impl Header {
         out
     }
 
-    /// Reads a header off the front of `bytes`; also returns its length in bytes.
+    /// Parses a header from the start of `bytes`; also returns its length in bytes.
     ///
     /// # Errors
-    /// [`WireError`] where the bytes are no version 1 header; nothing is allocated before a check.
+    /// [`WireError`] if the bytes are not a version 1 header; nothing is allocated before a check.
     pub fn parse(bytes: &[u8]) -> Result<(Self, usize), WireError> {
         let mut reader = Reader::new(bytes);
         let header = Self::read(&mut reader)?;

@@ -5,15 +5,15 @@ use serde::{Deserialize, Serialize};
 use super::bytes::{PublicKey, Signature, Token};
 use super::wire::{Reader, WireError};
 
-/// `token || P_C || P_E || proof`: 224 bytes. The proof is SM2 by d_C over label, domain,
-/// address, P_C, P_E and token; the contract cannot check it, so every client does.
+/// `token || P_C || P_E || proof`: 224 bytes. The proof is an SM2 signature by d_C over label, domain, address, P_C,
+/// P_E and token; the contract cannot verify it, so every client does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
     /// Token of the epoch at registration.
     pub token: Token,
-    /// P_C, verifies signatures.
+    /// P_C, which verifies signatures.
     pub signing: PublicKey,
-    /// P_E, envelopes are sealed to it.
+    /// P_E, to which envelopes are encrypted.
     pub envelope: PublicKey,
     /// Proof that the holder of d_C registered these keys for this address.
     pub proof: Signature,
@@ -31,7 +31,7 @@ impl Identity {
     /// From the chain's bytes.
     ///
     /// # Errors
-    /// [`WireError`] where they are not exactly [`Self::LENGTH`] bytes.
+    /// [`WireError`] if they are not exactly [`Self::LENGTH`] bytes.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         let identity = Self {

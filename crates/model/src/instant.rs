@@ -12,7 +12,7 @@ use time::format_description::well_known::Rfc3339;
 pub struct Timestamp(pub u64);
 
 impl Timestamp {
-    /// The system clock now.
+    /// The system clock's current time.
     pub fn now() -> Self {
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or(Duration::ZERO);
         Self(u64::try_from(since.as_nanos()).unwrap_or(u64::MAX))
@@ -28,12 +28,12 @@ impl Timestamp {
         self.0 / 1_000_000_000
     }
 
-    /// This moment, or the next whole second where it has a fraction: ends on the chain are whole seconds.
+    /// This moment, or the next whole second if it has a fraction: ends on the chain are whole seconds.
     pub fn to_whole_second(self) -> Self {
         Self::from_seconds(self.0.div_ceil(1_000_000_000))
     }
 
-    /// The end of a right that lasts `length` from this moment on, rounded up to the whole second.
+    /// The end of a right that lasts `length` from this moment, rounded up to the whole second.
     pub fn end_after(self, length: Duration) -> Self {
         let length = u64::try_from(length.as_nanos()).unwrap_or(u64::MAX);
         Self(self.0.saturating_add(length)).to_whole_second()

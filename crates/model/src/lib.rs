@@ -1,7 +1,7 @@
-//! Words only, no I/O: the vocabulary every other room speaks.
+//! Types without I/O: the vocabulary shared by all other crates.
 //!
-//! Identities, topics, record headers, digests, grants, states, kinds of error and the
-//! sanitiser for untrusted text live here. Nothing here touches a key, a file or a socket.
+//! Identities, topics, record headers, digests, grants, states, kinds of error and the sanitiser for untrusted text.
+//! Nothing here touches a key, a file or a socket.
 
 pub mod address;
 pub mod adoption;

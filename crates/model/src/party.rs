@@ -1,4 +1,4 @@
-//! Whom a command is about: an address, or a name of the address book.
+//! The subject of a command: an address, or a name from the address book.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,15 +7,15 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::{Address, clean};
 
-/// Why a text names nobody.
+/// Why a text names no party.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PartyError {
-    /// Not a name of an address book.
+    /// It is not an address book name.
     #[error(
         "'{0}' is not a name; use 1 to 40 letters, digits, '.', '-' and '_', beginning with a letter, or an address"
     )]
     Name(String),
-    /// It begins like an address and is none.
+    /// It begins like an address but is not one.
     #[error(transparent)]
     Address(#[from] super::address::AddressError),
 }
@@ -48,7 +48,7 @@ impl fmt::Display for ContactName {
     }
 }
 
-/// An account, by its address or by its name in the address book.
+/// An account, by address or by its name in the address book.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Party {
     /// By its address.
@@ -58,12 +58,12 @@ pub enum Party {
 }
 
 impl Party {
-    /// The name, or the address for narrow columns.
+    /// The name, or the shortened address for narrow columns.
     pub fn short(&self) -> String {
         self.address().map_or_else(|| self.to_string(), |address| address.short())
     }
 
-    /// The address, where it was given.
+    /// The address, if it was given as one.
     pub fn address(&self) -> Option<Address> {
         match self {
             Self::Address(address) => Some(*address),
@@ -83,7 +83,7 @@ impl FromStr for Party {
 
     fn from_str(text: &str) -> Result<Self, PartyError> {
         let hex = text.len() == 40 && text.bytes().all(|b| b.is_ascii_hexdigit());
-        // What is meant as an address must not be looked up as a name.
+        // A mistyped address must not be looked up as a name.
         if hex || text.is_empty() || text.starts_with(|first: char| first.is_ascii_digit()) {
             return Ok(Self::Address(text.parse()?));
         }

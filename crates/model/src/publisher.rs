@@ -1,4 +1,4 @@
-//! Who may publish a topic: caller id, host, type and md5sum, all of which a ROS 1 publisher merely claims.
+//! Who may publish a topic: caller id, host, type and md5sum, all of which are mere claims of a ROS 1 publisher.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::topic::{LONGEST_NAME, TypeName};
 use super::{TopicName, clean};
 
-/// Why a text names no publisher.
+/// Why a text does not name a publisher.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PublisherError {
     /// One publisher.
@@ -20,22 +20,22 @@ pub enum PublisherError {
     /// One of a list.
     #[error("'{0}' is not TOPIC=CALLER_ID@HOST:TYPE:MD5; separate several by commas")]
     Listed(String),
-    /// How publishers are pinned.
+    /// The policy for pinning publishers.
     #[error("'{0}' is no way to pin publishers; write first, list or off")]
     Mode(String),
 }
 
-/// A publisher as pins name it, `CALLER_ID@HOST:TYPE:MD5`.
+/// A publisher as written in pins, `CALLER_ID@HOST:TYPE:MD5`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Publisher {
-    /// Its node name. From a peer it may be any text: clean it before it is shown.
+    /// Its node name. A peer may send any text: clean it before it is shown.
     pub caller_id: String,
-    /// The host in its URI, in small letters.
+    /// The host in its URI, in lower case.
     pub host: String,
     /// Message type, `package/Type`.
     #[serde(rename = "type")]
     pub type_name: String,
-    /// The type's md5sum, 32 hex digits in small letters.
+    /// The type's md5sum, 32 hex digits in lower case.
     pub md5sum: String,
 }
 
@@ -72,7 +72,7 @@ fn parse(text: &str) -> Option<Publisher> {
     })
 }
 
-/// Publishers that the settings allow, topic by topic: `TOPIC=CALLER_ID@HOST:TYPE:MD5, …`.
+/// Publishers allowed by the settings, topic by topic: `TOPIC=CALLER_ID@HOST:TYPE:MD5, …`.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ListedPublishers(pub Vec<(TopicName, Publisher)>);
 
@@ -91,16 +91,16 @@ impl FromStr for ListedPublishers {
     }
 }
 
-/// How a topic comes to its pinned publishers.
+/// How a topic's publishers get pinned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PinMode {
-    /// The first that are seen, where none are named.
+    /// The first ones seen, if none are named.
     #[default]
     First,
-    /// Only those that the operator or the settings name.
+    /// Only those named by the operator or the settings.
     List,
-    /// Anybody may publish; nothing is quarantined.
+    /// Anyone may publish; nothing is quarantined.
     Off,
 }
 
@@ -117,29 +117,29 @@ impl FromStr for PinMode {
     }
 }
 
-/// Why a publisher is not taken for a pinned one.
+/// Why a publisher does not count as a pinned one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Doubt {
-    /// No publisher of this caller id is pinned.
+    /// No publisher with this caller id is pinned.
     New,
-    /// A pinned caller id, from another host.
+    /// A pinned caller id, but another host.
     Host,
-    /// A pinned caller id and host, with another type or definition.
+    /// A pinned caller id and host, but another type or definition.
     Type,
-    /// A pinned publisher's very likeness, registered while that one was still there.
+    /// Identical to a pinned publisher, but registered while that one was still there.
     Replaced,
-    /// A pinned publisher's likeness after such a replacement, which nobody has decided about.
+    /// Identical to a pinned publisher after such a replacement, and the operator has not decided about it.
     Undecided,
-    /// Named by somebody who is not the master.
+    /// Announced by somebody other than the master.
     Unconfirmed,
 }
 
 impl Doubt {
-    /// All of them.
+    /// All doubts.
     pub const ALL: [Self; 6] = [Self::New, Self::Host, Self::Type, Self::Replaced, Self::Undecided, Self::Unconfirmed];
 
-    /// One word: for the tag in sealed heads, the ledger and JSON.
+    /// Its name, one word: for the tag in sealed heads, the ledger and JSON.
     pub fn word(self) -> &'static str {
         match self {
             Self::New => "new",
@@ -151,7 +151,7 @@ impl Doubt {
         }
     }
 
-    /// What it means.
+    /// Its meaning.
     pub fn text(self) -> &'static str {
         match self {
             Self::New => "it is not a pinned publisher",

@@ -1,4 +1,5 @@
-//! The body of a quarantine record: what of one topic and minute was held back, so that nothing can be chosen away.
+//! The body of a quarantine record: which messages of one topic and minute were quarantined, so that none can be
+//! removed selectively.
 
 use super::wire::{Reader, WireError, put_text};
 use super::{Digest, TopicId};
@@ -10,27 +11,27 @@ const LABEL: [u8; 20] = *b"AuthROS/quarantine/1";
 /// rolling (32)`, big endian.
 ///
 /// The rolling hash begins with SM3(`AuthROS/quarantined/1` || domain || owner || recorder || topic id || minute) and
-/// goes on with SM3(rolling || D) for each held record's digest D in the order of acknowledgement.
+/// continues with SM3(rolling || D) for each quarantined record's digest D in the order of acknowledgement.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct QuarantineReport {
-    /// The topic's pseudonym in its records.
+    /// The topic's pseudonym, as in its records.
     pub topic_id: TopicId,
     /// Its name.
     pub topic: String,
     /// Minutes since 1970 UTC, by the capture times.
     pub minute: u64,
-    /// The lowest sequence number held.
+    /// The lowest sequence number quarantined.
     pub first_seq: u64,
     /// The highest one.
     pub last_seq: u64,
-    /// Records held.
+    /// The number of records quarantined.
     pub count: u64,
-    /// Over their digests.
+    /// The rolling hash over their digests.
     pub rolling: Digest,
 }
 
 impl QuarantineReport {
-    /// The bytes that are sealed.
+    /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = [&LABEL[..], &self.topic_id.0].concat();
         put_text(&mut out, &self.topic);
@@ -41,10 +42,10 @@ impl QuarantineReport {
         out
     }
 
-    /// Reads a whole body.
+    /// Parses a whole body.
     ///
     /// # Errors
-    /// [`WireError`] where the bytes are not exactly one report.
+    /// [`WireError`] if the bytes are not exactly one report.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         if reader.array::<20>("label")? != LABEL {

@@ -1,5 +1,5 @@
-//! What a recorder says of itself, in sealed records of the topic `authros/recorder`: its birth, how high the numbers of its
-//! topics were, and the head over these numbers, which can be disclosed without them.
+//! A recorder's statements about itself, in sealed records of the topic `authros/recorder`: its birth, the highest
+//! sequence numbers of its topics, and the head over these numbers, which can be disclosed without them.
 
 use super::wire::{Reader, WireError};
 use super::{Digest, Hash, RecorderId, TopicId};
@@ -14,24 +14,24 @@ const HEADS: &[u8] = b"AuthROS/heads/1";
 /// A recorder began: `label (15) || predecessor (16)`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Birth {
-    /// The recorder whose ledger was copied or restored; `None` where there was none, or none is known.
+    /// The recorder whose ledger was copied or restored; `None` if there was none, or none is known.
     pub predecessor: Option<RecorderId>,
 }
 
 impl Birth {
-    /// What stands in place of a message type.
+    /// Takes the place of a message type.
     pub const TYPE: &'static str = "authros/Birth";
 
-    /// The bytes that are sealed.
+    /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
         let predecessor = self.predecessor.map_or([0; RecorderId::LENGTH], |recorder| recorder.0);
         [BIRTH, &predecessor].concat()
     }
 
-    /// Reads a whole body.
+    /// Parses a whole body.
     ///
     /// # Errors
-    /// [`WireError`] where the bytes are not exactly one.
+    /// [`WireError`] if the bytes are not exactly one.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = labelled(bytes, BIRTH)?;
         let predecessor = RecorderId(reader.array("predecessor")?);
@@ -43,15 +43,15 @@ impl Birth {
 /// The highest number of each topic: `label (17) || count (4) || topic id (16) and number (8) each`, by topic id.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Heights {
-    /// Topics with their numbers, in ascending order, each once.
+    /// Topics with their numbers, in ascending order, without duplicates.
     pub topics: Vec<(TopicId, u64)>,
 }
 
 impl Heights {
-    /// What stands in place of a message type.
+    /// Takes the place of a message type.
     pub const TYPE: &'static str = "authros/Heights";
 
-    /// The bytes that are sealed.
+    /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
         let count = u32::try_from(self.topics.len()).unwrap_or(u32::MAX);
         let mut out = [HEIGHTS, &count.to_be_bytes()].concat();
@@ -62,10 +62,10 @@ impl Heights {
         out
     }
 
-    /// Reads a whole body.
+    /// Parses a whole body.
     ///
     /// # Errors
-    /// [`WireError`] where the bytes are not exactly one list, or its topics are not in order.
+    /// [`WireError`] if the bytes are not exactly one list, or its topics are not in order.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = labelled(bytes, HEIGHTS)?;
         let (count, mut topics) = (reader.u32("count")?, Vec::new());
@@ -84,29 +84,29 @@ impl Heights {
 /// The head over a list of numbers: `label (15) || count (4) || root (32) || heights (32) || previous (32)`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Heads {
-    /// How many topics.
+    /// The number of topics.
     pub count: u32,
     /// Merkle root over topics with their highest numbers.
     pub root: Hash,
-    /// The record that holds the list.
+    /// The digest of the record with the list.
     pub heights: Digest,
-    /// The record of the head before; zeros where there is none.
+    /// The digest of the previous head's record; zeros if there is none.
     pub previous: Digest,
 }
 
 impl Heads {
-    /// What stands in place of a message type.
+    /// Takes the place of a message type.
     pub const TYPE: &'static str = "authros/Heads";
 
-    /// The bytes that are sealed.
+    /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
         [HEADS, &self.count.to_be_bytes(), &self.root.0, &self.heights.0, &self.previous.0].concat()
     }
 
-    /// Reads a whole body.
+    /// Parses a whole body.
     ///
     /// # Errors
-    /// [`WireError`] where the bytes are not exactly one.
+    /// [`WireError`] if the bytes are not exactly one.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = labelled(bytes, HEADS)?;
         let heads = Self {

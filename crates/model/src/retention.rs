@@ -1,5 +1,5 @@
-//! How long, and how much, of each topic's ciphertext is kept; and the body of the record that is anchored before
-//! anything of it is deleted.
+//! How long, and how much of, each topic's ciphertext is kept; and the body of the record that is anchored before any
+//! of it is deleted.
 
 use std::fmt;
 use std::str::FromStr;
@@ -15,22 +15,22 @@ const LABEL: [u8; 19] = *b"AuthROS/retention/1";
 /// The most rules.
 const MOST_RULES: usize = 100;
 
-/// What is kept of topics that a pattern names.
+/// What is kept of topics that match a pattern.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RetentionRule {
-    /// `*` stands for any characters but `/`, `**` for any.
+    /// `*` matches any characters but `/`, `**` any characters.
     pattern: String,
-    /// As long as this after capture.
+    /// For this long after capture.
     pub age: Option<Duration>,
-    /// So many bytes of messages of each topic, the newest.
+    /// The newest messages of each topic, up to this many bytes.
     pub bytes: Option<u64>,
 }
 
-/// Rules in order; the first whose pattern fits a topic counts. Without one everything is kept.
+/// Rules in order; the first whose pattern matches a topic applies. Without one everything is kept.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct RetentionRules(Vec<RetentionRule>);
 
-/// Why a text is no list of rules.
+/// Why a text is not a list of rules.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "'{0}' is no rule; write PATTERN=LIMIT, for example /robot*/camera/**=7d+10GiB, where a limit is a time (30m, 12h, \
@@ -97,8 +97,8 @@ impl RetentionRules {
     }
 }
 
-/// What is kept of each topic: as long as its own rule says, or else the setting; a budget of bytes is always the
-/// setting's.
+/// What is kept of each topic: by time as its own rule says, otherwise as the setting says; a budget of bytes always
+/// comes from the setting.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Keeping {
     topics: TopicRules,
@@ -106,7 +106,7 @@ pub struct Keeping {
 }
 
 impl Keeping {
-    /// By the rules of topics and the setting.
+    /// From the rules of topics and the setting.
     pub fn new(topics: TopicRules, setting: RetentionRules) -> Self {
         Self { topics, setting }
     }
@@ -133,30 +133,30 @@ impl Keeping {
 /// `label (19) || topic id (16) || topic (2 + n) || rule (2 + n) || first seq (8) || last seq (8) || count (8) ||
 /// bytes (8) || rolling (32)`, big endian.
 ///
-/// The rolling hash begins with SM3(`AuthROS/retained/1` || domain || owner || topic id) and goes on with
-/// SM3(rolling || D) for each record's digest D in the order of capture.
+/// The rolling hash begins with SM3(`AuthROS/retained/1` || domain || owner || topic id) and continues with SM3(rolling
+/// || D) for each record's digest D in the order of capture.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RetentionReport {
-    /// The topic's pseudonym in its records.
+    /// The topic's pseudonym, as in its records.
     pub topic_id: TopicId,
     /// Its name.
     pub topic: String,
-    /// The rule that asks for it.
+    /// The rule that requires it.
     pub rule: String,
     /// The lowest sequence number deleted.
     pub first_seq: u64,
     /// The highest one.
     pub last_seq: u64,
-    /// Records whose ciphertext is deleted.
+    /// The number of records whose ciphertext is deleted.
     pub count: u64,
-    /// Bytes of their messages.
+    /// The bytes of their messages.
     pub bytes: u64,
-    /// Over their digests.
+    /// The rolling hash over their digests.
     pub rolling: Digest,
 }
 
 impl RetentionReport {
-    /// The bytes that are sealed.
+    /// Encodes the bytes to be sealed.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = [&LABEL[..], &self.topic_id.0].concat();
         put_text(&mut out, &self.topic);
@@ -168,10 +168,10 @@ impl RetentionReport {
         out
     }
 
-    /// Reads a whole body.
+    /// Parses a whole body.
     ///
     /// # Errors
-    /// [`WireError`] where the bytes are not exactly one report.
+    /// [`WireError`] if the bytes are not exactly one report.
     pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(bytes);
         if reader.array::<19>("label")? != LABEL {

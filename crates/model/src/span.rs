@@ -1,18 +1,18 @@
-//! The one reader of lengths of time, as a person writes them: `500ms`, `10s`, `45m`, `12h`, `30d`, `2w`.
+//! The only parser of time spans as people write them: `500ms`, `10s`, `45m`, `12h`, `30d`, `2w`.
 
 use std::time::Duration;
 
 use crate::display::clean;
 
-/// The longest length of time, seconds: a hundred years.
+/// The longest time span, seconds: a hundred years.
 const LONGEST: u64 = 100 * 366 * 86_400;
 
-/// A text that is not a length of time.
+/// The text is not a time span.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("'{0}' is not a length of time; write a number and ms, s, m, h, d or w, such as 10s, 30d or 2w")]
 pub struct SpanError(String);
 
-/// Reads a number with its unit behind it; at most a hundred years, and 0 is a length as well.
+/// Parses a number followed by its unit; at most a hundred years, 0 allowed.
 ///
 /// # Errors
 /// [`SpanError`] says how to write it.
@@ -35,7 +35,7 @@ pub fn time_span(text: &str) -> Result<Duration, SpanError> {
     milliseconds.map(Duration::from_millis).ok_or_else(wrong)
 }
 
-/// As [`time_span`], but 0 is refused: where nothing could happen within it.
+/// Like [`time_span`], but refuses 0, for uses where nothing could happen within it.
 ///
 /// # Errors
 /// [`SpanError`] says how to write it.

@@ -1,8 +1,8 @@
-//! The life line of a record.
+//! The states of a record.
 
 use serde::{Deserialize, Serialize};
 
-/// Where a record stands. Every edge is a compare-and-set in the ledger.
+/// The state of a record. Every transition is a compare-and-set in the ledger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordState {
@@ -18,23 +18,23 @@ pub enum RecordState {
     Submitted,
     /// Its transaction is in a block.
     Mined,
-    /// The block is deep enough.
+    /// The block has enough confirmations.
     Confirmed,
     /// Re-read from the vault, digest equal to the chain, signature valid.
     Verified,
-    /// Held back: its publisher is not the pinned one.
+    /// Quarantined: its publisher is not the pinned one.
     Quarantined,
-    /// Never acknowledged, counted.
+    /// Never acknowledged, only counted.
     Dropped,
     /// The vault's bytes differ from the anchored digest.
     Tampered,
-    /// In the vault; its signer may not sign for its owner now. Nobody here anchors it until that right is back.
+    /// In the vault, but its signer may not sign for its owner now. Nobody here anchors it until that right is back.
     #[serde(rename = "waits: right ended")]
     RightEnded,
 }
 
 impl RecordState {
-    /// All states, in life-line order.
+    /// All states, in the order of a record's life.
     pub const ALL: [Self; 12] = [
         Self::Captured,
         Self::Sealed,
@@ -78,19 +78,18 @@ impl RecordState {
         Self::ALL.get(usize::from(code)).copied()
     }
 
-    /// Whether work on the record is still to be done. What waits for a right waits for somebody's decision, not for
-    /// work.
+    /// Whether the record still needs work. A record waiting for a right needs somebody's decision, not work.
     pub fn is_pending(self) -> bool {
         self < Self::Verified
     }
 
-    /// Whether nothing of the record is in a block yet.
+    /// Whether the record is not in any block yet.
     pub fn is_before_block(self) -> bool {
         self < Self::Mined || self == Self::RightEnded
     }
 }
 
-/// What a check of a record found, in words.
+/// The result of checking a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -98,11 +97,11 @@ pub enum Verdict {
     Verified,
     /// All checks but the chain's pass; the digest is not anchored (yet).
     Unanchored,
-    /// The stored bytes are not the ones anchored or signed.
+    /// The stored bytes differ from those anchored or signed.
     Tampered,
-    /// The stored bytes are gone.
+    /// The stored bytes are missing.
     Missing,
-    /// Retention has deleted the stored bytes, as a record on the chain says; signature and anchor are valid.
+    /// Retention has deleted the stored bytes, as a record on the chain states; signature and anchor are valid.
     Deleted,
     /// No key of this profile opens it.
     NoKey,

@@ -1,61 +1,61 @@
-//! A clock for what cannot be taken back: it goes with the machine's clock, but does not follow a jump of it until the
-//! new time has stood for a while. A jump forth and back leaves no trace in it.
+//! A clock for decisions that cannot be undone: it follows the machine's clock, but follows a jump only after the new
+//! time has held for a while. A jump forth and back leaves no trace in it.
 
 use std::sync::{LazyLock, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::Timestamp;
 
-/// How long a new time must stand until it is believed.
+/// How long a new time must hold before it is believed.
 pub const SETTLING: Duration = Duration::from_secs(30);
-/// Less than this between two looks is no jump: clocks are slewed, at 0.5 ms a second at most.
+/// A smaller change between two readings is not a jump: clocks are slewed, at 0.5 ms a second at most.
 const TOLERANCE: i128 = 5_000_000_000;
 
 static CLOCK: LazyLock<(Instant, Mutex<SteadyClock>)> =
     LazyLock::new(|| (Instant::now(), Mutex::new(SteadyClock::default())));
 
-/// What a look at the clock shows.
+/// A reading of the clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reading {
-    /// The time to go by.
+    /// The time to use.
     pub steady: Timestamp,
-    /// What the machine's clock says.
+    /// The machine's clock.
     pub machine: Timestamp,
 }
 
 impl Reading {
-    /// How far the machine's clock is ahead of the steady one, seconds; 0 where they are one.
+    /// How far the machine's clock is ahead of the steady one, seconds; 0 if they agree.
     pub fn ahead(&self) -> i64 {
         let nanoseconds = i128::from(self.machine.0) - i128::from(self.steady.0);
         i64::try_from(nanoseconds / 1_000_000_000).unwrap_or(0)
     }
 }
 
-/// Looks at the clock of this process. It must be looked at now and then, so that a slow drift is followed.
+/// Reads the clock of this process. It must be read regularly, so that a slow drift is followed.
 pub fn look() -> Reading {
     let (begun, clock) = &*CLOCK;
     let mut clock = clock.lock().unwrap_or_else(PoisonError::into_inner);
     clock.read(Timestamp::now(), begun.elapsed())
 }
 
-/// The time to go by in this process: see [`look`].
+/// The time to use in this process: see [`look`].
 pub fn steady_now() -> Timestamp {
     look().steady
 }
 
-/// Time of day less time passed, of the machine's clock: constant while nobody sets it. Nanoseconds.
+/// Time of day minus elapsed time, by the machine's clock: constant unless somebody sets it. Nanoseconds.
 type Offset = i128;
 
-/// The clock itself; what it is read from is given to it.
+/// The clock itself; its inputs are passed in.
 #[derive(Debug, Default)]
 pub struct SteadyClock {
     believed: Option<Offset>,
-    /// What the machine's clock says otherwise, and since when.
+    /// What the machine's clock says instead, and since when.
     doubted: Option<(Offset, Duration)>,
 }
 
 impl SteadyClock {
-    /// The machine's clock says `machine`, `passed` after a moment that is always the same.
+    /// The machine's clock says `machine`, `passed` after a fixed moment.
     pub fn read(&mut self, machine: Timestamp, passed: Duration) -> Reading {
         let since = i128::try_from(passed.as_nanos()).unwrap_or(i128::MAX);
         let told = i128::from(machine.0) - since;
@@ -82,7 +82,7 @@ mod tests {
     const DAY: u64 = 86_400;
     const START: u64 = 1_700_000_000;
 
-    /// Reads a clock that shows `offset` seconds more than those that passed.
+    /// Reads a clock that is `offset` seconds ahead of the elapsed time.
     fn at(clock: &mut SteadyClock, passed: u64, offset: u64) -> (u64, i64) {
         let reading = clock.read(Timestamp::from_seconds(offset + passed), Duration::from_secs(passed));
         (reading.steady.seconds(), reading.ahead())

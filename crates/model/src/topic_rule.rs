@@ -9,7 +9,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::topic::{LONGEST_NAME, TypeName};
 
-/// Why a text is no pattern.
+/// Why a text is not a pattern.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "'{0}' is no pattern of topics; it begins with /, * stands for any letters of one part, ** for any parts, \
@@ -17,30 +17,30 @@ use super::topic::{LONGEST_NAME, TypeName};
 )]
 pub struct PatternError(String);
 
-/// A pattern of topic names: `*` within a part, `**` over parts, `?` for one letter.
+/// A pattern for topic names: `*` within a part, `**` across parts, `?` for one letter.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TopicPattern(String);
 
 impl TopicPattern {
-    /// As it was written.
+    /// As written.
     pub fn as_str(&self) -> &str {
         &self.0
     }
 
-    /// Whether it is a name itself, not a pattern of many.
+    /// Whether it is a plain name, not a pattern for many.
     pub fn is_plain(&self) -> bool {
         !self.0.contains(['*', '?'])
     }
 
-    /// Whether the topic's name is of this pattern.
+    /// Whether the topic's name matches this pattern.
     pub fn matches(&self, topic: &str) -> bool {
         fits(self.0.as_bytes(), topic.as_bytes())
     }
 }
 
-/// Whether a text fits a pattern. Takes time as the product of both lengths, at most.
+/// Whether a text matches a pattern. Takes time proportional to at most the product of both lengths.
 pub(super) fn fits(pattern: &[u8], text: &[u8]) -> bool {
-    // Which prefixes of the text the pattern so far can stand for.
+    // Which prefixes of the text the pattern so far can match.
     let mut reached = vec![false; text.len() + 1];
     if let Some(first) = reached.first_mut() {
         *first = true;
@@ -57,14 +57,14 @@ pub(super) fn fits(pattern: &[u8], text: &[u8]) -> bool {
     reached.last().copied().unwrap_or(false)
 }
 
-/// One letter further.
+/// Advances by one letter.
 fn step(reached: &[bool], text: &[u8], letter: u8) -> Vec<bool> {
     let is_it = |byte: u8| byte == letter || letter == b'?' && byte != b'/';
     let moved = reached.iter().zip(text).map(|(&here, &byte)| here && is_it(byte));
     std::iter::once(false).chain(moved).collect()
 }
 
-/// Any number of letters further, over `/` or not.
+/// Advances by any number of letters, across `/` or not.
 fn spread(reached: &[bool], text: &[u8], over_parts: bool) -> Vec<bool> {
     let mut going = false;
     let mut spread = Vec::with_capacity(reached.len());
@@ -107,37 +107,37 @@ impl<'de> Deserialize<'de> for TopicPattern {
     }
 }
 
-/// What holds for the topics of a pattern.
+/// The rule for topics that match a pattern.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TopicRule {
-    /// Which topics.
+    /// The topics.
     pub pattern: TopicPattern,
-    /// Where it stands: the line of the settings file, from 1.
+    /// Its line in the settings file, from 1.
     pub line: usize,
     /// Messages of other types are not captured.
     pub type_name: Option<TypeName>,
-    /// At most so many messages in 1,000 seconds.
+    /// At most this many messages in 1,000 seconds.
     pub rate: Option<u64>,
-    /// Only every so-manieth message, from 2.
+    /// Only every n-th message, n from 2.
     pub every: Option<u64>,
-    /// Go into the sealed head of every message.
+    /// Added to the sealed head of every message.
     pub tags: BTreeMap<String, String>,
     /// How long ciphertext is kept, seconds.
     pub retention: Option<u64>,
 }
 
-/// The tag by which a rule says how long a record is kept.
+/// The tag by which a rule states how long a record is kept.
 pub const RETENTION_TAG: &str = "retention";
 
 impl TopicRule {
-    /// Its tags, and its retention as one, in seconds: `retention=2592000s`.
+    /// Its tags, with its retention as one of them, in seconds: `retention=2592000s`.
     pub fn all_tags(&self) -> impl Iterator<Item = (String, String)> {
         let retention = self.retention.map(|seconds| (RETENTION_TAG.to_owned(), format!("{seconds}s")));
         self.tags.clone().into_iter().chain(retention)
     }
 }
 
-/// All rules, in their order: of several that fit a topic the first counts.
+/// All rules, in order: the first that matches a topic applies.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct TopicRules(pub Vec<Arc<TopicRule>>);
 

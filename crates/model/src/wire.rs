@@ -1,6 +1,6 @@
-//! Reading and writing of fixed-order binary structures, big endian, lengths bounded.
+//! Encoding and parsing of fixed-order binary structures, big endian, with bounded lengths.
 
-/// Why bytes are not the structure they should be.
+/// Why bytes do not have the expected structure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
     /// Fewer bytes than the structure needs.
@@ -9,12 +9,12 @@ pub enum WireError {
     /// Bytes are left over.
     #[error("{0} bytes are left over after the end")]
     Long(usize),
-    /// A field holds a value that it may not.
+    /// A field holds a value that is not allowed.
     #[error("the {0} has a value that is not allowed")]
     Value(&'static str),
 }
 
-/// Takes fields off the front of a byte slice; never reads past it, never allocates more than it holds.
+/// Takes fields from the front of a byte slice; never reads past its end, never allocates more than it holds.
 #[derive(Debug, Clone)]
 pub struct Reader<'a> {
     rest: &'a [u8],
@@ -26,7 +26,7 @@ impl<'a> Reader<'a> {
         Self { rest: bytes }
     }
 
-    /// What has not been read.
+    /// The unread rest.
     pub fn rest(&self) -> &'a [u8] {
         self.rest
     }
@@ -34,7 +34,7 @@ impl<'a> Reader<'a> {
     /// The next `count` bytes.
     ///
     /// # Errors
-    /// [`WireError::Short`] where fewer are left.
+    /// [`WireError::Short`] if fewer are left.
     pub fn take(&mut self, count: usize, field: &'static str) -> Result<&'a [u8], WireError> {
         let (head, rest) = self.rest.split_at_checked(count).ok_or(WireError::Short(field))?;
         self.rest = rest;
@@ -44,7 +44,7 @@ impl<'a> Reader<'a> {
     /// The next `N` bytes as an array.
     ///
     /// # Errors
-    /// [`WireError::Short`] where fewer are left.
+    /// [`WireError::Short`] if fewer are left.
     pub fn array<const N: usize>(&mut self, field: &'static str) -> Result<[u8; N], WireError> {
         let (head, rest) = self.rest.split_first_chunk().ok_or(WireError::Short(field))?;
         self.rest = rest;
@@ -86,23 +86,23 @@ impl<'a> Reader<'a> {
     /// A text with a two-byte length before it.
     ///
     /// # Errors
-    /// [`WireError`] where it is cut short or not UTF-8.
+    /// [`WireError`] if it is truncated or not UTF-8.
     pub fn text(&mut self, field: &'static str) -> Result<String, WireError> {
         let length = usize::from(self.u16(field)?);
         let bytes = self.take(length, field)?;
         std::str::from_utf8(bytes).map(str::to_owned).map_err(|_| WireError::Value(field))
     }
 
-    /// Done: nothing may be left.
+    /// Ends parsing: nothing may be left.
     ///
     /// # Errors
-    /// [`WireError::Long`] where bytes are left.
+    /// [`WireError::Long`] if bytes are left.
     pub fn end(&self) -> Result<(), WireError> {
         if self.rest.is_empty() { Ok(()) } else { Err(WireError::Long(self.rest.len())) }
     }
 }
 
-/// Appends `text` with a two-byte length before it, cut at 65,535 bytes on a character boundary.
+/// Appends `text` with a two-byte length before it, truncated to 65,535 bytes at a character boundary.
 pub fn put_text(out: &mut Vec<u8>, text: &str) {
     let kept = &text[..text.floor_char_boundary(usize::from(u16::MAX))];
     let length = u16::try_from(kept.len()).unwrap_or(u16::MAX);

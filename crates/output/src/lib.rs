@@ -1,4 +1,4 @@
-//! Where results go: stdout, as JSON or as text; everything else to stderr.
+//! Output: results go to stdout, as JSON or as text; everything else to stderr.
 
 use std::io::Write as _;
 
@@ -10,13 +10,13 @@ use authros_service::{Failure, NoticeLevel};
 /// Widest line of text, characters.
 const WIDEST: usize = 2000;
 
-/// How words beside the result are written.
+/// The format of messages beside the result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Log {
     /// Lines for people.
     #[default]
     Text,
-    /// One JSON object a line, on stdout as well where that is not JSON in any case.
+    /// One JSON object per line; on stdout too, unless the output is JSON anyway.
     Json,
 }
 
@@ -27,7 +27,7 @@ pub struct Output {
     log: Log,
 }
 
-/// A line of a log.
+/// A log line.
 #[derive(Serialize)]
 struct Line<'a> {
     time: String,
@@ -42,12 +42,12 @@ impl Output {
         Self { json, log: Log::Text }
     }
 
-    /// The same with another way to write what is beside the result.
+    /// The same with another format for messages.
     pub fn logging(self, log: Log) -> Self {
         Self { log, ..self }
     }
 
-    /// How what is beside the result is written.
+    /// The format for messages.
     pub fn log(self) -> Log {
         self.log
     }
@@ -60,23 +60,23 @@ impl Output {
             (false, Log::Json) => log_line(Timestamp::now(), NoticeLevel::Info, PROGRAM, &text()),
         };
         let mut stdout = std::io::stdout().lock();
-        // A reader that went away wants no more.
+        // A reader that has gone wants no more.
         drop(writeln!(stdout, "{line}").and_then(|()| stdout.flush()));
     }
 
-    /// A file of our own making, as it is.
+    /// A file of our own making, unchanged.
     pub fn raw(self, text: &str) {
         let mut stdout = std::io::stdout().lock();
-        // A reader that went away wants no more.
+        // A reader that has gone wants no more.
         drop(stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()));
     }
 
-    /// A word beside the result, for people.
+    /// A message beside the result, for people.
     pub fn note(self, text: &str) {
         self.beside(NoticeLevel::Info, text);
     }
 
-    /// What a site told at a moment: `about` is what it is of, where it says so.
+    /// An event reported by a site at a given time; `about` is its subject, if it has one.
     pub fn notice(self, at: Timestamp, level: NoticeLevel, about: Option<&str>, text: &str) {
         match self.log {
             Log::Text => self.note(&format!("{at} {text}")),
@@ -84,7 +84,7 @@ impl Output {
         }
     }
 
-    /// Why it failed.
+    /// The failure.
     pub fn failure(self, failure: &Failure) {
         if self.json {
             let document = serde_json::json!({ "error": { "kind": failure.kind, "message": failure.message } });
@@ -104,7 +104,7 @@ impl Output {
     }
 }
 
-/// Who says what the process itself says, and what its site says of nothing in particular.
+/// The source of the process's own messages, and of those of its site that have no subject.
 const PROGRAM: &str = "authros";
 const SITE: &str = "site";
 
@@ -112,7 +112,7 @@ fn to_stderr(line: &str) {
     drop(writeln!(std::io::stderr().lock(), "{line}"));
 }
 
-/// One JSON object on one line, in which nothing is left that terminals act on.
+/// One JSON object on one line, without anything that terminals interpret.
 pub fn log_line(at: Timestamp, level: NoticeLevel, source: &str, text: &str) -> String {
     let milliseconds = at.0 / 1_000_000 % 1_000;
     let seconds = Timestamp::from_seconds(at.seconds()).to_string();

@@ -1,5 +1,5 @@
-//! Going on with another chain: which chains a home has used before, and the owner's signed word about it, which
-//! is the first of the owner's records on the new one.
+//! Moving to another chain: which chains a home has used before, and the owner's signed statement about it, which is
+//! the first of the owner's records on the new one.
 
 use std::sync::Arc;
 
@@ -17,27 +17,27 @@ use super::sender::Outgoing;
 use super::statement::{self, Statement};
 use super::{Directory, Former, Network, Owner, PipelineError, Plant, Sender, authority};
 
-/// Where the steps lie in the ledger.
+/// Where the steps are stored in the ledger.
 pub const STEPS: &str = "adoptions";
 /// The name that adoption records are filed under; no ROS name begins like this.
 const TOPIC: &str = "authros/adoption";
 
-/// One chain left for another.
+/// A move from one chain to another.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Step {
-    /// The chain and contract that were left.
+    /// The old chain and contract.
     pub from: Pin,
     /// Those used from then on.
     pub to: Pin,
     /// When the operator decided.
     pub at: Timestamp,
-    /// On the same chain: the last block in which the contract that was left was in use. `None` = another chain.
+    /// On the same chain: the last block in which the old contract was in use. `None` = another chain.
     #[serde(default)]
     pub until: Option<u64>,
 }
 
 impl Step {
-    /// The domain that was left.
+    /// The old domain.
     pub fn left(&self) -> Domain {
         domain_of(&self.from)
     }
@@ -56,7 +56,7 @@ pub fn domain_of(pin: &Pin) -> Domain {
 /// All steps of this home, oldest first.
 ///
 /// # Errors
-/// Of the ledger; `StoreError::Corrupt` where the kept list is no list of steps.
+/// Errors of the ledger; `StoreError::Corrupt` if the stored list is not a list of steps.
 pub fn steps(ledger: &Ledger) -> Result<Vec<Step>, StoreError> {
     let Some(text) = ledger.setting(STEPS)? else { return Ok(Vec::new()) };
     let detail = "its list of adopted chains cannot be read".to_owned();
@@ -66,7 +66,7 @@ pub fn steps(ledger: &Ledger) -> Result<Vec<Step>, StoreError> {
 /// The domains that this home used before `current`.
 ///
 /// # Errors
-/// As [`steps`].
+/// See [`steps`].
 pub fn earlier(ledger: &Ledger, current: Domain) -> Result<Vec<Domain>, StoreError> {
     let mut found: Vec<Domain> = steps(ledger)?.iter().map(Step::left).filter(|left| *left != current).collect();
     found.sort();
@@ -74,11 +74,11 @@ pub fn earlier(ledger: &Ledger, current: Domain) -> Result<Vec<Domain>, StoreErr
     Ok(found)
 }
 
-/// Contracts that this home used before on this very chain, and that can be asked still. What they knew of accounts is
-/// kept once it was read.
+/// Contracts that this home used before on this very chain, and that can still be queried. What they knew of accounts
+/// is stored once it has been read.
 ///
 /// # Errors
-/// Of chain and ledger.
+/// Errors of chain and ledger.
 pub async fn former(plant: &Plant, chain: &Chain) -> Result<Vec<Former>, PipelineError> {
     let mut found = Vec::new();
     for step in block_in_place(|| steps(&plant.ledger))? {
@@ -87,7 +87,7 @@ pub async fn former(plant: &Plant, chain: &Chain) -> Result<Vec<Former>, Pipelin
         let (domain, bound) = (step.left(), chain.bound_to(step.from.clone()));
         let directory = Directory::new(domain, plant.provider);
         let known = block_in_place(|| kept::read_back(&plant.ledger, &directory))?;
-        // What was in use is kept up to somewhere; the rest of its time is read once more.
+        // The contract in use was stored up to some block; the rest of its time is read again.
         let whole = format!("rights-whole:{domain}:{until}");
         if !known || block_in_place(|| plant.ledger.setting(&whole))?.is_none() {
             let told = bound.events(step.from.deployed_at, until).await?;
@@ -103,32 +103,32 @@ pub async fn former(plant: &Plant, chain: &Chain) -> Result<Vec<Former>, Pipelin
     Ok(found)
 }
 
-/// How far an owner's word about the last adoption is.
+/// The progress of an owner's statement about the last adoption.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Word {
-    /// Nothing is to be said, or it stands in a block.
+    /// No statement is needed, or it is in a block.
     Given,
-    /// It is on its way; nothing else of this owner is anchored before.
+    /// It is on its way; nothing else of this owner is anchored before it.
     OnItsWay,
 }
 
-/// Seals the owner's adoption record where one is due, and puts it on the chain by itself, before anything else.
-/// A function of the ledger: called again, it does what is left.
+/// Seals the owner's adoption record if one is due, and puts it on the chain individually, before anything else. A
+/// function of the ledger: called again, it does what is left.
 ///
 /// # Errors
-/// Of chain and ledger; nothing is lost.
+/// Errors of chain and ledger; nothing is lost.
 pub async fn give_word(
     plant: &Plant,
     network: &Network,
     sender: &Sender,
     owner: &Owner,
 ) -> Result<Word, PipelineError> {
-    // What waits for its owner's right would be passed by for ever: no other record goes before it.
+    // A record waiting for its owner's right would never be anchored: no other record goes before it.
     block_in_place(|| authority::settle_waiting(plant, network, owner.address))?;
     let row = match block_in_place(|| word_of(plant, network, owner))? {
         Due::Nothing => return Ok(Word::Given),
         Due::Later => return Ok(Word::OnItsWay),
-        // In a batch it goes with that.
+        // If it is in a batch, it goes with the batch.
         Due::Sealed(row) if row.state == RecordState::Batched || !row.state.is_before_block() => {
             return Ok(Word::Given);
         }
@@ -146,11 +146,11 @@ pub async fn give_word(
     Ok(Word::OnItsWay)
 }
 
-/// What an owner has to say about the last adoption.
+/// What an owner has to state about the last adoption.
 enum Due {
     /// Nothing.
     Nothing,
-    /// Something, as soon as there are keys to seal it with.
+    /// A statement, as soon as there are keys to seal it with.
     Later,
     /// This record.
     Sealed(Box<RecordRow>),
@@ -171,10 +171,10 @@ fn word_of(plant: &Plant, network: &Network, owner: &Owner) -> Result<Due, Pipel
     Ok(Due::Sealed(Box::new(row)))
 }
 
-/// Whether the owner's word about the last adoption stands in a block, or none is due.
+/// Whether the owner's statement about the last adoption is in a block, or none is due.
 ///
 /// # Errors
-/// Of the ledger.
+/// Errors of the ledger.
 pub fn is_given(plant: &Plant, network: &Network, owner: &Owner) -> Result<bool, PipelineError> {
     let Some((key, _)) = due(plant, network, owner)? else { return Ok(true) };
     let digest = plant.ledger.setting(&key)?.and_then(|text| text.parse::<Digest>().ok());
@@ -182,11 +182,11 @@ pub fn is_given(plant: &Plant, network: &Network, owner: &Owner) -> Result<bool,
     Ok(row.is_some_and(|row| !row.state.is_before_block()))
 }
 
-/// The token under which a record is uploaded by itself: of its own epoch, or, where it was sealed for a domain
-/// used before, of the current one.
+/// The token under which a record is uploaded individually: that of its own epoch, or, if it was sealed for an earlier
+/// domain, the current one.
 ///
 /// # Errors
-/// Of ledger and vault.
+/// Errors of ledger and vault.
 pub fn token_of(
     plant: &Plant,
     network: &Network,
@@ -203,7 +203,7 @@ pub fn token_of(
     Ok(account.token.filter(|_| earlier))
 }
 
-/// Where the owner's word about the last step is kept, where one is due: the owner had an epoch on what was left.
+/// Where the owner's statement about the last step is stored, if one is due: the owner had an epoch on the old chain.
 fn due(plant: &Plant, network: &Network, owner: &Owner) -> Result<Option<(String, Step)>, PipelineError> {
     if network.earlier.is_empty() {
         return Ok(None);

@@ -15,31 +15,32 @@ use super::pace::{LONGEST_WAIT, Pace};
 use super::sender::Outgoing;
 use super::{Network, Owner, PipelineError, Plant, Sender, adoption, authority};
 
-/// Records a round, one by one: one ledger commit for so many signed transactions.
+/// Records per round when uploaded individually: one ledger commit for this many signed transactions.
 const ROUND: usize = 128;
-/// Batches of one account that may wait for a block; while they do, the next one widens.
+/// Batches of one account that may wait for a block; while they do, the next one gets wider.
 const MOST_OPEN_BATCHES: usize = 2;
 /// How long a refused witness rests.
 const REST: Duration = Duration::from_secs(60);
-/// How long to wait where only the chain can bring news.
+/// How long to wait when only the chain can bring news.
 const IDLE: Duration = Duration::from_secs(1);
-/// Orders of a batch's leaves that are tried for a root that no batch had.
+/// Leaf orders tried to find a root that no batch had before.
 const MOST_ORDERS: usize = 16;
 
 /// Anchors the records of one owner; keeps nothing that the ledger does not know.
 pub struct Anchorer {
     mode: AnchorMode,
     pace: Pace,
-    /// Witnesses whose anchors the contract refused (a suspended one, say), and until when they rest.
+    /// Witnesses whose anchors the contract refused (because they are suspended, for example), and until when they
+    /// rest.
     resting: HashMap<Address, Instant>,
 }
 
-/// What a round did.
+/// The result of a round.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Round {
-    /// Transactions that were signed and kept.
+    /// Transactions that were signed and stored.
     pub submitted: usize,
-    /// How long until there may be more to do, if nothing is stored and no block comes before.
+    /// How long until there may be more to do, if nothing is stored and no block comes first.
     pub next: Duration,
 }
 
@@ -55,11 +56,11 @@ impl Anchorer {
         Self { mode, pace: Pace::default(), resting: HashMap::new() }
     }
 
-    /// Does what is due now; records whose signer may not sign now wait. `lanes` are the accounts that anchor batches side by side, the owner's
-    /// own first; records one by one go through the owner's own alone.
+    /// Does what is due now; records whose signer may not sign now wait. `lanes` are the accounts that anchor batches
+    /// in parallel, the owner's own first; individual records go through the owner's own only.
     ///
     /// # Errors
-    /// Of chain and ledger; nothing is lost, the records stay `stored` or `batched`.
+    /// Errors of chain and ledger; nothing is lost, the records stay `stored` or `batched`.
     pub async fn round(
         &mut self,
         plant: &Plant,
@@ -75,7 +76,7 @@ impl Anchorer {
         self.resting.retain(|_, until| Instant::now() < *until);
         let free = free_lane(plant, sender, lanes, &self.resting)?;
         let Some((lane, open)) = free else { return Ok(Round::wait(IDLE)) };
-        // Batches that were closed before come first, whatever the mode is now.
+        // Batches already closed come first, whatever the mode is now.
         let waiting = block_in_place(|| plant.ledger.waiting_batches(owner.address, 1))?;
         if let Some(batch) = waiting.first() {
             return self.send(plant, network, sender, lane, owner.address, *batch).await;
@@ -92,7 +93,8 @@ impl Anchorer {
         }
     }
 
-    /// Anchors a closed batch. A witness whom the contract refuses rests; the owner's own refusal is told.
+    /// Anchors a closed batch. A witness that the contract refuses rests; a refusal of the owner's own account is
+    /// reported.
     async fn send(
         &mut self,
         plant: &Plant,
@@ -111,7 +113,7 @@ impl Anchorer {
         }
     }
 
-    /// Closes a batch where one is due; else how long until then.
+    /// Closes a batch if one is due; otherwise returns how long until then.
     fn close(
         &mut self,
         plant: &Plant,
@@ -152,8 +154,8 @@ pub(super) fn close_batch(
     Ok(Some(batch))
 }
 
-/// The tree over the leaves, in an order whose root no batch had before. The contract keeps a root's first block alone,
-/// so where that was passed over the same root would show the wrong block for ever. A single leaf has one order.
+/// The tree over the leaves, in an order whose root no batch had before. The contract keeps only a root's first block,
+/// so after a skipped anchor the same root would show the wrong block forever. A single leaf has only one order.
 fn tree_of_another_root(plant: &Plant, leaves: &mut [Leaf]) -> Result<Option<Tree>, PipelineError> {
     for _ in 1..leaves.len().min(MOST_ORDERS) {
         let Some(tree) = Tree::new(Leaf::hashes(leaves)) else { return Ok(None) };
@@ -165,7 +167,7 @@ fn tree_of_another_root(plant: &Plant, leaves: &mut [Leaf]) -> Result<Option<Tre
     Ok(Tree::new(Leaf::hashes(leaves)))
 }
 
-/// Records whose own uploads were passed over: the contract takes a digest once, so they go in a batch.
+/// Records whose own uploads were skipped: the contract accepts a digest once, so they go into a batch.
 fn again(plant: &Plant, owner: Address) -> Result<Option<WaitingBatch>, PipelineError> {
     block_in_place(|| {
         let leaves = plant.ledger.passed_over_leaves(owner, MOST_LEAVES)?;
@@ -173,7 +175,7 @@ fn again(plant: &Plant, owner: Address) -> Result<Option<WaitingBatch>, Pipeline
     })
 }
 
-/// The account with the fewest open batches, and how many; `None` where all have their fill or stand still.
+/// The account with the fewest open batches, and how many; `None` if all are full or paused.
 fn free_lane<'a>(
     plant: &Plant,
     sender: &Sender,
@@ -199,7 +201,7 @@ async fn send(
     lane: &EoaSecret,
     batch: WaitingBatch,
 ) -> Result<Round, PipelineError> {
-    // Held from the look at what is open until the next one is signed, so that the chain of roots has no fork.
+    // Held from checking what is open until the next one is signed, so that the chain of roots does not fork.
     let held = sender.lane(&network.chain, lane).await;
     let open = block_in_place(|| plant.ledger.open_roots(lane.address()))?;
     let previous = match open.last() {
@@ -210,7 +212,7 @@ async fn send(
     let outgoing = Outgoing { call, purpose: "anchor".to_owned(), anchors: Anchors::Batch(batch.root) };
     match held.submit(vec![outgoing]).await {
         Ok(hashes) => Ok(Round { submitted: hashes.len(), next: Duration::ZERO }),
-        // Where its gas must be estimated anew, the root before it has to be mined first.
+        // If its gas must be estimated again, the root before it has to be mined first.
         Err(PipelineError::Chain(ChainError::Reverted { .. })) if !open.is_empty() => Ok(Round::wait(IDLE)),
         Err(error) => Err(error),
     }

@@ -1,5 +1,6 @@
-//! The head of the audit log, put on the chain while it changes: a record of each owner who is open, under her own
-//! keys, for nobody can open another's, and a head that somebody else signed proves nothing to her.
+//! The head of the audit log, anchored while the log changes, as a record of each owner whose keyring is open. Each
+//! owner signs their own head: nobody can open another owner's record, and a head signed by someone else proves
+//! nothing.
 
 use std::time::Duration;
 
@@ -14,10 +15,10 @@ use super::{Network, Owner, PipelineError, Plant};
 
 /// The name that the records are filed under.
 pub(super) const TOPIC: &str = "authros/audit";
-/// Heads that are opened for one check, the newest; each covers all lines below it.
+/// How many of the newest heads are opened for a check; each covers all lines below it.
 const MOST_HEADS: usize = 100;
 
-/// The head that an owner's newest record holds.
+/// The head in an owner's newest record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 struct Last {
     line: u64,
@@ -28,10 +29,10 @@ fn key(owner: Address) -> String {
     format!("audit-head:{owner}")
 }
 
-/// The head (number of lines, hash) that an account's newest record holds, as the ledger noted it: needs no key.
+/// The head (number of lines, hash) in an account's newest record, as noted in the ledger; needs no key.
 ///
 /// # Errors
-/// Of the ledger, also where the note cannot be read.
+/// Errors of the ledger, also if the note cannot be read.
 pub fn noted(ledger: &Ledger, owner: Address) -> Result<Option<(u64, Digest)>, StoreError> {
     Ok(last(ledger, owner)?.map(|last| (last.line, last.hash)))
 }
@@ -42,13 +43,13 @@ fn last(ledger: &Ledger, owner: Address) -> Result<Option<Last>, StoreError> {
     serde_json::from_str(&text).map(Some).map_err(|_| StoreError::Corrupt { file: ledger.path().to_owned(), detail })
 }
 
-/// Seals the log's head for `owner` where its oldest line that no head of hers covers is older than `every`: a
-/// function of the ledger, so it goes on where it stood before a restart, and idles while nothing changes. The
-/// caller holds [`Owner::changes`]: a head must not be signed by a key that is just being replaced.
+/// Seals the log's head for `owner` if the oldest line not covered by one of the owner's heads is older than `every`. A
+/// function of the ledger: it continues after a restart, and idles while nothing changes. The caller holds
+/// [`Owner::changes`]: a head must not be signed by a key that is being replaced.
 ///
 /// # Errors
-/// Of ledger and vault; `StoreError::Corrupt` where the log does not go on from the head before, and then no head
-/// is put on top of it.
+/// Errors of ledger and vault; `StoreError::Corrupt` if the log does not continue from the previous head, in which case
+/// no new head is sealed.
 pub fn state_head(
     plant: &Plant,
     network: &Network,
@@ -75,18 +76,18 @@ pub fn state_head(
     let body = AuditHead { line, hash, previous_line: covered, previous_hash }.encode();
     let named = Statement { kind: RecordKind::Audit, topic: TOPIC, type_name: "authros/AuditHead", body: &body };
     let Some(digest) = statement::state(plant, owner.address, &keys, named)? else { return Ok(None) };
-    // Cut here, the next head names the same one before it, which is no contradiction.
+    // If interrupted here, the next head names the same predecessor, which is not a contradiction.
     plant.ledger.put_setting(&key(owner.address), &serde_json::to_string(&Last { line, hash }).unwrap_or_default())?;
     plant.observer.records_changed();
     Ok(Some(digest))
 }
 
-/// The heads of the log that a reader's own records hold.
+/// The log's heads in a reader's own records.
 #[derive(Debug, Default)]
 pub struct Heads {
-    /// Number of lines and hash each, newest first, out of records whose checks passed.
+    /// Number of lines and hash each, newest first, from records whose checks passed.
     pub good: Vec<(u64, Digest)>,
-    /// Of these in a block that the chain confirms.
+    /// Those in a block that the chain confirms.
     pub anchored: usize,
     /// Records that fail their checks, with the reason.
     pub bad: Vec<(String, String)>,
@@ -95,7 +96,7 @@ pub struct Heads {
 /// Opens the newest heads of the log that this owner anchored.
 ///
 /// # Errors
-/// Of the ledger; a record that does not open is told in the answer.
+/// Errors of the ledger; a record that does not open is listed in the answer.
 pub async fn heads(reader: &Reader<'_>) -> Result<Heads, PipelineError> {
     let query = RecordQuery {
         owner: Some(reader.reader.address),
@@ -116,7 +117,7 @@ pub async fn heads(reader: &Reader<'_>) -> Result<Heads, PipelineError> {
             Err(error) => heads.bad.push((row.id.clone(), error.to_string())),
         }
     }
-    // The ledger's own note, for a head whose record was taken away.
+    // The ledger's own note, in case a head's record was removed.
     let noted = tokio::task::block_in_place(|| last(&reader.plant.ledger, reader.reader.address))?;
     heads.good.extend(noted.map(|last| (last.line, last.hash)));
     Ok(heads)

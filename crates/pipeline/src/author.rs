@@ -1,5 +1,5 @@
-//! An author: in whose name messages are sealed, and under which keys from which moment on. An owner's
-//! site has one per open keyring, a robot one from its enrolment.
+//! An author: the owner for whom messages are sealed, with the keys and when each takes effect. An owner's site has one
+//! per open keyring, a robot one from its enrolment.
 
 use std::sync::{Arc, PoisonError, RwLock};
 
@@ -9,14 +9,14 @@ use crate::model::{Address, Timestamp};
 
 use super::epoch::EpochKeys;
 
-/// Whose records are sealed, with the keys in use.
+/// The owner of the records, with the keys in use.
 pub struct Author {
     /// The owner's EOA.
     pub address: Address,
     sealing: RwLock<Sealing>,
 }
 
-/// What seals new records, and what will from a moment on.
+/// The keys that seal new records, and those that will from a later moment.
 #[derive(Default)]
 struct Sealing {
     keys: Option<Arc<EpochKeys>>,
@@ -29,10 +29,10 @@ impl Author {
         Self { address, sealing: RwLock::default() }
     }
 
-    /// The keys that seal new records; `None` before the first, and where the last have ended.
+    /// The keys that seal new records; `None` before the first, and after the last have ended.
     ///
-    /// What was captured after the moment given to [`Self::seal_from`] is never sealed under the keys
-    /// before it, whether or not anybody was awake at that moment.
+    /// A message captured after the moment given to [`Self::seal_from`] is never sealed under the earlier keys, even if
+    /// nothing ran at that moment.
     pub fn sealing(&self) -> Option<Arc<EpochKeys>> {
         {
             let sealing = self.sealing.read().unwrap_or_else(PoisonError::into_inner);
@@ -47,12 +47,12 @@ impl Author {
         in_force(sealing.keys.as_ref())
     }
 
-    /// What seals from a moment on that has not come yet.
+    /// The keys to seal with from a future moment.
     pub fn next(&self) -> Option<(Timestamp, Arc<EpochKeys>)> {
         self.sealing.read().unwrap_or_else(PoisonError::into_inner).next.clone()
     }
 
-    /// Seals as an owner has told a device to: under the keys of now, and of a moment to come.
+    /// Seals as an owner has instructed a device: with the present keys, and with others from a future moment.
     pub fn obey(&self, enrolment: &Enrolment) {
         self.seal_under(Arc::new(EpochKeys::issued(enrolment, &enrolment.keys.now)));
         if let Some((moment, next)) = &enrolment.keys.next {
@@ -60,7 +60,7 @@ impl Author {
         }
     }
 
-    /// From now on records are sealed under these keys.
+    /// From now on records are sealed with these keys.
     pub fn seal_under(&self, keys: Arc<EpochKeys>) {
         *self.sealing.write().unwrap_or_else(PoisonError::into_inner) = Sealing { keys: Some(keys), next: None };
     }
@@ -70,8 +70,8 @@ impl Author {
         *self.sealing.write().unwrap_or_else(PoisonError::into_inner) = Sealing::default();
     }
 
-    /// From `moment` on records are sealed under these keys, unless those of the same or a later epoch seal
-    /// already; of two such moments the earlier counts.
+    /// From `moment` on records are sealed with these keys, unless those of the same or a later epoch are already in
+    /// use; of two such moments the earlier counts.
     pub fn seal_from(&self, moment: Timestamp, keys: Arc<EpochKeys>) {
         let mut sealing = self.sealing.write().unwrap_or_else(PoisonError::into_inner);
         if sealing.keys.as_ref().is_some_and(|now| now.domain == keys.domain && now.epoch >= keys.epoch) {

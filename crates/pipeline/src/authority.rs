@@ -1,8 +1,8 @@
-//! The one place that decides who may sign and who may read; nobody else does.
+//! The only place that decides who may sign and who may read.
 //!
 //! A right to sign is judged at the block that anchors a record: by the state after all events of that block, at that
-//! block's own time. A right to read is judged at the moment of reading, by a policy that has a name. Both answers say
-//! by what right, or in words why there is none.
+//! block's own time. A right to read is judged at the moment of reading, by a named policy. Both answers give the
+//! right, or say in words why there is none.
 
 mod reading;
 mod signing;

@@ -1,4 +1,4 @@
-//! Times of blocks: told with the events where a node does so, else asked of the chain, and remembered.
+//! Times of blocks: included with the events if the node does so, otherwise requested from the chain, and cached.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -11,13 +11,13 @@ use crate::model::Timestamp;
 
 use super::{Network, PipelineError};
 
-/// Times remembered at most.
+/// The most times cached.
 const MOST: usize = 16_384;
 
-/// Times of blocks that were met.
+/// Times of known blocks.
 pub struct BlockTimes {
     known: Mutex<BTreeMap<u64, Timestamp>>,
-    /// Where threads that are no tasks ask the chain.
+    /// The runtime on which threads outside it can query the chain.
     runtime: Option<Handle>,
 }
 
@@ -28,7 +28,7 @@ impl Default for BlockTimes {
 }
 
 impl BlockTimes {
-    /// Notes the time of a block that an event came with.
+    /// Notes the time of a block that an event included.
     pub(super) fn note(&self, at: &EventAt) {
         if let Some(time) = at.timestamp {
             self.keep(at.block, Timestamp::from_seconds(time));
@@ -54,10 +54,10 @@ impl BlockTimes {
 }
 
 impl Network {
-    /// The time of a block, as its maker says. Waits for the chain where it is not known yet.
+    /// The time of a block, as stated by its maker. Queries the chain if it is not known yet.
     ///
     /// # Errors
-    /// Of the chain; `Unsteady` where it has no such block (any more).
+    /// Errors of the chain; `Unsteady` if it has no such block (any more).
     pub fn time_of(&self, block: u64) -> Result<Timestamp, PipelineError> {
         if let Some(time) = self.times.of(block) {
             return Ok(time);
@@ -66,10 +66,10 @@ impl Network {
         block_in_place(|| runtime.block_on(self.ask_time(block)))
     }
 
-    /// As [`Network::time_of`], for tasks.
+    /// Like [`Network::time_of`], for tasks.
     ///
     /// # Errors
-    /// As [`Network::time_of`].
+    /// See [`Network::time_of`].
     pub async fn ask_time(&self, block: u64) -> Result<Timestamp, PipelineError> {
         if let Some(time) = self.times.of(block) {
             return Ok(time);

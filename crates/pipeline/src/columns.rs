@@ -1,6 +1,6 @@
-//! A ledger's row against the record that it tells of. A row is a note for lists and workers; what was captured, when
-//! and by whom is what the signed header says, and the sealed head wherever a key is here. A row that says anything
-//! else is shown with the record's own word, and never as verified.
+//! Compares a ledger's row with its record. A row is a note for lists and workers; what was captured, when and by whom
+//! is what the signed header says, and the sealed head if there is a key for it here. A row that says anything else is
+//! shown with the record's own values, and never as verified.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -20,51 +20,51 @@ use crate::store::{FilterChoice, RecordRow, StoreError};
 
 use super::{Plant, proof};
 
-/// First bytes of a record that are read for its header and, but for very long ones, its sealed head.
+/// First bytes of a record that are read for its header and, unless it is very long, its sealed head.
 pub const FRONT: usize = 2048;
-/// Heads kept in memory.
+/// Heads cached in memory.
 const MOST_HEADS: usize = 8192;
 
-/// How far a row was compared with its record.
+/// How much of a row was compared with its record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Compared {
-    /// Not at all: its bytes are not here.
+    /// Nothing: its bytes are not here.
     #[default]
     Nothing,
-    /// With the public header; names, length and the mark of simulation lie sealed.
+    /// The public header; names, length and the simulation mark are sealed.
     Header,
-    /// With the header, names and mark by their pseudonyms too.
+    /// The header, and names and mark by their pseudonyms.
     Names,
-    /// With header and sealed head: all of it.
+    /// Header and sealed head: everything.
     Head,
 }
 
-/// Where a record stands, as it may be shown.
+/// A record's state, as it may be shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum ShownState {
-    /// As the ledger has it.
+    /// As in the ledger.
     Kept(RecordState),
-    /// Verified, and there is more to say.
+    /// Verified, with a remark.
     Verified(Caveat),
 }
 
-/// What is to be said of a record that was verified.
+/// A remark on a verified record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Caveat {
     /// Retention has deleted its ciphertext.
     Deleted,
-    /// Its bytes are not here to be compared now.
+    /// Its bytes are not here now, so they cannot be compared.
     Unread,
-    /// Names, length and mark of simulation are the ledger's word.
+    /// Names, length and simulation mark come only from the ledger.
     #[serde(rename = "verified, names unchecked")]
     NamesUnchecked,
 }
 
 impl ShownState {
-    /// In a word or a few, for screens and JSON.
+    /// In a few words, for screens and JSON.
     pub fn word(self) -> &'static str {
         match self {
             Self::Kept(state) => state.word(),
@@ -74,7 +74,7 @@ impl ShownState {
         }
     }
 
-    /// The state of that word.
+    /// The state that belongs to these words.
     pub fn from_word(word: &str) -> Option<Self> {
         let kept = RecordState::ALL.into_iter().map(Self::Kept);
         let more = [Caveat::Deleted, Caveat::Unread, Caveat::NamesUnchecked].into_iter().map(Self::Verified);
@@ -85,22 +85,22 @@ impl ShownState {
 /// A row as it may be shown.
 #[derive(Debug, Clone)]
 pub struct Shown {
-    /// The row; where it was compared, with the record's own word in the place of the ledger's.
+    /// The row; if it was compared, with the record's own values instead of the ledger's.
     pub row: RecordRow,
-    /// How far it was compared.
+    /// How much of it was compared.
     pub compared: Compared,
     /// The field in which ledger and record differ.
     pub differs: Option<&'static str>,
 }
 
 impl Shown {
-    /// A row that is the ledger's word.
+    /// A row taken from the ledger alone.
     pub fn unread(row: RecordRow) -> Self {
         Self { row, compared: Compared::Nothing, differs: None }
     }
 
-    /// Where the record stands: as the ledger has it, but never as verified where it was not compared, and
-    /// with a word more where its names were not.
+    /// The record's state: as in the ledger, but never verified if it was not compared, and with a remark if its names
+    /// were not.
     pub fn state(&self) -> ShownState {
         match (self.differs, self.compared, self.row.state) {
             (Some(_), ..) => ShownState::Kept(RecordState::Tampered),
@@ -114,13 +114,13 @@ impl Shown {
 
 /// What may open the sealed head of a row's record.
 pub trait Keys {
-    /// Every key that may have sealed it; the likeliest first.
+    /// Every key that may have sealed it, the most likely first.
     fn topic_keys(&self, row: &RecordRow, header: &Header) -> Vec<TopicKey>;
-    /// IK of the record's owner, where it is here.
+    /// IK of the record's owner, if it is here.
     fn index_key(&self, row: &RecordRow) -> Option<IndexKey>;
 }
 
-/// Header and head of records whose seal was opened since the site began, for pages that are shown again and again.
+/// Header and head of records whose seal was opened since the site started, for pages that are shown repeatedly.
 #[derive(Default)]
 pub struct Heads(Mutex<HashMap<Digest, Arc<(Header, Head)>>>);
 
@@ -139,7 +139,7 @@ impl Heads {
         opened
     }
 
-    /// Forgets all of them: a keyring was locked.
+    /// Clears the cache: a keyring was locked.
     pub fn forget(&self) {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
@@ -149,19 +149,20 @@ impl Heads {
 pub struct Comparison<'a> {
     /// Ledger and vault.
     pub plant: &'a Plant,
-    /// What opens sealed heads.
+    /// The keys for sealed heads.
     pub keys: &'a dyn Keys,
     /// Heads opened before.
     pub heads: &'a Heads,
-    /// By what the rows were found: each header must have it.
+    /// The filters by which the rows were found: each header must have them.
     pub filters: &'a [FilterChoice],
 }
 
 impl Comparison<'_> {
-    /// Compares rows with the first bytes of their records. Where the vault does not answer, rows are the ledger's word.
+    /// Compares rows with the first bytes of their records. If the vault does not answer, rows come from the ledger
+    /// alone.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn of(&self, rows: Vec<RecordRow>) -> Result<Vec<Shown>, StoreError> {
         let unknown: Vec<Digest> =
             rows.iter().map(|row| row.digest).filter(|digest| self.heads.of(*digest).is_none()).collect();
@@ -205,7 +206,7 @@ impl Comparison<'_> {
         Ok(Shown { row, compared, differs })
     }
 
-    /// What the first bytes of a record say; `whole` where its head must be among them.
+    /// What the first bytes of a record say; `whole` if its head must be among them.
     fn look(&self, row: &RecordRow, front: &[u8], whole: bool) -> Sight {
         let Ok((header, length)) = Header::parse(front) else { return Sight::Broken("stored bytes") };
         let end = length.saturating_add(usize::try_from(header.head_length).unwrap_or(usize::MAX));
@@ -247,7 +248,7 @@ impl Sight {
     }
 }
 
-/// What the ledger keeps of a record that is not in the vault: its copy, or its header after it was given up.
+/// What the ledger keeps of a record that is not in the vault: its copy, or its header after retention deleted it.
 fn kept_front(plant: &Plant, row: &RecordRow) -> Result<Option<Vec<u8>>, StoreError> {
     match plant.ledger.local_copy(row.digest)? {
         Some(copy) => Ok(Some(copy)),
@@ -273,14 +274,14 @@ pub fn header_difference(row: &RecordRow, header: &Header) -> Option<&'static st
     fields.iter().find(|(_, same)| !same).map(|(field, _)| *field)
 }
 
-/// Whether a message of `plain` bytes can be sealed in `sealed`: as it is, or compressed, which is done only where it
-/// saves an eighth.
+/// Whether a message of `plain` bytes can be sealed in `sealed` bytes: as it is, or compressed, which is done only if
+/// it saves an eighth.
 fn is_length(sealed: u64, plain: u64) -> bool {
     sealed == plain || sealed <= plain - plain / 8
 }
 
-/// The field in which a row and the sealed head of its record differ; `here` is this ledger's recorder. A gateway
-/// that could not open a record keeps its pseudonyms, its sealed length and no mark of simulation.
+/// The field in which a row and the sealed head of its record differ; `here` is this ledger's recorder. A gateway that
+/// could not open a record stores its pseudonyms, its sealed length and no simulation mark.
 pub fn head_difference(row: &RecordRow, head: &Head, here: RecorderId) -> Option<&'static str> {
     let simulated = head.is_simulated();
     let foreign = row.recorder != here;
@@ -298,16 +299,16 @@ pub fn difference(row: &RecordRow, opened: &OpenedRecord, here: RecorderId) -> O
     header_difference(row, &opened.header).or_else(|| head_difference(row, &opened.head, here))
 }
 
-/// As [`head_difference`], without a key that opens the head: names and mark by the pseudonyms in the header.
+/// Like [`head_difference`], without a key for the head: names and mark by the pseudonyms in the header.
 pub fn name_difference(row: &RecordRow, header: &Header, index: &IndexKey) -> Option<&'static str> {
     if row.is_named() && topic_id(index, &row.topic) != header.topic_id {
         return Some("topic");
     }
-    // Only what publishers sent has filters.
+    // Only messages from publishers have filters.
     if !matches!(header.kind, RecordKind::Data | RecordKind::Definition) {
         return None;
     }
-    // Robots enrolled for some topics make their ids under a key of the topic.
+    // Robots enrolled for some topics compute their ids with a key of the topic.
     let own = filter_key(index, &header.topic_id);
     let named = |id: &FilterId| {
         let known = [filter_id(index, "type", &row.type_name), topic_filter_id(&own, "type", &row.type_name)];
@@ -322,12 +323,12 @@ pub fn name_difference(row: &RecordRow, header: &Header, index: &IndexKey) -> Op
     (row.simulated && !simulated).then_some("mark of simulation")
 }
 
-/// Whether a type's name is not known here: its filter id, or nothing, stands in its place.
+/// Whether a type's name is not known here: its filter id, or nothing, takes its place.
 fn is_pseudonym(type_name: &str) -> bool {
     type_name.is_empty() || (type_name.len() == 16 && type_name.bytes().all(|byte| byte.is_ascii_hexdigit()))
 }
 
-/// The record's own word in the place of the ledger's.
+/// Puts the record's own values in place of the ledger's.
 fn take_over(row: &mut RecordRow, header: &Header, head: Option<&Head>) {
     row.owner = header.owner;
     row.recorder = header.recorder;
@@ -348,7 +349,7 @@ fn take_over(row: &mut RecordRow, header: &Header, head: Option<&Head>) {
     }
 }
 
-/// What does not fit between a row, its place in a batch and its state.
+/// Inconsistencies between a row, its place in a batch and its state.
 fn place_difference(plant: &Plant, row: &RecordRow) -> Result<Option<&'static str>, StoreError> {
     let settled = matches!(row.state, RecordState::Mined | RecordState::Confirmed | RecordState::Verified);
     if settled && row.block.is_none() {
@@ -360,7 +361,7 @@ fn place_difference(plant: &Plant, row: &RecordRow) -> Result<Option<&'static st
     anchor_difference(plant, row)
 }
 
-/// What does not fit between a row and its place in a batch.
+/// Inconsistencies between a row and its place in a batch.
 pub(super) fn anchor_difference(plant: &Plant, row: &RecordRow) -> Result<Option<&'static str>, StoreError> {
     let Some(place) = plant.ledger.batch_place(row.digest)? else { return Ok(None) };
     if !proof::is_included(&place, row) {
@@ -378,7 +379,8 @@ pub(super) fn anchor_difference(plant: &Plant, row: &RecordRow) -> Result<Option
     })
 }
 
-/// Both keys that an epoch gives a record: by its topic's pseudonym, and as it was done before, by its name.
+/// Both keys that an epoch has for a record: derived from its topic's pseudonym, and, as in earlier versions, from its
+/// name.
 pub fn of_epoch(key: &EpochKey, row: &RecordRow, header: &Header) -> Vec<TopicKey> {
     let named = row.is_named().then(|| topic_key_by_name(key, &row.topic));
     [topic_key(key, &header.topic_id)].into_iter().chain(named).collect()

@@ -1,8 +1,8 @@
-//! Who is registered and who may read what, rebuilt from the contract's events alone.
+//! Who is registered and who may read what, rebuilt only from the contract's events.
 //!
-//! Events are applied in chain order; one that is not behind the last one applied is passed over. Held in memory is what
-//! stands; each event is kept in the ledger beside it ([`kept`]), so that a restart scans only new blocks, and what was
-//! revoked is told from there. What follows from all of it is `authority`'s to say.
+//! Events are applied in chain order; one that is not after the last one applied is skipped. The current state is held
+//! in memory; each event is also stored in the ledger ([`kept`]), so that a restart scans only new blocks, and revoked
+//! grants are read from there. Conclusions are up to `authority`.
 
 mod administration;
 mod granted;
@@ -39,27 +39,27 @@ pub struct IdentityAt {
     pub proven: bool,
 }
 
-/// A device's time of being lent.
+/// A period in which a device is lent.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Lending {
     /// SM3 of the device's public key.
     pub device: SignerId,
     /// From this block on.
     pub from: u64,
-    /// Until this block, once recalled.
+    /// Until this block, if recalled.
     pub recalled: Option<u64>,
     /// Until this moment; `None` = no end.
     pub until: Option<Timestamp>,
 }
 
-/// A time in which the administrator had stopped an account's changes, and with them its right to sign.
+/// A period in which the administrator had suspended an account's changes, and with them its right to sign.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Suspension {
     /// From this block on.
     pub from: u64,
-    /// Until this block, in which it was restored.
+    /// Until this block, in which the suspension was lifted.
     pub until: Option<u64>,
-    /// Who continues its work, where the account was lost.
+    /// Its successor, if the account was lost.
     pub successor: Option<Address>,
 }
 
@@ -70,18 +70,18 @@ pub struct Account {
     pub identities: Vec<IdentityAt>,
     /// Current epoch.
     pub epoch: u64,
-    /// Its token; for those before see [`kept::token`].
+    /// Its token; for earlier ones see [`kept::token`].
     pub token: Option<Token>,
     /// Loans of devices that may sign, oldest first.
     pub devices: Vec<Lending>,
-    /// Times of being suspended, oldest first.
+    /// Suspensions, oldest first.
     pub suspensions: Vec<Suspension>,
-    /// Who may stop a succession of it, as its owner named them; `None` = never anybody.
+    /// Who may stop a succession of it, as named by its owner; `None` = never anyone.
     pub recovery: Option<Recovery>,
 }
 
 impl Account {
-    /// The suspension that was in force after a block's events (`None` = after all that are known).
+    /// The suspension in force after a block's events (`None` = after all known events).
     pub fn suspended_at(&self, block: Option<u64>) -> Option<Suspension> {
         let holds = |interval: &&Suspension| match block {
             Some(block) => interval.from <= block && interval.until.is_none_or(|until| block < until),
@@ -112,14 +112,14 @@ impl Account {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 struct State {
     accounts: BTreeMap<Address, Account>,
-    /// Places of loans that were not recalled among their owner's.
+    /// Indices of its owner's loans that were not recalled.
     open_loans: BTreeMap<(Address, SignerId), Vec<usize>>,
-    /// Grants that were not revoked, by owner and grantee.
+    /// Grants not revoked, by owner and grantee.
     grants: BTreeMap<(Address, Address), Granted>,
     /// The same pairs the other way round.
     received: BTreeSet<(Address, Address)>,
     administration: Administration,
-    /// Block and place of the last event that was applied.
+    /// Block and index of the last event applied.
     applied: Option<(u64, u64)>,
 }
 
@@ -143,8 +143,8 @@ impl Directory {
         self.head_time.store(seconds, Ordering::Release);
     }
 
-    /// The moment by which rights begin and end: the contract judges by its blocks' time, so it is never before the
-    /// newest one's, whatever this machine's clock says; between two blocks that clock counts, jumps left out.
+    /// The time by which rights begin and end: the contract judges by its blocks' time, so it is never before the
+    /// newest block's, whatever this machine's clock says; between two blocks that clock counts, without its jumps.
     pub fn now(&self) -> Timestamp {
         steady_now().max(Timestamp::from_seconds(self.head_time.load(Ordering::Acquire)))
     }
@@ -159,12 +159,12 @@ impl Directory {
         Self::new(self.domain, self.provider)
     }
 
-    /// Events up to this place were applied, some of which no longer count.
+    /// Events up to this position were applied, some of which no longer count.
     fn applied_up_to(&self, last: Option<(u64, u64)>) {
         self.state.write().unwrap_or_else(PoisonError::into_inner).applied = last;
     }
 
-    /// Takes over the whole state of another one at once, after it was read anew without replaced blocks.
+    /// Takes over the whole state of another directory at once, after it was rebuilt without replaced blocks.
     pub fn become_like(&self, other: Self) {
         *self.state.write().unwrap_or_else(PoisonError::into_inner) =
             other.state.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -175,12 +175,12 @@ impl Directory {
         self.state.read().unwrap_or_else(PoisonError::into_inner).applied.map_or(0, |(block, _)| block)
     }
 
-    /// Applies one event; returns whether it was a new one that changes rights.
+    /// Applies one event; returns whether it was new and changes rights.
     pub fn apply(&self, at: &EventAt) -> bool {
         self.judge(at).is_some_and(|told| self.take(&told))
     }
 
-    /// What an event says of rights; `None` for anchors, which are the watcher's.
+    /// An event's effect on rights; `None` for anchors, which are up to the watcher.
     pub fn judge(&self, at: &EventAt) -> Option<Told> {
         let proven = match &at.event {
             Event::DataUploaded { .. } | Event::Anchored { .. } => return None,
@@ -193,7 +193,7 @@ impl Directory {
         Some(Told { block, place, transaction, event: at.event.clone(), proven })
     }
 
-    /// Takes in what an event says; returns whether it was a new one.
+    /// Applies an event's content; returns whether it was new.
     pub fn take(&self, told: &Told) -> bool {
         let mut state = self.state.write().unwrap_or_else(PoisonError::into_inner);
         let place = (told.block, told.place);
@@ -210,7 +210,7 @@ impl Directory {
         self.state.read().unwrap_or_else(PoisonError::into_inner).accounts.get(&owner).cloned()
     }
 
-    /// Looks at an account without copying it.
+    /// Reads an account without copying it.
     pub(super) fn with_account<T>(&self, owner: Address, look: impl FnOnce(Option<&Account>) -> T) -> T {
         look(self.state.read().unwrap_or_else(PoisonError::into_inner).accounts.get(&owner))
     }
@@ -228,15 +228,15 @@ impl Directory {
     /// The account's current identity.
     ///
     /// # Errors
-    /// `Unregistered` where there is none, `BadIdentity` where its proof does not verify.
+    /// `Unregistered` if there is none, `BadIdentity` if its proof does not verify.
     pub fn identity(&self, owner: Address) -> Result<IdentityAt, PipelineError> {
         let account = self.account(owner).ok_or(PipelineError::Unregistered(owner))?;
         let identity = account.identities.last().cloned().ok_or(PipelineError::Unregistered(owner))?;
         if identity.proven { Ok(identity) } else { Err(PipelineError::BadIdentity(owner)) }
     }
 
-    /// The proven identities of an account that were registered at any moment of a block, the newest first: what it
-    /// signed in that block it signed with one of them.
+    /// The proven identities of an account that were registered at any moment of a block, newest first: whatever it
+    /// signed in that block, it signed with one of them.
     pub fn identities_at(&self, owner: Address, block: u64) -> Vec<IdentityAt> {
         let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
         let known = state.accounts.get(&owner).map(|account| account.identities.as_slice()).unwrap_or_default();
@@ -250,7 +250,7 @@ impl Directory {
         found
     }
 
-    /// The block since which an account has the envelope key that it has now; 0 where it has none.
+    /// The block since which an account has its present envelope key; 0 if it has none.
     pub fn envelope_key_since(&self, account: Address) -> u64 {
         let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
         let known = state.accounts.get(&account).map(|account| account.identities.as_slice()).unwrap_or_default();
@@ -259,18 +259,18 @@ impl Directory {
         same.last().map_or(0, |identity| identity.block)
     }
 
-    /// What the administrator decided.
+    /// The administrator's decisions.
     pub fn administration(&self) -> Administration {
         self.state.read().unwrap_or_else(PoisonError::into_inner).administration.clone()
     }
 
-    /// The account that continues the work of `account`, which is lost; `None` where the administrator named none. A
-    /// successor that was lost as well is followed to its own.
+    /// The successor of the lost account `account`; `None` if the administrator named none. If a successor was lost as
+    /// well, its own successor.
     pub fn successor(&self, account: Address) -> Option<Address> {
         self.state.read().unwrap_or_else(PoisonError::into_inner).administration.successor(account)
     }
 
-    /// The account that has registered the signing key with this id, now or before: a gateway keeps its identity when
+    /// The account that has registered the signing key with this id, now or earlier: a gateway keeps its identity when
     /// its keeper's key changes.
     pub fn registered_as(&self, signer: SignerId) -> Option<Address> {
         let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
@@ -281,7 +281,7 @@ impl Directory {
         state.accounts.iter().find(|(_, account)| has(account)).map(|(address, _)| *address)
     }
 
-    /// The grant of an owner to a grantee that was not revoked; it may have run out.
+    /// The grant of an owner to a grantee that was not revoked; it may have expired.
     pub fn grant_between(&self, owner: Address, grantee: Address) -> Option<Granted> {
         self.state.read().unwrap_or_else(PoisonError::into_inner).grants.get(&(owner, grantee)).cloned()
     }
@@ -293,7 +293,7 @@ impl Directory {
         oldest_first(owners.filter_map(|owner| state.grants.get(&(owner, grantee)).cloned()))
     }
 
-    /// The grants of an account that were not revoked, oldest first.
+    /// The grants by an account that were not revoked, oldest first.
     pub fn grants_of(&self, owner: Address) -> Vec<Granted> {
         let state = self.state.read().unwrap_or_else(PoisonError::into_inner);
         oldest_first(state.grants.range((owner, LOWEST)..=(owner, HIGHEST)).map(|(_, grant)| grant.clone()))

@@ -13,7 +13,7 @@ use crate::model::header::MOST_FILTERS;
 use crate::model::{Domain, FilterId, SignerId, Timestamp, Token, TopicId};
 use crate::store::FilterChoice;
 
-/// What sealing a topic's records needs.
+/// What sealing a topic's records requires.
 pub struct TopicKeys {
     /// The topic's pseudonym.
     pub id: TopicId,
@@ -22,11 +22,11 @@ pub struct TopicKeys {
     filters: Filters,
 }
 
-/// What the filter ids of a record are made with.
+/// The key for the filter ids of a record.
 enum Filters {
     /// IK: the same ids on every topic.
     Index(IndexKey),
-    /// The filter key of its topic, all that a device of some topics has.
+    /// The filter key of its topic, all that a device for some topics has.
     Topic(FilterKey),
 }
 
@@ -47,7 +47,7 @@ pub struct EpochKeys {
     pub epoch: u64,
     /// Its public commitment.
     pub token: Token,
-    /// When it must no longer be sealed under, where that is known; an owner has the next one ready by then.
+    /// When sealing under it must end, if that is known; an owner has the next one ready by then.
     pub ends: Option<Timestamp>,
     /// Signs records.
     pub signing: Arc<SmKeyPair>,
@@ -60,7 +60,7 @@ pub struct EpochKeys {
 
 impl EpochKeys {
     /// The keys of an epoch; `signing` is the owner's pair or that of a lent device, `index` is IK, which a device that
-    /// has pseudonyms of its topics does not hold.
+    /// was given pseudonyms of its topics does not hold.
     pub fn new(
         domain: Domain,
         (epoch, token): (u64, Token),
@@ -82,19 +82,19 @@ impl EpochKeys {
         }
     }
 
-    /// The keys of an epoch as a device was given them.
+    /// The keys of an epoch as issued to a device.
     pub fn issued(enrolment: &Enrolment, issue: &EpochIssue) -> Self {
         let (signing, key, index) = (enrolment.device.clone(), issue.key.clone(), enrolment.index.clone());
         let keys = Self::new(enrolment.domain, (issue.epoch, issue.token), signing, key, index);
         Self { ends: issue.ends, ..keys }
     }
 
-    /// The topics that they are limited to; `None` where they cover all.
+    /// The topics they are limited to; `None` if they cover all.
     pub fn names(&self) -> Option<Vec<String>> {
         self.key.topics()
     }
 
-    /// The keys of a topic, derived once; `None` for a topic that these keys do not cover.
+    /// The keys of a topic, derived once; `None` for a topic not covered.
     pub fn topic(&self, topic: &str) -> Option<Arc<TopicKeys>> {
         let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(keys) = topics.get(topic) {
@@ -127,9 +127,8 @@ impl EpochKeys {
 }
 
 impl TopicKeys {
-    /// The filter ids of a record, at most [`MOST_FILTERS`]: its type, that it is simulated, then its other
-    /// tags in the order of their names; not what a recording says beside its messages.
-    /// A tag's filter is over `name=value`.
+    /// The filter ids of a record, at most [`MOST_FILTERS`]: its type, whether it is simulated, then its other tags in
+    /// order of their names; not what a recording says beside its messages. A tag's filter is over `name=value`.
     pub fn filters(&self, type_name: &str, tags: &BTreeMap<String, String>) -> Vec<FilterId> {
         let is_simulated = |tag: &(&String, &String)| (tag.0.as_str(), tag.1.as_str()) == SIMULATED;
         let sought = |(name, _): &(&String, &String)| !name.starts_with(MCAP);
@@ -143,12 +142,12 @@ fn tag_text(name: &str, value: &str) -> String {
     format!("{name}={value}")
 }
 
-/// The filter id of a tag, as owners and devices with IK make it.
+/// The filter id of a tag, as computed by owners and devices with IK.
 pub fn tag_filter(index: &IndexKey, name: &str, value: &str) -> FilterId {
     filter_id(index, "tag", &tag_text(name, value))
 }
 
-/// The ids by which records with a tag are found: that of IK and, of each of `topics`, that of its filter key.
+/// The ids by which records with a tag are found: that from IK and, for each of `topics`, that from its filter key.
 pub fn tag_choice(index: &IndexKey, name: &str, value: &str, topics: &[TopicId]) -> FilterChoice {
     let text = tag_text(name, value);
     let of_topic = |topic: &TopicId| (*topic, topic_filter_id(&filter_key(index, topic), "tag", &text));

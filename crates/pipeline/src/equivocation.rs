@@ -1,22 +1,23 @@
-//! Two signed records under one number: whoever gave (owner, recorder, topic, number) twice lied, or ran twice. What was
-//! there stays; the other one is refused, told, and kept in the audit log with both signatures, as evidence.
+//! Two signed records with the same number: a recorder that used (owner, recorder, topic, number) twice either lied or
+//! ran twice. The first record stays; the other one is refused, reported, and stored in the audit log with both
+//! signatures, as evidence.
 
 use crate::model::{Address, Digest, RecorderId, Signature, Timestamp, TopicId};
 use crate::store::{AuditEntry, AuditLog, NewRecord};
 
 use super::{PipelineError, Plant};
 
-/// The ledger's note of those told of a recorder.
+/// The ledger's note of the cases reported for a recorder.
 const TOLD: &str = "equivocation:";
-/// So many of one recorder are told; more prove nothing more.
+/// At most this many cases per recorder are reported; more prove nothing more.
 const MOST: usize = 16;
 
 /// A record that claims a number.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Claim {
-    /// Whose it is.
+    /// Its owner.
     pub owner: Address,
-    /// The ledger that its number counts in.
+    /// The recorder.
     pub recorder: RecorderId,
     /// Its topic.
     pub topic: TopicId,
@@ -24,12 +25,12 @@ pub struct Claim {
     pub number: u64,
     /// Its digest.
     pub digest: Digest,
-    /// Its owner's or a device's signature over that.
+    /// Its owner's or a device's signature over the digest.
     pub signature: Signature,
 }
 
 impl Claim {
-    /// What a record claims that came from elsewhere; `None` of one that was recorded here.
+    /// The claim of a record that came from elsewhere; `None` for one recorded here.
     pub fn of(record: &NewRecord) -> Option<Self> {
         let recorder = record.foreign?.recorder;
         let (owner, topic, number) = (record.owner, record.topic_id, record.seq);
@@ -37,11 +38,11 @@ impl Claim {
     }
 }
 
-/// Tells of a refused record whose number another one has; both must be signed, which is the caller's to have checked.
-/// Whether that is so, told before or not.
+/// Reports a refused record whose number belongs to another one; the caller must have checked both signatures. Returns
+/// whether this is such a case, reported before or not.
 ///
 /// # Errors
-/// Of the ledger.
+/// Errors of the ledger.
 pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool, PipelineError> {
     let held = plant.ledger.holder(claim.owner, claim.recorder, claim.topic, claim.number)?;
     let Some(held) = held.filter(|held| *held != claim.digest) else { return Ok(false) };

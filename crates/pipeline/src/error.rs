@@ -20,23 +20,23 @@ pub enum PipelineError {
     /// Node or contract.
     #[error(transparent)]
     Chain(#[from] ChainError),
-    /// Message definitions.
+    /// The account has not registered an identity on the contract.
     #[error(transparent)]
     Ros(#[from] RosError),
-    /// The account has no identity on the contract.
+    /// The account's identity on the chain has no valid proof.
     #[error("{0} is not registered on this contract; its owner runs `authros register` first")]
     Unregistered(Address),
-    /// The account's identity on the chain does not prove itself.
+    /// No grant covers the request.
     #[error(
         "the identity that {0} registered does not verify, so it counts as unregistered; ask its owner to register again"
     )]
     BadIdentity(Address),
-    /// No grant covers what was asked.
+    /// The owner, who would have to grant access.
     #[error("{owner} does not share {what} with {reader}; ask for `authros grant {reader}`")]
     NotGranted {
-        /// Who would have to share.
+        /// The reader.
         owner: Address,
-        /// Who asks.
+        /// What was requested.
         reader: Address,
         /// What was asked.
         what: String,
@@ -44,7 +44,7 @@ pub enum PipelineError {
     /// There is no such record, or it is not shared.
     #[error("no record '{0}' is known here; `authros uploads list` and `authros shared list` name those that are")]
     NoRecord(String),
-    /// The ledger says of a record what its signed header or sealed head does not.
+    /// The ledger contradicts a record's signed header or sealed head.
     #[error(
         "the ledger was altered: record {id} differs from its row in its {field}, so it is not shown; \
          `authros audit` names every such row, restore the ledger from a backup"
@@ -66,16 +66,16 @@ pub enum PipelineError {
          header, signature and proof are there, its message is not"
     )]
     Deleted(String, Digest),
-    /// The keyring has no key of an epoch.
+    /// The keyring lacks the key of an epoch.
     #[error("the keyring has no key of epoch {0}; restore the newest keyring of this profile")]
     UnknownEpoch(u64),
-    /// A topic whose key was not given.
+    /// A topic whose key was not issued.
     #[error("no key for topic {0} is here, so it is not captured; enrol again with `--topic` for it")]
     Uncovered(String),
     /// A transaction was mined and reverted.
     #[error("the contract refused {purpose}: {reason}")]
     Reverted {
-        /// What the transaction was for.
+        /// The purpose of the transaction.
         purpose: String,
         /// The contract's words, cleaned.
         reason: String,
@@ -85,35 +85,35 @@ pub enum PipelineError {
         "{0} has not enough ether to pay for the transaction's gas; send it some on this chain, then repeat the command"
     )]
     NoEther(Address),
-    /// A transaction is not mined in time; it stays stored and is sent again.
+    /// A transaction was not mined in time; it stays stored and is sent again.
     #[error("{0} is sent but not in a block yet; it is kept and will be sent again, look at `authros chain status`")]
     NotMined(String),
-    /// The chain changed again and again while it was read.
+    /// The chain kept changing while it was read.
     #[error("the chain changes while it is read; it is read again, check that all nodes behind the URL agree")]
     Unsteady,
-    /// A record from a gateway of which something does not hold.
+    /// A record from a gateway with an invalid claim.
     #[error("record {digest} that the gateway gave is not taken in: {why}; tell its owner and the gateway's operator")]
     NotTakenIn {
-        /// Which.
+        /// The record.
         digest: Digest,
-        /// What does not hold.
+        /// The invalid claim.
         why: String,
     },
     /// A record whose signer had no right at the block that anchors it.
     #[error("record {id} is not verified: {why}; ask its owner whether the record was anchored again since")]
     NoRight {
-        /// Which.
+        /// The record.
         id: String,
-        /// Why not.
+        /// The reason.
         why: Box<NoRight>,
     },
-    /// A grant or revoke that the state of things does not allow.
+    /// A grant or revoke that the present state does not allow.
     #[error("{0}")]
     Refused(String),
 }
 
 impl PipelineError {
-    /// Decides the exit code.
+    /// Determines the exit code.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Crypto(error) => error.kind(),
@@ -135,7 +135,7 @@ impl PipelineError {
     }
 }
 
-/// An error of the chain met while `account` was to pay.
+/// An error of the chain that occurred while `account` was to pay.
 pub(super) fn of_payer(error: ChainError, account: Address) -> PipelineError {
     match error {
         ChainError::InsufficientFunds => PipelineError::NoEther(account),

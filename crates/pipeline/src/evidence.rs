@@ -1,5 +1,5 @@
-//! What a bundle of evidence is put together from: records as the vault holds them, their places in batches, and what the
-//! chain shows of their anchors and their signers' keys.
+//! What an evidence bundle is assembled from: records from the vault, their places in batches, and the chain's proofs
+//! of their anchors and their signers' keys.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -24,20 +24,20 @@ use super::{PipelineError, authority};
 /// The most records in a bundle.
 pub use authros_evidence::MOST_RECORDS;
 
-/// A bundle under way, and what could not be put into it.
+/// A bundle being assembled, and what could not be included.
 #[derive(Debug, Default)]
 pub struct Gathered {
     /// The parts.
     pub packing: Packing,
-    /// How many records.
+    /// The number of records.
     pub records: u64,
-    /// How many of them are disclosed.
+    /// The number of them that are disclosed.
     pub revealed: u64,
     /// What is missing, in words.
     pub notes: Vec<String>,
 }
 
-/// What a record of the bundle asks the chain to show.
+/// What the chain has to prove for a record of the bundle.
 struct Asked {
     digest: Digest,
     owner: Address,
@@ -66,7 +66,7 @@ fn refused(error: PackingError) -> PipelineError {
 /// time stamp authorities.
 ///
 /// # Errors
-/// Of ledger, vault and chain; a record whose bytes are gone.
+/// Errors of ledger, vault and chain; a record whose bytes are gone.
 pub async fn gather(
     reader: &Reader<'_>,
     rows: &[RecordRow],
@@ -144,7 +144,7 @@ fn stored(
     Ok(Some((header, key, record)))
 }
 
-/// The block of the record's anchor, and how it was anchored.
+/// The block of the record's anchor, and the kind of anchor.
 fn anchoring(reader: &Reader<'_>, row: &RecordRow) -> Result<Option<(u64, Anchoring)>, PipelineError> {
     let Some(place) = reader.plant.ledger.batch_place(row.digest)? else {
         return Ok(row.block.map(|block| (block, Anchoring::Each)));
@@ -154,7 +154,7 @@ fn anchoring(reader: &Reader<'_>, row: &RecordRow) -> Result<Option<(u64, Anchor
     Ok(Some((block, Anchoring::Batch { account, root, index, count, path })))
 }
 
-/// Which version of an account's keys was in force at a block; 0 where the contract keeps no history of them.
+/// The version of an account's keys in force at a block; 0 if the contract keeps no history of them.
 fn key_version(reader: &Reader<'_>, owner: Address, block: u64) -> Result<u64, PipelineError> {
     if reader.network.chain.revision()? == Revision::First {
         return Ok(0);
@@ -165,7 +165,7 @@ fn key_version(reader: &Reader<'_>, owner: Address, block: u64) -> Result<u64, P
     }))
 }
 
-/// The owner's signed disclosure of a record; the text of its definition goes with it.
+/// The owner's signed disclosure of a record; the text of its definition is included.
 async fn disclosed(
     reader: &Reader<'_>,
     row: &RecordRow,
@@ -184,7 +184,7 @@ async fn disclosed(
     disclose(secret, (&network.domain, &row.digest), &reader.reader.signing(), plant.provider).map_err(refused)
 }
 
-/// Has the chain show every anchor, at its own block where the node still has that state, else at a late one.
+/// Gets the chain's proof of every anchor, at its own block if the node still has that state, otherwise at a late one.
 async fn show(reader: &Reader<'_>, asked: Vec<Asked>, gathered: &mut Gathered) -> Result<(), PipelineError> {
     let chain = &reader.network.chain;
     let mut blocks: BTreeMap<u64, Vec<Asked>> = BTreeMap::new();
@@ -236,7 +236,7 @@ async fn show(reader: &Reader<'_>, asked: Vec<Asked>, gathered: &mut Gathered) -
     Ok(())
 }
 
-/// What has to be shown of the contract's storage for these records.
+/// What has to be proven of the contract's storage for these records.
 fn slots(all: &[Asked]) -> Vec<Slot> {
     let mut slots = BTreeSet::new();
     for Asked { digest, owner, signer, keys, anchor, .. } in all {
@@ -258,7 +258,7 @@ fn slots(all: &[Asked]) -> Vec<Slot> {
     slots.into_iter().map(Slot).collect()
 }
 
-/// `None` where the node no longer has that state, or proves nothing at all.
+/// `None` if the node no longer has that state, or cannot prove anything.
 async fn state_nodes(reader: &Reader<'_>, block: u64, slots: &[Slot]) -> Result<Option<Vec<Vec<u8>>>, PipelineError> {
     match reader.network.chain.storage_nodes(block, slots).await {
         Ok(nodes) => Ok(Some(nodes)),
@@ -268,8 +268,8 @@ async fn state_nodes(reader: &Reader<'_>, block: u64, slots: &[Slot]) -> Result<
     }
 }
 
-/// An account's identity of a version, as it was registered; the newest is asked of the contract, older ones of the block
-/// that registered them.
+/// An account's identity of a given version, as registered; the newest is read from the contract, older ones from the
+/// block that registered them.
 async fn identity(reader: &Reader<'_>, account: Address, version: u64) -> Result<Option<Identity>, PipelineError> {
     let chain = &reader.network.chain;
     let Some(state) = chain.account(account).await? else { return Ok(None) };

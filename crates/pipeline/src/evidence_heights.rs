@@ -1,5 +1,5 @@
-//! What a bundle shows of completeness: for each recorder in it the newest head that the chain has, its birth, and where
-//! the head has the highest numbers of the topics.
+//! A bundle's proof of completeness: for each recorder in it, the newest head on the chain, its birth, and the proofs
+//! of the topics' highest numbers under the head.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,7 +13,7 @@ use super::PipelineError;
 use super::reader::Reader;
 use super::recorder_heads::{TOPIC, tree};
 
-/// The most statements of one type by one recorder that are looked through.
+/// The most statements of one type by one recorder that are searched.
 const MOST_STATEMENTS: usize = 16;
 
 /// Statements that a bundle discloses for completeness.
@@ -30,7 +30,7 @@ pub(super) struct Shown {
 /// What there is for these records.
 ///
 /// # Errors
-/// Of the ledger; a statement that does not open is passed over.
+/// Errors of the ledger; a statement that does not open is skipped.
 pub(super) async fn shown(reader: &Reader<'_>, rows: &[RecordRow]) -> Result<Shown, PipelineError> {
     let mut topics: BTreeMap<RecorderId, BTreeSet<TopicId>> = BTreeMap::new();
     for row in rows.iter().filter(|row| row.topic != TOPIC) {
@@ -48,7 +48,7 @@ pub(super) async fn shown(reader: &Reader<'_>, rows: &[RecordRow]) -> Result<Sho
     Ok(shown)
 }
 
-/// What there is of one recorder.
+/// What there is for one recorder.
 async fn one(
     reader: &Reader<'_>,
     (recorder, topics): (RecorderId, &BTreeSet<TopicId>),
@@ -79,8 +79,7 @@ async fn one(
     Ok(())
 }
 
-/// Anchored statements of a recorder, in the order in which they are looked through: heads from the newest on, births from
-/// the oldest.
+/// Anchored statements of a recorder, in search order: heads from the newest, births from the oldest.
 fn statements(reader: &Reader<'_>, recorder: RecorderId, type_name: &str) -> Result<Vec<RecordRow>, PipelineError> {
     let query = RecordQuery {
         owner: Some(reader.reader.address),
@@ -100,7 +99,7 @@ fn is_confirmed(row: &RecordRow) -> bool {
     matches!(row.state, RecordState::Confirmed | RecordState::Verified)
 }
 
-/// What a statement on this chain says.
+/// The content of a statement on this chain.
 async fn body(reader: &Reader<'_>, row: &RecordRow) -> Option<Vec<u8>> {
     let opened = reader.open(row).await.ok()?;
     (opened.header.domain == reader.network.domain).then_some(opened.body)

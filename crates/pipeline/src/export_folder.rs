@@ -1,5 +1,5 @@
-//! A folder of `uploads export`, as somebody gets it who trusts nobody: read with bounds, and checked as far as that
-//! goes without a chain. What the chain has to say is asked elsewhere.
+//! A folder from `uploads export`, as seen by a recipient who trusts nobody: read within limits, and checked as far as
+//! possible without a chain. The chain is queried elsewhere.
 
 use std::fs::File;
 use std::io::Read as _;
@@ -14,18 +14,18 @@ use crate::model::{
     Address, Digest, Domain, Hash, Header, PublicKey, RecorderId, Signature, SignerId, Timestamp, TopicId, clean,
 };
 
-/// What `proof.json` begins with.
+/// The `format` of `proof.json`.
 const FORMAT: &str = "authros-proof/1";
 /// The longest of the small files, bytes.
 const LONGEST_SMALL: u64 = 64 * 1024;
-/// The longest header of a record, bytes, generously.
+/// A generous limit for a record's header, bytes.
 const LONGEST_HEADER: u64 = 1024;
 
-/// Why a folder cannot be looked at.
+/// Why a folder cannot be examined.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{file}: {why}; ask whoever gave you the folder for `authros uploads export` anew")]
 pub struct FolderError {
-    /// Which file.
+    /// The file.
     pub file: String,
     /// What is wrong with it, cleaned.
     pub why: String,
@@ -41,21 +41,21 @@ impl FolderError {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AnchorWord {
-    /// Its digest by itself.
+    /// Its digest, individually.
     Each,
     /// The root of its batch.
     Batch,
 }
 
-/// Where `proof.json` says that the record is anchored.
+/// Where `proof.json` says the record is anchored.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClaimedAnchor {
-    /// How.
+    /// The kind of anchor.
     pub mode: AnchorWord,
     /// Its leaf's hash.
     #[serde(default)]
     pub leaf: Option<Hash>,
-    /// Its place.
+    /// Its index.
     #[serde(default)]
     pub index: Option<u64>,
     /// Leaves of the batch.
@@ -76,12 +76,12 @@ pub struct ClaimedAnchor {
     /// That block's hash.
     #[serde(default)]
     pub block_hash: Option<Hash>,
-    /// That block's time, where the exporter's chain told it.
+    /// That block's time, if the exporter's chain gave it.
     #[serde(default)]
     pub block_time: Option<Timestamp>,
 }
 
-/// What `proof.json` claims.
+/// The claims in `proof.json`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ClaimedProof {
     /// Names this format.
@@ -92,11 +92,11 @@ pub struct ClaimedProof {
     pub signer: SignerId,
     /// The epoch that seals it.
     pub epoch: u64,
-    /// The ledger that numbered it.
+    /// The recorder.
     pub recorder: RecorderId,
     /// Its topic's pseudonym.
     pub topic_id: TopicId,
-    /// Its number.
+    /// Its seq.
     pub seq: u64,
     /// The network it is bound to.
     pub domain: Domain,
@@ -128,7 +128,7 @@ impl ClaimedProof {
         Ok(proof)
     }
 
-    /// The path, where the record is in a batch and the claim is complete.
+    /// The path, if the record is in a batch and the claim is complete.
     pub fn inclusion(&self) -> Option<Inclusion> {
         let anchor = &self.anchor;
         Some(Inclusion { index: anchor.index?, count: anchor.count?, path: anchor.path.clone()?, root: anchor.root? })
@@ -140,14 +140,14 @@ impl ClaimedProof {
 pub struct VerifyStep {
     /// What was checked.
     pub name: String,
-    /// Whether it holds; `None` = it could not be asked.
+    /// The result; `None` = it could not be checked.
     pub ok: Option<bool>,
     /// In words, cleaned.
     pub text: String,
 }
 
 impl VerifyStep {
-    /// A step that holds or does not.
+    /// A step that passes or fails.
     pub fn new(name: &str, ok: bool, text: &str) -> Self {
         Self { name: name.to_owned(), ok: Some(ok), text: clean(text, 400) }
     }
@@ -158,25 +158,25 @@ impl VerifyStep {
     }
 }
 
-/// The files of a folder, each within its bounds and of its form.
+/// The files of a folder, each within its limits and well-formed.
 #[derive(Debug, Clone)]
 pub struct ExportFolder {
-    /// The record as it is stored.
+    /// The record as stored.
     pub record: Vec<u8>,
     /// Its header.
     pub header: Header,
-    /// What is signed, as the folder has it.
+    /// The signed bytes, as found in the folder.
     pub message: Vec<u8>,
     /// The signature.
     pub signature: Signature,
     /// The key in `signer.pem`.
     pub signer: PublicKey,
-    /// What `proof.json` claims.
+    /// The claims in `proof.json`.
     pub proof: ClaimedProof,
 }
 
 impl ExportFolder {
-    /// Reads a folder; links and anything that is no plain file are refused.
+    /// Reads a folder; links and anything but plain files are refused.
     ///
     /// # Errors
     /// [`FolderError`] with the file and what is wrong with it.
@@ -190,7 +190,7 @@ impl ExportFolder {
     /// From the files' bytes.
     ///
     /// # Errors
-    /// As [`ExportFolder::read`].
+    /// See [`ExportFolder::read`].
     pub fn parse(
         record: Vec<u8>,
         message: Vec<u8>,
@@ -216,7 +216,7 @@ impl ExportFolder {
         Digest(provider.sm3(&[&self.record]))
     }
 
-    /// What its batch binds.
+    /// The leaf of the record in its batch.
     pub fn leaf(&self, digest: Digest) -> Leaf {
         let Header { owner, recorder, topic_id, seq, .. } = self.header;
         Leaf { owner, recorder, topic_id, seq, digest }
@@ -283,7 +283,7 @@ impl ExportFolder {
 fn read(folder: &Path, name: &str, most: u64) -> Result<Vec<u8>, FolderError> {
     let path = folder.join(name);
     let failed = |error: std::io::Error| FolderError::new(name, &format!("cannot be read: {error}"));
-    // Looked at before it is opened, since opening a pipe would wait for its writer.
+    // Checked before it is opened, because opening a pipe would wait for its writer.
     if !path.symlink_metadata().map_err(failed)?.is_file() {
         return Err(FolderError::new(name, "is no plain file"));
     }

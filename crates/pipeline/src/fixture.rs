@@ -1,4 +1,4 @@
-//! What tests of sender and watcher work with: a ledger, a registered account on a chain, and its records.
+//! What tests of sender and watcher share: a ledger, a registered account on a chain, and its records.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,17 +14,17 @@ use crate::model::{Digest, Hash, RecordKind, RecordState, Signature, SignerId, T
 use crate::ros::{Message, Origin};
 use crate::store::{Anchors, Ledger, NewRecord, open_vault};
 
-/// Keeps what was told.
+/// Keeps what is reported.
 #[derive(Default)]
 pub struct Notes(Mutex<Vec<(bool, String)>>);
 
 impl Notes {
-    /// Everything told so far.
+    /// Everything reported so far.
     pub fn all(&self) -> Vec<(bool, String)> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// How many texts hold these words.
+    /// How many texts contain these words.
     pub fn with(&self, words: &str) -> usize {
         self.all().iter().filter(|(_, text)| text.contains(words)).count()
     }
@@ -42,7 +42,7 @@ impl Observer for Notes {
 
 /// One process: a ledger with its sender, on a chain.
 pub struct Process {
-    /// Where the ledger lies, until the test ends.
+    /// The folder of the ledger, until the test ends.
     _home: TempDir,
     /// Ledger, vault, provider.
     pub plant: Plant,
@@ -50,7 +50,7 @@ pub struct Process {
     pub network: Network,
     /// The lanes.
     pub sender: Sender,
-    /// What was told.
+    /// What was reported.
     pub notes: Arc<Notes>,
     /// The account.
     pub eoa: EoaSecret,
@@ -59,7 +59,7 @@ pub struct Process {
 /// The token that test accounts register.
 pub const TOKEN: Token = Token([3; 32]);
 
-/// A message of text as its only publisher sends it.
+/// A text message as sent by its only publisher.
 pub fn message(topic: &str, captured_at: Timestamp, body: Vec<u8>) -> Message {
     let (type_name, md5sum) = ("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1");
     Message {
@@ -110,7 +110,7 @@ pub fn identity(chain: &Chain, eoa: &EoaSecret) -> Call {
     Call::Register { identity }
 }
 
-/// Signs and sends past every ledger, and waits for the block.
+/// Signs and sends without any ledger, and waits for the block.
 pub async fn by_hand(chain: &Chain, eoa: &EoaSecret, call: &Call) -> Hash {
     let nonce = chain.nonce(eoa.address(), true).await.expect("nonce");
     let signed = chain.sign(eoa, nonce, call).await.expect("signs");
@@ -123,7 +123,7 @@ pub async fn by_hand(chain: &Chain, eoa: &EoaSecret, call: &Call) -> Hash {
     signed.hash
 }
 
-/// A digest that nobody else has.
+/// A digest not used elsewhere.
 pub fn digest(number: u64) -> Digest {
     let mut bytes = [7; 32];
     bytes[..8].copy_from_slice(&number.to_be_bytes());
@@ -131,7 +131,7 @@ pub fn digest(number: u64) -> Digest {
 }
 
 impl Process {
-    /// A new ledger for an account that is registered on `chain`.
+    /// A new ledger for an account registered on `chain`.
     pub async fn new(chain: Chain, eoa: EoaSecret, policy: Policy) -> Self {
         let home = tempfile::tempdir().expect("folder");
         let notes = Arc::new(Notes::default());
@@ -182,13 +182,13 @@ impl Process {
         self.plant.ledger.append(numbers.map(record).collect()).expect("acknowledged");
     }
 
-    /// What anchors a record.
+    /// The transaction purpose for anchoring a record.
     pub fn upload(number: u64) -> Outgoing {
         let call = Call::DataUpload { digest: digest(number), token: TOKEN, timestamp: Timestamp(number) };
         Outgoing { call, purpose: "dataUpload".to_owned(), anchors: Anchors::Digests(vec![digest(number)]) }
     }
 
-    /// Submits whatever is stored, at most so many at once.
+    /// Submits whatever is stored, at most this many at once.
     pub async fn anchor(&self, most: usize) {
         let rows = self.plant.ledger.in_state(None, RecordState::Stored, most).expect("read");
         let outgoing = rows.iter().map(|row| Self::upload(row.seq - 1)).collect();
@@ -219,7 +219,7 @@ impl Process {
         }
     }
 
-    /// As [`Self::rounds_until`], and whatever is stored is anchored meanwhile.
+    /// Like [`Self::rounds_until`], anchoring whatever is stored meanwhile.
     pub async fn work_until(&self, what: &str, mut done: impl FnMut(&Self) -> bool) {
         let deadline = Instant::now() + Duration::from_secs(60);
         while !done(self) {

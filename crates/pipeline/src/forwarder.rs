@@ -1,7 +1,7 @@
-//! Passes stored records on to a gateway and follows them until they are verified there: the durable outbox of
-//! a robot. A function of the ledger: `stored` waits to be sent, `submitted` has the gateway's signed receipt,
-//! `verified` is verified there, and only then is the local ciphertext deleted. After a lost line or receipt,
-//! or a restart, what has no receipt is sent again.
+//! Passes stored records on to a gateway and follows them until they are verified there: the durable outbox of a robot.
+//! A function of the ledger: `stored` waits to be sent, `submitted` has the gateway's signed receipt, `verified` is
+//! verified there, and only then is the local ciphertext deleted. After a lost connection or receipt, or a restart,
+//! records without a receipt are sent again.
 
 use std::collections::HashSet;
 use std::path::PathBuf;
@@ -23,19 +23,19 @@ mod standing;
 #[cfg(test)]
 mod tests;
 
-/// The most records of one upload.
+/// The most records in one upload.
 const WINDOW: usize = 256;
-/// Bytes of one upload, unless a single record has more.
+/// The most bytes in one upload, unless a single record is larger.
 const WINDOW_BYTES: usize = 4 * 1024 * 1024;
-/// The longest pause until a record that was refused for itself is sent again.
+/// The longest pause before a record refused for its own sake is sent again.
 const LONGEST_RETRY: Duration = Duration::from_secs(3600);
 
-/// How long ciphertext stays on the robot that its gateway holds as well.
+/// How long the robot keeps ciphertext that its gateway also holds.
 #[derive(Debug, Clone)]
 pub struct CopyKeeping {
     /// After the inclusion proof was checked and the gateway has signed that the record is verified.
     pub time: Duration,
-    /// Below so much room on the disk such copies are given up before their time, oldest first.
+    /// With less room than this on the disk, such copies are deleted early, oldest first.
     pub reserve: u64,
 }
 
@@ -45,18 +45,18 @@ impl Default for CopyKeeping {
     }
 }
 
-/// How fast a forwarder works.
+/// The timing of a forwarder.
 #[derive(Debug, Clone, Copy)]
 pub struct Pace {
     /// The first pause after a failure; it doubles.
     pub first_pause: Duration,
     /// The longest pause after a failure.
     pub longest_pause: Duration,
-    /// Between two looks at how records stand at the gateway.
+    /// The time between two checks of the records' standings at the gateway.
     pub check: Duration,
-    /// Between two looks at copies that may be given up.
+    /// The time between two searches for copies that may be deleted.
     pub tidy: Duration,
-    /// Until a record that was refused for itself is sent again; it doubles, up to [`LONGEST_RETRY`].
+    /// Before a record refused for its own sake is sent again; it doubles, up to [`LONGEST_RETRY`].
     pub retry: Duration,
 }
 
@@ -72,20 +72,20 @@ impl Default for Pace {
     }
 }
 
-/// Where the line to the gateway stands.
+/// The state of the connection to the gateway.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Link {
     /// Not reached yet.
     Connecting,
     /// Connected.
     Up,
-    /// It does not answer; the outbox grows meanwhile.
+    /// It does not answer; meanwhile the outbox grows.
     Away(String),
-    /// It answers and says no to this robot as such; it is asked again at long intervals.
+    /// It answers but refuses this robot as such; it is asked again at long intervals.
     Refused(String),
 }
 
-/// What a session does beside uploads and checks, once in a while.
+/// What a session does besides uploads and checks, periodically.
 #[async_trait::async_trait]
 pub trait Errand: Send {
     /// A session has begun.
@@ -98,7 +98,7 @@ pub trait Errand: Send {
 /// Why a session with the gateway ended.
 #[derive(Debug, thiserror::Error)]
 pub enum ForwardError {
-    /// The gateway or the line to it.
+    /// The gateway or the connection to it.
     #[error(transparent)]
     Gateway(#[from] GatewayError),
     /// The ledger or vault of this robot.
@@ -113,7 +113,7 @@ impl From<crate::store::StoreError> for ForwardError {
 }
 
 impl ForwardError {
-    /// How the line stands after it.
+    /// The state of the connection afterwards.
     fn link(&self) -> Link {
         let text = self.to_string();
         match self {
@@ -129,27 +129,27 @@ pub struct Forwarder {
     endpoint: Endpoint,
     credentials: Credentials,
     trust: Trust,
-    /// Where what was seen of the gateway is kept.
+    /// The file that records what was seen of the gateway.
     trust_file: PathBuf,
     pace: Pace,
     link: watch::Sender<Link>,
     errand: Option<Box<dyn Errand>>,
-    /// Records that the gateway refuses for themselves: sent again after a pause, and at the next start.
+    /// Records that the gateway refuses for their own sake: sent again after a pause, and at the next start.
     refused: Arc<Mutex<HashSet<Digest>>>,
-    /// Since when the first of them waits.
+    /// Since when the first of them has been waiting.
     refused_at: Option<Instant>,
-    /// So many of the next uploads go one by one: one of them is refused.
+    /// How many of the next uploads are sent one by one, because one of them is refused.
     singly: usize,
-    /// Where the next look at standings begins.
+    /// Where the next check of standings begins.
     cursor: Option<String>,
     checked: Option<Instant>,
     /// Whether the present session achieved anything.
     moved: bool,
-    /// What becomes of ciphertext that the gateway has as well.
+    /// What happens to ciphertext that the gateway also has.
     keeping: CopyKeeping,
-    /// When copies were last looked through.
+    /// When copies were last searched.
     tidied: Option<Instant>,
-    /// Whether the gateway signs how records stand; earlier versions do not.
+    /// Whether the gateway signs standings; earlier versions do not.
     signs: bool,
 }
 
@@ -177,7 +177,7 @@ impl Forwarder {
         }
     }
 
-    /// The same at another pace.
+    /// The same with other timing.
     #[must_use]
     pub fn paced(self, pace: Pace) -> Self {
         Self { pace, ..self }
@@ -189,23 +189,23 @@ impl Forwarder {
         Self { keeping, ..self }
     }
 
-    /// The same with something to be done beside.
+    /// The same with additional work.
     #[must_use]
     pub fn with_errand(self, errand: Box<dyn Errand>) -> Self {
         Self { errand: Some(errand), ..self }
     }
 
-    /// How the line to the gateway stands, from now on.
+    /// The state of the connection to the gateway, from now on.
     pub fn link(&self) -> watch::Receiver<Link> {
         self.link.subscribe()
     }
 
-    /// Records that the gateway refuses for themselves, as they become known.
+    /// Records that the gateway refuses for their own sake, as they become known.
     pub fn refused(&self) -> Arc<Mutex<HashSet<Digest>>> {
         Arc::clone(&self.refused)
     }
 
-    /// Works until it is dropped; `stored` rings when records wait. Can be cancelled at any point.
+    /// Works until it is dropped; `stored` signals when records wait. Can be cancelled at any point.
     pub async fn run(&mut self, stored: &Notify) {
         let mut pause = self.pace.first_pause;
         loop {
@@ -235,10 +235,10 @@ impl Forwarder {
         self.plant.observer.alert(urgent, text);
     }
 
-    /// One session: connects, then sends and checks until the line breaks or the session is used up.
+    /// One session: connects, then sends and checks until the connection breaks or the session is used up.
     async fn session(&mut self, stored: &Notify) -> Result<(), ForwardError> {
         let mut client = Client::connect(&self.endpoint, &mut self.trust, &self.credentials).await?;
-        // It may have been brought up to date meanwhile.
+        // It may have been upgraded meanwhile.
         self.signs = true;
         block_in_place(|| self.trust.save(&self.trust_file)).map_err(PipelineError::from)?;
         if let Some(errand) = &mut self.errand {
@@ -264,14 +264,14 @@ impl Forwarder {
                 self.tidied = Some(Instant::now());
             }
             if sent == 0 {
-                // Both outcomes mean: look again.
+                // Both outcomes mean: check again.
                 drop(timeout(self.pace.check, ringing).await);
             }
         }
         Ok(())
     }
 
-    /// Sends the oldest records that wait; returns how many the gateway took over, or refused for themselves.
+    /// Sends the oldest waiting records; returns how many the gateway took over, or refused for their own sake.
     async fn upload(&mut self, client: &mut Client) -> Result<usize, ForwardError> {
         let window = block_in_place(|| self.window())?;
         let (digests, uploads): (Vec<Digest>, Vec<Upload>) = window.into_iter().unzip();
@@ -296,7 +296,7 @@ impl Forwarder {
         }
     }
 
-    /// One of these records is refused: alone it is set aside, in a window it is looked for.
+    /// One of these records is refused: if it is the only one it is set aside, otherwise it is searched for.
     fn set_aside(&mut self, digests: &[Digest], error: &GatewayError) {
         let [digest] = digests else {
             self.singly = digests.len();
@@ -307,7 +307,8 @@ impl Forwarder {
         self.plant.observer.alert(true, format!("record {digest} stays in the outbox: {error}"));
     }
 
-    /// What was refused for itself is sent again when its pause is over: gateways are mended, and their minds changed.
+    /// Records refused for their own sake are sent again when their pause is over: gateways get repaired, and settings
+    /// change.
     fn retry_refused(&mut self) {
         if self.refused_at.is_some_and(|at| at.elapsed() >= self.pace.retry) {
             self.refused.lock().unwrap_or_else(PoisonError::into_inner).clear();
@@ -346,7 +347,7 @@ impl Forwarder {
     }
 }
 
-/// Whether a refusal is about the record itself, so that others may pass.
+/// Whether a refusal concerns the record itself, so that others may pass.
 fn is_about_a_record(error: &GatewayError) -> bool {
     matches!(
         error,
@@ -354,10 +355,10 @@ fn is_about_a_record(error: &GatewayError) -> bool {
     )
 }
 
-/// What is known of the gateway from earlier runs, or its fingerprint alone.
+/// What is known of the gateway from earlier runs, or only its fingerprint.
 ///
 /// # Errors
-/// Of the file; [`CryptoError::NotAKey`] where it is of another gateway.
+/// Errors of the file; [`CryptoError::NotAKey`] if it belongs to another gateway.
 pub fn trust_in(file: &std::path::Path, fingerprint: crate::model::SignerId) -> Result<Trust, CryptoError> {
     if !file.exists() {
         return Ok(Trust::pinned(fingerprint));

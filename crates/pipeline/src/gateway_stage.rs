@@ -1,4 +1,4 @@
-//! The gateway's own fixtures, for tests of what speaks with a gateway.
+//! The gateway's own fixtures, for tests of what talks to a gateway.
 #![allow(dead_code, reason = "the gateway's tests use the rest")]
 
 #[path = "../../gateway/src/tests/fixtures.rs"]

@@ -19,16 +19,16 @@ use crate::ros::{Message, Origin};
 /// Bytes of the ring that imports may fill.
 const SHARE: usize = 32 * 1024 * 1024;
 
-/// Imported messages whose verification is waited for, at most.
+/// The most imported messages awaiting verification.
 const MOST_IN_FLIGHT: u64 = 50_000;
 
-/// How long to wait before looking again whether to go on.
+/// How long to wait before checking again whether to continue.
 const TICK: Duration = Duration::from_millis(100);
 
-/// The longest md5sum taken.
+/// The longest md5sum accepted.
 const LONGEST_MD5: usize = 64;
 
-/// Tag of everything that was imported, and its value.
+/// The tag of every imported message, and its value.
 pub const SOURCE: (&str, &str) = ("source", "bag");
 /// Tag of messages of a latching publisher.
 pub const LATCHING: &str = "latching";
@@ -44,7 +44,7 @@ pub fn fault(channel: &Channel) -> Option<&'static str> {
     channel.type_name.is_empty().then_some("it has no type")
 }
 
-/// The encoding that a record's tags tell of.
+/// The encoding stated in a record's tags.
 pub fn encoding(tags: &BTreeMap<String, String>) -> Encoding {
     match tags.get(ENCODING).map(String::as_str) {
         Some("cdr") => Encoding::Cdr { idl: false },
@@ -53,14 +53,14 @@ pub fn encoding(tags: &BTreeMap<String, String>) -> Encoding {
     }
 }
 
-/// What the recording said of a record's channel.
+/// The recording's metadata of a record's channel.
 pub fn about(tags: &BTreeMap<String, String>) -> BTreeMap<Arc<str>, Arc<str>> {
     let of_channel =
         |(key, value): (&String, &String)| Some((key.strip_prefix(CHANNEL)?.into(), value.as_str().into()));
     tags.iter().filter_map(of_channel).collect()
 }
 
-/// What the recording said of a record's publishing.
+/// The recording's metadata of a record's publishing.
 pub fn sent(tags: &BTreeMap<String, String>, recorded: Timestamp) -> Option<Sent> {
     let sequence = tags.get(SEQUENCE)?.parse().ok()?;
     let time = tags.get(PUBLISHED).and_then(|time| time.parse().ok()).map_or(recorded, Timestamp);
@@ -75,13 +75,13 @@ fn tags_of(sent: Sent, recorded: Timestamp) -> Vec<(String, String)> {
     tags
 }
 
-/// Takes in one recording for one author.
+/// Imports one recording for one author.
 pub struct Importer<'a> {
     rings: &'a Rings<CapturedMessage>,
     author: Arc<Author>,
     rules: &'a TopicRules,
     tags: Vec<(String, String)>,
-    /// One session per channel: its tags are the channel's, its figures too.
+    /// One session per channel: its tags are the channel's, and so are its figures.
     sessions: HashMap<Arc<Channel>, Stream>,
     offered: u64,
 }
@@ -92,7 +92,7 @@ struct Stream {
 }
 
 impl<'a> Importer<'a> {
-    /// Takes in for `author`; every message gets the tags.
+    /// Imports for `author`; every message gets the tags.
     pub fn new(
         rings: &'a Rings<CapturedMessage>,
         author: Arc<Author>,
@@ -132,7 +132,7 @@ impl<'a> Importer<'a> {
         })
     }
 
-    /// Takes one message in under a graph name, as soon as there is room. `false` where the import is to end.
+    /// Imports one message under a graph name, as soon as there is room. `false` if the import is to end.
     pub fn take(&mut self, message: RecordedMessage, topic: &Arc<str>, goes_on: &dyn Fn() -> bool) -> bool {
         if self.offered.is_multiple_of(1024) && !self.wait_for_the_chain(goes_on) {
             return false;
@@ -174,7 +174,7 @@ impl<'a> Importer<'a> {
         true
     }
 
-    /// Memory per message that is not verified yet is small, but not nothing.
+    /// A message not verified yet takes little memory, but some.
     fn wait_for_the_chain(&self, goes_on: &dyn Fn() -> bool) -> bool {
         loop {
             let settled: u64 = self.figures().iter().map(|topic| topic.verified + topic.tampered).sum();
@@ -188,7 +188,7 @@ impl<'a> Importer<'a> {
         }
     }
 
-    /// Messages given to the sealer.
+    /// Messages passed to the sealer.
     pub fn offered(&self) -> u64 {
         self.offered
     }
@@ -197,7 +197,7 @@ impl<'a> Importer<'a> {
         self.sessions.values().flat_map(|stream| stream.session.figures()).collect()
     }
 
-    /// No further messages: the sessions, closed, whose end is still to come.
+    /// No further messages: the closed sessions, whose end is still to come.
     pub fn finish(self) -> Vec<Arc<CaptureSession>> {
         let sessions: Vec<_> = self.sessions.into_values().map(|stream| stream.session).collect();
         sessions.iter().for_each(|session| session.close());

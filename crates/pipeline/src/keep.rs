@@ -1,5 +1,5 @@
-//! The one way of a sealed record into a site, whoever sealed it: backlog and reserve are asked, then come the vault, the
-//! ledger and with it the acknowledgement.
+//! The only way for a sealed record into a site, whoever sealed it: backlog and reserve are checked, then come the
+//! vault, the ledger and with it the acknowledgement.
 
 use crate::crypto::fault;
 use crate::model::RecordState;
@@ -8,10 +8,11 @@ use crate::store::{NewRecord, StoreError};
 use super::Plant;
 
 impl Plant {
-    /// Whether new records are taken now: the disk has room, and no more wait than may for a vault that takes nothing.
+    /// Whether new records are accepted now: the disk has room, and no more are waiting than allowed for a vault that
+    /// accepts nothing.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`], [`StoreError::Backlog`], or of the ledger.
+    /// [`StoreError::DiskFull`], [`StoreError::Backlog`], or errors of the ledger.
     pub fn takes_records(&self) -> Result<(), StoreError> {
         self.ledger.takes_records()?;
         if self.vault.durable() {
@@ -21,12 +22,12 @@ impl Plant {
         if waiting <= limit { Ok(()) } else { Err(StoreError::Backlog { waiting, limit }) }
     }
 
-    /// Keeps records with their bytes: nothing is written before they are known to be taken; their bytes are durable,
-    /// in the vault or, where that may forget, in the ledger, before `acknowledge` has written their rows.
+    /// Stores records with their bytes: nothing is written before they are known to be accepted; their bytes are
+    /// durable, in the vault or, if that may forget, in the ledger, before `acknowledge` has written their rows.
     ///
     /// # Errors
-    /// As [`Self::takes_records`], [`StoreError::Conflict`] where another record contradicts one, and of the vault: the
-    /// ledger has none of them then. Else of `acknowledge`.
+    /// See [`Self::takes_records`]; [`StoreError::Conflict`] if another record contradicts one; errors of the vault.
+    /// The ledger has none of them then. Otherwise errors of `acknowledge`.
     pub fn keep<R: AsMut<[NewRecord]>, T>(
         &self,
         mut records: R,

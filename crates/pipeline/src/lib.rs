@@ -1,7 +1,7 @@
-//! Capture -> seal -> store -> anchor -> confirm -> verify, as workers over the ledger's table.
+//! Capture -> seal -> store -> anchor -> confirm -> verify, as workers over the ledger's tables.
 //!
-//! Every worker is a function of the ledger: a restart just runs it again. What profiles,
-//! commands and sockets are is the service's business; screens know nothing of this room.
+//! Every worker is a function of the ledger: a restart simply runs it again. Profiles, commands and sockets are up to
+//! the service; screens know nothing of this crate.
 
 use crate as pipeline;
 use authros_chain as chain;
@@ -81,13 +81,13 @@ use crate::crypto::Provider;
 use crate::model::{Digest, Domain};
 use crate::store::{Ledger, RecordRow, Vault};
 
-/// What a worker tells the service; short, never blocking.
+/// A worker's report to the service; short, never blocking.
 pub trait Observer: Send + Sync {
     /// Records were acknowledged, or changed their state.
     fn records_changed(&self);
     /// These records are now verified.
     fn verified(&self, digests: &[Digest]);
-    /// These records differ from what was anchored, or are gone.
+    /// These records differ from what was anchored, or are missing.
     fn tampered(&self, digests: &[Digest]);
     /// Registrations or grants changed on the chain.
     fn directory_changed(&self);
@@ -97,15 +97,15 @@ pub trait Observer: Send + Sync {
     fn stages(&self) -> Option<&stages::Stages> {
         None
     }
-    /// An account of this home anchored what this home did not send.
+    /// An account of this home anchored something this home did not send.
     fn foreign_anchors(&self, _found: &watcher::foreign::ForeignAnchors) {}
-    /// How the vault is now.
+    /// The vault's present state.
     fn vault(&self, _condition: storer::Condition) {}
-    /// An operator should know; `urgent` stays on screen.
+    /// Something an operator should know; `urgent` stays on screen.
     fn alert(&self, urgent: bool, text: String);
 }
 
-/// What all workers of a site share.
+/// State shared by all workers of a site.
 #[derive(Clone)]
 pub struct Plant {
     /// States of all records.
@@ -114,9 +114,9 @@ pub struct Plant {
     pub vault: Arc<dyn Vault>,
     /// SM2, SM3, SM4.
     pub provider: &'static dyn Provider,
-    /// Hears what happens.
+    /// Receives events.
     pub observer: Arc<dyn Observer>,
-    /// Bytes of records that may wait in the ledger for a vault that does not take them.
+    /// Bytes of records that may wait in the ledger for a vault that does not accept them.
     pub backlog: u64,
 }
 
@@ -127,25 +127,25 @@ pub struct Network {
     pub chain: crate::chain::Chain,
     /// Binds records to this chain and contract.
     pub domain: Domain,
-    /// Registrations and grants as the chain's events tell them.
+    /// Registrations and grants, from the chain's events.
     pub directory: Arc<Directory>,
     /// Domains that this home used before it adopted this chain.
     pub earlier: Arc<Vec<Domain>>,
-    /// Contracts that this home used before on this very chain, the first one first: what is anchored there is checked
+    /// Contracts that this home used before on this very chain, the first one first: records anchored there are checked
     /// there.
     pub former: Arc<Vec<Former>>,
-    /// Blocks on top of an anchor, itself included, until it counts as confirmed.
+    /// Confirmations an anchor needs, its own block included.
     pub confirmations: u64,
-    /// Times of blocks that were met.
+    /// Times of known blocks.
     pub times: Arc<BlockTimes>,
 }
 
-/// A contract that was left for another one on the same chain, as it was in its last block here.
+/// A former contract on the same chain, as of its last block here.
 #[derive(Clone)]
 pub struct Former {
     /// The same chain, with that contract.
     pub chain: crate::chain::Chain,
-    /// What records were bound to.
+    /// The domain records were bound to.
     pub domain: Domain,
     /// Registrations and loans there.
     pub directory: Arc<Directory>,
@@ -153,7 +153,7 @@ pub struct Former {
     pub until: u64,
 }
 
-/// The contract that an anchor stands in, and what it knows of accounts.
+/// The contract that holds an anchor, and its knowledge of accounts.
 pub struct Place<'a> {
     /// The chain with that contract.
     pub chain: &'a crate::chain::Chain,
@@ -162,10 +162,10 @@ pub struct Place<'a> {
 }
 
 impl Network {
-    /// Where the record's anchor stands: in a contract that was left, as long as it was in use, else in the network's own.
+    /// Where the record's anchor is: in a former contract, as long as it was in use, otherwise in the network's own.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn place_of(&self, plant: &Plant, row: &RecordRow) -> Result<Place<'_>, PipelineError> {
         let own = Place { chain: &self.chain, directory: &self.directory };
         let Some(block) = row.block.filter(|_| !self.former.is_empty()) else { return Ok(own) };
@@ -176,7 +176,7 @@ impl Network {
         Ok(former.map_or(own, |former| Place { chain: &former.chain, directory: &former.directory }))
     }
 
-    /// The contracts in which an anchor of this block can stand, the likeliest first.
+    /// The contracts that can hold an anchor in this block, the most likely first.
     pub fn chains_at(&self, block: u64) -> Vec<&crate::chain::Chain> {
         let former = self.former.iter().filter(|former| block <= former.until).map(|former| &former.chain);
         former.chain([&self.chain]).collect()

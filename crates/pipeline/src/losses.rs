@@ -1,5 +1,6 @@
-//! Messages that become no records: noted in memory where they are lost, written into the ledger every second, and
-//! told in gap records, sealed in the sequence of their own topic, so that whoever may read the topic reads of them.
+//! Messages that do not become records: noted in memory where they are lost, written to the ledger every second, and
+//! reported in gap records, sealed in the sequence of their own topic, so that anyone who may read the topic learns of
+//! them.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -13,21 +14,21 @@ use crate::store::{GapRow, Loss, StateCounts, StoreError};
 use super::statement::{self, Speaker, Statement};
 use super::{Author, PipelineError, Plant};
 
-/// How long losses are gathered before a gap record tells of them.
+/// How long losses are collected before a gap record reports them.
 pub const GATHERED: Duration = Duration::from_secs(3);
-/// What stands in place of a message type.
+/// Takes the place of a message type.
 pub const TYPE: &str = "authros/Gap";
-/// Topics, publishers and reasons told apart in memory, at most.
+/// The most topics, publishers and reasons told apart in memory.
 const MOST: usize = 4096;
-/// Gap records sealed in one go, at most.
+/// The most gap records sealed at once.
 const ROUND: usize = 256;
 
-/// What was lost at one place.
+/// The losses at one place.
 #[derive(Debug, Clone, Copy)]
 pub struct Lost<'a> {
     /// Topic name.
     pub topic: &'a str,
-    /// Node that sent it.
+    /// The sending node.
     pub publisher: &'a str,
     /// How many messages.
     pub count: u64,
@@ -43,7 +44,7 @@ impl<'a> Lost<'a> {
     }
 }
 
-/// Messages not acknowledged that the ledger has not counted yet.
+/// Unacknowledged messages that the ledger has not counted yet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Unwritten {
     /// Never arrived.
@@ -54,14 +55,14 @@ pub struct Unwritten {
 
 type Key = (Address, String, LossReason, String);
 
-/// Losses of all topics, with those who can seal gap records of them.
+/// Losses of all topics, with the authors that can seal gap records for them.
 #[derive(Default)]
 pub struct Losses {
     noted: Mutex<BTreeMap<Key, Loss>>,
     /// Held while losses move from memory into the ledger, so that nobody counts them twice or not at all.
     moving: Mutex<()>,
     authors: Mutex<BTreeMap<Address, Arc<Author>>>,
-    /// Code of the reason why messages do not fit at present.
+    /// Code of the reason why messages do not fit now.
     cause: AtomicU8,
 }
 
@@ -70,17 +71,17 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Losses {
-    /// Records of this author may have to tell of losses.
+    /// Records of this author may have to report losses.
     pub fn know(&self, author: &Arc<Author>) {
         lock(&self.authors).insert(author.address, Arc::clone(author));
     }
 
-    /// Why messages that do not fit into memory do not.
+    /// The present reason for messages that do not fit into memory.
     pub fn cause(&self) -> LossReason {
         LossReason::from_code(self.cause.load(Ordering::Acquire)).unwrap_or(LossReason::Memory)
     }
 
-    /// From now on that is why.
+    /// Sets that reason.
     pub fn blame(&self, reason: LossReason) {
         self.cause.store(reason.code(), Ordering::Release);
     }
@@ -89,7 +90,7 @@ impl Losses {
     pub fn note(&self, author: &Arc<Author>, lost: Lost<'_>, reason: LossReason) {
         let now = Timestamp::now();
         let mut noted = lock(&self.noted);
-        // A peer can make up names without end; then they are no longer told apart.
+        // A peer can invent names without end; beyond a limit they are no longer told apart.
         let publisher = if noted.len() < MOST { lost.publisher } else { "" };
         let key = (author.address, lost.topic.to_owned(), reason, publisher.to_owned());
         let loss = Loss {
@@ -105,7 +106,7 @@ impl Losses {
         merge(&mut noted, key, loss);
     }
 
-    /// What the ledger has not counted yet of an owner's losses, on one topic or on all.
+    /// Losses of an owner that the ledger has not counted yet, on one topic or on all.
     fn unwritten(&self, owner: Address, topic: Option<&str>) -> Unwritten {
         let mut sum = Unwritten::default();
         let noted = lock(&self.noted);
@@ -119,10 +120,10 @@ impl Losses {
         sum
     }
 
-    /// Counts of ledger and memory together: of one moment, each loss once.
+    /// Counts of ledger and memory together: consistent, each loss once.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn counts(&self, plant: &Plant, owner: Address) -> Result<StateCounts, StoreError> {
         let _still = lock(&self.moving);
         let mut counts = plant.ledger.counts(Some(owner))?;
@@ -140,10 +141,10 @@ impl Losses {
         Ok(counts)
     }
 
-    /// Counts in the ledger what is noted; where that fails it stays noted.
+    /// Counts the noted losses in the ledger; if that fails they stay noted.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn write(&self, plant: &Plant) -> Result<(), StoreError> {
         let _moving = lock(&self.moving);
         let taken = std::mem::take(&mut *lock(&self.noted));
@@ -159,11 +160,11 @@ impl Losses {
         written
     }
 
-    /// Seals a gap record for everything that was lost by `by` and is not told of; returns how many, with the streams
-    /// whose numbers went on. For the one thread that seals captured messages.
+    /// Seals a gap record for everything lost by `by` and not yet reported; returns how many, with the streams whose
+    /// numbers advanced. For the one thread that seals captured messages.
     ///
     /// # Errors
-    /// Of sealing, vault and ledger; what is sealed so far stays.
+    /// Errors of sealing, vault and ledger; what is sealed so far stays.
     pub fn tell(&self, plant: &Plant, by: Timestamp) -> Result<Vec<(Address, TopicId, u64)>, PipelineError> {
         if plant.takes_records().is_err() {
             return Ok(Vec::new());
@@ -195,7 +196,7 @@ fn merge(noted: &mut BTreeMap<Key, Loss>, key: Key, loss: Loss) {
     };
 }
 
-/// `None` where there is no key to seal with now; it is told of later.
+/// `None` if there is no key to seal with now; it is reported later.
 fn tell_one(plant: &Plant, author: &Author, gap: &GapRow) -> Result<Option<(Address, TopicId, u64)>, PipelineError> {
     let Some(keys) = author.sealing() else { return Ok(None) };
     let Some(topic) = keys.topic(&gap.topic) else { return Ok(None) };

@@ -8,7 +8,7 @@ use crate::model::Timestamp;
 /// The window, seconds.
 const WINDOW: u64 = 5;
 
-/// What one topic does.
+/// The activity of one topic.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Rate {
     /// Messages a second.
@@ -63,12 +63,12 @@ impl Meter {
         track.last = Some(at);
     }
 
-    /// Bytes of the largest message of `topic`; `None` where it was never seen.
+    /// Bytes of the largest message of `topic`; `None` if it was never seen.
     pub fn largest(&self, topic: &str) -> Option<u64> {
         self.tracks.lock().unwrap_or_else(PoisonError::into_inner).get(topic).map(|track| track.largest)
     }
 
-    /// The rate of `topic` over the whole seconds before `now`; `None` where it was never seen.
+    /// The rate of `topic` over the whole seconds before `now`; `None` if it was never seen.
     pub fn rate(&self, topic: &str, now: Timestamp) -> Option<Rate> {
         let tracks = self.tracks.lock().unwrap_or_else(PoisonError::into_inner);
         let track = tracks.get(topic)?;

@@ -1,4 +1,4 @@
-//! Records that come through a gateway: every claim is held against the chain, then they are taken into vault and
+//! Records that come through a gateway: every claim is compared with the chain, then they are stored in vault and
 //! ledger as if they had been captured here. A gateway that lies gets nothing in.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -22,20 +22,20 @@ use super::{Network, Owner, PipelineError, Plant, proof};
 
 /// Length of the tag at the end of a sealed body, bytes.
 const TAG: u64 = 16;
-/// How long the watcher may be behind the block of a proof.
+/// How long the watcher may lag behind the block of a proof.
 const BEHIND: Duration = Duration::from_secs(30);
-/// How often it is looked where the watcher is.
+/// How often the watcher's position is checked.
 const LOOK: Duration = Duration::from_millis(50);
-/// Anchors remembered at most.
+/// The most anchors cached.
 const MOST_ANCHORS: usize = 4096;
 
-/// Takes records in for one reader.
+/// Imports records for one reader.
 pub struct Mirror<'a> {
     /// Ledger, vault, provider.
     pub plant: &'a Plant,
     /// The chain.
     pub network: &'a Network,
-    /// Who reads.
+    /// The reader.
     pub reader: &'a Owner,
     /// The gateway's account: it anchors what it keeps for others, so nobody here tries to.
     pub keeper: Address,
@@ -50,7 +50,7 @@ pub struct Anchors(Mutex<BTreeMap<AnchorKey, (u64, Hash)>>);
 /// Account, root, transaction.
 type AnchorKey = (Address, Hash, Hash);
 
-/// Whose records a reader may have: its own, and those of every owner who shares with it now.
+/// The owners whose records a reader may have: itself, and everyone who currently shares with it.
 pub fn sources(network: &Network, reader: &Owner) -> BTreeSet<Address> {
     let grants = authority::shared_with(&network.directory, reader.address);
     grants.into_iter().map(|grant| grant.terms.owner).chain([reader.address]).collect()
@@ -61,11 +61,11 @@ impl Mirror<'_> {
         Reader { plant: self.plant, network: self.network, reader: self.reader }
     }
 
-    /// Whether a listed record is to be fetched: readable with the keys there are, and unknown here or without the
-    /// proof that there is by now.
+    /// Whether a listed record is to be fetched: readable with the present keys, and either unknown here or without the
+    /// proof that now exists.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn wants(&self, entry: &Entry) -> Result<bool, PipelineError> {
         let anchored = matches!(entry.standing, Standing::Anchored | Standing::Verified);
         match block_in_place(|| self.plant.ledger.record(entry.digest))? {
@@ -78,18 +78,18 @@ impl Mirror<'_> {
     /// Records of others that wait here for their proofs.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn unproven(&self, owner: Address, most: usize) -> Result<Vec<Digest>, PipelineError> {
         let rows = block_in_place(|| self.plant.ledger.in_state(Some(owner), RecordState::Stored, most))?;
         let here = self.plant.ledger.recorder();
         Ok(rows.iter().filter(|row| row.recorder != here).map(|row| row.digest).collect())
     }
 
-    /// Takes one record in. Its digest and its signature by the key that came with it have been checked already.
-    /// Returns whether anything changed.
+    /// Imports one record. Its digest and its signature by the key that came with it have been checked already. Returns
+    /// whether anything changed.
     ///
     /// # Errors
-    /// [`PipelineError::NotTakenIn`] where a claim does not hold, else of chain, vault and ledger.
+    /// [`PipelineError::NotTakenIn`] if a claim is invalid, otherwise errors of chain, vault and ledger.
     pub async fn take(&self, owner: Address, digest: Digest, fetched: Fetched) -> Result<bool, PipelineError> {
         let refused = |why: &str| PipelineError::NotTakenIn { digest, why: why.to_owned() };
         let (header, _) = Header::parse(&fetched.blob).map_err(|_| refused("it is no record"))?;
@@ -123,7 +123,7 @@ impl Mirror<'_> {
         Ok(changed)
     }
 
-    /// Whether the signer had the right at the anchoring block, or has it now where there is none yet: then it may
+    /// Whether the signer had the right at the anchoring block, or has it now if there is none yet: then the right may
     /// come back, and nothing is wrong with the record.
     async fn check_signer(
         &self,
@@ -150,7 +150,7 @@ impl Mirror<'_> {
         Ok(true)
     }
 
-    /// Waits until the watcher here has read a block's events: the right is what they leave behind.
+    /// Waits until the watcher here has read a block's events: the right follows from them.
     async fn wait_for(&self, block: u64) -> Result<(), PipelineError> {
         let deadline = Instant::now() + BEHIND;
         while block_in_place(|| self.plant.ledger.cursor(CURSOR))?.is_none_or(|(read, _)| read < block) {
@@ -162,7 +162,7 @@ impl Mirror<'_> {
         Ok(())
     }
 
-    /// Holds the proof against the chain; block and hash are then the chain's own.
+    /// Compares the proof with the chain; block and hash are then the chain's own.
     async fn confirmed(
         &self,
         header: &Header,
@@ -187,7 +187,7 @@ impl Mirror<'_> {
         if let Some((block, block_hash)) = known {
             return Ok(AnchorProof { block, block_hash, ..proof });
         }
-        // The block is the transaction's, and the root must stand in that very block: by it the right is judged.
+        // The block is the transaction's, and the root must be in that very block: the right is judged by it.
         let (block, block_hash) = self.block_of(digest, &proof).await?;
         let (account, root, count) = (proof.account, inclusion.root, inclusion.count);
         if !proof::is_root_in(&self.network.chain, account, root, count, block).await? {
@@ -250,7 +250,7 @@ impl Mirror<'_> {
     }
 }
 
-/// As a row that the ledger does not have yet: enough to find keys and to open it.
+/// As a row that the ledger does not have yet: enough to find keys and open it.
 fn row_of(header: &Header, digest: Digest, fetched: &Fetched) -> RecordRow {
     let entry = Entry {
         digest,

@@ -1,5 +1,6 @@
 //! Notices of an owner to its robots: keys of a new epoch or of more topics, sealed for one device, signed by d_C and
-//! numbered. The robot's end: subscribes at its gateway, takes what is newer than what it has, keeps it, obeys it.
+//! numbered. This is the robot's side: it subscribes at its gateway, takes notices newer than those it has, saves them
+//! and applies them.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -15,18 +16,18 @@ use crate::model::{Header, RecordKind, Timestamp, clean};
 use super::forwarder::{Errand, ForwardError};
 use super::{Author, Observer, PipelineError};
 
-/// Between two looks through the whole list, in case that a subscription missed something.
+/// The time between two checks of the whole list, in case a subscription missed something.
 const LOOK: Duration = Duration::from_secs(300);
 /// Entries of one page.
 const PAGE: u16 = 100;
 
-/// A robot's ear for its owner.
+/// A robot's receiver for notices of its owner.
 pub struct Notices {
     provider: &'static dyn Provider,
     observer: Arc<dyn Observer>,
     author: Arc<Author>,
     sealed: SealedEnrolment,
-    /// Where the enrolment is kept with what was told since.
+    /// Where the enrolment is stored with later changes.
     kept: PathBuf,
     subscribed: bool,
     looked: Option<Instant>,
@@ -54,7 +55,7 @@ impl Notices {
         }
     }
 
-    /// Whether an entry is a notice to this device that tells more than the newest one taken.
+    /// Whether an entry is a notice to this device and newer than the newest one taken.
     fn is_newer(&self, entry: &Entry) -> bool {
         let (enrolment, selection) = (&self.sealed.enrolment, self.selection());
         if (Some(entry.kind), Some(entry.topic_id)) != (selection.kind, selection.topic_id) {
@@ -68,7 +69,7 @@ impl Notices {
         }
     }
 
-    /// Looks through the list for newer notices, and takes them in their order: they may be of several kinds.
+    /// Searches the list for newer notices, and takes them in order: they may be of several kinds.
     async fn look(&mut self, client: &mut Client) -> Result<(), ForwardError> {
         let (until, selection) = (Timestamp(u64::MAX), self.selection());
         let mut query = Query { selection, from: Timestamp(0), until, cursor: 0, limit: PAGE };
@@ -88,7 +89,7 @@ impl Notices {
         Ok(())
     }
 
-    /// Takes a notice that is the owner's, for this device, and newer; anything else changes nothing.
+    /// Takes a notice if it is the owner's, for this device, and newer; anything else changes nothing.
     fn hear(&mut self, entry: &Entry, record: &Fetched) {
         if !self.is_newer(entry) {
             return;
@@ -138,7 +139,7 @@ impl Notices {
             Notice::Keys(keys) => {
                 let told = told(&enrolment.keys, &keys);
                 enrolment.keys = keys;
-                // Obeyed even where it cannot be kept: a restart hears it again.
+                // Applied even if it cannot be saved: after a restart it is received again.
                 self.author.obey(enrolment);
                 told
             }
@@ -151,7 +152,7 @@ impl Notices {
                 let text =
                     format!("the owner sent a notice of kind {kind}, which this version does not know; update it");
                 self.observer.alert(true, text);
-                // Not counted as heard: a later version is to take it.
+                // Not counted as taken: a later version is to take it.
                 return Ok(());
             }
         };
@@ -162,7 +163,7 @@ impl Notices {
     }
 }
 
-/// What keys change, in words.
+/// What changes with these keys, in words.
 fn told(before: &IssuedKeys, after: &IssuedKeys) -> String {
     let (epoch, known) = (after.now.epoch, before.now.key.topics().unwrap_or_default());
     let new: Vec<String> = after.now.key.topics().unwrap_or_default();

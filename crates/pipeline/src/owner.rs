@@ -31,7 +31,7 @@ pub struct Owner {
 }
 
 impl Owner {
-    /// An owner of an open keyring.
+    /// An owner with an open keyring.
     pub fn new(profile: ProfileName, keyring: UnlockedKeyring) -> Self {
         let address = keyring.keyring.eoa.address();
         Self {
@@ -50,11 +50,11 @@ impl Owner {
         self.locked.load(Ordering::Acquire)
     }
 
-    /// Wipes the keys that decrypt, grant and revoke from memory. What seals under the current epoch, signs records and
-    /// pays for anchors stays, so that capture goes on: d_C, IK, the epoch's key, the EOA.
+    /// Wipes the keys that decrypt, grant and revoke from memory. Those that seal under the current epoch, sign records
+    /// and pay for anchors stay, so that capture continues: d_C, IK, the epoch's key, the EOA.
     ///
     /// # Errors
-    /// Of the random source; nothing is wiped then.
+    /// Errors of the random source; nothing is wiped then.
     pub fn lock(&self, provider: &dyn Provider) -> Result<(), CryptoError> {
         self.keyring().strip(provider)?;
         self.opened.lock().unwrap_or_else(PoisonError::into_inner).clear();
@@ -62,7 +62,7 @@ impl Owner {
         Ok(())
     }
 
-    /// Takes the keys back that [`Self::lock`] wiped.
+    /// Restores the keys that [`Self::lock`] wiped.
     pub fn unlock(&self, keyring: UnlockedKeyring) {
         *self.keyring() = keyring;
         self.locked.store(false, Ordering::Release);
@@ -88,7 +88,7 @@ impl Owner {
         self.keyring().keyring.envelope.clone()
     }
 
-    /// P_E with d_E, and the pairs that will be or were in its place: what was sealed to them is opened with them.
+    /// P_E with d_E, and the pairs that replace it or that it replaced: they open what was encrypted to them.
     pub fn envelopes(&self) -> Vec<SmKeyPair> {
         let keyring = self.keyring();
         let further = &keyring.keyring.further;
@@ -96,7 +96,7 @@ impl Owner {
         [&keyring.keyring.envelope].into_iter().chain(others).cloned().collect()
     }
 
-    /// The identity of the gateway that this owner keeps: P_C with d_C of the time when it was founded.
+    /// The identity of the gateway that this owner keeps: P_C with d_C as of its founding.
     pub fn gateway_identity(&self) -> SmKeyPair {
         let keyring = self.keyring();
         keyring.keyring.further.gateway.as_ref().unwrap_or(&keyring.keyring.signing).clone()
@@ -123,7 +123,7 @@ impl Owner {
         self.author.sealing()
     }
 
-    /// The key of an epoch of this owner on a network, where the keyring has it.
+    /// The key of an epoch of this owner on a network, if the keyring has it.
     pub fn epoch_key(&self, domain: Domain, epoch: u64) -> Option<EpochKey> {
         let keyring = self.keyring();
         let secret = keyring.keyring.networks.get(&domain).and_then(|network| network.epochs.get(&epoch))?;
@@ -146,11 +146,11 @@ impl Owner {
         self.epoch_key(domain, epoch).map(|key| token(&domain, &self.address, epoch, &key))
     }
 
-    /// Makes sure that `epoch` has a secret in the keyring, saved before it is used, and returns
-    /// its token. An epoch begun before and not yet on the chain keeps its secret.
+    /// Makes sure that `epoch` has a secret in the keyring, saved before it is used, and returns its token. An epoch
+    /// already begun but not yet on the chain keeps its secret.
     ///
     /// # Errors
-    /// Of the random source and of saving the keyring.
+    /// Errors of the random source and of saving the keyring.
     pub fn prepare_epoch(&self, domain: Domain, epoch: u64) -> Result<Token, PipelineError> {
         {
             let mut keyring = self.keyring();
@@ -163,7 +163,7 @@ impl Owner {
             if let Entry::Vacant(place) = network.epochs.entry(epoch) {
                 place.insert(EpochSecret { salt: EpochSalt::generate()?, sm4, state: EpochState::Pending });
                 if let Err(error) = keyring.save() {
-                    // What is not on the disk must not be taken for saved the next time.
+                    // What is not on disk must not count as saved the next time.
                     if let Some(network) = keyring.keyring.networks.get_mut(&domain) {
                         network.epochs.remove(&epoch);
                     }
@@ -177,7 +177,7 @@ impl Owner {
     /// From now on records are sealed under `epoch`, which is in the keyring.
     ///
     /// # Errors
-    /// Where the keyring has no such epoch, or cannot be saved.
+    /// If the keyring has no such epoch, or cannot be saved.
     pub fn seal_under(&self, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
         self.author.seal_under(self.epoch_keys(domain, epoch)?);
         Ok(())
@@ -187,7 +187,7 @@ impl Owner {
     /// the earlier counts.
     ///
     /// # Errors
-    /// Where the keyring has no such epoch, or cannot be saved.
+    /// If the keyring has no such epoch, or cannot be saved.
     pub fn seal_from(&self, moment: Timestamp, domain: Domain, epoch: u64) -> Result<(), PipelineError> {
         self.author.seal_from(moment, self.epoch_keys(domain, epoch)?);
         Ok(())
@@ -200,17 +200,17 @@ impl Owner {
         Ok(Arc::new(EpochKeys::new(domain, (epoch, token), self.signing(), key, self.index())))
     }
 
-    /// Whether the chain was seen to have an epoch of this owner.
+    /// Whether an epoch of this owner was seen on the chain.
     pub fn has_registered_epoch(&self, domain: Domain) -> bool {
         let keyring = self.keyring();
         let network = keyring.keyring.networks.get(&domain);
         network.is_some_and(|network| network.epochs.values().any(|secret| matches!(secret.state, EpochState::Active)))
     }
 
-    /// The chain has this epoch: noted in the keyring.
+    /// The chain has this epoch: records that in the keyring.
     ///
     /// # Errors
-    /// Of saving the keyring.
+    /// Errors of saving the keyring.
     pub fn confirm_epoch(&self, domain: Domain, epoch: u64) -> Result<(), CryptoError> {
         let mut keyring = self.keyring();
         let Some(network) = keyring.keyring.networks.get_mut(&domain) else { return Ok(()) };

@@ -1,18 +1,18 @@
 //! When a batch closes: at 256 leaves, after a second, or when nothing more comes and no batch before it waits for a
-//! block. It is wider the faster records come, and an early close is paid for by seconds without one, so that the
-//! transactions a second stay about one.
+//! block. It gets wider the faster records come, and early closes are paid for by seconds without one, so that there is
+//! about one transaction a second.
 
 use std::time::{Duration, Instant};
 
 use crate::chain::merkle::MOST_LEAVES;
 
-/// Leaves at which a batch closes at first.
+/// Leaves at which a batch first closes.
 const NARROWEST: usize = 256;
-/// How long a record waits for its batch to close, and what an early close costs.
+/// How long a record waits for its batch to close, and the cost of an early close.
 pub const LONGEST_WAIT: Duration = Duration::from_secs(1);
-/// A batch to which nothing was added for so long waits for nobody.
+/// A batch that got nothing new for this long stops waiting.
 const LULL: Duration = Duration::from_millis(10);
-/// The most that is saved for early closes.
+/// The most credit for early closes.
 const MOST_SAVED: Duration = Duration::from_secs(4);
 
 /// The width of an owner's batches.
@@ -20,9 +20,9 @@ const MOST_SAVED: Duration = Duration::from_secs(4);
 pub struct Pace {
     width: usize,
     closed: Option<Instant>,
-    /// Time without a close, up to [`MOST_SAVED`], as it was at the last close.
+    /// Time without a close, up to [`MOST_SAVED`], as of the last close.
     saved: Duration,
-    /// How many records waited when it was last looked, and since when so many did.
+    /// How many records were waiting at the last check, and since when that many.
     waiting: usize,
     grown: Option<Instant>,
 }
@@ -34,8 +34,8 @@ impl Default for Pace {
 }
 
 impl Pace {
-    /// How long until a batch of `waiting` records, the first of which has waited for `oldest`, closes. Early only
-    /// where the chain is `idle`: no batch before it waits for a block.
+    /// How long until a batch of `waiting` records, the first of which has waited for `oldest`, closes. Early only if
+    /// the chain is `idle`: no batch before it waits for a block.
     pub fn due_in(&mut self, waiting: usize, oldest: Duration, idle: bool, now: Instant) -> Duration {
         if waiting >= self.width {
             return Duration::ZERO;
@@ -49,8 +49,8 @@ impl Pace {
         if idle { latest.min(early) } else { latest }
     }
 
-    /// Notes that a batch of `leaves` was closed at `now`: twice as wide where the second had not
-    /// passed, half as wide where it was not half full.
+    /// Notes that a batch of `leaves` was closed at `now`: the next is twice as wide if the second had not passed,
+    /// half as wide if it was not half full.
     pub fn closed(&mut self, leaves: usize, now: Instant) {
         let early = self.closed.is_some_and(|before| now.saturating_duration_since(before) < LONGEST_WAIT);
         if leaves >= self.width && early {
@@ -72,12 +72,12 @@ impl Pace {
 mod tests {
     use super::*;
 
-    /// One that has nothing saved.
+    /// One without credit.
     fn spent(now: Instant) -> Pace {
         Pace { saved: Duration::ZERO, closed: Some(now), ..Pace::default() }
     }
 
-    /// When batches close, in milliseconds, where so many records come at those milliseconds.
+    /// When batches close, in milliseconds, if this many records come at those milliseconds.
     fn closes(pace: &mut Pace, begin: Instant, until: u64, come: impl Fn(u64) -> usize) -> Vec<u64> {
         let (mut waiting, mut oldest, mut closes) = (0usize, 0u64, Vec::new());
         for millisecond in 0..until {

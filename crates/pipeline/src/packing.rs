@@ -1,5 +1,5 @@
-//! Which captured messages are compressed before they are sealed. Each is compressed by itself; what is learnt
-//! per topic is only whether it paid, so that topics of JPEGs cost one try in many.
+//! Which captured messages are compressed before they are sealed. Each is compressed on its own; all that is learnt per
+//! topic is whether it paid, so that topics of JPEGs cost only an occasional try.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -7,18 +7,18 @@ use std::sync::Arc;
 use crate::crypto::compression::{Packed, pack};
 use crate::ros::{Definition, Message};
 
-/// The longest pause between two tries on a topic where it does not pay, messages.
+/// The longest pause between two tries on a topic where compression does not pay, messages.
 const LONGEST_PAUSE: u32 = 256;
 
-/// Topics and definitions remembered at most.
+/// The most topics and definitions remembered.
 const MOST_KNOWN: usize = 1024;
 
-/// How compression went on one topic.
+/// How well compression worked on one topic.
 #[derive(Debug, Default)]
 struct Habit {
-    /// Messages that are let through before the next try.
+    /// Messages to skip before the next try.
     waits: u32,
-    /// How many that were the last time.
+    /// How many were skipped the last time.
     pause: u32,
 }
 
@@ -29,14 +29,14 @@ pub struct Packing {
     definitions: HashMap<Arc<str>, Option<Arc<Definition>>>,
 }
 
-/// A message that is to be tried.
+/// A message to try.
 #[derive(Debug)]
 pub struct Try {
     definition: Option<Arc<Definition>>,
 }
 
 impl Try {
-    /// The message compressed, where that pays.
+    /// The message compressed, if that pays.
     pub fn pack(&self, message: &Message) -> Option<Packed> {
         let matrix = self.definition.as_ref().and_then(|definition| definition.matrix(&message.body));
         pack(&message.body, matrix.as_ref())
@@ -44,8 +44,8 @@ impl Try {
 }
 
 impl Packing {
-    /// Whether the message is to be tried; what came of it is to be told to [`Self::learn`], topic by topic in the
-    /// order of messages.
+    /// Whether to try the message; the outcome is to be passed to [`Self::learn`], topic by topic in the order of
+    /// messages.
     pub fn decide(&mut self, message: &Message) -> Option<Try> {
         let habit = entry(&mut self.habits, &message.topic);
         if habit.waits > 0 {
@@ -53,7 +53,7 @@ impl Packing {
             return None;
         }
         if habit.pause > 0 {
-            // Until the outcome is known, as if it were the last one's: others of its round are not tried in vain.
+            // Until the outcome is known, the last one is assumed: others of its round are not tried in vain.
             habit.waits = next_pause(habit.pause);
         }
         let parsed = || {

@@ -1,7 +1,7 @@
-//! Node forging: who may publish a watched topic, and the alarm about everybody else.
+//! Node forging: who may publish a watched topic, and the alarm about anyone else.
 //!
-//! All that is compared is claimed: ROS 1 authenticates nobody. A likeness that the claims cannot tell from the
-//! pinned publisher is doubted only where both were there at once.
+//! All that is compared is claimed: ROS 1 authenticates nobody. A publisher whose claims equal the pinned one's is
+//! doubted only if both were there at once.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
@@ -13,15 +13,15 @@ use crate::store::{AuditEntry, AuditLog, Ledger, StoreError};
 
 use super::Observer;
 
-/// The most verdicts kept; beyond that they are found anew.
+/// The most verdicts kept; beyond that they are recomputed.
 const MOST_VERDICTS: usize = 4096;
-/// The most publishers of a topic that are told of one by one, in this process.
+/// The most publishers of a topic reported individually, in this process.
 const MOST_ALARMS: usize = 64;
 
-/// What pinning rests on: the operator's settings.
+/// The settings that pinning follows.
 #[derive(Debug, Clone, Default)]
 pub struct PinRules {
-    /// How topics without pins come to them.
+    /// How topics without pins get them.
     pub mode: PinMode,
     /// Publishers that the settings allow.
     pub listed: ListedPublishers,
@@ -43,10 +43,10 @@ pub struct Pins {
 /// A publisher that is being read, by its number.
 type Live = (Arc<str>, Arc<Origin>);
 
-/// What was found about a publisher: why it is doubted, where it is.
+/// The verdict on a publisher: why it is doubted, its host.
 struct Judged(Option<Doubt>);
 
-/// What was found about one publisher, for one owner.
+/// The verdict on one publisher, for one owner.
 struct Verdict {
     topic: String,
     origin: Arc<Origin>,
@@ -61,11 +61,11 @@ struct Known {
     used: bool,
     /// When the first publisher was pinned on first use, in this process.
     first_use: Option<Instant>,
-    /// Pinned publishers that were replaced, and nobody has decided which is right.
+    /// Pinned publishers that were replaced, as long as nobody has decided which is right.
     undecided: HashSet<String>,
     /// When the operator last accepted a publisher, in this process.
     accepted: HashMap<Publisher, Instant>,
-    /// Publishers told of.
+    /// Publishers already reported.
     alarms: usize,
 }
 
@@ -80,7 +80,7 @@ pub fn publisher_of(origin: &Origin) -> Publisher {
 }
 
 impl Pins {
-    /// Pins that are kept in `ledger`; alarms go to `observer` and into the audit log.
+    /// Pins stored in `ledger`; alarms go to `observer` and into the audit log.
     pub fn new(ledger: Ledger, observer: Arc<dyn Observer>, rules: PinRules) -> Self {
         let mut listed: BTreeMap<String, Vec<Publisher>> = BTreeMap::new();
         for (topic, publisher) in rules.listed.0 {
@@ -99,12 +99,12 @@ impl Pins {
         }
     }
 
-    /// The name that an owner has in the audit log.
+    /// The name of an owner in the audit log.
     pub fn introduce(&self, owner: Address, name: &str) {
         self.names.write().unwrap_or_else(PoisonError::into_inner).insert(owner, name.to_owned());
     }
 
-    /// How topics come to their pins.
+    /// How topics get their pins.
     pub fn mode(&self) -> PinMode {
         self.mode
     }
@@ -114,7 +114,7 @@ impl Pins {
         self.listed.get(topic).map_or(&[], Vec::as_slice)
     }
 
-    /// All that the settings allow, topic by topic.
+    /// Everything the settings allow, topic by topic.
     pub fn all_listed(&self) -> impl Iterator<Item = (&String, &Publisher)> {
         self.listed.iter().flat_map(|(topic, publishers)| publishers.iter().map(move |one| (topic, one)))
     }
@@ -140,8 +140,8 @@ impl Pins {
         found
     }
 
-    /// Why this publisher's messages on the topic must be held back; `None` for a pinned one. The first time it is
-    /// doubted raises the alarm. Cheap for a publisher that was judged before.
+    /// Why this publisher's messages on the topic must be quarantined; `None` for a pinned one. The first doubt raises
+    /// the alarm. Cheap for a publisher judged before.
     pub fn judge(&self, owner: Address, topic: &str, origin: &Arc<Origin>) -> Option<Doubt> {
         if self.mode == PinMode::Off {
             return None;
@@ -182,8 +182,8 @@ impl Pins {
         verdicts.insert((owner, origin.number), verdict);
     }
 
-    /// Whether an origin pushes aside one that was not doubted itself, and the operator has not accepted that
-    /// since. One that this owner never met counts only with `unmet`, or while it is still there.
+    /// Whether an origin replaces one that was not doubted itself, without the operator having accepted it since. One
+    /// that this owner never saw counts only with `unmet`, or while it is still there.
     fn replaces(&self, owner: Address, origin: &Origin, accepted: Option<&Instant>, unmet: bool) -> bool {
         let Some(rival) = &origin.rival else { return false };
         if accepted.is_some_and(|at| *at >= origin.listed_at) {
@@ -225,7 +225,7 @@ impl Pins {
         Ok(doubt)
     }
 
-    /// What the claims alone say against a publisher.
+    /// The doubt that follows from the claims alone.
     fn claims(&self, known: &Known, topic: &str, origin: &Origin, publisher: &Publisher) -> Option<Doubt> {
         let allowed = || known.pins.iter().chain(self.listed(topic));
         if allowed().any(|pin| pin == publisher) {
@@ -287,7 +287,7 @@ impl Pins {
         Ok(())
     }
 
-    /// Somebody named a publisher of the topic that the master does not list.
+    /// Somebody announced a publisher of the topic that the master does not list.
     pub fn unconfirmed(&self, owner: Address, topic: &str, uri: &str) {
         if self.mode == PinMode::Off {
             return;
@@ -298,9 +298,9 @@ impl Pins {
         }
     }
 
-    /// Tells of a doubted publisher, once; what cannot be written is told all the same.
+    /// Reports a doubted publisher, once, even if it cannot be written.
     fn alarm(&self, known: &mut Known, owner: Address, topic: &str, publisher: &str, doubt: Doubt) {
-        // A flood of names must become neither a flood of words nor of rows.
+        // A flood of names must not become a flood of messages or rows.
         if known.alarms > MOST_ALARMS {
             return;
         }
@@ -340,7 +340,7 @@ impl Pins {
     /// The operator accepts publishers of a topic.
     ///
     /// # Errors
-    /// Of the ledger: then nothing is pinned.
+    /// Errors of the ledger; then nothing is pinned.
     pub fn pin(&self, owner: Address, topic: &str, publishers: &[Publisher]) -> Result<(), StoreError> {
         let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
         self.ledger.pin(owner, topic, publishers, "operator")?;
@@ -356,7 +356,7 @@ impl Pins {
     /// The operator no longer accepts a caller id on a topic; returns how many pins that were.
     ///
     /// # Errors
-    /// Of the ledger: then nothing has changed.
+    /// Errors of the ledger; then nothing changes.
     pub fn unpin(&self, owner: Address, topic: &str, caller_id: &str) -> Result<u64, StoreError> {
         let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
         let gone = self.ledger.unpin(owner, topic, caller_id)?;
@@ -368,7 +368,7 @@ impl Pins {
     /// The operator no longer accepts one publisher of a topic; others of its caller id stay.
     ///
     /// # Errors
-    /// Of the ledger: then nothing has changed.
+    /// Errors of the ledger; then nothing changes.
     pub fn unpin_one(&self, owner: Address, topic: &str, publisher: &Publisher) -> Result<(), StoreError> {
         let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
         self.ledger.unpin_one(owner, topic, publisher)?;
@@ -377,7 +377,7 @@ impl Pins {
         Ok(())
     }
 
-    /// Forgets verdicts that no longer follow from the pins.
+    /// Drops verdicts that no longer follow from the pins.
     fn judge_anew(&self, owner: Address, topic: &str, changed: impl Fn(&Verdict) -> bool) {
         let mut verdicts = self.verdicts.write().unwrap_or_else(PoisonError::into_inner);
         verdicts.retain(|(of, _), verdict| *of != owner || verdict.topic != topic || !changed(verdict));

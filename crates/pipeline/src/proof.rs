@@ -1,4 +1,4 @@
-//! Whether the chain confirms a record: its digest by itself, or its batch's root and the path to it.
+//! Whether the chain confirms a record: its own digest, or its batch's root with the path to it.
 
 use tokio::task::block_in_place;
 
@@ -9,16 +9,16 @@ use crate::store::{BatchPlace, RecordRow};
 
 use super::{Network, PipelineError, Plant};
 
-/// Whether the kept path leads from the record's leaf to the batch's root.
+/// Whether the stored path leads from the record's leaf to the batch's root.
 pub fn is_included(place: &BatchPlace, row: &RecordRow) -> bool {
     place.inclusion.proves(&row.leaf()) || fault::is_off("proof")
 }
 
-/// Asks the chain: whether in the record's block the root of its batch stands over as many leaves as the path was made
-/// for, else whether the owner uploaded the digest itself there.
+/// Asks the chain whether the record's block has the root of its batch over the number of leaves its path was made for,
+/// and otherwise whether the owner uploaded the digest itself there.
 ///
 /// # Errors
-/// Of chain and ledger.
+/// Errors of chain and ledger.
 pub async fn is_anchored(plant: &Plant, network: &Network, row: &RecordRow) -> Result<bool, PipelineError> {
     if fault::is_off("anchor") {
         return Ok(true);
@@ -35,11 +35,11 @@ pub async fn is_anchored(plant: &Plant, network: &Network, row: &RecordRow) -> R
     Ok(uploaded.is_some_and(|uploaded| row.block.is_none_or(|block| block == uploaded)))
 }
 
-/// Whether an account anchored a root over so many leaves in this very block: for the first time, as the contract's
-/// state says, or again, as the block's events say.
+/// Whether an account anchored a root over this many leaves in this very block: for the first time, according to the
+/// contract's state, or again, according to the block's events.
 ///
 /// # Errors
-/// Of the chain.
+/// Errors of the chain.
 pub async fn is_root_in(
     chain: &Chain,
     account: Address,
@@ -57,11 +57,10 @@ pub async fn is_root_in(
     Ok(found.iter().any(|at| at.block == block && same(&at.event)))
 }
 
-/// What the ledger itself knows: the watcher saw the record's anchor, and where that is a root the
-/// path leads to it.
+/// What the ledger itself knows: the watcher saw the record's anchor, and if that is a root the path leads to it.
 ///
 /// # Errors
-/// Of the ledger.
+/// Errors of the ledger.
 pub fn was_sighted(plant: &Plant, row: &RecordRow) -> Result<bool, PipelineError> {
     Ok(were_sighted(plant, &[row])?.contains(&true))
 }

@@ -1,6 +1,6 @@
-//! Quarantine records: what was held back, per topic and minute, anchored before anybody can choose among it.
+//! Quarantine records: what was quarantined, per topic and minute, anchored before anyone can pick and choose.
 //!
-//! They are filed under a topic of their own, so that the sealer's numbers stay its alone; a function of the ledger:
+//! They are filed under a topic of their own, so that only the sealer uses its numbers; a function of the ledger:
 //! called again, it does what is left.
 
 use crate::model::{Address, Digest, Domain, Doubt, QuarantineReport, RecordKind, RecorderId, Timestamp, TopicId};
@@ -20,12 +20,12 @@ pub fn minute(at: Timestamp) -> u64 {
     at.0 / 60_000_000_000
 }
 
-/// Why a record is held back, as the ledger keeps it.
+/// Why a record is quarantined, as stored in the ledger.
 pub fn hold(digest: Digest, doubt: Doubt, origin: &Origin) -> Hold {
     Hold { digest, reason: doubt.word(), publisher: pins::publisher_of(origin).to_string() }
 }
 
-/// The rolling hash over held digests; see [`QuarantineReport`].
+/// The rolling hash over quarantined digests; see [`QuarantineReport`].
 pub fn rolling(
     plant: &Plant,
     domain: &Domain,
@@ -40,11 +40,11 @@ pub fn rolling(
     Digest(end)
 }
 
-/// Seals a quarantine record for every (topic, minute) of the owner before minute `before` with records that none
-/// counts; returns how many were sealed. Not to be called twice at once for one owner.
+/// Seals a quarantine record for every (topic, minute) of the owner before minute `before` with uncounted records;
+/// returns how many were sealed. Must not run twice at once for one owner.
 ///
 /// # Errors
-/// Of sealing, vault and ledger; what is sealed so far stays.
+/// Errors of sealing, vault and ledger; what is sealed so far stays.
 pub fn report(plant: &Plant, owner: &Owner, before: u64) -> Result<usize, PipelineError> {
     let mut sealed = 0;
     while let Some(held) = plant.ledger.unreported(owner.address, before)? {
@@ -91,11 +91,11 @@ fn report_one(plant: &Plant, owner: &Owner, held: &HeldMinute) -> Result<bool, P
     Ok(true)
 }
 
-/// Deletes the ciphertext of quarantined records and gives them up; returns how many. Their quarantine records must
-/// stand on the chain before.
+/// Discards quarantined records and deletes their ciphertext; returns how many. Their quarantine records must be on the
+/// chain first.
 ///
 /// # Errors
-/// Of vault and ledger: then repeat it, what is deleted already does no harm.
+/// Errors of vault and ledger; then repeat it, deleting again does no harm.
 pub fn discard(plant: &Plant, digests: &[Digest]) -> Result<u64, PipelineError> {
     for digest in digests {
         plant.vault.delete(*digest)?;

@@ -1,5 +1,5 @@
-//! Reading: who may, with which key, and what the checks find. The vault's bytes are compared
-//! with the chain before anything else, and nothing is shown before the last check.
+//! Reading: who may, with which key, and the results of the checks. The vault's bytes are compared with the chain
+//! before anything else, and nothing is shown before the last check.
 
 mod own;
 
@@ -18,21 +18,21 @@ use super::authority::{Policy, ReadRefused, ReadingRight, may_read};
 use super::directory::{Granted, kept};
 use super::{Network, Owner, PipelineError, Plant, authority, columns, proof};
 
-/// Definition records looked at for one message, at most.
+/// The most definition records examined for one message.
 const MOST_DEFINITIONS: usize = 200;
 
-/// Reads records for one owner: her own, and those granted to her.
+/// Reads records for one owner: their own, and those granted to them.
 pub struct Reader<'a> {
     /// Ledger, vault, provider.
     pub plant: &'a Plant,
     /// The chain.
     pub network: &'a Network,
-    /// Who reads.
+    /// The reader.
     pub reader: &'a Owner,
 }
 
 impl Reader<'_> {
-    /// By what right this reader reads what `owner` has of a topic, on its own site.
+    /// The right by which this reader reads `owner`'s records of a topic, on its own site.
     fn right(&self, owner: Address, topic: Option<TopicId>) -> Result<ReadingRight, ReadRefused> {
         may_read(&self.network.directory, self.reader.address, owner, topic, Policy::OwnSite)
     }
@@ -61,7 +61,7 @@ impl Reader<'_> {
     /// Checks a record without opening it (the paper's `Data_Check`).
     ///
     /// # Errors
-    /// Of chain, vault and ledger; what is wrong with the record itself is the verdict.
+    /// Errors of chain, vault and ledger; what is wrong with the record itself is in the verdict.
     pub async fn check(&self, row: &RecordRow) -> Result<(Verdict, Digest), PipelineError> {
         let Some(blob) = self.blob(row)? else {
             return Ok((self.check_gone(row).await?, row.digest));
@@ -75,7 +75,7 @@ impl Reader<'_> {
         Ok((sound.map_or(Verdict::Tampered, |(_, _, verdict)| verdict), digest))
     }
 
-    /// What to say of a record whose bytes are gone: an alarm, unless a retention record on the chain names it.
+    /// The verdict on a record whose bytes are gone: an alarm, unless a retention record on the chain names it.
     async fn check_gone(&self, row: &RecordRow) -> Result<Verdict, PipelineError> {
         let Some(retained) = self.given_up(row)? else {
             let text = format!("the ciphertext of record {} is missing, and no retention record names it", row.id);
@@ -94,7 +94,7 @@ impl Reader<'_> {
         Ok(block_in_place(|| self.plant.ledger.retained(row.digest))?.filter(|retained| retained.anchored))
     }
 
-    /// The stored bytes; of a quarantined record they may not be in the vault yet.
+    /// The stored bytes; those of a quarantined record may not be in the vault yet.
     fn blob(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, PipelineError> {
         block_in_place(|| {
             let stored = self.plant.vault.get(row.digest)?;
@@ -113,8 +113,8 @@ impl Reader<'_> {
     /// Checks and decrypts a record.
     ///
     /// # Errors
-    /// `NotGranted`; `CryptoError` of kind `Tampered` where a check fails, `Refused` where no key
-    /// of this reader opens it; a missing blob is tampering too.
+    /// `NotGranted`; `CryptoError` of kind `Tampered` if a check fails, `Refused` if no key of this reader opens it; a
+    /// missing blob counts as tampering too.
     pub async fn open(&self, row: &RecordRow) -> Result<OpenedRecord, PipelineError> {
         self.authorise(row)?;
         let Some(blob) = self.blob(row)? else {
@@ -125,17 +125,17 @@ impl Reader<'_> {
         self.open_bytes(row, &blob).await
     }
 
-    /// As [`Self::open`], of bytes that the vault need not have.
+    /// Like [`Self::open`], for bytes that the vault need not have.
     ///
     /// # Errors
-    /// As [`Self::open`].
+    /// See [`Self::open`].
     pub async fn open_bytes(&self, row: &RecordRow, blob: &[u8]) -> Result<OpenedRecord, PipelineError> {
         self.authorise(row)?;
         self.compare(row, blob)?;
         let anchor = if self.is_anchored(row).await? { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
         let signer = block_in_place(|| authority::signer_of(self.plant, self.network, row))?;
         let signer = signer.map_err(|why| PipelineError::NoRight { id: row.id.clone(), why: Box::new(why) })?;
-        // The owner's records of a chain that was left are bound to its domain, and sealed under its epochs.
+        // The owner's records of a former chain are bound to its domain, and sealed under its epochs.
         let sealed_for = Header::parse(blob).map_or(self.network.domain, |(header, _)| header.domain);
         let domain = if self.network.accepts(&sealed_for) { sealed_for } else { self.network.domain };
         let keys = block_in_place(|| self.topic_keys_in(domain, row))?;
@@ -164,7 +164,7 @@ impl Reader<'_> {
         found.map_or(Ok(opened), |field| Err(differs(field)))
     }
 
-    /// Whether the row says what the header of the stored bytes says; where these were altered, that is told instead.
+    /// Whether the row agrees with the header of the stored bytes; if these were altered, that is reported instead.
     fn compare(&self, row: &RecordRow, blob: &[u8]) -> Result<(), PipelineError> {
         let header = Header::parse(blob).map(|(header, _)| header);
         match header.ok().and_then(|header| columns::header_difference(row, &header)) {
@@ -178,13 +178,13 @@ impl Reader<'_> {
     /// The key of the record's topic in its epoch.
     ///
     /// # Errors
-    /// `CryptoError::WrongKey` where no grant of this reader carries it.
+    /// `CryptoError::WrongKey` if no grant of this reader carries it.
     pub fn topic_key(&self, row: &RecordRow) -> Result<TopicKey, PipelineError> {
         let keys = self.topic_keys_in(self.network.domain, row)?;
         keys.into_iter().next().ok_or_else(|| CryptoError::WrongKey.into())
     }
 
-    /// Every key that may have sealed the record; the likeliest first.
+    /// Every key that may have sealed the record, the most likely first.
     fn topic_keys_in(&self, domain: Domain, row: &RecordRow) -> Result<Vec<TopicKey>, PipelineError> {
         if row.owner == self.reader.address {
             let epoch_key = self.reader.epoch_key(domain, row.epoch).ok_or(PipelineError::UnknownEpoch(row.epoch))?;
@@ -201,19 +201,19 @@ impl Reader<'_> {
         Err(CryptoError::WrongKey.into())
     }
 
-    /// What the envelopes of a grant carry that this reader opens, the newest epoch first.
+    /// The contents of a grant's envelopes that this reader can open, the newest epoch first.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn envelopes(&self, grant: &Granted) -> Result<Vec<Arc<WrappedKeys>>, PipelineError> {
         let all = kept::envelopes(&self.plant.ledger, &self.network.directory, grant)?;
         Ok(all.iter().filter_map(|envelope| self.open_one(grant, envelope).ok()).collect())
     }
 
-    /// Opens the envelope of a grant for an epoch: the newest that this reader has the key of.
+    /// Opens a grant's envelope for an epoch: the newest that this reader has the key for.
     ///
     /// # Errors
-    /// Where none opens, or none says what the chain's event says.
+    /// If none opens, or none agrees with the chain's event.
     pub fn open_envelope(&self, grant: &Granted, epoch: u64) -> Result<Arc<WrappedKeys>, PipelineError> {
         let mut all = kept::envelopes(&self.plant.ledger, &self.network.directory, grant)?;
         all.retain(|envelope| envelope.epoch == epoch);
@@ -221,8 +221,8 @@ impl Reader<'_> {
             .unwrap_or_else(|| Err(CryptoError::WrongKey.into()))
     }
 
-    /// Opens an envelope under the keys of its time: signed by what its owner had registered then, sealed to what the
-    /// reader had.
+    /// Opens an envelope with the keys of its time: signed with the key its owner had registered then, encrypted to the
+    /// one the reader had.
     fn open_one(&self, grant: &Granted, envelope: &KeptEnvelope) -> Result<Arc<WrappedKeys>, PipelineError> {
         let (epoch, bytes) = (envelope.epoch, &envelope.bytes);
         let digest = Digest(self.plant.provider.sm3(&[bytes]));
@@ -246,7 +246,7 @@ impl Reader<'_> {
     /// gave it.
     ///
     /// # Errors
-    /// Of the ledger. `None` where no readable record holds it.
+    /// Errors of the ledger. `None` if no readable record holds it.
     pub async fn definition_text(
         &self,
         row: &RecordRow,
@@ -271,7 +271,7 @@ impl Reader<'_> {
     }
 }
 
-/// The first that is good; the first failure where none is; `None` of nothing.
+/// The first success; the first failure if there is none; `None` for an empty list.
 fn first_good<T>(mut results: impl Iterator<Item = Result<T, PipelineError>>) -> Option<Result<T, PipelineError>> {
     let first = results.next()?;
     Some(first.or_else(|error| results.find_map(Result::ok).ok_or(error)))
@@ -297,12 +297,12 @@ impl columns::Keys for Reader<'_> {
     }
 }
 
-/// Whether a record is its owner's alone: held back, or given up.
+/// Whether a record is for its owner only: quarantined, or discarded.
 pub fn is_held(row: &RecordRow) -> bool {
     matches!(row.state, RecordState::Quarantined | RecordState::Dropped)
 }
 
-/// By the topic's pseudonym, and as it was done before, where its name is known.
+/// By the topic's pseudonym, and as in earlier versions by its name if that is known.
 fn keys_of(key: &EpochKey, row: &RecordRow) -> Vec<TopicKey> {
     let named = row.is_named().then(|| topic_key_by_name(key, &row.topic));
     [topic_key(key, &row.topic_id)].into_iter().chain(named).collect()

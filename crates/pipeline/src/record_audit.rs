@@ -1,7 +1,7 @@
-//! The audit of records: ledger rows against proofs and chain, batches against the chain's events, numbers without
-//! holes, the audit log's hashes; `deep` also re-hashes every stored ciphertext and checks its signature.
+//! The audit of records: ledger rows against proofs and chain, batches against the chain's events, sequences without
+//! gaps, the audit log's hashes; `deep` also re-hashes every stored ciphertext and checks its signature.
 //!
-//! Pages come from the ledger one snapshot each, workers share them: memory does not grow with the store.
+//! Pages are read from the ledger, one snapshot each, and shared by workers: memory does not grow with the store.
 
 mod batches;
 mod bound;
@@ -26,12 +26,12 @@ pub use scrub::{Scrubbed, scrub_round};
 use self::report::Tally;
 use super::{Network, Plant, audit_head};
 
-/// What is to be audited.
+/// The scope of an audit.
 #[derive(Debug, Clone, Default)]
 pub struct Scope {
     /// Also every stored byte and every signature.
     pub deep: bool,
-    /// Only records captured then or later; batches, numbers and the audit log are looked at whole.
+    /// Only records captured at or after this time; batches, numbers and the audit log are always checked in full.
     pub since: Timestamp,
     /// Accounts of the home's profiles.
     pub accounts: Vec<Address>,
@@ -39,12 +39,12 @@ pub struct Scope {
     pub indices: HashMap<Address, IndexKey>,
 }
 
-/// Audits the store. `chain` is what the rows are compared with, or why it cannot be asked (then the rest is done all
-/// the same); `None` in a home that never met a chain. Blocks for as long as it takes; to be called where that is
-/// allowed, on a thread that may wait for the runtime.
+/// Audits the store. `chain` is what the rows are compared with, or why it cannot be queried (then the rest is done all
+/// the same); `None` in a home that never used a chain. Blocks for as long as it takes; call it on a thread that may
+/// block and may wait for the runtime.
 ///
 /// # Errors
-/// Of ledger and vault where they do not answer at all; what is wrong in them is told in the answer.
+/// Errors of ledger and vault if they do not answer at all; faults in them are part of the answer.
 pub fn audit(
     plant: &Plant,
     chain: Option<Result<&Network, String>>,
@@ -78,7 +78,7 @@ pub fn audit(
     Ok(tally.report(scope.deep, seconds, reading, hashed))
 }
 
-/// Every block of the embedded chain, run again; on other chains their nodes vouch for it.
+/// Every block of the embedded chain, run again; other chains are vouched for by their nodes.
 fn run_chain_again(network: &Network, runtime: &Handle, tally: &mut Tally) {
     if let Err(error) = runtime.block_on(network.chain.run_again()) {
         let tampered = error.kind() == ErrorKind::Tampered;
@@ -87,7 +87,7 @@ fn run_chain_again(network: &Network, runtime: &Handle, tally: &mut Tally) {
     }
 }
 
-/// The audit log's own chain, and the heads that the home's profiles noted when they were sealed.
+/// The audit log's own hash chain, and the heads that the home's profiles noted when they sealed them.
 fn log_of(plant: &Plant, log: &AuditLog, scope: &Scope, tally: &mut Tally) -> Result<(), StoreError> {
     match log.verify() {
         Ok(lines) => tally.lines = lines,

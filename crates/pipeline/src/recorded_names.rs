@@ -1,5 +1,5 @@
-//! Topic names of recordings, resolved: `rosbag` records whatever a publisher called its topic, a record's topic is a
-//! graph name. What was recorded is kept beside it, for the export.
+//! Topic names of recordings, resolved: `rosbag` records whatever a publisher called its topic, while a record's topic
+//! is a graph name. The recorded name is stored as well, for export.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -11,13 +11,13 @@ use crate::model::topic::LONGEST_NAME;
 #[derive(Debug, Default)]
 pub struct RecordedNames {
     resolved: HashMap<Arc<str>, Result<Arc<str>, &'static str>>,
-    /// Who has a name, and whether it is that name but for a leading slash: only such names share one.
+    /// The owner of a name, and whether it is that name except for a leading slash: only such names share one.
     taken: HashMap<Arc<str>, (Arc<str>, bool)>,
 }
 
 impl RecordedNames {
-    /// The graph name of a recorded one: itself where it is one, with `/` before it where it is relative, with `_` for
-    /// every character that a graph name cannot have.
+    /// The graph name for a recorded one: itself if it is valid, with `/` in front if it is relative, with `_` for
+    /// every character not allowed in a graph name.
     ///
     /// # Errors
     /// Why it has none.

@@ -1,5 +1,5 @@
-//! Takes messages off the capture threads: measures them, asks who wants them, and puts one
-//! item per interested author into the rings. Never seals, never waits.
+//! Takes messages from the capture threads: measures them, determines who wants them, and puts one item per interested
+//! author into the rings. Never seals, never waits.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,15 +16,15 @@ use super::{Author, CaptureSession, Observer, Pins};
 
 /// One message for one author, on its way to the sealer.
 pub struct CapturedMessage {
-    /// In whose name it is sealed.
+    /// The author that seals it.
     pub author: Arc<Author>,
     /// The message.
     pub message: Arc<Message>,
     /// Whether a simulated robot sent it.
     pub simulated: bool,
-    /// Sessions that wait for it.
+    /// Sessions waiting for it.
     pub sessions: Vec<Arc<CaptureSession>>,
-    /// Why it must be held back.
+    /// Why it must be quarantined.
     pub doubt: Option<Doubt>,
     /// The rule of its topic, whose tags it gets.
     pub rule: Option<Arc<TopicRule>>,
@@ -46,7 +46,7 @@ struct Interest {
 }
 
 impl Interest {
-    /// The type asked for, where one is.
+    /// The type requested, if any.
     fn wanted(&self) -> Option<&TypeName> {
         let by_rule = self.rule.as_ref().and_then(|rule| rule.type_name.as_ref());
         self.type_name.as_ref().or(by_rule)
@@ -63,7 +63,7 @@ impl Interest {
     }
 }
 
-/// Decides what becomes of each captured message.
+/// Decides what happens to each captured message.
 pub struct Recorder {
     rings: Arc<Rings<CapturedMessage>>,
     losses: Arc<Losses>,
@@ -74,14 +74,14 @@ pub struct Recorder {
     observer: Arc<dyn Observer>,
     pins: Option<Arc<Pins>>,
     rules: TopicRules,
-    /// Messages left out by the topics' rules, or of another type than asked for.
+    /// Messages left out by the topics' rules, or of another type than requested.
     left_out: Mutex<HashMap<String, u64>>,
-    /// Publishers of another type than asked for, by their number and topic, that were told of.
+    /// Publishers of another type than requested, by their number and topic, already reported.
     mismatched: Mutex<HashSet<(u64, String)>>,
 }
 
 impl Recorder {
-    /// A recorder that fills `rings`, and notes in `losses` what does not fit.
+    /// A recorder that fills `rings`, and records in `losses` what does not fit.
     pub fn new(rings: Arc<Rings<CapturedMessage>>, losses: Arc<Losses>, observer: Arc<dyn Observer>) -> Self {
         Self {
             rings,
@@ -98,17 +98,17 @@ impl Recorder {
         }
     }
 
-    /// Messages are taken as the rules of their topics say.
+    /// Messages are taken according to the rules of their topics.
     pub fn with_rules(self, rules: TopicRules) -> Self {
         Self { rules, ..self }
     }
 
-    /// Messages of publishers that are not pinned are held back.
+    /// Messages of publishers that are not pinned are quarantined.
     pub fn with_pins(self, pins: Arc<Pins>) -> Self {
         Self { pins: Some(pins), ..self }
     }
 
-    /// Whether a message arrived on any topic since this was last asked.
+    /// Whether a message arrived on any topic since the last call.
     pub fn meter_moved(&self) -> bool {
         self.moved.swap(false, Ordering::AcqRel)
     }
@@ -123,7 +123,7 @@ impl Recorder {
         *self.simulated.write().unwrap_or_else(PoisonError::into_inner) = nodes;
     }
 
-    /// Whether a simulated robot of this site goes by this node name.
+    /// Whether a simulated robot of this site has this node name.
     pub fn is_simulated(&self, caller_id: &str) -> bool {
         self.simulated.read().unwrap_or_else(PoisonError::into_inner).iter().any(|node| node == caller_id)
     }
@@ -154,7 +154,7 @@ impl Recorder {
         });
     }
 
-    /// The author no longer wants the topic; running sessions go on.
+    /// The author no longer wants the topic; running sessions continue.
     pub fn unwatch(&self, topic: &str, author: &Arc<Author>) {
         self.change(topic, author, |interest| interest.watched = false);
     }
@@ -181,7 +181,7 @@ impl Recorder {
         self.change(topic, author, |interest| interest.sessions.retain(|other| !Arc::ptr_eq(other, session)));
     }
 
-    /// Topics that anybody wants.
+    /// Topics that anyone wants.
     pub fn wanted(&self) -> Vec<String> {
         self.interests.read().unwrap_or_else(PoisonError::into_inner).keys().cloned().collect()
     }
@@ -193,7 +193,7 @@ impl Recorder {
         interests.iter().filter(|(_, list)| wants(list)).map(|(topic, _)| topic.clone()).collect()
     }
 
-    /// Messages of a topic that its rule left out since the site began; they are not lost.
+    /// Messages of a topic left out by its rule since the site started; they are not lost.
     pub fn left_out(&self, topic: &str) -> u64 {
         self.left_out.lock().unwrap_or_else(PoisonError::into_inner).get(topic).copied().unwrap_or_default()
     }
@@ -203,7 +203,7 @@ impl Recorder {
             return self.leave_out(interest, message);
         }
         let doubt = self.doubt(interest, &message.topic, &message.origin);
-        // A doubted publisher neither uses up what the rule leaves to the others, nor is anything of it left out.
+        // A doubted publisher does not use up what the rule leaves to the others, nor is any of its messages left out.
         if doubt.is_none() && !interest.takes(message.captured_at) {
             self.count_left_out(&message.topic);
             return;
@@ -225,7 +225,7 @@ impl Recorder {
         }
     }
 
-    /// A message of another type than asked for: counted, and told once a publisher.
+    /// A message of another type than requested: counted, and reported once per publisher.
     fn leave_out(&self, interest: &Interest, message: &Message) {
         self.count_left_out(&message.topic);
         interest.sessions.iter().for_each(|session| session.skip(&message.topic));
@@ -251,7 +251,7 @@ impl Recorder {
         self.pins.as_ref().and_then(|pins| pins.judge(interest.author.address, topic, origin))
     }
 
-    /// Publishers are judged as soon as they are there, not only by what they send.
+    /// Publishers are judged as soon as they appear, not only by what they send.
     fn look_at_publishers(&self, notice: &CaptureNotice) {
         let Some(pins) = &self.pins else { return };
         let interests = self.interests.read().unwrap_or_else(PoisonError::into_inner);
@@ -259,7 +259,7 @@ impl Recorder {
         match notice {
             CaptureNotice::PublisherConnected { topic, origin, .. } => {
                 pins.connected(topic, origin);
-                // Of another type than asked for nothing is captured, so it is nobody's first publisher either.
+                // Nothing of another type than requested is captured, so it does not count as a first publisher either.
                 for interest in owners(topic).filter(|interest| interest.wants(&origin.type_name)) {
                     pins.judge(interest.author.address, topic, origin);
                 }
@@ -302,7 +302,7 @@ impl MessageSink for Recorder {
     }
 }
 
-/// A notice as an operator reads it; `None` for what is told elsewhere.
+/// A notice for the operator; `None` for what is reported elsewhere.
 fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
     let told = match notice {
         CaptureNotice::PublisherConnected { .. }

@@ -1,5 +1,5 @@
-//! How high a recorder's numbers are, put on the chain while they change: a verifier of evidence then knows up to which
-//! number a topic went by that time. A restored ledger has a recorder of its own, which says whose it follows.
+//! The highest numbers of a recorder, anchored while they change: a verifier of evidence then knows which number a
+//! topic had reached by that time. A restored ledger has a new recorder, which names its predecessor.
 
 use std::time::{Duration, Instant};
 
@@ -16,7 +16,7 @@ use super::{PipelineError, Plant, audit_head};
 /// The name that the records are filed under.
 pub const TOPIC: &str = "authros/recorder";
 
-/// What was stated last, and when.
+/// The last statement, and when it was made.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 struct Noted {
     looked: Timestamp,
@@ -24,7 +24,7 @@ struct Noted {
     heads: Option<Digest>,
 }
 
-/// One note for each chain, owner and recorder: on another chain all of it is stated anew.
+/// One note for each chain, owner and recorder: on another chain everything is stated again.
 fn place(plant: &Plant, owner: Address, keys: &EpochKeys) -> String {
     format!("recorder-heads:{}:{owner}:{}", plant.ledger.recorder(), keys.domain)
 }
@@ -35,16 +35,17 @@ fn noted(ledger: &Ledger, place: &str) -> Result<Option<Noted>, StoreError> {
     serde_json::from_str(&text).map(Some).map_err(|_| StoreError::Corrupt { file: ledger.path().to_owned(), detail })
 }
 
-/// The tree over topics with their numbers; `None` over none, and over more than a tree holds.
+/// The tree over topics with their numbers; `None` for none, and for more than a tree holds.
 pub fn tree(heights: &Heights) -> Option<Tree> {
     Tree::new(heights.topics.iter().map(|(topic, number)| height_hash(topic, *number)).collect())
 }
 
-/// States the numbers of this ledger's recorder for `owner` where they have changed and were not stated or looked at (`seen`,
-/// kept by the caller) for `every`; the first time its birth too. Returns the record of the head. One caller at a time.
+/// States the numbers of this ledger's recorder for `owner` if they have changed and were not stated or checked
+/// (`seen`, kept by the caller) for `every`; the first time also its birth. Returns the record of the head. One caller
+/// at a time.
 ///
 /// # Errors
-/// Of vault and ledger.
+/// Errors of vault and ledger.
 pub fn state(
     plant: &Plant,
     owner: Address,
@@ -58,7 +59,7 @@ pub fn state(
     let (place, looked) = (place(plant, owner, keys), Timestamp::now());
     let before = noted(&plant.ledger, &place)?;
     let every = u64::try_from(every.as_nanos()).unwrap_or(u64::MAX);
-    // A note from the future is of a clock that ran ahead: it is due.
+    // A note from the future comes from a clock that was ahead: it is due.
     let since = before.and_then(|before| looked.0.checked_sub(before.looked.0));
     if since.is_some_and(|since| since < every) {
         return Ok(None);
@@ -78,13 +79,14 @@ pub fn state(
         return Ok(None);
     }
     let Some(heads) = stated(plant, owner, keys, &heights, (root, before.heads))? else { return Ok(None) };
-    // Cut here, the next head names the same one before it, and a birth is told twice; neither contradicts anything.
+    // If interrupted here, the next head names the same predecessor, and a birth is stated twice; neither is a
+    // contradiction.
     note(root, Some(heads))?;
     plant.observer.records_changed();
     Ok(Some(heads))
 }
 
-/// `None` where the keys do not cover the name.
+/// `None` if the keys do not cover the name.
 fn stated(
     plant: &Plant,
     owner: Address,

@@ -1,4 +1,4 @@
-//! Retention: ciphertext that a rule no longer keeps is named in a signed record, and deleted when that record stands
+//! Retention: ciphertext that no rule keeps any longer is named in a signed record, and deleted when that record is
 //! confirmed on the chain. A function of the ledger: called again, it does what is left.
 
 mod held;
@@ -17,24 +17,24 @@ use super::{Owner, PipelineError, Plant};
 
 /// The name that retention records are filed under; no ROS name begins like this.
 pub const TOPIC: &str = "authros/retention";
-/// What stands in place of a message type.
+/// Takes the place of a message type.
 pub const TYPE: &str = "authros/Retention";
-/// Records named in one retention record, at most.
+/// The most records named in one retention record.
 const ROUND: usize = 1024;
-/// Rounds after which records that were overtaken (still pending then) are looked for.
+/// Rounds after which records that were overtaken (still pending then) are searched for.
 const ANEW: u32 = 600;
 
-/// The rules at work for the owners of a site.
+/// The rules in force for the owners of a site.
 pub struct Retention {
     rules: Keeping,
-    /// Where the oldest record of each topic is looked for.
+    /// Where the search for each topic's oldest record begins.
     since: HashMap<(Address, i64), Timestamp>,
     /// What incidents hold of topics, as of the last round.
     held: HashMap<(Address, i64), Held>,
     rounds: u32,
 }
 
-/// What a round did.
+/// The result of a round.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Round {
     /// Topics and how many of their records were named.
@@ -44,16 +44,16 @@ pub struct Round {
 }
 
 impl Retention {
-    /// Rules that nothing was done by yet.
+    /// Rules not applied yet.
     pub fn new(rules: Keeping) -> Self {
         Self { rules, since: HashMap::new(), held: HashMap::new(), rounds: 0 }
     }
 
-    /// Names what is no longer kept of an owner's records, and deletes what was named and is anchored. One caller at a
-    /// time.
+    /// Names the records of an owner that are no longer kept, and deletes those that were named and whose retention
+    /// record is anchored. One caller at a time.
     ///
     /// # Errors
-    /// Of sealing, vault and ledger; what is done so far stays.
+    /// Errors of sealing, vault and ledger; what is done so far stays.
     pub fn round(&mut self, plant: &Plant, owner: &Owner) -> Result<Round, PipelineError> {
         self.rounds += 1;
         if self.rounds.is_multiple_of(ANEW) {
@@ -140,7 +140,7 @@ fn due(
     Ok(due)
 }
 
-/// The public header of the stored bytes, where these are still what was anchored.
+/// The public header of the stored bytes, if these are still what was anchored.
 fn header_of(plant: &Plant, digest: Digest) -> Result<Option<Vec<u8>>, PipelineError> {
     let Some(blob) = plant.vault.get(digest)? else { return Ok(None) };
     let right = Digest(plant.provider.sm3(&[&blob])) == digest;
@@ -205,13 +205,13 @@ fn report(
     Ok(true)
 }
 
-/// Deletes what was named in retention records that are anchored.
+/// Deletes records named in anchored retention records.
 fn delete(plant: &Plant, owner: &Owner) -> Result<u64, PipelineError> {
     let digests = plant.ledger.to_delete(owner.address, ROUND)?;
     if digests.is_empty() {
         return Ok(0);
     }
-    // The local copies first: the vault would be given its records back from them.
+    // The local copies first: otherwise the vault would be refilled from them.
     plant.ledger.drop_local_copies(&digests)?;
     plant.vault.discard(&digests)?;
     plant.ledger.deleted(&digests)?;

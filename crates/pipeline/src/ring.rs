@@ -1,5 +1,5 @@
-//! The rings between capture and sealer, one per topic: together they hold no more bytes than one budget, and what
-//! does not fit is the newest message, given back to the caller, who counts it. A message holds its bytes until it is
+//! The rings between capture and sealer, one per topic: together they hold no more bytes than one budget, and what does
+//! not fit is the newest message, returned to the caller, who counts it. A message holds its bytes until it is
 //! acknowledged, and a topic may hold as much as is left for all the others, so that none can starve them.
 
 use std::collections::{HashMap, VecDeque};
@@ -16,18 +16,18 @@ pub trait Weighted {
 #[derive(Debug)]
 struct Ring<T> {
     items: VecDeque<T>,
-    /// Bytes of its items, those in the taker's hand included.
+    /// Bytes of its items, including those taken but not acknowledged.
     held: usize,
 }
 
 #[derive(Debug)]
 struct Inner<T> {
     rings: HashMap<Arc<str>, Ring<T>>,
-    /// Topics with waiting items, in the order of their turns.
+    /// Topics with waiting items, in order of their turns.
     turns: VecDeque<Arc<str>>,
     waiting: usize,
     held: usize,
-    /// Items taken and not given back yet.
+    /// Items taken and not yet acknowledged.
     in_hand: usize,
     /// Takers that wait for an item: where there are none, nobody need be woken, which costs a call of the system.
     takers: usize,
@@ -64,7 +64,7 @@ pub struct Rings<T> {
     capacity: usize,
 }
 
-/// Items in the taker's hand; their bytes are free again when this is dropped.
+/// Items taken; their bytes are free again when this is dropped.
 #[derive(Debug)]
 pub struct Taken<'a, T> {
     rings: &'a Rings<T>,
@@ -135,10 +135,10 @@ impl<T: Weighted> Rings<T> {
     }
 
     /// Appends `item` once all rings together hold at most `limit` bytes with it, or nothing; waits up to `patience`
-    /// for that. So what can wait leaves the rest of the budget to what cannot.
+    /// for that. Items that can wait thus leave the rest of the budget to those that cannot.
     ///
     /// # Errors
-    /// The item itself, where there was no room or all is closed.
+    /// The item itself, if there was no room or the rings are closed.
     pub fn push_within(&self, topic: &Arc<str>, item: T, limit: usize, patience: Duration) -> Result<(), T> {
         let (inner, weight) = (self.lock(), item.weight());
         let full = |inner: &mut Inner<T>| !inner.closed && inner.held > 0 && inner.held + weight > limit;
@@ -152,8 +152,8 @@ impl<T: Weighted> Rings<T> {
         Ok(())
     }
 
-    /// Takes up to `most` items of together about `weight` bytes, one of each topic in turn, waiting up to
-    /// `patience` for the first. Nothing in it means that nothing came; `None` that the rings are closed and empty.
+    /// Takes up to `most` items of together about `weight` bytes, one of each topic in turn, waiting up to `patience`
+    /// for the first. Empty if nothing came; `None` if the rings are closed and empty.
     pub fn take(&self, most: usize, weight: usize, patience: Duration) -> Option<Taken<'_, T>> {
         let mut inner = self.lock();
         if inner.waiting == 0 && !inner.closed {
@@ -184,7 +184,7 @@ impl<T: Weighted> Rings<T> {
         Some(taken)
     }
 
-    /// Refuses further items; what lies in the rings can still be taken.
+    /// Refuses further items; those in the rings can still be taken.
     pub fn close(&self) {
         self.lock().closed = true;
         self.filled.notify_all();
@@ -196,13 +196,13 @@ impl<T: Weighted> Rings<T> {
         self.lock().closed
     }
 
-    /// Items that are not acknowledged yet, and the bytes that they hold.
+    /// Items not acknowledged yet, and the bytes they hold.
     pub fn depth(&self) -> (usize, usize) {
         let inner = self.lock();
         (inner.waiting + inner.in_hand, inner.held)
     }
 
-    /// How many bytes they may hold.
+    /// The most bytes they may hold.
     pub fn capacity(&self) -> usize {
         self.capacity
     }

@@ -1,8 +1,8 @@
-//! Which messages of a topic its rule lets through: every n-th, and of these at most so many a second.
+//! Which messages of a topic its rule lets through: every n-th, and at most this many of those a second.
 
 use crate::model::{Timestamp, TopicRule};
 
-/// Where the sampling of one topic for one author stands.
+/// The sampling state of one topic for one author.
 #[derive(Debug, Default)]
 pub(super) struct Sampler {
     seen: u64,
@@ -11,7 +11,7 @@ pub(super) struct Sampler {
 }
 
 impl Sampler {
-    /// Whether the rule takes a message of this time. The first is taken; over time no more than the rate is.
+    /// Whether the rule takes a message of this time. The first is taken; over time no more than the rate.
     pub fn takes(&mut self, rule: &TopicRule, at: Timestamp) -> bool {
         let nth = rule.every.is_none_or(|every| self.seen.is_multiple_of(every.max(1)));
         self.seen = self.seen.wrapping_add(1);
@@ -19,7 +19,7 @@ impl Sampler {
     }
 
     fn is_due(&mut self, interval: u64, at: Timestamp) -> bool {
-        // Half an interval early is in time: a publisher at just this rate is never quite even.
+        // Half an interval early is on time: a publisher at exactly this rate is never quite even.
         if at.0.saturating_add(interval / 2) < self.due {
             // A clock that was set back does not silence the topic.
             if self.due - at.0 <= interval.saturating_mul(2) {
@@ -27,7 +27,7 @@ impl Sampler {
             }
             self.due = at.0;
         }
-        // The first message begins the count: nothing is owed for the time before it.
+        // The first message starts the count: nothing is owed for the time before it.
         let owed = if self.due == 0 { at.0 } else { at.0.saturating_sub(interval) };
         self.due = self.due.max(owed) + interval;
         true
@@ -44,7 +44,7 @@ mod tests {
         TopicRule { pattern, line: 1, type_name: None, rate, every, tags: BTreeMap::new(), retention: None }
     }
 
-    /// Messages taken of `count`, `gap` nanoseconds apart with a jitter.
+    /// How many of `count` messages are taken, `gap` nanoseconds apart with jitter.
     fn taken(rule: &TopicRule, count: u64, gap: u64, jitter: u64) -> u64 {
         let mut sampler = Sampler::default();
         let time = |number: u64| Timestamp(1_000_000_000_000 + number * gap + number * 7_919 % (jitter + 1));
@@ -70,7 +70,7 @@ mod tests {
 
     #[test]
     fn the_first_moments_bring_no_burst() {
-        // 100 Hz against 5 Hz: at 0, 200, 400 ms (half an interval early is in time), and not several at once.
+        // 100 Hz against 5 Hz: at 0, 200, 400 ms (half an interval early is on time), and not several at once.
         let (rule, mut sampler) = (rule(Some(5_000), None), Sampler::default());
         let at = |number: u64| Timestamp(1_000_000_000_000 + number * 10_000_000);
         let taken: Vec<u64> = (0..60).filter(|number| sampler.takes(&rule, at(*number))).collect();

@@ -1,6 +1,6 @@
-//! Seals captured messages and acknowledges them: what a round becomes is settled in its order (`plan`), sealed on as
-//! many cores as it pays (`sealing`) and acknowledged in its order again, one fsync for as many records as wait. What
-//! fails is kept and tried again; the rings fill meanwhile.
+//! Seals captured messages and acknowledges them: a round is planned in order (`plan`), sealed on as many cores as is
+//! worthwhile (`sealing`) and acknowledged in order again, with one fsync for all waiting records. What fails is kept
+//! and tried again; the rings fill meanwhile.
 
 mod plan;
 mod sealing;
@@ -23,9 +23,9 @@ use super::{PipelineError, Plant};
 use self::plan::{DefinitionId, Planner, Task};
 use self::sealing::{Ready, seal_all};
 
-/// Messages sealed at most before they are acknowledged together.
+/// The most messages sealed before they are acknowledged together.
 const ROUND: usize = 256;
-/// Bytes sealed at most before they are acknowledged together.
+/// The most bytes sealed before they are acknowledged together.
 const ROUND_BYTES: usize = 8 * 1024 * 1024;
 /// A round of so many messages says that more are on their way.
 const SOME: usize = 8;
@@ -33,10 +33,10 @@ const SOME: usize = 8;
 const LONGEST_GATHERING: Duration = Duration::from_millis(10);
 /// Between two writings of the losses into the ledger.
 const LOSSES_EVERY: Duration = Duration::from_secs(1);
-/// How long messages are tried to be stored once the program ends.
+/// How long storing messages is tried once the program ends.
 const LAST_TRIES: Duration = Duration::from_secs(3);
 
-/// A round ended in a panic; what it was about is not acknowledged.
+/// A round ended in a panic; its messages are not acknowledged.
 struct Panicked;
 
 /// Seals everything that comes through the rings.
@@ -50,13 +50,13 @@ pub struct Sealer {
 }
 
 impl Sealer {
-    /// A sealer over `plant`; `sessions` learn which records they wait for, `losses` what became none.
+    /// A sealer over `plant`; `sessions` learn which records they wait for, `losses` what did not become one.
     pub fn new(plant: Plant, sessions: Arc<Sessions>, losses: Arc<Losses>) -> Self {
         let (losses_at, planner) = (Instant::now(), Planner::new());
         Self { plant, sessions, losses, losses_at, boot_id: boot_id(), planner }
     }
 
-    /// Seals messages as they are, without compression.
+    /// Seals messages without compression.
     pub fn without_compression(mut self) -> Self {
         self.planner.packing = None;
         self
@@ -79,8 +79,8 @@ impl Sealer {
         self.tell_losses(true);
     }
 
-    /// Tries until the messages are acknowledged. Where that panics, each is tried by itself, and the one over which it
-    /// panics again is given up and counted: it must not take its neighbours with it.
+    /// Tries until the messages are acknowledged. If that panics, each is tried alone, and one that panics again is
+    /// given up and counted: it must not take the others with it.
     fn store(&mut self, items: &[CapturedMessage], rings: &Rings<CapturedMessage>, closed_at: &mut Option<Instant>) {
         if self.try_to_store(items, rings, closed_at).is_ok() {
             return;
@@ -93,7 +93,7 @@ impl Sealer {
         }
     }
 
-    /// When the program ends, not for ever: then they are counted as lost.
+    /// Not forever when the program ends: then they are counted as lost.
     fn try_to_store(
         &mut self,
         items: &[CapturedMessage],
@@ -122,7 +122,7 @@ impl Sealer {
             std::thread::sleep(pause);
             pause = (pause * 2).min(Duration::from_secs(2));
         };
-        // From here on they are acknowledged: whatever fails, they must not be sealed a second time.
+        // From here on they are acknowledged: whatever fails, they must not be sealed again.
         self.losses.blame(LossReason::Memory);
         fault::point("appended");
         self.note_definitions(names);
@@ -146,8 +146,8 @@ impl Sealer {
         self.losses.note(&item.author, Lost::message(&item.message), reason);
     }
 
-    /// Writes what was lost into the ledger, once a second, and seals gap records of what is a few seconds old; at the
-    /// `end` of all.
+    /// Writes losses to the ledger, once a second, and seals gap records for those a few seconds old; all of them at
+    /// the `end`.
     fn tell_losses(&mut self, end: bool) {
         if !end && self.losses_at.elapsed() < LOSSES_EVERY {
             return;
@@ -159,7 +159,7 @@ impl Sealer {
         match told.and_then(|()| self.losses.tell(&self.plant, by)) {
             Ok(told) => self.planner.seqs.extend(told.into_iter().map(|(owner, topic, seq)| ((owner, topic), seq))),
             Err(error) => {
-                // Of a stream whose number was taken all the same the ledger knows.
+                // The ledger knows of a stream whose number was used all the same.
                 self.planner.seqs.clear();
                 let text = format!("lost messages are counted, but not yet told of in gap records: {error}");
                 self.plant.observer.alert(true, text);
@@ -189,7 +189,7 @@ impl Sealer {
         Ok(plan.tasks.iter().filter_map(Task::definition_id).collect())
     }
 
-    /// What compression did for each message, in their order.
+    /// The outcome of compression for each message, in order.
     fn learn(&mut self, tasks: &[Task<'_>], ready: &[Ready]) {
         let Some(packing) = &mut self.planner.packing else { return };
         for (task, one) in tasks.iter().zip(ready) {
@@ -208,7 +208,7 @@ impl Sealer {
     fn acknowledge(&self, tasks: &[Task<'_>], ready: Vec<Ready>) -> Result<(), PipelineError> {
         let (rows, holds): (Vec<_>, Vec<_>) = ready.into_iter().map(|one| (one.row, one.hold)).unzip();
         let kept = self.plant.keep(rows, |rows| {
-            // Sessions wait before the append: verification may be quicker than this thread.
+            // Sessions wait from before the append: verification may be faster than this thread.
             let sound = |task: &Task<'_>| task.is_message() && task.item.doubt.is_none();
             for (task, row) in tasks.iter().zip(&rows).filter(|(task, _)| sound(task)) {
                 self.sessions.wait(row.digest, &task.item.message.topic, &task.item.sessions);

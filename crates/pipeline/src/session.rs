@@ -1,4 +1,4 @@
-//! One running `capture`: how many messages of which topics it took, and what became of them.
+//! One running `capture`: how many messages of which topics it took, and what happened to them.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -25,19 +25,19 @@ struct TopicTally {
 pub struct TopicFigures {
     /// Topic name.
     pub topic: String,
-    /// Type of the first message, where one came.
+    /// Type of the first message, if one came.
     pub type_name: Option<String>,
-    /// Messages taken, the quarantined ones included.
+    /// Messages taken, including quarantined ones.
     pub captured: u64,
     /// Of these verified.
     pub verified: u64,
     /// Of these tampered or missing.
     pub tampered: u64,
-    /// Of these held back, their publisher not being a pinned one.
+    /// Of these quarantined, because their publisher is not a pinned one.
     pub quarantined: u64,
     /// Lost in transport or in the recorder.
     pub lost: u64,
-    /// Of another type than asked for, and not taken.
+    /// Of another type than requested, and not taken.
     pub skipped: u64,
 }
 
@@ -47,21 +47,21 @@ pub struct CaptureSession {
     topics: BTreeMap<String, TopicTally>,
     limit: Option<u64>,
     tags: Vec<(String, String)>,
-    /// Whether the fate of its records is followed.
+    /// Whether the outcome of its records is followed.
     followed: bool,
     closed: AtomicBool,
     changed: Notify,
 }
 
 impl CaptureSession {
-    /// A session for `topics`, ending by itself after `limit` messages of each.
+    /// A session for `topics`, which ends after `limit` messages of each.
     pub fn new(topics: &[String], limit: Option<u64>, tags: Vec<(String, String)>) -> Self {
         let topics = topics.iter().map(|topic| (topic.clone(), TopicTally::default())).collect();
         let closed = AtomicBool::new(limit == Some(0));
         Self { topics, limit, tags, followed: true, closed, changed: Notify::new() }
     }
 
-    /// One that may last for months: what becomes of its records is for the ledger to tell, not kept in memory.
+    /// One that may last for months: the outcome of its records is read from the ledger, not kept in memory.
     pub fn unfollowed(topics: &[String], limit: Option<u64>, tags: Vec<(String, String)>) -> Self {
         Self { followed: false, ..Self::new(topics, limit, tags) }
     }
@@ -71,7 +71,7 @@ impl CaptureSession {
         &self.tags
     }
 
-    /// Counts a message in; `false` where the session is closed or has enough of the topic.
+    /// Counts a message; `false` if the session is closed or has enough of the topic.
     pub fn take(&self, topic: &str, type_name: &str) -> bool {
         let Some(tally) = self.topics.get(topic) else { return false };
         if self.closed.load(Ordering::Acquire) {
@@ -88,21 +88,21 @@ impl CaptureSession {
         true
     }
 
-    /// Counts a message of a doubted publisher in, which fills no quota; `false` where the session is closed.
+    /// Counts a message of a doubted publisher, which does not use up the limit; `false` if the session is closed.
     pub fn hold(&self, topic: &str) -> bool {
         let Some(tally) = self.topics.get(topic).filter(|_| !self.closed.load(Ordering::Acquire)) else { return false };
         tally.quarantined.fetch_add(1, Ordering::AcqRel);
         true
     }
 
-    /// A message of another type than asked for came, and was not taken.
+    /// A message of another type than requested came, and was not taken.
     pub fn skip(&self, topic: &str) {
         if let Some(tally) = self.topics.get(topic).filter(|_| !self.closed.load(Ordering::Acquire)) {
             tally.skipped.fetch_add(1, Ordering::AcqRel);
         }
     }
 
-    /// A message that was counted in (`held`: as a doubted one) had to be dropped.
+    /// A counted message (`held`: as a doubted one) had to be dropped.
     pub fn dropped(&self, topic: &str, held: bool) {
         if let Some(tally) = self.topics.get(topic) {
             let counter = if held { &tally.quarantined } else { &tally.captured };
@@ -148,7 +148,7 @@ impl CaptureSession {
         self.wait_for(Self::is_closed).await;
     }
 
-    /// Waits until it is closed and the fate of every captured message is known.
+    /// Waits until it is closed and the outcome of every captured message is known.
     pub async fn settled(&self) {
         self.wait_for(|session| session.is_closed() && session.is_settled()).await;
     }
@@ -204,7 +204,7 @@ impl Sessions {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner).entry(digest).or_default().extend(entries);
     }
 
-    /// The fate of these records is known.
+    /// The outcome of these records is known.
     pub fn settle(&self, digests: &[Digest], verified: bool) {
         let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
         for (session, topic) in digests.iter().filter_map(|digest| waiting.remove(digest)).flatten() {

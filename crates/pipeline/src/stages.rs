@@ -1,26 +1,26 @@
-//! How long a message takes from capture to each milestone, and how busy each stage of the line is. Counters only:
-//! what they cost is a few atomic additions a round.
+//! How long a message takes from capture to each milestone, and how busy each stage of the line is. Counters only: they
+//! cost a few atomic additions per round.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::model::Timestamp;
 
-/// Buckets of one doubling of time: a percentile is at most 1/16 too high.
+/// Buckets per doubling of time: a percentile is at most 1/16 too high.
 const PER_DOUBLING: u64 = 16;
-/// Microseconds up to which every value has a bucket of its own.
+/// Microseconds up to which every value has its own bucket.
 const EXACT: u64 = PER_DOUBLING;
-/// Buckets of a quarter of a doubling.
+/// Buckets per quarter of a doubling.
 const QUARTER: usize = 4;
-/// Buckets in all, up to 2^40 microseconds (twelve days).
+/// Total buckets, up to 2^40 microseconds (twelve days).
 const BUCKETS: usize = 16 * 37;
 
-/// What a message has reached.
+/// A milestone of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Milestone {
     /// On disk: acknowledged.
     Durable,
-    /// Its anchor is deep enough in the chain.
+    /// Its anchor has enough confirmations.
     Confirmed,
     /// Re-read and checked.
     Verified,
@@ -40,7 +40,7 @@ impl Milestone {
     }
 }
 
-/// A part of the line's work.
+/// A stage of the line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {
     /// Key derivation, SM4, SM3, SM2 signature.
@@ -94,7 +94,7 @@ impl Default for Times {
 }
 
 impl Stages {
-    /// Messages that were captured at these times have reached a milestone now.
+    /// Messages captured at these times have now reached a milestone.
     pub fn reached(&self, milestone: Milestone, captured: impl IntoIterator<Item = Timestamp>) {
         let now = Timestamp::now();
         for captured in captured {
@@ -112,13 +112,13 @@ impl Stages {
         done
     }
 
-    /// A stage was busy for so long.
+    /// A stage was busy for this long.
     pub fn spent(&self, stage: Stage, time: Duration) {
         let nanoseconds = u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
         self.busy[stage as usize].fetch_add(nanoseconds, Ordering::Relaxed);
     }
 
-    /// How long a stage was busy since the site began.
+    /// How long a stage was busy since the site started.
     pub fn busy(&self, stage: Stage) -> Duration {
         Duration::from_nanos(self.busy[stage as usize].load(Ordering::Relaxed))
     }
@@ -128,8 +128,8 @@ impl Stages {
         self.reached[milestone as usize].buckets.iter().map(|bucket| bucket.load(Ordering::Relaxed)).sum()
     }
 
-    /// How many messages reached a milestone within each of these powers of two, microseconds; how many did in all; and
-    /// the seconds that all together took, at most 1/16 too high.
+    /// How many messages reached a milestone within each of these powers of two, microseconds; the total number; and
+    /// the total of their seconds, at most 1/16 too high.
     pub fn within_powers(&self, milestone: Milestone, powers: &[u32]) -> (Vec<u64>, u64, f64) {
         let (mut within, mut all, mut seconds) = (vec![0; powers.len()], 0, 0.0);
         for (index, bucket) in self.reached[milestone as usize].buckets.iter().enumerate() {
@@ -144,7 +144,7 @@ impl Stages {
     }
 
     /// How many messages reached a milestone, by the longest time of their quarter of a doubling, microseconds; only
-    /// times that were seen.
+    /// times that occurred.
     pub fn spread(&self, milestone: Milestone) -> Vec<(u64, u64)> {
         let buckets = &self.reached[milestone as usize].buckets;
         let counted = buckets.chunks(QUARTER).enumerate().map(|(place, quarter)| {
@@ -154,7 +154,7 @@ impl Stages {
         counted.filter(|(_, count)| *count > 0).collect()
     }
 
-    /// The time within which `percent` of a hundred messages reached a milestone; `None` where none did.
+    /// The time within which `percent` of a hundred messages reached a milestone; `None` if none did.
     pub fn within(&self, milestone: Milestone, percent: u64) -> Option<Duration> {
         let all = self.count_of(milestone);
         let rank = (all * percent).div_ceil(100).max(1);
@@ -173,7 +173,7 @@ fn to_float(count: u64) -> f64 {
     count as f64
 }
 
-/// Where a time is counted: exact below 16 us, then sixteen buckets for each doubling.
+/// The bucket of a time: exact below 16 us, then sixteen buckets for each doubling.
 fn bucket(microseconds: u64) -> usize {
     let index = if microseconds < EXACT {
         microseconds

@@ -9,24 +9,24 @@ use crate::store::{NewRecord, StoreError};
 use super::epoch::EpochKeys;
 use super::{PipelineError, Plant};
 
-/// What is stated.
+/// The content of a statement.
 #[derive(Debug, Clone, Copy)]
 pub struct Statement<'a> {
-    /// What sort of record.
+    /// The kind of record.
     pub kind: RecordKind,
-    /// The name it is filed under; no ROS name begins like it (`authros/…`).
+    /// The name it is filed under; no ROS name begins like this (`authros/…`).
     pub topic: &'a str,
-    /// What stands in place of a message type.
+    /// Takes the place of a message type.
     pub type_name: &'a str,
-    /// What is sealed.
+    /// The bytes to seal.
     pub body: &'a [u8],
 }
 
-/// Seals and stores a statement of `owner`; durable when this returns. `None` where the keys do not cover its name.
-/// One caller at a time per owner and topic.
+/// Seals and stores a statement of `owner`; durable when this returns. `None` if the keys do not cover its name. One
+/// caller at a time per owner and topic.
 ///
 /// # Errors
-/// Of vault and ledger; nothing is acknowledged then.
+/// Errors of vault and ledger; nothing is acknowledged then.
 pub fn state(
     plant: &Plant,
     owner: Address,
@@ -48,15 +48,15 @@ pub fn state(
     })
 }
 
-/// In whose name a statement is sealed, and under what.
+/// The owner and keys of a statement.
 pub struct Speaker<'a> {
     /// The network.
     pub domain: Domain,
-    /// Whose record it is.
+    /// The owner.
     pub owner: Address,
     /// Signs it.
     pub signing: &'a SmKeyPair,
-    /// The epoch it tells of in its header.
+    /// The epoch stated in its header.
     pub epoch: u64,
     /// Pseudonym of the name it is filed under.
     pub topic_id: TopicId,
@@ -64,10 +64,10 @@ pub struct Speaker<'a> {
     pub topic_key: &'a TopicKey,
 }
 
-/// Seals a statement and keeps it, acknowledged by what `acknowledge` does with its row.
+/// Seals a statement and stores it, acknowledged by what `acknowledge` does with its row.
 ///
 /// # Errors
-/// Of sealing, vault and ledger; nothing is acknowledged then.
+/// Errors of sealing, vault and ledger; nothing is acknowledged then.
 pub fn put<T>(
     plant: &Plant,
     speaker: &Speaker<'_>,

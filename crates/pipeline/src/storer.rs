@@ -1,8 +1,8 @@
-//! Brings sealed records from the ledger's local copies into a vault that is not itself durable, and puts back what
-//! that vault lost: whenever its servers do not hold what the ledger has noted (another run, keys thrown away, all of
-//! them flushed), all local copies are compared, and what has none is looked for.
+//! Brings sealed records from the ledger's local copies into a vault that is not itself durable, and restores what that
+//! vault lost: whenever its servers no longer hold what the ledger has noted (another run, evictions, a flush), all
+//! local copies are compared, and records without one are looked for.
 //!
-//! Where a part of the vault is gone, the records of that part wait and all others go on.
+//! If a part of the vault is down, the records of that part wait and all others continue.
 
 mod missing;
 
@@ -16,34 +16,34 @@ use crate::store::{RecordQuery, StoreError};
 use super::stages::Stage;
 use super::{PipelineError, Plant};
 
-/// Records a round.
+/// Records per round.
 const ROUND: usize = 64;
-/// Between two passes while nothing is to be done, or something cannot be done.
+/// The pause between passes while nothing is to be done, or something cannot be done.
 const IDLE: Duration = Duration::from_millis(500);
-/// Between two attempts to put back what could not be put back at once.
+/// The pause between attempts to restore what could not be restored at once.
 const PUT_BACK_AGAIN: Duration = Duration::from_secs(3);
-/// Between two attempts to reach a vault that does not answer.
+/// The pause between attempts to reach a vault that does not answer.
 const RETRY: Duration = Duration::from_secs(1);
 /// The ledger's note of the runs that hold everything.
 const RUNS: &str = "vault:runs";
-/// The ledger's note of how many verified records are gone.
+/// The ledger's note of how many verified records are missing.
 const GONE: &str = "vault:gone";
 
-/// What a pass over the sealed records did.
+/// The result of a pass over the sealed records.
 #[derive(Debug, Default)]
 pub struct Pass {
-    /// Records that are in the vault now.
+    /// Records now in the vault.
     pub stored: usize,
-    /// Records that wait for a part of the vault.
+    /// Records waiting for a part of the vault.
     pub waiting: usize,
     /// Why they wait.
     pub failure: Option<StoreError>,
 }
 
-/// Moves every `sealed` record into the vault that it takes.
+/// Moves every `sealed` record that the vault accepts into it.
 ///
 /// # Errors
-/// Of the ledger; nothing is lost, the local copies stay.
+/// Errors of the ledger; nothing is lost, the local copies stay.
 pub fn store_pass(plant: &Plant) -> Result<Pass, PipelineError> {
     let mut pass = Pass::default();
     let mut after = None;
@@ -56,7 +56,7 @@ pub fn store_pass(plant: &Plant) -> Result<Pass, PipelineError> {
             Some(next) => after = Some(next),
             None => return Ok(pass),
         }
-        // A vault that is gone as a whole is not offered every record.
+        // A vault that is down as a whole is not offered every record.
         if pass.stored == 0 && pass.failure.is_some() && plant.vault.is_one() {
             return Ok(pass);
         }
@@ -91,21 +91,21 @@ fn store_round(plant: &Plant, digests: &[Digest], pass: &mut Pass) -> Result<(),
     Ok(())
 }
 
-/// What the comparison of all local copies with the vault found.
+/// The result of comparing all local copies with the vault.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct PutBack {
     /// Records that the vault had lost and has again.
     pub put_back: u64,
-    /// Records whose bytes in the vault were others; they are right again.
+    /// Records whose bytes in the vault were wrong; they are right again.
     pub replaced: u64,
     /// Records whose part of the vault does not answer.
     pub waiting: u64,
 }
 
-/// Compares every local copy of a record that should be in the vault with what is there, and puts the right bytes in.
+/// Compares every local copy of a record that should be in the vault with its contents, and stores the right bytes.
 ///
 /// # Errors
-/// Of the ledger.
+/// Errors of the ledger.
 pub fn put_back(plant: &Plant, stopped: &dyn Fn() -> bool) -> Result<PutBack, PipelineError> {
     let (mut found, mut after) = (PutBack::default(), None);
     while !stopped() {
@@ -146,29 +146,29 @@ fn compare(plant: &Plant, digest: Digest, found: &mut PutBack) -> Result<(), Pip
     Ok(())
 }
 
-/// How a vault is, as its storer last saw it.
+/// A vault's state, as last seen by its storer.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum Condition {
-    /// It takes records.
+    /// It accepts records.
     #[default]
     Takes,
     /// It does not, or not all of them; they wait on disk and are tried again.
     Waits {
-        /// What stands in the way, as the store tells it.
+        /// The obstacle, as the store reports it.
         why: String,
-        /// Records that wait on disk.
+        /// Records waiting on disk.
         records: u64,
     },
-    /// It takes records; so many verified ones are gone from it, and there is no copy of them here.
+    /// It accepts records; this many verified ones are missing from it, and there is no copy of them here.
     Lacks(u64),
 }
 
 /// Looks after one vault until the site ends.
 struct Storer<'a> {
     plant: &'a Plant,
-    /// When what is owed may be tried again, and what stood in the way.
+    /// When outstanding work may be tried again, and the obstacle.
     again: Option<(Instant, String)>,
-    /// Verified records that are gone.
+    /// Verified records that are missing.
     gone: u64,
 }
 
@@ -186,7 +186,7 @@ pub fn run(plant: &Plant, stopped: &dyn Fn() -> bool, wait: &dyn Fn(Duration), s
     }
 }
 
-/// What the run before knew to be gone.
+/// What the previous run knew to be missing.
 fn known_gone(plant: &Plant) -> u64 {
     plant.ledger.setting(GONE).ok().flatten().and_then(|text| text.parse().ok()).unwrap_or(0)
 }
@@ -198,14 +198,14 @@ impl Storer<'_> {
 
     fn condition(&self, failure: Option<String>) -> Condition {
         match failure {
-            // Where the ledger itself does not answer, the failure says so.
+            // If the ledger itself does not answer, the failure says so.
             Some(why) => Condition::Waits { why, records: self.plant.ledger.sealed().unwrap_or(0) },
             None if self.gone > 0 => Condition::Lacks(self.gone),
             None => Condition::Takes,
         }
     }
 
-    /// One pass; whether there is nothing more to do now, and what stands in the way.
+    /// One pass; returns whether there is nothing more to do now, and the obstacle.
     fn store(&mut self, stored: &dyn Fn()) -> (bool, Option<String>) {
         let pass = match store_pass(self.plant) {
             Ok(pass) => pass,
@@ -220,7 +220,7 @@ impl Storer<'_> {
         (pass.stored == 0 || pass.waiting > 0, why)
     }
 
-    /// Puts back what the vault held before and does not hold now.
+    /// Restores what the vault held before and does not hold now.
     ///
     /// # Errors
     /// In words, why it is not known or cannot be done now; it is tried again.

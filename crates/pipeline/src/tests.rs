@@ -20,7 +20,7 @@ use crate::model::{
 };
 use crate::store::{Ledger, NewRecord, RecordQuery, RecordRow, open_vault};
 
-/// Gas of one batch, at most.
+/// The most gas of one batch.
 const MOST_GAS: u64 = 70_000;
 
 struct Deaf;
@@ -92,7 +92,7 @@ impl Line {
         self.plant.ledger.counts(None).expect("counts").data_in(state)
     }
 
-    /// Anchors until all is confirmed; `feed` adds records between the rounds and says whether it has more.
+    /// Anchors until everything is confirmed; `feed` adds records between rounds and says whether it has more.
     async fn drain(&self, mode: AnchorMode, all: u64, mut feed: impl FnMut() -> bool) {
         let (mut anchorer, lanes) = (Anchorer::new(mode), [self.owner.eoa()]);
         loop {
@@ -135,7 +135,7 @@ pub(super) fn owner_without_keys(provider: &'static dyn crate::crypto::Provider,
     (Owner::new("owner".parse::<ProfileName>().expect("a name"), keyring), Domain([5; 32]))
 }
 
-/// The body of a record that these keys sealed.
+/// The body of a record sealed with these keys.
 pub(super) fn body_of(
     provider: &'static dyn crate::crypto::Provider,
     keys: &super::epoch::EpochKeys,
@@ -219,7 +219,7 @@ async fn both_modes_anchor_what_the_other_left() {
     line.drain(AnchorMode::Each, 40, || false).await;
     line.append(1, 41, 40);
     line.drain(AnchorMode::Batch, 80, || false).await;
-    // A batch that was closed and not sent is anchored as one, also one by one.
+    // A batch that was closed and not sent is anchored as a batch, even in one-by-one mode.
     line.append(1, 81, 10);
     let leaves = line.plant.ledger.stored_leaves(line.owner.address, 100).expect("leaves");
     let batch = super::anchorer::close_batch(&line.plant, line.owner.address, leaves).expect("closed");

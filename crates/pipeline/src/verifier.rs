@@ -31,14 +31,14 @@ struct Outcome<'a> {
 /// Checks up to [`ROUND`] confirmed records; returns how many it decided about.
 ///
 /// # Errors
-/// Of vault and ledger; a vault that does not answer decides nothing.
+/// Errors of vault and ledger; a vault that does not answer decides nothing.
 pub fn verify_round(plant: &Plant, network: &Network) -> Result<usize, PipelineError> {
     let mut after = None;
     loop {
         let state = Some(RecordState::Confirmed);
         let page = plant.ledger.list(&RecordQuery { state, limit: ROUND, after, ..RecordQuery::default() })?;
         let decided = verify_page(plant, network, &page.rows)?;
-        // Where a part of the vault is gone, the records behind it are not kept waiting.
+        // If a part of the vault is down, later records are not kept waiting.
         match page.next {
             Some(next) if decided == 0 => after = Some(next),
             _ => return Ok(decided),
@@ -110,7 +110,7 @@ impl<'a> Outcome<'a> {
         Ok(())
     }
 
-    /// Where only a part of the vault is gone, what lies there waits; any other failure ends the round.
+    /// If only a part of the vault is down, what is there waits; any other failure ends the round.
     fn note(
         &mut self,
         plant: &Plant,

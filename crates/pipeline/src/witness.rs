@@ -1,5 +1,5 @@
-//! Witnesses: further accounts of one owner that anchor batches side by side, so that throughput is not bound to one
-//! nonce lane. They follow from the owner's EOA key; authorship stays with the SM2 signature in each record.
+//! Witnesses: additional accounts of one owner that anchor batches in parallel, so that throughput is not limited by
+//! one nonce lane. They are derived from the owner's EOA key; authorship stays with the SM2 signature in each record.
 
 use tokio::task::block_in_place;
 
@@ -9,28 +9,28 @@ use crate::model::{Domain, Token};
 
 use super::{Network, Owner, PipelineError, Plant, Sender};
 
-/// The most accounts that anchor for one owner, the owner's own included.
+/// The most accounts that anchor for one owner, including the owner's own.
 pub const MOST_LANES: u8 = 8;
-/// Anchors that a witness is given ether for at a time.
+/// The number of anchors a witness gets ether for at a time.
 const PROVISION: u128 = 500;
-/// Gas that one anchor and its share of the registration are reckoned with.
+/// The gas assumed for one anchor and its share of the registration.
 const ANCHOR_GAS: u128 = 120_000;
-/// The purpose of a transfer that provides for a witness.
+/// The purpose of a transfer that funds a witness.
 const PROVISION_PURPOSE: &str = "provide witness";
 
-/// The witnesses of an owner on one network, for `lanes` accounts in all.
+/// The witnesses of an owner on one network, for `lanes` accounts in total.
 ///
 /// # Errors
-/// [`CryptoError::SecretRange`] where a derived number is no key, which does not happen in practice.
+/// [`CryptoError::SecretRange`] if a derived number is not a valid key, which does not happen in practice.
 pub fn witnesses(owner: &EoaSecret, domain: &Domain, lanes: u8) -> Result<Vec<EoaSecret>, CryptoError> {
     (1..lanes.min(MOST_LANES)).map(|index| witness_secret(owner, domain, index)).collect()
 }
 
-/// Makes a witness ready to anchor: with ether where the chain wants some, and registered. Returns whether it is
-/// ready now; what is missing is done when this is called again.
+/// Makes a witness ready to anchor: with ether if the chain requires it, and registered. Returns whether it is ready
+/// now; what is missing is done when this is called again.
 ///
 /// # Errors
-/// Of chain and ledger, and `NoEther` where the owner cannot pay.
+/// Errors of chain and ledger, and `NoEther` if the owner cannot pay.
 pub async fn ensure_ready(
     plant: &Plant,
     network: &Network,
@@ -52,14 +52,14 @@ pub async fn ensure_ready(
     }
     provide(plant, network, sender, owner, witness).await?;
     let (signing, (_, envelope)) = (owner.signing(), owner.public_keys());
-    // A token of its own, which is nobody's key: witnesses seal nothing.
+    // A token of its own that belongs to no key: witnesses seal nothing.
     let token = Token(random_bytes()?);
     let identity = prove(plant.provider, &network.domain, &account, &signing, &envelope, token)?;
     sender.send(&network.chain, witness, Call::Register { identity }, "register witness").await?;
     Ok(false)
 }
 
-/// Gives a witness ether for its next anchors where it has too little: from a development node, else from the owner.
+/// Gives a witness ether for its next anchors if it has too little: from a development node, otherwise from the owner.
 async fn provide(
     plant: &Plant,
     network: &Network,
@@ -68,7 +68,7 @@ async fn provide(
     witness: &EoaSecret,
 ) -> Result<(), PipelineError> {
     let (chain, account) = (&network.chain, witness.address());
-    // One that waits for its block is not in the balance yet.
+    // A transfer still waiting for its block is not in the balance yet.
     if block_in_place(|| plant.ledger.open_lane(owner.address))?.iter().any(|row| row.purpose == PROVISION_PURPOSE) {
         return Ok(());
     }

@@ -1,5 +1,5 @@
-//! Where peers are: `http://host:port/` URIs, name resolution and connecting under a deadline,
-//! and the choice of this machine's own address. No protocol is spoken here.
+//! Addresses of peers: `http://host:port/` URIs, name resolution and connecting with a deadline, and choosing this
+//! machine's own address. No protocol is spoken here.
 
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpStream, ToSocketAddrs, UdpSocket};
@@ -55,7 +55,7 @@ pub(super) fn time_left(deadline: Instant) -> std::io::Result<Duration> {
     if left.is_zero() { Err(std::io::Error::new(std::io::ErrorKind::TimedOut, "no answer in time")) } else { Ok(left) }
 }
 
-/// The addresses of a host; a name is looked up in a thread of its own, since resolvers have no timeout.
+/// The addresses of a host; a name is resolved in its own thread, because resolvers have no timeout.
 pub(super) fn resolve(host: &str, port: u16, deadline: Instant) -> std::io::Result<Vec<SocketAddr>> {
     if let Ok(address) = host.parse::<IpAddr>() {
         return Ok(vec![SocketAddr::new(address, port)]);
@@ -64,7 +64,7 @@ pub(super) fn resolve(host: &str, port: u16, deadline: Instant) -> std::io::Resu
     let (sender, receiver) = mpsc::channel();
     std::thread::Builder::new().name("ros-resolve".into()).spawn(move || {
         let found = (name.as_str(), port).to_socket_addrs().map(Iterator::collect);
-        // The asker may have given up waiting.
+        // The caller may have stopped waiting.
         let _ = sender.send(found);
     })?;
     let late = |_| std::io::Error::new(std::io::ErrorKind::TimedOut, "its name is not resolved in time");
@@ -74,7 +74,7 @@ pub(super) fn resolve(host: &str, port: u16, deadline: Instant) -> std::io::Resu
     Ok(found)
 }
 
-/// A TCP connection to `host:port`, made before `deadline`, without delay of small writes.
+/// A TCP connection to `host:port`, opened before `deadline`, with TCP_NODELAY.
 pub(super) fn connect(host: &str, port: u16, deadline: Instant) -> std::io::Result<TcpStream> {
     let mut failure = std::io::Error::new(std::io::ErrorKind::NotFound, "its name has no address");
     for address in resolve(host, port, deadline)? {
@@ -89,8 +89,8 @@ pub(super) fn connect(host: &str, port: u16, deadline: Instant) -> std::io::Resu
     Err(failure)
 }
 
-/// The host other nodes are told to reach us at: the given one, else loopback beside a loopback
-/// master, else the local address of a route towards the master.
+/// The host by which other nodes are to reach us: the given one, otherwise loopback if the master is on loopback,
+/// otherwise the local address of a route to the master.
 pub(super) fn own_host(given: Option<&str>, master: &Endpoint, deadline: Instant) -> Result<String, RosError> {
     if let Some(host) = given.filter(|host| !host.is_empty()) {
         return Ok(host.to_owned());
@@ -104,7 +104,7 @@ pub(super) fn own_host(given: Option<&str>, master: &Endpoint, deadline: Instant
     if peer.ip().is_loopback() {
         return Ok(Ipv4Addr::LOCALHOST.to_string());
     }
-    // Connecting a datagram socket sends nothing; it only picks the route.
+    // Connecting a datagram socket sends nothing; it only selects the route.
     let any: &str = if peer.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" };
     let route = UdpSocket::bind(any).and_then(|socket| socket.connect(peer).and_then(|()| socket.local_addr()));
     route.map(|local| local.ip().to_string()).map_err(unreachable)

@@ -1,8 +1,8 @@
 //! The monitoring node: captures every message of the watched topics, of any type.
 //!
-//! A registrar thread keeps the subscriptions alive at the master and finds publishers; each
-//! publisher is read by a thread of its own, so that none can starve another. What is captured
-//! goes to a [`MessageSink`]; sealing, storing and bounding the ring is not done here.
+//! A registrar thread keeps the subscriptions alive at the master and finds publishers; each publisher is read by its
+//! own thread, so that none can starve another. Captured messages go to a [`MessageSink`]; sealing, storing and
+//! bounding the ring happen elsewhere.
 
 mod node;
 mod origin;
@@ -29,26 +29,26 @@ use registrar::Registrar;
 /// How long starting may wait for names to be resolved.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// A message as it came from its publisher.
+/// A message as received from its publisher.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Message {
     /// Topic name.
     pub topic: Arc<str>,
     /// Type, `package/Type`.
     pub type_name: Arc<str>,
-    /// The type's md5sum, 32 hex characters, as the publisher gave it.
+    /// The type's md5sum, 32 hex characters, as stated by the publisher.
     pub md5sum: Arc<str>,
-    /// The full text of the type's definition, as the publisher gave it.
+    /// The full text of the type's definition, as stated by the publisher.
     pub definition: Arc<str>,
-    /// The publisher's node name, as it gave it: clean it before it is shown.
+    /// The publisher's node name, as it stated it: clean it before it is shown.
     pub caller_id: Arc<str>,
-    /// Who it is, as far as can be seen.
+    /// Its origin, as far as can be seen.
     pub origin: Arc<Origin>,
-    /// Whether the publisher keeps its last message for those who subscribe later.
+    /// Whether the publisher keeps its last message for later subscribers.
     pub latching: bool,
-    /// When the whole message had arrived.
+    /// When the complete message had arrived.
     pub captured_at: Timestamp,
-    /// `header.seq`, where the type begins with a header.
+    /// `header.seq`, if the type begins with a header.
     pub header_seq: Option<u32>,
     /// What else is told of it, sealed beside it as tags; [`crate::recording::tags`] has the names.
     pub tags: Vec<(String, String)>,
@@ -56,15 +56,15 @@ pub struct Message {
     pub body: Vec<u8>,
 }
 
-/// Where captured messages go. Called from several threads at once, in order per publisher.
+/// The recipient of captured messages. Called from several threads at once, in order per publisher.
 pub trait MessageSink: Send + Sync {
-    /// Takes a message. It may block: then that publisher's socket is not read meanwhile.
+    /// Takes a message. It may block; meanwhile that publisher's socket is not read.
     fn accept(&self, message: Message);
-    /// Takes news of the capture itself. It must not block.
+    /// Takes a notice about the capture itself. It must not block.
     fn notice(&self, notice: CaptureNotice);
 }
 
-/// News of the capture. Texts from peers in it are cleaned.
+/// A notice about the capture. Texts from peers in it are cleaned.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CaptureNotice {
     /// A publisher is being read.
@@ -75,63 +75,63 @@ pub enum CaptureNotice {
         caller_id: String,
         /// Its type.
         type_name: Arc<str>,
-        /// Who it is, as far as can be seen.
+        /// Its origin, as far as can be seen.
         origin: Arc<Origin>,
     },
-    /// A publisher that was read is gone.
+    /// A publisher that was being read is gone.
     PublisherLost {
         /// Topic name.
         topic: Arc<str>,
         /// The publisher's node name.
         caller_id: String,
-        /// Its number among those met.
+        /// Its number among those seen.
         number: u64,
-        /// Why.
+        /// The reason.
         reason: String,
     },
-    /// Somebody told this node of a publisher that the master does not list; it is not asked for anything.
+    /// Somebody told this node of a publisher that the master does not list; it is not contacted.
     UnconfirmedPublisher {
         /// Topic name.
         topic: Arc<str>,
-        /// The URI that was named.
+        /// The URI announced.
         publisher: String,
     },
-    /// The master names a publisher that cannot be read; said once until it can.
+    /// The master lists a publisher that cannot be read; reported once until it can.
     PublisherUnreachable {
         /// Topic name.
         topic: Arc<str>,
         /// The publisher's URI.
         publisher: String,
-        /// Why.
+        /// The reason.
         reason: String,
     },
-    /// A publisher sends another type than the one asked for; it is not captured.
+    /// A publisher sends another type than requested; it is not captured.
     TypeMismatch {
         /// Topic name.
         topic: Arc<str>,
         /// The publisher's node name.
         caller_id: String,
-        /// The type asked for.
+        /// The type requested.
         wanted: String,
         /// The type it has.
         found: String,
     },
-    /// What a publisher says of its messages does not fit together; they are captured as they are sent.
+    /// A publisher's description of its messages is inconsistent; they are captured as sent.
     Contradiction {
         /// Topic name.
         topic: Arc<str>,
         /// The publisher's node name.
         caller_id: String,
-        /// What does not fit.
+        /// The inconsistency.
         contradiction: String,
     },
-    /// Sequence numbers are missing: so many messages never arrived.
+    /// Sequence numbers are missing: this many messages never arrived.
     LostInTransport {
         /// Topic name.
         topic: Arc<str>,
         /// The publisher's node name.
         caller_id: String,
-        /// How many.
+        /// The number.
         count: u64,
         /// The first and the last of the missing numbers.
         numbers: (u32, u32),
@@ -142,7 +142,7 @@ pub enum CaptureNotice {
         topic: Arc<str>,
         /// The publisher's URI.
         publisher: String,
-        /// Why.
+        /// The reason.
         reason: String,
     },
     /// The program that reads ROS 2 ended and is started anew; what was missed meanwhile is told of by
@@ -167,32 +167,32 @@ pub enum CaptureNotice {
     },
     /// The master answers (again).
     MasterBack,
-    /// Somebody asked this node to end; it does not.
+    /// Somebody asked this node to shut down; it does not.
     ShutdownAsked {
-        /// Who.
+        /// The caller.
         by: String,
-        /// In which words.
+        /// The reason it gave.
         reason: String,
     },
 }
 
-/// How to capture.
+/// The parameters of a capture.
 #[derive(Debug, Clone)]
 pub struct CaptureOptions {
     /// The master, `http://HOST:PORT`.
     pub master_uri: String,
-    /// The host other nodes reach this one at (`ROS_HOSTNAME` or `ROS_IP`); else chosen.
+    /// The host at which other nodes reach this one (`ROS_HOSTNAME` or `ROS_IP`); chosen automatically if not set.
     pub own_host: Option<String>,
-    /// This node's name, which must be its own: a master ends the elder of two of one name.
+    /// This node's name, which must be unique: a master shuts down the older of two nodes with the same name.
     pub node_name: String,
 }
 
-/// Where the capture of one topic stands.
+/// The status of one topic's capture.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TopicCapture {
     /// Topic name.
     pub topic: TopicName,
-    /// The type asked for, else the one last seen.
+    /// The type requested, otherwise the one last seen.
     pub type_name: Option<String>,
     /// Publishers being read now.
     pub publishers: usize,
@@ -200,13 +200,13 @@ pub struct TopicCapture {
     pub messages: u64,
     /// Bytes of their bodies.
     pub bytes: u64,
-    /// Messages missing by their sequence numbers.
+    /// Messages missing according to their sequence numbers.
     pub lost_in_transport: u64,
     /// When the last message had arrived.
     pub last_message: Option<Timestamp>,
 }
 
-/// A running capture. It unregisters and ends its threads when dropped.
+/// A running capture. It unregisters and ends its threads on drop.
 pub struct Capture {
     shared: Arc<Shared>,
     registrar: Registrar,
@@ -214,11 +214,11 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// Starts the monitoring node; it watches nothing yet. The master need not be up.
+    /// Starts the monitoring node; it watches nothing yet. The master need not be running.
     ///
     /// # Errors
-    /// [`RosError::Address`] for a bad URI, [`RosError::Unreachable`] where the master's name does
-    /// not resolve, [`RosError::OwnHost`] where this machine's address cannot be listened on.
+    /// [`RosError::Address`] for a bad URI, [`RosError::Unreachable`] if the master's name does not resolve,
+    /// [`RosError::OwnHost`] if this machine's address cannot be listened on.
     pub fn start(options: CaptureOptions, sink: Arc<dyn MessageSink>) -> Result<Self, RosError> {
         let master = Endpoint::parse(&options.master_uri).ok_or_else(|| RosError::address(&options.master_uri))?;
         let host = own_host(options.own_host.as_deref(), &master, Instant::now() + PATIENCE)?;
@@ -228,8 +228,8 @@ impl Capture {
         Ok(Self { shared, registrar, slave })
     }
 
-    /// Watches a topic; with `type_name` only publishers of that type are read. Watching it again
-    /// changes nothing. A topic that nobody publishes is waited for.
+    /// Watches a topic; with `type_name` only publishers of that type are read. Watching it again changes nothing. A
+    /// topic without publishers is waited for.
     pub fn watch(&self, topic: TopicName, type_name: Option<TypeName>) {
         self.shared.watch(topic, type_name);
     }
@@ -244,12 +244,12 @@ impl Capture {
         &self.slave.uri
     }
 
-    /// The watched topics, by name, with the types asked for.
+    /// The watched topics, by name, with the types requested.
     pub fn watched(&self) -> Vec<(TopicName, Option<TypeName>)> {
         self.shared.topics().iter().map(|topic| (topic.name.clone(), topic.wanted.clone())).collect()
     }
 
-    /// Where each watched topic stands, by name.
+    /// The status of each watched topic, by name.
     pub fn status(&self) -> Vec<TopicCapture> {
         self.shared.topics().iter().map(|topic| topic.status()).collect()
     }

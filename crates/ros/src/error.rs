@@ -1,9 +1,9 @@
-//! What can go wrong with ROS, in words that say what to do next.
-//! Texts from peers are cleaned before they enter a message.
+//! What can go wrong with ROS; each message says what to do next. Texts from peers are cleaned before they enter a
+//! message.
 
 use crate::model::{ErrorKind, clean};
 
-/// An error of the ros room.
+/// An error of the ros crate.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RosError {
     /// The master does not answer.
@@ -31,7 +31,7 @@ pub enum RosError {
         /// What happened.
         reason: String,
     },
-    /// The master answered, but said no.
+    /// The master answered with a refusal.
     #[error("the ROS master at {uri} refused {call}: {reason}; look into the master's log")]
     Refused {
         /// The master's URI.
@@ -41,15 +41,15 @@ pub enum RosError {
         /// Its words.
         reason: String,
     },
-    /// What answered is not a ROS master, or a broken one.
+    /// The peer is not a ROS master, or a broken one.
     #[error("{uri} answers, but not as a ROS master ({reason}); check that ros.master names roscore's port")]
     Protocol {
         /// The URI.
         uri: String,
-        /// What was wrong with the answer.
+        /// What was wrong with its answer.
         reason: String,
     },
-    /// The embedded master did not come up.
+    /// The embedded master did not start.
     #[error("the embedded ROS master did not start ({0}); name a running one by --ros-master instead")]
     EmbeddedMaster(String),
     /// The program that reads ROS 2 is not installed.
@@ -63,16 +63,16 @@ pub enum RosError {
     System {
         /// What was tried.
         action: &'static str,
-        /// What the system said.
+        /// The system's reason.
         reason: String,
     },
     /// More simulated robots than allowed.
     #[error("{0} robots are too many to simulate; ask for at most {most}", most = crate::ros::MOST_ROBOTS)]
     Robots(u16),
-    /// A publishing rate that is no rate.
+    /// An invalid publishing rate.
     #[error("{0} Hz is not a publishing rate; use a number above 0 and up to 1000")]
     Rate(String),
-    /// A message definition that is not one, or is beyond the limits.
+    /// A message definition that is invalid, or exceeds the limits.
     #[error("the definition of {type_name} cannot be used: {reason}; the publisher sends a faulty definition")]
     Definition {
         /// The type.
@@ -80,18 +80,18 @@ pub enum RosError {
         /// What is wrong.
         reason: String,
     },
-    /// A type whose messages are kept, but cannot be read field by field.
+    /// A type whose messages are stored, but cannot be read field by field.
     #[error("messages of {type_name} are kept as they are, but no fields are shown: {reason}")]
     NoFields {
         /// The type.
         type_name: String,
-        /// Why, and what may help.
+        /// The reason, and what may help.
         reason: String,
     },
     /// A recording that cannot be read or written.
     #[error("the recording cannot be used: {0}")]
     Recording(String),
-    /// A message body that does not fit its definition.
+    /// A message body that does not match its definition.
     #[error("a message of {type_name} does not fit its definition: {reason}; show its raw bytes instead")]
     Body {
         /// The type.
@@ -102,7 +102,7 @@ pub enum RosError {
 }
 
 impl RosError {
-    /// What sort of failure it is.
+    /// The kind of failure.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Unreachable { .. } => ErrorKind::Unreachable,

@@ -1,5 +1,5 @@
-//! Questions to a ROS master: is it there, which topics are there. Every call ends within
-//! [`PATIENCE`], whatever the master does; what it answers is untrusted and only names are kept.
+//! Queries to a ROS master: whether it is there, which topics exist. Every call ends within [`PATIENCE`], whatever the
+//! master does; its answers are untrusted and only names are kept.
 
 mod presence;
 mod reach;
@@ -15,10 +15,10 @@ use crate::model::clean;
 pub use presence::Presence;
 pub use reach::Unreached;
 
-/// The longest any question takes.
+/// The longest a query may take.
 pub const PATIENCE: Duration = Duration::from_millis(2500);
 
-/// How long the types of an unchanged graph are not asked for again: a node may have come back with another type.
+/// How long the types of an unchanged graph are not queried again: a node may have come back with another type.
 const TYPES_HOLD: Duration = Duration::from_secs(5);
 
 /// A topic as the master knows it.
@@ -26,7 +26,7 @@ const TYPES_HOLD: Duration = Duration::from_secs(5);
 pub struct TopicInfo {
     /// Its name, as the master gave it: clean it before it is shown.
     pub name: String,
-    /// Its type, where the master knows one.
+    /// Its type, if the master knows one.
     pub type_name: Option<String>,
     /// Names of the nodes that publish it.
     pub publishers: Vec<String>,
@@ -34,13 +34,13 @@ pub struct TopicInfo {
     pub subscribers: usize,
 }
 
-/// What the master said at the last look, for [`Graph::topics_again`].
+/// The master's last answer, for [`Graph::topics_again`].
 #[derive(Debug, Default)]
 pub struct LastLook {
     types: Option<Types>,
 }
 
-/// The types of all topics, and the graph they were asked for.
+/// The types of all topics, and the graph they were queried for.
 #[derive(Debug)]
 struct Types {
     state: Value,
@@ -49,13 +49,13 @@ struct Types {
 }
 
 impl Types {
-    /// Whether they need not be asked for again.
+    /// Whether they need not be queried again.
     fn hold(&self, state: &Value) -> bool {
         self.state == *state && self.asked.elapsed() < TYPES_HOLD
     }
 }
 
-/// A ROS master, asked without a connection kept open.
+/// A ROS master, queried without keeping a connection open.
 #[derive(Debug, Clone)]
 pub struct Graph {
     master: Endpoint,
@@ -63,10 +63,10 @@ pub struct Graph {
 }
 
 impl Graph {
-    /// The master at `master_uri`, asked in the name of the node `node_name`. Nothing is sent yet.
+    /// The master at `master_uri`, queried in the name of the node `node_name`. Nothing is sent yet.
     ///
     /// # Errors
-    /// [`RosError::Address`] where the URI is not `http://HOST:PORT`.
+    /// [`RosError::Address`] if the URI is not `http://HOST:PORT`.
     pub fn new(master_uri: &str, node_name: &str) -> Result<Self, RosError> {
         let master = Endpoint::parse(master_uri).ok_or_else(|| RosError::address(master_uri))?;
         Ok(Self { master, node_name: node_name.to_owned() })
@@ -75,7 +75,7 @@ impl Graph {
     /// Whether a master answers.
     ///
     /// # Errors
-    /// [`RosError::Unreachable`] where nothing answers, [`RosError::Protocol`] where it is no master.
+    /// [`RosError::Unreachable`] if nothing answers, [`RosError::Protocol`] if it is not a master.
     pub fn ping(&self) -> Result<(), RosError> {
         self.ask("getPid", Instant::now() + PATIENCE).map(drop)
     }
@@ -83,16 +83,16 @@ impl Graph {
     /// All topics with a publisher or subscriber, by name.
     ///
     /// # Errors
-    /// As [`Graph::ping`], and [`RosError::Refused`] where the master says no.
+    /// See [`Graph::ping`], and [`RosError::Refused`] if the master refuses.
     pub fn topics(&self) -> Result<Vec<TopicInfo>, RosError> {
         self.topics_again(&mut LastLook::default())
     }
 
-    /// [`Graph::topics`] for one who asks again and again: where the graph is as it was at the `last` look, and all types
-    /// were known, these are asked for only now and then.
+    /// [`Graph::topics`] for repeated polling: while the graph is as it was in the `last` answer and all types were
+    /// known, types are queried only now and then.
     ///
     /// # Errors
-    /// As [`Graph::topics`].
+    /// See [`Graph::topics`].
     pub fn topics_again(&self, last: &mut LastLook) -> Result<Vec<TopicInfo>, RosError> {
         let deadline = Instant::now() + PATIENCE;
         let state = self.ask("getSystemState", deadline)?;
@@ -117,7 +117,7 @@ impl Graph {
     }
 }
 
-/// What a failed call to the master means.
+/// The meaning of a failed call to the master.
 pub(super) fn master_error(master: &Endpoint, call: &'static str, error: CallError) -> RosError {
     let uri = master.to_string();
     match error {

@@ -1,5 +1,5 @@
-//! The embedded ROS master, for when no other is named: on a free port of loopback, in a thread
-//! of its own, ended when dropped. What nodes ask a master is in `graph` and `capture`.
+//! The embedded ROS master, for when no other is given: on a free port of loopback, in its own thread, ended on drop.
+//! Queries to a master are in `graph` and `capture`.
 
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::thread::JoinHandle;
@@ -11,7 +11,7 @@ use super::RosError;
 use super::address::Endpoint;
 use super::xmlrpc::{Value, call};
 
-/// The usual port of a master: left to a real roscore.
+/// The usual port of a master: reserved for a real roscore.
 const USUAL_PORT: u16 = 11311;
 
 /// How often another port is tried.
@@ -31,7 +31,7 @@ impl EmbeddedMaster {
     /// Starts a master on a free port of 127.0.0.1 and waits until it answers.
     ///
     /// # Errors
-    /// [`RosError::EmbeddedMaster`] where none answers on any of several ports.
+    /// [`RosError::EmbeddedMaster`] if none answers on any of several ports.
     pub fn start() -> Result<Self, RosError> {
         let mut failure = String::new();
         for _ in 0..ATTEMPTS {
@@ -48,7 +48,7 @@ impl EmbeddedMaster {
         &self.uri
     }
 
-    /// Whether it still answers; a fault of its own may have ended it.
+    /// Whether it still answers; an internal fault may have ended it.
     pub fn is_running(&self) -> bool {
         self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
     }
@@ -60,7 +60,7 @@ impl EmbeddedMaster {
         let serve = move || {
             runtime.block_on(async {
                 let master = ros_core_rs::core::Master::new(&SocketAddr::from((Ipv4Addr::LOCALHOST, port)));
-                // Ends where the port was taken meanwhile; the caller sees that nothing answers.
+                // Ends if the port was taken meanwhile; the caller notices that nothing answers.
                 tokio::select! { _ = master.serve() => {} _ = stopped => {} }
             });
             runtime.shutdown_timeout(Duration::from_millis(200));

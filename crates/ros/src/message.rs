@@ -1,7 +1,8 @@
-//! Messages of any type, of ROS 1 and ROS 2: definitions, their md5sum or type hash, and decoding for display under hard bounds.
+//! Messages of any type, of ROS 1 and ROS 2: definitions, their md5sum or type hash, and decoding for display within
+//! strict limits.
 //!
-//! Captured bodies are never changed by this: decoding is for eyes only, and both definition and
-//! body are taken for hostile (cycles, depth, counts without bytes, types without size).
+//! This never changes captured bodies: decoding is only for display, and both definition and body are treated as
+//! hostile (cycles, depth, counts without bytes, types without size).
 
 mod cursor;
 mod decode;
@@ -25,7 +26,7 @@ use super::RosError;
 /// The md5sum of a message type as ROS computes it from the full definition text, 32 hex characters.
 ///
 /// # Errors
-/// [`RosError::Definition`] where the text is not a definition of `type_name`.
+/// [`RosError::Definition`] if the text is not a definition of `type_name`.
 pub fn md5sum(type_name: &str, definition: &str) -> Result<String, RosError> {
     Definition::parse(type_name, definition).map(|definition| definition.md5sum())
 }

@@ -1,5 +1,5 @@
-//! Messages of well-known types as people read them: lines of numbers, tables, a plot, a picture. Every other type
-//! is shown as its tree of fields. All texts in here are clean; everything is bounded, whatever the message claims.
+//! Messages of well-known types in readable form: lines of numbers, tables, a plot, a picture. Every other type is
+//! shown as its tree of fields. All texts here are clean; everything is bounded, whatever the message claims.
 
 mod codec;
 mod matrix;
@@ -25,7 +25,7 @@ pub const MOST_ROWS: usize = 200;
 /// The most points of a plot.
 pub const MOST_POINTS: usize = 4_000;
 
-/// A message as people read it.
+/// A message in readable form.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Readable {
     /// Label and value.
@@ -33,10 +33,10 @@ pub struct Readable {
     /// Matrices and lists.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub tables: Vec<Table>,
-    /// What can be plotted.
+    /// Points to plot.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub plot: Option<Plot>,
-    /// A small form of the picture.
+    /// A thumbnail of the picture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub picture: Option<Raster>,
 }
@@ -44,7 +44,7 @@ pub struct Readable {
 /// A matrix or list.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Table {
-    /// What it is.
+    /// Its title.
     pub title: String,
     /// Columns; may be empty.
     pub head: Vec<String>,
@@ -52,18 +52,18 @@ pub struct Table {
     pub rows: Vec<Vec<String>>,
 }
 
-/// Points of a plane.
+/// Points in a plane.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Plot {
-    /// What is seen.
+    /// Its title.
     pub title: String,
     /// Names and units of both axes.
     pub axes: (String, String),
-    /// Points, in their order.
+    /// Points, in order.
     pub points: Vec<(f64, f64)>,
     /// Whether the points are a path.
     pub path: bool,
-    /// A point that stands out: the robot, or this record on its path.
+    /// A highlighted point: the robot, or this record on its path.
     pub here: Option<(f64, f64)>,
 }
 
@@ -74,7 +74,7 @@ impl Readable {
     }
 }
 
-/// Reads `body`; `None` where its type is none of the well-known, or it does not fit its definition.
+/// Reads `body`; `None` if its type is not a well-known one, or it does not match its definition.
 pub fn read(definition: &Definition, body: &[u8]) -> Option<Readable> {
     let reader = reader_of(&definition.short_name())?;
     let value = definition.decode(body, Limits { elements: 512, ..Limits::default() }).ok()?;
@@ -101,7 +101,7 @@ fn reader_of(type_name: &str) -> Option<Reader> {
     })
 }
 
-/// Where the robot is: metres in the plane for poses; longitude and latitude in degrees for fixes.
+/// A robot's position: metres in the plane for poses; longitude and latitude in degrees for fixes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Place {
     /// x and y, metres.
@@ -110,7 +110,7 @@ pub enum Place {
     Degrees(f64, f64),
 }
 
-/// The place that a message of a type with a place tells; `None` for other types.
+/// The position in a message whose type has one; `None` for other types.
 pub fn place(definition: &Definition, body: &[u8]) -> Option<Place> {
     let path = match definition.short_name().as_str() {
         "nav_msgs/Odometry" | "geometry_msgs/PoseWithCovarianceStamped" => "pose.pose.position",
@@ -128,7 +128,7 @@ pub fn place(definition: &Definition, body: &[u8]) -> Option<Place> {
     finite.then_some(if degrees { Place::Degrees(place.0, place.1) } else { Place::Metres(place.0, place.1) })
 }
 
-/// The path over several records, in their order; `here` is one of them. Degrees become metres around the first.
+/// The path over several records, in order; `here` is one of them. Degrees become metres around the first.
 pub fn track(title: &str, places: &[Place], here: Option<Place>) -> Option<Plot> {
     let origin = places.iter().find_map(|place| match place {
         Place::Degrees(longitude, latitude) => Some((*longitude, *latitude)),

@@ -1,8 +1,8 @@
 //! Simulated robots: `/robotN/odom` (`nav_msgs/Odometry`) and `/robotN/camera/compressed`
 //! (`sensor_msgs/CompressedImage`), each robot a ROS node of its own.
 //!
-//! They speak TCPROS like any node, so that capture cannot tell them from real ones. What they
-//! send is made up; marking it as simulated is done where it is shown and sealed.
+//! They speak TCPROS like any node, so that capture cannot tell them from real ones. Their messages are invented; they
+//! are marked as simulated where they are shown and sealed.
 
 mod definitions;
 mod letters;
@@ -31,7 +31,7 @@ pub use definitions::{COMPRESSED_IMAGE, ODOMETRY, compressed_image_definition, o
 /// The most robots in a fleet.
 pub const MOST_ROBOTS: u16 = 64;
 
-/// The fastest publishing, Hz.
+/// The fastest publishing rate, Hz.
 const FASTEST: f64 = 1000.0;
 
 /// How long starting waits for the master.
@@ -55,7 +55,7 @@ impl Default for FleetOptions {
     }
 }
 
-/// Running robots. They unregister and end when dropped; what is queued for subscribers is sent first.
+/// Running robots. They unregister and end on drop; what is queued for subscribers is sent first.
 pub struct Fleet {
     nodes: Vec<PublisherNode>,
     stopping: Arc<AtomicBool>,
@@ -66,8 +66,8 @@ impl Fleet {
     /// Starts `robots` robots, numbered from 1, at the master.
     ///
     /// # Errors
-    /// [`RosError::Robots`] beyond [`MOST_ROBOTS`], [`RosError::Rate`] for a rate that is none, and
-    /// what goes wrong with master, sockets and threads.
+    /// [`RosError::Robots`] beyond [`MOST_ROBOTS`], [`RosError::Rate`] for an invalid rate, and failures of master,
+    /// sockets and threads.
     pub fn start(master_uri: &str, robots: u16, options: FleetOptions) -> Result<Self, RosError> {
         if robots > MOST_ROBOTS {
             return Err(RosError::Robots(robots));
@@ -82,19 +82,19 @@ impl Fleet {
         Ok(fleet)
     }
 
-    /// The robots' topics and how many messages were published on each, whether or not anybody
-    /// subscribed: the first has `header.seq` 0, the last this count less 1.
+    /// The robots' topics and how many messages were published on each, with or without subscribers: the first has
+    /// `header.seq` 0, the last this count minus 1.
     pub fn published(&self) -> Vec<(String, u64)> {
         let outlets = self.nodes.iter().flat_map(PublisherNode::outlets);
         outlets.map(|outlet| (outlet.topic().to_owned(), outlet.published())).collect()
     }
 
-    /// Messages that a subscriber did not get because it read too slowly, in all.
+    /// Total messages that a subscriber missed because it read too slowly.
     pub fn overflowed(&self) -> u64 {
         self.nodes.iter().map(PublisherNode::overflowed).sum()
     }
 
-    /// Ends publishing and returns the final counts; then as dropping.
+    /// Ends publishing and returns the final counts; then like dropping.
     pub fn stop(mut self) -> Vec<(String, u64)> {
         self.end_publishing();
         self.published()
@@ -124,7 +124,7 @@ impl Fleet {
         })
     }
 
-    /// Publishes what `make` makes of number and age (seconds), once per period.
+    /// Publishes what `make` returns for number and age (seconds), once per period.
     fn publish(
         &mut self,
         name: &str,
@@ -142,7 +142,7 @@ impl Fleet {
                     outlet.publish(&body);
                     seq = seq.wrapping_add(1);
                 }
-                // After a pause of the machine go on from now: no burst of what is past.
+                // After the machine was suspended continue from now: no burst of missed messages.
                 due = (due + period).max(Instant::now().checked_sub(period).unwrap_or(due));
             }
         };

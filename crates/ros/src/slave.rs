@@ -1,5 +1,5 @@
-//! The slave API every ROS node serves: what the master and tools such as rosnode ask it.
-//! The answers are the same for the capturing node and for the robots; what differs is in [`Node`].
+//! The slave API every ROS node serves: what the master and tools such as rosnode ask it. The answers are the same for
+//! the capturing node and for the robots; the differences are in [`Node`].
 
 use std::net::TcpListener;
 use std::sync::Arc;
@@ -10,14 +10,14 @@ use super::address::{authority, listen_address};
 use super::xmlrpc::{Answer, Server, Value};
 use crate::model::clean;
 
-/// One connection of a node, as `getBusInfo` tells it.
+/// One connection of a node, as `getBusInfo` reports it.
 pub(super) struct BusLink {
     pub peer: String,
     pub outbound: bool,
     pub topic: String,
 }
 
-/// What a node tells the world of itself. Nothing here may block.
+/// What a node reports about itself. Nothing here may block.
 pub(super) trait Node: Send + Sync + 'static {
     /// URI of its master.
     fn master_uri(&self) -> String;
@@ -27,11 +27,11 @@ pub(super) trait Node: Send + Sync + 'static {
     fn publications(&self) -> Vec<(String, String)>;
     /// Its connections.
     fn links(&self) -> Vec<BusLink>;
-    /// Somebody says that the publishers of a topic have changed, and to which URIs.
+    /// Somebody reports that the publishers of a topic have changed, and their URIs.
     fn publishers_changed(&self, topic: &str, publishers: &[&str]);
-    /// Host and port where it gives out a topic.
+    /// Host and port where it serves a topic.
     fn outlet(&self, topic: &str) -> Option<(String, u16)>;
-    /// Somebody asks it to end.
+    /// Somebody asks it to shut down.
     fn shutdown_asked(&self, by: &str, reason: &str);
 }
 
@@ -52,7 +52,7 @@ impl SlaveServer {
     }
 }
 
-/// A listener on a free port of `host`, and of no other address.
+/// A listener on a free port of `host` only.
 pub(super) fn listen(host: &str) -> Result<TcpListener, RosError> {
     let address = listen_address(host, Instant::now() + Duration::from_secs(2))?;
     TcpListener::bind(address).map_err(|error| RosError::OwnHost { host: clean(host, 80), reason: error.to_string() })

@@ -1,4 +1,4 @@
-//! The room end to end, in one process: embedded master, robots, capture.
+//! The crate end to end, in one process: embedded master, robots, capture.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};

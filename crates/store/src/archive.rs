@@ -1,5 +1,5 @@
-//! Files of a home one behind the other: kind (1 = a file, 0 = the end), length of the name (2), name, length (8),
-//! bytes. Names are relative paths of plain parts; what is read is a stranger's until the end was reached.
+//! The files of a home, concatenated: kind (1 = a file, 0 = the end), length of the name (2), name, length (8), bytes.
+//! Names are relative paths of plain parts. Treat the contents as untrusted until the end marker.
 
 use std::collections::HashSet;
 use std::fs::{DirBuilder, File, OpenOptions};
@@ -14,7 +14,7 @@ const MOST_FILES: usize = 100_000;
 const FILE: u8 = 1;
 const END: u8 = 0;
 
-/// Whether a name may stand in an archive: parts of letters, digits, `-`, `_` and `.`, none of them `.` or `..`.
+/// Whether a name is allowed in an archive: parts of letters, digits, `-`, `_` and `.`, none of them `.` or `..`.
 pub fn is_plain(name: &str) -> bool {
     let usable = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_' | b'.');
     let part = |part: &str| !part.is_empty() && part != "." && part != ".." && part.bytes().all(usable);
@@ -24,7 +24,7 @@ pub fn is_plain(name: &str) -> bool {
 /// Writes one file under a name; exactly `length` bytes of `bytes`.
 ///
 /// # Errors
-/// What reading and writing say; [`io::ErrorKind::InvalidInput`] for a name that is not plain.
+/// Errors from reading and writing; [`io::ErrorKind::InvalidInput`] for a name that is not plain.
 pub fn put(archive: &mut impl Write, name: &str, length: u64, bytes: &mut impl Read) -> io::Result<()> {
     let size = u16::try_from(name.len()).ok().filter(|_| is_plain(name));
     let size = size.ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, format!("'{name}' is no plain name")))?;
@@ -36,10 +36,10 @@ pub fn put(archive: &mut impl Write, name: &str, length: u64, bytes: &mut impl R
     if copied == length { Ok(()) } else { Err(io::Error::other(format!("{name} became shorter while it was read"))) }
 }
 
-/// Writes the end.
+/// Writes the end marker.
 ///
 /// # Errors
-/// What writing says.
+/// Errors from writing.
 pub fn end(archive: &mut impl Write) -> io::Result<()> {
     archive.write_all(&[END])
 }
@@ -48,19 +48,19 @@ fn damaged(what: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, what)
 }
 
-/// What an archive held.
+/// The contents of an archive.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Unpacked {
-    /// Names in their order.
+    /// Names in order.
     pub names: Vec<String>,
     /// Bytes of all files.
     pub bytes: u64,
 }
 
-/// Reads an archive to its end; every file is given to `each` with its name and length, which must read all of it.
+/// Reads an archive to its end; every file is passed to `each` with its name and length, which must read all of it.
 ///
 /// # Errors
-/// [`io::ErrorKind::InvalidData`] where it is no archive, or what reading and `each` say.
+/// [`io::ErrorKind::InvalidData`] if it is not an archive, or errors from reading and from `each`.
 pub fn read(
     archive: &mut impl Read,
     mut each: impl FnMut(&str, u64, &mut dyn Read) -> io::Result<()>,
@@ -103,10 +103,10 @@ fn array<const N: usize>(archive: &mut impl Read) -> io::Result<[u8; N]> {
     Ok(bytes)
 }
 
-/// Unpacks an archive below a directory: directories 0700, files 0600, each fsynced, none over another.
+/// Unpacks an archive below a directory: directories 0700, files 0600, each fsynced, none overwriting another.
 ///
 /// # Errors
-/// As [`read`], and where a file cannot be made.
+/// See [`read`]; also if a file cannot be created.
 pub fn unpack(archive: &mut impl Read, directory: &Path) -> io::Result<Unpacked> {
     read(archive, |name, _, bytes| {
         let path = directory.join(name);

@@ -1,8 +1,8 @@
-//! The audit log: who did what to what, and how it ended; append-only, each line chained to the one before.
+//! The audit log: who did what to what, and the outcome; append-only, each line chained to the one before.
 //!
-//! It lies in the ledger's file and is durable line by line. An edited, deleted, inserted or moved line is
-//! found by [`AuditLog::verify`]. Lines cut off at the end are not, by the log alone: that takes a head
-//! that was anchored on the chain before ([`AuditLog::hash_of`] tells what line that head belongs to).
+//! It is in the ledger's file, and each line is durable. [`AuditLog::verify`] finds lines that were edited, deleted,
+//! inserted or moved. The log alone does not show lines cut off at the end: that takes a head that was anchored on the
+//! chain before ([`AuditLog::hash_of`] gives the line that head belongs to).
 
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 use serde::{Deserialize, Serialize};
@@ -15,18 +15,18 @@ use crate::model::{Digest, Timestamp};
 const LABEL: &[u8] = b"AuthROS/audit/1";
 const COLUMNS: &str = "line, at, profile, action, subject, outcome, hash";
 
-/// What is to be remembered.
+/// An entry to be logged.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditEntry {
     /// When it happened.
     pub at: Timestamp,
     /// Who did it.
     pub profile: String,
-    /// What was done, in a word: `grant`, `open`, ….
+    /// The action, in a word: `grant`, `open`, ….
     pub action: String,
-    /// To what or whom.
+    /// Its object.
     pub subject: String,
-    /// How it ended.
+    /// Its outcome.
     pub outcome: String,
 }
 
@@ -35,7 +35,7 @@ pub struct AuditEntry {
 pub struct AuditLine {
     /// Its number, from 1.
     pub line: u64,
-    /// What it says.
+    /// The entry.
     #[serde(flatten)]
     pub entry: AuditEntry,
     /// SM3 over the label, the hash of the line before, and the entry.
@@ -48,20 +48,20 @@ pub struct AuditQuery {
     /// Written at or after.
     #[serde(default)]
     pub since: Option<Timestamp>,
-    /// Only what was done so: `grant`, `decrypt`, ….
+    /// Only this action: `grant`, `decrypt`, ….
     #[serde(default)]
     pub action: Option<String>,
-    /// Only what this profile (for refusals: this peer) did.
+    /// Only those by this profile (for refusals: by this peer).
     #[serde(default)]
     pub profile: Option<String>,
-    /// Only lines before this one: pages going back.
+    /// Only lines before this one, for paging back.
     #[serde(default)]
     pub before: Option<u64>,
-    /// At most so many, the newest.
+    /// At most this many, the newest.
     pub limit: usize,
 }
 
-/// Where the log is not what was written.
+/// Where the log was altered.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("line {line} of the audit log: {what}; keep a copy of the ledger and find out who could write to it")]
 pub struct AuditFault {
@@ -78,15 +78,15 @@ pub struct AuditLog {
 }
 
 impl AuditLog {
-    /// The log that lies in this ledger's file.
+    /// The log in this ledger's file.
     pub fn new(ledger: Ledger) -> Self {
         Self { ledger }
     }
 
-    /// Adds a line; it is durable when this returns. Without it no grant and no decryption may go on.
+    /// Adds a line; it is durable when this returns. No grant and no decryption may proceed without it.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then the line is not there.
+    /// [`StoreError::DiskFull`] and the like; then the line was not added.
     pub fn append(&self, entry: AuditEntry) -> Result<(), StoreError> {
         self.ledger.write(move |session| {
             let (count, head) = head(session.connection)?;
@@ -106,18 +106,18 @@ impl AuditLog {
         })
     }
 
-    /// The number of lines and the hash of the last one (zeros where there is none): what gets anchored.
+    /// The number of lines and the hash of the last one (zeros if there is none): the head that is anchored.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn head(&self) -> Result<(u64, Digest), StoreError> {
         self.ledger.read(head)
     }
 
-    /// The hash kept with a line, to compare with a head that was anchored when the log was that long.
+    /// The hash stored with a line, to compare with a head that was anchored when the log was that long.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn hash_of(&self, line: u64) -> Result<Option<Digest>, StoreError> {
         let line = whole("line", line)?;
         self.ledger.read(|connection| {
@@ -135,11 +135,11 @@ impl AuditLog {
         walked.unwrap_or_else(|error| Err(AuditFault { line: 0, what: error.to_string() }))
     }
 
-    /// Compares the log with heads that were anchored: number of lines and hash each, in any order. Returns how many
-    /// lines the newest of them covers.
+    /// Compares the log with anchored heads: number of lines and hash each, in any order. Returns how many lines the
+    /// newest of them covers.
     ///
     /// # Errors
-    /// [`AuditFault`] with the first line that can be wrong: behind the newest head that still agrees.
+    /// [`AuditFault`] with the first line that may be wrong: the one after the newest head that still agrees.
     pub fn compare(&self, heads: &[(u64, Digest)]) -> Result<u64, AuditFault> {
         let mut heads = heads.to_vec();
         heads.sort_by_key(|(line, _)| *line);
@@ -162,10 +162,10 @@ impl AuditLog {
         Ok(agreed)
     }
 
-    /// When the line behind `line` was written; `None` where there is none.
+    /// When the line after `line` was written; `None` if there is none.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn written_after(&self, line: u64) -> Result<Option<Timestamp>, StoreError> {
         let next = whole("line", line.saturating_add(1))?;
         self.ledger.read(|connection| {
@@ -178,7 +178,7 @@ impl AuditLog {
     /// The newest lines that match, oldest first.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn list(&self, query: &AuditQuery) -> Result<Vec<AuditLine>, StoreError> {
         let before = query.before.map_or(Ok(i64::MAX), |line| whole("line", line))?;
         let since = query.since.map_or(Ok(0), |since| whole("time", since.0))?;
@@ -343,7 +343,7 @@ mod tests {
         assert_eq!(forge(&log, "DELETE FROM audit WHERE line > 3"), Ok(3));
         let fault = log.compare(&heads).expect_err("cut");
         assert!(fault.line == 4 && fault.what.contains("missing"), "{fault}");
-        // Somebody who knows how the lines are chained writes other ones in their place.
+        // An attacker who knows how the lines are chained replaces some of them.
         log.append(entry(44)).expect("appended");
         log.append(entry(55)).expect("appended");
         assert_eq!(log.verify(), Ok(5));

@@ -1,5 +1,5 @@
-//! Opens an SQLite file the way both ledger and vault need it: private, WAL, every commit fsynced,
-//! schema brought up to date, contents checked after an unclean end.
+//! Opens an SQLite file the way both ledger and vault need it: private, WAL, every commit fsynced, schema up to date,
+//! contents checked after an unclean shutdown.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -10,7 +10,7 @@ use rusqlite::{Connection, OpenFlags, TransactionBehavior};
 use super::{StoreError, files};
 
 const BUSY: Duration = Duration::from_secs(10);
-/// How long the end waits for whoever reads.
+/// How long shutdown waits for readers.
 const LAST_WAIT: Duration = Duration::from_millis(500);
 const STATEMENTS_KEPT: usize = 64;
 /// Pages that the one writer keeps in memory; negative is KiB, as SQLite has it.
@@ -19,21 +19,21 @@ const WRITERS_CACHE: i64 = -8 * 1024;
 const READERS_CACHE: i64 = -2 * 1024;
 /// Pages of the write-ahead log after which they go into the file itself, as SQLite has it.
 const SHORT_LOG: i64 = 1_000;
-/// The same where the disk has plenty of room. Where records of many topics come in turn, the same pages change in
-/// every commit: the later they go, the fewer are written twice.
+/// The same when the disk has plenty of room. When records of many topics alternate, the same pages change in every
+/// commit: the later the checkpoint, the fewer are written twice.
 const LONG_LOG: i64 = 4_000;
-/// What is plenty, bytes: far more than both logs and what is set aside for a full disk.
+/// How much room counts as plenty, bytes: far more than both logs and the reserve for a full disk.
 const PLENTY: u64 = 1024 * 1024 * 1024;
 
 /// One SQLite file's shape: an application id and the steps from each schema version to the next.
 pub(super) struct Schema {
-    /// Written into the file, so that another program's database is not taken for ours.
+    /// Written into the file, so that another program's database is not mistaken for ours.
     pub application: i64,
     /// Step `i` brings version `i` to `i + 1`.
     pub steps: &'static [&'static str],
 }
 
-/// Opens (or makes) the file for its one writer.
+/// Opens (or creates) the file for its only writer.
 ///
 /// # Errors
 /// [`StoreError::Home`], [`StoreError::Mode`], [`StoreError::Corrupt`], [`StoreError::Newer`].
@@ -85,7 +85,7 @@ pub(super) fn settle(connection: &Connection) {
     drop(connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(())));
 }
 
-/// How long a file's log may get; follows the room on its disk.
+/// How long a file's log may get; depends on the room on its disk.
 #[derive(Debug)]
 pub(super) struct Checkpoints {
     directory: PathBuf,
@@ -98,15 +98,15 @@ impl Checkpoints {
         Self { directory: path.parent().unwrap_or(Path::new(".")).to_owned(), pages: SHORT_LOG }
     }
 
-    /// To be called between two transactions. Where the room went, what is in a long log goes into the file at
-    /// once, so that the log begins again from its start instead of growing.
+    /// To be called between transactions. When the room is gone, a long log is checkpointed at once, so that it starts
+    /// again from the beginning instead of growing.
     pub fn adjust(&mut self, connection: &Connection) {
         let pages = log_pages(files::free_bytes(&self.directory).unwrap_or(0));
         if pages == self.pages {
             return;
         }
         self.pages = pages;
-        // Where it cannot be set or written now, the log is only longer than it need be.
+        // If it cannot be set or written now, the log is only longer than necessary.
         drop(connection.pragma_update(None, "wal_autocheckpoint", pages));
         if pages == SHORT_LOG {
             drop(connection.query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |_| Ok(())));
@@ -147,7 +147,7 @@ fn connect(path: &Path) -> Result<Connection, StoreError> {
         .map_err(|error| StoreError::from(error).in_file(path))
 }
 
-/// Whether the file is of the newest version already: then nothing is written.
+/// Whether the file is already of the newest version: then nothing is written.
 fn is_newest(connection: &Connection, schema: &Schema) -> Result<bool, StoreError> {
     let pragma = |name| connection.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
     let newest = i64::try_from(schema.steps.len()).unwrap_or(i64::MAX);
@@ -273,7 +273,7 @@ mod tests {
         connection.execute_batch("PRAGMA wal_autocheckpoint = 4000").expect("set");
         connection.execute("INSERT INTO a VALUES (1)", []).expect("row");
         let filled = length();
-        // The room went while the log was long.
+        // The room ran out while the log was long.
         let mut checkpoints = Checkpoints { directory: home.path().join("gone"), pages: LONG_LOG };
         checkpoints.adjust(&connection);
         assert_eq!((checkpoints.pages, number("PRAGMA wal_autocheckpoint")), (SHORT_LOG, SHORT_LOG));

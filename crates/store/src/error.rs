@@ -1,10 +1,10 @@
-//! Everything that can go wrong in this room, in words that say what to do next.
+//! Everything that can go wrong in this crate; each message says what to do next.
 
 use std::path::{Path, PathBuf};
 
 use crate::model::{ByteSize, Digest, ErrorKind, RecordState, clean};
 
-/// Why the ledger, the vault, the audit log or a file could not do what was asked.
+/// Why the ledger, the vault, the audit log or a file could not do as asked.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum StoreError {
     /// A directory or file of the home cannot be made, read or written.
@@ -12,7 +12,7 @@ pub enum StoreError {
     Home {
         /// The directory or file.
         path: PathBuf,
-        /// What the system said.
+        /// The system's reason.
         detail: String,
     },
     /// Others than the owner can read or write a private file.
@@ -24,16 +24,16 @@ pub enum StoreError {
         path: PathBuf,
         /// Its permission bits.
         mode: u32,
-        /// The bits that it should have.
+        /// The permission bits it should have.
         advised: u32,
     },
-    /// No space is left; nothing of what was asked was acknowledged.
+    /// The disk is full; nothing of the request was acknowledged.
     #[error("the disk that holds {} is full; free some space", file.display())]
     DiskFull {
         /// The database file.
         file: PathBuf,
     },
-    /// The vault takes no records, and those that wait for it have used up their space.
+    /// The vault accepts no records, and those waiting for it have used up their space.
     #[error(
         "{} of records wait on disk for the vault, more than vault.backlog ({}) allows; bring the vault back, \
          then the work goes on by itself", ByteSize(*waiting), ByteSize(*limit)
@@ -44,7 +44,7 @@ pub enum StoreError {
         /// Bytes allowed.
         limit: u64,
     },
-    /// A database file is damaged or is none at all.
+    /// A database file is damaged or not a database.
     #[error("{} is damaged ({detail}); keep a copy of it and restore the last back-up", file.display())]
     Corrupt {
         /// The database file.
@@ -67,21 +67,21 @@ pub enum StoreError {
     Database {
         /// The database file.
         file: PathBuf,
-        /// What SQLite said.
+        /// SQLite's reason.
         detail: String,
     },
-    /// The ledger was closed while work was still handed to it.
+    /// The ledger was closed while it still had work.
     #[error("the ledger is closed, so nothing more can be written; start the site again")]
     Closed,
     /// A number that the ledger cannot hold.
     #[error("{field} {value} does not fit the ledger; numbers go up to 2^63 - 1")]
     TooBig {
-        /// What the number is.
+        /// What the number means.
         field: &'static str,
         /// The number.
         value: u64,
     },
-    /// A record says something other than what the ledger already holds.
+    /// A record contradicts what the ledger already holds.
     #[error("record {digest} contradicts the ledger: {detail}; keep a copy of the home and report this")]
     Conflict {
         /// The record.
@@ -89,23 +89,23 @@ pub enum StoreError {
         /// What differs.
         detail: String,
     },
-    /// The life line has no such edge.
+    /// A record cannot go from this state to that one.
     #[error("a record cannot go from {} to {} this way; this is a fault of the program", from.word(), to.word())]
     IllegalEdge {
-        /// Where it stands.
+        /// The present state.
         from: RecordState,
-        /// Where it was to go.
+        /// The state requested.
         to: RecordState,
     },
-    /// A record to be submitted moved on (or never came) in the meantime.
+    /// A record to be submitted has moved on (or never arrived) in the meantime.
     #[error("record {digest} is {found} and not ready to be submitted; read the stored records again")]
     NotReady {
         /// The record.
         digest: Digest,
-        /// The word of its state, or `unknown`.
+        /// The name of its state, or `unknown`.
         found: &'static str,
     },
-    /// A transaction that the ledger does not hold, or holds as closed.
+    /// A transaction that the ledger does not hold, or that is closed.
     #[error("transaction {hash} {detail}; read the open transactions again")]
     Transaction {
         /// Its hash, hex.
@@ -113,7 +113,7 @@ pub enum StoreError {
         /// What is wrong.
         detail: String,
     },
-    /// A record id that is none.
+    /// A malformed record id.
     #[error(
         "'{0}' is not a record id; write the first 4 or more of its hex characters, as `authros uploads list` shows"
     )]
@@ -121,7 +121,7 @@ pub enum StoreError {
     /// A record id that several records share.
     #[error("more than one record begins with {0}; write more characters of its digest")]
     Ambiguous(String),
-    /// A page cursor that is none.
+    /// A malformed page cursor.
     #[error("'{0}' is not a cursor; use the `next` of the page before")]
     Cursor(String),
     /// The vault's URL cannot be used.
@@ -130,7 +130,7 @@ pub enum StoreError {
              redis+cluster://HOST:PORT,HOST:PORT or redis+sentinel://HOST:PORT,HOST:PORT/MASTER"
     )]
     VaultUrl {
-        /// The URL, secrets taken out.
+        /// The URL, without secrets.
         url: String,
         /// What is wrong.
         detail: String,
@@ -138,39 +138,39 @@ pub enum StoreError {
     /// Redis does not answer.
     #[error("Redis at {url} does not answer: {detail}; start it or correct vault.url")]
     Unreachable {
-        /// The URL, secrets taken out.
+        /// The URL, without secrets.
         url: String,
-        /// What the connection said.
+        /// The connection's error.
         detail: String,
     },
-    /// Redis would throw records away when its memory is full.
+    /// Redis would evict records when its memory is full.
     #[error("Redis at {url} {detail}; {advice}")]
     Policy {
-        /// The URL, secrets taken out.
+        /// The URL, without secrets.
         url: String,
         /// What was found.
         detail: String,
         /// What to do about it.
         advice: String,
     },
-    /// Redis has no memory left. Nothing is lost: try again later.
+    /// Redis is out of memory. Nothing is lost: try again later.
     #[error("Redis at {url} is out of memory; nothing is lost: raise its maxmemory, and the records follow")]
     VaultFull {
-        /// The URL, secrets taken out.
+        /// The URL, without secrets.
         url: String,
     },
-    /// Redis answers, and says no.
+    /// Redis refused a command.
     #[error("Redis at {url} refused: {detail}; check its users, its configuration and its log")]
     VaultRefused {
-        /// The URL, secrets taken out.
+        /// The URL, without secrets.
         url: String,
-        /// What Redis said.
+        /// Redis' words.
         detail: String,
     },
 }
 
 impl StoreError {
-    /// What sort of failure it is; the exit code follows from it.
+    /// The kind of failure; it determines the exit code.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Home { .. } | Self::DiskFull { .. } => ErrorKind::Home,
@@ -194,12 +194,12 @@ impl StoreError {
         }
     }
 
-    /// Whether the same call can succeed later without anybody changing what was asked.
+    /// Whether the same call can succeed later, unchanged.
     pub fn is_passing(&self) -> bool {
         matches!(self, Self::DiskFull { .. } | Self::Backlog { .. } | Self::Unreachable { .. } | Self::VaultFull { .. })
     }
 
-    /// Whether it is a Redis that does not do what it was asked.
+    /// Whether Redis failed to do as asked.
     pub fn is_of_redis(&self) -> bool {
         matches!(
             self,
@@ -215,7 +215,7 @@ impl StoreError {
         Self::Home { path: path.to_owned(), detail: error.to_string() }
     }
 
-    /// Names the database file in an error that came out of SQLite without one.
+    /// Names the database file in an error from SQLite that lacks one.
     pub(super) fn in_file(mut self, path: &Path) -> Self {
         match &mut self {
             Self::DiskFull { file } | Self::Corrupt { file, .. } | Self::Database { file, .. }

@@ -1,6 +1,6 @@
-//! Directories and files of a home: their modes, their locks, and writes that are all or nothing.
+//! Directories and files of a home: modes, locks, and atomic writes.
 //!
-//! Directories get mode 0700, files 0600. What is in the files is other rooms' business.
+//! Directories get mode 0700, files 0600. The content of the files is up to other modules.
 
 use std::fs::{self, DirBuilder, File, OpenOptions, Permissions, TryLockError};
 use std::io::Write as _;
@@ -16,18 +16,18 @@ const OTHERS: u32 = 0o077;
 /// Bytes that this user may still write to the file system of `path`.
 ///
 /// # Errors
-/// [`StoreError::Home`] where it cannot be asked.
+/// [`StoreError::Home`] if it cannot be determined.
 pub fn free_bytes(path: &Path) -> Result<u64, StoreError> {
     let about = rustix::fs::statvfs(path).map_err(|error| StoreError::home(path, &error.into()))?;
     Ok(about.f_bavail.saturating_mul(about.f_frsize))
 }
 
-/// Makes a directory with all its parents (mode 0700) where it is missing, and tries a write in it.
+/// Creates a directory and its parents (mode 0700) if missing, and tries writing to it.
 ///
-/// One that exists keeps its mode; ask [`mode_advice`] about it.
+/// An existing one keeps its mode; see [`mode_advice`].
 ///
 /// # Errors
-/// [`StoreError::Home`] where it cannot be made or written, [`StoreError::DiskFull`].
+/// [`StoreError::Home`] if it cannot be created or written, [`StoreError::DiskFull`].
 pub fn private_directory(path: &Path) -> Result<(), StoreError> {
     DirBuilder::new()
         .recursive(true)
@@ -37,20 +37,20 @@ pub fn private_directory(path: &Path) -> Result<(), StoreError> {
         .map_err(|error| StoreError::home(path, &error))
 }
 
-/// What to say about a file or directory that others can reach; `None` where all is well.
+/// Advice about a file or directory that others can access; `None` if all is well.
 ///
 /// # Errors
-/// [`StoreError::Home`] where it cannot be looked at.
+/// [`StoreError::Home`] if it cannot be examined.
 pub fn mode_advice(path: &Path) -> Result<Option<String>, StoreError> {
     let about = fs::metadata(path).map_err(|error| StoreError::home(path, &error))?;
     let advised = if about.is_dir() { PRIVATE_DIRECTORY } else { PRIVATE_FILE };
     Ok(too_open(path, about.permissions().mode(), advised).map(|error| error.to_string()))
 }
 
-/// Makes a file (mode 0600) where it is missing, and refuses one that others can reach.
+/// Creates a file (mode 0600) if missing, and refuses one that others can access.
 ///
 /// # Errors
-/// [`StoreError::Home`] where it cannot be opened, [`StoreError::Mode`] with the `chmod` to run.
+/// [`StoreError::Home`] if it cannot be opened, [`StoreError::Mode`] with the `chmod` to run.
 pub fn open_private(path: &Path) -> Result<File, StoreError> {
     let file = OpenOptions::new()
         .read(true)
@@ -64,10 +64,10 @@ pub fn open_private(path: &Path) -> Result<File, StoreError> {
     Ok(file)
 }
 
-/// Reads a private file (a keyring, a key, a passphrase) that must not be reachable by others.
+/// Reads a private file (a keyring, a key, a passphrase), which others must not be able to access.
 ///
 /// # Errors
-/// [`StoreError::Home`] where it cannot be read, [`StoreError::Mode`] with the `chmod` to run.
+/// [`StoreError::Home`] if it cannot be read, [`StoreError::Mode`] with the `chmod` to run.
 pub fn read_private(path: &Path) -> Result<File, StoreError> {
     let file = File::open(path).map_err(|error| StoreError::home(path, &error))?;
     check_mode(path, &file)?;
@@ -83,7 +83,7 @@ fn too_open(path: &Path, mode: u32, advised: u32) -> Option<StoreError> {
     (mode & OTHERS != 0).then(|| StoreError::Mode { path: path.to_owned(), mode: mode & 0o7777, advised })
 }
 
-/// Replaces a file (mode 0600) by `bytes`: after a crash it holds the old content or the new, never a mixture.
+/// Replaces a file (mode 0600) with `bytes`: after a crash it holds the old content or the new, never a mixture.
 ///
 /// # Errors
 /// [`StoreError::Home`] or [`StoreError::DiskFull`]; the old content is then still there.
@@ -115,33 +115,33 @@ fn lock(path: &Path) -> Result<Option<File>, StoreError> {
     }
 }
 
-/// Held by the one process that is the site of a home; let go when dropped or when the process ends.
+/// Held by the one process that is the site of a home; released on drop or when the process ends.
 #[derive(Debug)]
 pub struct SiteLock {
     _file: File,
 }
 
 impl SiteLock {
-    /// Takes the lock file at `path`; `None` where another process (or another lock in this one) has it.
+    /// Takes the lock file at `path`; `None` if another process (or another lock in this one) holds it.
     ///
     /// # Errors
-    /// [`StoreError::Home`] where the file cannot be made or locked.
+    /// [`StoreError::Home`] if the file cannot be created or locked.
     pub fn acquire(path: &Path) -> Result<Option<Self>, StoreError> {
         Ok(lock(path)?.map(|file| Self { _file: file }))
     }
 }
 
-/// Held by the one console of a profile; let go when dropped or when the process ends.
+/// Held by the one console of a profile; released on drop or when the process ends.
 #[derive(Debug)]
 pub struct ConsoleLock {
     _file: File,
 }
 
 impl ConsoleLock {
-    /// Takes the lock file at `path`; `None` where another console of the profile has it.
+    /// Takes the lock file at `path`; `None` if another console of the profile holds it.
     ///
     /// # Errors
-    /// [`StoreError::Home`] where the file cannot be made or locked.
+    /// [`StoreError::Home`] if the file cannot be created or locked.
     pub fn acquire(path: &Path) -> Result<Option<Self>, StoreError> {
         Ok(lock(path)?.map(|file| Self { _file: file }))
     }

@@ -1,8 +1,8 @@
-//! The ledger: one SQLite file that says of every record what it is and where it stands.
+//! The ledger: one SQLite file with the description and state of every record.
 //!
-//! One thread writes and groups waiting work into one fsync ([`writer`]); readers have connections of
-//! their own. What is acknowledged is in here; workers are functions of these tables, so a restart is
-//! just running them again. Ciphertext for good lies in the vault, not here.
+//! One thread writes and groups waiting work into one fsync ([`writer`]); readers have their own connections.
+//! Everything acknowledged is in here; workers are functions of these tables, so a restart simply runs them again.
+//! Ciphertext is kept permanently in the vault, not here.
 
 mod ages;
 mod append;
@@ -99,12 +99,12 @@ const SCHEMA: Schema = Schema {
     ],
 };
 const READERS_KEPT: usize = 4;
-/// The setting that names the recorder whose ledger this one is a copy of.
+/// The setting that names the recorder of the ledger this one was copied from.
 const PREDECESSOR: &str = "recorder:predecessor";
 /// The setting that says up to which block a copied ledger's accounts may have anchored without it.
 pub const HISTORY: &str = "foreign:history";
 
-/// The ledger of a home. Clones share one file, one writing thread and one pool of readers.
+/// The ledger of a home. Clones share one file, one writer thread and one pool of readers.
 #[derive(Clone)]
 pub struct Ledger {
     shared: Arc<Shared>,
@@ -113,11 +113,11 @@ pub struct Ledger {
 struct Shared {
     path: PathBuf,
     recorder: RecorderId,
-    /// Whether the process before closed the file.
+    /// Whether the previous process closed the file.
     clean: bool,
     writer: writer::Writer,
     readers: Mutex<Vec<Connection>>,
-    /// How many are holding records back.
+    /// How many holders are holding records back.
     held: AtomicUsize,
 }
 
@@ -152,18 +152,18 @@ impl Ledger {
         })
     }
 
-    /// The random id made with this file; records carry it beside their sequence number.
+    /// The random id created with this file; records carry it together with their sequence number.
     pub fn recorder(&self) -> RecorderId {
         self.shared.recorder
     }
 
-    /// Holds new records back until the guard is dropped: what space a full disk has left is for something else.
+    /// Holds new records back until the guard is dropped: the space left on a full disk is needed for something else.
     pub fn hold_records(&self) -> RecordsHeld {
         self.shared.held.fetch_add(1, Ordering::AcqRel);
         RecordsHeld(self.clone())
     }
 
-    /// Whether new records are taken now; to be asked before their bytes go into the vault.
+    /// Whether new records are accepted now; checked before their bytes go into the vault.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] while they are held back.
@@ -179,8 +179,8 @@ impl Ledger {
         &self.shared.path
     }
 
-    /// Ends the writing thread after all waiting work, and marks the file as cleanly closed.
-    /// Writes through other clones fail with [`StoreError::Closed`] from then on.
+    /// Ends the writer thread after all waiting work, and marks the file as cleanly closed. From then on, writes
+    /// through other clones fail with [`StoreError::Closed`].
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] or [`StoreError::Database`]; the next open then checks the contents.
@@ -188,7 +188,7 @@ impl Ledger {
         self.shared.writer.close()
     }
 
-    /// Does `work` on the writing thread, in one transaction with whatever else waits; returns after fsync.
+    /// Does `work` on the writer thread, in one transaction with whatever else is waiting; returns after fsync.
     pub(super) fn write<T: Send + 'static>(
         &self,
         work: impl FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send + 'static,
@@ -196,7 +196,8 @@ impl Ledger {
         self.write_many(1, work)
     }
 
-    /// Like [`Self::write`], for work that changes so many records one by one: very many begin a transaction.
+    /// Like [`Self::write`], for work that changes this many records one by one; a large number starts a new
+    /// transaction.
     pub(super) fn write_many<T: Send + 'static>(
         &self,
         records: usize,
@@ -226,7 +227,7 @@ impl Ledger {
     }
 }
 
-/// New records are held back as long as this lives.
+/// New records are held back while this lives.
 #[derive(Debug)]
 pub struct RecordsHeld(Ledger);
 
@@ -242,8 +243,8 @@ impl std::fmt::Debug for Ledger {
     }
 }
 
-/// Its recorder, whether it was closed, and whether it was just made. Open it is marked with the first change: who only
-/// reads writes nothing.
+/// Its recorder, whether it was closed cleanly, and whether it is new. It is marked as open with the first change: a
+/// process that only reads writes nothing.
 fn begin(connection: &Connection, path: &Path) -> Result<(RecorderId, bool, bool), StoreError> {
     let about = connection
         .query_row("SELECT id, clean FROM about JOIN recorders ON recorders.key = about.recorder", [], |row| {
@@ -276,12 +277,12 @@ fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     )?;
     transaction.execute("INSERT INTO recorders (id) VALUES (?1)", params![random_id(path)?])?;
     transaction.execute("UPDATE about SET recorder = last_insert_rowid(), clean = 1", [])?;
-    // The first of several restores counts: whatever was anchored since may lie in another home.
+    // The first of several restores counts: anything anchored since may be in another home.
     transaction.execute(
         "INSERT OR IGNORE INTO settings SELECT ?1, max(block) FROM cursors HAVING max(block) IS NOT NULL",
         [inspect::COPIED_AT],
     )?;
-    // Where it lies is new, and what its accounts anchored meanwhile is history.
+    // Its location is new, and what its accounts anchored meanwhile is history.
     let forgotten = params![place::PLACE, HISTORY];
     transaction.execute("DELETE FROM settings WHERE key IN (?1, ?2)", forgotten)?;
     transaction.commit()?;

@@ -1,5 +1,5 @@
-//! What outlives the process: the ledger of records and their states (SQLite), the vault of
-//! ciphertext (embedded or Redis), the hash-chained audit log, and files with their modes and locks.
+//! What survives the process: the ledger of records and their states (SQLite), the vault of ciphertext (embedded or
+//! Redis), the hash-chained audit log, and files with their modes and locks.
 //!
 //! Nothing here seals, opens or checks a record, and nothing here talks to the chain.
 

@@ -1,6 +1,6 @@
-//! Disk space set aside for what must succeed on a full disk: a file of random bytes that is given up then.
+//! Disk space reserved for what must succeed on a full disk: a file of random bytes, deleted when the space is needed.
 //!
-//! Random, so that no file system compresses it away; written and fsynced, so that the space is really taken.
+//! Random, so that no file system compresses it; written and fsynced, so that the space is really allocated.
 
 use std::fs::{self, File};
 use std::io::Write as _;
@@ -9,7 +9,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use super::{StoreError, files};
 
-/// Bytes set aside for a revoke: enough for it with its audit line, its transaction, the keyring and a block.
+/// Bytes reserved for a revoke: enough for it with its audit line, its transaction, the keyring and a block.
 pub const RESERVE_BYTES: u64 = 4 * 1024 * 1024;
 /// Random bytes drawn at a time.
 const PIECE: usize = 64 * 1024;
@@ -19,15 +19,15 @@ const PIECE: usize = 64 * 1024;
 pub struct Reserve {
     path: PathBuf,
     bytes: u64,
-    /// Whether the space is set aside.
+    /// Whether the space is reserved.
     held: Mutex<bool>,
 }
 
 impl Reserve {
-    /// The reserve of so many bytes at `path`; it is [`Self::refill`]ed where it is missing or was cut short.
+    /// The reserve of this many bytes at `path`; it is [`Self::refill`]ed if it is missing or truncated.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`], [`StoreError::Home`]: there is no reserve then; the handle can be used all the same.
+    /// [`StoreError::DiskFull`], [`StoreError::Home`]; there is no reserve then, but the handle can still be used.
     pub fn open(path: &Path, bytes: u64) -> (Self, Result<(), StoreError>) {
         let whole = fs::metadata(path).is_ok_and(|about| about.len() == bytes);
         let reserve = Self { path: path.to_owned(), bytes, held: Mutex::new(whole) };
@@ -39,15 +39,15 @@ impl Reserve {
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether the space is set aside now.
+    /// Whether the space is currently reserved.
     pub fn is_held(&self) -> bool {
         *self.held()
     }
 
-    /// Gives the space up; whether there was any.
+    /// Releases the space; returns whether there was any.
     ///
     /// # Errors
-    /// [`StoreError::Home`] where the file cannot be removed.
+    /// [`StoreError::Home`] if the file cannot be removed.
     pub fn release(&self) -> Result<bool, StoreError> {
         let mut held = self.held();
         if !*held {
@@ -58,10 +58,10 @@ impl Reserve {
         Ok(true)
     }
 
-    /// Sets the space aside again, where it is not.
+    /// Reserves the space again, if it is not.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`], [`StoreError::Home`]: nothing is taken then.
+    /// [`StoreError::DiskFull`], [`StoreError::Home`]; nothing is reserved then.
     pub fn refill(&self) -> Result<(), StoreError> {
         let mut held = self.held();
         if *held {
@@ -72,7 +72,7 @@ impl Reserve {
             Ok(())
         });
         if let Err(error) = filled {
-            // Half a reserve would take the space that others need now.
+            // Half a reserve would take space that others need now.
             drop(fs::remove_file(&self.path));
             return Err(error);
         }

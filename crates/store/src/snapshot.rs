@@ -1,5 +1,5 @@
 //! Copies of SQLite files as of one moment, while others write: a read transaction holds the moment, SQLite's online
-//! back-up copies it. And what a copied ledger needs before it may be used beside its original.
+//! backup copies it. Also what a copied ledger needs before it may be used beside its original.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -28,7 +28,7 @@ impl Snapshot {
         Ok(Self { path: path.to_owned(), connection })
     }
 
-    /// Writes the file as it was at the moment to a new private file.
+    /// Writes the file as of that moment to a new private file.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like.
@@ -37,7 +37,7 @@ impl Snapshot {
     }
 }
 
-/// The settings of a ledger whose names begin so, read without writing anything and without bringing the file up to date.
+/// The settings of a ledger whose names begin with this, read without writing anything and without upgrading the file.
 ///
 /// # Errors
 /// [`StoreError::Home`], [`StoreError::Corrupt`] and the like.
@@ -73,11 +73,12 @@ pub fn copy(from: &Connection, file: &Path) -> Result<(), StoreError> {
 }
 
 impl Ledger {
-    /// A moment of the ledger, and what `also` does while nothing is written to it: so a moment of another file that
-    /// is written before the ledger is (the vault, the chain) holds all that this moment of the ledger names.
+    /// A moment of the ledger, and the result of `also`, run while nothing is written to the ledger: so a moment of
+    /// another file that is written before the ledger (the vault, the chain) holds everything this moment of the ledger
+    /// names.
     ///
     /// # Errors
-    /// Of the ledger, or those of `also`.
+    /// Errors of the ledger, or of `also`.
     pub fn snapshot_with<T: Send + 'static>(
         &self,
         also: impl FnOnce() -> Result<T, StoreError> + Send + 'static,
@@ -97,7 +98,7 @@ pub fn examine(path: &Path) -> Result<u64, StoreError> {
     Ok(about.len())
 }
 
-/// Makes a copied ledger one of its own: a new recorder, so that no number is given twice, and a note of how far the
+/// Makes a copied ledger a separate one: a new recorder, so that no number is used twice, and a note of how far the
 /// chain was known.
 ///
 /// # Errors

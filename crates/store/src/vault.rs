@@ -1,7 +1,7 @@
-//! The vault: where ciphertext lies, addressed by its digest.
+//! The vault: stores ciphertext, addressed by its digest.
 //!
-//! Embedded (one SQLite file) or Redis. The vault trusts nobody and checks nothing: whoever reads
-//! compares SM3 of the bytes with the chain.
+//! Embedded (one SQLite file) or Redis. The vault trusts nobody and checks nothing: readers compare SM3 of the bytes
+//! with the chain.
 
 mod embedded;
 pub mod policy;
@@ -29,31 +29,31 @@ pub struct Usage {
     pub bytes: u64,
 }
 
-/// What of some records a vault took.
+/// Which of some records a vault accepted.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Stored {
-    /// Those that are in.
+    /// Those stored.
     pub stored: Vec<Digest>,
-    /// Why others are not.
+    /// Why others were not.
     pub failure: Option<StoreError>,
 }
 
 /// A place for sealed records. All calls are idempotent and may come from many threads at once.
 pub trait Vault: Send + Sync {
-    /// What to call it on screen; no secrets in it.
+    /// Its name on screen, without secrets.
     fn name(&self) -> &str;
 
-    /// Whether [`Vault::put`] returns only when the bytes survive a loss of power.
+    /// Whether [`Vault::put`] returns only when the bytes would survive a loss of power.
     fn durable(&self) -> bool;
 
-    /// Puts records in; bytes that are there under the same digest are replaced.
+    /// Stores records; existing bytes under the same digest are replaced.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`], [`StoreError::VaultFull`], [`StoreError::Unreachable`] and the like:
-    /// then some may be in and some not; put all of them again.
+    /// [`StoreError::DiskFull`], [`StoreError::VaultFull`], [`StoreError::Unreachable`] and the like; then some may be
+    /// stored and some not: put all of them again.
     fn put(&self, entries: &[(Digest, &[u8])]) -> Result<(), StoreError>;
 
-    /// Puts in what can be put in now, where parts of the vault may be gone and others not.
+    /// Stores what can be stored now, if parts of the vault may be down and others not.
     fn put_each(&self, entries: &[(Digest, &[u8])]) -> Stored {
         match self.put(entries) {
             Ok(()) => Stored { stored: entries.iter().map(|(digest, _)| *digest).collect(), failure: None },
@@ -61,50 +61,50 @@ pub trait Vault: Send + Sync {
         }
     }
 
-    /// Whether the part of the vault where a record lies answered when it was last asked; asks nobody.
+    /// Whether the part of the vault that holds a record answered the last time; sends no request.
     fn answers(&self, _digest: Digest) -> bool {
         true
     }
 
-    /// The bytes under a digest. They are what was put in or what somebody made of it: check them.
+    /// The bytes under a digest. They may have been altered since they were stored: check them.
     ///
     /// # Errors
     /// [`StoreError::Unreachable`], [`StoreError::Corrupt`] and the like.
     fn get(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError>;
 
-    /// The bytes under several digests, in their order; where the vault can, in one go.
+    /// The bytes under several digests, in order; in one request if the vault can.
     ///
     /// # Errors
-    /// As [`Vault::get`].
+    /// See [`Vault::get`].
     fn get_many(&self, digests: &[Digest]) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
         digests.iter().map(|digest| self.get(*digest)).collect()
     }
 
-    /// The first `length` bytes, at most, under several digests, in their order: what a look at a header costs.
+    /// The first `length` bytes, at most, under several digests, in order: enough to read headers cheaply.
     ///
     /// # Errors
-    /// As [`Vault::get`].
+    /// See [`Vault::get`].
     fn fronts(&self, digests: &[Digest], length: usize) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
         let mut found = self.get_many(digests)?;
         found.iter_mut().flatten().for_each(|bytes| bytes.truncate(length));
         Ok(found)
     }
 
-    /// Takes a record out; whether it was there.
+    /// Deletes a record; returns whether it was there.
     ///
     /// # Errors
     /// [`StoreError::Unreachable`] and the like.
     fn delete(&self, digest: Digest) -> Result<bool, StoreError>;
 
-    /// Takes many records out.
+    /// Deletes several records.
     ///
     /// # Errors
-    /// As [`Vault::delete`]: then some may be out and some not.
+    /// See [`Vault::delete`]; then some may be deleted and some not.
     fn discard(&self, digests: &[Digest]) -> Result<(), StoreError> {
         digests.iter().try_for_each(|digest| self.delete(*digest).map(|_| ()))
     }
 
-    /// The process ends: what waits beside a file goes into it, so that the next one finds it at rest.
+    /// The process is ending: what waits beside a file is written into it, so that the next process finds it at rest.
     fn close(&self) {}
 
     /// Whether something is stored under a digest.
@@ -113,10 +113,10 @@ pub trait Vault: Send + Sync {
     /// [`StoreError::Unreachable`] and the like.
     fn contains(&self, digest: Digest) -> Result<bool, StoreError>;
 
-    /// Whether something is stored under each of several digests, in their order; where the vault can, in one go.
+    /// Whether something is stored under each of several digests, in order; in one request if the vault can.
     ///
     /// # Errors
-    /// As [`Vault::contains`].
+    /// See [`Vault::contains`].
     fn contains_many(&self, digests: &[Digest]) -> Result<Vec<bool>, StoreError> {
         digests.iter().map(|digest| self.contains(*digest)).collect()
     }
@@ -127,24 +127,24 @@ pub trait Vault: Send + Sync {
     /// [`StoreError::Unreachable`] and the like.
     fn usage(&self) -> Result<Usage, StoreError>;
 
-    /// What the operator should know about how this vault is set up.
+    /// What the operator should know about this vault's configuration.
     fn policy_warnings(&self) -> Vec<String>;
 
-    /// Shows every record to `each`, for audits and tests.
+    /// Passes every record to `each`, for audits and tests.
     ///
     /// # Errors
-    /// [`StoreError::Unreachable`] and the like: then `each` has seen only some.
+    /// [`StoreError::Unreachable`] and the like; then `each` has seen only some.
     fn dump(&self, each: &mut dyn FnMut(Digest, &[u8])) -> Result<(), StoreError>;
 
-    /// Plays the attacker, for the demo and tests: overwrites what is stored under a digest by any bytes;
-    /// whether something was there to overwrite. Nothing else may call this.
+    /// Plays the attacker, for the demo and tests: overwrites the bytes under a digest; returns whether there was
+    /// anything to overwrite. Nothing else may call this.
     ///
     /// # Errors
     /// [`StoreError::Unreachable`] and the like.
     fn replace(&self, digest: Digest, bytes: &[u8]) -> Result<bool, StoreError>;
 
-    /// Names what its servers hold now (their runs, what they threw away, a mark that a FLUSHALL takes along): where it
-    /// is another text than before, what was held may be lost. Always the same for a vault that is durable by itself.
+    /// Identifies the current contents of its servers (their runs, their evictions, a mark that a FLUSHALL deletes): if
+    /// the text changes, records may have been lost. Constant for a vault that is durable by itself.
     ///
     /// # Errors
     /// [`StoreError::Unreachable`], [`StoreError::Policy`], [`StoreError::VaultFull`] and the like.
@@ -152,7 +152,7 @@ pub trait Vault: Send + Sync {
         Ok(String::new())
     }
 
-    /// Why a part of it is not reached, as it was when it was last tried; asks nobody.
+    /// Why a part of it was not reachable the last time; sends no request.
     fn ailing(&self) -> Option<StoreError> {
         None
     }

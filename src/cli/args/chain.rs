@@ -108,7 +108,7 @@ pub enum SuccessionVerb {
 #[derive(Debug, Args)]
 pub struct GenesisArguments {
     /// How the network agrees: clique (geth before 1.14), ethash (geth before 1.12) or qbft (Besu)
-    // The flag of the same name that every command has is hidden by this one, and must be of the same type.
+    // This hides the global flag of the same name, and must have the same type.
     #[arg(long, value_name = "NAME", value_parser = ["clique", "ethash", "qbft"], required_unless_present = "guide")]
     pub consensus: Option<String>,
     /// Account that seals blocks, as 0x and 40 hex; may be repeated

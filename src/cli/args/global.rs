@@ -1,4 +1,4 @@
-//! Flags of every command, and the settings they stand for.
+//! Global flags, and the settings they stand for.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! Each check of the opening order proved alone: a forgery that only this one check can refuse.
+//! Each check of the opening order proved on its own: a forgery that only this check can refuse.
 
 use crate::crypto::{Anchor, CryptoError, Expected, Provider, SealRequest, SmKeyPair, TopicKey, open, record, seal};
 use crate::model::head::Compression;
@@ -21,7 +21,7 @@ impl Genuine {
     /// Takes a record of `owner` from the vault.
     ///
     /// # Errors
-    /// Where it is not there.
+    /// If it is not there.
     pub fn take(plant: &Plant, network: &Network, owner: &Owner, row: RecordRow) -> Result<Self, Failure> {
         let missing = || crate::pipeline::PipelineError::Missing(row.id.clone());
         let blob = plant.vault.get(row.digest)?.ok_or_else(missing)?;
@@ -40,7 +40,7 @@ impl Genuine {
         open(provider, blob, signature, &self.pair.public, anchor, &self.key, &self.expected).map(drop)
     }
 
-    /// A bit of the body flipped, then signed anew by the owner and anchored: only the tag can tell.
+    /// A bit of the body flipped, then signed again by the owner and anchored: only the tag can tell.
     fn resigned(&self, provider: &dyn Provider) -> Result<(Vec<u8>, Signature, Digest), Failure> {
         let mut blob = self.blob.clone();
         if let Some(byte) = blob.last_mut() {
@@ -52,10 +52,10 @@ impl Genuine {
     }
 }
 
-/// Names of the checks that let their forgery pass; empty = all of them hold.
+/// Names of the checks that let their forgery pass; empty = all checks work.
 ///
 /// # Errors
-/// Where a forgery cannot even be made.
+/// If a forgery cannot even be made.
 pub fn broken(provider: &dyn Provider, one: &Genuine, other: &Genuine) -> Result<Vec<&'static str>, Failure> {
     let mut broken = Vec::new();
     // Another genuine record in its place: only the comparison with the chain can tell.
@@ -90,7 +90,7 @@ pub fn broken(provider: &dyn Provider, one: &Genuine, other: &Genuine) -> Result
 /// A record sealed and signed by the owner that was never anchored, as a row that claims it was.
 ///
 /// # Errors
-/// Where it cannot be sealed.
+/// If it cannot be sealed.
 pub fn never_anchored(plant: &Plant, one: &Genuine) -> Result<(RecordRow, Vec<u8>), Failure> {
     let (header, _) =
         crate::model::Header::parse(&one.blob).map_err(|error| crate::service::failure::internal(error.to_string()))?;

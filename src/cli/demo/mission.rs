@@ -1,5 +1,5 @@
-//! The mission step by step, through the same commands that console and command line use; only
-//! the attacker's steps go past them.
+//! The mission step by step, through the same commands as console and command line; only the attacker's steps bypass
+//! them.
 
 use std::sync::Arc;
 
@@ -45,10 +45,10 @@ pub struct Mission {
 }
 
 impl Mission {
-    /// Starts site and robots, makes and registers the three persons.
+    /// Starts site and robots, creates and registers the three persons.
     ///
     /// # Errors
-    /// Where the home is in use, or a part does not start.
+    /// If the home is in use, or a part does not start.
     pub async fn start(context: &Context, seconds: u64, output: Output) -> Result<Self, Failure> {
         let root = context.home.root().display();
         let in_use = || {
@@ -94,7 +94,7 @@ impl Mission {
     /// Plays the story and counts.
     ///
     /// # Errors
-    /// Where a step cannot be taken at all; a check that fails is in the story.
+    /// If a step cannot be taken at all; a failed check is part of the story.
     pub async fn run(mut self) -> Result<Story, Failure> {
         let played = self.play().await;
         let site = Arc::clone(&self.site);
@@ -103,10 +103,10 @@ impl Mission {
         played
     }
 
-    /// The story itself; the site goes on.
+    /// The story itself; the site keeps running.
     ///
     /// # Errors
-    /// Where a step cannot be taken at all.
+    /// If a step cannot be taken at all.
     pub(super) async fn play(&mut self) -> Result<Story, Failure> {
         let first = self.capture(self.milliseconds * 6 / 10, has_what_is_shown).await?;
         self.output.note(&format!("A captured and anchored {} messages, {} verified", first.captured, first.verified));
@@ -149,7 +149,7 @@ impl Mission {
         Ok(story)
     }
 
-    /// Captures for so long, and again while the robots of a busy machine have not published what the story needs.
+    /// Captures for this long, and again while the robots of a busy machine have not published what the story needs.
     async fn capture(&self, milliseconds: u64, enough: fn(&CaptureSummary) -> bool) -> Result<CaptureSummary, Failure> {
         let mut all = self.capture_once(milliseconds).await?;
         for _ in 0..MOST_FURTHER_CAPTURES {
@@ -222,7 +222,7 @@ impl Mission {
             .picture
             .as_ref()
             .is_some_and(|bytes| bytes.starts_with(&[0xff, 0xd8]) && bytes.ends_with(&[0xff, 0xd9]));
-        // Only pictures are waited for.
+        // Only pictures are awaited.
         picture && opened.body.as_ref().is_some_and(|body| self.witness.saw(body))
     }
 
@@ -292,8 +292,8 @@ impl Mission {
         Ok(verdict.is_ok_and(|verdict| verdict == Verdict::Unanchored))
     }
 
-    /// A record that claims another's place in its batch. Where digests are anchored one by one no
-    /// record has a place to claim.
+    /// A record that claims another's place in its batch. If digests are anchored one by one no record has a place to
+    /// claim.
     fn path_of_another_is_refused(&self, one: &Genuine, other: &Genuine) -> Result<bool, Failure> {
         let place = block_in_place(|| self.site.plant.ledger.batch_place(one.row.digest))?;
         Ok(place.is_none_or(|place| !proof::is_included(&place, &other.row)))

@@ -1,4 +1,4 @@
-//! What a mission must keep off the chain, collected for the test that looks for it there.
+//! What a mission must keep off the chain, collected for the test that searches for it there.
 
 use tokio::task::block_in_place;
 
@@ -23,7 +23,7 @@ impl Mission {
     /// Every key, topic name, type, profile name and some plaintext of the mission.
     ///
     /// # Errors
-    /// Where a record cannot be opened.
+    /// If a record cannot be opened.
     pub async fn secrets(&self) -> Result<Named, Failure> {
         let mut named = Named::new();
         let names = [
@@ -73,7 +73,7 @@ impl Mission {
                 );
                 add("epoch key", key.expose());
                 for topic in &self.topics {
-                    // Not by the owner: the keyring is held here.
+                    // Not by the owner: the keyring is in use here.
                     let id = crate::crypto::topic_id(&keys.index, topic.as_str());
                     add("topic key", topic_key(&key, &id).expose());
                 }
@@ -86,10 +86,10 @@ impl Mission {
         Ok(block_in_place(|| self.site.plant.ledger.list(&query))?.rows)
     }
 
-    /// What stands on the chain for some of the mission's records: their batches' roots, or their digests.
+    /// What the chain holds for some of the mission's records: their batches' roots, or their digests.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn some_anchors(&self) -> Result<Vec<Hash>, Failure> {
         let anchor = |row: crate::store::RecordRow| {
             let place = block_in_place(|| self.site.plant.ledger.batch_place(row.digest))?;

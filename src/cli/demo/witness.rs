@@ -8,7 +8,7 @@ use crate::crypto::sm3::sm3;
 use crate::ros::{Capture, CaptureNotice, CaptureOptions, Message, MessageSink};
 use crate::service::Failure;
 
-/// How long the witness may take to hear a robot, or lag behind the product.
+/// How long the witness may take to receive from a robot, or lag behind the product.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 #[derive(Default)]
@@ -36,7 +36,7 @@ impl Witness {
     /// Begins to watch `topics`.
     ///
     /// # Errors
-    /// Where no node can be started.
+    /// If no node can be started.
     pub fn start(master_uri: &str, topics: &[String]) -> Result<Self, Failure> {
         let hashes = Arc::new(Hashes::default());
         let options = CaptureOptions {
@@ -51,7 +51,7 @@ impl Witness {
         Ok(Self { hashes, capture })
     }
 
-    /// Waits until every topic was heard, so that nothing captured from now on is missed.
+    /// Waits until something was received on every topic, so that nothing captured from now on is missed.
     pub fn listen(&self) {
         let end = Instant::now() + PATIENCE;
         let deaf = || self.capture.status().iter().any(|topic| topic.messages == 0);
@@ -60,7 +60,7 @@ impl Witness {
         }
     }
 
-    /// Whether a robot sent exactly this message; one not heard yet is waited for.
+    /// Whether a robot sent exactly this message; one not received yet is waited for.
     pub fn saw(&self, body: &[u8]) -> bool {
         let (digest, end) = (sm3(&[body]), Instant::now() + PATIENCE);
         let mut seen = self.hashes.seen.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,4 +1,4 @@
-//! The node gets what is sent to it, but its answers do not come back.
+//! The node receives what is sent to it, but its answers do not come back.
 
 use std::time::Duration;
 
@@ -8,7 +8,7 @@ use crate::support::{Anvil, Home, Proxy, Spoil, heavy, skipped, wait_until};
 
 const SEND: &str = "eth_sendRawTransaction";
 
-/// Spoils so many answers to sent transactions while records are captured.
+/// Drops this many answers to sent transactions while records are captured.
 fn expect_spoilt_answers_survived(mode: Mode, how: Spoil, times: u64, records: usize) {
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let proxy = Proxy::before(node.port());
@@ -61,7 +61,7 @@ fn answers_that_come_after_the_patience_lose_and_double_nothing() {
     expect_spoilt_answers_survived(Mode::Batch, Spoil::Delay(Duration::from_secs(7)), 2, 20);
 }
 
-/// The questions of the watcher and the sender go astray too.
+/// Queries of the watcher and the sender are lost too.
 #[test]
 fn any_other_lost_answer_is_asked_for_again() {
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
@@ -79,7 +79,7 @@ fn any_other_lost_answer_is_asked_for_again() {
         proxy.spoil(method, how, 3);
         field.grow(5);
         field.expect_settled(&node, 60);
-        // Some questions are only asked now and then; what was spoilt must have been got over.
+        // Some queries are sent only now and then; the program must have recovered from the losses.
         assert!(proxy.seen(method) > 0, "{method} is asked at all");
     }
     proxy.calm();

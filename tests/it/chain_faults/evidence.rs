@@ -1,4 +1,4 @@
-//! What the chain itself holds of the contract's anchors, and whether the ledger's words agree with it.
+//! What the chain itself holds of the contract's anchors, and whether the ledger agrees with it.
 
 use std::collections::BTreeMap;
 
@@ -26,7 +26,7 @@ pub struct Anchor {
 pub enum Anchored {
     /// One digest, hex.
     Digest(String),
-    /// A Merkle root over so many leaves, and the account's root before it, hex.
+    /// A Merkle root over this many leaves, and the account's previous root, hex.
     Root { root: String, count: u64, previous: String },
 }
 
@@ -60,12 +60,12 @@ pub fn anchors(node: &Anvil, contract: &str) -> Vec<Anchor> {
     node.raw_logs(contract).into_iter().filter_map(read).collect()
 }
 
-/// States that say the anchor is in a block.
+/// States that claim the anchor is in a block.
 pub fn says_mined(record: &Value) -> bool {
     matches!(record["state"].as_str(), Some("mined" | "confirmed" | "verified"))
 }
 
-/// Records whose state says that they are in a block, but are not where they say; each in words.
+/// Records whose state claims that they are in a block, but are not where they claim; each in words.
 pub fn lies(records: &[Value], anchors: &[Anchor]) -> Vec<String> {
     let by_transaction: BTreeMap<&str, &Anchor> =
         anchors.iter().map(|anchor| (anchor.transaction.as_str(), anchor)).collect();
@@ -86,7 +86,7 @@ pub fn lies(records: &[Value], anchors: &[Anchor]) -> Vec<String> {
     found
 }
 
-/// A record in as many words as a failed test needs.
+/// A description of a record for a failed test.
 fn brief(record: &Value) -> String {
     format!(
         "{} seq {} {} block {} {}",
@@ -94,7 +94,7 @@ fn brief(record: &Value) -> String {
     )
 }
 
-/// Batches that more records name than they have leaves.
+/// Batches named by more records than they have leaves.
 fn overfull(records: &[Value], anchors: &[Anchor]) -> Vec<String> {
     let members = |anchor: &Anchor| {
         records

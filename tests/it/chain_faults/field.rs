@@ -1,4 +1,4 @@
-//! A site with simulated robots at a real node, watched from both sides.
+//! A site with simulated robots and a real node, watched from both sides.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -10,15 +10,15 @@ use crate::support::{Anvil, Authros, Home, Running, count, poll, text, wait_unti
 
 /// The first robot's topic; 20 messages a second.
 pub const TOPIC: &str = "/robot1/odom";
-/// Every kind of record that a site makes of its own accord.
+/// Every kind of record that a site creates by itself.
 const KINDS: [&str; 4] = ["data", "definition", "gap", "adoption"];
 
-/// How records come onto the chain.
+/// How records are put on the chain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mode {
-    /// One transaction a record.
+    /// One transaction per record.
     Each,
-    /// One transaction a Merkle batch.
+    /// One transaction per Merkle batch.
     Batch,
 }
 
@@ -31,7 +31,7 @@ impl Mode {
     }
 }
 
-/// One home, its site, and what was ever acknowledged in it.
+/// One home, its site, and everything ever acknowledged in it.
 pub struct Field {
     /// The home.
     pub home: Home,
@@ -52,7 +52,7 @@ impl Field {
         Self::in_home(Home::new(), url, mode, 1, options)
     }
 
-    /// The same in a home that may hold something already, with so many robots, each with a topic that is captured.
+    /// The same in a home that may not be empty, with this many robots, each with a captured topic.
     pub fn in_home(home: Home, url: &str, mode: Mode, robots: usize, options: &[&str]) -> Self {
         let (word, number) = (mode.word(), robots.to_string());
         let authros = home.authros().with(&["--chain", url, "--anchor-mode", word, "--robots", &number]);
@@ -65,14 +65,14 @@ impl Field {
         Self { home, authros, address, contract, topics, site, known: RefCell::default() }
     }
 
-    /// Begins to capture the robots' topics.
+    /// Starts capturing the robots' topics.
     pub fn watch(&self) {
         for topic in &self.topics {
             self.authros.run(&["topics", "watch", topic]).expect_code(0);
         }
     }
 
-    /// Takes messages until at least `least` more of them are acknowledged; returns all records.
+    /// Captures until at least `least` more messages are acknowledged; returns all records.
     pub fn grow(&self, least: usize) -> Vec<Value> {
         let before = self.data().len();
         self.watch();
@@ -81,7 +81,7 @@ impl Field {
         self.records()
     }
 
-    /// Ends capturing, and waits until what is on its way is acknowledged.
+    /// Stops capturing, and waits until everything in flight is acknowledged.
     pub fn rest(&self) {
         for topic in &self.topics {
             self.authros.run(&["topics", "unwatch", topic]).expect_code(0);
@@ -98,7 +98,7 @@ impl Field {
         self.authros.records(&["uploads", "list"])
     }
 
-    /// All records of every kind; fails where one that was there before is gone or is another.
+    /// All records of every kind; fails if an earlier one is gone or has changed.
     pub fn records(&self) -> Vec<Value> {
         let list = |kind: &&str| self.authros.records(&["uploads", "list", "--kind", kind]);
         let records: Vec<Value> = KINDS.iter().flat_map(list).collect();
@@ -119,15 +119,15 @@ impl Field {
         evidence::anchors(node, &self.contract.borrow())
     }
 
-    /// All records, whose states are true of the chain as it is, unless blocks were replaced just before.
+    /// All records, checking that their states match the chain, unless blocks were replaced just before.
     pub fn true_records(&self, node: &Anvil) -> Vec<Value> {
-        // The chain is asked last: it may only know more than the program did.
+        // The chain is queried last: it may only know more than the program did.
         let records = self.records();
         assert_eq!(lies(&records, &self.anchors(node)), Vec::<String>::new(), "states that lie");
         records
     }
 
-    /// Waits until no state lies any more, after blocks were replaced.
+    /// Waits until every state is true again, after blocks were replaced.
     pub fn expect_truth_within(&self, node: &Anvil, seconds: u64) -> Vec<Value> {
         let mut found = Vec::new();
         let records = poll(seconds, || {
@@ -138,7 +138,7 @@ impl Field {
         records.unwrap_or_else(|| panic!("{} states still lie after {seconds} s: {found:?}", found.len()))
     }
 
-    /// While the chain stands still: nothing but `anchored` records says that it is in a block, now and later.
+    /// While the chain is stalled: only `anchored` records claim to be in a block, now and later.
     pub fn expect_still(&self, node: &Anvil, anchored: usize) {
         for _ in 0..3 {
             let mined = self.true_records(node).into_iter().filter(says_mined).count();
@@ -156,7 +156,7 @@ impl Field {
         records
     }
 
-    /// Waits until all records are verified; their states are true at each look.
+    /// Waits until all records are verified, with true states at each check.
     pub fn expect_verified(&self, node: &Anvil, seconds: u64) -> Vec<Value> {
         let mut words = BTreeMap::new();
         let records = poll(seconds, || {
@@ -167,12 +167,12 @@ impl Field {
         records.unwrap_or_else(|| panic!("not all verified within {seconds} s: {words:?}\n{}", self.said()))
     }
 
-    /// What the site said to the operator so far.
+    /// The site's messages to the operator so far.
     pub fn said(&self) -> String {
         self.site.borrow().as_ref().map(|site| site.stderr()).unwrap_or_default()
     }
 
-    /// Waits until the site says one of these words to the operator, on its error output.
+    /// Waits until the site reports one of these texts on its error output.
     pub fn expect_told(&self, words: &[&str], seconds: u64) {
         let told = poll(seconds, || {
             let said = self.said().to_lowercase();
@@ -189,7 +189,7 @@ impl Field {
         self.site.replace(Some(self.authros.serve(&self.home)));
     }
 
-    /// Kills the site and starts it again where it cannot use its chain, which it says.
+    /// Kills the site and starts it again when it cannot use its chain, which it reports.
     pub fn restart_site_unready(&self, words: &[&str]) {
         if let Some(site) = self.site.take() {
             site.stop("KILL", 10);
@@ -198,7 +198,7 @@ impl Field {
         self.expect_told(words, 60);
     }
 
-    /// Waits until `chain status` tells that this profile's lane stands still for this reason.
+    /// Waits until `chain status` says that this profile's lane is paused for this reason.
     pub fn expect_paused(&self, reason: &str, seconds: u64) {
         let mut lanes = Value::Null;
         let paused = poll(seconds, || {

@@ -1,5 +1,5 @@
-//! A grantee who kept every key he ever had, and every record and envelope there is, tries to open what was
-//! sealed after his grant had ended. He asks no program for leave: he decrypts by himself.
+//! A grantee who kept every key he ever had, and every record and envelope there is, tries to open what was sealed
+//! after his grant had ended. He asks no program for permission: he decrypts on his own.
 
 use authros::chain::{Chain, ChainOptions, Endpoint, Event, EventAt, Pin};
 use authros::crypto::{
@@ -21,7 +21,7 @@ struct Two {
     bob_address: String,
 }
 
-/// On the embedded chain, or at a node; alice's first records are taken.
+/// On the embedded chain, or on a node; alice's first records are captured.
 fn two_profiles(url: Option<&str>) -> Two {
     let home = Home::new();
     let chain: Vec<&str> = url.iter().flat_map(|url| ["--chain", url]).collect();
@@ -40,13 +40,13 @@ impl Two {
         self.alice.records(&["uploads", "list"]).len()
     }
 
-    /// Waits until so many more records are taken of the topic that is watched.
+    /// Waits until this many more records of the watched topic are captured.
     fn take(&self, more: usize) {
         let before = self.taken();
         wait_until(60, "records arrive", || (self.taken() >= before + more).then_some(()));
     }
 
-    /// Ends the site, once all is verified.
+    /// Ends the site, once everything is verified.
     fn end(self) -> Home {
         self.alice.run(&["topics", "unwatch", TOPIC]).expect_code(0);
         wait_until(90, "all is verified", || {
@@ -58,7 +58,7 @@ impl Two {
     }
 }
 
-/// What the grantee works with: his keyring, the chain's events, and a copy of ledger and vault.
+/// What the grantee has: his keyring, the chain's events, and a copy of ledger and vault.
 struct Kept {
     provider: &'static dyn Provider,
     domain: Domain,
@@ -86,7 +86,7 @@ async fn events(paths: &authros::paths::Home, node: Option<&Anvil>) -> (Pin, Vec
     (pin, chain.events(0, u64::MAX).await.expect("its events"))
 }
 
-/// Opens every envelope that was ever sent to `bob`, by grant or by wrap.
+/// Opens every envelope ever sent to `bob`, by grant or by wrap.
 async fn keep_everything(home: &Home, node: Option<&Anvil>) -> Kept {
     let paths = authros::paths::Home::new(home.path());
     let provider = provider(ProviderName::RustCrypto);
@@ -147,7 +147,8 @@ impl Kept {
         })
     }
 
-    /// Fails unless the keys open all records up to `granted_until` captured since `granted_from`, and none from `ended` on.
+    /// Fails unless the keys open all records up to `granted_until` captured since `granted_from`, and none from
+    /// `ended` on.
     fn expect_shut_out(&self, granted_from: Timestamp, granted_until: Timestamp, ended: Timestamp) {
         let records = self.records();
         let between = |row: &&RecordRow| row.captured_at >= granted_from && row.captured_at < granted_until;
@@ -175,7 +176,7 @@ async fn a_grantee_who_kept_every_key_opens_nothing_sealed_after_the_revoke() {
     kept.expect_shut_out(granted, revoking, revoked);
 }
 
-/// Captures over the end of a grant of some seconds; gives its beginning and its end.
+/// Captures across the end of a grant of a few seconds; returns its start and end.
 fn outlast_a_grant(two: &Two, meanwhile: impl FnOnce()) -> (Timestamp, Timestamp) {
     two.alice.json(&["grant", &two.bob_address, "--expires", "5s"]);
     let granted = Timestamp::now();
@@ -202,7 +203,7 @@ fn just_before(expiry: Timestamp) -> Timestamp {
     Timestamp(expiry.0 - 1_000_000_000)
 }
 
-/// The next epoch cannot reach the chain when the grant runs out; it begins all the same.
+/// The next epoch cannot reach the chain when the grant expires; it begins all the same.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_grant_runs_out_on_a_chain_that_makes_no_blocks() {
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };

@@ -1,4 +1,4 @@
-//! An exported record and its Merkle proof are checked by OpenSSL and the chain's own log, without the program.
+//! An exported record and its Merkle proof are checked with OpenSSL and the chain's own log, without the program.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -24,7 +24,7 @@ fn sm3(directory: &Path, parts: &[&[u8]]) -> Vec<u8> {
     sm3_of_file(&path)
 }
 
-/// The root that a leaf's path leads to (RFC 9162, section 2.1.3.2); `None` where the path's length is wrong.
+/// The root that a leaf's path leads to (RFC 9162, section 2.1.3.2); `None` if the path's length is wrong.
 fn root_of(directory: &Path, leaf: &[u8], index: u64, count: u64, path: &[Vec<u8>]) -> Option<Vec<u8>> {
     let (mut place, mut last, mut hash) = (index, count.checked_sub(1)?, leaf.to_vec());
     for sibling in path {
@@ -109,7 +109,7 @@ fn openssl_and_the_chains_log_confirm_exported_records_of_batches() {
     let records = field.expect_settled(&node, 60);
     let anchors = field.anchors(&node);
     assert!(anchors.len() < records.len(), "records share transactions");
-    // Every leaf of the widest batch, whatever its shape, up to a bound.
+    // Every leaf of the widest batch, whatever its shape, up to a limit.
     let widest = anchors.iter().max_by_key(|anchor| match &anchor.what {
         Anchored::Root { count, .. } => *count,
         Anchored::Digest(_) => 0,

@@ -7,7 +7,7 @@ use super::evidence::says_mined;
 use super::field::{Field, Mode};
 use crate::support::{Anvil, long, skipped, wait_until};
 
-/// A site with some records verified, at a node that makes no further block by itself.
+/// A site with some verified records, on a node that makes no further blocks by itself.
 fn frozen(node: &Anvil, mode: Mode) -> (Field, usize) {
     let field = Field::open(&node.http(), mode, &[]);
     field.grow(5);
@@ -39,7 +39,7 @@ fn batches_that_the_node_forgot_are_sent_again() {
     expect_drops_survived(Mode::Batch);
 }
 
-/// One transaction from the middle of the lane: what follows it waits behind a gap.
+/// One transaction from the middle of the lane: those after it wait behind a gap.
 #[test]
 fn a_gap_in_the_lane_is_found_and_refilled() {
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
@@ -68,7 +68,7 @@ fn expect_standstill_survived(mode: Mode) {
     field.expect_told(&["no block"], 90);
     field.expect_paused("stalled", 30);
 
-    // More is captured meanwhile, and a new process takes the work up.
+    // More is captured meanwhile, and a new process continues the work.
     let more = field.grow(10);
     assert!(more.len() > records.len());
     field.restart_site();
@@ -99,7 +99,7 @@ fn expect_fee_jump_survived(mode: Mode) {
     node.set_next_base_fee(high);
     node.mine(1);
     field.expect_still(&node, verified);
-    // The fee stays up: only dearer transactions get in.
+    // The fee stays high: only more expensive transactions get in.
     wait_until(120, "all are in blocks at the high fee", || {
         node.set_next_base_fee(high);
         node.mine(1);
@@ -121,7 +121,7 @@ fn a_hundredfold_base_fee_is_paid_by_replaced_batches() {
     expect_fee_jump_survived(Mode::Batch);
 }
 
-/// A million times the fee of a quiet chain is beyond the cap that is set by default.
+/// A million times the fee of a quiet chain exceeds the default cap.
 #[test]
 fn a_fee_beyond_the_cap_pauses_the_lane_and_says_so() {
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };

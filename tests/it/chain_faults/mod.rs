@@ -1,6 +1,7 @@
-//! Faults of a real chain: whatever it does, no record is lost, none is anchored twice, and the states tell the truth.
+//! Faults of a real chain: whatever it does, no record is lost, none is anchored twice, and the states are true.
 //!
-//! The chain is asked by plain JSON-RPC, beside the program: what it holds is compared with what the program says.
+//! The chain is queried by plain JSON-RPC, independently of the program: its contents are compared with what the
+//! program says.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 mod answers;

@@ -1,4 +1,4 @@
-//! Blocks are replaced: what was anchored in them is not any more, says so, and is anchored again.
+//! Blocks are replaced: what was anchored in them no longer is, says so, and is anchored again.
 
 use serde_json::Value;
 
@@ -10,7 +10,7 @@ use crate::support::{Anvil, count, is_verified, skipped, text, wait_until};
 /// How long the program may take to notice, seconds.
 const NOTICE: u64 = 30;
 
-/// Splits verified records at the block from which on all is replaced.
+/// Splits verified records at the block from which everything is replaced.
 fn split(records: &[Value], first_gone: u64) -> (Vec<Value>, Vec<Value>) {
     records.iter().cloned().partition(|record| count(record, "block") < first_gone)
 }
@@ -18,7 +18,7 @@ fn split(records: &[Value], first_gone: u64) -> (Vec<Value>, Vec<Value>) {
 fn replace_blocks(node: &Anvil, field: &Field, depth: u64) {
     node.set_interval(0);
     let before = field.true_records(node);
-    // Empty blocks may have come since: as deep as the newest record lies, at least.
+    // Empty blocks may have come since: at least as deep as the newest record.
     let newest = before.iter().map(|record| count(record, "block")).max().expect("records");
     let depth = depth.max(node.head() + 1 - newest);
     let (kept, gone) = split(&before, node.head() + 1 - depth);
@@ -45,7 +45,7 @@ fn expect_reorganisations_survived(mode: Mode) {
     let field = Field::open(&node.http(), mode, &[]);
     field.grow(10);
     field.expect_settled(&node, 60);
-    // What follows must not reach down to the contract itself.
+    // The rest must not reach down to the contract itself.
     node.mine(70);
     for depth in [1, 8, 64] {
         node.set_interval(1);

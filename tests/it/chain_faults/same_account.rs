@@ -1,4 +1,4 @@
-//! One account, several processes: nonces are fought over, and still nothing is lost or anchored twice.
+//! One account, several processes: nonces collide, and still nothing is lost or anchored twice.
 
 use std::fs;
 use std::path::Path;
@@ -11,7 +11,7 @@ use super::evidence::{expect_chained, expect_once};
 use super::field::{Field, Mode};
 use crate::support::{Anvil, Home, skipped, wait_until};
 
-/// A second home with the keys of the first, and nothing else of it.
+/// A second home with only the keys of the first.
 fn with_keys_of(first: &Home) -> Home {
     let second = Home::new();
     fs::create_dir(second.path()).expect("made");
@@ -74,7 +74,7 @@ fn transfers(node: &Anvil, address: &str) -> usize {
     (0..=node.head()).map(of_block).sum()
 }
 
-/// Something else spends the account's nonces while records are anchored with it.
+/// Something else uses the account's nonces while records are anchored with it.
 fn expect_foreign_transactions_survived(mode: Mode) {
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let field = Field::open(&node.http(), mode, &[]);

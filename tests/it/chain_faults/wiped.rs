@@ -1,4 +1,4 @@
-//! The node dies and comes back with nothing: anchoring stops, the operator decides, nothing is lost.
+//! The node dies and comes back empty: anchoring stops, the operator decides, nothing is lost.
 
 use super::NO_NODE;
 use super::evidence::{expect_once, says_mined};
@@ -17,7 +17,7 @@ fn expect_empty_restart_survived(mode: Mode, restarted: bool) {
     wait_until(60, "what comes meanwhile is acknowledged", || (field.records().len() > before.len() + 5).then_some(()));
     field.rest();
 
-    // Nothing goes onto a chain that nobody decided for.
+    // Nothing is put on a chain that nobody decided for.
     let waiting = field.records();
     let fresh: Vec<_> = waiting.iter().filter(|one| !digests(&before).contains(&text(one, "digest"))).collect();
     assert!(fresh.iter().all(|record| !says_mined(record)), "{:?}", states(&waiting));
@@ -62,7 +62,7 @@ fn batches_stop_at_an_emptied_node_until_it_is_adopted() {
     expect_empty_restart_survived(Mode::Batch, false);
 }
 
-/// The node is away for a while and comes back as it was.
+/// The node is away for a while and comes back unchanged.
 #[test]
 fn a_node_that_comes_back_with_its_blocks_is_used_again() {
     let directory = tempfile::tempdir().expect("a temporary directory");

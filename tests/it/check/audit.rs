@@ -6,7 +6,7 @@ use serde_json::Value;
 use super::{TAMPERED, damaged, database};
 use crate::support::{Authros, Home, Redis, count, heavy, list, long, poll, skipped, text, wait_until};
 
-/// What an audit says; it must find something.
+/// The result of an audit; it must find something.
 fn finds(authros: &Authros, deep: bool) -> Value {
     let arguments: &[&str] = if deep { &["audit", "--deep"] } else { &["audit"] };
     let found = authros.with(&["--json"]).run(arguments).expect_code(TAMPERED).document();
@@ -22,7 +22,7 @@ fn clean(authros: &Authros, deep: bool) -> Value {
     found
 }
 
-/// Whether a finding of this kind names the subject, or says these words.
+/// Whether a finding of this kind names the subject, or contains these words.
 fn tells(found: &Value, kind: &str, words: &str) -> bool {
     list(found, "findings").iter().any(|finding| {
         finding["kind"] == kind && (text(finding, "subject").contains(words) || text(finding, "text").contains(words))
@@ -35,7 +35,7 @@ fn id(connection: &Connection, row: i64) -> String {
     digest[..16].to_owned()
 }
 
-/// One byte in the middle of what is stored under row `n` of the vault; the id of its record.
+/// One byte in the middle of the bytes stored in row `n` of the vault; returns the id of its record.
 fn flip(connection: &Connection, n: i64) -> String {
     let found = connection.query_row("SELECT digest, bytes FROM blobs WHERE n = ?1", [n], |row| {
         Ok((row.get::<_, [u8; 32]>(0)?, row.get::<_, Vec<u8>>(1)?))
@@ -47,7 +47,7 @@ fn flip(connection: &Connection, n: i64) -> String {
     crate::support::hex(&digest)[..16].to_owned()
 }
 
-/// A home with some thousand records, all verified and nobody in it.
+/// A home with a few thousand records, all verified, and no process in it.
 fn filled() -> (Home, Authros) {
     let home = Home::new();
     let authros = home.authros().with(&["--robots", "16"]);
@@ -138,7 +138,7 @@ fn in_rows(home: &Home, authros: &Authros) {
     assert!(tells(&found, "missing", "of its") && tells(&found, "gap", "/odom"), "{found}");
 }
 
-/// A batch without its row, and one of which nothing is left but the chain's word.
+/// A batch without its row, and one of which only the chain's word is left.
 fn in_batches(home: &Home, authros: &Authros) {
     let removed = "DELETE FROM batches WHERE key = (SELECT max(key) FROM batches)";
     let found =

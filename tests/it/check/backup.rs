@@ -1,4 +1,4 @@
-//! Back-up under load, and the drill: another home out of it, audited and at work.
+//! Backup under load, and the drill: another home restored from it, audited and working.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -73,7 +73,7 @@ fn a_back_up_under_load_becomes_a_home_that_goes_on() {
     restored.json(&["restore", &file, "--passphrase-file", &secret]);
     assert_eq!(fs::metadata(other.path()).expect("there").permissions().mode() & 0o777, 0o700);
 
-    // What the back-up saw, before anything goes on.
+    // The contents of the backup, before anything continues.
     let copied = numbers(&other);
     assert!(copied.len() >= 60 && copied.is_subset(&numbers(&home)), "{} records", copied.len());
     let before = audited(&restored);

@@ -1,5 +1,5 @@
-//! The store as a whole: its audit finds every kind of damage, the doctor says what to do, an exported record is checked
-//! by a stranger, a back-up becomes a home again.
+//! The store as a whole: its audit finds every kind of damage, the doctor says what to do, a stranger checks an
+//! exported record, a backup becomes a home again.
 #![allow(
     clippy::expect_used,
     clippy::panic,
@@ -34,7 +34,7 @@ fn database(home: &Home, name: &str) -> rusqlite::Connection {
     connection
 }
 
-/// Does `damage` to a database behind the program's back, gives what `look` sees, and puts the database back.
+/// Damages a database behind the program's back with `damage`, returns what `look` sees, and restores the database.
 fn damaged<T>(home: &Home, name: &str, damage: impl FnOnce(&rusqlite::Connection), look: impl FnOnce() -> T) -> T {
     let (path, kept) = (home.path().join(name), home.root().join("kept.db"));
     let connection = database(home, name);
@@ -49,7 +49,7 @@ fn damaged<T>(home: &Home, name: &str, damage: impl FnOnce(&rusqlite::Connection
     seen
 }
 
-/// All records of the profile, once all of them are verified and there are enough.
+/// All records of the profile, once all are verified and there are enough.
 fn all_verified(authros: &Authros, least: usize) -> Vec<Value> {
     wait_until(120, "everything is verified", || {
         let records = authros.records(&["uploads", "list"]);

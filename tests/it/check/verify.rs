@@ -1,4 +1,4 @@
-//! `authros verify`: a folder of `uploads export` in the hands of somebody without home or keys.
+//! `authros verify`: a folder of `uploads export` in the hands of someone without home or keys.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use crate::support::{Authros, Home, free_port, list, text};
 
 struct Case {
     home: Home,
-    /// A stranger: another HOME, no home of AuthROS.
+    /// A stranger: another HOME, without a home of AuthROS.
     stranger: Authros,
     _chain: Running,
     url: String,

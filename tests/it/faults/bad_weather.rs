@@ -1,4 +1,4 @@
-//! Peers that are slow or go away, disks that refuse now and then, clocks that jump: the work waits and goes on.
+//! Peers that are slow or go away, disks that refuse now and then, clocks that jump: the work waits and continues.
 
 use std::fs;
 use std::time::{Duration, Instant};
@@ -26,7 +26,7 @@ fn unwatch(authros: &Authros, robots: usize) {
     }
 }
 
-/// All that was captured is verified, nothing was dropped, and the law held.
+/// Everything captured is verified, nothing was dropped, and the law held.
 fn settle(authros: &Authros, robots: usize, observer: Conservation, seconds: u64) -> u64 {
     unwatch(authros, robots);
     let life = wait_until(seconds, "everything is verified", || {
@@ -72,7 +72,7 @@ fn a_chain_that_answers_after_half_a_minute_costs_neither_memory_nor_messages() 
     println!("slow chain: all {captured} verified");
 }
 
-/// Waits until records are verified that were captured after now; how long that takes.
+/// Waits until records captured from now on are verified; returns how long that takes.
 fn heals(observer: &Conservation, what: &str) {
     let begun = Instant::now();
     let life = || observer.seen().life.expect("a site that answers");
@@ -84,7 +84,7 @@ fn heals(observer: &Conservation, what: &str) {
     wait_until(60, &format!("what waited for {what} is verified"), || {
         (life().verified >= verified + owed).then_some(())
     });
-    // Ten seconds are the promise; a busy machine is given more.
+    // The target is ten seconds; a busy machine gets more.
     println!(
         "{what} is back: first record verified after {first:?}, all {owed} that waited after {:?}",
         begun.elapsed()
@@ -117,7 +117,7 @@ fn redis_and_the_chain_come_back_and_nobody_needs_to_do_anything() {
     let mut again = None;
     let _anvil = anvil.end_and_start_again(&state, || {
         more(80, "the chain");
-        // A site that is started without its chain captures all the same.
+        // A site started without its chain captures all the same.
         site.stop("TERM", 30).expect_code(0);
         again = Some(authros.serve(&home));
         more(80, "the chain, in a new site");
@@ -154,7 +154,7 @@ fn a_disk_that_refuses_now_and_then_holds_messages_up_and_loses_none() {
     site.stop("TERM", 30).expect_code(0);
 }
 
-/// libfiu, on the real program: a tenth of all fsyncs fails.
+/// libfiu, on the real program: a tenth of all fsyncs fail.
 #[test]
 fn fsyncs_that_fail_by_libfiu_lose_nothing() {
     let (Some(run), Some(control)) = (system_program("fiu-run"), system_program("fiu-ctrl")) else {
@@ -221,7 +221,7 @@ impl Shifted {
             .with_variable("LD_PRELOAD", library.to_str().expect("UTF-8"))
             .with_variable("FAKETIME_TIMESTAMP_FILE", &offset)
             .with_variable("FAKETIME_NO_CACHE", "1")
-            // As a real clock that is set: what counts durations goes on.
+            // As when a real clock is set: durations are not affected.
             .with_variable("FAKETIME_DONT_FAKE_MONOTONIC", "1")
             .with_variable("DONT_FAKE_MONOTONIC", "1");
         let site = shifted.serve(&home);

@@ -1,4 +1,4 @@
-//! kill -9 at random moments of a running load and at every named place of a record's life, on the embedded vault and
+//! kill -9 at random moments of a running load and at every named place in a record's life, on the embedded vault and
 //! chain and on Redis and anvil: nothing acknowledged is lost, nothing is anchored twice, every store opens.
 
 use std::collections::BTreeMap;
@@ -16,9 +16,9 @@ use sha3::{Digest as _, Keccak256};
 
 const TOPICS: [&str; 3] = ["/robot1/odom", "/robot2/odom", "/robot2/camera/compressed"];
 const NO_PEERS: &str = "no redis-server or no anvil";
-/// Places that only a vault that is durable by itself, or a chain in this process, passes.
+/// Places passed only by a vault that is durable by itself, or by a chain in this process.
 const EMBEDDED: [&str; 3] = ["vault-put", "block-due", "block-sealed"];
-/// Places that only a vault passes that may forget.
+/// Places passed only by a vault that may forget.
 const FORGETFUL: [&str; 4] = ["store-read", "store-put", "store-advanced", "put-back"];
 
 /// Nanoseconds since 1970.
@@ -27,7 +27,7 @@ pub fn now() -> u64 {
     u64::try_from(since.as_nanos()).expect("before 2554")
 }
 
-/// Numbers that look random; which they are is said, so that a run can be told.
+/// Pseudo-random numbers; the seed is printed, so that a run can be identified.
 struct Dice(u64);
 
 impl Dice {
@@ -42,7 +42,7 @@ impl Dice {
     }
 }
 
-/// A home under load, whose site is killed again and again.
+/// A home under load, whose site is killed repeatedly.
 struct Field {
     home: Home,
     authros: Authros,
@@ -76,7 +76,7 @@ impl Field {
         Self { home, authros, peers, observer, restarts: Vec::new() }
     }
 
-    /// Starts the site again, and waits until it captures; how long that took is kept.
+    /// Starts the site again, and waits until it captures; records how long that took.
     fn start_capturing(&mut self, authros: &Authros) -> Running {
         let (begun, since) = (Instant::now(), now());
         let site = authros.spawn(&["serve"]);
@@ -85,7 +85,7 @@ impl Field {
         site
     }
 
-    /// One life that ends at a random moment: while it starts, or while it works.
+    /// One life that ends at a random moment: during startup, or while it works.
     fn live_and_die(&mut self, dice: &mut Dice) {
         let site = if dice.below(4) == 0 {
             self.authros.clone().spawn(&["serve"])
@@ -96,7 +96,7 @@ impl Field {
         site.stop("KILL", 10);
     }
 
-    /// One life that ends at a place in the program, at its `passing`th passing.
+    /// One life that ends at a place in the program, the `passing`th time it is reached.
     fn live_until(&mut self, program: &Path, place: &str, passing: u64) {
         let point = format!("{place}:{passing}");
         let mut site = self.authros.with_program(program).with_variable("AUTHROS_FAIL_POINT", &point).spawn(&["serve"]);
@@ -114,7 +114,7 @@ impl Field {
         assert_eq!(outcome.signal, Some(6), "it ended at {point}: {outcome}");
     }
 
-    /// Some places are passed only where something happens beside the load.
+    /// Some places are reached only if something happens beside the load.
     fn provoke(&self, place: &str, tries: u64) {
         match (place, &self.peers) {
             ("put-back", Some((redis, _))) => drop(redis.cli(&["FLUSHALL"])),
@@ -126,8 +126,8 @@ impl Field {
         }
     }
 
-    /// Ends the load, lets everything be verified, and holds it against what was ever acknowledged, against the
-    /// chain's events and against the files.
+    /// Ends the load, lets everything be verified, and compares it with everything ever acknowledged, with the chain's
+    /// events and with the files.
     fn settle(self, what: &str) {
         let Self { home, authros, peers, observer, mut restarts } = self;
         let site = authros.serve(&home);
@@ -167,12 +167,12 @@ impl Field {
             restarts.get(restarts.len() / 2),
             restarts.last()
         );
-        // Two seconds are the aim on a machine that does nothing else.
+        // The target is two seconds on an otherwise idle machine.
         assert!(restarts.iter().all(|took| *took < Duration::from_secs(30)), "{restarts:?}");
     }
 }
 
-/// Captured messages, their definitions, and what tells of losses.
+/// Captured messages, their definitions, and reports of losses.
 fn every_record(authros: &Authros) -> Vec<Value> {
     let list = |kind| authros.records(&["uploads", "list", "--kind", kind]);
     ["data", "definition", "gap"].into_iter().flat_map(list).collect()
@@ -192,7 +192,7 @@ fn contract(authros: &Authros) -> String {
     text(&authros.json(&["chain", "status"]), "contract")
 }
 
-/// Roots with their counts, as the chain's events tell them.
+/// Roots with their counts, from the chain's events.
 fn anchored_roots(port: u16, contract: &str) -> Vec<(String, u64)> {
     let event = format!("0x{}", hex(&Keccak256::digest("Anchored(address,bytes32,uint64,bytes32)")));
     let filter = json!([{ "fromBlock": "0x0", "toBlock": "latest", "address": contract, "topics": [event] }]);
@@ -204,7 +204,7 @@ fn anchored_roots(port: u16, contract: &str) -> Vec<(String, u64)> {
     logs.as_array().expect("logs").iter().map(root).collect()
 }
 
-/// The numbers of each topic have no hole and no double.
+/// The numbers of each topic have no gaps and no duplicates.
 fn expect_dense(records: &[Value]) {
     for topic in TOPICS {
         let of_topic = records.iter().filter(|record| record["topic"] == topic);
@@ -214,7 +214,7 @@ fn expect_dense(records: &[Value]) {
     }
 }
 
-/// Every database is whole, and what the ledger says of its batches is what the chain has, once each.
+/// Every database is intact, and what the ledger says about its batches is on the chain, once each.
 fn expect_sound_files(home: &Home, roots: &[(String, u64)]) {
     let files = crate::support::authros::files_below(&home.path());
     let databases: Vec<_> = files.iter().filter(|path| path.extension().is_some_and(|end| end == "db")).collect();
@@ -259,13 +259,13 @@ fn random_kills_on_redis_and_anvil_lose_and_double_nothing() {
     random_kills(field, "random kills, Redis and anvil");
 }
 
-/// The build with fail points lies beside the product's own.
+/// The build with fail points is beside the product's own.
 pub fn faulty() -> Option<PathBuf> {
     let built = PathBuf::from(env!("CARGO_BIN_EXE_authros")).with_file_name("authros-faulty");
     built.exists().then_some(built)
 }
 
-/// In the short form each place once, and those that both sides pass on one of them.
+/// In the short form each place once, and those shared by both sides on one of them.
 fn kills_at(field: Option<Field>, places: &[&str], what: &str) {
     let (Some(program), Some(mut field)) = (faulty(), field) else {
         crate::support::tell_skipped(what, "no authros-faulty (tests/run builds it), or no redis-server or anvil");
@@ -274,7 +274,7 @@ fn kills_at(field: Option<Field>, places: &[&str], what: &str) {
     let mut dice = Dice::thrown();
     for _ in 0..if long() { 20 } else { 1 } {
         for place in places {
-            // Of commits and blocks there are many, some before the first record; of the others a few in a second.
+            // Commits and blocks are frequent, some before the first record; the others occur a few times a second.
             let most = if matches!(*place, "commit-begun" | "committed") { 60 } else { 3 };
             let most = if *place == "directory-kept" || *place == "put-back" { 1 } else { most };
             field.live_until(&program, place, 1 + dice.below(most));

@@ -16,17 +16,17 @@ const OWNER: Address = Address([1; 20]);
 /// What one operation does; each is one commit of the ledger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Operation {
-    /// Seals so many records: into the vault, then acknowledged by the ledger.
+    /// Seals this many records: into the vault, then acknowledged by the ledger.
     Capture(usize),
-    /// Closes a batch over all that is stored.
+    /// Closes a batch over everything stored.
     Close,
-    /// Keeps the transaction of the oldest batch that waits.
+    /// Stores the transaction of the oldest waiting batch.
     Submit,
     /// Sees the oldest submitted batch in a block.
     Mine,
     /// Confirms all blocks.
     Confirm,
-    /// Re-reads what is confirmed, and says that it is verified.
+    /// Re-reads what is confirmed, and marks it as verified.
     Verify,
     /// Writes an audit line.
     Tell,
@@ -45,7 +45,7 @@ pub fn operation(index: usize) -> Operation {
     }
 }
 
-/// What must be in the store after so many operations.
+/// What must be in the store after this many operations.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Model {
     /// State, batch and block of each record, in the order of acknowledgement.
@@ -57,14 +57,14 @@ pub struct Model {
 }
 
 impl Model {
-    /// After so many operations.
+    /// After this many operations.
     pub fn after(operations: usize) -> Self {
         let mut model = Self::default();
         (0..operations).for_each(|index| model.apply(operation(index)));
         model
     }
 
-    /// One operation more.
+    /// One more operation.
     pub fn apply(&mut self, operation: Operation) {
         match operation {
             Operation::Capture(count) => self.records.extend((0..count).map(|_| (RecordState::Stored, None))),
@@ -97,7 +97,7 @@ impl Model {
         self.records.iter_mut().filter(|(state, _)| *state == from).for_each(|record| record.0 = to);
     }
 
-    /// The states alone, as the ledger can be asked for them.
+    /// Only the states, as the ledger reports them.
     pub fn states(&self) -> Vec<RecordState> {
         self.records.iter().map(|(state, _)| *state).collect()
     }
@@ -153,7 +153,7 @@ impl Store {
         Ok(Self { audit: AuditLog::new(ledger.clone()), ledger, vault })
     }
 
-    /// Does what the model does next.
+    /// Does the model's next operation.
     pub fn perform(&self, model: &Model, operation: Operation) -> Result<(), StoreError> {
         let number = |batch: usize| u8::try_from(batch % 200).expect("small");
         match operation {
@@ -205,7 +205,7 @@ impl Store {
         }
     }
 
-    /// Everything of the ledger that the model knows, as the ledger tells it.
+    /// Everything in the ledger that the model knows, as the ledger reports it.
     pub fn found(&self) -> (Vec<RecordState>, u64) {
         let mut states = Vec::new();
         let mut after = None;

@@ -1,5 +1,5 @@
 //! A disk that fails, dies, hangs or tears at the k-th write or sync of a script of a thousand operations: whatever
-//! ledger and vault acknowledged is there afterwards, nothing is half, and the work goes on.
+//! ledger and vault acknowledged is there afterwards, nothing is half done, and the work continues.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Write};
@@ -16,19 +16,19 @@ use crate::support::{long, skipped, system_program};
 
 /// Operations of the script.
 const OPERATIONS: usize = 1_000;
-/// The script is done in pieces of so many operations, each begun from a copy of what the one before left.
+/// The script runs in pieces of this many operations, each started from a copy of what the previous one left.
 const PIECE: usize = 20;
-/// Tries of an operation on a disk that refused it.
+/// Attempts at an operation on a disk that refused it.
 const TRIES: usize = 5;
 
-/// A directory on a file system whose fsync costs nothing, where there is one: the points are the same.
+/// A directory on a file system whose fsync is free, if there is one: the points are the same.
 fn directory() -> TempDir {
     let mut builder = tempfile::Builder::new();
     builder.prefix("authros-storage");
     builder.tempdir_in("/dev/shm").or_else(|_| builder.tempdir()).expect("a temporary directory")
 }
 
-/// Runs as a process of its own, started by `Driver::start`: does the script and says what is done.
+/// Runs as a separate process, started by `Driver::start`: runs the script and reports what is done.
 #[test]
 fn driver() {
     let Some(directory) = std::env::var_os("STORAGE_SCRIPT").map(PathBuf::from) else { return };
@@ -74,13 +74,13 @@ impl Mode {
     }
 }
 
-/// The library that is preloaded, compiled once.
+/// The preloaded library, compiled once.
 pub struct Shim {
     directory: TempDir,
 }
 
 impl Shim {
-    /// Compiles it; nothing where there is no compiler.
+    /// Compiles it; nothing if there is no compiler.
     pub fn compile() -> Option<Self> {
         let compiler = system_program("cc")?;
         let directory = tempfile::tempdir().expect("a temporary directory");
@@ -92,7 +92,7 @@ impl Shim {
         Some(Self { directory })
     }
 
-    /// Where it lies.
+    /// Its path.
     pub fn path(&self) -> String {
         self.directory.path().join("shim.so").to_str().expect("UTF-8").to_owned()
     }
@@ -108,7 +108,7 @@ impl Shim {
         command
     }
 
-    /// Does a piece without a fault; how many writes and syncs that makes, the opening of the store included.
+    /// Runs a piece without a fault; returns how many writes and syncs that makes, including opening the store.
     fn count(&self, place: &Path, piece: Range<usize>) -> usize {
         let file = self.directory.path().join("count");
         let output = self.command(place, piece.clone(), Mode::Whole, 0).env("SHIM_COUNT", &file).output();
@@ -118,7 +118,7 @@ impl Shim {
         fs::read_to_string(file).expect("counted").trim().parse().expect("a number")
     }
 
-    /// One run of a piece, from a copy of what lies before it, with a fault at number `at`.
+    /// One run of a piece, from a copy of its starting state, with a fault at number `at`.
     fn run(&self, before: &Path, piece: Range<usize>, mode: Mode, at: usize) {
         let place = directory();
         copy(before, place.path());
@@ -126,9 +126,9 @@ impl Shim {
         let child = self.command(place.path(), piece.clone(), mode, at).spawn().expect("the driver starts");
         let (done, word) = hear(child, piece.start, &what);
         match mode {
-            // One refused write is made good by trying again, and by opening again.
+            // One refused write is recovered by retrying, and by opening again.
             Mode::Fail | Mode::Whole => assert_eq!((done, &*word), (piece.end, "finished"), "{what}"),
-            // At a write of the closing all is acknowledged already.
+            // At a write while closing, everything is already acknowledged.
             Mode::Dead if done == piece.end => assert_eq!(word, "finished", "{what}"),
             Mode::Dead => assert_eq!(word, "gave up", "{what}"),
             Mode::Freeze | Mode::Torn => assert_eq!(word, "frozen", "{what}"),
@@ -157,7 +157,7 @@ impl Course {
         course
     }
 
-    /// The piece that a number over the whole script falls into, and the number in it.
+    /// The piece that contains a number of the whole script, and the number within it.
     fn piece(&self, mut at: usize) -> (usize, usize) {
         for (piece, count) in self.counts.iter().enumerate() {
             if at <= *count {
@@ -173,7 +173,7 @@ fn pieces() -> impl Iterator<Item = Range<usize>> {
     (0..OPERATIONS).step_by(PIECE).map(|from| from..from + PIECE)
 }
 
-/// Every file and directory below one into the other.
+/// Copies every file and directory below one folder into another.
 fn copy(from: &Path, to: &Path) {
     for entry in fs::read_dir(from).expect("readable").map(|entry| entry.expect("readable")) {
         let target = to.join(entry.file_name());
@@ -187,7 +187,7 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// Reads what a driver says to its end, or to the hang of its disk, upon which it is killed.
+/// Reads a driver's output to its end, or until its disk hangs, after which it is killed.
 fn hear(mut child: Child, from: usize, what: &str) -> (usize, String) {
     let (mut done, mut word) = (from, String::new());
     let out = child.stdout.take().expect("piped");
@@ -198,7 +198,7 @@ fn hear(mut child: Child, from: usize, what: &str) -> (usize, String) {
             Some(("done", number)) => done = number.parse().expect("a number"),
             _ if line == "frozen" => {
                 word = line;
-                // Its other threads go on: none of them may acknowledge what lies behind the hang.
+                // Its other threads continue: none of them may acknowledge anything after the hang.
                 std::thread::sleep(Duration::from_millis(3));
                 child.kill().expect("killed");
             }
@@ -213,8 +213,8 @@ fn hear(mut child: Child, from: usize, what: &str) -> (usize, String) {
     (done, word)
 }
 
-/// The store opens, holds exactly what was acknowledged, or that and the whole of the one operation under way, and
-/// works on.
+/// The store opens, holds exactly what was acknowledged, or that plus the whole of the one operation in progress, and
+/// keeps working.
 fn check(place: &Path, operations: usize, done: usize, what: &str) {
     let store = Store::open(place).unwrap_or_else(|error| panic!("{what}: cannot be opened: {error}"));
     let found = store.found();
@@ -235,8 +235,8 @@ fn check(place: &Path, operations: usize, done: usize, what: &str) {
     store.ledger.close().expect("closes");
 }
 
-/// Where the fault falls: in the long form at every write and sync, or at every tenth; else at the first ones, which make
-/// the files, and then at a stride.
+/// Where the fault occurs: in the long form at every write and sync, or at every tenth; otherwise at the first ones,
+/// which create the files, and then at intervals.
 fn points(total: usize, few: usize, every: usize) -> Vec<usize> {
     if long() {
         return (1..=total).step_by(every).collect();

@@ -1,4 +1,4 @@
-//! Background tasks that fail are begun again and say so; signals end a site in order, a lost terminal does not.
+//! Background tasks that fail are restarted and say so; signals end a site in order, a lost terminal does not.
 
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -11,7 +11,7 @@ use crate::support::process::signal;
 use crate::support::{Anvil, Authros, Conservation, Home, Running, long, poll, skipped, wait_until};
 
 const TOPICS: [&str; 2] = ["/robot1/odom", "/robot1/camera/compressed"];
-/// Every task of a site with one open profile and several lanes, but those that are threads.
+/// Every task of a site with one open profile and several lanes, except those that are threads.
 const TASKS: [&str; 12] = [
     "news",
     "audit",
@@ -27,7 +27,7 @@ const TASKS: [&str; 12] = [
     "anchorer default",
 ];
 
-/// A home whose one robot is captured, and its observer.
+/// A home whose only robot is captured, and its observer.
 fn under_load() -> (Home, Authros, Conservation) {
     let home = Home::new();
     let authros = home.authros().with(&["--robots", "1"]);
@@ -40,7 +40,7 @@ fn under_load() -> (Home, Authros, Conservation) {
     (home, authros, observer)
 }
 
-/// Ends the load; everything that was noted is verified, and the law held all the time.
+/// Ends the load; everything noted is verified, and the law held all the time.
 fn settle(home: &Home, authros: &Authros, observer: Conservation) {
     for topic in TOPICS {
         authros.run(&["topics", "unwatch", topic]).expect_code(0);
@@ -59,7 +59,7 @@ fn settle(home: &Home, authros: &Authros, observer: Conservation) {
 fn every_task_that_panics_is_begun_again_and_nothing_is_lost() {
     let Some(program) = faulty() else { skipped!("authros-faulty is not built; tests/run builds it") };
     let (home, authros, observer) = under_load();
-    // Twice each, and the sealer once more behind an acknowledgement, where nothing may be sealed a second time.
+    // Twice each, and the sealer once more after an acknowledgement, where nothing may be sealed again.
     let failing = authros.with_program(&program).with_variable("AUTHROS_FAIL_TASK", "all:2");
     let failing = failing.with_variable("AUTHROS_FAIL_POINT", "panic:appended:3").with_variable("RUST_BACKTRACE", "0");
     let site = failing.spawn(&["serve"]);
@@ -85,7 +85,7 @@ fn every_task_that_panics_is_begun_again_and_nothing_is_lost() {
     assert!(outcome.stdout.contains("serving"), "{outcome}");
 }
 
-/// A panic in the middle of sealing, storing or verifying is one more try, not one more loss.
+/// A panic in the middle of sealing, storing or verifying means another try, not another loss.
 #[test]
 fn a_panic_in_the_middle_of_a_records_life_is_one_more_try() {
     let Some(program) = faulty() else { skipped!("authros-faulty is not built; tests/run builds it") };
@@ -105,7 +105,7 @@ fn a_panic_in_the_middle_of_a_records_life_is_one_more_try() {
     settle(&home, &authros, observer);
 }
 
-/// Ends a working site by a signal; how long that took. It is started so that nothing waits for a passphrase.
+/// Ends a working site by a signal; returns how long that took. It is started so that nothing waits for a passphrase.
 fn ends(authros: &Authros, observer: &Conservation, name: &str) -> Duration {
     let since = now();
     let site = authros.spawn(&["serve"]);
@@ -121,7 +121,7 @@ fn each_signal_ends_a_site_in_order() {
     for name in ["HUP", "TERM", "INT"] {
         let took = ends(&authros, &observer, name);
         println!("SIG{name}: ended in order within {took:?}");
-        // Five seconds are the promise; a busy machine is given more.
+        // The target is five seconds; a busy machine gets more.
         assert!(took < Duration::from_secs(15), "SIG{name} took {took:?}");
     }
     let _site = authros.serve(&home);
@@ -143,7 +143,7 @@ fn a_site_ends_in_order_while_a_chain_that_stands_still_keeps_others_waiting() {
     assert_eq!(capture.wait(30).code, Some(4), "who waited is told that the site is gone");
 }
 
-/// A working site that was told to outlive its terminal.
+/// A working site that was started to outlive its terminal.
 fn outlives(mut site_is_running: impl FnMut() -> bool, observer: &Conservation) {
     assert!(observer.wait_for_capture_after(now(), 60).is_some(), "capture goes on without a terminal");
     assert!(site_is_running());
@@ -152,7 +152,7 @@ fn outlives(mut site_is_running: impl FnMut() -> bool, observer: &Conservation) 
 #[test]
 fn a_site_under_nohup_keeps_on_without_a_terminal() {
     let (home, authros, observer) = under_load();
-    // A terminal of its own, which then goes away.
+    // Its own terminal, which then goes away.
     let pair = native_pty_system().openpty(PtySize::default()).expect("a pseudo-terminal");
     let mut command = CommandBuilder::new("nohup");
     command.arg(env!("CARGO_BIN_EXE_authros"));

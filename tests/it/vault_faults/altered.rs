@@ -1,11 +1,11 @@
-//! Values altered in Redis behind the program's back: all of it is found, and nothing of it is shown.
+//! Values altered in Redis behind the program's back: all of it is found, and none of it is shown.
 
 use serde_json::Value;
 
 use super::field::{Load, NO_REDIS, ODOM};
 use crate::support::{Redis, skipped, text};
 
-/// What is done to the values of two keys.
+/// How the values of two keys are altered.
 const WAYS: [(&str, &str); 6] = [
     (
         "flipped",

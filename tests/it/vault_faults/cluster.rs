@@ -1,4 +1,5 @@
-//! A Redis cluster of three, one of which stops: its records wait, all others go on, and it gets all on its return.
+//! A Redis cluster of three, one of which stops: its records wait, all others continue, and it gets all of them on its
+//! return.
 
 use super::field::{Load, NO_REDIS, ODOM, sample};
 use crate::support::{Redis, count, skipped, wait_until};
@@ -27,7 +28,7 @@ fn cluster() -> Option<Vec<Redis>> {
 #[test]
 fn records_of_a_stopped_node_wait_and_all_others_go_on() {
     let Some(mut nodes) = cluster() else { skipped!(NO_REDIS) };
-    // One node is named; the others are learned of.
+    // One node is named; the others are learnt.
     let load = Load::start(&["--vault", &format!("redis+cluster://127.0.0.1:{}", nodes[0].port())], &[], &[ODOM]);
     load.until("records are verified", 60, |life| count(life, "verified") >= 20);
     assert!(nodes.iter().all(|node| node.keys() > 0), "all three hold records");

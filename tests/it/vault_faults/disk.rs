@@ -1,4 +1,4 @@
-//! A disk of 8 MiB that is filled up and grown again, in a mount namespace of its own.
+//! A disk of 8 MiB that is filled up and emptied again, in its own mount namespace.
 
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::PathBuf;
@@ -7,7 +7,7 @@ use std::process::Command;
 use super::field::{CAMERA, ODOM};
 use crate::support::{Authros, Home, Running, count, free_port, skipped, system_program, text, wait_until};
 
-/// A tmpfs that only its own processes see.
+/// A tmpfs visible only to its own processes.
 struct Disk {
     holder: Running,
     place: PathBuf,
@@ -41,7 +41,7 @@ impl Disk {
         Running::start(command)
     }
 
-    /// The program, run where the disk is.
+    /// The program, run with access to the disk.
     fn authros(&self) -> Authros {
         let script = self.home.root().join("authros");
         let program = env!("CARGO_BIN_EXE_authros");
@@ -57,7 +57,7 @@ impl Disk {
         self.inside(&["mount", "-o", &format!("remount,size={size}"), place]).wait(30).expect_code(0);
     }
 
-    /// Writes until nothing more goes.
+    /// Writes until no more fits.
     fn fill(&self) {
         let file = format!("of={}", self.place.join("filler").display());
         let outcome = self.inside(&["dd", "if=/dev/zero", &file, "bs=4k"]).wait(60);
@@ -94,7 +94,7 @@ fn on_a_full_disk_nothing_acknowledged_is_lost_and_it_goes_on_when_there_is_room
         wait_until(90, what, || Some(life()).filter(|life| wanted(life)))
     };
     until("records are verified", &|life| count(life, "verified") >= 5);
-    // Who publishes a topic for the first time on a full disk cannot be pinned, and would be held back.
+    // A topic's first publisher on a full disk cannot be pinned, and would be quarantined.
     wait_until(90, "both topics have records", || {
         let records = |topic| authros.records(&["uploads", "list", "--topic", topic]).len();
         (records(ODOM) > 0 && records(CAMERA) > 0).then_some(())

@@ -1,4 +1,4 @@
-//! A site under load, and the law that its counts must obey at every look.
+//! A site under load, and the law that its counts must obey at every check.
 
 use serde_json::Value;
 
@@ -11,7 +11,7 @@ pub const CAMERA: &str = "/robot1/camera/compressed";
 /// The reason to skip without Redis.
 pub const NO_REDIS: &str = "no redis-server and redis-cli";
 
-/// A site that captures topics without end.
+/// A site that captures topics indefinitely.
 pub struct Load {
     pub home: Home,
     pub authros: Authros,
@@ -19,12 +19,12 @@ pub struct Load {
 }
 
 impl Load {
-    /// Captures these topics into the vault that `options` name.
+    /// Captures these topics into the vault given in `options`.
     pub fn start(options: &[&str], variables: &[(&str, &str)], topics: &[&str]) -> Self {
         Self::start_with("", options, variables, topics)
     }
 
-    /// As [`Load::start`], with a `config.toml`.
+    /// See [`Load::start`], with a `config.toml`.
     pub fn start_with(config: &str, options: &[&str], variables: &[(&str, &str)], topics: &[&str]) -> Self {
         let home = Home::new();
         if !config.is_empty() {
@@ -43,7 +43,7 @@ impl Load {
         Self { home, authros, site }
     }
 
-    /// The life line now; fails the test where the counts do not add up.
+    /// The counts by state now; fails the test if they do not add up.
     pub fn life(&self) -> Value {
         let life = self.authros.json(&["status"])["life"].clone();
         let sum: u64 =
@@ -53,13 +53,13 @@ impl Load {
         life
     }
 
-    /// Looks at the life line until it is as wanted.
+    /// Checks the counts by state until they are as wanted.
     pub fn until(&self, what: &str, seconds: u64, wanted: impl Fn(&Value) -> bool) -> Value {
         let life = || Some(self.life()).filter(|life| wanted(life));
         wait_until(seconds, what, life)
     }
 
-    /// No more is captured; waits until all that was captured is verified.
+    /// Stops capturing; waits until everything captured is verified.
     pub fn settle(&self, topics: &[&str]) -> Value {
         for topic in topics {
             self.authros.json(&["topics", "unwatch", topic]);
@@ -73,7 +73,7 @@ impl Load {
         kinds.iter().flat_map(|kind| self.authros.records(&["uploads", "list", "--kind", kind])).collect()
     }
 
-    /// Every one of some records is whole where it lies.
+    /// All of these records are intact in the vault.
     pub fn check(&self, records: &[Value]) {
         for record in records {
             let id = record["id"].as_str().expect("an id");
@@ -81,12 +81,12 @@ impl Load {
         }
     }
 
-    /// What the site has told its operator.
+    /// The site's messages to its operator.
     pub fn told(&self) -> String {
         self.site.stderr()
     }
 
-    /// Ends the site as a signal does.
+    /// Ends the site by a signal.
     pub fn end(self) {
         self.site.stop("TERM", 30).expect_code(0);
     }

@@ -1,4 +1,4 @@
-//! One Redis that is killed, is full, throws keys away, or fails over to a replica.
+//! One Redis that is killed, full, evicts keys, or fails over to a replica.
 
 use std::process::Command;
 
@@ -7,7 +7,7 @@ use authros::store::vault::policy::{Gravity, examine};
 use super::field::{CAMERA, Load, NO_REDIS, ODOM, sample};
 use crate::support::{Redis, Running, count, free_port, long, skipped, wait_until};
 
-/// Killed while records come, as often as asked: nothing acknowledged is lost, in whatever state it was.
+/// Killed while records come, as often as requested: nothing acknowledged is lost, whatever its state.
 fn killed(arguments: &[&str]) -> Option<()> {
     let mut redis = Redis::start(arguments)?;
     let load = Load::start(&["--vault", &redis.url()], &[], &[ODOM]);
@@ -74,7 +74,7 @@ fn every_policy_that_evicts_is_refused_and_the_rest_is_warned_of() {
     assert_eq!(examine(None), Ok(Vec::new()));
 }
 
-/// Redis without memory: records wait on disk as far as they may, then the newest are counted and told of.
+/// Redis without memory: records wait on disk as far as allowed, then the newest are counted and reported.
 #[test]
 fn what_a_full_redis_does_not_take_waits_and_what_does_not_fit_is_told_in_gap_records() {
     let Some(redis) = Redis::start(&["--maxmemory", "2mb"]) else { skipped!(NO_REDIS) };

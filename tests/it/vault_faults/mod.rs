@@ -1,5 +1,5 @@
 //! Redis killed, full, altered, split over a cluster, and a disk without room: what was acknowledged is never lost,
-//! what was not is counted, and the counts add up whenever they are looked at.
+//! what was not is counted, and the counts add up at every check.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 mod altered;

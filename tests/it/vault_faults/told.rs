@@ -1,19 +1,19 @@
-//! A Redis that does not do its work is told of while it lasts: by `status`, its exit code and its words, by one alert
-//! and not by hundreds; and what it lost is put back, or missed aloud, without anybody's hand.
+//! A failing Redis is reported as long as it fails: by `status`, its exit code and its words, by one alert and not by
+//! hundreds; and what it lost is restored, or reported missing, automatically.
 
 use serde_json::Value;
 
 use super::field::{CAMERA, Load, NO_REDIS, ODOM};
 use crate::support::{Console, Redis, Terminal, count, skipped, text, wait_until};
 
-/// How `status` ends, and what it says of a part.
+/// The exit code of `status`, and what it says about a part.
 fn part(load: &Load, name: &str) -> (Option<i32>, Value) {
     let outcome = load.authros.with(&["--json"]).run(&["status"]);
     let parts = outcome.document()["health"].as_array().cloned().unwrap_or_default();
     (outcome.code, parts.into_iter().find(|part| part["part"] == name).unwrap_or_default())
 }
 
-/// Waits until `status` says that the vault does not take records, with `words`.
+/// Waits until `status` says that the vault does not accept records, with `words`.
 fn until_told(load: &Load, words: &str) -> Value {
     let told = || {
         let (code, vault) = part(load, "vault");
@@ -40,7 +40,7 @@ fn waiting(vault: &Value) -> u64 {
     words.split_ascii_whitespace().nth(4).and_then(|count| count.parse().ok()).unwrap_or_else(|| panic!("{words}"))
 }
 
-/// Ill and well again `times`, told of once each.
+/// Failing and healthy again `times`, reported once each.
 fn expect_told(load: &Load, times: usize) {
     let told = load.told();
     assert_eq!(told.matches("the vault does not take").count(), times, "one alert each time: {told}");
@@ -158,7 +158,7 @@ fn verified_records_that_are_gone_without_a_copy_are_missed_at_once_and_go_on_wh
     load.authros.capture(&[ODOM], 8);
     let records = load.records();
     let key = |record: &Value| format!("authros:{}", text(record, "digest"));
-    // One that is deleted behind the program's back is put back as long as there is a copy.
+    // A record deleted behind the program's back is restored as long as there is a copy.
     wait_until(90, "the copies are given up", || {
         redis.cli(&["EVAL", "redis.call('RENAME',KEYS[1],'aside')", "1", &key(&records[0])]);
         redis.cli(&["DEL", "authros:mark"]);

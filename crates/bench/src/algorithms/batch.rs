@@ -1,4 +1,4 @@
-//! What signing would cost a record of a version whose signatures are over batches: one signature over the root of many
+//! The cost per record of signatures over batches, in a hypothetical version: one signature over the root of many
 //! records' leaves, and each record's path to it.
 
 use std::hint::black_box;
@@ -41,7 +41,7 @@ impl Batch {
         SIZES.into_iter().map(one).collect()
     }
 
-    /// Signing and verifying it, timed for each of its records.
+    /// Signing and verifying it, timed per record.
     pub fn pieces<'a>(&'a self, provider: &'static dyn Provider, signer: &'a SmKeyPair) -> [Piece<'a>; 2] {
         let sign = move || {
             let places = black_box(bind(black_box(&self.leaves))?);
@@ -60,7 +60,7 @@ impl Batch {
     }
 }
 
-/// Each leaf's place under their root.
+/// Each leaf's path under their root.
 fn bind(leaves: &[Leaf]) -> Result<Vec<Inclusion>, Failure> {
     let tree = Tree::new(Leaf::hashes(leaves)).ok_or_else(|| internal("a batch"))?;
     let (root, count) = (tree.root(), leaves.len() as u64);

@@ -1,4 +1,5 @@
-//! The shapes of figures 16 and 17: histograms of encryption, decryption and digests, and who takes how long.
+//! The shapes of figures 16 and 17: histograms of encryption, decryption and digests, and how long each implementation
+//! takes.
 
 use super::{Algorithm, LARGEST, PAPER_SM3, PAPER_SM3_LEAST, Row, find, text};
 use crate::report::Report;
@@ -19,7 +20,7 @@ fn size_of(bytes: u64) -> String {
     if bytes == LARGEST as u64 { "800 KB".to_owned() } else { format!("{} KB", bytes / 1024) }
 }
 
-/// In order of appearance, each once.
+/// In order of appearance, without duplicates.
 fn distinct<T: PartialEq>(all: impl Iterator<Item = T>) -> Vec<T> {
     all.fold(Vec::new(), |mut found, one| {
         if !found.contains(&one) {
@@ -29,7 +30,7 @@ fn distinct<T: PartialEq>(all: impl Iterator<Item = T>) -> Vec<T> {
     })
 }
 
-/// One work at all sizes, by everybody who does it.
+/// One work at all sizes, by all implementations of it.
 fn by_size(rows: &[Row], work: &str, title: &str) -> Plot {
     let of_work = || rows.iter().filter(|row| row.work == work);
     let sizes = distinct(of_work().map(|row| row.measured.bytes));

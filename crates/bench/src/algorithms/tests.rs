@@ -1,4 +1,4 @@
-//! The reckoning, and one short measurement of each algorithm.
+//! The calculations, and one short measurement of each algorithm.
 
 use super::*;
 use authros_crypto::{ProviderName, provider};

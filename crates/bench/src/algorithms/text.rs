@@ -1,4 +1,4 @@
-//! The figures for people: a table, a histogram of the largest, what was promised.
+//! The figures for people: a table, a histogram of the largest, the targets.
 
 use super::{Acceptance, Row};
 use crate::report::Report;

@@ -1,4 +1,4 @@
-//! The pieces of work that are timed, each on what was made ready before the clock starts.
+//! The pieces of work that are timed, each on data prepared before the clock starts.
 
 use std::hint::black_box;
 
@@ -13,15 +13,15 @@ use authros_crypto::{
 use authros_model::{Address, Domain, Head, RecordKind, RecorderId, Signature, Timestamp, TopicId};
 use authros_service::Failure;
 
-/// Bytes of additional data, as of a short header; the C program has as many.
+/// Bytes of additional data, like a short header; the C program uses as many.
 const AAD: [u8; 32] = [0; 32];
 const NONCE: [u8; 12] = [0; 12];
 /// Messages hashed side by side.
 const MANY: u32 = 16;
-/// A message of which many are hashed side by side is at most so long.
+/// A message hashed side by side with others has at most this many bytes.
 const SHORT: usize = 8192;
 
-/// Who verifies a signer met before.
+/// Verifies a known signer.
 pub(super) const KNOWN: &str = "authros-known";
 
 /// Who else does an algorithm, and which work: its program's word, and ours.
@@ -44,9 +44,9 @@ pub(super) struct Piece<'a> {
     pub by: &'static str,
     /// How many messages it takes at once.
     pub messages: u32,
-    /// Makes what is changed in place.
+    /// Prepares what is changed in place.
     pub prepare: Box<dyn Fn() -> Vec<u8> + 'a>,
-    /// The work; what it returns is dropped after the clock was stopped.
+    /// The work; its result is dropped after the clock was stopped.
     pub run: Box<dyn Fn(Vec<u8>) -> Done + 'a>,
 }
 
@@ -74,7 +74,7 @@ impl Bench {
         let signature = ours.sign(&signer.secret, &text)?;
         let envelope = ours.encrypt(&signer.public, text.get(..32).unwrap_or(&text))?;
         let [crates, libsm] = [ProviderName::RustCrypto, ProviderName::Libsm].map(provider);
-        // libsm's table takes seconds to build, once; ours of a signer is made when it is met for the third time.
+        // libsm's table takes seconds to build, once; ours for a signer is built at the third signature.
         for provider in [crates, libsm, ours, ours, ours] {
             provider.verify(&signer.public, &text, &signature)?;
         }
@@ -82,7 +82,7 @@ impl Bench {
         Ok(Self { ours, crates, libsm, key, text, sealed, signer, signature, envelope, head, batches })
     }
 
-    /// All that is timed for an algorithm at this size.
+    /// Everything timed for an algorithm at this size.
     pub fn pieces(&self, algorithm: Algorithm) -> Vec<Piece<'_>> {
         let both = [("authros", self.ours), ("libsm", self.libsm)];
         match algorithm {
@@ -94,7 +94,8 @@ impl Bench {
                 pieces
             }
             Algorithm::Sm3 => self.sm3(both),
-            // Ours first: what others allocate and give back would have our buffers mapped anew within our time.
+            // Ours first: memory that others allocate and free would make our buffers be mapped again while we are
+            // timed.
             Algorithm::Sm4 => {
                 let mut pieces = Vec::from(self.sm4("authros", self.ours));
                 pieces.extend([self.record(), self.digest("authros", self.ours)]);
@@ -145,7 +146,7 @@ impl Bench {
         Piece { work: "seal", by: "crates", messages: 1, prepare, run: Box::new(run) }
     }
 
-    /// libsm as it comes, with its own GCM.
+    /// libsm unmodified, with its own GCM.
     fn by_libsm(&self) -> Piece<'_> {
         piece("seal", "libsm-gcm", || Ok(seal_by_libsm(&self.key, &[0; 16], &AAD, &self.text)?))
     }
@@ -189,12 +190,12 @@ impl Bench {
         ]
     }
 
-    /// Whether a provider keeps tables of signers that it met before.
+    /// Whether a provider keeps tables for known signers.
     fn knows_signers(&self, provider: &dyn Provider) -> bool {
         provider.name() == ProviderName::Authros.to_string()
     }
 
-    /// Verifying a signature of somebody met before.
+    /// Verifying a known signer's signature.
     fn known_signer(&self) -> Option<Piece<'_>> {
         let verify = || {
             self.ours.verify(&self.signer.public, &self.text, &self.signature)?;

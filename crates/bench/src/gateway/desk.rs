@@ -1,4 +1,4 @@
-//! A gateway's desk that keeps what one sender uploads, in a ledger and a vault as a site does, fsynced before the
+//! A gateway's desk that stores one sender's uploads, in a ledger and a vault like a site's, fsynced before the
 //! receipt; it does nothing else.
 
 use std::net::SocketAddr;
@@ -37,7 +37,7 @@ struct Store {
 }
 
 impl BenchDesk {
-    /// With a new ledger and vault in `directory`, and what the sender proves itself with.
+    /// With a new ledger and vault in `directory`, and the sender's credentials.
     pub fn open(sender: &Sender, directory: &Path) -> Result<(Self, Credentials), Failure> {
         let name: ProfileName = "bench".parse().map_err(|_| internal("no name"))?;
         let key = TransportKey::generate()?;
@@ -168,7 +168,7 @@ impl Desk for BenchDesk {
         not_measured()
     }
 
-    // Whoever uploads is told the code, and the bench ends with it.
+    // The uploader gets the code, and the bench ends with it.
     async fn network_name(&self) -> Result<NetworkName, Refusal> {
         not_measured()
     }

@@ -1,4 +1,4 @@
-//! What connections cost that say nothing.
+//! The cost of silent connections.
 
 use serde::Serialize;
 
@@ -20,11 +20,11 @@ pub struct Idle {
     pub asked: usize,
     /// Open and authenticated at once.
     pub connections: usize,
-    /// Resident memory that came with them, bytes.
+    /// The resident memory they added, bytes.
     pub resident: u64,
-    /// That, for each connection.
+    /// That, per connection.
     pub bytes_each: u64,
-    /// Why there are fewer than asked.
+    /// Why there are fewer than requested.
     pub limited_by: Option<String>,
 }
 
@@ -42,7 +42,7 @@ impl Idle {
     }
 }
 
-/// Opens so many connections as files allow, and looks at the memory.
+/// Opens this many connections, as far as file limits allow, and measures the memory.
 pub(super) async fn measure(sender: &Sender, asked: usize) -> Result<Idle, Failure> {
     let files = most_files().unwrap_or(usize::MAX);
     let count = asked.min(files.saturating_sub(OTHER_FILES) / 2);
@@ -60,7 +60,7 @@ pub(super) async fn measure(sender: &Sender, asked: usize) -> Result<Idle, Failu
     let connections = stage.server.connections();
     drop(progress);
     if let Some(client) = clients.last_mut() {
-        // The last of many is served as the first would be.
+        // The last of many is served like the first.
         client.upload(sender.seal_all(1, 1024)?).await.map_err(super::of_gateway)?;
     }
     drop(clients);
@@ -69,7 +69,7 @@ pub(super) async fn measure(sender: &Sender, asked: usize) -> Result<Idle, Failu
     Ok(Idle { asked, connections, resident, bytes_each, limited_by })
 }
 
-/// The soft limit; `None` where there is none.
+/// The soft limit; `None` if there is none.
 fn most_files() -> Option<usize> {
     let text = std::fs::read_to_string("/proc/self/limits").ok()?;
     text.lines().find_map(|line| line.strip_prefix("Max open files"))?.split_whitespace().next()?.parse().ok()

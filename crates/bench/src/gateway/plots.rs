@@ -1,4 +1,4 @@
-//! Records a second by way of uploading, beside what one core could do at most.
+//! Records a second for each way of uploading, beside the most one core could do.
 
 use super::{NOTES, Row, SIZES};
 use crate::report::Report;

@@ -1,4 +1,4 @@
-//! Who sends to the measured gateway: throw-away keys, and records sealed beforehand.
+//! The sender to the measured gateway: throw-away keys, and records sealed in advance.
 
 use crate::account::head;
 use authros_crypto::{EoaSecret, Provider, SealRequest, SmKeyPair, TopicKey, random_bytes, seal};
@@ -32,7 +32,7 @@ impl Sender {
         })
     }
 
-    /// So many records of so many bytes of message.
+    /// This many records of this many bytes of message.
     pub fn seal_all(&self, count: usize, bytes: usize) -> Result<Vec<Upload>, Failure> {
         let (recorder, topic_id) = (RecorderId(random_bytes()?), TopicId(random_bytes()?));
         let (head, body) = (head(bytes), vec![0x5a; bytes]);

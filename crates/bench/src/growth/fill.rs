@@ -1,4 +1,4 @@
-//! Records for a ledger, and how long a record more takes.
+//! Records for a ledger, and how long another record takes.
 
 use std::time::{Duration, Instant};
 
@@ -21,9 +21,9 @@ pub(crate) const MESSAGE: u64 = 728;
 pub(crate) const BEGIN: u64 = 1_700_000_000_000_000_000;
 /// Records in a commit that is timed, as in the pipeline.
 const COMMIT: u64 = 256;
-/// Records that are appended before they are verified in one batch: a second of a busy site.
+/// Records appended before they are verified in one batch: a second of a busy site.
 const BATCH: u64 = 1_024;
-/// Batches that make one figure: so many that each has its share of checkpoints.
+/// Batches per figure: enough for each to have its share of checkpoints.
 const WINDOW: u64 = 4;
 /// Figures taken of one ledger, at most.
 pub(crate) const FIGURES: u64 = 5;
@@ -35,7 +35,7 @@ const BULK: u64 = 5_000;
 pub(crate) struct Costs {
     /// Of acknowledging it.
     pub append: Vec<f64>,
-    /// Of its steps to verified.
+    /// Its steps to verified.
     pub life: Vec<f64>,
 }
 

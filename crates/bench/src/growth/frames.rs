@@ -1,4 +1,4 @@
-//! Frames of the console and what comes before them: keys, rows, filters. Nothing is written to a terminal.
+//! Frames of the console and what precedes them: keys, rows, filters. Nothing is written to a terminal.
 
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
@@ -16,7 +16,7 @@ use authros_store::{Ledger, RecordQuery};
 
 /// Columns and rows.
 const SIZE: (u16, u16) = (200, 50);
-/// Topics in the graph; most of them are not recorded.
+/// Topics in the graph, most of them not recorded.
 const TOPICS: u64 = 2_000;
 const NOW: Timestamp = Timestamp(1_800_000_000_000_000_000);
 
@@ -70,7 +70,7 @@ fn keys(state: &mut State, theme: &Theme) -> Result<Figures, Failure> {
     Ok(figures)
 }
 
-/// A console on a screen, with the page that the ledger gives.
+/// A console on a screen, with the page returned by the ledger.
 fn console(ledger: &Ledger, screen: Screen) -> Result<State, Failure> {
     let mut state = State::new(Settings::default());
     update(&mut state, Action::Tick(NOW));

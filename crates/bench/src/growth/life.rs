@@ -1,5 +1,5 @@
-//! Records moved along their life line, a batch at a time, by the steps that the pipeline takes in the ledger: batched,
-//! submitted, mined, confirmed, verified. Nothing is sent: the chain's answers are made up.
+//! Records moved through their states, a batch at a time, by the pipeline's steps in the ledger: batched, submitted,
+//! mined, confirmed, verified. Nothing is sent: the chain's answers are simulated.
 
 use super::fill::OWNER;
 use authros_chain::merkle::{Leaf, Tree};
@@ -7,12 +7,12 @@ use authros_model::{Address, Hash, RecordState};
 use authros_service::Failure;
 use authros_store::{Anchors, Ledger, NewBatch, NewTransaction, RootSighting, TransactionOutcome};
 
-/// Who anchors.
+/// The anchoring account.
 const ACCOUNT: Address = OWNER;
 /// Bytes of a signed transaction that anchors a root.
 const RAW: usize = 180;
 
-/// The life line of all records so far.
+/// The states of all records so far.
 #[derive(Debug, Default)]
 pub(crate) struct Life {
     /// Batches that were anchored, each in a block of its own.

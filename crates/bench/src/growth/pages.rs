@@ -1,4 +1,4 @@
-//! Pages of a list, as the console asks for them.
+//! Pages of a list, as requested by the console.
 
 use super::fill::{BEGIN, OWNER, RARE};
 use super::{Figures, timed};

@@ -1,11 +1,11 @@
-//! Time by the records that are there, on logarithmic axes: a flat line costs the same however many there are.
+//! Time against the number of records, on logarithmic axes: a flat line costs the same however many there are.
 
 use super::{NOTES, Row, works};
 use crate::report::Report;
 use crate::spread::number;
 use crate::svg::{Axis, COLOURS, Mark, Page, Plot, Series};
 
-/// The works of each plot: a title, and how their names begin.
+/// The works of each plot: a title, and the prefixes of their names.
 const PLOTS: [(&str, &[&str]); 3] = [
     ("Ledger: a record more, its life line, and counts", &["append", "life", "counts"]),
     ("Pages of a list", &["page", "next", "topic", "held", "none", "time", "tag"]),

@@ -1,4 +1,4 @@
-//! The messages that are measured: smooth surfaces under the noise of a sensor, the same in every run.
+//! The messages measured: smooth surfaces with sensor noise, the same in every run.
 
 use authros_crypto::compression::Matrix;
 
@@ -31,13 +31,13 @@ impl Noise {
     }
 }
 
-/// Height of a surface of hills, -1000 to 1000.
+/// Height of a hilly surface, -1000 to 1000.
 #[allow(clippy::cast_possible_truncation, reason = "bounded by a sine")]
 fn surface(x: i32, y: i32) -> i32 {
     ((f64::from(x) / 90.0).sin() * (f64::from(y) / 70.0).cos() * 1000.0) as i32
 }
 
-/// All of them.
+/// All messages.
 pub fn all() -> Vec<Message> {
     vec![
         matrix("image rgb8 1280x720", (1280, 720), (3, 1), 1, &mut |x, y, channel, noise| {

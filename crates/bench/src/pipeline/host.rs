@@ -1,4 +1,4 @@
-//! A throw-away site with one registered profile, in a directory that goes with it.
+//! A throw-away site with one registered profile, in a directory removed with it.
 
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ use authros_store::{SiteLock, files};
 
 /// The site.
 pub struct Host {
-    /// Speaks for its only profile.
+    /// A client for its only profile.
     pub client: Client,
     /// What an fsync takes where its home lies, milliseconds.
     pub fsync: Spread,
@@ -79,12 +79,12 @@ impl Host {
     /// The ROS master in use.
     ///
     /// # Errors
-    /// Where it does not answer.
+    /// If it does not answer.
     pub async fn master(&self) -> Result<String, Failure> {
         self.site.ros_uri().await
     }
 
-    /// Times of the line.
+    /// The line's timings.
     pub fn stages(&self) -> &Stages {
         self.site.stages()
     }
@@ -92,7 +92,7 @@ impl Host {
     /// Health and counts.
     ///
     /// # Errors
-    /// The site's.
+    /// Errors of the site.
     pub async fn status(&self) -> Result<SiteView, Failure> {
         self.client.ask(SiteStatus).await
     }

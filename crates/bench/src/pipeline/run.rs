@@ -1,4 +1,4 @@
-//! One load through the line: publishers at a held rate, the counts asked each second, and everything verified
+//! One load through the line: publishers at a constant rate, the counts read each second, and everything verified
 //! before the figures are read.
 
 use std::time::{Duration, Instant};
@@ -24,14 +24,14 @@ const HELD: f64 = 0.98;
 /// The longest bar, characters.
 const LONGEST_BAR: f64 = 50.0;
 
-/// What is published.
+/// The load.
 #[derive(Debug, Clone, Copy)]
 pub struct Load {
     /// Its name.
     pub name: &'static str,
     /// Bytes of a message.
     pub bytes: usize,
-    /// Messages a second, of all publishers together.
+    /// Total messages a second of all publishers.
     pub per_second: f64,
     /// Publishers.
     pub publishers: u16,
@@ -56,13 +56,13 @@ impl Load {
 struct Busy {
     stage: &'static str,
     seconds: f64,
-    /// Of the load's time.
+    /// Share of the load's time.
     share: f64,
     /// Microseconds for each message.
     per_message: f64,
 }
 
-/// What one load showed.
+/// The result of one load.
 #[derive(Debug, Serialize)]
 pub struct Summary {
     /// Its name.
@@ -107,7 +107,7 @@ pub struct Summary {
 /// Runs a load for `length`.
 ///
 /// # Errors
-/// Where the publishers cannot start, nobody subscribes, or not all is verified in time.
+/// If the publishers cannot start, nobody subscribes, or not everything is verified in time.
 pub async fn run(host: &Host, load: &Load, length: Duration) -> Result<Summary, Failure> {
     let master = host.master().await?;
     let mut publishers = block_in_place(|| Publishers::start(&master, load.publishers))?;
@@ -194,7 +194,7 @@ pub(super) fn whole(number: f64) -> usize {
 }
 
 impl Summary {
-    /// Each stage's word, and percent of the load's time that it was busy.
+    /// Each stage's name, and the per cent of the load's time that it was busy.
     pub fn shares(&self) -> Vec<(&'static str, f64)> {
         self.stages.iter().map(|busy| (busy.stage, busy.share * 100.0)).collect()
     }
@@ -214,7 +214,7 @@ impl Summary {
         "memory MiB",
     ];
 
-    /// Whether every message published was verified, and the law always held.
+    /// Whether every message published was verified, and the conservation law always held.
     pub fn is_whole(&self) -> bool {
         self.published == self.verified && self.law_broken == 0
     }
@@ -248,7 +248,7 @@ impl Summary {
         ]
     }
 
-    /// A bar for each stage, and the law.
+    /// A bar for each stage, and the conservation law.
     pub fn bars(&self) -> Vec<String> {
         let bar = |busy: &Busy| {
             let length = whole((busy.share * LONGEST_BAR).ceil()).min(whole(LONGEST_BAR));

@@ -12,7 +12,7 @@ use authros_model::{Address, Domain, FilterId, Head, RecordKind, RecorderId, Tim
 use authros_service::Failure;
 use authros_service::failure::internal;
 
-/// Records of the batch that the proof is of.
+/// Records in the batch of the proof.
 const BATCH: u64 = 256;
 const DOMAIN: Domain = Domain([1; 32]);
 const OWNER: Address = Address([2; 20]);
@@ -40,7 +40,7 @@ impl Clock {
             Some((_, sum)) => *sum += time,
             None => self.lap.push((step, time)),
         }
-        // What the clock itself took is nobody's.
+        // The clock's own time is charged to no step.
         self.last = Instant::now();
     }
 }
@@ -108,7 +108,7 @@ impl Kit {
     }
 }
 
-/// The leaf's place in a batch.
+/// The leaf's path in a batch.
 fn inclusion(leaf: &Leaf) -> Result<Inclusion, Failure> {
     let leaves: Vec<Leaf> = (0..BATCH).map(|more| Leaf { seq: leaf.seq + more, ..*leaf }).collect();
     let tree = Tree::new(Leaf::hashes(&leaves)).ok_or_else(|| internal("a batch"))?;

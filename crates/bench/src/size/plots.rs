@@ -33,7 +33,7 @@ fn sizes() -> Axis {
     Axis::places("size of a message", SIZES.map(|bytes| format!("{} KB", bytes / 1024)))
 }
 
-/// One bar for each size of a way.
+/// One bar for each size of a method.
 fn series(name: &str, colour: &'static str, rows: &[&Row], column: &str, bar: fn(&Row) -> Option<Bar>) -> Series {
     let bars = SIZES.map(|bytes| {
         rows.iter().find(|row| row.column() == column && row.measured.bytes == bytes as u64).and_then(|row| bar(row))

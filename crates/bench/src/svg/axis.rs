@@ -1,13 +1,13 @@
-//! Axes: from where to where, on which scale, and where the ticks are.
+//! Axes: range, scale and ticks.
 
 use crate::spread::number;
 
-/// Ticks of a linear axis, about.
+/// Approximate number of ticks on a linear axis.
 const TICKS: f64 = 5.0;
 /// The most ticks.
 const MOST: u32 = 40;
 
-/// How values lie on an axis.
+/// The scale of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Scale {
     Linear,
@@ -21,14 +21,14 @@ pub struct Axis {
     from: f64,
     to: f64,
     scale: Scale,
-    /// Value and words.
+    /// Value and label.
     pub(super) ticks: Vec<(f64, String)>,
-    /// Whether it has places with names, not numbers.
+    /// Whether it has named places instead of numbers.
     pub(super) named: bool,
 }
 
 impl Axis {
-    /// From zero to a round number that is not less than any of the values.
+    /// From zero to a round number not less than any of the values.
     pub fn from_zero(label: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
         Self::linear(label.into(), 0.0, limits(values).map_or(1.0, |(_, most)| most))
     }
@@ -39,7 +39,7 @@ impl Axis {
         Self::linear(label.into(), least, most)
     }
 
-    /// Between powers of ten around the values that are above zero.
+    /// Between powers of ten around the values above zero.
     pub fn decades(label: impl Into<String>, values: impl IntoIterator<Item = f64>) -> Self {
         let (least, most) = limits(values.into_iter().filter(|value| *value > 0.0)).unwrap_or((1.0, 10.0));
         let first = least.log10().floor();
@@ -50,7 +50,7 @@ impl Axis {
         Self { label: label.into(), from, to, scale: Scale::Logarithmic, ticks, named: false }
     }
 
-    /// A place for each name, in order; the middle of place `n` is at `n + 0.5`. A name may have lines.
+    /// A place for each name, in order; the middle of place `n` is at `n + 0.5`. A name may have several lines.
     pub fn places(label: impl Into<String>, names: impl IntoIterator<Item = String>) -> Self {
         let ticks: Vec<_> = names.into_iter().enumerate().map(|(at, name)| (number(at) + 0.5, name)).collect();
         let to = number(ticks.len()).max(1.0);
@@ -68,7 +68,7 @@ impl Axis {
         Self { label, from, to, scale: Scale::Linear, ticks, named: false }
     }
 
-    /// Where a value is, as a share of the length; beyond the ends it is at the end.
+    /// The position of a value, as a share of the length; values beyond the ends are at the end.
     pub(super) fn share(&self, value: f64) -> f64 {
         let share = match self.scale {
             Scale::Linear => (value - self.from) / (self.to - self.from),
@@ -80,7 +80,7 @@ impl Axis {
     }
 }
 
-/// The least and the most of the values that are numbers.
+/// The least and the greatest of the values that are numbers.
 fn limits(values: impl IntoIterator<Item = f64>) -> Option<(f64, f64)> {
     values.into_iter().filter(|value| value.is_finite()).fold(None, |found, value| {
         let (least, most) = found.unwrap_or((value, value));
@@ -88,7 +88,7 @@ fn limits(values: impl IntoIterator<Item = f64>) -> Option<(f64, f64)> {
     })
 }
 
-/// 1, 2 or 5 times a power of ten, not less than asked.
+/// 1, 2 or 5 times a power of ten, not less than requested.
 fn round_step(asked: f64) -> f64 {
     let power = 10f64.powf(asked.log10().floor());
     let steps = [1.0, 2.0, 5.0].map(|times| times * power);

@@ -1,4 +1,4 @@
-//! The elements of an SVG document that plots are made of. Text is escaped, and every number is finite.
+//! The elements of an SVG document used by plots. Text is escaped, and every number is finite.
 
 use std::fmt::Write as _;
 
@@ -7,7 +7,7 @@ use authros_model::clean;
 /// The longest text, characters.
 const LONGEST: usize = 400;
 
-/// Where a text's place is.
+/// A text's anchor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Anchor {
     Start,
@@ -15,14 +15,14 @@ pub(super) enum Anchor {
     End,
 }
 
-/// How a text looks.
+/// A text's style.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Text {
     pub size: f64,
     pub colour: &'static str,
     pub anchor: Anchor,
     pub bold: bool,
-    /// Read from below.
+    /// Rotated, to be read from below.
     pub upright: bool,
 }
 
@@ -32,7 +32,7 @@ impl Default for Text {
     }
 }
 
-/// A document that is being written.
+/// A document being written.
 pub(super) struct Canvas(String);
 
 impl Canvas {
@@ -84,7 +84,7 @@ impl Canvas {
             writeln!(self.0, "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"2.6\" fill=\"{colour}\"/>", finite(x), finite(y));
     }
 
-    /// Words; a line of text has its foot at `y`.
+    /// A line of text, with its baseline at `y`.
     pub fn text(&mut self, x: f64, y: f64, words: &str, look: Text) {
         let (x, y) = (finite(x), finite(y));
         let anchor = match look.anchor {
@@ -108,12 +108,12 @@ fn finite(number: f64) -> f64 {
     if number.is_finite() { number } else { 0.0 }
 }
 
-/// How wide a text of that size is, about.
+/// The approximate width of a text of that size.
 pub(super) fn width_of(words: &str, size: f64) -> f64 {
     crate::spread::number(words.chars().count()) * size * 0.55
 }
 
-/// As much of a text as that width holds.
+/// As much of a text as fits that width.
 pub(super) fn fitted(words: &str, size: f64, width: f64) -> String {
     if width_of(words, size) <= width {
         return words.to_owned();
@@ -125,7 +125,7 @@ pub(super) fn fitted(words: &str, size: f64, width: f64) -> String {
     format!("{}…", kept.trim_end())
 }
 
-/// For content and attributes; what XML cannot hold is gone.
+/// For content and attributes; characters not allowed in XML are removed.
 pub(super) fn escaped(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for character in clean(text, LONGEST).chars() {

@@ -1,4 +1,4 @@
-//! Histograms in the shape of the paper's figures 16 and 17: bars for counts, an orange line for their frequency.
+//! Histograms like the paper's figures 16 and 17: bars for counts, an orange line for their frequency.
 
 use super::COLOURS;
 use super::axis::Axis;
@@ -8,10 +8,11 @@ use crate::spread::{Spread, number};
 /// Columns.
 const COLUMNS: usize = 24;
 
-/// How often values occur. The farthest few of a hundred are counted in the last column, or the others would be one.
+/// How often values occur. The farthest few per cent are counted in the last column, otherwise the rest would be
+/// squeezed into one.
 pub fn histogram(title: impl Into<String>, values: &[f64], unit: &str) -> Plot {
     let Spread { min, p95, max, .. } = Spread::of(values);
-    // Half of the range again above the 95th of a hundred.
+    // Half of the range again above the 95th percentile.
     let end = max.min(p95 + (p95 - min) / 2.0);
     let width = ((end - min) / number(COLUMNS)).max(f64::MIN_POSITIVE);
     let edge = |column: usize| min + width * number(column);

@@ -5,15 +5,15 @@ use super::axis::{Axis, short};
 use super::canvas::{Anchor, Canvas, Text, fitted, width_of};
 use crate::spread::number;
 
-/// Height of title and of each row of the legend.
+/// Height of the title and of each row of the legend.
 const TITLE: f64 = 20.0;
 const LEGEND: f64 = 16.0;
-/// Left and right of what is drawn, and below it.
+/// Margins left and right of the drawing, and below it.
 const LEFT: f64 = 58.0;
 const RIGHT: f64 = 14.0;
 const RIGHT_WITH_AXIS: f64 = 50.0;
 const BELOW: f64 = 26.0;
-/// Height of a line of a tick's words.
+/// Height of a line of a tick's label.
 const LINE: f64 = 12.0;
 /// Share of a place that its bars take.
 const GROUP: f64 = 0.8;
@@ -22,7 +22,7 @@ const WIDEST_BAR: f64 = 64.0;
 /// Size of the figure above a bar, and how much wider than the bar it may be.
 const FIGURE: f64 = 9.5;
 const FIGURE_BEYOND: f64 = 2.0;
-/// Bold letters are so much wider.
+/// How much wider bold letters are.
 const BOLD: f64 = 1.18;
 const GREY: &str = "#666666";
 const PALE: &str = "#e4e4e4";
@@ -32,7 +32,7 @@ const PALE: &str = "#e4e4e4";
 pub enum Side {
     /// The left one.
     Left,
-    /// The right one; the left one where there is none.
+    /// The right one; the left one if there is none.
     Right,
 }
 
@@ -41,7 +41,7 @@ pub enum Side {
 pub struct Bar {
     /// Its height.
     pub value: f64,
-    /// Where the whiskers begin and end; none where both are the value.
+    /// The ends of the whiskers; none if both equal the value.
     pub whiskers: (f64, f64),
 }
 
@@ -51,13 +51,13 @@ impl Bar {
         Self { value, whiskers: (value, value) }
     }
 
-    /// With them; none where the value is no number.
+    /// With whiskers; none if the value is not a number.
     pub fn between(value: f64, from: f64, to: f64) -> Option<Self> {
         value.is_finite().then_some(Self { value, whiskers: (from, to) })
     }
 }
 
-/// What a series looks like.
+/// The appearance of a series.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Mark {
     /// A bar at each place that has one.
@@ -68,14 +68,14 @@ pub enum Mark {
     Columns(Vec<(f64, f64, f64)>),
 }
 
-/// What is drawn in one colour.
+/// One series, drawn in one colour.
 #[derive(Debug, Clone)]
 pub struct Series {
-    /// In the legend.
+    /// Its label in the legend.
     pub name: String,
     /// As SVG writes it.
     pub colour: &'static str,
-    /// Where it is read.
+    /// Its axis.
     pub side: Side,
     /// What it is.
     pub mark: Mark,
@@ -92,7 +92,7 @@ impl Series {
         bars.get(place).copied().flatten().is_some_and(|bar| bar.value.is_finite())
     }
 
-    /// The values that the axis must hold.
+    /// The values that the axis must cover.
     pub fn values(&self) -> Vec<f64> {
         match &self.mark {
             Mark::Bars(bars) => {
@@ -115,7 +115,7 @@ pub struct Plot {
     pub left: Axis,
     /// Upward, on the right.
     pub right: Option<Axis>,
-    /// What is drawn, the first below the others.
+    /// The series, from back to front.
     pub series: Vec<Series>,
 }
 
@@ -226,7 +226,7 @@ impl Plot {
         }
     }
 
-    /// Bars of one series; those of others at the same place stand beside them.
+    /// Bars of one series; those of others at the same place are beside them.
     fn draw_bars(&self, canvas: &mut Canvas, inner: Area, series: &Series, axis: &Axis, bars: &[Option<Bar>]) {
         let place = inner.width / number(self.across.ticks.len().max(1));
         for (index, bar) in bars.iter().enumerate() {

@@ -26,7 +26,7 @@ fn page() -> Page {
     Page { title: "a & b".to_owned(), machine: "<machine>".to_owned(), columns: 2, plots, notes }
 }
 
-/// Every element ends, and nothing stands in the text that must be escaped.
+/// Every element is closed, and all text that needs it is escaped.
 fn expect_well_formed(document: &str) {
     let mut open = Vec::new();
     let body = document.strip_prefix("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n").expect("a declaration");

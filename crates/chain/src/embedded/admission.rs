@@ -1,7 +1,7 @@
-//! Rules of admission: what this node takes into its pool and its blocks, so that no caller stalls the chain's one
-//! thread. They are no rules of the chain: whoever runs a block of the file again is bound by none of them.
+//! Rules of admission: what this node accepts into its pool and its blocks, so that no caller stalls the chain's single
+//! thread. They are not rules of the chain: replaying a block from the file ignores them.
 //!
-//! Gas is no measure of time where Istanbul's prices are wrong: MODEXP with a long exponent takes a hundred times as
+//! Gas does not measure time where Istanbul's prices are wrong: MODEXP with a long exponent takes a hundred times as
 //! long as its gas says, ecrecover three times. What such a call should cost above its price is counted as surplus.
 
 use revm::context_interface::{Cfg, ContextTr};
@@ -15,37 +15,37 @@ use revm::primitives::{Address as EvmAddress, AddressSet, U256 as Word};
 pub const TRANSACTION_GAS: u64 = 10_000_000;
 /// The most gas of all transactions of a block.
 pub const BLOCK_GAS: u64 = 20_000_000;
-/// The most gas that the runs of one estimate may use together.
+/// The most gas that all runs of one estimate may use together.
 pub const ESTIMATE_GAS: u64 = 40_000_000;
 /// The most surplus of one transaction or call.
 pub const TRANSACTION_SURPLUS: u64 = 10_000_000;
-/// A block that has so much surplus takes no further transaction.
+/// A block with this much surplus takes no further transaction.
 pub const BLOCK_SURPLUS: u64 = 10_000_000;
-/// What the words of the refusal begin with.
+/// Prefix of the refusal.
 pub const TOO_MUCH_WORK: &str = "too much work for its gas";
 
-/// Where ecrecover lies.
+/// The address of ecrecover.
 const ECRECOVER: EvmAddress = revm::precompile::u64_to_address(1);
 /// Its price.
 const ECRECOVER_GAS: u64 = 3_000;
-/// Its surplus, by measurement against the other instructions.
+/// Its surplus, measured against the other instructions.
 const ECRECOVER_SURPLUS: u64 = 6_000;
-/// Where MODEXP lies (EIP-198).
+/// The address of MODEXP (EIP-198).
 const MODEXP: EvmAddress = revm::precompile::u64_to_address(5);
-/// Length of MODEXP's three lengths.
+/// Bytes of MODEXP's three lengths.
 const LENGTHS: usize = 96;
 
-/// The precompiled contracts of Istanbul, and how much more they did than their gas says.
+/// Istanbul's precompiled contracts, and how much more work they did than their gas says.
 #[derive(Debug)]
 pub struct Weighed {
     precompiles: EthPrecompiles,
-    /// So far, in gas.
+    /// The surplus so far, in gas.
     pub surplus: u64,
     most: u64,
 }
 
 impl Weighed {
-    /// With a surplus of `most` at the most.
+    /// Allows a surplus of at most `most`.
     pub fn new(most: u64) -> Self {
         Self { precompiles: EthPrecompiles::new(SpecId::ISTANBUL), surplus: 0, most }
     }
@@ -78,7 +78,7 @@ impl<C: ContextTr> PrecompileProvider<C> for Weighed {
     }
 }
 
-/// How much more a call of MODEXP costs under EIP-7883 than under EIP-198; nothing where it cannot pay for itself.
+/// How much more a call of MODEXP costs under EIP-7883 than under EIP-198; 0 if it cannot pay for itself.
 fn surplus(input: &[u8], gas: u64) -> u64 {
     let mut head = [0; LENGTHS + 32];
     let word = |at: usize, head: &[u8]| Word::from_be_slice(&head[at..at + 32]);

@@ -1,4 +1,4 @@
-//! What strangers may send, and how long a block of the worst of it takes.
+//! What anyone may send, and how long a block of the worst of it takes.
 
 use std::time::Instant;
 
@@ -22,14 +22,14 @@ fn work_that_its_gas_does_not_pay_is_refused_and_run_again_where_it_is_in_the_fi
     assert!(outcome.refused[0].1.contains(TOO_MUCH_WORK), "{}", outcome.refused[0].1);
     let again = machine.run(&place(), transactions(), false).expect("runs");
     assert_eq!((again.included.len(), again.refused.len()), (1, 0));
-    // The sum over a block is bounded too: what came after the fill waits, neither taken nor refused.
+    // The sum over a block is bounded too: what comes after the limit waits, neither taken nor refused.
     let short = Payload::modexp(1, 600, 1, 0xff);
     let many = (0..60).map(|sender| short.transaction(Address([sender + 1; 20]), 0, 100_000)).collect();
     let outcome = machine.run(&place(), many, true).expect("runs");
     assert!(outcome.refused.is_empty() && (1..60).contains(&outcome.included.len()), "{}", outcome.included.len());
 }
 
-/// The largest calls of the contract that a transaction's bytes can hold, and its deployment, are within the caps.
+/// The largest contract calls that fit into a transaction, and its deployment, are within the caps.
 #[test]
 fn the_contract_fits() {
     let mut world = World::new(Revision::NEWEST, true);

@@ -13,7 +13,7 @@ use crate::chain::Call;
 use crate::chain::artefact::{Revision, artefact};
 use crate::model::{Address, Hash, Identity, PublicKey, Signature, Token};
 
-/// Every so many blocks one anchors.
+/// One block in this many anchors.
 const ANCHOR_EVERY: u64 = 20;
 
 struct Writer {
@@ -41,7 +41,7 @@ impl Writer {
     }
 }
 
-/// A chain of so many blocks with an anchor in every twentieth.
+/// A chain of this many blocks with an anchor in every twentieth.
 fn grown(directory: &Path, blocks: u64) {
     let mut writer = Writer::open(directory);
     let contract = created_address(Address(writer.wallet.address().0), 0);
@@ -91,7 +91,7 @@ fn medians(directories: &[&Path]) -> Vec<Duration> {
     times.iter_mut().map(median).collect()
 }
 
-/// `cargo test --lib old_chain -- --ignored --nocapture`; `AUTHROS_OLD_CHAIN` says how many blocks.
+/// `cargo test --lib old_chain -- --ignored --nocapture`; `AUTHROS_OLD_CHAIN` sets the number of blocks.
 #[test]
 #[allow(clippy::print_stdout, reason = "a measurement")]
 fn an_old_chain_opens_as_fast_as_a_young_one() {

@@ -1,4 +1,5 @@
-//! The audit of a whole chain: every block is run again, a little at a time, so that requests and blocks do not wait.
+//! The audit of a whole chain: every block is run again, a little at a time, so that requests and blocks do not have to
+//! wait.
 
 use std::time::{Duration, Instant};
 
@@ -10,15 +11,15 @@ use super::replay::Again;
 use crate::chain::ChainError;
 use crate::model::Hash;
 
-/// How long an audit goes on at a time.
+/// How long an audit runs at a time.
 const SHARE: Duration = Duration::from_millis(20);
 
-/// One that is going on.
+/// An audit in progress.
 pub struct Auditing {
     again: Again,
     /// The newest block when it began.
     newest: u64,
-    /// The nodes of the newest state that are still to be read from the file; `None` until all blocks have run.
+    /// The nodes of the newest state still to be read from the file; `None` until all blocks have run.
     nodes: Option<Vec<Hash>>,
     reply: oneshot::Sender<Result<u64, ChainError>>,
 }
@@ -35,7 +36,7 @@ impl Node {
         }
     }
 
-    /// Does a little of the audit that has waited longest.
+    /// Continues the audit that has waited longest.
     pub fn go_on_auditing(&mut self) {
         let Some(auditing) = self.audits.pop_front().filter(|auditing| !auditing.reply.is_closed()) else { return };
         if let Some(unfinished) = self.share_of(auditing) {
@@ -43,7 +44,7 @@ impl Node {
         }
     }
 
-    /// Gives the audit back where it is not at its end.
+    /// Returns the audit if it is not finished.
     fn share_of(&self, mut auditing: Auditing) -> Option<Auditing> {
         let begun = Instant::now();
         while begun.elapsed() < SHARE {
@@ -57,7 +58,7 @@ impl Node {
                 }
                 continue;
             }
-            // Blocks that came meanwhile may have taken some of this state's nodes out.
+            // Blocks mined meanwhile may have removed some of this state's nodes.
             let nodes = auditing.nodes.get_or_insert_with(|| auditing.again.state_nodes());
             let Some(hash) = nodes.pop() else {
                 drop(auditing.reply.send(Ok(auditing.newest)));

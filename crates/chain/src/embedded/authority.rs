@@ -1,7 +1,7 @@
-//! Proof of authority as in Clique (EIP-225): signers take turns, another one steps in where one is away.
+//! Proof of authority as in Clique (EIP-225): signers take turns, and another one steps in if one is away.
 //!
-//! All signers' keys lie in the chain's file, so all seal in this process. The set is the genesis
-//! block's for good: there are no votes.
+//! All signers' keys are in the chain's file, so all of them seal in this process. The genesis block fixes the set:
+//! there are no votes.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -12,31 +12,31 @@ use k256::ecdsa::SigningKey;
 use super::block::Header;
 use crate::model::{Address, Hash};
 
-/// Difficulty of a block sealed by the signer whose turn it is.
+/// Difficulty of a block sealed in turn.
 pub const IN_TURN: u64 = 2;
-/// Difficulty of a block sealed by another one.
+/// Difficulty of a block sealed out of turn.
 pub const OUT_OF_TURN: u64 = 1;
-/// How long a signer out of turn waits at most, for every second signer of the set.
+/// The longest wait of a signer out of turn, for every second signer of the set.
 const WIGGLE: Duration = Duration::from_millis(500);
 
-/// The signers of a chain, and who of them sealed last.
+/// The signers of a chain, and which of them sealed last.
 pub struct Authority {
     signers: Vec<(Address, SigningKey)>,
     period: Duration,
     recent: VecDeque<usize>,
     out_of_turn: Vec<u64>,
-    /// Signers that do not seal, one bit each; outside tests all are here.
+    /// Signers that do not seal, one bit each; outside tests, none.
     away: u16,
 }
 
-/// Who may seal a block first.
+/// The signer that may seal a block first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Turn {
-    /// Place in the set.
+    /// Index in the set.
     pub signer: usize,
     /// The block's difficulty.
     pub difficulty: u64,
-    /// How long after the block is due.
+    /// The delay after the block is due.
     pub delay: Duration,
 }
 
@@ -63,7 +63,7 @@ impl Authority {
         self.signers.get(signer).map_or(Address([0; 20]), |(address, _)| *address)
     }
 
-    /// Whose turn a block is.
+    /// The signer whose turn a block is.
     pub fn in_turn(&self, number: u64) -> usize {
         usize::try_from(number % self.signers.len().max(1) as u64).unwrap_or(0)
     }
@@ -73,7 +73,7 @@ impl Authority {
         if self.in_turn(number) == signer { IN_TURN } else { OUT_OF_TURN }
     }
 
-    /// Whether a signer sealed one of the last ⌊n/2⌋ blocks, and must let others seal.
+    /// Whether a signer sealed one of the last ⌊n/2⌋ blocks and must let others seal.
     fn rests(&self, signer: usize) -> bool {
         self.recent.contains(&signer)
     }
@@ -82,13 +82,13 @@ impl Authority {
         self.away >> signer & 1 == 1
     }
 
-    /// Sends signers away, one bit each.
+    /// Marks signers as away, one bit each.
     #[cfg(test)]
     pub fn send_away(&mut self, signers: u16) {
         self.away = signers;
     }
 
-    /// Who seals the block above `parent` first; `None` where all that may are away.
+    /// The signer that seals the block above `parent` first; `None` if all that may are away.
     pub fn turn(&self, number: u64, parent: Hash) -> Option<Turn> {
         let present = (0..self.signers.len()).filter(|signer| !self.rests(*signer) && !self.is_away(*signer));
         let turn = |signer| {
@@ -99,7 +99,7 @@ impl Authority {
         present.map(turn).min_by_key(|turn| (turn.delay, turn.signer))
     }
 
-    /// A random wait of a signer out of turn, from 1 ms to 500 ms for every second signer and one more.
+    /// A random wait for a signer out of turn, from 1 ms to 500 ms for every second signer, plus one.
     fn wiggle(&self, signer: usize, parent: Hash) -> Duration {
         let lot = keccak256([parent.as_bytes(), self.address(signer).as_bytes()].concat());
         let lot = lot[..8].iter().fold(0u64, |lot, byte| lot << 8 | u64::from(*byte));
@@ -112,8 +112,8 @@ impl Authority {
         header.seal(&self.signers.get(signer)?.1)
     }
 
-    /// Checks difficulty, turn, rest and time of a block of the file; gives its signer. The only signer
-    /// of a chain is not recovered from each seal: the newest one vouches for all blocks below it.
+    /// Checks difficulty, turn, rest and time of a block of the file; returns its signer. With a single signer it is
+    /// not recovered from every seal: the newest seal vouches for all blocks below it.
     ///
     /// # Errors
     /// What is wrong, in plain words.
@@ -131,17 +131,17 @@ impl Authority {
         Ok(signer)
     }
 
-    /// The signer whose seal a block bears.
+    /// The signer whose seal is on the block.
     ///
     /// # Errors
-    /// Where it is none of the set.
+    /// If it is not one of the set.
     pub fn sealer(&self, header: &Header) -> Result<usize, &'static str> {
         let sealer = header.sealer();
         let found = self.signers.iter().position(|(address, _)| Some(*address) == sealer);
         found.ok_or("it is not sealed by a signer of the chain")
     }
 
-    /// Takes note of a block that is on the chain.
+    /// Notes a block that is on the chain.
     pub fn sealed(&mut self, number: u64, signer: usize) {
         if self.difficulty(number, signer) == OUT_OF_TURN {
             self.out_of_turn.push(number);
@@ -152,7 +152,7 @@ impl Authority {
         }
     }
 
-    /// Goes on where a chain ended: with the blocks sealed out of turn, and who sealed the newest ones, in order.
+    /// Continues a stored chain: the blocks sealed out of turn, and the signers of the newest ones, in order.
     pub fn resume(&mut self, out_of_turn: Vec<u64>, newest: impl IntoIterator<Item = usize>) {
         self.out_of_turn = out_of_turn;
         self.recent.extend(newest);
@@ -161,7 +161,7 @@ impl Authority {
         }
     }
 
-    /// For how many blocks a signer rests after its own.
+    /// For how many blocks a signer rests after sealing one.
     pub fn rest(&self) -> u64 {
         self.signers.len() as u64 / 2
     }
@@ -171,7 +171,7 @@ impl Authority {
         &self.out_of_turn
     }
 
-    /// The difficulties of the blocks 0 to `number`, added up.
+    /// The sum of the difficulties of blocks 0 to `number`.
     pub fn total_difficulty(&self, number: u64) -> u64 {
         1 + IN_TURN * number - self.out_of_turn.partition_point(|block| *block <= number) as u64
     }

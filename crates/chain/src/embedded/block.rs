@@ -1,7 +1,7 @@
-//! Block headers, receipts and logs of the embedded chain, their encoding and their seal.
+//! Block headers, receipts and logs of the embedded chain, their encoding and seal.
 //!
-//! The header has the fields and the RLP of Ethereum's before London, and its hash is Keccak-256 of that. What its
-//! three roots are is said by its rules, and these by its gas limit.
+//! The header has the fields and the RLP of Ethereum's before London, and its hash is the Keccak-256 of that. The
+//! meaning of its three roots depends on the rules, which the gas limit identifies.
 
 use ethers::abi::ethereum_types::BloomInput;
 use ethers::types::{Bloom, U256};
@@ -14,17 +14,17 @@ use super::transaction::recover;
 use super::trie::EMPTY_ROOT;
 use crate::model::{Address, Hash};
 
-/// By which rules a block was made.
+/// The rules by which a block was made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rules {
-    /// Of files before version 3: the roots are plain commitments, and the gas limit is no limit.
+    /// Files before version 3: the roots are plain commitments, and the gas limit is not enforced.
     Chained,
-    /// Of files of version 3: the roots are those of Merkle-Patricia tries, as Ethereum's.
+    /// Files of version 3: the roots are those of Merkle-Patricia tries, like Ethereum's.
     Tries,
 }
 
 impl Rules {
-    /// Gas limit of a block.
+    /// The block gas limit.
     pub fn gas_limit(self) -> u64 {
         match self {
             Self::Chained => 0xffff_ffff,
@@ -32,7 +32,7 @@ impl Rules {
         }
     }
 
-    /// The first bytes of the extra data of a block after the first, under proof of authority.
+    /// The first bytes of the extra data of every block after the first, under proof of authority.
     fn vanity(self) -> [u8; VANITY] {
         match self {
             Self::Chained => [0; VANITY],
@@ -40,7 +40,7 @@ impl Rules {
         }
     }
 
-    /// Root of no transactions and of no receipts.
+    /// The root of no transactions and of no receipts.
     fn nothing(self) -> Hash {
         match self {
             Self::Chained => Hash(NO_UNCLES),
@@ -61,7 +61,7 @@ const NO_UNCLES: [u8; 32] = [
 /// A block header.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Header {
-    /// Hash of the block before.
+    /// Hash of the parent.
     pub parent: Hash,
     /// Commitment to the state after the block.
     pub state_root: Hash,
@@ -69,13 +69,13 @@ pub struct Header {
     pub transactions_root: Hash,
     /// Commitment to the receipts.
     pub receipts_root: Hash,
-    /// Addresses and topics of the logs.
+    /// Bloom filter of the addresses and topics of the logs.
     pub bloom: Bloom,
-    /// Who gets the fees under proof of work; zero under proof of authority, as in Clique.
+    /// The recipient of the fees under proof of work; zero under proof of authority, as in Clique.
     pub beneficiary: Address,
-    /// Proof of authority: 1 for the genesis block, 2 for one sealed in turn, 1 out of turn. Else the work.
+    /// Proof of authority: 1 for the genesis block, 2 for one sealed in turn, 1 out of turn. Otherwise the work.
     pub difficulty: u64,
-    /// Height.
+    /// Block number.
     pub number: u64,
     /// The most gas of its transactions.
     pub gas_limit: u64,
@@ -83,15 +83,15 @@ pub struct Header {
     pub gas_used: u64,
     /// Seconds since 1970, never less than the parent's.
     pub timestamp: u64,
-    /// Vanity; under proof of authority also the signers in the genesis block, and the seal.
+    /// Vanity; under proof of authority also the signers (in the genesis block) and the seal.
     pub extra: Vec<u8>,
-    /// What the work found; 0 under proof of authority.
+    /// The nonce found by the work; 0 under proof of authority.
     pub nonce: u64,
 }
 
 impl Header {
-    /// The first header of a chain, before its seal: `unique` makes it one of its kind. Without
-    /// `signers` it is one of proof of work for `beneficiary`.
+    /// The first header of a chain, before its seal: `unique` makes it unlike any other. Without `signers` it is for
+    /// proof of work with this `beneficiary`.
     pub fn genesis(
         rules: Rules,
         signers: &[Address],
@@ -125,7 +125,7 @@ impl Header {
         }
     }
 
-    /// The RLP encoding, with as much of the extra data as given, with or without mix hash and nonce.
+    /// The RLP encoding, with the given extra data, with or without mix hash and nonce.
     fn encode_with(&self, extra: &[u8], with_nonce: bool) -> Vec<u8> {
         let mut list = RlpStream::new_list(if with_nonce { 15 } else { 13 });
         list.append(&&self.parent.0[..]).append(&&NO_UNCLES[..]).append(&&self.beneficiary.0[..]);
@@ -147,7 +147,7 @@ impl Header {
     /// From the RLP encoding.
     ///
     /// # Errors
-    /// [`DecoderError`] where it is not exactly one header of this chain's kind.
+    /// [`DecoderError`] if it is not exactly one header of this chain's kind.
     pub fn decode(bytes: &[u8]) -> Result<Self, DecoderError> {
         let list = Rlp::new(bytes);
         let header = Self {
@@ -171,7 +171,7 @@ impl Header {
         Ok(header)
     }
 
-    /// By which rules it was made.
+    /// The rules by which it was made.
     pub fn rules(&self) -> Rules {
         if self.gas_limit == Rules::Chained.gas_limit() { Rules::Chained } else { Rules::Tries }
     }
@@ -181,12 +181,12 @@ impl Header {
         Hash(keccak256(self.encode()))
     }
 
-    /// What the work is done over: the Keccak-256 of all but mix hash and nonce, as ethash's seal hash.
+    /// The hash the work is done over: the Keccak-256 of everything but mix hash and nonce, as ethash's seal hash.
     pub fn work_hash(&self) -> Hash {
         Hash(keccak256(self.encode_with(&self.extra, false)))
     }
 
-    /// What a signer signs: the Keccak-256 of all but the seal, as Clique's seal hash.
+    /// The hash a signer signs: the Keccak-256 of everything but the seal, as Clique's seal hash.
     fn seal_hash(&self) -> Option<[u8; 32]> {
         let unsealed = self.extra.len().checked_sub(SEAL)?;
         Some(keccak256(self.encode_with(&self.extra[..unsealed], true)))
@@ -201,7 +201,7 @@ impl Header {
         Some(())
     }
 
-    /// Who sealed the block, under proof of authority.
+    /// The signer that sealed the block, under proof of authority.
     pub fn sealer(&self) -> Option<Address> {
         let seal_hash = self.seal_hash()?;
         let (scalars, parity) = self.extra[self.extra.len() - SEAL..].split_at(64);
@@ -209,7 +209,7 @@ impl Header {
     }
 }
 
-/// Extra data of a block of proof of authority before it is sealed.
+/// Extra data of a proof-of-authority block before it is sealed.
 pub fn unsealed_extra(rules: Rules) -> Vec<u8> {
     [&rules.vanity()[..], &[0; SEAL]].concat()
 }
@@ -225,7 +225,7 @@ pub struct Log {
     pub data: Vec<u8>,
 }
 
-/// What became of a transaction.
+/// The result of a transaction.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Receipt {
     /// Whether it took effect.
@@ -236,7 +236,7 @@ pub struct Receipt {
     pub cumulative_gas: u64,
     /// The contract it created.
     pub contract: Option<Address>,
-    /// Revert data of one that failed, else empty.
+    /// Revert data if it failed, otherwise empty.
     pub output: Vec<u8>,
     /// Its logs.
     pub logs: Vec<Log>,

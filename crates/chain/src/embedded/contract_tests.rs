@@ -1,4 +1,4 @@
-//! The contract in the embedded EVM, with a clock of our own and no network around it: both revisions as this program
+//! The contract in the embedded EVM, with a simulated clock and no network: both revisions, called as this program
 //! calls them. The contract's whole behaviour is tested in `contracts/test`.
 
 use std::collections::HashMap;
@@ -17,7 +17,7 @@ use crate::chain::{Call, Event};
 use crate::model::{Address, Digest, Hash, Identity, PublicKey, Scope, Signature, SignerId, Timestamp, Token};
 
 const ADMIN: Address = Address([0xad; 20]);
-/// How long a succession waits, seconds.
+/// The delay of a succession, seconds.
 const DELAY: u64 = 86_400;
 const A: Address = Address([0xa; 20]);
 const B: Address = Address([0xb; 20]);
@@ -29,7 +29,7 @@ pub(super) struct World {
     machine: Machine,
     contract: Address,
     nonces: HashMap<Address, u64>,
-    /// Where the next call takes place.
+    /// The context of the next call.
     place: Environment,
     pub(super) gas: u64,
 }

@@ -1,7 +1,7 @@
 //! The file of the embedded chain: blocks, raw transactions, receipts and the state's nodes in one SQLite database.
 //!
-//! A block is one SQLite transaction, on disk (WAL, synchronous=FULL) before anyone hears of it.
-//! While the chain is open no other process can open the file.
+//! A block is one SQLite transaction, on disk (WAL, synchronous=FULL) before it is announced. While the chain is open
+//! no other process can open the file.
 
 use std::fs::{DirBuilder, OpenOptions};
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
@@ -33,28 +33,28 @@ const SCHEMA: &str = "
     );";
 const KEY_LENGTH: usize = 32;
 
-/// What is drawn when a chain is made.
+/// Drawn when a chain is founded.
 pub struct Founding {
     /// Its chain id.
     pub chain_id: u64,
     /// How its blocks are sealed.
     pub consensus: Consensus,
-    /// The keys that seal its blocks; under proof of work the one of the account that gets the fees.
+    /// The keys that seal its blocks; under proof of work, the key of the account that gets the fees.
     pub keys: Vec<SigningKey>,
-    /// Since when its state lies in the file as tries; `None` in a file before version 3.
+    /// Since when its state is stored as tries; `None` in a file before version 3.
     pub era: Option<Era>,
 }
 
-/// From where on a chain is one of version 3.
+/// The point from which a chain is of version 3.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Era {
-    /// The first block by the new rules; 0 where the chain was founded by them.
+    /// The first block by the new rules; 0 if the chain was founded under them.
     pub first: u64,
     /// Root of the state before that block.
     pub root: Hash,
 }
 
-/// A block that goes into the file.
+/// A block to be written to the file.
 pub struct Sealed<'a> {
     /// Its header.
     pub header: &'a Header,
@@ -62,19 +62,19 @@ pub struct Sealed<'a> {
     pub sent: &'a [Transaction],
     /// Their receipts.
     pub receipts: &'a [Receipt],
-    /// What it made of the state's nodes.
+    /// Its changes to the state's nodes.
     pub written: &'a Written,
-    /// Whether another signer sealed it than the one whose turn it was.
+    /// Whether it was sealed out of turn.
     pub out_of_turn: bool,
 }
 
-/// A mined transaction as it lies in the file.
+/// A mined transaction as stored in the file.
 pub struct Mined {
-    /// Who signed it.
+    /// Its sender.
     pub sender: Address,
-    /// As it was sent.
+    /// Its raw bytes.
     pub raw: Vec<u8>,
-    /// What became of it, RLP.
+    /// Its receipt, RLP.
     pub receipt: Vec<u8>,
     /// How many logs it wrote.
     pub logs: u64,
@@ -88,11 +88,11 @@ pub struct ChainFile {
 }
 
 impl ChainFile {
-    /// Opens or makes `chain.db` in `directory` (0700, files 0600).
+    /// Opens or creates `chain.db` in `directory` (0700, files 0600).
     ///
     /// # Errors
-    /// [`ChainError::File`] where it cannot be written or another process has it open,
-    /// [`ChainError::Tampered`] where it is no chain.
+    /// [`ChainError::File`] if it cannot be written or another process has it open, [`ChainError::Tampered`] if it is
+    /// not a chain.
     pub fn open(directory: &Path) -> Result<Self, ChainError> {
         let path = directory.join("chain.db");
         let blame = |error: std::io::Error| ChainError::File { path: path.clone(), reason: error.to_string() };
@@ -125,10 +125,10 @@ impl ChainFile {
         blamed(&self.path, error)
     }
 
-    /// What was drawn when the chain was made; `None` in a new file.
+    /// The founding data; `None` in a new file.
     ///
     /// # Errors
-    /// [`ChainError`] where the file cannot be read or was changed.
+    /// [`ChainError`] if the file cannot be read or was changed.
     pub fn founding(&self) -> Result<Option<Founding>, ChainError> {
         let columns = |row: &Row<'_>| Ok((row.get(0)?, natural(row, 1)?, Zeroizing::new(row.get(2)?)));
         let row: Option<(i64, u64, Zeroizing<Vec<u8>>)> = self
@@ -164,7 +164,7 @@ impl ChainFile {
     /// Writes a new chain: founding and genesis block, all or nothing.
     ///
     /// # Errors
-    /// [`ChainError::File`] where it cannot be written.
+    /// [`ChainError::File`] if it cannot be written.
     pub fn found(&self, founding: &Founding, genesis: &Header) -> Result<(), ChainError> {
         let mut keys = Zeroizing::new(Vec::with_capacity(KEY_LENGTH * founding.keys.len()));
         founding.keys.iter().for_each(|key| keys.extend_from_slice(&Zeroizing::new(key.to_bytes())[..]));
@@ -176,10 +176,10 @@ impl ChainFile {
         })
     }
 
-    /// Makes a file of version 3 out of an older one, all or nothing: `made` are the nodes of its newest state.
+    /// Upgrades an older file to version 3, all or nothing: `made` are the nodes of its newest state.
     ///
     /// # Errors
-    /// [`ChainError::File`] where it cannot be written.
+    /// [`ChainError::File`] if it cannot be written.
     pub fn upgrade(
         &self,
         consensus: &Consensus,
@@ -195,10 +195,10 @@ impl ChainFile {
         })
     }
 
-    /// Writes a block and what it made of the state; when this returns it is on disk.
+    /// Writes a block and its changes to the state; when this returns it is on disk.
     ///
     /// # Errors
-    /// [`ChainError::File`] where it cannot be written; then nothing was.
+    /// [`ChainError::File`] if it cannot be written; then nothing was.
     pub fn append(&self, block: &Sealed<'_>) -> Result<(), ChainError> {
         self.write(|transaction| {
             insert_header(transaction, block.header)?;
@@ -216,7 +216,7 @@ impl ChainFile {
         })
     }
 
-    /// Makes changes that are all on disk when this returns, or none of them happened.
+    /// Runs changes in one transaction: when this returns, either all are on disk or none happened.
     fn write(&self, work: impl FnOnce(&rusqlite::Transaction<'_>) -> rusqlite::Result<()>) -> Result<(), ChainError> {
         let write = || {
             let transaction = self.connection.unchecked_transaction()?;
@@ -229,7 +229,7 @@ impl ChainFile {
     /// The number of the newest block.
     ///
     /// # Errors
-    /// [`ChainError`] where the file cannot be read.
+    /// [`ChainError`] if the file cannot be read.
     pub fn newest_number(&self) -> Result<u64, ChainError> {
         let newest = self.one("SELECT coalesce(max(number), 0) FROM block", [], |row| natural(row, 0))?;
         Ok(newest.unwrap_or(0))
@@ -238,15 +238,15 @@ impl ChainFile {
     /// The blocks that were sealed out of turn, in order.
     ///
     /// # Errors
-    /// [`ChainError`] where the file cannot be read.
+    /// [`ChainError`] if the file cannot be read.
     pub fn out_of_turn(&self) -> Result<Vec<u64>, ChainError> {
         self.all("SELECT number FROM out_of_turn ORDER BY number", [], |row| natural(row, 0))
     }
 
-    /// Copies the file, as it is, to a new one of mode 0600.
+    /// Copies the file, as it is, to a new file of mode 0600.
     ///
     /// # Errors
-    /// [`ChainError::File`] where it cannot be written.
+    /// [`ChainError::File`] if it cannot be written.
     pub fn copy_to(&self, path: &Path) -> Result<(), ChainError> {
         let blame = |error: std::io::Error| ChainError::File { path: path.to_owned(), reason: error.to_string() };
         let file = OpenOptions::new().create_new(true).write(true).mode(0o600).open(path).map_err(blame)?;
@@ -258,7 +258,7 @@ impl ChainFile {
     /// A block by number: hash and header.
     ///
     /// # Errors
-    /// [`ChainError`] where the file cannot be read.
+    /// [`ChainError`] if the file cannot be read.
     pub fn block(&self, number: u64) -> Result<Option<(Hash, Vec<u8>)>, ChainError> {
         let query = "SELECT number, hash, header FROM block WHERE number = ?1";
         self.one(query, params![integer(number)], header_columns)
@@ -268,15 +268,15 @@ impl ChainFile {
     /// The number of the block with this hash.
     ///
     /// # Errors
-    /// [`ChainError`] where the file cannot be read.
+    /// [`ChainError`] if the file cannot be read.
     pub fn number_of(&self, hash: Hash) -> Result<Option<u64>, ChainError> {
         self.one("SELECT number FROM block WHERE hash = ?1", params![hash.0], |row| natural(row, 0))
     }
 
-    /// In which block and where in it a transaction was mined.
+    /// The block and index at which a transaction was mined.
     ///
     /// # Errors
-    /// [`ChainError`] where the file cannot be read.
+    /// [`ChainError`] if the file cannot be read.
     pub fn place_of(&self, hash: Hash) -> Result<Option<(u64, u64)>, ChainError> {
         let query = "SELECT block, position FROM sent WHERE hash = ?1";
         self.one(query, params![hash.0], |row| Ok((natural(row, 0)?, natural(row, 1)?)))
@@ -285,7 +285,7 @@ impl ChainFile {
     /// The transactions of a block, in order.
     ///
     /// # Errors
-    /// [`ChainError`] where the file cannot be read.
+    /// [`ChainError`] if the file cannot be read.
     pub fn block_transactions(&self, number: u64) -> Result<Vec<Mined>, ChainError> {
         let query = "SELECT sender, raw, receipt, logs FROM sent WHERE block = ?1 ORDER BY position";
         self.all(query, [integer(number)], mined_columns)
@@ -294,7 +294,7 @@ impl ChainFile {
     /// The numbers of the blocks with logs from `from` to `to`, in order.
     ///
     /// # Errors
-    /// [`ChainError`] where the file cannot be read.
+    /// [`ChainError`] if the file cannot be read.
     pub fn with_logs(&self, from: u64, to: u64) -> Result<Vec<u64>, ChainError> {
         let query = "SELECT DISTINCT block FROM sent WHERE block BETWEEN ?1 AND ?2 AND logs > 0 ORDER BY block";
         self.all(query, [from, to].map(integer), |row| natural(row, 0))
@@ -303,7 +303,7 @@ impl ChainFile {
     /// One row of a query.
     ///
     /// # Errors
-    /// [`ChainError`] where the file cannot be read.
+    /// [`ChainError`] if the file cannot be read.
     pub(super) fn one<T>(
         &self,
         query: &str,
@@ -317,7 +317,7 @@ impl ChainFile {
     /// All rows of a query.
     ///
     /// # Errors
-    /// [`ChainError`] where the file cannot be read.
+    /// [`ChainError`] if the file cannot be read.
     pub(super) fn all<T>(
         &self,
         query: &str,
@@ -336,12 +336,12 @@ impl ChainFile {
         self.connection.pragma_update(None, "synchronous", "OFF").expect("a pragma");
     }
 
-    /// Where it lies.
+    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The error that a block is not what it was.
+    /// The error for a block that was altered.
     pub fn tampered(&self, block: u64, what: &str) -> ChainError {
         ChainError::Tampered { path: self.path.clone(), block, what: what.to_owned() }
     }
@@ -365,7 +365,7 @@ fn connect(path: &Path) -> rusqlite::Result<Connection> {
 fn prepare(connection: &Connection) -> rusqlite::Result<()> {
     connection.pragma_update(None, "journal_mode", "WAL")?;
     connection.pragma_update(None, "synchronous", "FULL")?;
-    // Nothing of it in temporary files outside of its folder.
+    // Nothing of it goes into temporary files outside its folder.
     connection.pragma_update(None, "temp_store", "MEMORY")?;
     connection.execute_batch(SCHEMA)
 }
@@ -387,7 +387,7 @@ fn insert_header(connection: &Connection, header: &Header) -> rusqlite::Result<(
     connection.prepare_cached("INSERT INTO block VALUES (?1, ?2, ?3)")?.execute(values).map(|_| ())
 }
 
-/// What makes a file one of version 3.
+/// The changes that make a file version 3.
 fn begin_tries(transaction: &rusqlite::Transaction<'_>, consensus: &Consensus, era: Era) -> rusqlite::Result<()> {
     transaction.execute_batch(state_file::SCHEMA)?;
     transaction.execute("INSERT OR IGNORE INTO consensus VALUES (1, ?1)", [consensus.to_string()])?;
@@ -398,7 +398,7 @@ fn insert_out_of_turn(connection: &Connection, number: u64) -> rusqlite::Result<
     connection.prepare_cached("INSERT INTO out_of_turn VALUES (?1)")?.execute([integer(number)]).map(drop)
 }
 
-/// SQLite's integers are signed; nothing here reaches that far.
+/// SQLite's integers are signed; no number here gets that large.
 pub(super) fn integer(value: u64) -> i64 {
     i64::try_from(value).unwrap_or(i64::MAX)
 }

@@ -1,4 +1,4 @@
-//! The making of a new chain, and the recognition of an old one: chain id, keys, genesis block.
+//! Founding a new chain, and recognising an existing one: chain id, keys, genesis block.
 
 use ethers::utils::keccak256;
 use k256::ecdsa::SigningKey;
@@ -13,7 +13,7 @@ use crate::model::{Hash, Timestamp};
 /// Length of the random part of a genesis block that also commits to the consensus.
 const RANDOM: usize = 16;
 
-/// What a chain was founded with.
+/// The founding data of a chain.
 pub struct Founded {
     /// Its chain id.
     pub chain_id: u64,
@@ -23,15 +23,15 @@ pub struct Founded {
     pub sealing: Sealing,
     /// Its first block.
     pub genesis: Header,
-    /// Since when it is one of version 3.
+    /// Since when it is of version 3.
     pub era: Option<Era>,
 }
 
-/// The chain of the file, or a new one.
+/// The chain in the file, or a new one.
 ///
 /// # Errors
-/// [`ChainError::OtherConsensus`] where another one is asked for than the chain was founded with,
-/// [`ChainError::Tampered`] where what was drawn at the founding does not fit the genesis block.
+/// [`ChainError::OtherConsensus`] if a different consensus is requested from the one the chain was founded with,
+/// [`ChainError::Tampered`] if the founding data do not match the genesis block.
 pub fn open(file: &ChainFile, asked: Option<Consensus>) -> Result<Founded, ChainError> {
     let Founding { chain_id, consensus, keys, era } = match file.founding()? {
         Some(founding) => founding,
@@ -64,7 +64,7 @@ fn found(file: &ChainFile, consensus: Consensus) -> Result<Founding, ChainError>
     Ok(founding)
 }
 
-/// 16 random bytes, and as many of their Keccak-256 with the consensus, which so cannot be changed later.
+/// 16 random bytes, and 16 bytes of the Keccak-256 of them and the consensus, which therefore cannot be changed later.
 fn commitment(random: [u8; RANDOM], consensus: &Consensus) -> Hash {
     let mut unique = keccak256([&random[..], consensus.to_string().as_bytes()].concat());
     unique[..RANDOM].copy_from_slice(&random);

@@ -1,4 +1,4 @@
-//! The JSON shapes of blocks, transactions, receipts and logs, and the reading of parameters.
+//! The JSON shapes of blocks, transactions, receipts and logs, and the parsing of parameters.
 
 use ethers::types::U256;
 use ethers::utils::keccak256;
@@ -23,12 +23,12 @@ pub struct Mining {
     pub hash: Hash,
     /// Block time, seconds.
     pub timestamp: u64,
-    /// Place in the block.
+    /// Index in the block.
     pub position: u64,
 }
 
 impl Mining {
-    /// At a place of a block.
+    /// At an index in a block.
     pub fn at(header: &Header, place: usize) -> Self {
         let position = u64::try_from(place).unwrap_or(u64::MAX);
         Self { block: header.number, hash: header.hash(), timestamp: header.timestamp, position }
@@ -45,24 +45,24 @@ pub fn data(bytes: &[u8]) -> Value {
     Value::String(format!("0x{}", hex(bytes)))
 }
 
-/// A quantity from a parameter.
+/// Parses a quantity.
 pub fn read_quantity(value: &Value) -> Option<U256> {
     let digits = value.as_str()?.strip_prefix("0x")?;
     U256::from_str_radix(digits, 16).ok()
 }
 
-/// Bytes from a parameter.
+/// Parses bytes.
 pub fn read_data(value: &Value) -> Option<Vec<u8>> {
     value.as_str()?.strip_prefix("0x").and_then(unhex)
 }
 
-/// An address from a parameter, in any case.
+/// Parses an address, in upper or lower case.
 pub fn read_address(value: &Value) -> Option<Address> {
     let parsed: Result<Address, AddressError> = value.as_str()?.to_lowercase().parse();
     parsed.ok()
 }
 
-/// A 32-byte hash from a parameter.
+/// Parses a 32-byte hash.
 pub fn read_hash(value: &Value) -> Option<Hash> {
     read_data(value).and_then(|bytes| Hash::from_slice(&bytes))
 }
@@ -82,7 +82,7 @@ pub fn block(header: &Header, hash: Hash, size: usize, total_difficulty: u128, t
     })
 }
 
-/// What is proven of an account (EIP-1186).
+/// The proof of an account (EIP-1186).
 pub fn proof(address: Address, proof: &Proof) -> Value {
     let nodes = |way: &[std::sync::Arc<[u8]>]| way.iter().map(|node| data(node)).collect::<Vec<_>>();
     let nobody = Record { nonce: 0, balance: U256::zero(), storage: EMPTY_ROOT, code: Hash(keccak256([])) };

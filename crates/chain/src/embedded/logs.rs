@@ -1,4 +1,4 @@
-//! `eth_getLogs`: bounded in blocks, in what is looked through and in what is given, before any of it is built.
+//! `eth_getLogs`: bounded in blocks, in bytes searched and in bytes returned, before any of it is built.
 
 use serde_json::Value;
 
@@ -9,14 +9,14 @@ use crate::model::{Address, Hash};
 
 /// The most blocks of one request.
 pub const MOST_BLOCKS: u64 = 10_000;
-/// The most bytes of transactions and receipts looked through for one request.
+/// The most bytes of transactions and receipts searched for one request.
 const MOST_READ: usize = 32 * 1024 * 1024;
-/// The most bytes of the answer, counted as about as many as JSON takes.
+/// The most bytes in the answer, counted roughly as JSON.
 const MOST_GIVEN: usize = 8 * 1024 * 1024;
-/// What a log takes in JSON besides its data and topics, bytes.
+/// The JSON size of a log without its data and topics, bytes.
 const FRAME: usize = 500;
 
-/// What eth_getLogs is asked for.
+/// The parameters of eth_getLogs.
 struct Filter {
     from: u64,
     to: u64,
@@ -63,10 +63,10 @@ fn too_many(what: &str) -> Fault {
     Fault::new(-32005, format!("{what}; ask for fewer blocks at once"))
 }
 
-/// The logs that a filter means.
+/// The logs that match a filter.
 ///
 /// # Errors
-/// [`Fault`] -32005 for more than is given at once, or for a malformed filter.
+/// [`Fault`] -32005 if that is more than one answer holds, or for a malformed filter.
 pub fn answer(node: &Node, parameters: &Parameters) -> Reply {
     let filter = parameters.at(0, |value| read_filter(node, value))?;
     let to = filter.to.min(node.head.number);

@@ -24,7 +24,7 @@ use super::world::{Ground, Tries, Unread, World, Written};
 use crate::chain::ChainError;
 use crate::model::{Address, Hash};
 
-/// Where a block or a call takes place.
+/// The context of a block or call.
 #[derive(Debug, Clone, Copy)]
 pub struct Environment {
     /// Block number.
@@ -33,13 +33,13 @@ pub struct Environment {
     pub timestamp: u64,
     /// Its difficulty, as the DIFFICULTY instruction gives it.
     pub difficulty: u64,
-    /// Who gets the fees: the signer or the miner.
+    /// The recipient of the fees: the signer or the miner.
     pub beneficiary: Address,
 }
 
-/// What running a block gave.
+/// The result of running a block.
 pub struct Outcome {
-    /// Those that went in, in order.
+    /// Those included, in order.
     pub included: Vec<Transaction>,
     /// Their receipts.
     pub receipts: Vec<Receipt>,
@@ -47,7 +47,7 @@ pub struct Outcome {
     pub refused: Vec<(Transaction, String)>,
     /// Commitment to the state after the block.
     pub state_root: Hash,
-    /// What it makes of the state's nodes; nothing by the rules before version 3.
+    /// Its changes to the state's nodes; none by the rules before version 3.
     pub written: Written,
     changes: Vec<EvmState>,
 }
@@ -55,11 +55,11 @@ pub struct Outcome {
 /// A message call without a transaction.
 #[derive(Debug, Clone)]
 pub struct Message {
-    /// Who calls.
+    /// The caller.
     pub from: Address,
-    /// Whom; `None` creates a contract.
+    /// The contract called; `None` creates one.
     pub to: Option<Address>,
-    /// Wei sent along.
+    /// Wei to send.
     pub value: U256,
     /// Call data.
     pub input: Vec<u8>,
@@ -67,10 +67,10 @@ pub struct Message {
     pub gas: u64,
 }
 
-/// How a message call ended.
+/// The outcome of a message call.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Answer {
-    /// Returned these bytes, having spent so much gas.
+    /// Returned these bytes, having used this much gas.
     Returned(Vec<u8>, u64),
     /// Reverted with these bytes.
     Reverted(Vec<u8>),
@@ -96,7 +96,7 @@ impl Machine {
         Self { world: World::Tries(Tries { ground, root }), chain_id, state_root: root }
     }
 
-    /// By which rules its blocks are made.
+    /// The rules by which its blocks are made.
     pub fn rules(&self) -> Rules {
         match self.world {
             World::Memory(_) => Rules::Chained,
@@ -109,10 +109,10 @@ impl Machine {
         if let World::Tries(tries) = &self.world { Some(tries) } else { None }
     }
 
-    /// The same state as tries on `ground`, and what they are made of. Nothing is written.
+    /// The same state as tries on `ground`, and their nodes. Nothing is written.
     ///
     /// # Errors
-    /// [`ChainError`] where nodes cannot be read.
+    /// [`ChainError`] if nodes cannot be read.
     pub fn into_tries(self, ground: Rc<dyn Ground>) -> Result<(Self, Written), ChainError> {
         match &self.world {
             World::Memory(memory) => {
@@ -144,11 +144,11 @@ impl Machine {
             .with_precompiles(Weighed::new(surplus))
     }
 
-    /// Runs transactions one after the other on top of the state, which stays as it is. By the rules of admission
-    /// (`new`) those with too much surplus are refused, and none begins where the block has its fill of it.
+    /// Runs transactions one after the other on top of the state, which is unchanged. By the rules of admission (`new`)
+    /// those with too much surplus are refused, and none is started once the block has reached its limit.
     ///
     /// # Errors
-    /// [`ChainError`] where the state cannot be read.
+    /// [`ChainError`] if the state cannot be read.
     pub fn run(&self, place: &Environment, transactions: Vec<Transaction>, new: bool) -> Result<Outcome, ChainError> {
         let most = if new { TRANSACTION_SURPLUS } else { u64::MAX };
         let mut evm = self.evm(place, most);
@@ -188,7 +188,7 @@ impl Machine {
         Ok(outcome)
     }
 
-    /// Makes the changes of a block that ran on this very state.
+    /// Applies the changes of a block that ran on this very state.
     pub fn apply(&mut self, outcome: Outcome) {
         self.state_root = outcome.state_root;
         match &mut self.world {
@@ -197,10 +197,10 @@ impl Machine {
         }
     }
 
-    /// Runs a message call; changes nothing.
+    /// Runs a message call without changing anything.
     ///
     /// # Errors
-    /// [`ChainError`] where the state cannot be read.
+    /// [`ChainError`] if the state cannot be read.
     pub fn call(&self, place: &Environment, message: &Message) -> Result<Answer, ChainError> {
         let transaction = TxEnv {
             caller: EvmAddress::from(message.from.0),
@@ -224,13 +224,13 @@ impl Machine {
         })
     }
 
-    /// The least gas limit under which a message call returns, or one above it where finding the least takes more
-    /// runs than one estimate may.
+    /// The least gas limit under which a message call returns, or a higher one if finding the least takes more runs
+    /// than one estimate may.
     ///
-    /// How the call ends where no limit is enough, inside.
+    /// Inside: how the call ends if no limit is enough.
     ///
     /// # Errors
-    /// [`ChainError`] where the state cannot be read.
+    /// [`ChainError`] if the state cannot be read.
     pub fn estimate(&self, place: &Environment, message: &Message) -> Result<Result<u64, Answer>, ChainError> {
         let with = |gas| self.call(place, &Message { gas, ..message.clone() });
         let ceiling = message.gas.min(TRANSACTION_GAS);
@@ -254,10 +254,10 @@ impl Machine {
         Ok(Ok(high))
     }
 
-    /// The next nonce of an account, not counting what waits.
+    /// The next nonce of an account, without pending transactions.
     ///
     /// # Errors
-    /// [`ChainError`] where the state cannot be read.
+    /// [`ChainError`] if the state cannot be read.
     pub fn nonce(&self, account: Address) -> Result<u64, ChainError> {
         Ok(self.account(account)?.map_or(0, |info| info.nonce))
     }
@@ -265,7 +265,7 @@ impl Machine {
     /// Wei held by an account.
     ///
     /// # Errors
-    /// [`ChainError`] where the state cannot be read.
+    /// [`ChainError`] if the state cannot be read.
     pub fn balance(&self, account: Address) -> Result<U256, ChainError> {
         let balance = |info: revm::state::AccountInfo| U256::from_big_endian(&info.balance.to_be_bytes::<32>());
         Ok(self.account(account)?.map_or(U256::zero(), balance))
@@ -274,7 +274,7 @@ impl Machine {
     /// Code of a contract; empty for other accounts.
     ///
     /// # Errors
-    /// [`ChainError`] where the state cannot be read.
+    /// [`ChainError`] if the state cannot be read.
     pub fn code(&self, account: Address) -> Result<Vec<u8>, ChainError> {
         let hash = self.account(account)?.map_or(KECCAK_EMPTY, |info| info.code_hash);
         let code = self.world.code_by_hash_ref(hash).map_err(|Unread(error)| error)?;
@@ -284,7 +284,7 @@ impl Machine {
     /// One storage slot of a contract.
     ///
     /// # Errors
-    /// [`ChainError`] where the state cannot be read.
+    /// [`ChainError`] if the state cannot be read.
     pub fn slot(&self, account: Address, slot: U256) -> Result<Hash, ChainError> {
         let value = self.world.storage_ref(EvmAddress::from(account.0), word(slot));
         value.map(|value| Hash(value.to_be_bytes())).map_err(|Unread(error)| error)

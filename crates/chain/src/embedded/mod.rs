@@ -1,8 +1,8 @@
-//! The embedded chain: a private network in this process, of proof of authority or of proof of work.
+//! The embedded chain: a private network in this process, with proof of authority or proof of work.
 //!
-//! revm executes, SQLite keeps, and JSON-RPC is the only way in, so the room above speaks to it
-//! exactly as to any other node. It runs on a thread of its own, a search for work on a second one.
-//! Gas costs nothing, and no block is empty: sealing begins when something waits.
+//! revm executes, SQLite stores, and JSON-RPC is the only way in, so the layer above talks to it exactly as to any
+//! other node. It runs on a thread of its own, and a proof-of-work search on a second one. Gas is free, and no block is
+//! empty: sealing begins when a transaction waits.
 
 mod admission;
 #[cfg(test)]
@@ -61,10 +61,10 @@ use crate::model::Address;
 /// How long the thread sleeps when nothing is due.
 const IDLE: Duration = Duration::from_secs(3600);
 
-/// How long the thread rests after a panic.
+/// How long the thread pauses after a panic.
 const REST: Duration = Duration::from_millis(500);
 
-/// How long requests are answered before it is looked again whether a block is due.
+/// How long requests are answered before checking again whether a block is due.
 const BURST: Duration = Duration::from_millis(50);
 
 enum Request {
@@ -76,9 +76,9 @@ enum Request {
     End,
 }
 
-/// A handle on a running embedded chain; the chain ends with its last handle. Proof of authority then
-/// seals what waits (but where its period is a second or more), proof of work gives up its search: as on
-/// any stopped node, what waits must be sent again.
+/// A handle on a running embedded chain; the chain ends with its last handle. Proof of authority then seals what waits
+/// (unless its period is a second or more), proof of work abandons its search: as with any stopped node, what waits
+/// must be sent again.
 #[derive(Debug, Clone)]
 pub struct Embedded {
     line: Arc<Line>,
@@ -88,15 +88,15 @@ pub struct Embedded {
 struct Line {
     inlet: Inlet,
     facts: Facts,
-    /// Its sender goes with the chain's thread, after the file was closed.
+    /// Its sender is dropped with the chain's thread, after the file was closed.
     closing: watch::Receiver<()>,
 }
 
-/// The way in. The chain ends with it.
+/// The request channel. The chain ends with it.
 #[derive(Debug)]
 struct Inlet(Sender<Request>);
 
-/// What is known of an open chain.
+/// What is known about an open chain.
 #[derive(Debug)]
 struct Facts {
     head: watch::Receiver<BlockRef>,
@@ -106,7 +106,7 @@ struct Facts {
 
 impl Drop for Inlet {
     fn drop(&mut self) {
-        // A search for work holds a sender too, so that the thread would not hear of the end otherwise.
+        // A proof-of-work search holds a sender too, so otherwise the thread would not notice the end.
         drop(self.0.send(Request::End));
     }
 }
@@ -147,11 +147,11 @@ impl Embedded {
         Ok(Self { line: Arc::new(Line { inlet, facts, closing }) })
     }
 
-    /// Ends the chain for all its handles and waits until its file is closed: a process that ends before leaves a log
-    /// beside the file, which the next one has to work in.
+    /// Ends the chain for all its handles and waits until its file is closed: a process that exits earlier leaves a log
+    /// beside the file, which the next one has to apply.
     pub async fn end(&self) {
         drop(self.line.inlet.0.send(Request::End));
-        // Nothing is ever announced here: what comes is the end of the thread.
+        // Nothing is ever sent here: receiving ends when the thread does.
         drop(self.line.closing.clone().changed().await);
     }
 
@@ -170,7 +170,7 @@ impl Embedded {
     /// All call data, storage (keys and values) and logs of the chain.
     ///
     /// # Errors
-    /// [`ChainError`] where the file cannot be read.
+    /// [`ChainError`] if the file cannot be read.
     pub async fn dump(&self) -> Result<Vec<Vec<u8>>, ChainError> {
         let (reply, answer) = oneshot::channel();
         self.line.inlet.0.send(Request::Dump(reply)).map_err(|_| gone())?;
@@ -180,17 +180,17 @@ impl Embedded {
     /// Writes the chain as it is between two blocks to a new file.
     ///
     /// # Errors
-    /// [`ChainError::File`] where it cannot be written.
+    /// [`ChainError::File`] if it cannot be written.
     pub async fn copy_to(&self, path: PathBuf) -> Result<(), ChainError> {
         let (reply, answer) = oneshot::channel();
         self.line.inlet.0.send(Request::Copy(path, reply)).map_err(|_| gone())?;
         answer.await.unwrap_or_else(|_| Err(gone()))
     }
 
-    /// Runs every block again, beside what else is asked; gives how many.
+    /// Runs every block again, alongside other requests; returns how many.
     ///
     /// # Errors
-    /// [`ChainError::Tampered`] for the first block, or the first node of the state, that is not what it was.
+    /// [`ChainError::Tampered`] for the first block, or the first node of the state, that was altered.
     pub async fn audit(&self) -> Result<u64, ChainError> {
         let (reply, answer) = oneshot::channel();
         self.line.inlet.0.send(Request::Audit(reply)).map_err(|_| gone())?;
@@ -202,7 +202,7 @@ impl Embedded {
         self.line.facts.consensus
     }
 
-    /// Its signers in the order of their turns; under proof of work who gets the fees.
+    /// Its signers in the order of their turns; under proof of work, the recipient of the fees.
     pub fn sealers(&self) -> &[Address] {
         &self.line.facts.sealers
     }
@@ -217,8 +217,8 @@ fn gone() -> ChainError {
     ChainError::Internal("the embedded chain has stopped".into())
 }
 
-/// Serves until the end. After a panic what is in memory is given up, and the chain is opened again from its file;
-/// whoever asked meanwhile is told that there was no answer.
+/// Serves until the end. After a panic the state in memory is dropped and the chain is opened again from its file;
+/// requests made meanwhile report that there was no answer.
 fn keep_serving(
     node: Node,
     inbox: &Receiver<Request>,
@@ -235,7 +235,7 @@ fn keep_serving(
     }
 }
 
-/// Answers what has come in, assembles a block when one is due, until all handles are gone.
+/// Answers requests and assembles a block when one is due, until all handles are gone.
 fn serve(mut node: Node, inbox: &Receiver<Request>, announce: &watch::Sender<BlockRef>) {
     let mut open = true;
     while open {
@@ -264,7 +264,7 @@ fn serve(mut node: Node, inbox: &Receiver<Request>, announce: &watch::Sender<Blo
     }
 }
 
-/// Does what is asked; `false` at the end.
+/// Handles a request; `false` at the end.
 fn handle(node: &mut Node, request: Request) -> bool {
     match request {
         Request::Rpc { method, parameters, reply } => drop(reply.send(rpc::answer(node, &method, parameters))),

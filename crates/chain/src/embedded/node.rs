@@ -1,5 +1,5 @@
-//! The chain itself: the pool, the assembling of blocks and their sealing. Single-threaded, but for the
-//! search of a proof of work: it goes on beside, one at a time, for the very block that was assembled.
+//! The chain itself: the pool, assembling blocks and sealing them. Single-threaded, except for the proof-of-work
+//! search, which runs beside it, one at a time, for the very block that was assembled.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -23,35 +23,35 @@ use super::transaction::Transaction;
 use crate::chain::{BlockRef, ChainError, Consensus};
 use crate::model::{Hash, Timestamp};
 
-/// How long sealing rests after the file could not be written.
+/// How long sealing pauses after the file could not be written.
 const REST: Duration = Duration::from_secs(1);
 /// The most transactions in a block, so that sealing never keeps readers waiting long.
 const MOST_TRANSACTIONS: usize = 4096;
 
-/// Hears of the nonce that a search found, on the search's thread.
+/// Receives the nonce that a search found, on the search's thread.
 pub type Found = Arc<dyn Fn(u64) + Send + Sync>;
 
 /// One chain, open.
 pub struct Node {
     /// Its rules and state.
     pub machine: Machine,
-    /// Where it lies.
+    /// The file.
     pub file: Rc<ChainFile>,
-    /// Since when it is one of version 3.
+    /// Since when it is of version 3.
     pub era: Era,
     /// The block whose transactions were read last.
     pub looked: Looked,
-    /// What waits.
+    /// The pending transactions.
     pub pool: Pool,
     /// Its chain id.
     pub chain_id: u64,
-    /// What it was founded with.
+    /// Its founding data.
     pub consensus: Consensus,
-    /// Who seals its blocks.
+    /// Its sealing.
     pub sealing: Sealing,
     /// Its newest block.
     pub head: BlockRef,
-    /// Audits that are going on.
+    /// Audits in progress.
     pub audits: VecDeque<Auditing>,
     /// Why the last block could not be written.
     pub trouble: Option<String>,
@@ -60,7 +60,7 @@ pub struct Node {
     found: Found,
 }
 
-/// A block that waits for its proof of work.
+/// A block waiting for its proof of work.
 struct Work {
     header: Header,
     outcome: Outcome,
@@ -69,15 +69,13 @@ struct Work {
 }
 
 impl Node {
-    /// Opens the chain in `directory`, or founds one with the consensus asked for: draws its chain id
-    /// and its keys.
+    /// Opens the chain in `directory`, or founds one with the requested consensus, drawing its chain id and keys.
     ///
-    /// The newest block is run again and must come out as it is in the file; what lies below is authenticated by it
-    /// when it is read. A file of an older version is brought to version 3 first: all its blocks are run again, once.
+    /// The newest block is run again and must come out as in the file; older blocks are authenticated through it when
+    /// read. A file of an older version is upgraded to version 3 first: all its blocks are run again, once.
     ///
     /// # Errors
-    /// [`ChainError::File`], [`ChainError::Tampered`] where the file was changed, or
-    /// [`ChainError::OtherConsensus`].
+    /// [`ChainError::File`], [`ChainError::Tampered`] if the file was changed, or [`ChainError::OtherConsensus`].
     pub fn open(directory: &Path, asked: Option<Consensus>, found: Found) -> Result<Self, ChainError> {
         let file = Rc::new(ChainFile::open(directory)?);
         let mut founded = founding::open(&file, asked)?;
@@ -88,7 +86,7 @@ impl Node {
         let era = founded.era.ok_or_else(|| file.tampered(0, "it does not say where its version 3 begins"))?;
         let (machine, head) = newest(&file, &mut founded, era)?;
         let Founded { chain_id, consensus, sealing, .. } = founded;
-        // The period holds over a restart, whatever became of the clock.
+        // The period is kept across a restart, even if the clock changed.
         let due = (head.timestamp + sealing.period().as_secs()).saturating_sub(Timestamp::now().seconds());
         let wait = if head.number == 0 { Duration::ZERO } else { Duration::from_secs(due).min(sealing.period()) };
         Ok(Self {
@@ -145,8 +143,8 @@ impl Node {
         }
     }
 
-    /// How long until the next block is to be assembled; `None` while nothing can go into one, while a
-    /// proof of work is searched for, and while nobody may seal.
+    /// How long until the next block is to be assembled; `None` while nothing can go into one, while a proof of work is
+    /// being searched for, and while no signer may seal.
     pub fn due(&self) -> Option<Duration> {
         let ready = self.work.is_none() && self.pool.is_ready();
         let turn = if ready { self.turn() } else { None };
@@ -158,13 +156,13 @@ impl Node {
         self.work.is_some()
     }
 
-    /// Where the next block takes place.
+    /// The context of the next block.
     pub fn next_place(&self) -> Environment {
         let signer = self.turn().map(|turn| turn.signer);
         self.sealing.place(self.head.number + 1, self.head.timestamp, signer)
     }
 
-    /// Assembles a block of what waits, and seals it or begins to search for its proof of work.
+    /// Assembles a block of pending transactions, and seals it or begins to search for its proof of work.
     pub fn assemble(&mut self) {
         let Some(turn) = self.turn() else { return };
         let ready = self.pool.ready(MOST_TRANSACTIONS, BLOCK_GAS);
@@ -213,7 +211,7 @@ impl Node {
         }
     }
 
-    /// Writes a sealed block. One that cannot be written has not happened.
+    /// Writes a sealed block. One that cannot be written never happened.
     fn settle(&mut self, header: &Header, mut outcome: Outcome, signer: usize) {
         let turn = |authority: &Authority| authority.difficulty(header.number, signer) == OUT_OF_TURN;
         let Outcome { included, receipts, written, .. } = &outcome;
@@ -241,8 +239,8 @@ impl Node {
         self.not_before = Instant::now() + REST;
     }
 
-    /// Seals what waits where that can be done at once, at the end: work takes its time, and so does a
-    /// period of a second or more, which the next block's time would belie.
+    /// At the end, seals pending transactions if that can be done at once: work takes time, and so does a period of a
+    /// second or more, which the next block's time would contradict.
     pub fn finish(&mut self) {
         let at_once = self.turn().is_some_and(|turn| turn.delay.is_zero());
         let brief = matches!(&self.sealing, Sealing::Authority(authority) if authority.period().as_secs() == 0);

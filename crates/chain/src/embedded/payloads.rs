@@ -1,20 +1,20 @@
-//! Programs that take long for their gas, for the tests of admission: each fills memory, then repeats itself until its
-//! gas is used up.
+//! Programs that run long for their gas, for the tests of admission: each fills memory, then loops until its gas is
+//! used up.
 
 use ethers::types::U256;
 
 use super::transaction::Transaction;
 use crate::model::{Address, Hash};
 
-/// Creation code: what is done once, then what is repeated.
+/// Creation code: a part that runs once, then a part that repeats.
 pub struct Payload {
-    /// What it does.
+    /// Its name.
     pub name: String,
     /// Its bytes.
     pub code: Vec<u8>,
 }
 
-/// PUSH with as few bytes as the value has.
+/// PUSH with no more bytes than the value needs.
 fn push(value: u64) -> Vec<u8> {
     let bytes = value.to_be_bytes();
     let from = bytes.iter().position(|byte| *byte != 0).unwrap_or(7);
@@ -46,14 +46,14 @@ impl Payload {
         Self { name: name.into(), code: [once, vec![0x5b], body, back].concat() }
     }
 
-    /// Calls of a precompiled contract with `input` bytes of memory, each with all gas but a 64th.
+    /// Calls a precompiled contract with `input` bytes of memory, each time with all gas but a 64th.
     fn precompiled(name: impl Into<String>, contract: u64, once: Vec<u8>, input: u64) -> Self {
         // STATICCALL(gas, contract, 0, input, 0, 64)
         let call = [push(64), push(0), push(input), push(0), push(contract), vec![0x5a, 0xfa, 0x50]].concat();
         Self::new(name, once, &call)
     }
 
-    /// MODEXP of so many bytes of `fill` each.
+    /// MODEXP of this many bytes of `fill` each.
     pub fn modexp(base: u64, exponent: u64, modulus: u64, fill: u8) -> Self {
         let lengths = [base, exponent, modulus].into_iter().zip([0u64, 32, 64]);
         let mut once: Vec<u8> = lengths.flat_map(|(length, at)| mstore(at, number(length))).collect();
@@ -72,7 +72,7 @@ impl Payload {
         Self::precompiled(format!("MODEXP {base} {exponent} {modulus} of {fill:#x}"), 5, once, 96 + total)
     }
 
-    /// One call of BLAKE2F with so many rounds.
+    /// One call of BLAKE2F with this many rounds.
     pub fn blake2f(rounds: u32) -> Self {
         let mut word = [0; 32];
         word[..4].copy_from_slice(&rounds.to_be_bytes());
@@ -84,12 +84,12 @@ impl Payload {
         Self::new("SSTORE of new slots", push(1), &[0x80, 0x80, 0x55, 0x60, 1, 0x01])
     }
 
-    /// MODEXP with a long exponent of a short base, priced lowest for its time.
+    /// MODEXP with a long exponent and a short base, the cheapest for its time.
     pub fn long_exponent() -> Self {
         Self::modexp(1, 40_000, 1, 0xff)
     }
 
-    /// All that were thought of.
+    /// All payloads.
     pub fn all() -> Vec<Self> {
         let hashes = |length: u64| [push(length), push(0), vec![0x20, 0x50]].concat();
         let mut signature = mstore(0, [7; 32]);
@@ -158,7 +158,7 @@ impl Payload {
         all
     }
 
-    /// A transaction that creates a contract by it. It is signed by nobody.
+    /// A transaction that creates a contract with it. It is not signed.
     pub fn transaction(&self, sender: Address, nonce: u64, gas_limit: u64) -> Transaction {
         Transaction {
             hash: Hash(ethers::utils::keccak256([&sender.0[..], &nonce.to_be_bytes()].concat())),

@@ -1,5 +1,5 @@
-//! Transactions that wait for a block: bounded per sender and in all, in nonce order per sender. Between senders the
-//! smaller goes first, for no account costs anything and none has more right than another; what waits long grows small.
+//! Transactions waiting for a block: bounded per sender and overall, in nonce order per sender. Between senders smaller
+//! transactions go first, because accounts are free and none has priority; a transaction gets smaller as it waits.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap, HashMap, HashSet};
@@ -7,17 +7,17 @@ use std::collections::{BTreeMap, BinaryHeap, HashMap, HashSet};
 use super::transaction::Transaction;
 use crate::model::{Address, Hash};
 
-/// The most transactions that wait.
+/// The most pending transactions.
 const MOST: usize = 16_384;
-/// The most bytes that wait.
+/// The most pending bytes.
 const MOST_BYTES: usize = 32 * 1024 * 1024;
-/// The most gas that waits.
+/// The most pending gas.
 const MOST_GAS: u64 = 1_000_000_000;
 /// The most transactions of one sender; more than a lane of this program keeps open.
 const MOST_OF_ONE: usize = 1_280;
-/// How far a nonce may lie beyond the last one that waits without a gap.
+/// How far a nonce may be beyond the last pending one without a gap.
 const FARTHEST: u64 = 128;
-/// So much gas mined makes one waiting smaller by one.
+/// This much mined gas makes a waiting transaction smaller by one.
 const AGE: u64 = 100;
 
 struct Waiting {
@@ -27,18 +27,18 @@ struct Waiting {
     transaction: Transaction,
 }
 
-/// What waits of one sender.
+/// The pending transactions of one sender.
 struct Lane {
     /// The sender's next nonce on chain.
     next: u64,
     waiting: BTreeMap<u64, Waiting>,
     gas: u64,
-    /// The rank of the last one that came.
+    /// The rank of the last arrival.
     rank: u128,
 }
 
 impl Lane {
-    /// The nonce after the last one that waits without a gap.
+    /// The nonce after the last pending one without a gap.
     fn free(&self) -> u64 {
         let nonces = self.waiting.range(self.next..).map(|(nonce, _)| *nonce);
         nonces
@@ -54,7 +54,7 @@ impl Lane {
 #[derive(Default)]
 pub struct Pool {
     lanes: HashMap<Address, Lane>,
-    /// Those whose next transaction waits.
+    /// Senders whose next transaction is pending.
     ready: HashSet<Address>,
     hashes: HashSet<Hash>,
     bytes: usize,
@@ -95,7 +95,7 @@ impl Pool {
         Ok(())
     }
 
-    /// Drops the last transactions of whoever has the most gas waiting, as long as that is more than the newcomer's
+    /// Drops the last transactions of the sender with the most pending gas, as long as that is more than the newcomer's
     /// sender would have.
     fn make_room(&mut self, newcomer: &Transaction) -> Result<(), String> {
         let own = self.lanes.get(&newcomer.sender).map_or(0, |lane| lane.gas).saturating_add(newcomer.gas_limit);
@@ -139,7 +139,7 @@ impl Pool {
         Some(old)
     }
 
-    /// Sees anew whether a sender has something for the next block.
+    /// Updates whether a sender has something for the next block.
     fn look(&mut self, sender: Address) {
         let ready = self.lanes.get(&sender).is_some_and(|lane| lane.waiting.contains_key(&lane.next));
         if ready {
@@ -152,14 +152,14 @@ impl Pool {
         }
     }
 
-    /// Takes transactions out that can never be mined.
+    /// Removes transactions that can never be mined.
     pub fn forget<'a>(&mut self, transactions: impl IntoIterator<Item = &'a Transaction>) {
         for transaction in transactions {
             self.remove(transaction.sender, transaction.nonce);
         }
     }
 
-    /// Takes transactions out that are in a block.
+    /// Removes transactions that are in a block.
     pub fn mined<'a>(&mut self, transactions: impl IntoIterator<Item = &'a Transaction>) {
         for transaction in transactions {
             if let Some(lane) = self.lanes.get_mut(&transaction.sender) {
@@ -172,8 +172,7 @@ impl Pool {
         }
     }
 
-    /// Copies of up to `most` transactions that can go into the next block, whose gas limits
-    /// sum up to no more than `gas`.
+    /// Copies of up to `most` transactions that can go into the next block, whose gas limits add up to at most `gas`.
     pub fn ready(&self, most: usize, gas: u64) -> Vec<Transaction> {
         let mut heads: BinaryHeap<Reverse<(u128, u64, Address, u64)>> = BinaryHeap::new();
         let waiting = |sender: &Address, nonce: u64| self.lanes.get(sender).and_then(|lane| lane.waiting.get(&nonce));
@@ -189,7 +188,7 @@ impl Pool {
             if chosen.len() == most {
                 break;
             }
-            // What does not fit waits; smaller ones of others may still fit.
+            // A transaction that does not fit waits; smaller ones of others may still fit.
             if next.transaction.gas_limit <= left {
                 left -= next.transaction.gas_limit;
                 chosen.push(next.transaction.clone());
@@ -199,12 +198,12 @@ impl Pool {
         chosen
     }
 
-    /// The nonce after the last one that waits without a gap from `next` on.
+    /// The nonce after the last pending one without a gap from `next` on.
     pub fn next_nonce(&self, sender: Address, next: u64) -> u64 {
         self.lanes.get(&sender).map_or(next, |lane| lane.free().max(next))
     }
 
-    /// A transaction that waits.
+    /// A pending transaction.
     pub fn get(&self, hash: Hash) -> Option<&Transaction> {
         if !self.hashes.contains(&hash) {
             return None;
@@ -213,7 +212,7 @@ impl Pool {
         all.find(|waiting| waiting.transaction.hash == hash).map(|waiting| &waiting.transaction)
     }
 
-    /// Whether any sender's next transaction waits.
+    /// Whether any sender's next transaction is pending.
     pub fn is_ready(&self) -> bool {
         !self.ready.is_empty()
     }
@@ -311,7 +310,7 @@ mod tests {
         pool.add(sized(1, 0, 0, 100), 0).expect("taken");
         pool.add(sized(1, 1, 0, 100), 0).expect("taken");
         assert_eq!(order(&pool, 9, 20_300), [(1, 0), (1, 1), (10, 0), (11, 0)]);
-        // Neither do large ones wait for ever.
+        // Large ones do not wait forever either.
         for nonce in 0..200 {
             drop(pool.add(sized(1, nonce, 0, 6_000), nonce));
             pool.mined([&sized(1, nonce, 0, 6_000)]);

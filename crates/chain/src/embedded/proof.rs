@@ -1,7 +1,7 @@
 //! Proof of work: a nonce whose Keccak-256 with the block's hash is at most 2^256 / difficulty.
 //!
-//! It is real work, but not ethash: no memory-hard data set, a far cheaper hash. Difficulties are
-//! the same (hashes per block on average), times per hash are not.
+//! It is real work, but not ethash: no memory-hard data set, a far cheaper hash. Difficulties mean the same (hashes per
+//! block on average), but a hash takes a different time.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -13,7 +13,7 @@ use sha3::{Digest as _, Keccak256};
 use super::block::Rules;
 use crate::model::Hash;
 
-/// The extra data of every block after the first, so that no reader takes it for ethash.
+/// The extra data of every block after the first, so that no reader mistakes it for ethash.
 pub fn extra(rules: Rules) -> [u8; 32] {
     match rules {
         Rules::Chained => *b"AuthROS Keccak-256, not ethash\0\0",
@@ -21,14 +21,14 @@ pub fn extra(rules: Rules) -> [u8; 32] {
     }
 }
 
-/// Hashes between two looks at whether to go on.
+/// Hashes between checks whether to stop.
 const STRIDE: u64 = 1024;
 
 /// The highest hash that seals a block: ⌊2^256 / difficulty⌋, and 2^256 - 1 for difficulty 1.
 pub fn target(difficulty: u64) -> [u8; 32] {
     let difficulty = U256::from(difficulty.max(1));
     let (quotient, rest) = U256::MAX.div_mod(difficulty);
-    // 2^256 does not fit: its quotient is one more where the remainder of 2^256 - 1 is the largest.
+    // 2^256 does not fit: its quotient is one higher if the remainder of 2^256 - 1 is the largest.
     let carry = U256::from(u8::from(rest == difficulty - 1));
     let mut bytes = [0; 32];
     quotient.saturating_add(carry).to_big_endian(&mut bytes);
@@ -53,10 +53,10 @@ pub struct Search {
 }
 
 impl Search {
-    /// Searches from `first` on, and tells the first nonce that seals the block.
+    /// Searches from `first` on, and reports the first nonce that seals the block.
     ///
     /// # Errors
-    /// Where no thread can be started.
+    /// If no thread can be started.
     pub fn start(
         work_hash: Hash,
         difficulty: u64,
@@ -78,7 +78,7 @@ impl Search {
 impl Drop for Search {
     fn drop(&mut self) {
         self.cancelled.store(true, Ordering::Relaxed);
-        // A search that panicked has ended too.
+        // A search that panicked has also ended.
         drop(self.thread.take().map(JoinHandle::join));
     }
 }
@@ -129,9 +129,9 @@ mod tests {
         assert!(search(block, 1, u64::MAX, &cancelled).is_some());
     }
 
-    /// The number of hashes is geometric: mean = difficulty, standard deviation about the same. The
-    /// mean of 2,000 searches is off by more than 1/8 with a probability below 10^-7; the searched
-    /// blocks are fixed, so the test always gives the same.
+    /// The number of hashes is geometric: mean = difficulty, standard deviation about the same. The mean of 2,000
+    /// searches is off by more than 1/8 with a probability below 10^-7; the blocks searched are fixed, so the test
+    /// always gives the same result.
     #[test]
     fn the_work_is_as_much_as_the_difficulty_says() {
         let cancelled = AtomicBool::new(false);
@@ -145,7 +145,7 @@ mod tests {
             let all: Vec<u64> = (0..blocks).map(hashes).collect();
             let sum: u64 = all.iter().sum();
             assert!(sum.abs_diff(difficulty * blocks) * 8 < difficulty * blocks, "{difficulty}: {sum}");
-            // Half of all searches take ln 2 = 0.693 of the mean at most.
+            // Half of all searches take at most ln 2 = 0.693 of the mean.
             let quick = all.iter().filter(|hashes| **hashes * 1000 <= difficulty * 693).count();
             assert!(difficulty == 2 || (850..1150).contains(&quick), "{difficulty}: {quick}");
         }

@@ -1,5 +1,5 @@
-//! Blocks as the file holds them, checked when they are read: a header by its hash and by the block above it,
-//! transactions and receipts by the header.
+//! Blocks from the file, checked when read: a header by its hash and by the block above it, transactions and receipts
+//! by the header.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -19,15 +19,15 @@ use crate::model::Hash;
 pub struct Done {
     /// The transaction.
     pub transaction: Transaction,
-    /// What became of it.
+    /// Its result.
     pub receipt: Receipt,
 }
 
-/// The block whose transactions were read last: callers ask for one after the other.
+/// The block whose transactions were read last: callers ask for one after another.
 #[derive(Default)]
 pub struct Looked(RefCell<Option<(u64, Rc<Vec<Done>>)>>);
 
-/// A block's header, its transactions as they ended, and the place of one of them.
+/// A block's header, its transactions with their results, and the index of one of them.
 pub type Place = (Header, Rc<Vec<Done>>, usize);
 
 impl Looked {
@@ -42,7 +42,7 @@ impl Node {
     /// A block's header; `None` above the newest.
     ///
     /// # Errors
-    /// [`ChainError::Tampered`] where it is not what it was.
+    /// [`ChainError::Tampered`] if it was altered.
     pub fn header(&self, number: u64) -> Result<Option<Header>, ChainError> {
         if number > self.head.number {
             return Ok(None);
@@ -62,7 +62,7 @@ impl Node {
     /// A block's transactions with their receipts, in order.
     ///
     /// # Errors
-    /// [`ChainError::Tampered`] where they are not what the header commits to.
+    /// [`ChainError::Tampered`] if they differ from what the header commits to.
     pub fn done(&self, header: &Header) -> Result<Rc<Vec<Done>>, ChainError> {
         let number = header.number;
         if let Some((_, done)) = self.looked.0.borrow().as_ref().filter(|(looked, _)| *looked == number) {
@@ -85,17 +85,18 @@ impl Node {
 
     fn decoded(&self, header: &Header, mined: &Mined) -> Result<Done, ChainError> {
         let blame = |what: &str| self.file.tampered(header.number, what);
-        // Only the rules before version 3 commit to the sender beside the transaction; else its signature tells.
+        // Only the rules before version 3 commit to the sender as well as the transaction; otherwise the signature
+        // gives it.
         let sender = (header.rules() == Rules::Chained).then_some(mined.sender);
         let transaction = Transaction::decode(&mined.raw, self.chain_id, sender).map_err(|what| blame(&what))?;
         let receipt = rlp::decode(&mined.receipt).map_err(|_| blame("a receipt is no receipt"))?;
         Ok(Done { transaction, receipt })
     }
 
-    /// Where a transaction was mined: the block's header and the place in it.
+    /// Where a transaction was mined: the block's header and the index in it.
     ///
     /// # Errors
-    /// [`ChainError::Tampered`] where the block is not what it was, or does not hold it.
+    /// [`ChainError::Tampered`] if the block was altered, or does not hold it.
     pub fn mined(&self, hash: Hash) -> Result<Option<Place>, ChainError> {
         let Some((number, position)) = self.file.place_of(hash)? else { return Ok(None) };
         let gone = || self.file.tampered(number, "a transaction is not where it was");

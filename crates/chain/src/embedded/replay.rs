@@ -1,5 +1,5 @@
-//! Running blocks of the file again: all of them, for an audit and to bring an older file to version 3, or the newest
-//! alone when a chain is opened.
+//! Running blocks from the file again: all of them for an audit or an upgrade to version 3, or only the newest when a
+//! chain is opened.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -22,13 +22,13 @@ use super::world::{Ground, Written};
 use crate::chain::ChainError;
 use crate::model::Hash;
 
-/// A chain that is run again from its first block on.
+/// A chain being run again from its first block.
 pub struct Again {
-    /// Its state after the last block that was run.
+    /// Its state after the last block run.
     pub machine: Machine,
-    /// How its blocks are sealed, with who sealed the last ones.
+    /// Its sealing, including who sealed the last blocks.
     pub sealing: Sealing,
-    /// The last block that was run.
+    /// The last block run.
     pub last: Header,
     chain_id: u64,
     era: Option<Era>,
@@ -50,8 +50,7 @@ impl Again {
     /// Runs the next block.
     ///
     /// # Errors
-    /// [`ChainError::Tampered`] where it does not come out as it is in the file, or its seal is not what the chain's
-    /// consensus wants.
+    /// [`ChainError::Tampered`] if the result differs from the file, or its seal does not meet the chain's consensus.
     pub fn step(mut self) -> Result<Self, ChainError> {
         let file = Rc::clone(&self.nodes.file);
         let number = self.last.number + 1;
@@ -82,11 +81,11 @@ impl Again {
     }
 }
 
-/// Runs all blocks of a file before version 3 and writes its state as tries; from the next block on the chain is one of
+/// Runs all blocks of a file before version 3 and writes its state as tries; from the next block on the chain is of
 /// version 3.
 ///
 /// # Errors
-/// As [`Again::step`], or where the file cannot be written.
+/// See [`Again::step`], or if the file cannot be written.
 pub fn upgrade(file: &Rc<ChainFile>, founded: Founded) -> Result<(), ChainError> {
     let (consensus, newest) = (founded.consensus, file.newest_number()?);
     let mut again = Again::new(file, founded);
@@ -100,11 +99,11 @@ pub fn upgrade(file: &Rc<ChainFile>, founded: Founded) -> Result<(), ChainError>
     file.upgrade(&consensus, Era { first: newest + 1, root }, &written.made, out_of_turn)
 }
 
-/// The state after the newest block, which alone is run again, and its header; `founded` gets to know who sealed the
-/// last blocks.
+/// The state after the newest block, the only one run again, and its header; `founded` learns who sealed the last
+/// blocks.
 ///
 /// # Errors
-/// As [`Again::step`].
+/// See [`Again::step`].
 pub fn newest(file: &Rc<ChainFile>, founded: &mut Founded, era: Era) -> Result<(Machine, Header), ChainError> {
     let number = file.newest_number()?;
     let blame = |what: &str| file.tampered(number, what);
@@ -140,10 +139,10 @@ pub fn newest(file: &Rc<ChainFile>, founded: &mut Founded, era: Era) -> Result<(
     Ok((machine, last))
 }
 
-/// A block's header, as its hash in the file says.
+/// A block's header, checked against its hash in the file.
 ///
 /// # Errors
-/// [`ChainError::Tampered`] where it is gone or another one.
+/// [`ChainError::Tampered`] if it is missing or another one.
 pub fn header(file: &ChainFile, number: u64) -> Result<Header, ChainError> {
     let blame = |what: &str| file.tampered(number, what);
     let (hash, bytes) = file.block(number)?.ok_or_else(|| blame("it is gone"))?;
@@ -154,7 +153,7 @@ pub fn header(file: &ChainFile, number: u64) -> Result<Header, ChainError> {
     Ok(header)
 }
 
-/// Runs a block of the file again and compares all that its header commits to.
+/// Runs a block from the file again and compares everything its header commits to.
 fn rerun(
     file: &ChainFile,
     machine: &Machine,
@@ -165,7 +164,7 @@ fn rerun(
 ) -> Result<Outcome, ChainError> {
     let blame = |what: &str| file.tampered(header.number, what);
     let mined = file.block_transactions(header.number)?;
-    // The rules before version 3 commit to senders, so that these need not be recovered.
+    // The rules before version 3 commit to senders, so they need not be recovered.
     let known = |one: &Mined| (header.rules() == Rules::Chained).then_some(one.sender);
     let decode = |one: &Mined| Transaction::decode(&one.raw, chain_id, known(one));
     let transactions = mined.iter().map(decode).collect::<Result<Vec<_>, _>>().map_err(|what| blame(&what))?;
@@ -175,7 +174,7 @@ fn rerun(
     let outcome = machine.run(place, transactions, false)?;
     let again = assemble(machine.rules(), sealing, header.parent, place, &outcome)?;
     let sealed = Header { extra: header.extra.clone(), nonce: header.nonce, ..again.clone() };
-    // Under proof of work the extra data holds no seal, and is always the same.
+    // Under proof of work the extra data holds no seal and is always the same.
     if sealed != *header || (matches!(sealing, Sealing::Work { .. }) && again.extra != header.extra) {
         return Err(blame("running its transactions again gives another block"));
     }
@@ -187,10 +186,10 @@ fn rerun(
     if kept { Ok(outcome) } else { Err(blame("its receipts are not what they were")) }
 }
 
-/// The header of a block that ran, before its seal.
+/// The header of a block that has run, before its seal.
 ///
 /// # Errors
-/// None that is not a fault of this program.
+/// Only for a fault of this program.
 pub fn assemble(
     rules: Rules,
     sealing: &Sealing,
@@ -223,10 +222,10 @@ pub fn assemble(
     })
 }
 
-/// Nodes by their hash, and how often each stands in the state.
+/// Nodes by their hash, with the number of their places in the state.
 type CountedNodes = HashMap<Hash, (Arc<[u8]>, u64)>;
 
-/// The nodes of one state alone, in memory.
+/// The nodes of a single state, in memory.
 struct Passing {
     file: Rc<ChainFile>,
     nodes: RefCell<CountedNodes>,

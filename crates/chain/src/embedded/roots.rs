@@ -16,7 +16,7 @@ use super::trie::{Nodes, Trie};
 use crate::chain::ChainError;
 use crate::model::{Address, Hash};
 
-/// A trie that is made in memory alone.
+/// A trie built only in memory.
 struct Nowhere;
 
 impl Nodes for Nowhere {
@@ -29,7 +29,7 @@ impl Nodes for Nowhere {
     }
 }
 
-/// Root of the trie of a list: RLP of the place to the item (Yellow Paper, 4.3.2).
+/// Root of the trie of a list: RLP of the index to the item (Yellow Paper, 4.3.2).
 fn list_root(items: impl IntoIterator<Item = Vec<u8>>) -> Result<Hash, ChainError> {
     let mut trie = Trie::new(&Nowhere, super::trie::EMPTY_ROOT);
     for (place, item) in (0u64..).zip(items) {
@@ -41,7 +41,7 @@ fn list_root(items: impl IntoIterator<Item = Vec<u8>>) -> Result<Hash, ChainErro
 /// Commitment to transactions: each one's hash, sender and bytes.
 ///
 /// # Errors
-/// None that is not a fault of this program.
+/// Only for a fault of this program.
 pub fn transactions_root<'a>(
     rules: Rules,
     sent: impl IntoIterator<Item = (Hash, Address, &'a [u8])>,
@@ -63,7 +63,7 @@ pub fn transactions_root<'a>(
 /// Commitment to receipts.
 ///
 /// # Errors
-/// None that is not a fault of this program.
+/// Only for a fault of this program.
 pub fn receipts_root(rules: Rules, receipts: &[Receipt]) -> Result<Hash, ChainError> {
     match rules {
         Rules::Tries => list_root(receipts.iter().map(ethereums)),

@@ -24,7 +24,7 @@ pub struct Fault {
     pub message: String,
     /// Revert data as hex.
     pub data: Option<Value>,
-    /// The chain's own fault, where it is one.
+    /// The chain's own error, if it is one.
     pub cause: Option<Box<ChainError>>,
 }
 
@@ -41,17 +41,17 @@ impl From<ChainError> for Fault {
     }
 }
 
-/// What a request is answered with.
+/// The answer to a request.
 pub type Reply = Result<Value, Fault>;
 
 /// Positional parameters of a request.
 pub struct Parameters(Vec<Value>);
 
 impl Parameters {
-    /// One of them, read.
+    /// One of them, parsed.
     ///
     /// # Errors
-    /// [`Fault`] -32602 where it is missing or malformed.
+    /// [`Fault`] -32602 if it is missing or malformed.
     pub fn at<T>(&self, index: usize, read: impl FnOnce(&Value) -> Option<T>) -> Result<T, Fault> {
         let missing = || Fault::new(-32602, format!("missing or invalid value for argument {index}"));
         self.0.get(index).and_then(read).ok_or_else(missing)
@@ -134,7 +134,7 @@ fn whole(parameters: &Parameters) -> bool {
     parameters.0.get(1) == Some(&Value::Bool(true))
 }
 
-/// The number that a block tag means; `None` where the tag is malformed.
+/// The number that a block tag means; `None` if the tag is malformed.
 pub fn block_number(node: &Node, tag: &Value) -> Option<u64> {
     match tag.as_str()? {
         "latest" | "pending" | "safe" | "finalized" => Some(node.head.number),
@@ -143,7 +143,7 @@ pub fn block_number(node: &Node, tag: &Value) -> Option<u64> {
     }
 }
 
-/// The block that a tag, a number or a hash means; `None` inside where there is none.
+/// The block that a tag, a number or a hash means; the inner `None` if there is none.
 #[allow(clippy::option_option, reason = "outside: is it a name of a block; inside: is there one")]
 fn block_named(node: &Node, which: &Value) -> Option<Option<u64>> {
     match read_hash(which) {
@@ -239,7 +239,7 @@ fn read_message(value: &Value) -> Option<Message> {
 /// The most storage slots of one proof.
 const MOST_SLOTS: usize = 256;
 
-/// EIP-1186, for the blocks whose state is kept.
+/// EIP-1186, for blocks whose state is kept.
 fn proof(node: &Node, parameters: &Parameters) -> Reply {
     let account = parameters.at(0, read_address)?;
     let slots = |value: &Value| value.as_array()?.iter().map(read_slot).collect::<Option<Vec<U256>>>();

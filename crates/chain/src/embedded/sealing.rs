@@ -1,5 +1,5 @@
-//! What differs between proof of authority and proof of work: who gets the fees, the shape of a header,
-//! and what makes a block of the file a good one. How blocks run is the same for both.
+//! What differs between proof of authority and proof of work: the recipient of the fees, the shape of a header, and
+//! what makes a block of the file valid. Blocks run the same way under both.
 
 use std::time::Duration;
 
@@ -19,15 +19,15 @@ pub enum Sealing {
     Authority(Authority),
     /// By work.
     Work {
-        /// Hashes per block on average. It never changes: the file's one miner is no network to follow.
+        /// Hashes per block on average. It never changes: with a single miner there is no network to adjust to.
         difficulty: u64,
-        /// Who gets the fees.
+        /// The recipient of the fees.
         miner: Address,
     },
 }
 
 impl Sealing {
-    /// Of a chain founded with `consensus` and these keys.
+    /// For a chain founded with `consensus` and these keys.
     pub fn new(consensus: &Consensus, keys: Vec<SigningKey>) -> Self {
         match *consensus {
             Consensus::Poa { period, .. } => Self::Authority(Authority::new(keys, period)),
@@ -37,7 +37,7 @@ impl Sealing {
         }
     }
 
-    /// The signers of a chain of proof of authority.
+    /// The signers of a proof-of-authority chain.
     pub fn authority(&self) -> Option<&Authority> {
         if let Self::Authority(authority) = self { Some(authority) } else { None }
     }
@@ -87,9 +87,9 @@ impl Sealing {
         }
     }
 
-    /// Where the block above `head` takes place, sealed by `signer` where there are several.
+    /// The context of the block above `head`, sealed by `signer` if there are several.
     pub fn place(&self, number: u64, head_time: u64, signer: Option<usize>) -> Environment {
-        // Blocks cannot go back: they do not follow a clock that jumps until it has stood.
+        // Block times never go back: after the clock jumps back, blocks keep their time until it has caught up.
         let timestamp = steady_now().seconds().max(head_time + self.period().as_secs());
         let (difficulty, beneficiary) = match self {
             Self::Authority(authority) => {
@@ -102,7 +102,7 @@ impl Sealing {
         Environment { number, timestamp, difficulty, beneficiary }
     }
 
-    /// What a block's header holds of the consensus before its seal: coinbase and extra data.
+    /// The consensus fields of a block's header before its seal: coinbase and extra data.
     pub fn dress(&self, rules: Rules) -> (Address, Vec<u8>) {
         match self {
             Self::Authority(_) => (Address([0; 20]), unsealed_extra(rules)),
@@ -110,8 +110,8 @@ impl Sealing {
         }
     }
 
-    /// Checks all of a block of the file that its transactions do not show, and takes note of it; gives
-    /// where it took place.
+    /// Checks everything about a block of the file that its transactions do not show, and records it; returns its
+    /// context.
     ///
     /// # Errors
     /// What is wrong, in plain words.
@@ -139,7 +139,7 @@ impl Sealing {
         Ok(Environment { number, timestamp, difficulty: header.difficulty, beneficiary })
     }
 
-    /// Checks the newest block's seal, which vouches for all below it.
+    /// Checks the newest block's seal, which vouches for all blocks below it.
     ///
     /// # Errors
     /// What is wrong, in plain words.
@@ -150,7 +150,7 @@ impl Sealing {
         }
     }
 
-    /// The difficulties of the blocks 0 to `number`, added up.
+    /// The sum of the difficulties of blocks 0 to `number`.
     pub fn total_difficulty(&self, number: u64) -> u128 {
         match self {
             Self::Authority(authority) => authority.total_difficulty(number).into(),

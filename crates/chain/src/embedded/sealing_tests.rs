@@ -1,4 +1,4 @@
-//! Both kinds of sealing on whole chains: turns, work, restarts, changed seals, what is told outside.
+//! Both kinds of sealing on whole chains: turns, work, restarts, altered seals, what is reported to callers.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -21,7 +21,7 @@ use crate::model::{Address, ErrorKind};
 
 const BOUND: Duration = Duration::from_secs(60);
 
-/// A chain, the nonces its searches find, and who sends on it.
+/// A chain, the nonces its searches find, and the account that sends on it.
 struct Site {
     node: Node,
     nonces: Receiver<u64>,
@@ -58,7 +58,7 @@ impl Site {
         self.sent += 1;
     }
 
-    /// Sends a transaction and does what the chain's thread does until it is in a block.
+    /// Sends a transaction and does the work of the chain's thread until it is in a block.
     fn block(&mut self) -> Header {
         self.submit();
         let (deadline, number) = (Instant::now() + BOUND, self.node.head.number);
@@ -95,7 +95,7 @@ impl Site {
     }
 }
 
-/// Closes the chain and opens it again: all must be as it was.
+/// Closes the chain and opens it again: everything must be as before.
 fn reopen(site: Site, directory: &Path) -> Site {
     let (head, signers, consensus) = (site.node.head, site.signers(), site.node.consensus);
     let balance = |site: &Site| site.node.machine.tries().map(|tries| tries.root);
@@ -161,7 +161,7 @@ fn another_signer_steps_in_with_the_lower_difficulty() {
     let signers = site.signers();
     site.send_away(1 << 1);
     let headers: Vec<Header> = (0..4).map(|_| site.block()).collect();
-    // Block 1 and 4 are the turn of the one that is away.
+    // Blocks 1 and 4 are the turn of the signer that is away.
     let difficulties: Vec<u64> = headers.iter().map(|header| header.difficulty).collect();
     assert_eq!((difficulties[0], difficulties[3]), (1, 1));
     for pair in headers.windows(2) {
@@ -172,7 +172,7 @@ fn another_signer_steps_in_with_the_lower_difficulty() {
     let mut site = reopen(site, home.path());
     let block = site.ask("eth_getBlockByNumber", json!(["latest", false]));
     assert_eq!((&block["difficulty"], &block["totalDifficulty"]), (&json!("0x1"), &json!(format!("{total:#x}"))));
-    // The restart did not make anyone forget who has to rest.
+    // After the restart it is still known who has to rest.
     let next = site.block();
     assert_ne!(next.sealer(), headers[3].sealer());
 }
@@ -184,7 +184,7 @@ fn without_enough_signers_the_chain_waits_and_goes_on_later() {
     site.send_away(1);
     site.block();
     site.submit();
-    // Block 2 is the turn of the one away, and the other one just sealed.
+    // Block 2 is the turn of the signer that is away, and the other one just sealed.
     assert_eq!(site.node.due(), None);
     site.node.finish();
     assert_eq!(site.node.head.number, 1);
@@ -257,7 +257,7 @@ fn a_search_holds_nobody_up_and_ends_with_the_chain() {
     assert_eq!(site.node.due(), None, "one search at a time");
     assert_eq!(site.ask("eth_blockNumber", json!([])), json!("0x0"));
     assert_eq!(site.ask("eth_getTransactionCount", json!([address(&site), "pending"])), json!("0x2"));
-    // A nonce that shows no work is none.
+    // A nonce that shows no work is not accepted.
     site.node.worked(0);
     assert_eq!(site.node.head.number, 0);
     site.node.assemble();
@@ -283,7 +283,7 @@ async fn the_last_handle_ends_a_search_and_frees_the_file() {
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
     drop(chain);
-    // Opening waits up to 5 s for the file, which the ending chain lets go.
+    // Opening waits up to 5 s for the file, which the ending chain releases.
     let chain = Embedded::open(home.path().to_owned(), Some(endless)).await.expect("opens again");
     assert_eq!(chain.head().borrow().number, 0);
 }
@@ -323,7 +323,7 @@ fn a_forged_seal_is_noticed() {
     });
     tampered(authority.path(), "had to rest");
     forge(authority.path(), 4, |header| header.seal(&keys[2]).expect("seals"));
-    // Allowed to that signer, whose seal it bears; but its state is what its transactions make.
+    // The signer is allowed to seal, and its seal is on the block; but the state must be what the transactions make it.
     open(authority.path(), None);
     forge(authority.path(), 4, |header| {
         header.state_root.0[0] ^= 1;
@@ -362,7 +362,7 @@ fn the_founding_binds() {
     assert_eq!(unusable.kind(), ErrorKind::Input);
 }
 
-/// A chain that the program wrote before there was a choice, with its three blocks.
+/// A chain of three blocks, written by the program before there was a choice of consensus.
 #[test]
 fn a_chain_founded_before_opens_unchanged() {
     let home = tempfile::tempdir().expect("folder");
@@ -379,7 +379,7 @@ fn a_chain_founded_before_opens_unchanged() {
     site.block();
     let site = reopen(site, home.path());
     assert_eq!(site.header(4).parent, newest.hash);
-    // And a new one is of version 3 from its first block on.
+    // A new one is of version 3 from its first block on.
     let new = tempfile::tempdir().expect("folder");
     drop(open(new.path(), Some(Consensus::POA)));
     let file = rusqlite::Connection::open(new.path().join("chain.db")).expect("opens");
@@ -393,5 +393,5 @@ fn a_chain_founded_before_opens_unchanged() {
     assert_eq!(tables, "block,chain,consensus,doomed,era,node,out_of_turn,retired,sent");
 }
 
-/// Hash of the old chain's newest block, as the program of then gave it.
+/// Hash of the old chain's newest block, as reported by the program that wrote it.
 const OLD_HEAD: &str = "0x326c4b5066fbdc2e751117d7b4b613297c5b55ecb3105e89ff284e7c6567cd73";

@@ -1,5 +1,5 @@
-//! The nodes of the state in the chain's file: each under its hash, with the number of places where it lies in the
-//! newest state or in one that is still kept. A block's nodes are written and old ones taken out in the block's own
+//! The nodes of the state in the chain's file: each under its hash, with the number of places where it occurs in the
+//! newest state or in one that is still kept. A block's nodes are written and old ones removed in the block's own
 //! SQLite transaction.
 
 use std::cell::RefCell;
@@ -23,16 +23,16 @@ pub const SCHEMA: &str = "
     CREATE TABLE node (hash BLOB PRIMARY KEY, body BLOB NOT NULL, places INTEGER NOT NULL);
     CREATE TABLE retired (block INTEGER PRIMARY KEY, nodes BLOB NOT NULL, felled BLOB NOT NULL);
     CREATE TABLE doomed (id INTEGER PRIMARY KEY, hash BLOB NOT NULL);";
-/// For how many blocks, the newest among them, the state is kept.
+/// The number of newest blocks whose state is kept.
 pub const KEPT: u64 = 128;
-/// The most nodes of gone storage tries taken out with one block.
+/// The most nodes of deleted storage tries removed with one block.
 const FELLED_AT_ONCE: u32 = 512;
 /// Half of what is kept of read and written nodes in memory, bytes. Every block makes some KiB of new ones, so a site that
 /// runs grows by them until both halves are full: far more than the nodes that blocks need again would only look like a leak.
 const HALF: usize = 4 * 1024 * 1024;
 const HASH: usize = 32;
 
-/// The nodes used last, in two halves: when the newer is full it becomes the older one, and that one goes.
+/// The nodes used last, in two halves: when the newer is full it becomes the older one, and the older one is dropped.
 #[derive(Default)]
 pub struct Cache {
     halves: RefCell<Halves>,
@@ -113,10 +113,10 @@ impl ChainFile {
         Ok(found)
     }
 
-    /// Looks at a node as it lies in the file, whatever is in memory.
+    /// Looks at a node as stored in the file, ignoring the cache.
     ///
     /// # Errors
-    /// [`ChainError::Tampered`] where it is not what it was, or gone and must not be.
+    /// [`ChainError::Tampered`] if it was altered, or is missing and must not be.
     pub fn look_at(&self, hash: Hash, may_be_gone: bool) -> Result<(), ChainError> {
         match self.read_node(hash)? {
             None if !may_be_gone => Err(self.wrong(hash, "is gone")),
@@ -124,7 +124,7 @@ impl ChainFile {
         }
     }
 
-    /// Keeps what a block that is on disk made, for it is likely to be read next.
+    /// Caches the nodes of a block that is on disk, because they are likely to be read next.
     pub fn remember(&self, made: Vec<(Hash, Vec<u8>)>) {
         made.into_iter().for_each(|(hash, node)| self.cache.put(hash, node.into()));
     }
@@ -132,13 +132,13 @@ impl ChainFile {
     /// Every node of the state that the file holds.
     ///
     /// # Errors
-    /// [`ChainError`] where the file cannot be read.
+    /// [`ChainError`] if the file cannot be read.
     pub fn all_nodes(&self) -> Result<Vec<Vec<u8>>, ChainError> {
         self.all("SELECT body FROM node ORDER BY hash", [], |row| row.get(0))
     }
 }
 
-/// Writes what block `number` made of the state, and takes out what no kept state holds any more.
+/// Writes the state changes of block `number`, and removes what no kept state holds any more.
 pub fn write(transaction: &Transaction<'_>, number: u64, written: &Written) -> rusqlite::Result<()> {
     add(transaction, &written.made)?;
     let joined = |hashes: &[Hash]| hashes.iter().flat_map(|hash| hash.0).collect::<Vec<u8>>();
@@ -152,14 +152,14 @@ pub fn write(transaction: &Transaction<'_>, number: u64, written: &Written) -> r
     clear_felled(transaction)
 }
 
-/// Adds nodes, each once more per place.
+/// Adds nodes, counting each place.
 pub fn add(transaction: &Connection, made: &[(Hash, Vec<u8>)]) -> rusqlite::Result<()> {
     let mut insert = transaction
         .prepare_cached("INSERT INTO node VALUES (?1, ?2, 1) ON CONFLICT (hash) DO UPDATE SET places = places + 1")?;
     made.iter().try_for_each(|(hash, body)| insert.execute(params![hash.0, body]).map(drop))
 }
 
-/// Takes out what the blocks up to `due` left behind.
+/// Removes what the blocks up to `due` left behind.
 fn retire(transaction: &Transaction<'_>, due: u64) -> rusqlite::Result<()> {
     let mut select = transaction.prepare_cached("SELECT block, nodes, felled FROM retired WHERE block <= ?1")?;
     let rows = select.query_map([integer(due)], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?;
@@ -181,7 +181,7 @@ fn take_out(transaction: &Transaction<'_>, hash: &[u8]) -> rusqlite::Result<()> 
     transaction.prepare_cached("DELETE FROM node WHERE hash = ?1 AND places <= 0")?.execute([hash]).map(drop)
 }
 
-/// Takes out some of the nodes of gone storage tries, from their roots down.
+/// Removes some of the nodes of deleted storage tries, from their roots down.
 fn clear_felled(transaction: &Transaction<'_>) -> rusqlite::Result<()> {
     let mut select = transaction.prepare_cached("SELECT id, hash FROM doomed ORDER BY id LIMIT ?1")?;
     let rows = select.query_map([FELLED_AT_ONCE], |row| Ok((row.get(0)?, row.get(1)?)))?;

@@ -1,4 +1,5 @@
-//! The state as tries on whole chains: older files go on, what is flipped is named, what is old is pruned, proofs hold.
+//! The state as tries on whole chains: older files continue, altered nodes are named, old ones are pruned, proofs
+//! verify.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -19,10 +20,10 @@ use super::trie::EMPTY_ROOT;
 use crate::chain::ChainError;
 use crate::model::{Address, ErrorKind, Hash};
 
-/// SSTORE(calldata\[0\], calldata\[32\]) and LOG0; anything with a third word in it destroys the contract.
+/// SSTORE(calldata\[0\], calldata\[32\]) and LOG0; any call with a third word destroys the contract.
 const KEEPER: &str = "6040356013576020356000355560006000a0005b33ff";
 
-/// A chain that somebody writes to.
+/// A chain with an account that writes to it.
 struct Site {
     node: Node,
     wallet: LocalWallet,
@@ -54,7 +55,7 @@ fn words(values: &[u64]) -> Vec<u8> {
 }
 
 impl Site {
-    /// Sends a transaction, which is in the next block.
+    /// Sends a transaction and mines it in the next block.
     fn block(&mut self, to: Option<Address>, input: Vec<u8>) {
         let request = TransactionRequest::new().nonce(self.sent).gas(2_000_000).gas_price(0).data(input);
         let mut request = request.chain_id(self.node.chain_id);
@@ -99,7 +100,7 @@ impl Site {
     }
 }
 
-/// Checks a proof as EIP-1186 says, by hashes alone: each node is named in the one before.
+/// Checks a proof as EIP-1186 says, by hashes alone: each node is named by the one before.
 fn proves(root: &Value, way: &Value) -> bool {
     let bytes = |value: &Value| crate::model::bytes::unhex(&value.as_str().expect("hex")[2..]).expect("hex");
     let mut wanted = bytes(root);
@@ -169,7 +170,7 @@ fn storage_of_a_gone_contract_goes_too() {
         site.block(Some(Address([1; 20])), Vec::new());
     }
     assert!(site.node.file.look_at(storage, false).is_err());
-    // Nothing is left but what the kept states need: two nodes of the account trie for each block and the newest state.
+    // Only what the kept states need is left: two nodes of the account trie for each block, and the newest state.
     let left = site.node.file.all_nodes().expect("reads").len();
     assert!(left < 3 * 140, "{left} nodes");
     let directory = home.path().to_owned();
@@ -205,7 +206,7 @@ fn a_flipped_node_is_named_when_it_is_read() {
     assert_eq!(cause.kind(), ErrorKind::Tampered);
     assert!(cause.to_string().contains(&hash.to_string()), "{cause}");
     assert_eq!(site.audit().expect_err("found").kind(), ErrorKind::Tampered);
-    // What does not need it goes on.
+    // Whatever does not need it continues.
     site.block(Some(contract), words(&[77, 1]));
     drop(site);
     change(&leaf);
@@ -240,7 +241,7 @@ fn an_altered_block_is_named_when_it_is_read_and_by_an_audit() {
     assert_eq!(site.audit(), Ok(7));
 }
 
-/// One of its blocks used 4.16 Ggas, by the rules of then.
+/// One of its blocks used 4.16 Ggas, by the rules of that time.
 #[test]
 fn an_older_file_goes_on_from_a_marked_block() {
     let home = tempfile::tempdir().expect("folder");
@@ -259,7 +260,7 @@ fn an_older_file_goes_on_from_a_marked_block() {
     assert_eq!(site.audit(), Ok(8));
     drop(site);
 
-    // Opened again before it has a block of its own, and after.
+    // Opened again before it has a block by the new rules, and after.
     let mut site = open(home.path());
     site.block(Some(contract), words(&[3, 99]));
     let marked = site.header(9);

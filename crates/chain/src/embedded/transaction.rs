@@ -1,6 +1,6 @@
-//! A legacy (EIP-155) transaction: decoded from its raw bytes, its sender recovered.
+//! A legacy (EIP-155) transaction: decoded from its raw bytes, with its sender recovered.
 //!
-//! Refusals are worded as geth words them, so that one table of messages fits every node.
+//! Refusals are worded as in geth, so that one table of messages fits every node.
 
 use ethers::types::U256;
 use ethers::utils::keccak256;
@@ -19,15 +19,15 @@ pub struct Transaction {
     pub hash: Hash,
     /// Who signed it.
     pub sender: Address,
-    /// Its place in the sender's sequence.
+    /// Its nonce.
     pub nonce: u64,
     /// Wei per gas.
     pub gas_price: u128,
     /// The most gas it may use.
     pub gas_limit: u64,
-    /// Whom it calls; `None` creates a contract.
+    /// The account it calls; `None` creates a contract.
     pub to: Option<Address>,
-    /// Wei sent along.
+    /// Wei to send.
     pub value: U256,
     /// Call data or creation code.
     pub input: Vec<u8>,
@@ -37,7 +37,7 @@ pub struct Transaction {
     pub r: U256,
     /// Second half of the signature.
     pub s: U256,
-    /// As it was sent.
+    /// Its raw bytes.
     pub raw: Vec<u8>,
 }
 

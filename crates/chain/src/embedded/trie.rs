@@ -1,7 +1,8 @@
-//! Merkle-Patricia tries (Yellow Paper, appendix D) whose nodes lie elsewhere under their hash and are read on demand.
+//! Merkle-Patricia tries (Yellow Paper, appendix D) whose nodes are stored elsewhere under their hash and read on
+//! demand.
 //!
-//! Keys are of one length, or none is the beginning of another, so that no branch holds a value. A change reads the
-//! nodes on its path alone; what it makes and what it leaves behind is told at the end, each node once per place.
+//! All keys have one length, or none is a prefix of another, so that no branch holds a value. A change reads only the
+//! nodes on its path; the nodes it creates and leaves behind are returned at the end, each once per place.
 
 use std::sync::Arc;
 
@@ -14,27 +15,27 @@ use authros_evidence::trie::{Step, follow, nibbles, unpacked};
 use crate::chain::ChainError;
 use crate::model::Hash;
 
-/// A node shorter than this lies in the one above it.
+/// A node shorter than this is embedded in its parent.
 const SHORTEST: usize = 32;
 
-/// Where nodes lie.
+/// The store of nodes.
 pub trait Nodes {
     /// The node with this hash.
     ///
     /// # Errors
-    /// [`ChainError::Tampered`] naming the node where it is gone or another one, or where it cannot be read.
+    /// [`ChainError::Tampered`] naming the node if it is missing or altered, or an error if it cannot be read.
     fn node(&self, hash: Hash) -> Result<Arc<[u8]>, ChainError>;
 
-    /// The error that a node is no node of a trie.
+    /// The error for bytes that are not a trie node.
     fn malformed(&self, hash: Hash) -> ChainError;
 }
 
-/// What a change of a trie made and left behind.
+/// The nodes that a change of a trie created and left behind.
 #[derive(Debug, Default)]
 pub struct Turnover {
-    /// New nodes, hash and bytes; one that lies at several places comes several times.
+    /// New nodes, hash and bytes; one at several places is listed several times.
     pub made: Vec<(Hash, Vec<u8>)>,
-    /// Nodes that are at one place fewer.
+    /// Nodes with one place fewer.
     pub left: Vec<Hash>,
 }
 
@@ -70,7 +71,7 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
     /// The value of a key.
     ///
     /// # Errors
-    /// Those of [`Nodes`].
+    /// Errors of [`Nodes`].
     pub fn get(&self, key: &[u8]) -> Result<Option<Vec<u8>>, ChainError> {
         let path = nibbles(key);
         let (mut at, mut rest) = (&self.root, &path[..]);
@@ -93,10 +94,10 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
         }
     }
 
-    /// Sets the value of a key, or takes the key out.
+    /// Sets the value of a key, or removes the key.
     ///
     /// # Errors
-    /// Those of [`Nodes`].
+    /// Errors of [`Nodes`].
     pub fn set(&mut self, key: &[u8], value: Option<Vec<u8>>) -> Result<(), ChainError> {
         if self.get(key)? == value {
             return Ok(());
@@ -110,7 +111,7 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
         Ok(())
     }
 
-    /// The root with all changes, and what they made and left behind.
+    /// The root with all changes, and the nodes they created and left behind.
     pub fn finish(self) -> (Hash, Turnover) {
         let mut turnover = Turnover { made: Vec::new(), left: self.left };
         let root = match &self.root {
@@ -131,7 +132,7 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
         decode(&Rlp::new(&bytes)).ok_or_else(|| self.nodes.malformed(hash))
     }
 
-    /// A node that is about to be changed.
+    /// A node about to be changed.
     fn open(&mut self, child: Child) -> Result<Option<Node>, ChainError> {
         match child {
             Child::Nothing => Ok(None),
@@ -181,7 +182,7 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
         Ok(open(node))
     }
 
-    /// Takes out a key that is there.
+    /// Removes an existing key.
     fn remove(&mut self, at: Child, path: &[u8]) -> Result<Child, ChainError> {
         match self.open(at)? {
             None | Some(Node::Leaf { .. }) => Ok(Child::Nothing),
@@ -206,12 +207,12 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
         }
     }
 
-    /// What `path` and then `child` are as one.
+    /// Joins `path` and `child` into one node.
     fn joined(&mut self, mut path: Vec<u8>, child: Child) -> Result<Child, ChainError> {
         let below = match child {
             Child::Nothing => return Ok(Child::Nothing),
             Child::Open(node) => *node,
-            // A branch stays where it is; the others grow by the path.
+            // A branch stays as it is; the others grow by the path.
             Child::Stored(hash) => match self.load(hash)? {
                 Node::Branch(_) => return Ok(open(Node::Extension { path, child: Child::Stored(hash) })),
                 grown => {
@@ -234,13 +235,13 @@ impl<'a, N: Nodes + ?Sized> Trie<'a, N> {
     }
 }
 
-/// A value, where there is one, and the nodes on the way to it, from the root down.
+/// A value, if there is one, and the nodes on the way to it, from the root down.
 pub type Proof = (Option<Vec<u8>>, Vec<Arc<[u8]>>);
 
-/// The value of a key, and every stored node on the way to it or to the place where it would be (EIP-1186).
+/// The value of a key, and every stored node on the way to it or to where it would be (EIP-1186).
 ///
 /// # Errors
-/// Those of [`Nodes`].
+/// Errors of [`Nodes`].
 pub fn prove<N: Nodes + ?Sized>(nodes: &N, root: Hash, key: &[u8]) -> Result<Proof, ChainError> {
     let mut way = Vec::new();
     if root == EMPTY_ROOT {
@@ -250,7 +251,7 @@ pub fn prove<N: Nodes + ?Sized>(nodes: &N, root: Hash, key: &[u8]) -> Result<Pro
     Ok((value, way))
 }
 
-/// Follows `path` from a stored node on.
+/// Follows `path` from a stored node.
 fn look_up<N: Nodes + ?Sized>(
     nodes: &N,
     root: Hash,
@@ -269,7 +270,7 @@ fn look_up<N: Nodes + ?Sized>(
     }
 }
 
-/// The stored nodes right below a stored node; `None` where it is no node.
+/// The stored nodes directly below a stored node; `None` if it is not a node.
 pub fn below(bytes: &[u8]) -> Option<Vec<Hash>> {
     fn collect(node: &Node, found: &mut Vec<Hash>) {
         let children = match node {
@@ -346,7 +347,7 @@ fn decode(rlp: &Rlp<'_>) -> Option<Node> {
     }
 }
 
-/// A node's RLP; the nodes below that are long enough go to `made`.
+/// A node's RLP; child nodes that are long enough go to `made`.
 fn encode(node: &Node, made: &mut Vec<(Hash, Vec<u8>)>) -> Vec<u8> {
     let mut list = RlpStream::new();
     match node {

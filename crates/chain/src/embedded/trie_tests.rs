@@ -1,4 +1,4 @@
-//! Tries against another implementation's roots (@ethereumjs/mpt 10), and what they make and leave behind.
+//! Tries compared with another implementation's roots (@ethereumjs/mpt 10), and the nodes they create and leave behind.
 
 use std::cell::RefCell;
 use std::collections::{HashMap, HashSet};
@@ -12,7 +12,7 @@ use super::trie::{EMPTY_ROOT, Nodes, Trie, Turnover, below, prove};
 use crate::chain::ChainError;
 use crate::model::{Address, Hash};
 
-/// Nodes in memory, with their places.
+/// Nodes in memory, with their number of places.
 #[derive(Default)]
 struct Shelf(RefCell<HashMap<Hash, (Vec<u8>, i64)>>);
 
@@ -54,7 +54,7 @@ impl Shelf {
     }
 }
 
-/// The same draws as the other implementation's.
+/// The same random draws as the other implementation's.
 struct Draws(u64);
 
 impl Draws {
@@ -82,7 +82,7 @@ fn step(draws: &mut Draws) -> ([u8; 32], Option<Vec<u8>>) {
     (key, Some(vec![byte(1 + draws.next() % 255); usize::try_from(length).expect("small")]))
 }
 
-/// After so many steps the other implementation has these roots.
+/// The other implementation's roots after this many steps.
 const ROOTS: [(usize, &str); 7] = [
     (10, "5c0e7c0ef40442efa28a4b2270c375cd86d87bd169fe699fc1042a4d945dcba6"),
     (500, "e085db8a8f6be554b501a09786c203881c9445ba95cdc2c9f8cc4912efb45099"),

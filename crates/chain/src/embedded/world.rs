@@ -1,4 +1,4 @@
-//! The world state: true tries whose nodes are read on demand, or, for blocks of older files, all of it in memory.
+//! The world state: real tries whose nodes are read on demand, or, for blocks of older files, all of it in memory.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
@@ -16,16 +16,16 @@ use super::trie::{EMPTY_ROOT, Nodes, Trie, prove};
 use crate::chain::ChainError;
 use crate::model::{Address, Hash};
 
-/// Where the nodes of the world's tries lie, its contracts' code and the hashes of its blocks.
+/// The store of the tries' nodes, the contracts' code and the block hashes.
 pub trait Ground: Nodes {
-    /// The hash of a block, for the instruction BLOCKHASH.
+    /// The hash of a block, for the BLOCKHASH instruction.
     ///
     /// # Errors
-    /// [`ChainError`] where it cannot be read.
+    /// [`ChainError`] if it cannot be read.
     fn block_hash(&self, number: u64) -> Result<Hash, ChainError>;
 }
 
-/// What could not be read; revm wants a type of its own.
+/// What could not be read; revm needs its own error type.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct Unread(pub ChainError);
@@ -34,7 +34,7 @@ impl DBErrorMarker for Unread {}
 
 /// The state of all accounts.
 pub enum World {
-    /// All in memory, as for blocks of the rules of files before version 3.
+    /// All in memory, for blocks under the rules of files before version 3.
     Memory(Box<CacheDB<EmptyDB>>),
     /// As tries.
     Tries(Tries),
@@ -43,13 +43,13 @@ pub enum World {
 /// The state under one root.
 #[derive(Clone)]
 pub struct Tries {
-    /// Where its nodes lie.
+    /// The store of its nodes.
     pub ground: Rc<dyn Ground>,
     /// Its root.
     pub root: Hash,
 }
 
-/// An account as it lies in the trie.
+/// An account as stored in the trie.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Record {
     /// Its next nonce.
@@ -62,34 +62,34 @@ pub struct Record {
     pub code: Hash,
 }
 
-/// What a block made of the tries and left behind.
+/// The nodes a block created in the tries and left behind.
 #[derive(Debug, Default)]
 pub struct Written {
-    /// New nodes and code; one at several places comes several times.
+    /// New nodes and code; one at several places is listed several times.
     pub made: Vec<(Hash, Vec<u8>)>,
-    /// Nodes that are at one place fewer.
+    /// Nodes with one place fewer.
     pub left: Vec<Hash>,
-    /// Roots of whole storage tries that are gone.
+    /// Roots of storage tries that were deleted as a whole.
     pub felled: Vec<Hash>,
 }
 
 /// A slot, its value, and the nodes on the way to it.
 pub type SlotProof = (U256, U256, Vec<std::sync::Arc<[u8]>>);
 
-/// What is proven of an account (EIP-1186).
+/// The proof of an account (EIP-1186).
 pub struct Proof {
-    /// The account, where there is one.
+    /// The account, if it exists.
     pub record: Option<Record>,
     /// The nodes on the way to it.
     pub way: Vec<std::sync::Arc<[u8]>>,
-    /// Each slot asked for: its value and the nodes on the way to it.
+    /// Each requested slot: its value and the nodes on the way to it.
     pub slots: Vec<SlotProof>,
 }
 
-/// What is left of an account after a block.
+/// What remains of an account after a block.
 #[derive(Default)]
 struct Change {
-    /// Its storage of before is gone.
+    /// Its former storage is deleted.
     wiped: bool,
     info: AccountInfo,
     slots: BTreeMap<Word, Word>,
@@ -113,7 +113,7 @@ impl Tries {
     /// An account.
     ///
     /// # Errors
-    /// [`ChainError`] where a node is not what it was.
+    /// [`ChainError`] if a node was altered.
     pub fn record(&self, address: [u8; 20]) -> Result<Option<Record>, ChainError> {
         let found = Trie::new(&*self.ground, self.root).get(&keccak256(address))?;
         found.map(|bytes| self.read(&bytes)).transpose()
@@ -126,7 +126,7 @@ impl Tries {
     /// A storage slot of an account.
     ///
     /// # Errors
-    /// [`ChainError`] where a node is not what it was.
+    /// [`ChainError`] if a node was altered.
     pub fn slot(&self, address: [u8; 20], slot: [u8; 32]) -> Result<U256, ChainError> {
         let Some(record) = self.record(address)? else { return Ok(U256::zero()) };
         let found = Trie::new(&*self.ground, record.storage).get(&keccak256(slot))?;
@@ -137,10 +137,10 @@ impl Tries {
         Rlp::new(bytes).as_val().map_err(|_| self.ground.malformed(root))
     }
 
-    /// The proof of an account and of slots of it.
+    /// The proof of an account and some of its slots.
     ///
     /// # Errors
-    /// [`ChainError`] where a node is not what it was.
+    /// [`ChainError`] if a node was altered.
     pub fn proof(&self, address: Address, slots: &[U256]) -> Result<Proof, ChainError> {
         let (found, way) = prove(&*self.ground, self.root, &keccak256(address.0))?;
         let record = found.map(|bytes| self.read(&bytes)).transpose()?;
@@ -156,10 +156,10 @@ impl Tries {
         Ok(Proof { record, way, slots: proven })
     }
 
-    /// The root after a block's changes, and what they make of the nodes. Nothing is written.
+    /// The root after a block's changes, and their effect on the nodes. Nothing is written.
     ///
     /// # Errors
-    /// [`ChainError`] where a node is not what it was.
+    /// [`ChainError`] if a node was altered.
     pub fn after<'c>(&self, changes: impl IntoIterator<Item = &'c EvmState>) -> Result<(Hash, Written), ChainError> {
         let mut folded: BTreeMap<[u8; 32], Change> = BTreeMap::new();
         let mut written = Written::default();
@@ -208,10 +208,10 @@ impl Tries {
         accounts.set(key, Some(Record { nonce, balance, storage, code: Hash(code_hash.0) }.encode()))
     }
 
-    /// The tries of all that a world in memory holds.
+    /// The tries of everything a world in memory holds.
     ///
     /// # Errors
-    /// None that is not a fault of this program.
+    /// Only for a fault of this program.
     pub fn of(ground: Rc<dyn Ground>, memory: &CacheDB<EmptyDB>) -> Result<(Hash, Written), ChainError> {
         let mut written = Written::default();
         let empty = Self { ground, root: EMPTY_ROOT };
@@ -233,7 +233,7 @@ impl Tries {
     }
 }
 
-/// Adds what one transaction did to an account.
+/// Adds one transaction's changes to an account.
 fn fold(change: &mut Change, account: &Account, made: &mut Vec<(Hash, Vec<u8>)>) {
     if account.is_selfdestructed() {
         *change = Change { wiped: true, ..Change::default() };

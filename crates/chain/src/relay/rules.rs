@@ -1,5 +1,5 @@
-//! What of somebody else's request is passed on to the chain: a visitor's reads, a registered caller's transactions
-//! too, and of both only what concerns the one contract, in bounded portions.
+//! Which requests of other parties are passed on to the chain: a visitor's reads, and a registered caller's
+//! transactions as well; of both only what concerns the one contract, in bounded portions.
 
 use serde_json::{Value, json};
 
@@ -10,58 +10,58 @@ use crate::chain::embedded::Transaction;
 use crate::model::bytes::unhex;
 use crate::model::{Address, Identity};
 
-/// The most gas of a transaction that is passed on: several times what the dearest call of the contract uses.
+/// The most gas of a transaction that is passed on: several times that of the contract's most expensive call.
 pub const MOST_GAS: u64 = 10_000_000;
-/// The most blocks whose logs a visitor asks for at once: as many as this program's own clients do.
+/// The most blocks whose logs a visitor may request at once: as many as this program's own clients do.
 const VISITORS_BLOCKS: u64 = 2_000;
 /// The same for registered callers.
 const MOST_BLOCKS: u64 = 10_000;
-/// The longest call data of a read, bytes: what the longest transaction may carry.
+/// The longest call data of a read, bytes: that of the longest transaction.
 const LONGEST_DATA: usize = LONGEST_RAW;
 /// The most slots of one proof.
 const MOST_SLOTS: usize = 64;
 /// A registration's call data: selector, offset, length, identity.
 const REGISTRATION: usize = 4 + 2 * 32 + Identity::LENGTH;
 
-/// Who asks.
+/// The caller.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Asker {
-    /// Somebody without a transport key.
+    /// A caller without a transport key.
     Visitor,
     /// The holder of a transport key, which belongs to a registered account.
     Registered,
 }
 
-/// What is known of the chain without asking it.
+/// What is known of the chain without a request.
 #[derive(Debug, Clone, Copy)]
 pub struct Ground<'a> {
     /// The chain and its contract.
     pub pin: &'a Pin,
-    /// The number of the newest block that was seen; only what `latest` is reckoned as.
+    /// The newest block number seen; used only to interpret `latest`.
     pub head: u64,
 }
 
-/// A request that may pass, so far as it can be told from the request alone.
+/// A request that may pass, judged from the request alone.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Passed {
     /// It reads, with these parameters.
     Read(Value),
     /// It asks for logs of blocks that have none.
     NoLogs,
-    /// It asks what a call of the contract would use.
+    /// It asks how much gas a call of the contract would use.
     Estimate {
-        /// Who would make it, unproven.
+        /// The claimed sender, unproven.
         from: Option<Address>,
-        /// The identity, where it would register one.
+        /// The identity, if it would register one.
         registers: Option<Box<Identity>>,
     },
     /// It sends a transaction to the contract.
     Transaction {
-        /// Who signed it.
+        /// The signer.
         sender: Address,
         /// The signed bytes.
         raw: Vec<u8>,
-        /// The identity, where it registers one.
+        /// The identity, if it registers one.
         registers: Option<Box<Identity>>,
     },
 }
@@ -70,11 +70,11 @@ fn refused<T>(code: i64, words: impl Into<String>) -> Result<T, RelayError> {
     Err(RelayError::Answered { code, message: words.into(), data: None })
 }
 
-/// Looks at a request.
+/// Examines a request.
 ///
 /// # Errors
-/// [`RelayError::NotAllowed`] for a method that is not passed on for this asker, [`RelayError::Answered`] with what is
-/// wrong with the rest.
+/// [`RelayError::NotAllowed`] for a method that is not passed on for this caller, [`RelayError::Answered`] saying what
+/// else is wrong.
 pub fn examine(ground: Ground<'_>, asker: Asker, method: &str, parameters: &Value) -> Result<Passed, RelayError> {
     check(method, parameters)?;
     let first = parameters.get(0).unwrap_or(&Value::Null);
@@ -152,7 +152,7 @@ fn transaction(pin: &Pin, raw: &Value) -> Result<Passed, RelayError> {
     Ok(Passed::Transaction { sender: decoded.sender, registers: registration(&decoded.input), raw })
 }
 
-/// The identity that this call data registers, where it does exactly that.
+/// The identity that this call data registers, if that is exactly what it does.
 fn registration(data: &[u8]) -> Option<Box<Identity>> {
     let padded = REGISTRATION.next_multiple_of(32) + 4;
     if data.len() < REGISTRATION || data.len() > padded {
@@ -163,7 +163,7 @@ fn registration(data: &[u8]) -> Option<Box<Identity>> {
     (call == data).then(|| Box::new(identity))
 }
 
-/// Logs of the contract alone, of a bounded number of blocks; blocks before the contract's are left out.
+/// Logs of the contract alone, for a bounded number of blocks; blocks before the contract's are left out.
 fn logs(ground: Ground<'_>, asker: Asker, filter: &Value) -> Result<Passed, RelayError> {
     let Some(fields) = filter.as_object() else { return refused(-32602, "no filter") };
     let place = match fields.get("address") {
@@ -195,7 +195,7 @@ fn logs(ground: Ground<'_>, asker: Asker, filter: &Value) -> Result<Passed, Rela
     if first > from {
         bounded.insert("fromBlock".to_owned(), json!(format!("{first:#x}")));
     }
-    // The end stays as it was asked for: the chain may be further than is known here.
+    // The end is left as requested: the chain may be further than is known here.
     read(&json!([bounded]))
 }
 

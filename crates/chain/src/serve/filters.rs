@@ -1,4 +1,4 @@
-//! Filters: what came since a caller asked last. A few, forgotten when nobody asks for them.
+//! Filters: what is new since a caller last asked. There are only a few, and they expire when unused.
 
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
@@ -11,9 +11,9 @@ use crate::chain::embedded::{Embedded, Fault};
 
 /// The most filters at a time.
 const MOST: usize = 64;
-/// How long one lives that nobody asks for.
+/// How long an unused filter lives.
 const LIFE: Duration = Duration::from_secs(300);
-/// The most block hashes given at once; the rest follows when asked again.
+/// The most block hashes returned at once; the rest follows with the next request.
 const MOST_HASHES: u64 = 1000;
 
 #[derive(Clone)]
@@ -47,17 +47,17 @@ fn unknown() -> Fault {
 }
 
 impl Filters {
-    /// Makes a filter for what comes from now on; gives its id.
+    /// Creates a filter for what comes from now on; returns its id.
     ///
     /// # Errors
-    /// For a malformed filter, or where there are too many.
+    /// For a malformed filter, or if there are too many.
     pub async fn install(&self, chain: &Embedded, method: &str, parameters: Vec<Value>) -> Result<Value, Fault> {
         let next = chain.head().borrow().number + 1;
         let kind = if method == "eth_newFilter" {
             let Some(Value::Object(filter)) = parameters.into_iter().next() else {
                 return Err(fault(-32602, "missing or invalid value for argument 0"));
             };
-            // The chain says what is wrong with it, if anything.
+            // The chain reports what is wrong with it, if anything.
             logs(chain, vec![within(&filter, next, next)]).await?;
             Kind::Logs(filter)
         } else {
@@ -75,7 +75,7 @@ impl Filters {
         Ok(number(id))
     }
 
-    /// What came since the last time.
+    /// What is new since the last time.
     ///
     /// # Errors
     /// For an unknown filter.
@@ -97,7 +97,7 @@ impl Filters {
         Ok(news)
     }
 
-    /// All logs that a filter means, old ones too.
+    /// All logs that match a filter, including old ones.
     ///
     /// # Errors
     /// For an unknown filter, or one of blocks.
@@ -112,10 +112,10 @@ impl Filters {
         }
     }
 
-    /// Forgets a filter; whether there was one.
+    /// Removes a filter; returns whether there was one.
     ///
     /// # Errors
-    /// None; the other methods' shape.
+    /// Never; the signature matches the other methods.
     pub async fn uninstall(&self, parameters: &[Value]) -> Result<Value, Fault> {
         let found = match id(parameters) {
             Some(id) => self.open.lock().await.1.remove(&id).is_some(),

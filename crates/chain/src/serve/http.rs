@@ -1,5 +1,5 @@
-//! The part of HTTP/1.1 that JSON-RPC needs, for callers on this machine: bounded heads and bodies, no
-//! browser's requests, one answer each. (The ROS room's is another: blocking, XML, one per connection.)
+//! The part of HTTP/1.1 that JSON-RPC needs, for callers on this machine: bounded heads and bodies, no requests from
+//! browsers, one answer each. (The ROS crate has its own: blocking, XML, one request per connection.)
 
 use std::io;
 use std::net::IpAddr;
@@ -23,7 +23,7 @@ pub struct Request {
 /// Why a request is not answered; the connection ends with it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Refusal {
-    /// Status code and its words.
+    /// Status code and reason phrase.
     pub status: &'static str,
     /// What to do about it.
     pub why: &'static str,
@@ -60,14 +60,14 @@ impl From<Refusal> for Broken {
     }
 }
 
-/// What the head says of the body.
+/// What the head says about the body.
 struct Head {
     length: usize,
     keep: bool,
     asks_first: bool,
 }
 
-/// Reads one request. Whoever asks "100-continue" is told to go on before the body is read.
+/// Reads one request. A caller that sends "Expect: 100-continue" gets its interim answer before the body is read.
 ///
 /// # Errors
 /// [`Broken`].
@@ -110,7 +110,7 @@ async fn line(from: &mut (impl AsyncBufRead + Unpin)) -> Result<String, Broken> 
     String::from_utf8(bytes).map_err(|_| Refusal::bad("the head is not text").into())
 }
 
-/// Whether it is HTTP/1.1, which keeps connections open by itself.
+/// Whether it is HTTP/1.1, which keeps connections open by default.
 fn request_line(line: &str) -> Result<bool, Refusal> {
     let mut words = line.split(' ');
     let (Some(method), Some(target), Some(version), None) = (words.next(), words.next(), words.next(), words.next())
@@ -171,14 +171,14 @@ impl Headers {
 
     fn settle(self, recent: bool) -> Result<Head, Refusal> {
         let host = self.host.ok_or(Refusal::bad("there is no Host header"))?;
-        // A name that an attacker's DNS suddenly resolves to this machine still is the attacker's in Host.
+        // If an attacker's DNS name resolves to this machine, Host still holds the attacker's name.
         if !is_this_machine(&host) {
             return Err(Refusal::new(
                 "403 Forbidden",
                 "the Host header must name this machine: localhost or 127.0.0.1",
             ));
         }
-        // A browser's form cannot send this type to another origin without asking, and is refused when it asks.
+        // A browser form cannot send this type to another origin without a preflight request, which is refused.
         if !self.json {
             return Err(Refusal::new("415 Unsupported Media Type", "set Content-Type: application/json"));
         }
@@ -207,7 +207,7 @@ fn is_this_machine(host: &str) -> bool {
     numeric && (loopback || name.eq_ignore_ascii_case("localhost"))
 }
 
-/// An answer with a JSON body; empty where nothing was asked but to do something.
+/// An answer with a JSON body; empty if the request was only a notification.
 pub fn answer(body: &[u8], keep: bool) -> Vec<u8> {
     message("200 OK", "application/json", body, keep)
 }
@@ -233,7 +233,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// What reading a request from these bytes gives, and what was written meanwhile.
+    /// The result of reading a request from these bytes, and what was written meanwhile.
     async fn given(bytes: &[u8]) -> (Result<Request, Broken>, Vec<u8>) {
         let (near, far) = tokio::io::duplex(4 << 20);
         let (mut reading, mut writing) = tokio::io::split(far);

@@ -1,8 +1,7 @@
 //! The embedded chain's JSON-RPC over HTTP, for other tools on this machine: cast, web3, ethers, curl.
 //!
-//! They may read, and send transactions that are signed already. Whoever may open a connection on this
-//! machine may do that much, so it listens on loopback alone, for as long as somebody asks for it.
-//! There is no ws; news come by filters.
+//! They may read, and send signed transactions. Anyone who may open a connection on this machine can do as much, so it
+//! listens only on loopback, and only while it is explicitly run. There is no ws; news comes through filters.
 
 mod filters;
 mod http;
@@ -24,14 +23,14 @@ use self::http::{Broken, Refusal};
 use self::rpc::Service;
 use super::{Chain, ChainError};
 
-/// What a caller may take.
+/// The limits of a caller.
 #[derive(Debug, Clone, Copy)]
 struct Limits {
-    /// Connections at a time.
+    /// The most connections at a time.
     connections: usize,
-    /// Time to send a request, from the end of the answer before it, and to take an answer.
+    /// Time to send a request, counted from the end of the previous answer, and to receive an answer.
     patience: Duration,
-    /// Time the chain may take for one answer.
+    /// Time the chain may take for an answer.
     work: Duration,
 }
 
@@ -42,10 +41,10 @@ const SLOW: Refusal = Refusal { status: "408 Request Timeout", why: "the request
 const LONG: Refusal =
     Refusal { status: "503 Service Unavailable", why: "the chain took too long; ask for less at once" };
 
-/// Opens the door, on loopback alone.
+/// Opens the listener, on loopback only.
 ///
 /// # Errors
-/// [`ChainError::Input`] for another address, or one that cannot be had.
+/// [`ChainError::Input`] for another address, or one that cannot be bound.
 pub async fn listen(address: SocketAddr) -> Result<TcpListener, ChainError> {
     if !address.ip().is_loopback() {
         return Err(ChainError::Input(format!(
@@ -59,10 +58,10 @@ pub async fn listen(address: SocketAddr) -> Result<TcpListener, ChainError> {
 }
 
 impl Chain {
-    /// Answers JSON-RPC at `listener` until `stop`; all connections end with it.
+    /// Answers JSON-RPC on `listener` until `stop`; all connections end with it.
     ///
     /// # Errors
-    /// [`ChainError::Input`] where the chain is a node, which serves itself.
+    /// [`ChainError::Input`] if the chain is a node, which serves itself.
     pub async fn serve(&self, listener: TcpListener, stop: impl Future<Output = ()> + Send) -> Result<(), ChainError> {
         self.serve_within(LIMITS, listener, stop).await
     }
@@ -104,17 +103,17 @@ impl Chain {
             let service = Arc::clone(&service);
             open.spawn(async move {
                 let _place = place;
-                // A peer that breaks off has only itself to blame.
+                // A peer that disconnects has only itself to blame.
                 drop(connection(stream, &service, limits).await);
             });
         }
     }
 }
 
-/// Says that there is no place, and waits a little until that was read.
+/// Says that there is no free place, and waits briefly until that was read.
 fn turn_away(open: &mut JoinSet<()>, waiting: &Arc<Semaphore>, stream: TcpStream, limits: Limits) {
     let Ok(place) = Arc::clone(waiting).try_acquire_owned() else {
-        // Nobody waits for the callers of a flood.
+        // Nobody waits for the callers in a flood.
         drop(stream.try_write(&http::refusal(BUSY)));
         return;
     };
@@ -151,7 +150,7 @@ async fn send(stream: &mut BufReader<TcpStream>, bytes: &[u8], limits: Limits) -
 async fn refuse(stream: &mut BufReader<TcpStream>, refusal: Refusal, limits: Limits) -> std::io::Result<()> {
     send(stream, &http::refusal(refusal), limits).await?;
     stream.shutdown().await?;
-    // Closed with bytes unread, the connection would be reset, and the answer with it.
+    // Closing with unread bytes would reset the connection and lose the answer.
     let rest = &mut stream.take(4 * http::LONGEST_BODY as u64);
     drop(timeout(Duration::from_secs(1), tokio::io::copy(rest, &mut tokio::io::sink())).await);
     Ok(())

@@ -1,4 +1,4 @@
-//! JSON-RPC 2.0 over the embedded chain: single requests and bounded batches, reading and raw transactions.
+//! JSON-RPC 2.0 over the embedded chain: single requests and bounded batches, reads and raw transactions.
 
 use serde_json::{Value, json};
 
@@ -10,10 +10,10 @@ use crate::model::clean;
 const LONGEST_BATCH: usize = 100;
 /// The longest answer to one HTTP request, bytes.
 const LONGEST_ANSWER: usize = 32 * 1024 * 1024;
-/// The most blocks whose logs are given at once.
+/// The most blocks whose logs are returned at once.
 pub const MOST_BLOCKS: u64 = 10_000;
 
-/// What may be asked. Nothing here signs, changes settings or tells of other users of the chain's file.
+/// The methods allowed. Nothing here signs, changes settings or reveals other users of the chain's file.
 const METHODS: [&str; 35] = [
     "clique_getSigners",
     "eth_accounts",
@@ -64,7 +64,7 @@ impl Service {
         Self { chain, filters: Filters::default() }
     }
 
-    /// The answer to a body; empty where it asks for none.
+    /// The answer to a body; empty if it needs none.
     pub async fn answer(&self, body: &[u8]) -> Vec<u8> {
         let answer = match serde_json::from_slice::<Value>(body) {
             Err(_) => Some(failure(&Value::Null, &fault(-32700, "the body is not JSON"))),
@@ -96,7 +96,7 @@ impl Service {
         all
     }
 
-    /// `None` for a notification, which nobody waits for.
+    /// `None` for a notification, which expects no answer.
     async fn single(&self, request: Value) -> Option<Value> {
         let Value::Object(mut request) = request else {
             return Some(failure(&Value::Null, &fault(-32600, "a request is an object")));
@@ -137,10 +137,10 @@ impl Service {
     }
 }
 
-/// The logs that a filter means, from no more blocks than [`MOST_BLOCKS`].
+/// The logs that match a filter, from at most [`MOST_BLOCKS`] blocks.
 ///
 /// # Errors
-/// Where the range is longer, or the chain's.
+/// If the range is longer, or an error of the chain.
 pub async fn logs(chain: &Embedded, parameters: Vec<Value>) -> Result<Value, Fault> {
     let head = chain.head().borrow().number;
     if span(parameters.first().unwrap_or(&Value::Null), head) > MOST_BLOCKS {
@@ -149,12 +149,12 @@ pub async fn logs(chain: &Embedded, parameters: Vec<Value>) -> Result<Value, Fau
     chain.request("eth_getLogs", Value::Array(parameters)).await
 }
 
-/// How many blocks a filter means.
+/// How many blocks a filter covers.
 fn span(filter: &Value, head: u64) -> u64 {
     let bound = |name: &str| match filter.get(name).and_then(Value::as_str) {
         None | Some("latest" | "pending" | "safe" | "finalized") => head,
         Some("earliest") => 0,
-        // What is no number is refused by the chain.
+        // Anything but a number is refused by the chain.
         Some(number) => u64::from_str_radix(number.trim_start_matches("0x"), 16).unwrap_or(head),
     };
     (bound("toBlock").min(head) + 1).saturating_sub(bound("fromBlock"))

@@ -1,4 +1,4 @@
-//! The server over real sockets: by another client of this program, and by hand-written requests.
+//! The server over real sockets: through this program's own client, and with hand-written requests.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use crate::model::ErrorKind;
 
 const BOUND: Duration = Duration::from_secs(60);
 
-/// Whether a call is answered on a connection that stays.
+/// Whether a call is answered on a connection that stays open.
 async fn is_answered(stream: &mut TcpStream, call: &str) -> bool {
     let (mut answer, request) = (vec![0; 17], request(call, "keep-alive"));
     if stream.write_all(request.as_bytes()).await.is_err() {
@@ -66,14 +66,14 @@ impl Served {
         Chain::connect(options(Endpoint::Node { url })).await.expect("connects")
     }
 
-    /// Sends bytes and gives all that comes back until the end.
+    /// Sends bytes and returns everything received until the end.
     async fn raw(&self, bytes: &[u8]) -> String {
         let mut stream = TcpStream::connect(self.address).await.expect("connects");
         stream.write_all(bytes).await.expect("writes");
         answer_of(&mut stream).await
     }
 
-    /// A connection that was answered and stays; tried again while those before it still have its place.
+    /// A connection that was answered and stays open; retried while earlier ones still have their place.
     async fn kept(&self, call: &str) -> TcpStream {
         let deadline = tokio::time::Instant::now() + BOUND;
         loop {
@@ -239,7 +239,7 @@ async fn strangers_and_spendthrifts_are_refused() {
         assert!(answer.starts_with(&format!("HTTP/1.1 {status} ")), "{status}: {answer}");
         assert!(!answer.contains("jsonrpc"));
     }
-    // Two connections that stay, and no third one.
+    // Two connections that stay open, and no third one.
     let (mut first, mut second) = (served.kept(call).await, served.kept(call).await);
     for stream in [&mut first, &mut second] {
         for _ in 0..3 {
@@ -278,7 +278,7 @@ async fn a_chain_that_takes_too_long_is_not_waited_for() {
     let served = serve(home.path(), Limits { work: Duration::ZERO, ..LIMITS }, None).await;
     let one = json!({ "jsonrpc": "2.0", "id": 1, "method": "eth_chainId" });
     let (batch, deadline) = (json!(vec![one; 100]).to_string(), tokio::time::Instant::now() + BOUND);
-    // An answer that is there at the first look is given even then.
+    // An answer that is ready at once is given even then.
     while !served.raw(request(&batch, "close").as_bytes()).await.starts_with("HTTP/1.1 503 ") {
         assert!(tokio::time::Instant::now() < deadline, "the chain is waited for");
     }

@@ -1,4 +1,4 @@
-//! What a site's file would change in a home.
+//! The changes a site file would make in a home.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -10,7 +10,7 @@ use super::{Decisions, Here, HomeSettings, KnownAccount, SiteFile, holds_secret}
 use crate::DEFINITIONS;
 use crate::model::{Address, ContactName, Publisher, TopicName, TopicRules, TypeName};
 
-/// One thing that would change.
+/// One change.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "what")]
 pub enum Difference {
@@ -23,23 +23,23 @@ pub enum Difference {
         /// Its value then.
         after: String,
     },
-    /// A rule for topics is no longer there.
+    /// A rule for topics is removed.
     RuleGone {
         /// Its terms.
         rule: String,
     },
-    /// A rule for topics is new.
+    /// A rule for topics is added.
     RuleNew {
         /// Its terms.
         rule: String,
     },
-    /// The same rules in another order: of several that fit a topic the first counts.
+    /// The same rules in another order: the first that matches a topic applies.
     RulesInOrder,
     /// A topic is watched, or watched with another type.
     Watch {
         /// The topic.
         topic: TopicName,
-        /// The type that is asked of it.
+        /// The type requested for it.
         #[serde(rename = "type")]
         type_name: Option<TypeName>,
     },
@@ -52,22 +52,22 @@ pub enum Difference {
     Pin {
         /// On this topic.
         topic: TopicName,
-        /// Who.
+        /// The publisher.
         publisher: Publisher,
     },
     /// A publisher is no longer accepted.
     Unpin {
         /// On this topic.
         topic: TopicName,
-        /// Who.
+        /// The publisher.
         publisher: Publisher,
     },
-    /// An account is taken out of the address book.
+    /// An account is removed from the address book.
     RemoveContact {
         /// Its name.
         name: ContactName,
     },
-    /// An account is entered.
+    /// An account is added to the address book.
     AddContact {
         /// Its name.
         name: ContactName,
@@ -76,14 +76,14 @@ pub enum Difference {
         /// The fingerprint of its key.
         fingerprint: Option<String>,
     },
-    /// An owner may use the gateway no more.
+    /// An owner may no longer use the gateway.
     Dismiss {
-        /// Who.
+        /// The owner.
         owner: Address,
     },
     /// An owner may use the gateway.
     Admit {
-        /// Who.
+        /// The owner.
         owner: Address,
     },
 }
@@ -115,7 +115,7 @@ impl fmt::Display for Difference {
 }
 
 impl Difference {
-    /// Whether it is in `config.toml`, which a running site reads when it is started.
+    /// Whether it concerns `config.toml`, which a running site reads when it starts.
     pub fn is_setting(&self) -> bool {
         match self {
             Self::Setting { .. } | Self::RuleGone { .. } | Self::RuleNew { .. } | Self::RulesInOrder => true,
@@ -132,7 +132,7 @@ impl Difference {
 }
 
 impl SiteFile {
-    /// What it would change, in the order in which it is changed: what goes before what comes.
+    /// The changes, in the order of application: removals before additions.
     pub fn differences(&self, home: &HomeSettings, here: &Here) -> Vec<Difference> {
         let mut differences = self.of_settings(home);
         differences.extend(of_rules(&home.rules, &self.rules));
@@ -178,7 +178,7 @@ fn of_publishers(here: &Here, wanted: &BTreeSet<(TopicName, Publisher)>) -> Vec<
 
 fn of_contacts(here: &Here, wanted: &BTreeMap<ContactName, KnownAccount>) -> Vec<Difference> {
     let now = here.decisions.contacts.clone().unwrap_or_default();
-    // Where the file does not speak of a key, it stays as it was noted.
+    // If the file does not give a key, the present one stays.
     let same_key = |one: &KnownAccount, other: &KnownAccount| other.fingerprint.is_none() || one == other;
     let is_same = |name: &ContactName| {
         let both = now.get(name).zip(wanted.get(name));

@@ -1,4 +1,4 @@
-//! The lists of a site's file: `[[watch]]`, `[[publisher]]`, `[[contact]]`, `[[admitted]]`.
+//! The lists of a site file: `[[watch]]`, `[[publisher]]`, `[[contact]]`, `[[admitted]]`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
@@ -44,7 +44,7 @@ pub(super) fn read(document: &mut toml::Table, file: &str, lines: &Lines) -> Res
     Ok(Decisions { watches, publishers, contacts, admitted })
 }
 
-/// A list, where the document speaks of it; `add` tells whether an entry is a new one.
+/// A list, if the document contains it; `add` returns whether an entry is new.
 fn list<List: Default>(
     document: &mut toml::Table,
     file: &str,

@@ -1,5 +1,5 @@
-//! A site as one file that a repository can hold: its settings, the rules for its topics, and what its ledger keeps of
-//! its operator's decisions. No secret is in it, and nothing that belongs to one machine alone.
+//! A site as a single file that a repository can hold: its settings, its rules for topics, and its operator's decisions
+//! from the ledger. It contains no secrets, and nothing specific to one machine.
 
 mod differences;
 mod entries;
@@ -34,16 +34,16 @@ pub type Settings = BTreeMap<&'static str, String>;
 pub struct KnownAccount {
     /// Its address.
     pub address: Address,
-    /// The fingerprint of its key, where a person gave it.
+    /// The fingerprint of its key, if a person gave it.
     pub fingerprint: Option<String>,
 }
 
-/// What the ledger keeps of a site's operator; a list that is `None` is not spoken of.
+/// The operator's decisions stored in the ledger; a list that is `None` is not mentioned.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Decisions {
-    /// Watched topics, and the type that is asked of each.
+    /// Watched topics, and the type requested for each.
     pub watches: Option<BTreeMap<TopicName, Option<TypeName>>>,
-    /// Publishers that the operator pinned.
+    /// Publishers pinned by the operator.
     pub publishers: Option<BTreeSet<(TopicName, Publisher)>>,
     /// The address book.
     pub contacts: Option<BTreeMap<ContactName, KnownAccount>>,
@@ -51,39 +51,39 @@ pub struct Decisions {
     pub admitted: Option<BTreeSet<Address>>,
 }
 
-/// What is so in a home, to be held against a file.
+/// The present state of a home, to compare with a file.
 #[derive(Debug, Clone, Default)]
 pub struct Here {
-    /// What its operator decided.
+    /// Its operator's decisions.
     pub decisions: Decisions,
-    /// Publishers that were pinned because they were seen first: each home learns its own.
+    /// Publishers pinned because they were seen first: each home learns its own.
     pub seen_first: BTreeSet<(TopicName, Publisher)>,
     /// Accounts of its profiles, which may always use its gateway.
     pub own: BTreeSet<Address>,
 }
 
-/// Everything that makes a site.
+/// Everything that defines a site.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct SiteFile {
     /// Its settings.
     pub settings: Settings,
     /// Rules for topics.
     pub rules: TopicRules,
-    /// What its ledger keeps.
+    /// Its operator's decisions.
     pub decisions: Decisions,
 }
 
-/// Why a setting of a home stays in that home.
+/// Why a setting of a home is left out of a site file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stays {
-    /// It is about the machine.
+    /// It concerns the machine.
     OfTheMachine,
     /// Its value holds a secret.
     Secret,
 }
 
 impl Stays {
-    /// For people.
+    /// For display.
     pub fn reason(self) -> &'static str {
         match self {
             Self::OfTheMachine => "it is about this machine",
@@ -92,12 +92,12 @@ impl Stays {
     }
 }
 
-/// What `config.toml` of a home says.
+/// The content of a home's `config.toml`.
 #[derive(Debug, Clone, Default)]
 pub struct HomeSettings {
-    /// What belongs into a site's file.
+    /// What belongs in a site file.
     pub site: Settings,
-    /// What does not.
+    /// What does not, and why.
     pub stays: BTreeMap<&'static str, (String, Stays)>,
     /// Rules for topics.
     pub rules: TopicRules,
@@ -107,7 +107,7 @@ impl HomeSettings {
     /// Reads `config.toml`.
     ///
     /// # Errors
-    /// [`ConfigError`] as [`Config::resolve`].
+    /// [`ConfigError`], see [`Config::resolve`].
     pub fn read(path: &Path, text: &str) -> Result<Self, ConfigError> {
         let file = file_name(path);
         let (values, rules) = read_document(&file, document(&file, text)?, text)?;
@@ -127,7 +127,7 @@ impl HomeSettings {
         self.site.iter().map(|(name, value)| (*name, value.clone())).chain(stays).collect()
     }
 
-    /// All settings as they are to be by a site's file.
+    /// All settings as the site file would make them.
     pub fn wanted(&self, file: &SiteFile) -> Settings {
         let mut wanted: Settings = self.stays.iter().map(|(name, (value, _))| (*name, value.clone())).collect();
         wanted.extend(file.settings.iter().map(|(name, value)| (*name, value.clone())));
@@ -136,10 +136,10 @@ impl HomeSettings {
 }
 
 impl SiteFile {
-    /// Reads the file that a repository holds.
+    /// Reads the file from a repository.
     ///
     /// # Errors
-    /// [`ConfigError`] with the line: no TOML, an unknown key, a secret, a value that cannot be used.
+    /// [`ConfigError`] with the line: invalid TOML, an unknown key, a secret, an invalid value.
     pub fn read(path: &Path, text: &str) -> Result<Self, ConfigError> {
         let file = file_name(path);
         let mut document = document(&file, text)?;
@@ -149,7 +149,7 @@ impl SiteFile {
         for (name, (value, line)) in &values {
             refuse_secret(&file, *line, name, value)?;
         }
-        // What a value is to be is said by the settings themselves, with the line of this file.
+        // The settings themselves say what a value must be, with the line in this file.
         let given = |name: &str| values.get(name).map(|(value, _)| value.clone());
         let usable = Config::resolve(&given, &|_| None, None).and_then(|_| {
             let from_file = |(value, line): &(String, usize)| (value.clone(), Source::File(*line));
@@ -161,7 +161,7 @@ impl SiteFile {
     }
 }
 
-/// A fault of a value, with the line where that value stands.
+/// An invalid value, with its line.
 fn at_line(error: ConfigError, file: &str, lines: &Lines) -> ConfigError {
     match error {
         ConfigError::Value { name, value, source_name: _, what } => {
@@ -175,7 +175,7 @@ fn at_line(error: ConfigError, file: &str, lines: &Lines) -> ConfigError {
     }
 }
 
-/// With the names as the definitions have them.
+/// With the names from the definitions.
 fn named(values: FileValues) -> impl Iterator<Item = (&'static str, String)> {
     let known = |name: &str| DEFINITIONS.iter().find(|definition| definition.name == name);
     values.into_iter().filter_map(move |(name, (value, _))| Some((known(&name)?.name, value)))
@@ -188,11 +188,11 @@ fn stays(name: &str, value: &str) -> Option<Stays> {
     holds_secret(name, value).then_some(Stays::Secret)
 }
 
-/// Whether the value of a setting holds what nobody else may read, or may hold it: who logs in at a URL, what stands
-/// behind its `?`, its path where services write keys into it, a key in PEM.
+/// Whether the value of a setting holds, or may hold, something nobody else may read: credentials in a URL, its query,
+/// its path at services that put keys there, a key in PEM.
 fn holds_secret(name: &str, value: &str) -> bool {
     let in_url = |(scheme, rest): (&str, &str)| {
-        // What follows ipc:// is a file of the machine.
+        // ipc:// is followed by a file on the machine.
         let may_hold_key = KEY_IN_PATH.contains(&name) && scheme != "ipc";
         let path = rest.find(['/', '#']).and_then(|at| rest.get(at..)).unwrap_or_default();
         rest.contains(['@', '?']) || may_hold_key && !PLAIN_PATHS.contains(&path)
@@ -202,7 +202,7 @@ fn holds_secret(name: &str, value: &str) -> bool {
 
 fn refuse_secret(file: &str, line: usize, name: &str, value: &str) -> Result<(), ConfigError> {
     let instead = match name {
-        // What stands there is a path, or else perhaps the secret itself.
+        // It should be a path, but may be the secret itself.
         "alerts.secret" if !value.starts_with('/') => "write the path of the file that holds it",
         _ if holds_secret(name, value) && KEY_IN_PATH.contains(&name) => {
             "what its URL has beside host and port may be a key: set it in config.toml of each home, or in the \

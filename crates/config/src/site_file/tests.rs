@@ -1,4 +1,4 @@
-//! A site's file holds all that makes a site, comes back as it was written, and refuses what does not belong into it.
+//! A site file holds everything that defines a site, survives a round trip, and refuses what does not belong in it.
 
 use super::*;
 
@@ -13,7 +13,7 @@ fn home(text: &str) -> HomeSettings {
     HomeSettings::read(Path::new("config.toml"), text).expect(text)
 }
 
-/// Another value than its default for every setting; the ones that rule each other out are in two groups.
+/// A value other than the default for every setting; those that exclude each other are in two groups.
 fn examples() -> Vec<(&'static str, String)> {
     let folder = std::env::temp_dir();
     let secret = folder.join(format!("authros-site-file-{}", std::process::id()));
@@ -78,13 +78,13 @@ fn examples() -> Vec<(&'static str, String)> {
 #[test]
 fn every_setting_is_in_a_dump_and_comes_back_as_it_was() {
     let examples = examples();
-    // What cannot stand together is tried apart.
+    // Settings that exclude each other are tried separately.
     for without in [["site.address", "alerts.command"], ["chain.url", "alerts.webhook"]] {
         let set =
             examples.iter().filter(|(name, _)| !without.contains(name)).map(|(name, value)| (*name, value.clone()));
         let file = SiteFile { settings: set.collect(), ..SiteFile::default() };
         let text = file.to_text(&[]);
-        // A file that names a command is one that nobody else writes.
+        // A file that names a command must be writable by nobody else.
         let own = &file.settings.get("alerts.secret").expect("a private file");
         let again = SiteFile::read(Path::new(own), &text).unwrap_or_else(|error| panic!("{error}\n{text}"));
         assert_eq!(again, file, "{text}");
@@ -198,7 +198,7 @@ fn full() -> SiteFile {
     read(&text).expect("a file")
 }
 
-/// Rules without their lines, which change with what stands before them.
+/// Rules without their line numbers, which change with what comes before them.
 fn unplaced(mut file: SiteFile) -> SiteFile {
     for rule in &mut file.rules.0 {
         std::sync::Arc::make_mut(rule).line = 0;
@@ -230,14 +230,14 @@ fn differences_are_what_an_application_changes_and_none_are_left_behind_it() {
         Here { decisions: file.decisions.clone(), ..Here::default() },
     );
     assert_eq!(file.differences(&home, &here), []);
-    // A list that is not spoken of is left alone; an empty one takes all out.
+    // A list that is not mentioned is unchanged; an empty one removes everything.
     let silent = SiteFile { rules: file.rules.clone(), ..SiteFile::default() };
     assert_eq!(silent.differences(&home, &here), []);
     let empty = "watch = []\npublisher = []\ncontact = []\nadmitted = []\n";
     let told: Vec<String> =
         read(empty).expect("a file").differences(&home, &here).iter().map(ToString::to_string).collect();
     assert_eq!(told.iter().filter(|line| line.starts_with('-')).count(), 7, "{told:?}");
-    // What a home learned by itself, and its own accounts, are no difference.
+    // What a home learnt by itself, and its own accounts, are not differences.
     here.seen_first = here.decisions.publishers.take().unwrap_or_default();
     here.own = here.decisions.admitted.take().unwrap_or_default();
     assert_eq!(file.differences(&home, &here), []);

@@ -1,4 +1,4 @@
-//! A site's file as text: always in the same order, so that a repository shows what changed and nothing else.
+//! A site file as text: always in the same order, so that a repository shows only real changes.
 
 use std::fmt::Write as _;
 
@@ -6,7 +6,7 @@ use super::{Decisions, KnownAccount, Settings, SiteFile};
 use crate::DEFINITIONS;
 use crate::model::{TopicRule, TopicRules, is_shown};
 
-/// A text as TOML; what terminals act on is spelt out.
+/// A text as TOML, with characters unsafe for terminals escaped.
 pub(super) fn quoted(text: &str) -> String {
     let mut quoted = String::from("\"");
     for character in text.chars() {
@@ -20,7 +20,7 @@ pub(super) fn quoted(text: &str) -> String {
     quoted
 }
 
-/// The value of a setting: a number or a list as it is, anything else as a text.
+/// The value of a setting: a number or a list unchanged, anything else as text.
 fn value(text: &str) -> String {
     let plain = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit()) && text.parse::<i64>().is_ok();
     let read: Option<toml::Table> = format!("it = {text}").parse().ok();
@@ -34,13 +34,13 @@ fn value(text: &str) -> String {
     }
 }
 
-/// Writing to a text cannot fail.
+/// Writing to a string cannot fail.
 fn line(text: &mut String, arguments: std::fmt::Arguments<'_>) {
     let _ = text.write_fmt(arguments);
     text.push('\n');
 }
 
-/// The settings that are set: first those without a table, then table by table. `lists` stands between.
+/// The settings that are set: first those without a table, then table by table. `lists` comes between.
 fn settings(text: &mut String, settings: &Settings, lists: &str) {
     let set = |table: &str| {
         let of_table =
@@ -66,7 +66,7 @@ fn settings(text: &mut String, settings: &Settings, lists: &str) {
     }
 }
 
-/// The terms of a rule, `key = value`. A term that a rule gets and this does not know does not compile.
+/// The terms of a rule, `key = value`. A new term that is missing here does not compile.
 pub(super) fn terms(rule: &TopicRule) -> Vec<String> {
     let TopicRule { pattern, line: _, type_name, rate, every, tags, retention } = rule;
     let mut terms = vec![format!("match = {}", quoted(pattern.as_str()))];
@@ -88,7 +88,7 @@ fn rules(text: &mut String, rules: &TopicRules) {
     }
 }
 
-/// A list that is spoken of and empty: it takes everything out.
+/// A list that is present but empty: it removes everything.
 fn empty(decisions: &Decisions) -> String {
     let Decisions { watches, publishers, contacts, admitted } = decisions;
     let lists = [
@@ -124,7 +124,7 @@ fn entries(text: &mut String, decisions: &Decisions) {
 }
 
 impl SiteFile {
-    /// As a file; `head` is its first comment, line by line.
+    /// As a file; `head` is its initial comment, line by line.
     pub fn to_text(&self, head: &[String]) -> String {
         let Self { settings: set, rules: of_topics, decisions } = self;
         let mut text: String = head.iter().map(|line| format!("# {line}\n")).collect();

@@ -1,5 +1,5 @@
-//! Filters that turn the numbers of a row into small ones: bytes as PNG does it (ISO/IEC 15948, clause 9), after
-//! green was taken from the other colours; wider numbers as differences, folded and split into planes of bytes.
+//! Filters that make the numbers of a row small: bytes as in PNG (ISO/IEC 15948, clause 9), after subtracting green
+//! from the other colours; wider numbers as differences, folded and split into byte planes.
 
 use super::matrix::Matrix;
 
@@ -11,13 +11,13 @@ const PAETH: u8 = 4;
 
 /// What both directions need.
 struct Shape {
-    /// Bytes or numbers between alike neighbours in a row.
+    /// Distance between comparable neighbours in a row, in bytes or numbers.
     back: usize,
     sample: usize,
     big_endian: bool,
-    /// Channels of a pixel whose second one is green; 0 = no colours.
+    /// Channels of a pixel whose second channel is green; 0 = not a colour picture.
     colours: usize,
-    /// How many rows above the alike neighbour is.
+    /// How many rows up the comparable neighbour is.
     apart: usize,
 }
 
@@ -32,7 +32,7 @@ impl Shape {
         }
     }
 
-    /// Bytes, or else wider numbers, of a row of so many bytes.
+    /// How many bytes, or else wider numbers, there are in a row of the given length.
     fn widths(&self, row: usize) -> (usize, usize) {
         if self.sample == 1 { (row, 0) } else { (0, row / self.sample) }
     }
@@ -53,7 +53,7 @@ impl<T: Copy + Default> Above<T> {
         &self.rows[self.apart - 1]
     }
 
-    /// Goes to the next row; what is there to be filled with the row just done.
+    /// Moves on to the next row; the caller fills the returned buffer with the row just done.
     fn turn(&mut self) -> &mut [T] {
         self.rows.rotate_right(1);
         &mut self.rows[0]
@@ -134,13 +134,13 @@ impl Filter {
     }
 }
 
-/// Bits of a number.
+/// Bits per number.
 fn cost(number: u32) -> u64 {
     u64::from(32 - number.leading_zeros())
 }
 
 impl Shape {
-    /// A difference as a number without sign, small ones first.
+    /// A difference as an unsigned number, small differences first.
     #[inline]
     fn coded(&self, kind: u8, at: usize, now: &[u32], above: &[u32]) -> u32 {
         let predicted = if kind == ABOVE { above[at] } else { at.checked_sub(self.back).map_or(0, |left| now[left]) };
@@ -189,7 +189,7 @@ fn filter_bytes(kind: u8, back: usize, now: &[u8], above: &[u8], out: &mut [u8])
     }
 }
 
-/// The neighbour nearest to left + above - corner.
+/// The neighbour closest to left + above - corner (Paeth).
 #[inline]
 fn paeth(left: u8, above: u8, corner: u8) -> u8 {
     let (a, b, c) = (i16::from(left), i16::from(above), i16::from(corner));
@@ -263,7 +263,7 @@ impl Restorer {
         }
     }
 
-    /// Turns a row filtered by `kind` into what it was; `None` where there is no such filter.
+    /// Undoes filter `kind` on a row; `None` if there is no such filter.
     pub fn row(&mut self, kind: u8, row: &mut [u8]) -> Option<()> {
         if self.shape.sample == 1 { self.row_of_bytes(kind, row) } else { self.row_of_numbers(kind, row) }
     }

@@ -1,5 +1,5 @@
-//! Matrices of numbers (raw pictures, depth, clouds, scans): each row is filtered as `filter` says, the rows go
-//! through one fast Deflate stream (RFC 1950, the one made for PNG). What lies around the matrix stays as it is.
+//! Matrices of numbers (raw pictures, depth, clouds, scans): each row is filtered as described in `filter`, then all
+//! rows go through one fast Deflate stream (RFC 1950, tuned for PNG). Bytes around the matrix are unchanged.
 
 use fdeflate::{Compressor, Decompressor};
 
@@ -7,43 +7,43 @@ use crate::model::wire::{Reader, WireError};
 
 use super::filter::{Filter, Restorer};
 
-/// The most numbers of one pixel or point.
+/// The most numbers in one pixel or point.
 pub const MOST_CHANNELS: usize = 64;
 
-/// Shorter rows are none, bytes.
+/// Rows shorter than this are not treated as a matrix, bytes.
 const SHORTEST_ROW: usize = 16;
 
-/// Bits beside the sample's bytes.
+/// Flag bits stored with the sample size.
 const BIG_ENDIAN: u8 = 0x80;
 const GREEN: u8 = 0x40;
 
-/// Rows looked at to see how colours go together.
+/// Rows sampled to see how the colours correlate.
 const LOOKED_AT: usize = 16;
 
-/// The most that Deflate makes out of one byte.
+/// The most bytes that Deflate expands one byte to.
 const MOST_PER_BYTE: usize = 1100;
 
-/// Where a matrix lies in a message, and of what it is made.
+/// Where a matrix lies in a message, and its layout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Matrix {
-    /// Its first byte.
+    /// Offset of its first byte.
     pub start: usize,
-    /// Rows.
+    /// Number of rows.
     pub rows: usize,
-    /// Pixels of a row; rows follow one another without a gap.
+    /// Pixels in a row; rows follow one another without a gap.
     pub columns: usize,
-    /// Numbers of a pixel.
+    /// Numbers in a pixel.
     pub channels: usize,
-    /// Bytes of a number: 1, 2 or 4.
+    /// Bytes in a number: 1, 2 or 4.
     pub sample: usize,
     /// Whether numbers are big endian.
     pub big_endian: bool,
-    /// Distance of alike neighbours: 1, and 2 for Bayer patterns.
+    /// Distance of comparable neighbours: 1, or 2 for Bayer patterns.
     pub apart: usize,
 }
 
 impl Matrix {
-    /// Bytes of the matrix; `None` where it is none that can be coded.
+    /// Bytes of the matrix; `None` if it cannot be coded.
     pub fn length(&self) -> Option<usize> {
         let allowed = matches!(self.sample, 1 | 2 | 4)
             && (1..=MOST_CHANNELS).contains(&self.channels)
@@ -53,12 +53,12 @@ impl Matrix {
         self.rows.checked_mul(row).filter(|_| allowed && row >= SHORTEST_ROW)
     }
 
-    /// Behind its last byte.
+    /// Offset just past its last byte.
     fn end(&self) -> Option<usize> {
         self.length()?.checked_add(self.start)
     }
 
-    /// Bytes of a row.
+    /// Bytes in a row.
     pub(super) fn row(&self) -> usize {
         self.columns * self.channels * self.sample
     }
@@ -76,7 +76,7 @@ impl Matrix {
         Some(head)
     }
 
-    /// With whether green was taken from the other colours.
+    /// Reads the layout; also returns whether green was subtracted from the other colours.
     fn read(reader: &mut Reader<'_>) -> Result<(Self, bool), WireError> {
         let number = |reader: &mut Reader<'_>| -> Result<usize, WireError> {
             usize::try_from(reader.u32("matrix")?).map_err(|_| WireError::Value("matrix"))
@@ -96,7 +96,7 @@ impl Matrix {
 
 const DAMAGED: WireError = WireError::Value("matrix");
 
-/// Codes `body` with its matrix; `None` where there is none of that shape, or as soon as it is not worth it.
+/// Codes `body` with its matrix; `None` if it has no matrix of that shape, or as soon as coding proves not worth it.
 pub(super) fn pack(body: &[u8], matrix: &Matrix) -> Option<Vec<u8>> {
     let end = matrix.end()?;
     let (before, numbers, behind) = (body.get(..matrix.start)?, body.get(matrix.start..end)?, body.get(end..)?);
@@ -113,7 +113,7 @@ pub(super) fn pack(body: &[u8], matrix: &Matrix) -> Option<Vec<u8>> {
     coder.finish().ok()
 }
 
-/// Whether red and blue change as green does, by some of the rows.
+/// Whether red and blue vary with green, judged by some of the rows.
 fn is_grey(numbers: &[u8], matrix: &Matrix) -> bool {
     let change = |left: u8, right: u8| right.wrapping_sub(left).cast_signed();
     let (mut plain, mut taken) = (0u64, 0u64);
@@ -130,7 +130,7 @@ fn is_grey(numbers: &[u8], matrix: &Matrix) -> bool {
     taken < plain
 }
 
-/// Restores what [`pack`] made of a message of `length` bytes, in the room that it takes in the end.
+/// Restores what [`pack`] made of a message of `length` bytes, in place in the output buffer.
 pub(super) fn unpack(packed: &[u8], length: usize) -> Result<Vec<u8>, WireError> {
     let mut reader = Reader::new(packed);
     let (matrix, green) = Matrix::read(&mut reader)?;
@@ -149,7 +149,7 @@ pub(super) fn unpack(packed: &[u8], length: usize) -> Result<Vec<u8>, WireError>
     Ok(out)
 }
 
-/// Fills `out`, just so.
+/// Fills `out` exactly.
 fn inflate(stream: &[u8], out: &mut [u8]) -> Result<(), WireError> {
     let mut coder = Decompressor::new();
     let (mut rest, mut filled) = (stream, 0);
@@ -167,7 +167,7 @@ fn inflate(stream: &[u8], out: &mut [u8]) -> Result<(), WireError> {
     if rest.is_empty() && filled == out.len() { Ok(()) } else { Err(DAMAGED) }
 }
 
-/// Restores the rows behind the matrix' start, each moved to its place.
+/// Restores the rows in place, moving each to its final position.
 fn restore(matrix: &Matrix, green: bool, out: &mut [u8]) -> Result<(), WireError> {
     let row = matrix.row();
     let mut restorer = Restorer::new(matrix, green);

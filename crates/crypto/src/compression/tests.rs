@@ -1,4 +1,4 @@
-//! Compressed and restored: the same bytes, whatever they were; and never more than was claimed.
+//! A round trip gives the same bytes, whatever they were, and never more than claimed.
 
 use proptest::prelude::*;
 
@@ -14,7 +14,7 @@ fn restored(body: &[u8], matrix: Option<&Matrix>) -> Option<Compression> {
     Some(packed.compression)
 }
 
-/// A smooth matrix with a head before and a tail behind it.
+/// A smooth matrix with a header before and a trailer after it.
 fn smooth(matrix: &Matrix, tail: usize) -> Vec<u8> {
     let mut body = vec![7; matrix.start];
     for row in 0..matrix.rows {

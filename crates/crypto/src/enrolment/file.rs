@@ -1,6 +1,6 @@
 //! An enrolment on disk: magic (8), version (1), work (9), salt (32), salt of this save (24), commitment (32) and
-//! length (4), then the enrolment under SM4-GCM with all of that as AAD. How the passphrase becomes the key is in
-//! `file_key`.
+//! length (4), then the enrolment under SM4-GCM with all of that as AAD. `file_key` says how the passphrase becomes the
+//! key.
 
 use std::path::{Path, PathBuf};
 
@@ -16,14 +16,14 @@ use crate::model::wire::{Reader, WireError};
 use super::Enrolment;
 
 const MAGIC: [u8; 8] = *b"\x89AuthEnr";
-/// Where the version stands in the file.
+/// Offset of the version in the file.
 const VERSION_AT: usize = 8;
 /// The largest file accepted, bytes.
 const LARGEST: usize = 1024 * 1024;
 /// Length of the header, bytes.
 const HEADER: usize = 110;
 
-/// What the keys of a file of this version are derived with.
+/// The label under which keys for a file of this version are derived.
 fn label(version: u8) -> &'static str {
     if version == 1 { "AuthROS/enrolment/1" } else { "AuthROS/enrolment/2" }
 }
@@ -84,7 +84,7 @@ fn damaged(path: &Path) -> CryptoError {
     CryptoError::NotAKey { path: shown(path), wanted: "an enrolment", found }
 }
 
-/// A file of a later version is not damaged.
+/// A file from a later version is not reported as damaged.
 fn unread(path: &Path, bytes: &[u8]) -> CryptoError {
     match bytes.get(VERSION_AT) {
         Some(version) if bytes.starts_with(&MAGIC) && *version > Enrolment::NEWEST => {
@@ -95,21 +95,21 @@ fn unread(path: &Path, bytes: &[u8]) -> CryptoError {
     }
 }
 
-/// The version of the enrolment in a file, as it says without its passphrase; `None` where it is none.
+/// The enrolment version that a file states, readable without its passphrase; `None` if this is not an enrolment file.
 pub fn version_of(path: &Path) -> Option<u8> {
     let bytes = read_private(path, LARGEST).ok()?;
     bytes.get(VERSION_AT).copied().filter(|_| bytes.starts_with(&MAGIC))
 }
 
-/// An enrolment in memory with the key of its file, so that later saves cost no derivation.
+/// An enrolment in memory with its file's key, so that later saves need no derivation.
 pub struct SealedEnrolment {
-    /// The enrolment; [`Self::save`] after changing it.
+    /// The enrolment; call [`Self::save`] after changing it.
     pub enrolment: Enrolment,
     key: FileKey,
 }
 
 impl SealedEnrolment {
-    /// A new one; derives the passphrase's key (about 0.3 s).
+    /// A new enrolment; derives the passphrase's key (about 0.3 s).
     ///
     /// # Errors
     /// [`CryptoError::Random`].
@@ -117,10 +117,10 @@ impl SealedEnrolment {
         Ok(Self { enrolment, key: FileKey::new(passphrase)? })
     }
 
-    /// The bytes of its file.
+    /// The bytes of the file.
     ///
     /// # Errors
-    /// [`CryptoError::Length`] where it is too large, [`CryptoError::Random`].
+    /// [`CryptoError::Length`] if it is too large, [`CryptoError::Random`].
     pub fn seal(&self) -> Result<Vec<u8>, CryptoError> {
         seal(&self.enrolment, &self.key)
     }
@@ -144,8 +144,8 @@ impl SealedEnrolment {
         Ok(Self { enrolment, key })
     }
 
-    /// Takes over what a later save of the same enrolment holds, where there is one: costs no derivation.
-    /// A file of another enrolment changes nothing.
+    /// Takes over what a later save of the same enrolment holds, if there is one; needs no derivation. A file of
+    /// another enrolment changes nothing.
     ///
     /// # Errors
     /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`].
@@ -173,20 +173,20 @@ impl SealedEnrolment {
     /// Writes a new file, never over one that is there.
     ///
     /// # Errors
-    /// [`CryptoError::Write`], also where the file exists.
+    /// [`CryptoError::Write`], also if the file exists.
     pub fn create(&self, path: &Path) -> Result<(), CryptoError> {
         create_private(path, &self.seal()?)
     }
 
-    /// Writes it in one step, over what was there.
+    /// Replaces the file in one step.
     ///
     /// # Errors
-    /// [`CryptoError::Write`]; the old file is then still whole.
+    /// [`CryptoError::Write`]; the old file is then still intact.
     pub fn save(&self, path: &Path) -> Result<(), CryptoError> {
         write_private(path, &self.seal()?)
     }
 
-    /// Where a robot keeps what it has been told since, in its own directory.
+    /// The file in the robot's directory that keeps what it has learnt since enrolment.
     pub fn kept_in(directory: &Path) -> PathBuf {
         directory.join("enrolment")
     }

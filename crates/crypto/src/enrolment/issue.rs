@@ -1,4 +1,4 @@
-//! The keys of an epoch as an owner gives them to a device, and their bytes.
+//! The keys of an epoch as an owner issues them to a device, and their encoding.
 
 use std::collections::BTreeMap;
 
@@ -8,44 +8,44 @@ use crate::crypto::{EpochKey, FilterKey, TopicKey};
 use crate::model::wire::{Reader, WireError, put_text};
 use crate::model::{Timestamp, Token, TopicId};
 
-/// The most topics whose keys are issued at once, those of statements included.
+/// The most topics whose keys are issued at once, including those for statements.
 const MOST_ISSUED: usize = super::MOST_TOPICS;
 
 const EPOCH: u8 = 0;
 const NAMED_TOPICS: u8 = 1;
 const TOPICS: u8 = 2;
-/// What names of topics begin with that are no topics of ROS: statements are filed under them.
+/// Prefix of topic names that are not ROS topics: statements are filed under them.
 const STATEMENTS: &str = "authros/";
 
-/// What a device files a topic's records under and finds them by; it need not hold IK for it.
+/// The pseudonyms under which a device files and finds a topic's records; the device need not hold IK.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Pseudonyms {
-    /// The topic's.
+    /// The topic's pseudonym.
     pub id: TopicId,
-    /// What those of its types and tags are made with.
+    /// The filter key for the pseudonyms of its types and tags.
     pub filters: FilterKey,
 }
 
-/// What an epoch's records of one topic are sealed with.
+/// What a device needs to seal one topic's records in an epoch.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct IssuedTopic {
     /// Its key.
     pub key: TopicKey,
-    /// `None` for a device enrolled by version 1, which makes them with IK.
+    /// `None` for a device enrolled by version 1, which computes them with IK.
     pub pseudonyms: Option<Pseudonyms>,
 }
 
-/// What an epoch's topic keys come from.
+/// The source of an epoch's topic keys.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum SealingKey {
-    /// EK: any topic.
+    /// EK, for any topic.
     Epoch(EpochKey),
-    /// What some topics need, by name; others cannot be sealed. Either all of them have pseudonyms or none has.
+    /// Keys for some topics, by name; other topics cannot be sealed. Either all of them have pseudonyms or none has.
     Topics(BTreeMap<String, IssuedTopic>),
 }
 
 impl SealingKey {
-    /// The topics that it is limited to, without those that statements are filed under; `None` where it covers all.
+    /// The topics it is limited to, without those that statements are filed under; `None` if it covers all topics.
     pub fn topics(&self) -> Option<Vec<String>> {
         match self {
             Self::Epoch(_) => None,
@@ -54,41 +54,41 @@ impl SealingKey {
     }
 }
 
-/// The keys of one epoch, as an owner gives them to a device.
+/// The keys of one epoch, as an owner issues them to a device.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EpochIssue {
     /// The epoch's number.
     pub epoch: u64,
     /// Its token.
     pub token: Token,
-    /// When its earliest grant runs out: nothing captured from then on may be sealed under it.
+    /// When its earliest grant expires: nothing captured from then on may be sealed under it.
     pub ends: Option<Timestamp>,
     /// Its keys.
     pub key: SealingKey,
 }
 
-/// What a device seals under now, and from a known moment on.
+/// The keys a device seals with now, and those from a known moment on.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct IssuedKeys {
     /// Now.
     pub now: EpochIssue,
-    /// From the moment on at which the earliest grant of the present epoch runs out.
+    /// The keys from the moment the earliest grant of the present epoch expires.
     pub next: Option<(Timestamp, EpochIssue)>,
 }
 
 impl IssuedKeys {
-    /// Of no topic; what was read takes its place.
+    /// Empty; filled in while parsing.
     pub(super) fn none() -> Self {
         let key = SealingKey::Topics(BTreeMap::new());
         Self { now: EpochIssue { epoch: 0, token: Token([0; 32]), ends: None, key }, next: None }
     }
 
-    /// Its bytes, the body of a notice: issue || 0 or 1 || [moment (8) || issue]; an issue is epoch (8) ||
-    /// token (32) || end (8, 0 for none) || 0 || EK (32), or instead of the last two 1 || count (2) || topic and
-    /// key (32) each, or 2 || count (2) || topic, topic id (16), filter key (32) and key (32) each.
+    /// Its encoding, the body of a notice: issue || 0 or 1 || [moment (8) || issue]. An issue is epoch (8) || token
+    /// (32) || end (8, 0 for none) || 0 || EK (32), or instead of the last two 1 || count (2) || topic and key (32)
+    /// each, or 2 || count (2) || topic, topic id (16), filter key (32) and key (32) each.
     pub fn encode(&self) -> Zeroizing<Vec<u8>> {
         let length = self.now.length() + self.next.as_ref().map_or(1, |(_, next)| 9 + next.length());
-        // Reserved in one piece, tag included: growing would leave unwiped copies behind.
+        // Reserved in one piece, tag included: growing the buffer would leave unwiped copies behind.
         let mut out = Zeroizing::new(Vec::with_capacity(length + 16));
         self.now.put(&mut out);
         match &self.next {
@@ -105,7 +105,7 @@ impl IssuedKeys {
     /// From the body of a notice.
     ///
     /// # Errors
-    /// [`WireError`] where it is none.
+    /// [`WireError`] if it is malformed.
     pub fn parse(body: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(body);
         let issued = Self::read(&mut reader)?;
@@ -128,7 +128,7 @@ impl IssuedKeys {
 }
 
 impl EpochIssue {
-    /// Whether a device without IK can seal with it.
+    /// Whether a device without IK can seal with these keys.
     pub(super) fn stands_alone(&self) -> bool {
         match &self.key {
             SealingKey::Epoch(_) => false,
@@ -188,7 +188,7 @@ impl EpochIssue {
 }
 
 impl IssuedTopic {
-    /// Bytes of its encoding, the topic's name apart.
+    /// Bytes of its encoding, without the topic's name.
     fn length(&self) -> usize {
         if self.pseudonyms.is_some() { 82 } else { 34 }
     }
@@ -196,14 +196,14 @@ impl IssuedTopic {
 
 fn read_topics(reader: &mut Reader<'_>, pseudonyms: bool) -> Result<BTreeMap<String, IssuedTopic>, WireError> {
     let count = usize::from(reader.u16("topic count")?);
-    // None at all is written as names alone.
+    // An empty list is written in the names-only form.
     if count > MOST_ISSUED || (pseudonyms && count == 0) {
         return Err(WireError::Value("topic count"));
     }
     let mut keys = BTreeMap::new();
     for _ in 0..count {
         let topic = reader.text("topic")?;
-        // In the order of names, so that what parses has one encoding.
+        // Sorted by name, so that every value has exactly one encoding.
         if keys.last_key_value().is_some_and(|(last, _)| *last >= topic) {
             return Err(WireError::Value("topic"));
         }

@@ -1,5 +1,5 @@
-//! What a notice of an owner to a device says. Its first byte is its kind: 0 for keys, whose first field, an epoch, is far
-//! below 2^56; 1 for another P_C of the owner; further kinds take the next numbers.
+//! The content of an owner's notice to a device. The first byte is the kind: 0 for keys (whose first field, an epoch,
+//! is far below 2^56), 1 for another P_C of the owner; further kinds take the next numbers.
 
 use zeroize::Zeroizing;
 
@@ -10,11 +10,11 @@ use crate::model::wire::WireError;
 /// What an owner tells a device.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Notice {
-    /// What to seal under from now on.
+    /// The keys to seal with from now on.
     Keys(IssuedKeys),
-    /// With which key the owner signs from now on.
+    /// The key the owner signs with from now on.
     OwnerKey(OwnerKeyChange),
-    /// A kind that this version does not know, by its number: nothing follows from it.
+    /// A kind that this version does not know, by its number; it is ignored.
     Unknown(u8),
 }
 
@@ -24,7 +24,7 @@ impl Notice {
     /// The kind of [`Self::OwnerKey`].
     const OWNER_KEY: u8 = 1;
 
-    /// Its bytes, the body of the record.
+    /// Its encoding, the body of the record.
     pub fn encode(&self) -> Zeroizing<Vec<u8>> {
         match self {
             Self::Keys(keys) => keys.encode(),
@@ -36,7 +36,7 @@ impl Notice {
     /// From the body of a record.
     ///
     /// # Errors
-    /// [`WireError`] where it is none.
+    /// [`WireError`] if it is malformed.
     pub fn parse(body: &[u8]) -> Result<Self, WireError> {
         match body.split_first() {
             Some((&Self::KEYS, _)) | None => IssuedKeys::parse(body).map(Self::Keys),

@@ -12,7 +12,7 @@ use super::{GrantedKeys, WrappedKeys};
 const LABEL: &[u8] = b"AuthROS/envelope/1";
 const ALL: u8 = 1;
 const TOPICS: u8 = 2;
-/// The longest entry of the keys: epoch, name with its length, id and key.
+/// The longest key entry: epoch, name with its length, id and key.
 const LONGEST_ENTRY: usize = 8 + 2 + 255 + 16 + 32;
 
 pub(super) fn encode(domain: &Domain, wrapped: &WrappedKeys) -> Zeroizing<Vec<u8>> {
@@ -20,7 +20,7 @@ pub(super) fn encode(domain: &Domain, wrapped: &WrappedKeys) -> Zeroizing<Vec<u8
         GrantedKeys::All { epochs, .. } => epochs.len(),
         GrantedKeys::Topics { keys } => keys.len(),
     };
-    // Reserved in one piece: growing would leave unwiped copies of keys behind.
+    // Reserved in one piece: growing the buffer would leave unwiped copies of keys behind.
     let mut out = Zeroizing::new(Vec::with_capacity(1024 + entries * LONGEST_ENTRY));
     let terms = &wrapped.terms;
     out.extend_from_slice(LABEL);

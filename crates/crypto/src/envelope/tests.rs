@@ -92,7 +92,7 @@ fn other_networks_signers_and_readers_are_refused() {
     assert!(matches!(attempt(DOMAIN, owner, owner), Err(CryptoError::BadCiphertext)));
 }
 
-/// The chain shows every envelope to everybody: whoever copies one into a grant of his own shares nothing.
+/// The chain shows every envelope to everyone: copying one into a grant of one's own shares nothing.
 #[test]
 fn an_envelope_copied_into_another_grant_opens_for_nobody() {
     let wrapped = all();
@@ -106,8 +106,8 @@ fn an_envelope_copied_into_another_grant_opens_for_nobody() {
         unwrap(provider, &DOMAIN, &envelope, terms, &signer.public, &reader.secret)
     };
     assert!(read(&wrapped.terms, owner, grantee).is_ok());
-    // In the thief's own grant the chain names the thief, whose key signed nothing: to a friend, to himself, and to
-    // the very reader it was wrapped for.
+    // In the thief's own grant the chain names the thief, whose key signed nothing. He tries a friend, himself, and the
+    // very reader it was wrapped for.
     for (reader, address) in [(&friend, stranger), (&thief, theirs), (grantee, wrapped.terms.grantee)] {
         assert!(matches!(read(&terms(theirs, address), &thief, reader), Err(CryptoError::BadSignature)));
     }
@@ -121,7 +121,7 @@ fn an_envelope_copied_into_another_grant_opens_for_nobody() {
     for terms in other_terms {
         assert!(matches!(read(&terms, owner, grantee), Err(CryptoError::NotAccepted { .. })), "{terms:?}");
     }
-    // Signed anew by the thief, the terms inside still name the owner.
+    // Re-signed by the thief, the terms inside still name the owner.
     let mut resigned = envelope[..envelope.len() - 64].to_vec();
     let signature = provider.sign(&thief.secret, &signed_bytes(&DOMAIN, &resigned)).expect("signs");
     resigned.extend_from_slice(&signature.0);
@@ -191,7 +191,7 @@ proptest! {
         prop_assert!(attempt(&[&envelope[..], &[bit]].concat()).is_err());
     }
 
-    /// Even a signed and sealed body is parsed with suspicion.
+    /// Even a signed and sealed body is parsed as untrusted input.
     #[test]
     fn noise_and_altered_bodies_never_panic(noise in proptest::collection::vec(any::<u8>(), 0..400),
                                             at in any::<prop::sample::Index>(), bit in 0u8..8) {

@@ -1,5 +1,5 @@
-//! SM4 with AES-NI and AVX2: the inverse of the field is taken from AES's last round (AESENCLAST), the affine
-//! maps around it are looked up by halves of bytes within a register.
+//! SM4 with AES-NI and AVX2: the field inversion comes from AES's last round (AESENCLAST); the affine maps around it
+//! are nibble look-ups within a register.
 //!
 //! Safety: nothing but the intrinsics of features that are checked before [`super`] calls.
 
@@ -15,7 +15,7 @@ use super::Counter;
 use super::avx2::{GROUP, Group, add_group, counters, diffused, shuffled, sm4_avx2, without_first};
 use super::sbox::{CONSTANT_AFTER, CONSTANT_BEFORE, MATRIX_AFTER, MATRIX_BEFORE, product, round_keys};
 
-/// An affine map as two sums: of the lower half of a byte, and of the upper.
+/// An affine map as two sums: one for the lower half of a byte, one for the upper.
 struct Halves {
     low: [u8; 16],
     high: [u8; 16],
@@ -23,7 +23,7 @@ struct Halves {
 
 /// Before AESENCLAST: SM4's map into the field.
 const BEFORE: Halves = halves(false);
-/// After it: out of AES's own map, whose inverse is z<<<1 ^ z<<<3 ^ z<<<6 ^ 05, then SM4's.
+/// After it: undoes AES's own affine map, whose inverse is z<<<1 ^ z<<<3 ^ z<<<6 ^ 05, then applies SM4's.
 const AFTER: Halves = halves(true);
 
 const fn image(byte: u8, after: bool) -> u8 {
@@ -70,7 +70,7 @@ fn substituted(bytes: __m256i) -> __m256i {
     let low = _mm_aesenclast_si128(_mm256_castsi256_si128(bytes), zero);
     let high = _mm_aesenclast_si128(_mm256_extracti128_si256::<1>(bytes), zero);
     let bytes = mapped(_mm256_set_m128i(high, low), &AFTER);
-    // Takes back AES's shift of rows.
+    // Undoes AES's ShiftRows.
     shuffled(bytes, _mm_setr_epi8(0, 13, 10, 7, 4, 1, 14, 11, 8, 5, 2, 15, 12, 9, 6, 3))
 }
 

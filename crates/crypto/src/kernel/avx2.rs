@@ -1,7 +1,7 @@
-//! SM4 in 16 blocks at once with AVX2; how a kernel computes the S-box, it says itself.
+//! SM4 on 16 blocks at once with AVX2; each kernel supplies its own S-box.
 //!
-//! Safety: the features are checked before [`super`] calls; the single access to memory goes through
-//! references to whole arrays of 32 bytes, unaligned.
+//! Safety: the features are checked before [`super`] calls; the only memory access goes through references to whole
+//! arrays of 32 bytes, unaligned.
 #![allow(unsafe_code, reason = "vector loads and stores, see above")]
 
 use std::arch::x86_64::{
@@ -13,20 +13,20 @@ use std::arch::x86_64::{
 
 use super::Counter;
 
-/// Bytes of one group: 8 blocks.
+/// Bytes in one group: 8 blocks.
 pub(super) const GROUP: usize = 128;
 
 /// Words of 8 blocks, word by word.
 pub(super) type Group = [__m256i; 4];
 
-/// Each word turned left by a whole number of bytes, or its bytes turned round.
+/// Each word rotated left by a whole number of bytes, or with its bytes reversed.
 #[inline]
 #[target_feature(enable = "avx2")]
 pub(super) fn shuffled(words: __m256i, order: __m128i) -> __m256i {
     _mm256_shuffle_epi8(words, _mm256_broadcastsi128_si256(order))
 }
 
-/// What the substituted bytes become before they are added: L of GB/T 32907, 6.2.2.
+/// The substituted bytes before they are added: L of GB/T 32907, 6.2.2.
 #[inline]
 #[target_feature(enable = "avx2")]
 pub(super) fn diffused(word: __m256i, bytes: __m256i) -> __m256i {
@@ -39,7 +39,7 @@ pub(super) fn diffused(word: __m256i, bytes: __m256i) -> __m256i {
     _mm256_xor_si256(rest, turned)
 }
 
-/// 8 counter blocks from `number` on, dealt out so that [`add_group`] needs no exchange between lanes.
+/// 8 counter blocks from `number` on, laid out so that [`add_group`] needs no exchange between lanes.
 #[inline]
 #[target_feature(enable = "avx2")]
 pub(super) fn counters(counter: Counter) -> Group {
@@ -53,7 +53,7 @@ pub(super) fn counters(counter: Counter) -> Group {
     ]
 }
 
-/// Makes the first block of the first group all zeros, where its counter is 0.
+/// Sets the first block of the first group to zero if its counter is 0.
 #[inline]
 #[target_feature(enable = "avx2")]
 pub(super) fn without_first(group: &mut Group) {
@@ -63,7 +63,7 @@ pub(super) fn without_first(group: &mut Group) {
     }
 }
 
-/// XORs the blocks of a group into `text`, big endian and in their order.
+/// XORs the blocks of a group into `text`, big endian and in order.
 #[inline]
 #[target_feature(enable = "avx2")]
 pub(super) fn add_group(group: &Group, text: &mut [u8; GROUP]) {
@@ -93,7 +93,7 @@ fn add(vector: __m256i, part: &mut [u8; 32]) {
     }
 }
 
-/// `apply` and `first` of a kernel whose S-box is the function `substituted` of its file.
+/// Defines `apply` and `first` for a kernel whose S-box is the function `substituted` in its file.
 macro_rules! sm4_avx2 {
     ($features:literal) => {
         #[inline]
@@ -111,7 +111,7 @@ macro_rules! sm4_avx2 {
             }
         }
 
-        /// XORs the stream into `text`, `N` groups (`BYTES`) at once, and returns what is left.
+        /// XORs the stream into `text`, `N` groups (`BYTES`) at a time, and returns the rest.
         #[inline]
         #[target_feature(enable = $features)]
         fn sweep<'a, const N: usize, const BYTES: usize>(
@@ -161,7 +161,7 @@ macro_rules! sm4_avx2 {
             out
         }
 
-        /// The round keys of a key.
+        /// The key schedule of a key.
         #[target_feature(enable = $features)]
         pub(super) fn expand(key: &[u8; 16]) -> [u32; 32] {
             round_keys(key, |word| {

@@ -1,7 +1,7 @@
-//! SM4 in 64 blocks at once: GFNI and AVX-512. Four groups of 16 blocks hide the latency of the S-box.
+//! SM4 on 64 blocks at once: GFNI and AVX-512. Four groups of 16 blocks hide the latency of the S-box.
 //!
-//! Safety: the intrinsics need only the features that [`super::Kernel`] has checked before it calls; the
-//! single access to memory goes through references to whole arrays of 64 bytes, unaligned.
+//! Safety: the intrinsics need only the features that [`super::Kernel`] has checked before it calls; the only memory
+//! access goes through references to whole arrays of 64 bytes, unaligned.
 #![allow(unsafe_code, reason = "vector loads and stores, see above")]
 
 use std::arch::x86_64::{
@@ -17,9 +17,9 @@ use zeroize::Zeroizing;
 use super::Counter;
 use super::sbox::{CONSTANT_AFTER, CONSTANT_BEFORE, MATRIX_AFTER, MATRIX_BEFORE, round_keys};
 
-/// Of three operands, the XOR.
+/// The XOR of three operands.
 const XOR: i32 = 0x96;
-/// Bytes of one group: 16 blocks.
+/// Bytes in one group: 16 blocks.
 const GROUP: usize = 256;
 
 /// Words of 16 blocks, word by word.
@@ -34,7 +34,7 @@ fn substituted(bytes: __m512i) -> __m512i {
     _mm512_gf2p8affineinv_epi64_epi8::<{ CONSTANT_AFTER as i32 }>(mapped, after)
 }
 
-/// One round of one group: the word that is replaced, and the three others.
+/// One round of one group: the word to replace, and the other three.
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw,gfni")]
 fn round(word: __m512i, others: [__m512i; 3], key: __m512i) -> __m512i {
@@ -63,8 +63,8 @@ fn rounds<const N: usize>(keys: &[u32; 32], groups: &mut [Group; N]) {
     }
 }
 
-/// The blocks of a group in their order, big endian; the counters were dealt out so that this transposition
-/// within lanes is all it takes.
+/// The blocks of a group in order, big endian; the counters were laid out so that this transposition within lanes is
+/// enough.
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw")]
 fn blocks(group: &Group) -> [__m512i; 4] {
@@ -109,7 +109,7 @@ fn add_group(group: &Group, text: &mut [u8]) {
     }
 }
 
-/// XORs the stream into `text`, `N` groups (`BYTES`) at once, and returns what is left.
+/// XORs the stream into `text`, `N` groups (`BYTES`) at a time, and returns the rest.
 #[inline]
 #[target_feature(enable = "avx512f,avx512bw,gfni")]
 fn sweep<'a, const N: usize, const BYTES: usize>(
@@ -160,7 +160,7 @@ pub(super) fn first(keys: &[u32; 32], nonce: [u32; 3]) -> [u8; GROUP] {
     out
 }
 
-/// The round keys of a key.
+/// The key schedule of a key.
 #[target_feature(enable = "avx512f,avx512bw,gfni")]
 pub(super) fn expand(key: &[u8; 16]) -> [u32; 32] {
     round_keys(key, |word| {

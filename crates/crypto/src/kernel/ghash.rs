@@ -1,4 +1,4 @@
-//! GHASH (NIST SP 800-38D, 6.4) over whatever the processor has: the kernels' products, or the `ghash` crate.
+//! GHASH (NIST SP 800-38D, 6.4) with whatever the processor offers: the kernels' products, or the `ghash` crate.
 #![allow(unsafe_code, reason = "calls of functions that need features of the processor, which were asked for")]
 
 use ghash::GHash;
@@ -12,12 +12,12 @@ use super::{ghash_avx512, ghash_pclmul};
 /// A running GHASH.
 #[allow(clippy::large_enum_variant, reason = "it lives on the stack for one text")]
 pub(crate) enum Ghash {
-    /// By the `ghash` crate.
+    /// With the `ghash` crate.
     Crate(Box<GHash>),
-    /// By vector instructions: powers of H (H^16 first), and the sum so far.
+    /// With vector instructions: powers of H (H^16 first), and the sum so far.
     #[cfg(target_arch = "x86_64")]
     Powers {
-        /// Who multiplies.
+        /// The multiplier in use.
         kernel: Available,
         /// H^16 .. H^1 in POLYVAL's notation.
         powers: [u128; 16],
@@ -27,7 +27,7 @@ pub(crate) enum Ghash {
 }
 
 impl Ghash {
-    /// For a hash key, and texts of which none is longer than `longest` bytes.
+    /// For a hash key, and texts no longer than `longest` bytes.
     pub fn new(kernel: Available, key: &[u8; 16], longest: usize) -> Self {
         #[cfg(target_arch = "x86_64")]
         if kernel.0 != Kernel::Portable {
@@ -40,7 +40,7 @@ impl Ghash {
         Self::Crate(Box::new(GHash::new(&(*key).into())))
     }
 
-    /// Takes in a text, filled up with zeros to whole blocks.
+    /// Adds a text, padded with zeros to whole blocks.
     pub fn update(&mut self, text: &[u8]) {
         match self {
             Self::Crate(hash) => hash.update_padded(text),
@@ -57,7 +57,7 @@ impl Ghash {
         }
     }
 
-    /// The hash of all that was taken in.
+    /// The hash of everything added.
     pub fn finish(&self) -> [u8; 16] {
         match self {
             Self::Crate(hash) => hash.as_ref().clone().finalize().into(),
@@ -88,11 +88,11 @@ fn add(kernel: Available, powers: &[u128; 16], hash: u128, blocks: &[[u8; 16]]) 
         }
         rest = left.as_chunks::<16>().0;
     }
-    // SAFETY: every kernel but the portable one has PCLMULQDQ, and with the portable one nobody comes here.
+    // SAFETY: every kernel but the portable one has PCLMULQDQ, and the portable one never reaches this.
     unsafe { ghash_pclmul::update(powers, hash, rest) }
 }
 
-/// The product with x in POLYVAL's field, in constant time: what a key of GHASH is there (RFC 8452, A).
+/// The product with x in POLYVAL's field, in constant time: it turns GHASH's key into POLYVAL's (RFC 8452, A).
 #[cfg(target_arch = "x86_64")]
 fn times_x(key: u128) -> u128 {
     const POLYNOMIAL: u128 = 0xc2 << 120 | 1;

@@ -1,7 +1,7 @@
-//! GHASH with VPCLMULQDQ and AVX-512: 16 blocks between two reductions, four to a vector.
-//! What is left over, and the powers of H, are left to [`super::ghash_pclmul`], which has the mathematics.
+//! GHASH with VPCLMULQDQ and AVX-512: 16 blocks between reductions, four to a vector. The remainder and the powers of H
+//! are left to [`super::ghash_pclmul`], which explains the mathematics.
 //!
-//! Safety: the features are checked before [`super`] calls; loads are unaligned ones of whole borrowed arrays.
+//! Safety: the features are checked before [`super`] calls; loads are unaligned and cover whole borrowed arrays.
 #![allow(unsafe_code, reason = "vector loads, see above")]
 
 use std::arch::x86_64::{
@@ -12,9 +12,9 @@ use std::arch::x86_64::{
 
 use super::ghash_pclmul::{halves, number, reduced};
 
-/// Of three operands, the XOR.
+/// The XOR of three operands.
 const XOR: i32 = 0x96;
-/// Bytes between two reductions.
+/// Bytes between reductions.
 pub(super) const BATCH: usize = 256;
 
 /// Four products of 256 bits, not yet reduced.
@@ -56,18 +56,18 @@ fn folded(vector: __m512i) -> __m128i {
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn load(array: &[u8; 64]) -> __m512i {
-    // SAFETY: 64 bytes, the load an unaligned one.
+    // SAFETY: 64 bytes, an unaligned load.
     unsafe { _mm512_loadu_si512(array.as_ptr().cast()) }
 }
 
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn load_numbers(array: &[u128; 4]) -> __m512i {
-    // SAFETY: 64 bytes, all of them initialised, the load an unaligned one.
+    // SAFETY: 64 bytes, all of them initialised, an unaligned load.
     unsafe { _mm512_loadu_si512(array.as_ptr().cast()) }
 }
 
-/// Takes whole batches into the sum `hash`; `powers` are H^16 .. H^1.
+/// Adds whole batches to the sum `hash`; `powers` are H^16 .. H^1.
 #[target_feature(enable = "avx512f,avx512bw,vpclmulqdq,pclmulqdq,sse2")]
 pub(super) fn update(powers: &[u128; 16], hash: u128, batches: &[[u8; BATCH]]) -> u128 {
     let turned = _mm512_broadcast_i32x4(_mm_set_epi64x(0x0001_0203_0405_0607, 0x0809_0a0b_0c0d_0e0f));

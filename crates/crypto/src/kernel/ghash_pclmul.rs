@@ -1,7 +1,7 @@
-//! GHASH (NIST SP 800-38D, 6.4) with PCLMULQDQ: up to 16 blocks between two reductions. Blocks are read
-//! big endian, so that products are those of POLYVAL (RFC 8452, 3 and appendix A): x^-128 comes with each.
+//! GHASH (NIST SP 800-38D, 6.4) with PCLMULQDQ: up to 16 blocks between reductions. Blocks are read big endian, so that
+//! products are those of POLYVAL (RFC 8452, 3 and appendix A), each with a factor x^-128.
 //!
-//! Safety: the features are checked before [`super`] calls; loads are unaligned ones of whole blocks.
+//! Safety: the features are checked before [`super`] calls; loads are unaligned and cover whole blocks.
 #![allow(unsafe_code, reason = "vector loads, see above")]
 
 use std::arch::x86_64::{
@@ -9,7 +9,7 @@ use std::arch::x86_64::{
     _mm_set_epi64x, _mm_setzero_si128, _mm_shuffle_epi8, _mm_shuffle_epi32, _mm_unpackhi_epi64, _mm_xor_si128,
 };
 
-/// The upper half of x^128 + x^127 + x^126 + x^121 + 1 without its first term.
+/// The upper half of x^128 + x^127 + x^126 + x^121 + 1, without its first term.
 const POLYNOMIAL: u64 = 0xc200_0000_0000_0000;
 
 /// A number as a vector.
@@ -42,7 +42,7 @@ pub(super) fn reduced(low: __m128i, high: __m128i) -> __m128i {
     _mm_xor_si128(low, high)
 }
 
-/// Products of 256 bits, summed and not yet reduced.
+/// Products of 256 bits, summed but not yet reduced.
 struct Sum {
     low: __m128i,
     middle: __m128i,
@@ -91,7 +91,7 @@ pub(super) fn powers(key: u128, count: usize) -> [u128; 16] {
     let mut powers = [0; 16];
     powers[15] = key;
     for exponent in 2..=count.min(16) {
-        // Of two powers as near as can be, so that the chain of products is short.
+        // The product of two powers as close as possible, which keeps the chain of products short.
         let (one, other) = (exponent / 2, exponent - exponent / 2);
         let mut product = Sum::zero();
         product.add(halves(powers[16 - one]), halves(powers[16 - other]));
@@ -100,7 +100,7 @@ pub(super) fn powers(key: u128, count: usize) -> [u128; 16] {
     powers
 }
 
-/// Takes blocks into the sum `hash`, 16 at a time.
+/// Adds blocks to the sum `hash`, 16 at a time.
 #[target_feature(enable = "sse2,ssse3,pclmulqdq")]
 pub(super) fn update(powers: &[u128; 16], hash: u128, blocks: &[[u8; 16]]) -> u128 {
     let zero = _mm_setzero_si128();

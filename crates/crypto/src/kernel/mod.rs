@@ -1,7 +1,7 @@
-//! SM4 in counter mode, GHASH and SM3 by the vector instructions of the processor at hand, and SM2's arithmetic. Which
-//! are used is decided once, at run time; all of them, the portable one too, take the same time for all secrets.
-//! The files below hold the only `unsafe` of the program, and each says why it is sound: functions that need
-//! features of the processor are called with an [`Available`] alone, or (SM2) by `way`, where they were found.
+//! SM4 in counter mode, GHASH and SM3 with the vector instructions of this processor, and SM2's arithmetic. The choice
+//! is made once, at run time; all variants, including the portable one, take the same time for all secrets. The files
+//! below hold the program's only `unsafe`, and each says why it is sound: functions that need processor features are
+//! called only with an [`Available`], or (SM2) through `way`, which detected them.
 #![allow(unsafe_code, reason = "calls of functions that need features of the processor, which were asked for")]
 
 use std::fmt;
@@ -44,7 +44,7 @@ pub(super) use ghash::Ghash;
 pub(super) use sm3::{BLOCK, INITIAL, compress, ending};
 pub(super) use sm3_lanes::{LONG, digest_many};
 
-/// What SM4 and GHASH are computed with.
+/// The implementation of SM4 and GHASH.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kernel {
     /// GFNI, AVX-512 and VPCLMULQDQ: 64 blocks at once.
@@ -57,7 +57,7 @@ pub enum Kernel {
     Portable,
 }
 
-/// Why a kernel cannot be had.
+/// Why a kernel is not available.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum KernelError {
     /// No such kernel.
@@ -70,16 +70,16 @@ pub enum KernelError {
         "this processor cannot run the SM4 kernel {0}; unset AUTHROS_SM4_KERNEL, and the best that it can run is taken"
     )]
     Unavailable(Kernel),
-    /// Another one is at work.
+    /// Another kernel is already in use.
     #[error("the SM4 kernel {0} is in use already; choose one before anything is sealed or opened")]
     Decided(Kernel),
 }
 
 impl Kernel {
-    /// All of them, the fastest first.
+    /// All kernels, fastest first.
     pub const ALL: [Self; 4] = [Self::GfniAvx512, Self::GfniAvx2, Self::AesniAvx2, Self::Portable];
 
-    /// The kernel, if this processor has what it needs.
+    /// The kernel, if this processor supports it.
     pub fn available(self) -> Option<Available> {
         self.has_features().then_some(Available(self))
     }
@@ -104,10 +104,10 @@ impl Kernel {
         self == Self::Portable
     }
 
-    /// Has this one used by the whole process, for tests and measurements.
+    /// Makes the whole process use this kernel, for tests and measurements.
     ///
     /// # Errors
-    /// [`KernelError::Unavailable`], or [`KernelError::Decided`] where another one was used before.
+    /// [`KernelError::Unavailable`], or [`KernelError::Decided`] if another one is already in use.
     pub fn force(self) -> Result<(), KernelError> {
         let available = self.available().ok_or(KernelError::Unavailable(self))?;
         let decided = DECIDED.get_or_init(|| available);
@@ -143,7 +143,7 @@ static DECIDED: OnceLock<Available> = OnceLock::new();
 pub struct Available(Kernel);
 
 impl Available {
-    /// The one that this process uses: the forced one, else the fastest.
+    /// The kernel this process uses: the forced one, otherwise the fastest.
     pub fn decided() -> Self {
         let fastest = || Kernel::ALL.into_iter().find_map(Kernel::available);
         *DECIDED.get_or_init(|| fastest().unwrap_or(Self(Kernel::Portable)))
@@ -155,7 +155,7 @@ impl Available {
     }
 }
 
-/// Where a counter stands: the nonce's three words and the number of the next block.
+/// A counter position: the nonce's three words and the number of the next block.
 #[derive(Debug, Clone, Copy)]
 struct Counter {
     nonce: [u32; 3],
@@ -214,7 +214,7 @@ impl Sm4 {
         }
     }
 
-    /// All that GCM needs beside the text, in one batch: E(0), E(nonce || 1), and the stream of 2 to 15.
+    /// Everything GCM needs besides the text, in one batch: E(0), E(nonce || 1), and stream blocks 2 to 15.
     pub fn first(&self, nonce: &[u8; 12]) -> Zeroizing<[u8; FIRST]> {
         let nonce = words(nonce);
         Zeroizing::new(match self.kernel.0 {

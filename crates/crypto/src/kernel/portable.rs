@@ -1,7 +1,7 @@
-//! SM4 on any processor, bitsliced: bit b of word w of 64 blocks lies in one number, and a round is a circuit
-//! of AND and XOR. No table, no branch, and so no time that depends on key or data.
+//! SM4 on any processor, bitsliced: bit b of word w of 64 blocks lies in one number, and a round is a circuit of AND
+//! and XOR. No tables and no branches, so the time depends on neither key nor data.
 //!
-//! The inverse of GF(2^8) is computed in GF(2^4)[Y] / (Y^2 + Y + x^3), GF(2^4) = GF(2)[x] / (x^4 + x + 1).
+//! The inverse in GF(2^8) is computed in GF(2^4)[Y] / (Y^2 + Y + x^3), GF(2^4) = GF(2)[x] / (x^4 + x + 1).
 
 #![allow(clippy::inline_always, reason = "one circuit: the compiler must see the constants of its maps")]
 
@@ -12,16 +12,16 @@ use super::sbox::{CONSTANT_AFTER, CONSTANT_BEFORE, MATRIX_AFTER, MATRIX_BEFORE, 
 
 /// Bytes of 64 blocks.
 const BATCH: usize = 1024;
-/// A byte in each of 64 blocks, bit by bit.
+/// One byte in each of 64 blocks, bit by bit.
 type Byte = [u64; 8];
-/// A half of a byte.
+/// Half a byte.
 type Nibble = [u64; 4];
-/// A word in each of 64 blocks.
+/// One word in each of 64 blocks.
 type Word = [u64; 32];
 
-/// Into the tower of fields, after the first affine map: rows, and the constant.
+/// Into the tower field, after the first affine map: rows, and the constant.
 const INTO: ([u8; 8], u8) = (rows_into(), to_tower(CONSTANT_BEFORE));
-/// Out of it, before the second.
+/// Out of the tower field, before the second.
 const OUT_OF: ([u8; 8], u8) = (rows_out_of(), CONSTANT_AFTER);
 
 /// A product in GF(2^4).
@@ -51,7 +51,7 @@ const fn tower_product(left: u8, right: u8) -> u8 {
     high << 4 | low
 }
 
-/// An element that solves AES's x^8 + x^4 + x^3 + x + 1 = 0 in the tower: where x goes.
+/// An element that solves AES's x^8 + x^4 + x^3 + x + 1 = 0 in the tower: the image of x.
 const fn root() -> u8 {
     let mut candidate = 2;
     loop {
@@ -65,7 +65,7 @@ const fn root() -> u8 {
     }
 }
 
-/// The powers of that element: where 1, x, x^2, ... go.
+/// The powers of that element: the images of 1, x, x^2, ...
 const POWERS: [u8; 8] = {
     let (root, mut powers, mut bit) = (root(), [1; 8], 1);
     while bit < 8 {
@@ -75,7 +75,7 @@ const POWERS: [u8; 8] = {
     powers
 };
 
-/// An element of AES's field, in the tower.
+/// An element of AES's field, mapped into the tower.
 const fn to_tower(byte: u8) -> u8 {
     let (mut sum, mut bit) = (0, 0);
     while bit < 8 {
@@ -176,7 +176,7 @@ fn substituted(byte: &Byte) -> Byte {
     mapped(OUT_OF, &[l0, l1, l2, l3, h0, h1, h2, h3])
 }
 
-/// One round: the word that is replaced, and the three others.
+/// One round: the word to replace, and the other three.
 #[inline]
 fn round(word: &mut Word, others: [&Word; 3], key: u32) {
     let mut bytes = [0; 32];
@@ -214,7 +214,7 @@ fn transpose(rows: &mut [u64; 64]) {
     }
 }
 
-/// The counter blocks of `counter` and the 63 after it; where `zero`, the first one is all zeros.
+/// The counter blocks of `counter` and the 63 after it; if `zero`, the first one is all zeros.
 fn counters(counter: Counter, zero: bool) -> [Word; 4] {
     let first = if zero { !1 } else { u64::MAX };
     let mut words = [[0; 32]; 4];
@@ -259,7 +259,7 @@ fn stream(keys: &[u32; 32], counter: Counter, zero: bool) -> [u8; BATCH] {
     out
 }
 
-/// The round keys of a key.
+/// The key schedule of a key.
 pub(super) fn expand(key: &[u8; 16]) -> [u32; 32] {
     round_keys(key, |word| {
         let mut byte = [0; 8];

@@ -1,9 +1,9 @@
-//! What SM4 (GB/T 32907-2016) is made of, for all kernels: its S-box as an affine map, the inverse of GF(2^8)
-//! with AES's polynomial, and an affine map; its key schedule. No table is ever indexed by a secret.
+//! The parts of SM4 (GB/T 32907-2016) that all kernels share: its S-box as an affine map, the inverse in GF(2^8) with
+//! AES's polynomial, and another affine map; its key schedule. No table is ever indexed by a secret.
 
 use zeroize::Zeroize as _;
 
-/// The matrix before the inverse, as `gf2p8affineqb` wants it.
+/// The matrix before the inverse, in the form `gf2p8affineqb` takes.
 pub(super) const MATRIX_BEFORE: u64 = 0x4c28_7db9_1a22_505d;
 /// The constant before the inverse.
 pub(super) const CONSTANT_BEFORE: u8 = 0x3e;
@@ -12,10 +12,10 @@ pub(super) const MATRIX_AFTER: u64 = 0xf3ab_34a9_74a6_b589;
 /// The constant after the inverse.
 pub(super) const CONSTANT_AFTER: u8 = 0xd3;
 
-/// FK, which the key is added to.
+/// FK, which is XORed with the key.
 const SYSTEM: [u32; 4] = [0xa3b1_bac6, 0x56aa_3350, 0x677d_9197, 0xb270_22dc];
 
-/// A byte times a matrix: the byte of highest order is the row of bit 0, as the instruction has it.
+/// A byte times a matrix: the most significant byte is the row of bit 0, as in the instruction.
 pub(super) const fn product(matrix: u64, byte: u8) -> u8 {
     let rows = matrix.to_be_bytes();
     let (mut out, mut bit) = (0u8, 0);
@@ -35,7 +35,7 @@ const fn constant(round: u8) -> u32 {
     u32::from_be_bytes([first, first.wrapping_add(7), first.wrapping_add(14), first.wrapping_add(21)])
 }
 
-/// The round keys (6.3); `substituted` is the S-box on each byte of a word.
+/// The key schedule (6.3); `substituted` applies the S-box to each byte of a word.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the S-box may need features that only the caller has")]
 pub(super) fn round_keys(key: &[u8; 16], substituted: impl Fn(u32) -> u32) -> [u32; 32] {

@@ -1,4 +1,4 @@
-//! What all ways of SM3 (GB/T 32905-2016) share: its constants, its padding, and the way that one message takes.
+//! What all variants of SM3 (GB/T 32905-2016) share: constants, padding, and how a single message is hashed.
 #![allow(unsafe_code, reason = "calls of functions that need features of the processor, which were asked for")]
 
 use ::sm3::Sm3Core;
@@ -16,7 +16,7 @@ pub(crate) const BLOCK: usize = 64;
 pub(crate) const INITIAL: [u32; 8] =
     [0x7380_166f, 0x4914_b2b9, 0x1724_42d7, 0xda8a_0600, 0xa96f_30bc, 0x1631_38aa, 0xe38d_ee4d, 0xb0fb_0e4e];
 
-/// T_j turned left by j (4.2, 5.3.3).
+/// T_j rotated left by j (4.2, 5.3.3).
 pub(super) const CONSTANTS: [u32; 64] = {
     let (mut constants, mut round) = ([0u32; 64], 0u32);
     while round < 64 {
@@ -31,7 +31,7 @@ pub(super) const CONSTANTS: [u32; 64] = {
 #[cfg(target_arch = "x86_64")]
 const FEWEST: usize = 2;
 
-/// What is left of a message of `length` bytes behind its whole blocks, with its padding (5.2), in one or two blocks.
+/// The rest of a message of `length` bytes after its whole blocks, with its padding (5.2), in one or two blocks.
 pub(crate) fn ending(rest: &[u8], length: u64) -> ([[u8; BLOCK]; 2], usize) {
     let mut end = [[0; BLOCK]; 2];
     let count = if rest.len() < BLOCK - 8 { 1 } else { 2 };
@@ -41,7 +41,7 @@ pub(crate) fn ending(rest: &[u8], length: u64) -> ([[u8; BLOCK]; 2], usize) {
     (end, count)
 }
 
-/// Takes blocks of one message into its state (5.3).
+/// Compresses blocks of one message into its state (5.3).
 pub(crate) fn compress(state: &mut [u32; 8], blocks: &[[u8; BLOCK]]) {
     let rest = by_vectors(state, blocks);
     if !rest.is_empty() {
@@ -49,19 +49,19 @@ pub(crate) fn compress(state: &mut [u32; 8], blocks: &[[u8; BLOCK]]) {
     }
 }
 
-/// Takes as many blocks as vectors pay for; gives back the others.
+/// Compresses as many blocks as vectors pay for; returns the others.
 #[cfg(target_arch = "x86_64")]
 fn by_vectors<'a>(state: &mut [u32; 8], blocks: &'a [[u8; BLOCK]]) -> &'a [[u8; BLOCK]] {
     let turns = is_x86_feature_detected!("bmi1") && is_x86_feature_detected!("bmi2");
     let (groups, rest) = blocks.as_chunks();
     if groups.len() >= FEWEST && turns && is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512bw") {
-        // SAFETY: the features were just found.
+        // SAFETY: the features were just detected.
         unsafe { sm3_avx512::compress_one(state, groups) };
         return rest;
     }
     let (groups, rest) = blocks.as_chunks();
     if groups.len() >= FEWEST && turns && is_x86_feature_detected!("avx2") {
-        // SAFETY: the features were just found.
+        // SAFETY: the features were just detected.
         unsafe { sm3_avx2::compress_one(state, groups) };
         return rest;
     }
@@ -73,8 +73,8 @@ fn by_vectors<'a>(_: &mut [u32; 8], blocks: &'a [[u8; BLOCK]]) -> &'a [[u8; BLOC
     blocks
 }
 
-/// The crate's blocks from our state: its serialized form is the state's words, and a number of blocks that only its
-/// own padding needs.
+/// Hands blocks to the crate starting from our state: its serialised form is the state's words, and a block count that
+/// only its own padding needs.
 pub(super) fn by_crate(state: &mut [u32; 8], blocks: &[[u8; BLOCK]]) {
     let mut form = [0; 40];
     for (bytes, word) in form.as_chunks_mut::<4>().0.iter_mut().zip(&*state) {

@@ -1,6 +1,6 @@
 //! The compression function of SM3 (GB/T 32905-2016, 5.3) on 8 messages side by side, with AVX2.
 //!
-//! Safety: the features are checked before [`super`] calls; loads and stores are unaligned ones of whole arrays.
+//! Safety: the features are checked before [`super`] calls; loads and stores are unaligned and cover whole arrays.
 #![allow(unsafe_code, reason = "vector loads and stores, see above")]
 #![allow(clippy::many_single_char_names, reason = "the standard's names: A to H")]
 
@@ -26,7 +26,7 @@ fn load(array: &[u32; LANES]) -> __m256i {
 #[inline]
 #[target_feature(enable = "avx2")]
 fn store(array: &mut [u32; LANES], vector: __m256i) {
-    // SAFETY: 32 bytes, borrowed alone, unaligned.
+    // SAFETY: 32 bytes, exclusively borrowed, unaligned.
     unsafe { _mm256_storeu_si256(array.as_mut_ptr().cast(), vector) }
 }
 
@@ -54,7 +54,7 @@ fn words<'a>(blocks: impl Iterator<Item = &'a [u8; BLOCK]>, at: usize) -> __m256
     load(&words)
 }
 
-/// The word that follows 16 words, by `w(0)`, the eldest, to `w(15)` (5.3.2).
+/// The word that follows 16 words, given `w(0)`, the oldest, to `w(15)` (5.3.2).
 #[inline]
 #[target_feature(enable = "avx2")]
 fn next(w: impl Fn(usize) -> __m256i) -> __m256i {
@@ -75,7 +75,7 @@ fn chosen(round: usize, [a, b, c]: [__m256i; 3], [e, f, g]: [__m256i; 3]) -> (__
     (majority, choice)
 }
 
-/// Takes one block of each of 8 messages into their states.
+/// Compresses one block of each of 8 messages into their states.
 #[target_feature(enable = "avx2")]
 pub(super) fn compress(states: &mut States<LANES>, blocks: &[&[u8; BLOCK]; LANES]) {
     let mut w = [_mm256_setzero_si256(); 16];
@@ -109,7 +109,7 @@ pub(super) fn compress(states: &mut States<LANES>, blocks: &[&[u8; BLOCK]; LANES
     }
 }
 
-/// Takes groups of 8 blocks of one message into its state.
+/// Compresses groups of 8 blocks of one message into its state.
 #[target_feature(enable = "avx2,bmi1,bmi2")]
 pub(super) fn compress_one(state: &mut [u32; 8], groups: &[[[u8; BLOCK]; LANES]]) {
     sm3_single::groups(state, groups, |rows, group| begin(rows, group), |rows, at| row(rows, at));

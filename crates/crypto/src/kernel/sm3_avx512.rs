@@ -1,6 +1,6 @@
 //! The compression function of SM3 (GB/T 32905-2016, 5.3) on 16 messages side by side, with AVX-512.
 //!
-//! Safety: the features are checked before [`super`] calls; loads and stores are unaligned ones of whole arrays.
+//! Safety: the features are checked before [`super`] calls; loads and stores are unaligned and cover whole arrays.
 #![allow(unsafe_code, reason = "vector loads and stores, see above")]
 #![allow(clippy::many_single_char_names, reason = "the standard's names: A to H")]
 
@@ -17,7 +17,8 @@ use super::sm3_single::{self, MIXED, Rows};
 
 /// Blocks side by side.
 pub(super) const LANES: usize = 16;
-/// Of three operands: the XOR, the majority, the second where the first is set, else the third.
+/// Functions of three operands: the XOR, the majority, and the choice (the second where the first is set, else the
+/// third).
 const XOR: i32 = 0x96;
 const MAJORITY: i32 = 0xe8;
 const CHOICE: i32 = 0xca;
@@ -39,7 +40,7 @@ fn load_block(array: &[u8; BLOCK]) -> __m512i {
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn store(array: &mut [u32; LANES], vector: __m512i) {
-    // SAFETY: 64 bytes, borrowed alone, unaligned.
+    // SAFETY: 64 bytes, exclusively borrowed, unaligned.
     unsafe { _mm512_storeu_si512(array.as_mut_ptr().cast(), vector) }
 }
 
@@ -91,7 +92,7 @@ fn words<'a>(blocks: impl Iterator<Item = &'a [u8; BLOCK]>) -> [__m512i; LANES] 
     transposed(&rows)
 }
 
-/// The word that follows 16 words, by `w(0)`, the eldest, to `w(15)` (5.3.2).
+/// The word that follows 16 words, given `w(0)`, the oldest, to `w(15)` (5.3.2).
 #[inline]
 #[target_feature(enable = "avx512f")]
 fn next(w: impl Fn(usize) -> __m512i) -> __m512i {
@@ -100,7 +101,7 @@ fn next(w: impl Fn(usize) -> __m512i) -> __m512i {
     _mm512_ternarylogic_epi32::<XOR>(mixed, _mm512_rol_epi32::<7>(w(3)), w(10))
 }
 
-/// Takes one block of each of 16 messages into their states.
+/// Compresses one block of each of 16 messages into their states.
 #[target_feature(enable = "avx512f,avx512bw")]
 pub(super) fn compress(state: &mut States<LANES>, blocks: &[&[u8; BLOCK]; LANES]) {
     let mut w = words(blocks.iter().copied());
@@ -136,7 +137,7 @@ pub(super) fn compress(state: &mut States<LANES>, blocks: &[&[u8; BLOCK]; LANES]
     }
 }
 
-/// Takes groups of 16 blocks of one message into its state.
+/// Compresses groups of 16 blocks of one message into its state.
 #[target_feature(enable = "avx512f,avx512bw,bmi1,bmi2")]
 pub(super) fn compress_one(state: &mut [u32; 8], groups: &[[[u8; BLOCK]; LANES]]) {
     sm3_single::groups(state, groups, |rows, group| begin(rows, group), |rows, at| row(rows, at));

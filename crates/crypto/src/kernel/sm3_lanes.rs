@@ -1,4 +1,4 @@
-//! SM3 of many short messages: each has a lane of the vectors, and a lane that is done takes the next message.
+//! SM3 of many short messages: each gets a lane of the vectors, and a lane that finishes takes the next message.
 #![allow(unsafe_code, reason = "calls of functions that need features of the processor, which were asked for")]
 
 use super::super::sm3::sm3;
@@ -6,7 +6,7 @@ use super::sm3::{BLOCK, INITIAL, ending};
 #[cfg(target_arch = "x86_64")]
 use super::{sm3_avx2, sm3_avx512};
 
-/// From this length on a message is hashed alone: a lane is slower than the whole processor.
+/// From this length on a message is hashed alone: a single lane is slower than the whole processor.
 pub(crate) const LONG: usize = 16 * 1024;
 /// The fewest messages for which lanes pay.
 const FEWEST: usize = 3;
@@ -14,23 +14,23 @@ const FEWEST: usize = 3;
 /// States of messages, word by word.
 pub(super) type States<const LANES: usize> = [[u32; LANES]; 8];
 
-/// The SM3 of each message, in their order.
+/// The SM3 of each message, in order.
 pub(crate) fn digest_many(messages: &[&[u8]]) -> Vec<[u8; 32]> {
     #[cfg(target_arch = "x86_64")]
     if messages.len() >= FEWEST {
         if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512bw") {
-            // SAFETY: the features were just found.
+            // SAFETY: the features were just detected.
             return in_lanes::<16>(messages, |states, blocks| unsafe { sm3_avx512::compress(states, blocks) });
         }
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: the feature was just found.
+            // SAFETY: the feature was just detected.
             return in_lanes::<8>(messages, |states, blocks| unsafe { sm3_avx2::compress(states, blocks) });
         }
     }
     messages.iter().map(|message| sm3(&[message])).collect()
 }
 
-/// A message on its way through a lane.
+/// A message being processed in a lane.
 struct Lane<'a> {
     /// Which message.
     index: usize,
@@ -39,7 +39,7 @@ struct Lane<'a> {
     end: [[u8; BLOCK]; 2],
     /// How many blocks of `end` count.
     ends: usize,
-    /// Blocks taken.
+    /// Blocks processed.
     at: usize,
 }
 
@@ -60,7 +60,7 @@ impl<'a> Lane<'a> {
     }
 }
 
-/// [`digest_many`] by a compression function for `LANES` messages.
+/// [`digest_many`] with a compression function for `LANES` messages.
 pub(super) fn in_lanes<const LANES: usize>(
     messages: &[&[u8]],
     compress: impl Fn(&mut States<LANES>, &[&[u8; BLOCK]; LANES]),
@@ -70,7 +70,7 @@ pub(super) fn in_lanes<const LANES: usize>(
     for index in (0..messages.len()).filter(|&index| messages[index].len() >= LONG) {
         digests[index] = sm3(&[messages[index]]);
     }
-    // Taken from the end: the longest first, so that the lanes end together.
+    // Taken from the end, longest first, so that the lanes finish together.
     order.sort_by_key(|&index| messages[index].len());
     let mut states = [[0; LANES]; 8];
     let mut lanes: [Option<Lane<'_>>; LANES] = [const { None }; LANES];

@@ -1,19 +1,19 @@
 //! The compression function of SM3 (GB/T 32905-2016, 5.3) for one long message. A state must wait for the one before,
-//! but the words of blocks need no state: those of the next blocks are made by vectors, a row at a time between the
-//! rounds of these, where a processor has room for them. So there is less to do than in one block after the other,
-//! which shows most where another thread shares the core.
+//! but the message expansion needs no state: vectors expand the next blocks, one row at a time between the rounds of
+//! the current ones, in slots the processor has free. This is less work than block by block, which shows most when
+//! another thread shares the core.
 //!
-//! Safety: `hold` is no instruction at all; the features of the rows are checked before they are called.
+//! Safety: `hold` emits no instruction; the features the rows need are checked before they are called.
 #![allow(unsafe_code, reason = "an empty instruction and calls with checked features, see above")]
 #![allow(clippy::many_single_char_names, reason = "the standard's names: A to H")]
 
 use super::sm3::{BLOCK, CONSTANTS};
 
-/// Where the rows of W' begin: behind W_0 to W_67 and twelve rows that nobody reads.
+/// Start of the rows of W': after W_0 to W_67 and twelve rows that are never read.
 pub(super) const MIXED: usize = 80;
 const ALL: usize = MIXED + 64;
 
-/// W_j and W'_j of so many blocks (5.3.2), a block to a column.
+/// W_j and W'_j of several blocks (5.3.2), one block per column.
 #[repr(C, align(64))]
 pub(super) struct Rows<const LANES: usize>(pub [[u32; LANES]; ALL]);
 
@@ -21,15 +21,15 @@ impl<const LANES: usize> Rows<LANES> {
     const NONE: Self = Self([[0; LANES]; ALL]);
 }
 
-/// The same number; the compiler does not know that. It would add the constant last, where everything waits for it.
+/// The same number, hidden from the compiler, which would otherwise add the constant last, on the critical path.
 #[inline]
 fn hold(mut word: u32) -> u32 {
-    // SAFETY: a comment for the assembler.
+    // SAFETY: only a comment in the assembly.
     unsafe { std::arch::asm!("/* {0:e} */", inlateout(reg) word, options(pure, nomem, nostack, preserves_flags)) };
     word
 }
 
-/// One round (5.3.3); the names turn instead of the words.
+/// One round (5.3.3); the names rotate instead of the words.
 macro_rules! round {
     ($words:ident, $j:expr, $a:ident $b:ident $c:ident $d:ident $e:ident $f:ident $g:ident $h:ident) => {
         let twelve = $a.rotate_left(12);
@@ -44,8 +44,8 @@ macro_rules! round {
     };
 }
 
-/// Takes groups of blocks into a state. `begin` puts W_0 to W_15 of a group into its rows; `row` makes W_(at + 16)
-/// and W'_at of rows whose earlier ones are there.
+/// Compresses groups of blocks into a state. `begin` puts W_0 to W_15 of a group into its rows; `row` makes W_(at + 16)
+/// and W'_at from the earlier rows.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it has the features of its caller only where it is a part of it")]
 pub(super) fn groups<const LANES: usize>(
@@ -69,7 +69,7 @@ pub(super) fn groups<const LANES: usize>(
     }
 }
 
-/// The rounds of a group of blocks, and meanwhile all rows of the next group.
+/// The rounds of a group of blocks, interleaved with all rows of the next group.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "see above")]
 fn rounds<const LANES: usize>(
@@ -80,7 +80,7 @@ fn rounds<const LANES: usize>(
 ) {
     for column in 0..LANES {
         let words = &now.0.as_flattened()[column..];
-        // Once here instead of at every word.
+        // Once here instead of for every word.
         assert!(words.len() > (ALL - 1) * LANES, "a column has all rows");
         let [mut a, mut b, mut c, mut d, mut e, mut f, mut g, mut h] = *state;
         macro_rules! eight {

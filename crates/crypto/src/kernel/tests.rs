@@ -1,4 +1,4 @@
-//! Every kernel against the crates sm4, ctr and ghash, and the lanes of SM3 against the crate sm3.
+//! Every kernel compared with the crates sm4, ctr and ghash, and the lanes of SM3 with the crate sm3.
 
 use ::ghash::GHash;
 use ::ghash::universal_hash::UniversalHash as _;
@@ -15,7 +15,7 @@ fn kernels() -> Vec<Available> {
     Kernel::ALL.into_iter().filter_map(Kernel::available).collect()
 }
 
-/// A generator for tests (xorshift64*), so that a failure can be had again.
+/// A random generator for tests (xorshift64*), so that a failure can be reproduced.
 pub(crate) struct Noise(pub u64);
 
 impl Noise {
@@ -130,7 +130,7 @@ fn every_length_is_hashed_as_by_the_crate() {
     }
 }
 
-/// Seals random texts with each kernel and with the crates; AAD, text and offset are of random length.
+/// Seals random texts with each kernel and with the crates; AAD, text and offset have random lengths.
 #[test]
 fn random_records_are_sealed_alike_and_opened() {
     let long = std::env::var_os("AUTHROS_LONG").is_some();
@@ -174,7 +174,7 @@ fn many_messages_have_the_hashes_they_have_alone() {
         assert_eq!(digest_many(&messages), alone, "{count} messages");
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: the feature was just found.
+            // SAFETY: the feature was just detected.
             let eight = sm3_lanes::in_lanes::<8>(&messages, |states, blocks| unsafe {
                 sm3_avx2::compress(states, blocks);
             });
@@ -192,7 +192,7 @@ fn every_length_has_its_padding() {
     assert_eq!(digest_many(&messages), alone);
 }
 
-/// A compression of blocks by itself, each by the features that it needs.
+/// The compression of blocks alone, in each variant.
 #[cfg(target_arch = "x86_64")]
 type Way = fn(&mut [u32; 8], &[[u8; BLOCK]]);
 
@@ -203,7 +203,7 @@ fn ways() -> Vec<(&'static str, Way)> {
     if turns && is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512bw") {
         ways.push(("avx512", |state, blocks| {
             let (groups, rest) = blocks.as_chunks();
-            // SAFETY: the features were just found.
+            // SAFETY: the features were just detected.
             unsafe { sm3_avx512::compress_one(state, groups) };
             sm3::by_crate(state, rest);
         }));
@@ -211,7 +211,7 @@ fn ways() -> Vec<(&'static str, Way)> {
     if turns && is_x86_feature_detected!("avx2") {
         ways.push(("avx2", |state, blocks| {
             let (groups, rest) = blocks.as_chunks();
-            // SAFETY: the features were just found.
+            // SAFETY: the features were just detected.
             unsafe { sm3_avx2::compress_one(state, groups) };
             sm3::by_crate(state, rest);
         }));

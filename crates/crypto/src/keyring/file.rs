@@ -1,5 +1,5 @@
-//! A keyring on disk: a public header, then the secrets under SM4-GCM with the header as AAD.
-//! How the passphrase becomes their key is in `file_key`.
+//! A keyring on disk: a public header, then the secrets under SM4-GCM with the header as AAD. `file_key` says how the
+//! passphrase becomes their key.
 
 use std::path::{Path, PathBuf};
 
@@ -21,7 +21,7 @@ use super::{Keyring, PublicIdentity};
 mod body;
 
 const MAGIC: [u8; 8] = *b"\x89AuthKey";
-/// Of a keyring without further pairs, and of one with some.
+/// Versions of a keyring without further pairs, and with some.
 const VERSIONS: [u8; 2] = [1, 2];
 const LABEL: &str = "AuthROS/keyring/1";
 /// The largest keyring accepted, bytes: about 290,000 epochs.
@@ -29,9 +29,9 @@ const LARGEST: usize = 16 * 1024 * 1024;
 /// Length of the header, bytes.
 const HEADER: usize = 258;
 
-/// The header, in the order it is written.
+/// The header, in the order of writing.
 struct FileHeader {
-    /// Whether further pairs follow: a keyring without stays readable to programs that know none.
+    /// Whether further pairs follow: a keyring without any stays readable to older programs.
     further: bool,
     work: Work,
     salt: [u8; 32],
@@ -129,8 +129,8 @@ fn read(path: &Path) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
     Ok(bytes)
 }
 
-/// What a keyring file says of its profile, read without the passphrase. An altered file can lie
-/// here; it no longer opens then.
+/// The profile that a keyring file states in its public header, read without the passphrase. An altered file may lie
+/// here, but then it no longer opens.
 ///
 /// # Errors
 /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`] or [`CryptoError::DamagedKeyring`].
@@ -152,30 +152,30 @@ impl Keyring {
     /// Reads and opens a keyring; derives the passphrase's key (about 0.3 s).
     ///
     /// # Errors
-    /// As [`UnlockedKeyring::open`].
+    /// See [`UnlockedKeyring::open`].
     pub fn load(path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
         UnlockedKeyring::open(path, passphrase).map(|unlocked| unlocked.keyring)
     }
 }
 
-/// A keyring in memory with the key of its file, so that later saves cost no derivation.
+/// A keyring in memory with its file's key, so that later saves need no derivation.
 pub struct UnlockedKeyring {
-    /// The keys; [`Self::save`] after changing them.
+    /// The keys; call [`Self::save`] after changing them.
     pub keyring: Keyring,
     path: PathBuf,
     key: FileKey,
-    /// Keys are missing from `keyring`: it must not take the file's place.
+    /// Keys are missing from `keyring`, so it must not be saved over the file.
     stripped: bool,
 }
 
 impl UnlockedKeyring {
-    /// Wipes from memory what opens envelopes and old records, grants, and begins epochs: d_E, K_C, the secrets of all
-    /// epochs, and the key of the file, which stays whole. EOA, (d_C, P_C) and IK are kept.
+    /// Wipes from memory the keys that open envelopes and old records, grant, and begin epochs: d_E, K_C, the secrets
+    /// of all epochs, and the key of the file; the file itself keeps everything. EOA, (d_C, P_C) and IK stay in memory.
     ///
     /// # Errors
     /// [`CryptoError::Random`]; nothing is wiped then.
     pub fn strip(&mut self, provider: &dyn Provider) -> Result<(), CryptoError> {
-        // Values of no meaning take their places; what they replace is wiped when it is dropped.
+        // Meaningless values take their place; the originals are wiped when dropped.
         let (envelope, sm4) = (SmKeyPair::generate(provider)?, Sm4Key::generate()?);
         self.stripped = true;
         self.keyring.envelope.secret = envelope.secret;
@@ -197,7 +197,7 @@ impl UnlockedKeyring {
     /// Writes a new keyring file, never over one that exists.
     ///
     /// # Errors
-    /// [`CryptoError::Write`], also where the file exists, or [`CryptoError::OpenToOthers`].
+    /// [`CryptoError::Write`], also if the file exists, or [`CryptoError::OpenToOthers`].
     pub fn create(keyring: Keyring, path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
         make_private_directory(&directory_of(path))?;
         let key = FileKey::new(passphrase)?;
@@ -225,7 +225,7 @@ impl UnlockedKeyring {
     /// Writes the keyring back in one step.
     ///
     /// # Errors
-    /// [`CryptoError::Write`], [`CryptoError::Locked`]; the old file is then still whole.
+    /// [`CryptoError::Write`], [`CryptoError::Locked`]; the old file is then still intact.
     pub fn save(&self) -> Result<(), CryptoError> {
         if self.stripped {
             return Err(CryptoError::Locked(shown(&self.path)));
@@ -236,7 +236,7 @@ impl UnlockedKeyring {
     /// Changes the passphrase and saves.
     ///
     /// # Errors
-    /// As [`Self::save`].
+    /// See [`Self::save`].
     pub fn change_passphrase(&mut self, passphrase: &Passphrase) -> Result<(), CryptoError> {
         if self.stripped {
             return Err(CryptoError::Locked(shown(&self.path)));
@@ -247,7 +247,7 @@ impl UnlockedKeyring {
         Ok(())
     }
 
-    /// Where the file lies.
+    /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }

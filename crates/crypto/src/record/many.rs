@@ -1,5 +1,5 @@
-//! Checking of several records at once: the digests of short ones side by side in the lanes of SM3, the signatures on
-//! several cores. What comes out is what [`check`](super::check) says of each by itself.
+//! Checks several records at once: the digests of short ones side by side in the lanes of SM3, the signatures on
+//! several cores. The results are those of [`check`](super::check) for each record.
 
 use crate::crypto::kernel::LONG;
 use crate::crypto::pool::{each, helpers_for};
@@ -8,7 +8,7 @@ use crate::model::{Digest, Header, PublicKey, Signature, Verdict};
 
 use super::opening::{Anchor, checked};
 
-/// One record that is to be checked.
+/// One record to check.
 #[derive(Debug, Clone, Copy)]
 pub struct Unchecked<'a> {
     /// Its stored bytes.
@@ -17,20 +17,20 @@ pub struct Unchecked<'a> {
     pub signature: &'a Signature,
     /// Who should have signed it.
     pub signer: &'a PublicKey,
-    /// What the chain says of it.
+    /// What the chain says about it.
     pub anchor: Anchor,
 }
 
-/// What a check says of a record.
+/// The result of checking a record.
 pub type Checked = Result<(Header, Digest, Verdict), CryptoError>;
 
-/// Checks each record as [`check`](super::check) does, in their order, on as many cores as it pays.
+/// Checks each record like [`check`](super::check), in order, on as many cores as is worthwhile.
 pub fn check_many(provider: &dyn Provider, records: &[Unchecked<'_>]) -> Vec<Checked> {
     let bytes = records.iter().map(|record| record.blob.len()).sum();
     check_by(provider, records, helpers_for(records.len(), bytes))
 }
 
-/// As [`check_many`], on the caller's core alone: for those who have a thread for each core themselves.
+/// Like [`check_many`], on the caller's core alone: for callers that already have a thread for each core.
 pub fn check_alone(provider: &dyn Provider, records: &[Unchecked<'_>]) -> Vec<Checked> {
     check_by(provider, records, 0)
 }
@@ -55,7 +55,7 @@ mod tests {
     use crate::crypto::record::{SealedRecord, check};
     use crate::crypto::{ProviderName, SmKeyPair, provider};
 
-    /// Records of many lengths, and each kind of damage between them.
+    /// Records of many lengths, with each kind of damage among them.
     fn records(name: ProviderName) -> Vec<SealedRecord> {
         let lengths = [0, 1, 100, 700, 1024, 3000, 9000, LONG - 1, LONG, 40_000, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
         let mut records: Vec<_> = lengths.iter().map(|length| Sample::new(name, &vec![7; *length]).seal()).collect();

@@ -11,20 +11,20 @@ use crate::model::{Address, Digest, Domain, Head, Header, PublicKey, RecorderId,
 
 use super::{RecordKeys, Step, is_length, signed_bytes};
 
-/// What a record was asked for as; a record that differs is not shown.
+/// What was requested; a record that differs is not shown.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Expected {
     /// The network.
     pub domain: Domain,
     /// The owner.
     pub owner: Address,
-    /// The ledger that recorded it, if asked for.
+    /// The recorder, if requested.
     pub recorder: Option<RecorderId>,
-    /// The epoch, if asked for.
+    /// The epoch, if requested.
     pub epoch: Option<u64>,
-    /// The number, if asked for.
+    /// The seq, if requested.
     pub seq: Option<u64>,
-    /// The topic's pseudonym, if asked for.
+    /// The topic's pseudonym, if requested.
     pub topic_id: Option<TopicId>,
     /// The topic's name, compared with the sealed head, if known.
     pub topic: Option<String>,
@@ -43,7 +43,7 @@ impl Expected {
 pub enum Anchor {
     /// The digest that the chain confirms for this record.
     Chain(Digest),
-    /// Nothing, or not yet.
+    /// Nothing, or nothing yet.
     Unanchored,
 }
 
@@ -52,7 +52,7 @@ pub enum Anchor {
 pub struct OpenedRecord {
     /// The public header.
     pub header: Header,
-    /// What only readers may know.
+    /// The part that only readers may see.
     pub head: Head,
     /// The message.
     pub body: Vec<u8>,
@@ -62,7 +62,7 @@ pub struct OpenedRecord {
     pub verdict: Verdict,
 }
 
-/// A blob in its three parts.
+/// A blob split into its three parts.
 pub(super) struct Parts<'a> {
     pub header: Header,
     prefix: &'a [u8],
@@ -85,7 +85,7 @@ fn parse(blob: &[u8]) -> Result<Parts<'_>, WireError> {
     Ok(Parts { header, prefix, head, body })
 }
 
-/// The part that needs no key: bounded parse, digest against the anchor, signature.
+/// The checks that need no key: bounded parse, digest against the anchor, signature.
 ///
 /// # Errors
 /// [`CryptoError::DamagedRecord`] or [`CryptoError::Tampered`].
@@ -101,8 +101,8 @@ pub fn check(
     Ok((parts.header, digest, verdict))
 }
 
-/// The check of a record whose stored bytes retention has deleted: its public header is the signer's, and the
-/// signature fits the digest that is left of it.
+/// Checks a record whose stored bytes retention has deleted: its public header is the signer's, and the signature
+/// covers the digest that is left of it.
 ///
 /// # Errors
 /// [`CryptoError::DamagedRecord`] or [`CryptoError::Tampered`].
@@ -119,7 +119,7 @@ pub fn check_deleted(
     if signed { Ok(header) } else { Err(CryptoError::Tampered("signature")) }
 }
 
-/// The check itself; `digest_of` gives the SM3 of the blob, `done` hears of each step.
+/// The check itself; `digest_of` computes the SM3 of the blob, `done` is called after each step.
 pub(super) fn checked<'a>(
     provider: &dyn Provider,
     blob: &'a [u8],
@@ -147,7 +147,7 @@ pub(super) fn checked<'a>(
     Ok((parts, digest, verdict))
 }
 
-/// Checks and opens a record; nothing of its plaintext is returned unless every check passed.
+/// Checks and opens a record; no plaintext is returned unless every check passed.
 ///
 /// # Errors
 /// [`CryptoError::DamagedRecord`], [`CryptoError::Tampered`], [`CryptoError::WrongKey`] or
@@ -164,10 +164,10 @@ pub fn open(
     open_in_steps(provider, (blob, signature, signer), anchor, topic_key, expected, &mut |_| ())
 }
 
-/// As [`open`] of (blob, signature, signer), and `done` hears of each step that is done.
+/// Like [`open`] of (blob, signature, signer); `done` is called after each step.
 ///
 /// # Errors
-/// As [`open`].
+/// See [`open`].
 pub fn open_in_steps(
     provider: &dyn Provider,
     (blob, signature, signer): (&[u8], &Signature, &PublicKey),
@@ -192,7 +192,7 @@ pub fn open_in_steps(
     Ok(OpenedRecord { header: parts.header, head, body, digest, verdict })
 }
 
-/// Head and body, still packed, by the record's own keys.
+/// Head and body, still compressed, opened with the record's own keys.
 fn unseal(
     provider: &dyn Provider,
     keys: &RecordKeys,
@@ -214,8 +214,8 @@ fn unseal(
     Ok((head, std::mem::take(&mut *body)))
 }
 
-/// Head and message of a stored record by its own keys, which have to be those that its header commits to. The message's
-/// length is taken off `budget` before it is made; `None` where that has less.
+/// Head and message of a stored record, opened with its own keys, which must be those that its header commits to. The
+/// message's length is subtracted from `budget` before it is allocated; `None` if the budget is too small.
 pub(super) fn open_by_keys(
     provider: &dyn Provider,
     blob: &[u8],
@@ -235,7 +235,7 @@ pub(super) fn open_by_keys(
 }
 
 /// Public header and sealed head of a record, from its first bytes. The seal of the head covers the header: both are as
-/// whoever has the topic key wrote them. Body, digest and signature are not looked at.
+/// the holder of the topic key wrote them. Body, digest and signature are not checked.
 ///
 /// # Errors
 /// [`CryptoError::DamagedRecord`], [`CryptoError::WrongKey`] or [`CryptoError::Tampered`].
@@ -254,7 +254,7 @@ pub fn open_front(provider: &dyn Provider, front: &[u8], topic_key: &TopicKey) -
     Ok((header, Head::parse(&head).map_err(CryptoError::DamagedRecord)?))
 }
 
-/// The message as it was captured; the head's plain length bounds what is made of it.
+/// The message as it was captured; the head's plain length bounds the decompression.
 fn restore(head: &Head, body: Vec<u8>) -> Result<Vec<u8>, CryptoError> {
     if head.compression == Compression::None {
         return Ok(body);

@@ -1,11 +1,11 @@
-//! The steps of sealing and of opening a record, for whoever measures them.
+//! The steps of sealing and opening a record, for measuring them.
 
-/// What has just been done. A step may be told of more than once for a record.
+/// The step just done. A step may be reported more than once for a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Step {
     /// Head and header to bytes, or back, with all checks of their fields.
     Fields,
-    /// The record's keys derived from the topic key, a fresh salt drawn.
+    /// The record's keys derived from the topic key, and a fresh salt drawn.
     Keys,
     /// SM4-GCM of head and body.
     Cipher,
@@ -13,15 +13,15 @@ pub enum Step {
     Digest,
     /// SM2: signing or verifying.
     Signature,
-    /// The message restored from its compressed form.
+    /// The message decompressed.
     Restore,
 }
 
 impl Step {
-    /// All of them.
+    /// All steps.
     pub const ALL: [Self; 6] = [Self::Fields, Self::Keys, Self::Cipher, Self::Digest, Self::Signature, Self::Restore];
 
-    /// What it is called where figures are shown.
+    /// Its name where figures are shown.
     pub fn word(self) -> &'static str {
         match self {
             Self::Fields => "fields",

@@ -133,7 +133,7 @@ fn the_checks_come_in_order() {
     assert_eq!((header.seq, found, verdict), (9, digest, Verdict::Verified));
 }
 
-/// An owner who signs bytes that were not sealed as they should be: only the tags can tell.
+/// An owner who signs bytes that were not sealed correctly: only the tags can tell.
 #[test]
 fn signed_but_altered_ciphertext_is_caught_by_its_tag() {
     let sample = Sample::new(ProviderName::RustCrypto, b"message");
@@ -229,7 +229,8 @@ fn one_record_opens_by_its_own_secret_and_no_other_does() {
     let sample = Sample::new(ProviderName::default(), b"the message");
     let (record, another) = (sample.seal(), sample.seal());
     let secret = RecordSecret::of(&sample.key, &record.header);
-    // RFC 5869: extract is HMAC under the salt; expanded with the header's names it gives the keys of the whole derivation.
+    // RFC 5869: extract is HMAC under the salt; expanded with the header's names it gives the same keys as the whole
+    // derivation.
     assert_eq!(*secret.expose(), crate::crypto::hmac_sm3(&record.header.salt.0, &[sample.key.expose()]));
     let revealed = open_revealed(sample.provider, &record.blob, &secret).expect("opens");
     assert_eq!((revealed.body.as_slice(), revealed.head), (&b"the message"[..], sample.head.clone()));

@@ -18,7 +18,7 @@ impl EoaSecret {
     /// Fresh, from the operating system's random source.
     ///
     /// # Errors
-    /// [`CryptoError::Random`] where that fails.
+    /// [`CryptoError::Random`] if that fails.
     pub fn generate() -> Result<Self, CryptoError> {
         loop {
             let bytes = Zeroizing::new(random_bytes::<32>()?);
@@ -31,7 +31,7 @@ impl EoaSecret {
     /// From 32 bytes, big endian, 1 to n - 1 of secp256k1.
     ///
     /// # Errors
-    /// [`CryptoError::SecretRange`] where it is out of range or of another length.
+    /// [`CryptoError::SecretRange`] if it is out of range or of another length.
     pub fn from_slice(bytes: &[u8]) -> Result<Self, CryptoError> {
         let range = CryptoError::SecretRange("secp256k1");
         let Ok(array) = <[u8; 32]>::try_from(bytes) else { return Err(range) };

@@ -1,4 +1,4 @@
-//! SM2 private keys and pairs, and what a person compares of a public key.
+//! SM2 private keys and pairs, and the fingerprint of a public key that people compare.
 
 use std::fmt;
 use std::hint::black_box;
@@ -49,7 +49,7 @@ fn is_secret(number: &[u8; 32]) -> bool {
 
 /// An SM2 private key d, 1 to n - 2 (GB/T 32918.1-2016, 6.1).
 ///
-/// The signing keys that follow from it (public point, ZA), ours and the crate's, are computed once and wiped with it.
+/// The signing keys derived from it (public point, ZA), ours and the crate's, are computed once and wiped with it.
 pub struct SmSecret {
     bytes: Zeroizing<[u8; 32]>,
     kernel: OnceLock<Box<kernels::SigningKey>>,
@@ -61,7 +61,7 @@ impl SmSecret {
     /// Fresh, from the operating system's random source.
     ///
     /// # Errors
-    /// [`CryptoError::Random`] where that fails.
+    /// [`CryptoError::Random`] if that fails.
     pub fn generate() -> Result<Self, CryptoError> {
         loop {
             let bytes = Zeroizing::new(random_bytes::<32>()?);
@@ -74,7 +74,7 @@ impl SmSecret {
     /// From 32 bytes, big endian.
     ///
     /// # Errors
-    /// [`CryptoError::SecretRange`] where it is out of range or of another length.
+    /// [`CryptoError::SecretRange`] if it is out of range or of another length.
     pub fn from_slice(bytes: &[u8]) -> Result<Self, CryptoError> {
         let array = <[u8; 32]>::try_from(bytes).map(Zeroizing::new).map_err(|_| CryptoError::SecretRange("SM2"))?;
         if !is_secret(&array) {
@@ -88,16 +88,16 @@ impl SmSecret {
         &self.bytes
     }
 
-    /// As our own kernels sign with it.
+    /// The signing key for our own kernels.
     pub(crate) fn kernel_key(&self) -> Result<&kernels::SigningKey, CryptoError> {
         if self.kernel.get().is_none() {
-            // Another thread may have been first; its key is the same, and the second wipes itself.
+            // Another thread may have been first; its key is the same, and the second one wipes itself.
             let _ = self.kernel.set(Box::new(kernels::SigningKey::new(&self.bytes)?));
         }
         self.kernel.get().map(|key| &**key).ok_or(CryptoError::Internal("SM2"))
     }
 
-    /// As the crate signs with it.
+    /// The signing key for the crate.
     pub(crate) fn signing_key(&self) -> Result<&SigningKey, CryptoError> {
         if self.signing.get().is_none() {
             // Another thread may have been first; its key is the same.
@@ -132,7 +132,7 @@ impl Drop for SmSecret {
     }
 }
 
-/// The crate's key does not wipe itself: overwrites it where it lies.
+/// The crate's key does not wipe itself, so its memory is overwritten here.
 fn wipe(key: &mut SigningKey) {
     static BLANK: LazyLock<Option<SigningKey>> = LazyLock::new(|| rustcrypto::signing_key(&[1; 32]).ok());
     if let Some(blank) = BLANK.as_ref() {
@@ -169,7 +169,7 @@ impl SmKeyPair {
     /// A fresh pair.
     ///
     /// # Errors
-    /// [`CryptoError::Random`] where the random source fails.
+    /// [`CryptoError::Random`] if the random source fails.
     pub fn generate(provider: &dyn Provider) -> Result<Self, CryptoError> {
         Self::from_secret(provider, SmSecret::generate()?)
     }
@@ -177,13 +177,13 @@ impl SmKeyPair {
     /// The pair of a private key.
     ///
     /// # Errors
-    /// [`CryptoError::Internal`] where the algorithm fails.
+    /// [`CryptoError::Internal`] if the algorithm fails.
     pub fn from_secret(provider: &dyn Provider, secret: SmSecret) -> Result<Self, CryptoError> {
         let public = *secret.public_key(provider)?;
         Ok(Self { secret, public })
     }
 
-    /// What a person compares of the public key.
+    /// The fingerprint of the public key.
     pub fn fingerprint(&self) -> Fingerprint {
         Fingerprint::of(&self.public)
     }
@@ -206,7 +206,7 @@ impl Fingerprint {
         Self::of_signer(&derive::signer_id(public))
     }
 
-    /// Of the key whose SM3 is `signer`.
+    /// For the key whose SM3 is `signer`.
     pub fn of_signer(signer: &SignerId) -> Self {
         let mut first = [0; 16];
         first.copy_from_slice(&signer.0[..16]);
@@ -214,8 +214,8 @@ impl Fingerprint {
     }
 }
 
-/// As it is shown; other ways to part the groups (none, `:`, `-`) and capitals are read, too. A part of one is not
-/// taken: what is not compared may differ.
+/// Reads the form that is shown, other separators of the groups (none, `:`, `-`) and capitals. A part of a fingerprint
+/// is refused: the rest could differ.
 impl FromStr for Fingerprint {
     type Err = FingerprintError;
 

@@ -1,4 +1,4 @@
-//! Encryption (GB/T 32918.4-2016, 6.1 and 7.1) under points that were checked.
+//! Encryption (GB/T 32918.4-2016, 6.1 and 7.1) with points already checked.
 
 use subtle::ConstantTimeEq as _;
 use zeroize::{Zeroize as _, Zeroizing};
@@ -25,7 +25,7 @@ pub(crate) fn encrypt(public: &PublicKey, plain: &[u8]) -> Result<CipherParts, C
     }
 }
 
-/// A2 to A8 with a number from 1 to n - 1; nothing where the mask is all zeros.
+/// A2 to A8 with a number from 1 to n - 1; nothing if the mask is all zeros.
 pub(super) fn encrypt_with(k: &Scalar, point: &Affine, plain: &[u8]) -> Option<CipherParts> {
     let [own, mut shared] = multiply_both(k, point);
     let coordinates = Zeroizing::new(shared.to_bytes());
@@ -65,7 +65,7 @@ pub(crate) fn shared_x(secret: &[u8; 32], public: &PublicKey) -> Result<Zeroizin
     Ok(x)
 }
 
-/// Lays the stream that follows from x2 || y2 (5.4.3) over the text; whether any byte of it was not zero.
+/// XORs the stream derived from x2 || y2 (5.4.3) into the text; returns whether any byte of the stream was not zero.
 fn mask(coordinates: &[u8; 64], text: &mut [u8]) -> bool {
     let mut start = Sm3Hasher::new();
     start.update(coordinates);

@@ -1,5 +1,5 @@
-//! SM2 (GB/T 32918-2016) by our own kernels: signatures, their verification, encryption. The arithmetic lies in
-//! `kernel::sm2`; here are the steps of the standard, nonces, and what is kept of signers met before.
+//! SM2 (GB/T 32918-2016) by our own kernels: signatures, their verification, encryption. The arithmetic is in
+//! `kernel::sm2`; here are the steps of the standard, nonces, and the tables kept for known signers.
 
 mod encryption;
 mod nonce;
@@ -18,16 +18,16 @@ use crate::model::PublicKey;
 use super::kernel::sm2::Affine;
 use super::{CryptoError, kernel};
 
-/// The point of a public key, checked to lie on the curve and to be written canonically.
+/// The point of a public key, checked to be on the curve and canonically encoded.
 pub(super) fn point(public: &PublicKey) -> Result<Affine, CryptoError> {
     Affine::from_bytes(&public.0).ok_or(CryptoError::PublicPoint)
 }
 
-/// Starts, once, a thread that makes the tables of the generator's multiples.
+/// Starts a thread, once, that builds the tables of the generator's multiples.
 pub(super) fn warm_up() {
     static STARTED: std::sync::Once = std::sync::Once::new();
     STARTED.call_once(|| {
-        // Where no thread can be had the tables are made by the first signature and verification instead.
+        // If no thread can be started, the first signature and verification build the tables instead.
         let _ = std::thread::Builder::new().name("sm2-tables".into()).spawn(kernel::sm2::warm_up);
     });
 }

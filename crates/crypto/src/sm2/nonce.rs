@@ -1,12 +1,12 @@
 //! Nonces of signatures, hedged: from key, hash and fresh random bytes by HMAC-SM3 (RFC 6979, 3.2, with the additional
-//! data of 3.6). A random source that fails or repeats itself gives no nonce away.
+//! data of 3.6). A random source that fails or repeats itself does not give a nonce away.
 
 use zeroize::Zeroizing;
 
 use crate::crypto::kernel::sm2::Scalar;
 use crate::crypto::sm3::Sm3Hasher;
 
-/// A key of HMAC-SM3, its two pads taken in.
+/// A key of HMAC-SM3, with its two pads already hashed.
 struct Keyed {
     inner: Sm3Hasher,
     outer: Sm3Hasher,

@@ -1,6 +1,6 @@
-//! Tables for signers met before: a gateway and an auditor meet the same few thousand keys. A table only makes the
-//! reckoning quicker; every signature is reckoned in full. It is made at a signer's third valid signature, and what is
-//! in use gives way to nobody, so that strangers evict nobody however many keys they bring.
+//! Tables for known signers: a gateway and an auditor meet the same few thousand keys. A table only makes verification
+//! faster; every signature is verified in full. It is built at a signer's third valid signature, and a table in use is
+//! never evicted, so strangers evict nobody however many keys they bring.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasher as _, RandomState};
@@ -10,20 +10,20 @@ use std::sync::{Arc, LazyLock, Mutex, PoisonError, RwLock};
 use crate::crypto::kernel::sm2::{Affine, SignerTable};
 use crate::model::PublicKey;
 
-/// Bytes of all tables together, at most.
+/// The most bytes of all tables together.
 const ROOM: usize = 64 << 20;
-/// Tables at most.
+/// The most tables.
 const MOST: usize = ROOM / (SignerTable::BYTES + 1024);
-/// At most 64 KiB a signer, and place for a few thousand.
+/// At most 64 KiB a signer, and room for a few thousand.
 const _: () = assert!(SignerTable::BYTES <= 64 << 10 && MOST * SignerTable::BYTES <= ROOM && MOST >= 2_500);
-/// The valid signature at which a signer's table is made.
+/// The number of valid signatures at which a signer's table is built.
 pub(super) const SIGHTINGS: u8 = 3;
-/// Signers whose sightings are counted at once.
+/// The most signers whose sightings are counted at once.
 const COUNTED: usize = 4096;
-/// A table may be replaced where it was not used for so many valid verifications.
+/// A table may be replaced if it was unused for this many valid verifications.
 pub(super) const IDLE: u64 = 1 << 16;
 
-/// A signer met before: its key was checked when the table was made.
+/// A known signer: its key was checked when the table was built.
 pub(super) struct Known {
     pub table: SignerTable,
     pub za: [u8; 32],
@@ -32,10 +32,10 @@ pub(super) struct Known {
 }
 
 pub(super) struct Signers {
-    /// Counts valid signatures of strangers and uses of tables.
+    /// Counts valid signatures of unknown signers and uses of tables.
     clock: AtomicU64,
     tables: RwLock<HashMap<[u8; 64], Arc<Known>>>,
-    /// By the hash of a key: the hash, and how often it was met.
+    /// By the hash of a key: the hash, and how often it was seen.
     sightings: Mutex<Vec<(u64, u8)>>,
     hasher: RandomState,
     most: usize,
@@ -43,12 +43,12 @@ pub(super) struct Signers {
 
 static SIGNERS: LazyLock<Signers> = LazyLock::new(|| Signers::new(MOST));
 
-/// The table of a signer met before.
+/// The table of a known signer.
 pub(super) fn known(public: &PublicKey) -> Option<Arc<Known>> {
     SIGNERS.known(public)
 }
 
-/// Counts a valid signature; makes the signer's table at the third.
+/// Counts a valid signature; builds the signer's table at the third.
 pub(super) fn seen(public: &PublicKey, point: &Affine, za: &[u8; 32]) {
     SIGNERS.seen(public, point, za);
 }
@@ -71,8 +71,8 @@ impl Signers {
     }
 
     pub fn seen(&self, public: &PublicKey, point: &Affine, za: &[u8; 32]) {
-        // Strangers let time pass, too: were it only the tables, those of signers who came in numbers and left would
-        // stay for good.
+        // Unknown signers advance this clock too: if only tables did, those of a crowd of signers that came and left
+        // would stay forever.
         self.clock.fetch_add(1, Ordering::Relaxed);
         if !self.is_due(public) || !self.has_room() {
             return;
@@ -87,8 +87,8 @@ impl Signers {
         tables.insert(public.0, known);
     }
 
-    /// Whether this is the sighting at which a table is made; counting begins anew behind it. A signer may displace the
-    /// count of another: the hash is keyed, so that nobody can aim.
+    /// Whether this is the sighting at which a table is built; counting starts again after it. A signer may displace
+    /// another's count: the hash is keyed, so nobody can do so on purpose.
     fn is_due(&self, public: &PublicKey) -> bool {
         let hash = self.hasher.hash_one(public.0);
         let mut sightings = self.sightings.lock().unwrap_or_else(PoisonError::into_inner);
@@ -100,13 +100,13 @@ impl Signers {
         is_due
     }
 
-    /// Whether a table would find a place, asked before it is made.
+    /// Whether there is room for a table, checked before it is built.
     fn has_room(&self) -> bool {
         let tables = self.tables.read().unwrap_or_else(PoisonError::into_inner);
         tables.len() < self.most || self.idle(&tables).is_some()
     }
 
-    /// The table that was not used for the longest time, where that is long.
+    /// The table unused for the longest time, if that is long enough.
     fn idle(&self, tables: &HashMap<[u8; 64], Arc<Known>>) -> Option<[u8; 64]> {
         let now = self.clock.load(Ordering::Relaxed);
         let (key, used) =

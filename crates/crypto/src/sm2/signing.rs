@@ -11,7 +11,7 @@ use crate::model::{PublicKey, Signature};
 use super::nonce::Nonces;
 use super::{point, signers};
 
-/// a, b, and the coordinates of G (GB/T 32918.5-2017, 4), as ZA takes them in.
+/// a, b, and the coordinates of G (GB/T 32918.5-2017, 4), as hashed into ZA.
 const CURVE: [u8; 128] = curve();
 
 const fn curve() -> [u8; 128] {
@@ -33,7 +33,7 @@ const fn curve() -> [u8; 128] {
     bytes
 }
 
-/// ZA (GB/T 32918.2-2016, 5.5): what a signature binds of the signer beside the message.
+/// ZA (GB/T 32918.2-2016, 5.5): what a signature binds about the signer, besides the message.
 pub(super) fn za(public: &PublicKey) -> [u8; 32] {
     sm3(&[&[0, 0x80], DISTINGUISHED_ID.as_bytes(), &CURVE, &public.0])
 }
@@ -46,7 +46,7 @@ pub(super) fn hash(za: &[u8; 32], message: &[u8]) -> Scalar {
     Scalar::reduced(&hasher.finish())
 }
 
-/// What signing needs of a secret key, made once: 1 / (1 + d), the public key, ZA.
+/// What signing needs from a secret key, computed once: 1 / (1 + d), the public key, ZA.
 #[derive(Zeroize, ZeroizeOnDrop)]
 pub(crate) struct SigningKey {
     secret: [u8; 32],
@@ -58,7 +58,7 @@ pub(crate) struct SigningKey {
 }
 
 impl SigningKey {
-    /// Of d, 1 to n - 2.
+    /// For d, 1 to n - 2.
     pub fn new(secret: &[u8; 32]) -> Result<Self, CryptoError> {
         let range = || CryptoError::SecretRange("SM2");
         let number = Zeroizing::new(Scalar::from_bytes(secret).ok_or_else(range)?);
@@ -75,7 +75,7 @@ impl SigningKey {
         &self.public
     }
 
-    /// A signature whose nonce follows from key, message and `random`.
+    /// A signature whose nonce is derived from key, message and `random`.
     pub fn sign(&self, message: &[u8], random: &[u8; 32]) -> Signature {
         let e = hash(&self.za, message);
         let mut nonces = Nonces::new(&self.secret, &e.to_bytes(), random);
@@ -86,7 +86,7 @@ impl SigningKey {
         }
     }
 
-    /// A4 to A7; nothing where the nonce does not fit, which happens to none in practice.
+    /// A4 to A7; nothing if the nonce does not fit, which never happens in practice.
     pub(super) fn sign_with(&self, e: &Scalar, nonce: &Scalar) -> Option<Signature> {
         let x = multiply_generator(nonce).x_bytes();
         let r = e.plus(&Scalar::reduced(&x));
@@ -103,7 +103,7 @@ impl SigningKey {
     }
 }
 
-/// Checks a signature in full, with the signer's table where it was met before.
+/// Checks a signature in full, using the signer's table if there is one.
 pub(crate) fn verify(public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError> {
     if let Some(known) = signers::known(public) {
         return check(&known.table, &known.za, message, signature);
@@ -114,7 +114,7 @@ pub(crate) fn verify(public: &PublicKey, message: &[u8], signature: &Signature) 
     Ok(())
 }
 
-/// Checks a signature in full, as by somebody who never met the signer: only to be measured.
+/// Checks a signature in full, as for an unknown signer; only for measurements.
 ///
 /// # Errors
 /// [`CryptoError::PublicPoint`] or [`CryptoError::BadSignature`].

@@ -1,4 +1,5 @@
-//! Signatures and encryption against the standard's examples, the crate and libsm, and what is kept of signers.
+//! Signatures and encryption compared with the standard's examples, the crate and libsm, and the tables kept for
+//! signers.
 
 use sm2::dsa::signature::hazmat::RandomizedPrehashSigner as _;
 use sm2::dsa::signature::rand_core::{TryCryptoRng, TryRng};
@@ -68,7 +69,7 @@ fn the_standards_ciphertext_comes_of_its_number() {
     assert_eq!(&**decrypt(&bytes(D), parts).expect("opens"), b"encryption standard");
 }
 
-/// Gives the same bytes every time.
+/// Returns the same bytes every time.
 struct Fixed([u8; 32]);
 
 impl TryRng for Fixed {
@@ -129,7 +130,7 @@ fn each_verifies_what_the_other_signs_and_nothing_altered() {
     }
 }
 
-/// Every bit of key, message and signature; by a stranger and with the signer's table.
+/// Every bit of key, message and signature; as an unknown signer and with the signer's table.
 #[test]
 fn every_bit_counts() {
     let mut noise = Noise(33);
@@ -160,7 +161,7 @@ fn every_bit_counts() {
     }
 }
 
-/// 0, 1, 2, n - 2 to n + 1, and the largest; the parts of a valid signature, and what makes r + s = n.
+/// 0, 1, 2, n - 2 to n + 1, and the largest; the parts of a valid signature, and values that make r + s = n.
 #[test]
 fn edges_are_judged_as_by_the_others() {
     let number = |text: &str| bytes::<32>(text);

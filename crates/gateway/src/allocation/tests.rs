@@ -9,7 +9,7 @@ fn system_key(byte: u8) -> SystemKey {
     SystemKey { public: pair(byte).public, not_before: Timestamp(0), not_after: Timestamp(u64::MAX) }
 }
 
-/// A valid request, and all the gateway needs to examine it.
+/// A valid request, and everything the gateway needs to examine it.
 struct Case {
     agreed: Agreed,
     member: Member,
@@ -116,7 +116,7 @@ fn signatures_of_others_and_degenerate_ones_are_refused() {
     }
 }
 
-/// What the account signs is bound to the same Command and fields as what d_C signs.
+/// The account's signature is bound to the same Command and fields as d_C's.
 #[test]
 fn a_signature_for_another_command_is_refused() {
     let case = case();

@@ -1,4 +1,4 @@
-//! How a client's requests and the gateway's answers travel.
+//! How a client's requests and the gateway's answers are sent and received.
 
 use std::time::Duration;
 
@@ -22,7 +22,7 @@ use crate::model::{Digest, ProfileName, clean};
 
 use super::{Client, Endpoint};
 
-/// Events that may wait for a reader while an answer is waited for.
+/// The most events that wait for a reader while an answer is awaited.
 const MOST_WAITING: usize = 64;
 
 /// Connects and agrees on a session.
@@ -47,7 +47,7 @@ pub(super) async fn hello(
     Ok((line, agreed, session))
 }
 
-/// Which network is at an address.
+/// The network at an address.
 pub(super) async fn inquire(address: &str, patience: Duration) -> Result<NetworkName, GatewayError> {
     let stream = TcpStream::connect(address).await.map_err(|source| unreachable(address, source))?;
     let mut line = Line::new(stream);
@@ -71,7 +71,7 @@ fn line_error(address: &str, error: LineError) -> GatewayError {
     }
 }
 
-/// The payload of a frame of the kind that must come, or what was said in clear of why there is none.
+/// The payload of a frame of the expected kind, or the reason given in clear why there is none.
 fn expected(kind: FrameKind, payload: Vec<u8>, wanted: FrameKind) -> Result<Vec<u8>, GatewayError> {
     if kind == wanted {
         return Ok(payload);
@@ -85,8 +85,8 @@ fn expected(kind: FrameKind, payload: Vec<u8>, wanted: FrameKind) -> Result<Vec<
 }
 
 impl Client {
-    /// Sends a request and gives its number; [`Self::receive`] brings the answer. Read answers now and then:
-    /// a gateway closes a line whose peer does not read.
+    /// Sends a request and returns its number; [`Self::receive`] returns the answer. Read answers regularly: a gateway
+    /// closes a connection whose peer does not read.
     ///
     /// # Errors
     /// [`GatewayError`].
@@ -111,17 +111,17 @@ impl Client {
         let payload = self.session.seal(text)?;
         let sent = self.line.send(FrameKind::Transfer, &payload, self.endpoint.patience).await;
         let Err(error) = sent else { return Ok(()) };
-        // The gateway may have said why before it closed.
+        // The gateway may have given a reason before it closed.
         match timeout(self.endpoint.patience, self.line.frame()).await {
             Ok(Ok((kind @ FrameKind::Refusal, payload))) => expected(kind, payload, FrameKind::Transfer).map(|_| ()),
             _ => Err(line_error(&self.endpoint.address, error)),
         }
     }
 
-    /// The next answer or event, whatever it belongs to. Can be cancelled at any point.
+    /// The next answer or event, for any request. Can be cancelled at any point.
     ///
     /// # Errors
-    /// [`GatewayError::TimedOut`] where nothing came within `patience`; nothing is lost then.
+    /// [`GatewayError::TimedOut`] if nothing came within `patience`; nothing is lost then.
     pub async fn receive(&mut self, patience: Duration) -> Result<(u32, Answer), GatewayError> {
         let message = timeout(patience, self.message()).await.map_err(|_| GatewayError::TimedOut)??;
         let answer = Answer::parse(message.command, &message.body).map_err(GatewayError::malformed("answer"))?;
@@ -140,7 +140,7 @@ impl Client {
         }
     }
 
-    /// The answer to a request; events that come before it wait.
+    /// The answer to a request; events that arrive before it are queued.
     pub(super) async fn answer_to(&mut self, request: u32) -> Result<Answer, GatewayError> {
         loop {
             match self.receive(self.endpoint.patience).await? {
@@ -167,7 +167,7 @@ impl Client {
         }
     }
 
-    /// Asks for something that is acknowledged by a receipt over exactly these digests.
+    /// Sends a request that is acknowledged by a receipt over exactly these digests.
     pub(super) async fn acknowledged(
         &mut self,
         request: &Request,
@@ -179,7 +179,7 @@ impl Client {
         }
     }
 
-    /// Checks a receipt that came by [`Self::receive`]: the gateway's, for this network, over these digests.
+    /// Checks a receipt returned by [`Self::receive`]: by this gateway, for this network, over these digests.
     ///
     /// # Errors
     /// [`GatewayError::Receipt`] or [`GatewayError::Crypto`].

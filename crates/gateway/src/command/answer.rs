@@ -1,4 +1,4 @@
-//! What the gateway answers, by Command.
+//! The gateway's answers, by Command.
 
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Hash, PublicKey, Signature, Timestamp};
@@ -16,7 +16,7 @@ pub const LONGEST_PROOF: usize = 64 * 1024;
 /// The longest system-key list, bytes.
 const LONGEST_LIST: usize = 1024;
 
-/// How a record stands at the gateway.
+/// A record's standing at the gateway.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum Standing {
@@ -24,13 +24,13 @@ pub enum Standing {
     Unknown = 0,
     /// On the gateway's disk.
     Acknowledged = 1,
-    /// Its anchor is on the chain, not confirmed yet.
+    /// Its anchor is on the chain but not confirmed yet.
     Anchored = 2,
     /// Anchor confirmed, bytes and signature checked.
     Verified = 3,
-    /// Its bytes are not the ones anchored.
+    /// Its bytes differ from those anchored.
     Tampered = 4,
-    /// Held back by the operator: its publisher was not the pinned one.
+    /// Quarantined: its publisher was not the pinned one.
     Quarantined = 5,
 }
 
@@ -49,14 +49,14 @@ impl Standing {
     }
 }
 
-/// A record as a reader gets it: signer key (64) || signature (64) || proof length (4) || proof || blob.
+/// A record as sent to a reader: signer key (64) || signature (64) || proof length (4) || proof || blob.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fetched {
-    /// Who signed it; the reader compares it with the chain.
+    /// The signer's key; the reader compares it with the chain.
     pub signer: PublicKey,
     /// (r, s).
     pub signature: Signature,
-    /// Proof of the anchor, as the chain room writes it; empty before there is one.
+    /// Proof of the anchor, as written by the chain crate; empty until there is one.
     pub proof: Vec<u8>,
     /// CT1.
     pub blob: Vec<u8>,
@@ -88,23 +88,23 @@ impl Fetched {
 pub enum Answer {
     /// The list, as its gateway encoded it.
     SystemKeys(Vec<u8>),
-    /// A receipt: of an allocation (SM3(CT)), of uploads (their digests), of a notice (SM3(body)).
+    /// A receipt: for an allocation (SM3(CT)), for uploads (their digests), for a notice (SM3(body)).
     Receipt(Command, Receipt),
     /// The transaction of a registration (32).
     Registered(Hash),
     /// A page.
     Page(Page),
-    /// How the digests asked for stand, in their order: count (2), a byte each.
+    /// The standings of the digests in the request, in order: count (2), a byte each.
     Standings(Vec<Standing>),
     /// The same, signed, with proofs.
     Proven(Box<SignedStandings>),
     /// A record.
     Record(Box<Fetched>),
-    /// The subscription, or its end, is noted.
+    /// The subscription, or its end, is confirmed.
     Done(Command),
     /// The gateway's time (8).
     Time(Timestamp),
-    /// What the chain answered.
+    /// The chain's answer.
     Relayed(Relayed),
     /// A record of a subscription: entry || record.
     Event(Box<(Entry, Fetched)>),
@@ -132,7 +132,7 @@ impl Answer {
         }
     }
 
-    /// How long the chain's part of it is, bytes; 0 where it has none.
+    /// Length of its part from the chain, bytes; 0 if it has none.
     pub fn relayed_length(&self) -> usize {
         if let Self::Relayed(relayed) = self { relayed.length() } else { 0 }
     }
@@ -158,7 +158,7 @@ impl Answer {
     /// From a Command and its body.
     ///
     /// # Errors
-    /// [`WireError`] where the body is not the Command's.
+    /// [`WireError`] if the body does not match the Command.
     pub fn parse(command: Command, body: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(body);
         let answer = match command {

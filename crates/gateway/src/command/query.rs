@@ -1,5 +1,5 @@
-//! Queries and their answers. Topics, types and tags are pseudonyms that the reader computes: the wire
-//! carries no name.
+//! Queries and their answers. Topics, types and tags are pseudonyms that the reader computes; the wire carries no
+//! names.
 
 use crate::model::header::MOST_FILTERS;
 use crate::model::wire::{Reader, WireError};
@@ -10,17 +10,17 @@ use super::answer::Standing;
 /// The most entries on a page.
 pub const MOST_ENTRIES: usize = 500;
 
-/// Which records: owner (20) || flags (1: topic 1, kind 2) || topic id (16, zeros without) || kind (1, 0 without) ||
-/// filter count (1) || filters (8 each).
+/// A selection of records: owner (20) || flags (1: topic 1, kind 2) || topic id (16, zeros without) || kind (1, 0
+/// without) || filter count (1) || filters (8 each).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Selection {
-    /// Whose.
+    /// The owner.
     pub owner: Address,
     /// Of one topic only.
     pub topic_id: Option<TopicId>,
     /// Of one kind only.
     pub kind: Option<RecordKind>,
-    /// With all of these ids among its own.
+    /// With all of these filter ids.
     pub filters: Vec<FilterId>,
 }
 
@@ -65,7 +65,7 @@ impl Selection {
     }
 }
 
-/// Absent values are zeros, so that every message has one encoding.
+/// Absent values are zeros, so that every message has exactly one encoding.
 fn optional<T>(present: bool, value: T, zero: bool, field: &'static str) -> Result<Option<T>, WireError> {
     match (present, zero) {
         (true, _) => Ok(Some(value)),
@@ -77,13 +77,13 @@ fn optional<T>(present: bool, value: T, zero: bool, field: &'static str) -> Resu
 /// A page of a list: selection || from (8) || until (8) || cursor (16) || limit (2).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Query {
-    /// Which records.
+    /// The selection.
     pub selection: Selection,
     /// Captured at or after.
     pub from: Timestamp,
     /// Captured before.
     pub until: Timestamp,
-    /// 0 for the first page, then [`Page::next`] of the page before.
+    /// 0 for the first page, then the previous page's [`Page::next`].
     pub cursor: u128,
     /// Entries wanted, 1 to [`MOST_ENTRIES`].
     pub limit: u16,
@@ -112,29 +112,29 @@ impl Query {
     }
 }
 
-/// What the gateway knows of a record: digest (32) owner (20) recorder (16) seq (8) topic id (16) epoch (8)
-/// capture time (8) length (8) kind (1) standing (1).
+/// A gateway's entry for a record: digest (32) owner (20) recorder (16) seq (8) topic id (16) epoch (8) capture time
+/// (8) length (8) kind (1) standing (1).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Entry {
     /// D.
     pub digest: Digest,
-    /// Whose.
+    /// The owner.
     pub owner: Address,
-    /// Which ledger recorded it.
+    /// The recorder.
     pub recorder: RecorderId,
-    /// Its number there, per topic.
+    /// Its seq.
     pub seq: u64,
     /// Pseudonym of its topic.
     pub topic_id: TopicId,
-    /// Whose key sealed it.
+    /// The epoch whose key sealed it.
     pub epoch: u64,
     /// When it was captured.
     pub captured_at: Timestamp,
     /// Bytes of the blob.
     pub length: u64,
-    /// What it is.
+    /// The kind of record.
     pub kind: RecordKind,
-    /// How it stands.
+    /// Its standing.
     pub standing: Standing,
 }
 
@@ -178,7 +178,7 @@ impl Entry {
 pub struct Page {
     /// At most [`MOST_ENTRIES`].
     pub entries: Vec<Entry>,
-    /// Where the next page begins.
+    /// Cursor of the next page.
     pub next: Option<u128>,
 }
 

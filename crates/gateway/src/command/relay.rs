@@ -1,19 +1,19 @@
-//! A request to the chain that a gateway passes on, and what came of it. JSON travels as the text it is: whoever uses
-//! it parses it, and no text has two encodings here.
+//! A request to the chain that a gateway passes on, and the outcome. JSON is carried as plain text: its user parses it,
+//! and each text has exactly one encoding here.
 
 use crate::chain::RelayError;
 use crate::gateway::code::{Code, Refusal};
 use crate::model::wire::{Reader, WireError, put_text};
 
-/// The longest parameters, bytes of JSON: a raw transaction of 32 KiB in hex, and some.
+/// The longest parameters, bytes of JSON: a raw transaction of 32 KiB in hex, and a little more.
 pub const LONGEST_PARAMETERS: usize = 72 * 1024;
 /// The longest result, bytes of JSON.
 pub const LONGEST_RESULT: usize = 32 * 1024 * 1024;
-/// The longest result for a visitor, bytes of JSON: more than the logs of one block can have.
+/// The longest result for a visitor, bytes of JSON: more than the logs of any block.
 pub const LONGEST_FOR_VISITOR: usize = 8 * 1024 * 1024;
 /// The longest name of a method, bytes.
 const LONGEST_METHOD: usize = 64;
-/// The longest words of a node, bytes.
+/// The longest error text of a node, bytes.
 const LONGEST_WORDS: usize = 2 * 1024;
 /// The longest revert data, bytes of JSON.
 const LONGEST_DATA: usize = 64 * 1024;
@@ -23,7 +23,7 @@ const FAULT: u8 = 1;
 /// One request: length of the method (1) || method || parameters, a JSON array.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RelayCall {
-    /// JSON-RPC's name of the method.
+    /// The JSON-RPC method.
     pub method: String,
     /// JSON.
     pub parameters: String,
@@ -50,7 +50,7 @@ impl RelayCall {
     }
 }
 
-/// What came of it: 0 (1) || result, or 1 (1) || code (8) || length of the words (2) || words || data.
+/// The outcome: 0 (1) || result, or 1 (1) || code (8) || length of the words (2) || words || data.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Relayed {
     /// The node's result, JSON.
@@ -61,16 +61,16 @@ pub enum Relayed {
         code: i64,
         /// The node's words, cleaned.
         words: String,
-        /// What it added, JSON; empty for nothing.
+        /// Its data, JSON; empty for none.
         data: String,
     },
 }
 
 impl Relayed {
-    /// What a gateway answers; a result longer than `most` bytes becomes a fault that a client asks less after.
+    /// The gateway's answer; a result longer than `most` bytes becomes an error that makes the client ask for less.
     ///
     /// # Errors
-    /// [`Refusal`] with `Method` where the method is not passed on, `Stale` where the chain does not answer.
+    /// [`Refusal`] with `Method` if the method is not passed on, `Stale` if the chain does not answer.
     pub fn of(outcome: Result<serde_json::Value, RelayError>, most: usize) -> Result<Self, Refusal> {
         match outcome {
             Ok(result) => {
@@ -91,7 +91,7 @@ impl Relayed {
         }
     }
 
-    /// Bytes of it, about.
+    /// Its approximate size, bytes.
     pub(super) fn length(&self) -> usize {
         match self {
             Self::Result(result) => result.len(),

@@ -1,4 +1,4 @@
-//! What a client asks, by Command: encoded and decoded, every count and length bounded.
+//! The client's requests, by Command: encoded and decoded, every count and length bounded.
 
 use crate::crypto::SealedRecord;
 use crate::model::wire::{Reader, WireError};
@@ -13,15 +13,15 @@ use crate::gateway::allocation::AllocationRequest;
 pub const MOST_UPLOADS: usize = 1024;
 /// The most digests checked at once.
 pub const MOST_CHECKED: usize = 1024;
-/// In the count of a check: the answer is to be signed, with proofs. Set in the answer's count as well.
+/// A bit in the count of a check: the answer is to be signed, with proofs. Set in the answer's count as well.
 pub const SIGNED: u16 = 1 << 15;
 /// The longest signed transaction passed on, bytes.
 pub const LONGEST_TRANSACTION: usize = 3 * 1024;
 
-/// A record as a sender brings it.
+/// A record as uploaded.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Upload {
-    /// (r, s): the record's own.
+    /// (r, s): the record's own signature.
     pub signature: Signature,
     /// CT1: header, sealed head, sealed body.
     pub blob: Vec<u8>,
@@ -36,7 +36,7 @@ impl From<&SealedRecord> for Upload {
 /// An identity and the transaction that registers it: account (20) || identity (224) || transaction.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Registration {
-    /// Whose it is.
+    /// The account.
     pub account: Address,
     /// Token, keys and proof.
     pub identity: Identity,
@@ -44,23 +44,23 @@ pub struct Registration {
     pub transaction: Vec<u8>,
 }
 
-/// A grant on its way to the chain: grantee (20) || epoch (8) || expiry (8) || transaction (32).
+/// A grant being sent to the chain: grantee (20) || epoch (8) || expiry (8) || transaction (32).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GrantNotice {
-    /// Who is to read.
+    /// The grantee.
     pub grantee: Address,
     /// The epoch granted.
     pub epoch: u64,
-    /// Until when, seconds since the Unix epoch; 0 for no end.
+    /// Its expiry, seconds since the Unix epoch; 0 for never.
     pub expiry: u64,
     /// The transaction.
     pub transaction: Hash,
 }
 
-/// A revoke on its way to the chain: grantee (20) || new epoch (8) || new token (32) || transaction (32).
+/// A revoke being sent to the chain: grantee (20) || new epoch (8) || new token (32) || transaction (32).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RevokeNotice {
-    /// Who is to read no more.
+    /// The grantee.
     pub grantee: Address,
     /// The epoch that begins.
     pub epoch: u64,
@@ -70,12 +70,13 @@ pub struct RevokeNotice {
     pub transaction: Hash,
 }
 
-/// Whose the session's name is from now on: P of a lent device (64), or P (64) || the topic id of its notices (16).
+/// The device that the session's name belongs to from now on: P of a lent device (64), or P (64) || the topic id of its
+/// notices (16).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DeviceNotice {
     /// Its public key.
     pub key: PublicKey,
-    /// Where its owner's notices to it are filed; `None` from owners who did not tell.
+    /// Where its owner's notices to it are filed; `None` from owners who did not say.
     pub notices: Option<TopicId>,
 }
 
@@ -112,21 +113,21 @@ pub enum Request {
     UploadMany(Vec<Upload>),
     /// List.
     Query(Query),
-    /// How digests stand: count (2), then 32 bytes each.
+    /// Standings: count (2), then 32 bytes each.
     Check(Vec<Digest>),
     /// The same, signed and with the proofs of their anchors: the highest bit of the count is set.
     Prove(Vec<Digest>),
     /// One record: digest (32).
     Fetch(Digest),
-    /// Records as they come.
+    /// Records as they arrive.
     Subscribe(Selection),
-    /// No more: the number of the request that subscribed (4).
+    /// End a subscription: the number of the request that began it (4).
     Unsubscribe(u32),
     /// A grant.
     GrantNotice(GrantNotice),
     /// A revoke.
     RevokeNotice(RevokeNotice),
-    /// The name of this session is a lent device's.
+    /// This session's name belongs to a lent device.
     DeviceNotice(DeviceNotice),
     /// Nothing.
     Ping,
@@ -156,7 +157,7 @@ impl Request {
         }
     }
 
-    /// The body. Lists longer than allowed are cut: their makers bound them.
+    /// The body. Lists that are too long are cut; their makers bound them.
     pub fn encode(&self) -> Vec<u8> {
         match self {
             Self::SystemKeys | Self::Ping => Vec::new(),
@@ -186,7 +187,7 @@ impl Request {
     /// From a Command and its body.
     ///
     /// # Errors
-    /// [`WireError`] where the body is not the Command's, or the Command is none of a client.
+    /// [`WireError`] if the body does not match the Command, or a client may not send the Command.
     pub fn parse(command: Command, body: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(body);
         let request = match command {

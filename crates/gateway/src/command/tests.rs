@@ -38,8 +38,8 @@ fn every_request_and_answer_comes_back_as_it_went() {
 fn what_is_cut_or_longer_is_refused() {
     for request in sample_requests() {
         let body = request.encode();
-        // An upload's record, a registration's transaction and a request's JSON reach to the end of the body: their own
-        // parsers and signatures know their length.
+        // An upload's record, a registration's transaction and a request's JSON extend to the end of the body: their
+        // own parsers and signatures know their length.
         let open_ended = matches!(request, Request::Upload(_) | Request::Register(_) | Request::Relay(_));
         for cut in 0..body.len() {
             let parsed = Request::parse(request.command(), &body[..cut]);
@@ -77,7 +77,7 @@ fn signed_commands_are_whole_and_only_they_carry_a_signature() {
     }
 }
 
-/// The must-show of the protocol: no bit of a valid frame of any Command can be changed.
+/// The protocol's central property: no bit of a valid frame of any Command can be changed.
 #[test]
 fn every_flipped_bit_of_every_commands_frame_is_refused() {
     let key = TransportKey::new([5; 32]);

@@ -1,4 +1,4 @@
-//! What comes in on a connection: the next frame in time, charged and paced, or an entry of a subscription.
+//! Input of a connection: the next frame, in time, charged and paced, or an entry of a subscription.
 
 use std::time::Duration;
 
@@ -13,12 +13,12 @@ use crate::gateway::frame::FrameKind;
 use crate::gateway::parts::Message;
 use crate::gateway::server::stopped;
 
-/// Frames announced to be longer are charged before they are read, bytes.
+/// Frames that announce a greater length are charged before they are read, bytes.
 const CHARGED: usize = 16 * 1024;
-/// How often a frame that waits for room is tried again.
+/// How often a frame waiting for memory is tried again.
 const ROOM: Duration = Duration::from_millis(50);
 
-/// What came next.
+/// The next input.
 pub(super) enum Next {
     Frame(FrameKind, Vec<u8>),
     Fed(Fed),
@@ -32,7 +32,7 @@ impl Connection {
         }
     }
 
-    /// The next frame or entry of a subscription, until `deadline` or the limits' patience ends.
+    /// The next frame or subscription entry, until `deadline` or until the limits' patience ends.
     pub(super) async fn next(&mut self, deadline: Instant, mut feeds: Option<&mut Feeds>) -> Result<Next, End> {
         self.charge = None;
         loop {
@@ -67,8 +67,8 @@ impl Connection {
         }
     }
 
-    /// Whether what is announced may be read: a large frame is charged to its peer first, and waits where the peer has
-    /// too many of them under way.
+    /// Whether the announced frame may be read: a large frame is charged to its peer first, and waits if the peer has
+    /// too many in flight.
     fn has_room(&mut self) -> bool {
         let charged = self.in_parts || self.charge.is_some();
         let large = self.line.announced().filter(|length| *length > CHARGED && !charged);
@@ -77,7 +77,7 @@ impl Connection {
         self.charge.is_some()
     }
 
-    /// Counts what came, and waits where the peer sends more than it may.
+    /// Counts what arrived, and waits if the peer sends more than it may.
     pub(super) async fn pace(&self, bytes: usize) {
         let pause = self.seat.pace(std::time::Instant::now(), bytes);
         if pause > Duration::ZERO {
@@ -85,7 +85,7 @@ impl Connection {
         }
     }
 
-    /// Counts what somebody without a transport key sends to the chain.
+    /// Counts what a peer without a transport key sends to the chain.
     ///
     /// # Errors
     /// [`Refusal`] with `Quota`.
@@ -101,7 +101,7 @@ impl Connection {
         if sends { self.seat.newcomer(std::time::Instant::now()) } else { Ok(()) }
     }
 
-    /// Counts a request to the chain by what it costs there, and waits where the peer asks more than it may.
+    /// Counts a request to the chain by its cost there, and waits if the peer asks more than it may.
     pub(super) async fn pace_relay(&self, body: &[u8]) {
         let Ok(Request::Relay(call)) = Request::parse(Command::Relay, body) else { return };
         let pause = self.seat.pace_relay(std::time::Instant::now(), weight(&call.method));

@@ -38,7 +38,7 @@ impl Shared {
             Request::KeyAllocation(request) => {
                 let now = Timestamp::now();
                 let secret = self.with_cabinet(|cabinet| cabinet.secret(&request.system_key, now).cloned());
-                // One at a time: between reading and writing a binding nobody else writes it.
+                // One at a time: nobody else writes a binding between reading and writing it.
                 let _held = self.binding.lock().await;
                 let desk = self.desk.as_ref();
                 let digest = allocate(&self.context, desk, agreed, name, &request, secret.as_ref()).await?;
@@ -77,7 +77,7 @@ impl Commands {
         match request {
             Request::Ping => return Ok(Answer::Time(Timestamp::now())),
             Request::SystemKeys => return Ok(Answer::SystemKeys(shared.list().1)),
-            // Also of an account that is suspended or has other keys by now: the chain itself tells it so.
+            // Also for an account that is suspended or has other keys by now: the chain itself tells it so.
             Request::Relay(call) => return relayed(desk, Some(&self.caller), &call).await,
             Request::Upload(upload) => return self.store(shared, message.command, vec![upload]).await,
             Request::UploadMany(uploads) => return self.store(shared, message.command, uploads).await,

@@ -1,4 +1,4 @@
-//! The subscriptions of one connection: the entries of all of them come out of one channel.
+//! The subscriptions of one connection: the entries of all of them arrive on one channel.
 
 use std::collections::HashMap;
 
@@ -8,7 +8,7 @@ use tokio::task::AbortHandle;
 use crate::gateway::code::{Code, Refusal};
 use crate::gateway::command::Entry;
 
-/// Entries that may wait; the desk waits beyond that.
+/// The most entries that wait; beyond that the desk waits.
 const WAITING: usize = 8;
 
 /// An entry of a subscription, or its end.
@@ -54,7 +54,7 @@ impl Feeds {
                     return;
                 }
             }
-            // Where nobody listens any more there is nobody to tell.
+            // If nobody is listening any more, there is nobody to notify.
             let _ = sender.send(Fed { request, entry: None }).await;
         });
         self.running.insert(request, task.abort_handle());
@@ -75,7 +75,7 @@ impl Feeds {
         }
     }
 
-    /// An entry that is there already.
+    /// An entry that is already there.
     pub fn waiting(&mut self) -> Option<Fed> {
         self.receiver.try_recv().ok()
     }

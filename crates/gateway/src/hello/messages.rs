@@ -10,14 +10,14 @@ use super::{Agreed, Purpose, SUITE_SM, VERSION, gateway_id};
 use crate::gateway::code::{Code, Refusal};
 use crate::gateway::session::SessionId;
 
-/// The longest name, bytes; shorter ones are padded, so that the frame's length tells nothing.
+/// The longest name, bytes; shorter ones are padded, so that the frame's length reveals nothing.
 const NAME: usize = 32;
 
-/// Which network a gateway stands on: version (1) chain id (8) genesis hash (32) contract (20). Told in clear to
-/// whoever sends the version (1); a wrong answer leads to a hello that the gateway does not sign.
+/// A gateway's network: version (1) chain id (8) genesis hash (32) contract (20). Sent in clear to anyone who sends the
+/// version (1); a wrong answer leads to a hello that the gateway does not sign.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct NetworkName {
-    /// EIP-155.
+    /// The EIP-155 chain id.
     pub chain_id: u64,
     /// Hash of block 0.
     pub genesis: Hash,
@@ -26,10 +26,10 @@ pub struct NetworkName {
 }
 
 impl NetworkName {
-    /// What is sent to ask for it.
+    /// The request for it.
     pub const INQUIRY: [u8; 1] = [VERSION];
 
-    /// The domain that follows from it.
+    /// The domain derived from it.
     pub fn domain(&self) -> Domain {
         domain(self.chain_id, &self.genesis, &self.contract)
     }
@@ -42,7 +42,7 @@ impl NetworkName {
     /// From the payload of a frame.
     ///
     /// # Errors
-    /// [`WireError`] where it is none of this version.
+    /// [`WireError`] if it is not of this version.
     pub fn parse(payload: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(payload);
         if reader.u8("version")? != VERSION {
@@ -95,12 +95,12 @@ impl Hello {
     }
 }
 
-/// Which system-key list a gateway uses: a client never accepts an older one.
+/// A gateway's current system-key list: a client never accepts an older one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ListSummary {
     /// Its version.
     pub version: u64,
-    /// SM3 of its bytes.
+    /// SM3 of its encoding.
     pub digest: Digest,
 }
 
@@ -112,13 +112,13 @@ pub struct Answer {
     pub nonce: [u8; 32],
     /// The gateway's ephemeral point.
     pub point: PublicKey,
-    /// Random; names the session.
+    /// Random; the session's id.
     pub session: SessionId,
     /// The current system-key list.
     pub list: ListSummary,
     /// The gateway's identity key.
     pub identity: PublicKey,
-    /// By the identity key over the transcript.
+    /// Signature by the identity key over the transcript.
     pub signature: Signature,
 }
 
@@ -143,10 +143,10 @@ impl Answer {
         [&self.unsigned()[..], &self.signature.0].concat()
     }
 
-    /// From the payload of a frame; neither point nor signature are checked yet.
+    /// From the payload of a frame; neither point nor signature is checked yet.
     ///
     /// # Errors
-    /// [`WireError`] where it is no answer of this version.
+    /// [`WireError`] if it is not an answer of this version.
     pub fn parse(payload: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(payload);
         if reader.array("version")? != [VERSION, SUITE_SM] {

@@ -7,7 +7,7 @@ fn name() -> ProfileName {
     "robot-1".parse().expect("a name")
 }
 
-/// Both ends of a session, each with the transport key it has.
+/// Both ends of a session, each with its transport key.
 fn session(client_key: Option<&TransportKey>, gateway_key: Option<&TransportKey>) -> (Session, Session) {
     let (client, answer, gateway) = greet();
     let client = client.agree(&answer).expect("agrees");
@@ -79,7 +79,7 @@ fn other_versions_networks_and_points_are_refused_with_their_code() {
 fn a_gateway_with_another_key_or_network_cannot_answer() {
     let other = Context { domain: Domain([9; 32]), ..context() };
     let client = ClientHello::begin(context()).expect("begins");
-    // A gateway in between takes the hello as one of its own network.
+    // A gateway in the middle passes the hello off as one of its own network.
     let mut payload = client.encode();
     payload[2..34].copy_from_slice(&[9; 32]);
     let list = ListSummary { version: 1, digest: Digest([0; 32]) };

@@ -1,8 +1,8 @@
-//! A bucket of tokens: what may come at once, and how much of it in the long run.
+//! A token bucket: how much may come at once, and how much sustained.
 
 use std::time::{Duration, Instant};
 
-/// Fills at a rate, up to a burst; may run into debt, which is to be waited for.
+/// Fills at a rate, up to a burst; may go into debt, which must be waited out.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Bucket {
     level: f64,
@@ -31,7 +31,7 @@ impl Bucket {
         there
     }
 
-    /// How long to wait until what is taken has been filled again.
+    /// How long to wait until the debt is filled again.
     pub fn take(&mut self, now: Instant, amount: f64) -> Duration {
         self.fill(now);
         self.level -= amount;

@@ -1,4 +1,4 @@
-//! Who holds what at a gateway, and who waits to authenticate, oldest first.
+//! Who holds what at a gateway, and who is waiting to authenticate, oldest first.
 
 use std::collections::{BTreeMap, HashMap};
 use std::net::{IpAddr, Ipv6Addr};
@@ -10,20 +10,20 @@ use super::Limits;
 use super::bucket::Bucket;
 use crate::gateway::code::{Code, Refusal};
 
-/// Peers, and networks, remembered at most.
+/// The most peers, and networks, remembered.
 pub(super) const MOST_REMEMBERED: usize = 16_384;
-/// Between two looks for peers to forget.
+/// Time between searches for peers to forget.
 const FORGETTING: Duration = Duration::from_secs(1);
-/// How many times as much a network of IPv6 may do as one peer.
+/// How many times as much an IPv6 network may use as one peer.
 const PEERS_OF_NETWORK: usize = 4;
-/// Who is not remembered shares one peer: forgetting the debts of others would pay them.
+/// All peers not remembered share one entry: forgetting the debts of others would pay them.
 const UNREMEMBERED: IpAddr = IpAddr::V6(Ipv6Addr::UNSPECIFIED);
 
-/// Whose a connection is.
+/// The peer and network of a connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Place {
     pub peer: IpAddr,
-    /// Of IPv6 alone.
+    /// For IPv6 only.
     pub network: Option<IpAddr>,
 }
 
@@ -61,10 +61,10 @@ pub(super) struct Counts {
     pub connections: usize,
     pub visits: usize,
     pub charged: usize,
-    /// By number: the oldest first.
+    /// By number, the oldest first.
     handshaking: BTreeMap<u64, Handshake>,
     numbers: u64,
-    /// When idle peers were forgotten.
+    /// When idle peers were last forgotten.
     forgot: Option<Instant>,
     pub peers: HashMap<IpAddr, Peer>,
     pub networks: HashMap<IpAddr, Network>,
@@ -115,7 +115,7 @@ impl Network {
 }
 
 impl Counts {
-    /// Where a connection from `address` is counted; its peer and network are there from then on.
+    /// Where a connection from `address` is counted; creates its peer and network if necessary.
     pub fn place_of(&mut self, address: IpAddr, limits: &Limits, now: Instant) -> Place {
         let mut place = place_of(address);
         if !self.peers.contains_key(&place.peer) && self.peers.len() >= MOST_REMEMBERED {
@@ -148,7 +148,7 @@ impl Counts {
         self.networks.retain(|_, network| network.connections > 0 || !network.arrivals.is_full(now));
     }
 
-    /// Whether one more connection of this place fits; it is counted as an arrival then.
+    /// Whether one more connection fits here; if so, it is counted as an arrival.
     ///
     /// # Errors
     /// [`Refusal`] with `Busy`.
@@ -167,19 +167,19 @@ impl Counts {
         if peer.connections >= limits.connections_of_peer {
             return busy("connections", &place.peer);
         }
-        // Those that are under way may finish: a crowd behind one address would else drop each other for ever.
+        // Those under way may finish; otherwise a crowd behind one address would drop each other forever.
         if peer.handshakes >= limits.handshakes_of_peer() || !peer.arrivals.take_if_there(now) {
             return busy("handshakes", &place.peer);
         }
         Ok(())
     }
 
-    /// Counts a connection and gives its handshake a place, if need be the one of the oldest.
+    /// Counts a connection and gives its handshake a place, if necessary the oldest one's.
     pub fn enter(&mut self, place: Place, most: usize) -> (u64, oneshot::Receiver<()>) {
         while self.handshaking.len() >= most.max(1) {
             let Some(oldest) = self.handshaking.keys().next().copied() else { break };
             if let Some(dropped) = self.leave_handshake(oldest) {
-                // One that ends by itself just now needs no telling.
+                // One that is ending by itself needs no notice.
                 let _ = dropped.send(());
             }
         }
@@ -194,7 +194,7 @@ impl Counts {
         (self.numbers, evicted)
     }
 
-    /// Gives a handshake's place back; nothing where it has none any more.
+    /// Returns a handshake's place; does nothing if it has none any more.
     pub fn leave_handshake(&mut self, number: u64) -> Option<oneshot::Sender<()>> {
         let Handshake { place, evict } = self.handshaking.remove(&number)?;
         self.change(&place, |peer| peer.handshakes = peer.handshakes.saturating_sub(1));
@@ -202,21 +202,21 @@ impl Counts {
         Some(evict)
     }
 
-    /// Changes what is counted of a place's peer.
+    /// Changes the counts of a peer.
     pub fn change(&mut self, place: &Place, change: impl FnOnce(&mut Peer)) {
         if let Some(peer) = self.peers.get_mut(&place.peer) {
             change(peer);
         }
     }
 
-    /// Changes what is counted of a place's network.
+    /// Changes the counts of a network.
     pub fn change_network(&mut self, place: &Place, change: impl FnOnce(&mut Network)) {
         if let Some(network) = place.network.and_then(|key| self.networks.get_mut(&key)) {
             change(network);
         }
     }
 
-    /// Whether a visitor's place is left for this peer.
+    /// Whether a visitor's place is free for this peer.
     pub fn has_room_for_visit(&self, place: &Place, limits: &Limits) -> bool {
         let of_network = limits.visits_of_peer.saturating_mul(2);
         let network = place.network.and_then(|key| self.networks.get(&key));

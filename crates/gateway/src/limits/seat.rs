@@ -1,4 +1,4 @@
-//! A connection's place at a gateway, and memory charged to its peer; both are given back when dropped.
+//! A connection's place at a gateway, and memory charged to its peer; both are returned on drop.
 
 use std::time::{Duration, Instant};
 
@@ -8,12 +8,12 @@ use super::Peers;
 use super::counts::Place;
 use crate::gateway::code::{Code, Refusal};
 
-/// A connection's place; given back when dropped.
+/// A connection's place; returned on drop.
 #[derive(Debug)]
 pub struct Seat {
     peers: Peers,
     place: Place,
-    /// Its number among the handshakes, and where it learns that it must go.
+    /// Its number among the handshakes, and the signal that it must go.
     handshake: Option<(u64, oneshot::Receiver<()>)>,
     visits: bool,
 }
@@ -30,7 +30,7 @@ impl Seat {
         }
     }
 
-    /// Ends when the connection has to make room for another handshake: never once it has authenticated. Can be
+    /// Completes when the connection has to make room for another handshake; never once it is authenticated. Can be
     /// cancelled at any point.
     pub async fn evicted(&mut self) {
         if let Some((_, evicted)) = &mut self.handshake
@@ -68,7 +68,7 @@ impl Seat {
         Ok(())
     }
 
-    /// Counts one frame; how long the connection must wait before it reads on.
+    /// Counts one frame; returns how long the connection must wait before it reads on.
     pub fn pace(&self, now: Instant, bytes: usize) -> Duration {
         let mut counts = self.peers.lock();
         let Some(peer) = counts.peers.get_mut(&self.place.peer) else { return Duration::ZERO };
@@ -76,14 +76,14 @@ impl Seat {
         peer.frames.take(now, 1.0).max(peer.bytes.take(now, bytes))
     }
 
-    /// Counts a request to the chain by its weight; how long it must wait before it is passed on.
+    /// Counts a request to the chain by its weight; returns how long it must wait before it is passed on.
     pub fn pace_relay(&self, now: Instant, weight: u32) -> Duration {
         let mut counts = self.peers.lock();
         let Some(peer) = counts.peers.get_mut(&self.place.peer) else { return Duration::ZERO };
         peer.relays.take(now, f64::from(weight))
     }
 
-    /// Counts a transaction of somebody without a transport key: each one makes the chain longer for ever.
+    /// Counts a transaction of a peer without a transport key: each one makes the chain longer forever.
     ///
     /// # Errors
     /// [`Refusal`] with `Quota`.

@@ -67,7 +67,7 @@ fn one_peer_holds_an_eighth_of_the_handshakes_and_the_oldest_makes_room() {
     assert!(!is_evicted(&mut seats[0]));
     let mut late = peers.admit(other(9), now).expect("a seventeenth");
     assert!(is_evicted(&mut seats[0]) && !is_evicted(&mut seats[1]), "the oldest goes");
-    // Who has authenticated holds no place and is left alone.
+    // An authenticated connection holds no place and is left alone.
     seats[1].authenticated();
     let mut later: Vec<Seat> = (10..14).map(|peer| peers.admit(other(peer), now).expect("room")).collect();
     assert!(!is_evicted(&mut seats[1]) && is_evicted(&mut seats[2]) && !is_evicted(&mut late));

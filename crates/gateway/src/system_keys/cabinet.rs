@@ -1,5 +1,5 @@
-//! Where the gateway keeps the d_S in use and the published list: files of mode 0600
-//! in a directory of mode 0700. A retired d_S is overwritten, then removed.
+//! Storage of the gateway's d_S and published list: files of mode 0600 in a directory of mode 0700. A retired d_S is
+//! overwritten, then removed.
 
 use std::fs::{self, OpenOptions};
 use std::io::Write as _;
@@ -26,7 +26,7 @@ const LONGEST_LIST: usize = 1024;
 pub struct Schedule {
     /// How long a key is in use.
     pub lifetime: Duration,
-    /// How long a retired key still opens what was under way; covers clocks that differ.
+    /// How long a retired key still opens requests in flight; covers differing clocks.
     pub grace: Duration,
 }
 
@@ -45,7 +45,7 @@ fn after(moment: Timestamp, duration: Duration) -> Timestamp {
 pub struct Rotation {
     /// A new list was published.
     pub published: bool,
-    /// So many d_S were erased.
+    /// The number of d_S erased.
     pub erased: usize,
 }
 
@@ -57,16 +57,16 @@ pub struct Cabinet {
     schedule: Schedule,
     identity: SmKeyPair,
     list: SystemKeyList,
-    /// Those in the list, and retired ones within their grace.
+    /// Those in the list, and retired ones within their grace period.
     keys: Vec<(SystemKey, SmSecret)>,
 }
 
 impl Cabinet {
-    /// Opens the keys in `directory`, making what is missing, and brings the list up to date. `identity` signs the
-    /// list; it belongs to whoever runs the gateway and is kept elsewhere.
+    /// Opens the keys in `directory`, creates what is missing, and brings the list up to date. `identity` signs the
+    /// list; it belongs to the gateway's keeper and is stored elsewhere.
     ///
     /// # Errors
-    /// [`CryptoError`] where a file is open to others, damaged, or cannot be read or written.
+    /// [`CryptoError`] if a file is open to others, damaged, or cannot be read or written.
     pub fn open(
         directory: &Path,
         provider: &'static dyn Provider,
@@ -96,8 +96,7 @@ impl Cabinet {
         Ok(cabinet)
     }
 
-    /// The fingerprint of the gateway whose list lies in a directory; `None` where there is none, or none that can be
-    /// read.
+    /// The fingerprint of the gateway whose list is in a directory; `None` if there is none, or it cannot be read.
     pub fn founded_in(directory: &Path) -> Option<SignerId> {
         let bytes = read_private(&directory.join(LIST), LONGEST_LIST).ok()?;
         SystemKeyList::parse(&bytes).ok().map(|list| list.gateway)
@@ -108,7 +107,7 @@ impl Cabinet {
         &self.identity
     }
 
-    /// The list as it is published now.
+    /// The currently published list.
     pub fn list(&self) -> &SystemKeyList {
         &self.list
     }
@@ -119,7 +118,7 @@ impl Cabinet {
         key.filter(|(key, _)| now < after(key.not_after, self.schedule.grace)).map(|(_, secret)| secret)
     }
 
-    /// When [`Self::rotate`] has something to do next.
+    /// When [`Self::rotate`] next has something to do.
     pub fn next_rotation(&self) -> Timestamp {
         let current = self.list.keys.first().map_or(Timestamp(0), |key| key.not_after);
         let retired = self.keys.iter().filter(|(key, _)| !self.list.keys.contains(key));
@@ -127,10 +126,10 @@ impl Cabinet {
         erase.map_or(current, |erase| erase.min(current))
     }
 
-    /// Publishes a new list where the current key has run out, and erases what is past its grace.
+    /// Publishes a new list when the current key has expired, and erases keys past their grace period.
     ///
     /// # Errors
-    /// [`CryptoError`] where keys cannot be made or files not written; the old list then stays in force.
+    /// [`CryptoError`] if keys cannot be made or files not written; the old list then stays in force.
     pub fn rotate(&mut self, now: Timestamp) -> Result<Rotation, CryptoError> {
         let mut rotation = Rotation::default();
         let current_ended = self.list.keys.first().is_none_or(|key| now >= key.not_after);
@@ -142,8 +141,8 @@ impl Cabinet {
         Ok(rotation)
     }
 
-    /// Signs the keys in use again under a newer version. A home that was restored has an older list than its clients
-    /// have seen, which they refuse: that it was restored cannot be told, so this is done at each opening.
+    /// Signs the keys in use again under a newer version. A restored home has an older list than its clients have seen,
+    /// which they refuse; a restore cannot be detected, so this is done at each opening.
     fn publish_anew(&mut self, now: Timestamp) -> Result<(), CryptoError> {
         let version = (self.list.version + 1).max(now.seconds());
         let keys = self.list.keys.clone();
@@ -163,7 +162,7 @@ impl Cabinet {
             keys.push(key);
             fresh.push((key, secret));
         }
-        // The seconds keep versions rising even where the list was lost with its file.
+        // The seconds keep versions increasing even if the list was lost with its file.
         let version = (self.list.version + 1).max(now.seconds());
         let list = sign_list(self.provider, self.domain, &self.identity, version, now, keys)?;
         write_private(&self.directory.join(LIST), &list.encode())?;
@@ -182,8 +181,8 @@ impl Cabinet {
         Ok(ended.len())
     }
 
-    /// Key files that no list names: left by a crash between making and publishing, or retired while the
-    /// gateway was down.
+    /// Key files that are in no list: left by a crash between creating and publishing, or retired while the gateway was
+    /// down.
     fn erase_strays(&self) -> Result<(), CryptoError> {
         let known: Vec<PathBuf> = self.keys.iter().map(|(key, _)| key_path(&self.directory, &key.id())).collect();
         let entries = fs::read_dir(&self.directory).map_err(CryptoError::read(&self.directory))?;
@@ -252,7 +251,7 @@ fn first_list(
     Ok(list)
 }
 
-/// The list on disk, where it is this gateway's, of this network and whole.
+/// The list on disk, if it is this gateway's, of this network and intact.
 fn read_list(
     path: &Path,
     provider: &dyn Provider,
@@ -271,8 +270,8 @@ fn read_list(
     Ok(Some(list))
 }
 
-/// Overwrites a key before it is removed. Journals and flash may keep copies; the directory belongs on
-/// an encrypted disk where that matters.
+/// Overwrites a key before it is removed. Journals and flash may keep copies; if that matters, put the directory on an
+/// encrypted disk.
 fn erase(path: &Path) -> Result<(), CryptoError> {
     let write = CryptoError::write(path);
     let mut file = OpenOptions::new().write(true).open(path).map_err(&write)?;

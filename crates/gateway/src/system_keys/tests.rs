@@ -82,7 +82,7 @@ proptest! {
         prop_assert!(SystemKeyList::parse(&bytes[..at]).is_err());
         bytes[at] ^= 1 << bit;
         if let Ok(altered) = SystemKeyList::parse(&bytes) {
-            // Even where the hello announced the altered one.
+            // Even if the hello announced the altered one.
             prop_assert!(checked(&altered, &agreed(&identity, &altered), day(1)).is_err());
         }
     }
@@ -127,7 +127,7 @@ fn keys_rotate_on_schedule_and_retired_secrets_are_erased() {
     assert_eq!(key_files(&path).len(), 2);
     assert!(cabinet.secret(&second.id(), day(8)).is_some());
 
-    // Down for a year: both keys ended, both are replaced, none survives.
+    // Down for a year: both keys expired, both are replaced, none survives.
     let old = key_files(&path);
     let (identity, version) = (cabinet.identity().public, cabinet.list().version);
     drop(cabinet);
@@ -148,7 +148,7 @@ fn a_restored_gateway_is_not_taken_for_one_that_was_rolled_back() {
         .map(|entry| entry.expect("entry").path())
         .map(|file| (fs::read(&file).expect("reads"), file))
         .collect();
-    // Clients saw this one.
+    // The list clients have seen.
     let mut later = open(&path, day(6));
     later.rotate(day(7)).expect("rotates");
     let seen = later.list().version;

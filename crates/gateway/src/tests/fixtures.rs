@@ -23,12 +23,12 @@ pub(crate) fn context() -> Context {
     Context { provider: provider(ProviderName::RustCrypto), domain: Domain([0x11; 32]) }
 }
 
-/// What the memory desk says it stands on; not the network of [`context`], which no chain id leads to.
+/// The memory desk's network; not that of [`context`], which has no chain id.
 pub(crate) fn network() -> NetworkName {
     NetworkName { chain_id: 7, genesis: Hash([0x61; 32]), contract: Address([0x62; 20]) }
 }
 
-/// The pair of a known secret.
+/// The pair of a given secret.
 pub(crate) fn pair(byte: u8) -> SmKeyPair {
     let secret = SmSecret::from_slice(&[byte; 32]).expect("in range");
     SmKeyPair::from_secret(context().provider, secret).expect("pair")

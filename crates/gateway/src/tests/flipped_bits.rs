@@ -1,5 +1,5 @@
-//! Every bit of a valid frame of each Command, flipped: the connection ends, the desk learns nothing. Server and
-//! desk are the real ones over the loopback; only the hello is left out, its keys are the same every time.
+//! Every bit of a valid frame of each Command, flipped: the connection ends, the desk learns nothing. Server and desk
+//! are the real ones over loopback; only the hello is left out, with fixed keys instead.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -62,7 +62,7 @@ impl Scene {
         }
     }
 
-    /// What comes back for these bytes, until the connection ends.
+    /// The answer to these bytes, until the connection ends.
     async fn told(&self, bytes: &[u8]) -> Vec<u8> {
         let address = self.listener.local_addr().expect("an address");
         let seat = self.shared.peers.admit(address.ip(), Instant::now()).expect("within the limits");
@@ -80,7 +80,7 @@ impl Scene {
             let mut told = Vec::new();
             client.write_all(bytes).await.expect("sends");
             client.shutdown().await.expect("half-closes");
-            // A reset is an end as well.
+            // A reset counts as an end too.
             let _ = client.read_to_end(&mut told).await;
             told
         };
@@ -95,7 +95,7 @@ fn first_frame(bytes: &[u8]) -> Option<(FrameKind, Vec<u8>)> {
     decoder.next_frame().expect("a gateway's frames").map(|(kind, payload)| (kind, payload.to_vec()))
 }
 
-/// The whole frame of a request, d_C's signature where it carries one.
+/// The complete frame of a request, with d_C's signature if it carries one.
 fn frame(stage: &Stage, member: &Member, request: &Request) -> Vec<u8> {
     let provider = context().provider;
     let signature = request.command().is_signed().then(|| {
@@ -107,7 +107,7 @@ fn frame(stage: &Stage, member: &Member, request: &Request) -> Vec<u8> {
     encode(FrameKind::Transfer, &payload)
 }
 
-/// A request of each Command under a transport key that the desk accepts.
+/// A request of each Command under a transport key, accepted by the desk.
 fn accepted_requests(stage: &Stage, member: &Member) -> Vec<Request> {
     let device = pair(0x66);
     stage.desk.lend(member, &device);
@@ -129,7 +129,7 @@ fn accepted_requests(stage: &Stage, member: &Member) -> Vec<Request> {
         Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([2; 32]), transaction }),
         Request::Ping,
         Request::Relay(RelayCall { method: "eth_blockNumber".to_owned(), parameters: "[]".to_owned() }),
-        // The last one: from then on the name is the device's.
+        // The last one: afterwards the name is the device's.
         Request::DeviceNotice(device.public.into()),
     ]
 }
@@ -138,7 +138,7 @@ fn record_kept(stage: &Stage) -> crate::gateway::desk::Received {
     stage.desk.state().records.values().next().expect("one was kept").clone()
 }
 
-/// A request of each Command without a transport key that the desk accepts.
+/// A request of each Command without a transport key, accepted by the desk.
 fn accepted_without_key(stage: &Stage, member: &Member) -> Vec<Request> {
     let shared = stage.server.shared();
     let key = shared.cabinet.lock().expect("not poisoned").list().keys[0];
@@ -190,7 +190,7 @@ async fn no_bit_of_a_frame_of_any_command_reaches_the_desk_flipped() {
     let state = (stage.desk.record_count(), stage.desk.state().subscribers.len());
     assert_eq!((stage.desk.state().changes, state), (before, (1, 0)));
 
-    // The very frames as they were sealed are accepted, so it was the bit.
+    // The same frames are accepted unaltered, so it was the bit.
     for (under_key, request) in &all {
         let scene = Scene::new(&stage, &alice, *under_key).await;
         let told = first_frame(&scene.told(&frame(&stage, &alice, request)).await);

@@ -22,7 +22,7 @@ fn alice() -> Member {
     Member::new("alice", 0x11)
 }
 
-/// The code with which the gateway closes a connection; `None` where it says nothing.
+/// The code with which the gateway closes a connection; `None` if it gives none.
 pub(super) async fn last_words(stream: &mut TcpStream) -> Option<Code> {
     let mut bytes = Vec::new();
     // A reset after the refusal is as good as a close.
@@ -55,7 +55,7 @@ pub(super) fn text(request: &Request, token: Token, signature: Option<Signature>
     Inner { command, part: Part::Whole, request: 1, token: Some(token), signature, body: &body }.encode(false)
 }
 
-/// Sends a frame and gives the code of the refusal in clear that must follow.
+/// Sends a frame and returns the code of the refusal in clear that must follow.
 async fn refused(line: &mut Line, payload: &[u8]) -> Code {
     line.send(FrameKind::Transfer, payload, PATIENCE).await.expect("sends");
     let (kind, payload) = timeout(PATIENCE, line.frame()).await.expect("in time").expect("a frame");
@@ -162,7 +162,7 @@ async fn replayed_skipped_and_altered_frames_close_the_session() {
     assert_eq!(stage.desk.state().changes, 2);
 }
 
-/// A signed Command's signature is of its own frame: in another frame of the same session it is nothing.
+/// A signed Command's signature covers its own frame: in another frame of the same session it is invalid.
 #[tokio::test]
 async fn a_signature_of_another_frame_or_command_is_refused() {
     let stage = Stage::new().await;
@@ -202,7 +202,7 @@ async fn a_signature_of_another_frame_or_command_is_refused() {
     assert_eq!((state.grants.len(), state.revokes.len()), (1, 0));
 }
 
-/// Passes a connection on and keeps what the client sent.
+/// Forwards a connection and records what the client sent.
 async fn recording(target: std::net::SocketAddr) -> (String, Arc<Mutex<Vec<u8>>>) {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("listens");
     let address = listener.local_addr().expect("address").to_string();
@@ -286,7 +286,7 @@ async fn random_bytes_never_bring_the_gateway_down() {
         };
         last_words(&mut raw(&stage, &bytes).await).await;
     }
-    // Authenticated noise: sealed properly, meaning nothing.
+    // Authenticated noise: correctly sealed, but meaningless.
     for length in [0usize, 1, 5, 38, 100, 1000] {
         let (mut line, mut sealing) = session(&stage, &credentials).await;
         let mut noise = vec![0xee; length];

@@ -1,4 +1,4 @@
-//! Server and client over the loopback, with a desk in memory.
+//! Server and client over loopback, with a desk in memory.
 
 use std::time::Duration;
 
@@ -90,7 +90,7 @@ async fn a_bound_name_is_rebound_by_its_account_alone() {
     assert_eq!(stage.code(&first).await, Some(Code::Tag), "the old key is of no use");
     stage.connect(&Credentials { key, ..first }).await.expect("the new one is");
 
-    // Keys that the chain does not have for the account, and no account at all.
+    // Keys that differ from the account's on the chain, and no account at all.
     thief.name = "mallory".parse().expect("a name");
     thief.signing = pair(0x44);
     assert_eq!(refusal(allocate(&thief).await), Some(Code::NotRegistered));
@@ -146,7 +146,7 @@ async fn records_of_others_and_of_recalled_devices_are_refused() {
     stage.desk.recall(&alice, &device);
     assert_eq!(refusal(client.upload(vec![sealed(6)]).await), Some(Code::Signature), "recalled");
     assert_eq!(stage.desk.state().changes, before + 2);
-    // One bad record among many: none is kept.
+    // One bad record among many: none is stored.
     assert_eq!(refusal(client.upload(vec![one, sealed(7), two]).await), Some(Code::Signature));
     assert_eq!(stage.desk.state().changes, before + 2);
 }
@@ -263,7 +263,7 @@ fn resident() -> u64 {
     line.trim().trim_end_matches(" kB").parse().expect("a number")
 }
 
-/// How often: a figure is worth something in the long run, alone.
+/// Repetitions: the figure only means something over a long run, by itself.
 fn often(short: u32, long: u32) -> u32 {
     if std::env::var_os("AUTHROS_LONG").is_some() { long } else { short }
 }

@@ -1,4 +1,4 @@
-//! A desk that keeps everything in memory, as a chain and a vault would on disk.
+//! A desk that keeps in memory what a chain and a vault would keep on disk.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::net::SocketAddr;
@@ -24,10 +24,10 @@ pub(crate) struct State {
     pub accounts: HashMap<Address, Account>,
     pub tokens: HashSet<(Address, Token)>,
     pub signers: HashMap<(Address, SignerId), PublicKey>,
-    /// What the chain would say: ids of devices, without their keys.
+    /// The chain's part: ids of devices, without their keys.
     pub lent: HashSet<(Address, SignerId)>,
     pub bindings: HashMap<ProfileName, Binding>,
-    /// Who continues for a lost account.
+    /// Successors of lost accounts.
     pub successors: HashMap<Address, Address>,
     pub records: BTreeMap<u64, Received>,
     pub readers: HashSet<(Address, Address)>,
@@ -36,17 +36,17 @@ pub(crate) struct State {
     pub registrations: Vec<Registration>,
     pub grants: Vec<GrantNotice>,
     pub revokes: Vec<RevokeNotice>,
-    /// What was passed on to the chain: by whom, which method.
+    /// Requests passed on to the chain: the caller and the method.
     pub relayed: Vec<(Option<Address>, String)>,
-    /// How every record stands; acknowledged unless said otherwise.
+    /// The standing of every record; acknowledged unless set otherwise.
     pub standing: Option<Standing>,
     /// It is of a version that signs no standings.
     pub earlier: bool,
-    /// It says what it says without proofs.
+    /// It gives standings without proofs.
     pub proofless: bool,
     /// Accounts that the keeper does not admit.
     pub dismissed: HashSet<Address>,
-    /// Everything that ever changed.
+    /// Every change so far.
     pub changes: usize,
 }
 
@@ -81,7 +81,7 @@ impl MemoryDesk {
         self.0.lock().expect("no test panicked while it held the state")
     }
 
-    /// What the chain would know of a member.
+    /// The chain's view of a member.
     pub fn admit(&self, member: &Member) {
         let mut state = self.state();
         let account = Account { signing: member.signing.public, envelope: member.envelope.public };
@@ -209,7 +209,7 @@ impl Desk for MemoryDesk {
         Ok(digests.iter().map(standing).collect())
     }
 
-    /// Each record stands alone in its batch.
+    /// Each record is alone in its batch.
     async fn prove(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal> {
         let standings = self.check(caller, digests).await?;
         if self.state().earlier {
@@ -261,7 +261,7 @@ impl Desk for MemoryDesk {
         Ok(network())
     }
 
-    /// A chain that tells what it was asked, however long that is; `eth_gasPrice` fails, `net_version` is silent.
+    /// A chain that echoes the request, however long; `eth_gasPrice` fails, `net_version` is silent.
     async fn relay(&self, caller: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError> {
         authros_chain::relay::check(method, parameters)?;
         self.state().relayed.push((caller.map(|caller| caller.account), method.to_owned()));

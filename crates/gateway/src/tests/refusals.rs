@@ -1,5 +1,5 @@
-//! What the issue lists, case by case, each with the constant code it is refused with: by the real server over the
-//! loopback, or, where it is the client that must refuse, by the client's own checks.
+//! The cases that the issue lists, each with the fixed code it is refused with: by the real server over loopback, or,
+//! if the client must refuse, by the client's own checks.
 
 use super::hostile::{PATIENCE, last_words, raw, session, text};
 use super::stage::{Stage, refusal};
@@ -30,7 +30,7 @@ fn away() -> Context {
     Context { domain: Domain([9; 32]), ..context() }
 }
 
-/// Name of a case, its code, what was found.
+/// A case's name, its code, the outcome.
 type Case = (String, Code, Option<Code>);
 
 fn case(name: impl Into<String>, code: Code, found: Option<Code>) -> Case {
@@ -64,7 +64,7 @@ fn degenerate(valid: &Signature) -> Vec<(String, Signature)> {
     all
 }
 
-/// No points: off the curve, infinity, coordinates that are not below p.
+/// Not points: off the curve, infinity, coordinates that are not below p.
 fn no_points() -> [(&'static str, PublicKey); 4] {
     let mut off = pair(0x44).public;
     off.0[63] ^= 1;
@@ -78,7 +78,7 @@ fn no_points() -> [(&'static str, PublicKey); 4] {
     ]
 }
 
-/// The code that answers a frame, in a session that goes on or one that ends.
+/// The code that answers a frame, in a session that continues or one that ends.
 async fn code(line: &mut Line, sealing: &mut Session, payload: &[u8]) -> Option<Code> {
     line.send(FrameKind::Transfer, payload, PATIENCE).await.expect("sends");
     let (kind, payload) = line.frame().await.expect("answers");
@@ -108,7 +108,7 @@ async fn for_allocation(stage: &Stage, name: &str) -> (Line, Session, Agreed, Sy
     (line, session, agreed, key)
 }
 
-/// Asks for a key as `member` within `context`, the request changed before it is sent.
+/// Requests a key as `member` within `context`, with the request changed before it is sent.
 async fn allocate(
     stage: &Stage,
     (context, member): (Context, &Member),
@@ -222,7 +222,7 @@ async fn hellos_and_frames_are_refused_each_with_its_code() {
     expect_all(&cases);
 }
 
-/// What d_C signs of a Command, and by what it is swapped.
+/// The fields d_C signs for a Command, and their replacements.
 async fn signed(stage: &Stage, credentials: &Credentials, case: &SignedCase<'_>) -> Option<Code> {
     let (mut line, mut sealing) = session(stage, credentials).await;
     let body = Digest(context().provider.sm3(&[&case.sent.encode()]));
@@ -244,7 +244,7 @@ struct SignedCase<'a> {
     signature: Option<Signature>,
 }
 
-/// As it should be.
+/// Unchanged.
 fn good<'a>(sent: &'a Request, signer: &'a SmKeyPair) -> SignedCase<'a> {
     let (signed, domain) = (sent.command(), context().domain);
     SignedCase { sent, signed, signer, domain, gateway: None, counter: 0, signature: None }
@@ -317,7 +317,7 @@ async fn records_are_refused_each_with_their_code() {
     let before = stage.desk.state().changes;
     let record = alice.record(&alice.signing, 2, b"x");
     let mut foreign = record.clone();
-    // The domain stands behind magic, version, suite and kind; the owner signs the altered record anew.
+    // The domain comes after magic, version, suite and kind; the owner signs the altered record again.
     foreign.blob[11..43].copy_from_slice(&away().domain.0);
     let digest = Digest(context().provider.sm3(&[&foreign.blob]));
     let signed = crate::crypto::record::signed_bytes(&away().domain, &digest);
@@ -351,7 +351,7 @@ async fn records_are_refused_each_with_their_code() {
     expect_all(&cases);
 }
 
-/// What the client refuses of a gateway's list of system keys, in its own words.
+/// What the client refuses about a gateway's system-key list, in its own words.
 #[test]
 fn lists_that_are_stale_or_of_others_are_refused_by_the_client() {
     let (provider, domain, identity) = (context().provider, context().domain, pair(0x21));

@@ -55,7 +55,7 @@ async fn a_session_under_a_transport_key_reads_the_chain_in_its_name() {
     let mut client = stage.connect(&credentials).await.expect("connects");
     client.relay("eth_chainId", &json!([])).await.expect("answers");
     assert_eq!(stage.desk.state().relayed, [(Some(alice.account()), "eth_chainId".to_owned())]);
-    // A suspended account still reads the chain, which is open to everybody.
+    // A suspended account can still read the chain, which is open to everyone.
     stage.desk.state().accounts.clear();
     client.relay("eth_chainId", &json!([])).await.expect("answers");
     let raw = json!([format!("0x{}", "00".repeat(32 * 1024))]);
@@ -98,7 +98,7 @@ async fn visitors_are_few_and_their_answers_are_charged() {
     let mut later = visit(&stage).await.expect("connects");
     let mut answered = later.relay("eth_call", &json!([])).await;
     for _ in 0..100 {
-        // The gateway notices within moments that the others are gone.
+        // The gateway soon notices that the others are gone.
         if answered.is_ok() {
             break;
         }
@@ -128,14 +128,13 @@ async fn a_line_to_the_chain_heals_and_proves_itself_as_soon_as_it_can() {
     assert_eq!(fault, RelayError::Answered { code: 3, message, data: Some(json!([2])) });
     assert_eq!(line.ask("eth_sign", json!([])).await, Err(RelayError::NotAllowed));
     assert!(matches!(line.ask("net_version", json!([])).await, Err(RelayError::Silent(_))));
-    // Given up halfway: the next request gets its own answer.
-    // Once in a while the answer is quicker; that is no fault.
+    // Abandoned halfway: the next request gets its own answer. Occasionally the answer is quicker, which is fine.
     drop(tokio::time::timeout(Duration::ZERO, line.ask("eth_call", json!(["given up"]))).await);
     assert_eq!(line.ask("eth_call", json!([3])).await, Ok(json!([3])));
     line.prove_by(credentials.clone());
     assert_eq!(line.ask("eth_chainId", json!([])).await, Ok(json!([])));
     assert_eq!(stage.desk.state().relayed.last().expect("asked").0, Some(alice.account()));
-    // A void key: the chain is still there to be read.
+    // A void key: the chain can still be read.
     line.prove_by(Credentials { key: crate::crypto::TransportKey::new([1; 32]), ..credentials });
     stage.desk.state().bindings.clear();
     assert_eq!(line.meet().await.expect("connected").gateway, stage.server.id());

@@ -29,7 +29,7 @@ impl Stage {
         Self { desk, server, endpoint, limits, home }
     }
 
-    /// Ends the server, then starts it anew on another port with the same keys and desk.
+    /// Stops the server, then starts it again on another port with the same keys and desk.
     pub async fn restart(&mut self) {
         let server = serve(self.home.path(), &self.desk, self.limits).await;
         std::mem::replace(&mut self.server, server).stop(Duration::from_secs(5)).await;

@@ -1,4 +1,4 @@
-//! The test vectors of PROTOCOL.md, computed anew: fixed ephemerals and nonces, so only signatures differ.
+//! The test vectors of PROTOCOL.md, recomputed: ephemerals and nonces are fixed, so only signatures differ.
 
 use std::collections::HashMap;
 

@@ -1,30 +1,30 @@
-//! Who may read: the owner, and whom the chain's grants let, by a policy that has a name.
+//! Who may read: the owner, and those with a grant on the chain, judged by a named policy.
 //!
-//! Which epochs a grant opens is said by the keys in its envelope, not by the chain: one envelope may hold the keys of
-//! earlier epochs too. So a policy asks for owner, reader and topic.
+//! The keys in a grant's envelope determine which epochs it opens, not the chain: one envelope may hold keys of earlier
+//! epochs too. A policy therefore takes owner, reader and topic.
 
 use crate::chain::BlockRef;
 use crate::model::{Address, Scope, Timestamp, TopicId};
 use crate::pipeline::directory::{Directory, Granted};
 
-/// What is demanded before somebody may read.
+/// What is required for reading.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Policy {
-    /// What a reader's own site shows: a grant in force by the clock here, and the reader not suspended.
+    /// A reader's own site: a grant in force by the clock here, and the reader not suspended.
     OwnSite,
-    /// What a gateway demands before it serves a stranger: a fresh head, a grant deep enough under it and in force by
-    /// the later of its time and the clock here, no revoke announced, and the reader not suspended.
+    /// A gateway serving others: a recent head, a grant with enough confirmations and in force by the later of the
+    /// head's time and the clock here, no announced revoke, and the reader not suspended.
     Gateway {
-        /// The newest block; `None` where the chain has told none lately.
+        /// The newest block; `None` if there was none lately.
         head: Option<BlockRef>,
-        /// Blocks on top of a grant, its own included.
+        /// Required confirmations of a grant, its own block included.
         confirmations: u64,
         /// Whether the owner has announced a revoke that is not on the chain yet.
         revoke_announced: bool,
     },
 }
 
-/// By what right somebody reads.
+/// The right by which someone reads.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ReadingRight {
     /// The records are the reader's own.
@@ -34,7 +34,7 @@ pub enum ReadingRight {
 }
 
 impl ReadingRight {
-    /// What it covers.
+    /// What the grant covers.
     pub fn scope(&self) -> &Scope {
         match self {
             Self::Own => &Scope::All,
@@ -48,28 +48,28 @@ impl ReadingRight {
     }
 }
 
-/// Why somebody may not read.
+/// Why someone may not read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum ReadRefused {
     /// No grant is in force.
     #[error("{reader} has no grant of {owner}")]
     NotGranted { owner: Address, reader: Address },
-    /// A grant is in force that does not cover the topic.
+    /// A grant is in force but does not cover the topic.
     #[error("the grant of {owner} to {reader} does not cover this topic")]
     NotCovered { owner: Address, reader: Address },
     /// The reader is suspended.
     #[error("{reader} is suspended since block {since}")]
     Suspended { reader: Address, since: u64 },
-    /// The chain has told no head lately, so nobody's right is known.
+    /// There was no head lately, so nobody's right is known.
     #[error("no fresh head of the chain")]
     Stale,
 }
 
-/// Whether `reader` may read what `owner` has of a topic (of any, where `topic` is `None`).
+/// Whether `reader` may read `owner`'s records of a topic (of any topic, if `topic` is `None`).
 ///
 /// # Errors
-/// [`ReadRefused`]: why not.
+/// [`ReadRefused`] with the reason.
 pub fn may_read(
     directory: &Directory,
     reader: Address,
@@ -114,7 +114,7 @@ fn stands(grant: &Granted, now: Timestamp, policy: Policy) -> bool {
     demanded && grant.is_active(now)
 }
 
-/// The grants by which others let `reader` read on its own site now.
+/// The grants by which others currently let `reader` read on its own site.
 pub fn shared_with(directory: &Directory, reader: Address) -> Vec<Granted> {
     if not_suspended(directory, reader).is_err() {
         return Vec::new();
@@ -123,12 +123,12 @@ pub fn shared_with(directory: &Directory, reader: Address) -> Vec<Granted> {
     directory.grants_to(reader).into_iter().filter(|grant| grant.is_active(now)).collect()
 }
 
-/// The grant of `owner` to `grantee` that is in force now, as its owner manages it.
+/// The grant of `owner` to `grantee` currently in force, for the owner's own management.
 pub fn standing_grant(directory: &Directory, owner: Address, grantee: Address) -> Option<Granted> {
     directory.grant_between(owner, grantee).filter(|grant| grant.is_active(directory.now()))
 }
 
-/// All grants that `owner` gave and that are in force now.
+/// All grants by `owner` currently in force.
 pub fn standing_grants(directory: &Directory, owner: Address) -> Vec<Granted> {
     let now = directory.now();
     directory.grants_of(owner).into_iter().filter(|grant| grant.is_active(now)).collect()

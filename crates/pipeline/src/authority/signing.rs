@@ -1,4 +1,5 @@
-//! Who may sign: the owner by the key registered at that block, or a device lent at it; nobody for a suspended owner.
+//! Who may sign: the owner with the key registered at that block, or a device lent at that block; nobody for a
+//! suspended owner.
 
 use crate::crypto::signer_id;
 use crate::model::{Address, PublicKey, SignerId, Timestamp};
@@ -6,12 +7,12 @@ use crate::pipeline::directory::{Account, Directory, Lending};
 use crate::pipeline::{Network, PipelineError, Plant};
 use crate::store::RecordRow;
 
-/// The moment that decides about a right: the state after all events of a block, and that block's own time.
+/// The moment at which a right is judged: the state after all events of a block, and that block's own time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Moment {
-    /// The block; `None` = after every event that is known.
+    /// The block; `None` = after every known event.
     pub block: Option<u64>,
-    /// The block's time, as its maker says.
+    /// The block's time, as stated by its maker.
     pub time: Timestamp,
 }
 
@@ -21,18 +22,18 @@ impl Moment {
         Self { block: Some(block), time }
     }
 
-    /// After every event that is known.
+    /// After every known event.
     pub fn newest(time: Timestamp) -> Self {
         Self { block: None, time }
     }
 }
 
-/// By what right a record was signed.
+/// The right by which a record was signed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum SigningRight {
     /// With the owner's own key.
     Owner(PublicKey),
-    /// With the key of a device that the owner lent.
+    /// With the key of a device lent by the owner.
     Device(Lending),
 }
 
@@ -40,19 +41,19 @@ pub enum SigningRight {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "each variant's line names its fields")]
 pub enum NoRight {
-    /// The owner had no identity yet.
+    /// The owner had not registered an identity yet.
     #[error("{owner} was not registered yet {}", when(.block))]
     Unregistered { owner: Address, block: Option<u64> },
-    /// The owner's identity does not prove itself.
+    /// The owner's identity has no valid proof.
     #[error("the identity that {owner} had registered does not verify")]
     Unproven { owner: Address },
     /// The owner was suspended.
     #[error("{owner} was suspended {}, since block {since}", when(.block))]
     Suspended { owner: Address, since: u64, block: Option<u64> },
-    /// The owner was lost and another account continued.
+    /// The owner's account was lost and another account took over.
     #[error("{owner} was lost {}, and {successor} its successor since block {since}", when(.block))]
     Succeeded { owner: Address, successor: Address, since: u64, block: Option<u64> },
-    /// The key was the owner's, and replaced.
+    /// The key had been the owner's, but was replaced.
     #[error("{owner} had replaced the signer's key {}, in block {since}", when(.block))]
     Replaced { owner: Address, since: u64, block: Option<u64> },
     /// The device was lent later.
@@ -61,13 +62,13 @@ pub enum NoRight {
     /// The device was recalled.
     #[error("the signer is a device that {owner} had recalled in block {recalled}")]
     Recalled { owner: Address, recalled: u64 },
-    /// The device's loan was over.
+    /// The device's loan had ended.
     #[error("the signer is a device that {owner} had lent until {until}, and the anchoring block is of {time}")]
     Ended { owner: Address, until: Timestamp, time: Timestamp },
-    /// Neither.
+    /// None of these.
     #[error("{owner} had not registered the signer's key {}, nor lent it", when(.block))]
     Unknown { owner: Address, block: Option<u64> },
-    /// The device was lent, and its key is not known here.
+    /// The device was lent, but its public key is not known here.
     #[error("the signer is a device of {owner} whose key is not known here; ask its owner for an export")]
     KeyUnknown { owner: Address },
 }
@@ -77,26 +78,26 @@ fn when(block: &Option<u64>) -> String {
     block.map_or_else(|| "by now".to_owned(), |block| format!("at block {block}"))
 }
 
-/// Whether an account is suspended by now: then it enters no gateway, and nothing of it is passed on.
+/// Whether an account is currently suspended: then no gateway admits it, and nothing of it is passed on.
 pub fn is_suspended(directory: &Directory, account: Address) -> bool {
     directory.account(account).is_some_and(|account| account.suspended_at(None).is_some())
 }
 
-/// Whether a loan stands now, by the chain's clock.
+/// Whether a loan is currently in force, by the chain's clock.
 pub fn is_lent(directory: &Directory, lending: &Lending) -> bool {
     lending.recalled.is_none() && lending.until.is_none_or(|until| until > directory.now())
 }
 
-/// Whether the key with this id could sign for `owner` at a moment.
+/// Whether the key with this id could sign for `owner` at a given moment.
 ///
 /// # Errors
-/// [`NoRight`]: why not.
+/// [`NoRight`] with the reason.
 pub fn may_sign(directory: &Directory, owner: Address, signer: SignerId, at: Moment) -> Result<SigningRight, NoRight> {
     let right = directory.with_account(owner, |account| by_block(account, owner, signer, at.block))?;
     in_time(right, owner, at.time)
 }
 
-/// As far as blocks decide; a loan may still have an end.
+/// As far as blocks decide; a loan may also expire.
 fn by_block(
     account: Option<&Account>,
     owner: Address,
@@ -147,10 +148,11 @@ fn in_time(right: SigningRight, owner: Address, time: Timestamp) -> Result<Signi
     }
 }
 
-/// By what right a key signed for `owner`, at a block of the chain; its time is asked for only where it decides.
+/// The right by which a key signed for `owner`, at a block of the chain; the block's time is requested only if it
+/// matters.
 ///
 /// # Errors
-/// Of the chain; that there is no right is the answer.
+/// Errors of the chain; lack of a right is part of the answer.
 pub fn right_of(
     network: &Network,
     owner: Address,
@@ -160,7 +162,7 @@ pub fn right_of(
     right_in(network, &network.directory, owner, signer, block)
 }
 
-/// The same in a contract's own directory: records of one that was left are judged by what it said.
+/// The same in a given contract's directory: records of a former contract are judged by what it said.
 fn right_in(
     network: &Network,
     directory: &Directory,
@@ -178,12 +180,12 @@ fn right_in(
     Ok(Ok(right))
 }
 
-/// The key that signed a record, where its signer had the right at the anchoring block. Before a record is anchored
-/// nothing is decided: then it is the key that its owner ever registered or lent. The chain has only the ids of
-/// devices; their keys are those that the ledger has met.
+/// The key that signed a record, if its signer had the right at the anchoring block. Before a record is anchored
+/// nothing is decided: then any key that its owner ever registered or lent. The chain has only the ids of devices;
+/// their keys are those known to the ledger.
 ///
 /// # Errors
-/// Of chain and ledger; that there is no right is the answer.
+/// Errors of chain and ledger; lack of a right is part of the answer.
 pub fn signer_of(
     plant: &Plant,
     network: &Network,
@@ -204,10 +206,10 @@ pub fn signer_of(
     })
 }
 
-/// As [`signer_of`], without the reason.
+/// Like [`signer_of`], without the reason.
 ///
 /// # Errors
-/// As [`signer_of`].
+/// See [`signer_of`].
 pub fn key_of(plant: &Plant, network: &Network, row: &RecordRow) -> Result<Option<PublicKey>, PipelineError> {
     Ok(signer_of(plant, network, row)?.ok())
 }

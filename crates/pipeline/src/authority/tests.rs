@@ -1,4 +1,4 @@
-//! Rights as the chain's events give and take them, block by block.
+//! Rights given and taken by the chain's events, block by block.
 
 use super::*;
 use crate::chain::{BlockRef, Event, EventAt};
@@ -11,7 +11,7 @@ const READER: Address = Address([2; 20]);
 const DEVICE: SignerId = SignerId([7; 32]);
 const DOMAIN: Domain = Domain([9; 32]);
 
-/// A chain of events that a test makes up.
+/// A chain of events invented by a test.
 struct Told {
     directory: Directory,
     next: u64,
@@ -114,7 +114,7 @@ fn a_device_signs_within_its_loan_by_blocks_and_by_the_anchoring_blocks_time() {
     assert_eq!(told.sign(DEVICE, 9, 0), Err(NoRight::LentLater { owner: OWNER, from: 10 }));
     assert!(matches!(told.sign(DEVICE, 10, 999), Ok(SigningRight::Device(_))));
     assert!(matches!(told.sign(DEVICE, 11, 1000), Err(NoRight::Ended { .. })), "the end is outside");
-    // Renewed, then shortened: the last word counts from its block on.
+    // Renewed, then shortened: the last change counts from its block on.
     told.tell(20, Event::Lent { owner: OWNER, device: DEVICE, until: Some(Timestamp::from_seconds(2000)) });
     assert!(told.sign(DEVICE, 19, 1500).is_err() && told.sign(DEVICE, 20, 1500).is_ok());
     told.tell(25, Event::Lent { owner: OWNER, device: DEVICE, until: Some(Timestamp::from_seconds(1600)) });
@@ -159,7 +159,7 @@ fn a_gateway_demands_more_than_an_own_site_and_neither_serves_the_suspended() {
     assert_eq!(shared_with(&told.directory, READER).len(), 1);
     told.tell(22, Event::Revoked { owner: OWNER, grantee: READER, epoch: 2, token: Token([6; 32]) });
     assert_eq!(told.read(None, Policy::OwnSite), refused);
-    // By the later of clock and block time, a grant that runs out there has run out.
+    // By the later of clock and block time, a grant that expires there has expired.
     let far = u64::MAX / 2_000_000_000;
     told.grant(30, Some(Timestamp::from_seconds(far)), Scope::All);
     let late = Some(BlockRef { number: 90, hash: Hash([0; 32]), timestamp: far });

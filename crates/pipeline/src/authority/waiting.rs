@@ -1,21 +1,22 @@
-//! What nobody here anchors: records whose signer may not sign for its owner now. They wait, and go on by themselves.
+//! Records that nobody here anchors, because their signer may not sign for its owner now. They wait, and continue by
+//! themselves.
 
 use super::signing::{Moment, NoRight, may_sign};
 use crate::model::Address;
 use crate::pipeline::{Network, PipelineError, Plant};
 use crate::store::WaitingSigner;
 
-/// Holds back what `keeper` would anchor although its signer may not sign now, and lets go what waited for a right that
-/// is back. To be called before anything is anchored.
+/// Holds back what `keeper` would anchor although its signer may not sign now, and releases what waited for a right
+/// that is back. To be called before anything is anchored.
 ///
 /// # Errors
-/// Of the ledger; the next call does what is left.
+/// Errors of the ledger; the next call does what is left.
 pub fn settle_waiting(plant: &Plant, network: &Network, keeper: Address) -> Result<(), PipelineError> {
     for waiting in plant.ledger.waiting_signers(keeper)? {
         let now = Moment::newest(network.directory.now());
         match may_sign(&network.directory, waiting.owner, waiting.signer, now) {
             Ok(_) if waiting.held => free(plant, keeper, waiting)?,
-            // Before an owner is registered its records wait for that as all others do.
+            // Before an owner is registered its records wait for that, like all others.
             Ok(_) | Err(NoRight::Unregistered { .. }) => {}
             Err(why) if waiting.ready => hold(plant, keeper, waiting, &why)?,
             Err(_) => {}
@@ -32,7 +33,7 @@ fn hold(plant: &Plant, keeper: Address, waiting: WaitingSigner, why: &NoRight) -
             more => held += more,
         }
     }
-    // What is captured meanwhile joins those that wait; that is told once.
+    // Messages captured meanwhile join the waiting ones; this is reported once.
     if held > 0 && !waiting.held {
         plant.observer.alert(true, format!("records wait, kept and not anchored: {why}"));
     }

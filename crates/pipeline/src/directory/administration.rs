@@ -1,4 +1,4 @@
-//! What the administrator of the contract decided, as far as its events tell.
+//! The decisions of the contract's administrator, as far as its events show.
 
 use std::collections::BTreeSet;
 
@@ -8,12 +8,12 @@ use super::Told;
 use crate::chain::Event;
 use crate::model::{Address, Hash, Timestamp};
 
-/// A lost account and who continues its work.
+/// A lost account and its successor.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Succession {
-    /// The account whose key is lost or stolen; suspended for good.
+    /// The account whose key is lost or stolen; suspended permanently.
     pub lost: Address,
-    /// The account that continues.
+    /// The successor.
     pub successor: Address,
     /// Block in which the administrator named it.
     pub block: u64,
@@ -21,16 +21,16 @@ pub struct Succession {
     pub transaction: Hash,
 }
 
-/// A succession that waits.
+/// A pending succession.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Proposal {
     /// The account whose key is said to be lost or stolen.
     pub lost: Address,
-    /// The account that is to continue.
+    /// The proposed successor.
     pub successor: Address,
-    /// Who may stop it, besides the administrator; `None` where its owner had named nobody.
+    /// Who may stop it, besides the administrator; `None` if its owner had named nobody.
     pub recovery: Option<Address>,
-    /// It can be completed from then on.
+    /// When it can be completed.
     pub due: Timestamp,
     /// Block in which the administrator proposed it.
     pub block: u64,
@@ -48,8 +48,8 @@ pub struct Recovery {
 }
 
 impl Recovery {
-    /// After another naming, which takes effect at `from`, `delay` seconds after it was made. One that was read before
-    /// changes nothing.
+    /// After another account was named, effective at `from`, `delay` seconds after it was named. One that was read
+    /// before changes nothing.
     pub(super) fn named(known: Option<Self>, next: Option<Address>, from: Timestamp, delay: u64) -> Self {
         let made = Timestamp::from_seconds(from.seconds().saturating_sub(delay));
         match known {
@@ -59,35 +59,35 @@ impl Recovery {
         }
     }
 
-    /// Who may stop a succession that is proposed at `now`.
+    /// Who may stop a succession proposed at `now`.
     pub fn in_effect(&self, now: Timestamp) -> Option<Address> {
         if now >= self.from { self.next } else { self.current }
     }
 }
 
-/// The administrator and what was decided.
+/// The administrator and its decisions.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Administration {
-    /// Who administers; `None` before the first event.
+    /// The administrator; `None` before the first event.
     pub administrator: Option<Address>,
-    /// Who is to administer next, once it accepts.
+    /// The nominated administrator, until it accepts.
     pub nominee: Option<Address>,
     /// Whether anyone may register.
     pub open: bool,
-    /// Whether all changes are stopped but those that take rights away, without end (first revision).
+    /// Whether all changes except those that take rights away are paused, with no end (first revision).
     pub paused: bool,
-    /// Until when they are stopped, or were last; `None` = they never were.
+    /// Until when they are or were last paused; `None` = never.
     #[serde(default)]
     pub paused_until: Option<Timestamp>,
-    /// How long a succession waits, seconds; `None` = it does not (first revision).
+    /// The delay of a succession, seconds; `None` = no delay (first revision).
     #[serde(default)]
     pub delay: Option<u64>,
-    /// Successions that wait, oldest first.
+    /// Pending successions, oldest first.
     #[serde(default)]
     pub proposals: Vec<Proposal>,
-    /// Accounts whose changes are stopped.
+    /// Suspended accounts.
     pub suspended: BTreeSet<Address>,
-    /// Successors named, oldest first.
+    /// Named successors, oldest first.
     pub successions: Vec<Succession>,
 }
 
@@ -127,16 +127,16 @@ impl Administration {
         }
     }
 
-    /// Whether all changes are stopped at `now` but those that take rights away.
+    /// Whether all changes except those that take rights away are paused at `now`.
     pub fn is_paused(&self, now: Timestamp) -> bool {
         self.paused || self.paused_until.is_some_and(|until| now < until)
     }
 
-    /// Who continues the work of `account`, at the end of the line; `None` where no successor was named.
+    /// The last successor of `account` in the line; `None` if none was named.
     pub fn successor(&self, account: Address) -> Option<Address> {
         let mut found = None;
         let mut current = account;
-        // The contract lets no circle come about; the bound holds whatever a chain says.
+        // The contract prevents cycles; the limit holds whatever a chain says.
         for _ in 0..=self.successions.len() {
             let Some(next) = self.successions.iter().rev().find(|named| named.lost == current) else { break };
             current = next.successor;
@@ -171,7 +171,7 @@ mod tests {
         told(&mut administration, 3, Event::Succeeded { lost: a, successor: d });
         assert_eq!((administration.successor(a), administration.successor(b)), (Some(d), Some(c)), "the last word");
         assert!(administration.suspended.contains(&a) && !administration.suspended.contains(&c));
-        // No contract of ours says this; it must end all the same.
+        // No contract of ours says this; the search must end all the same.
         told(&mut administration, 4, Event::Succeeded { lost: d, successor: a });
         assert!(administration.successor(a).is_none_or(|found| found != a));
     }

@@ -1,4 +1,4 @@
-//! A grant, as its events made it. Its envelopes lie in the ledger.
+//! A grant, as built from its events. Its envelopes are in the ledger.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,13 +7,13 @@ use std::collections::BTreeMap;
 use super::Told;
 use crate::model::{GrantTerms, Hash, Timestamp};
 
-/// So many epochs of a grant are held in memory, the newest ones; all others are asked of the ledger.
+/// This many of a grant's newest epochs are held in memory; all others are read from the ledger.
 const EPOCHS_HELD: usize = 8;
 
-/// A grant was given a later end.
+/// An extension of a grant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Extension {
-    /// Its end since then; `None` = no end.
+    /// Its end from then on; `None` = no end.
     pub expiry: Option<Timestamp>,
     /// Block of the extension.
     pub block: u64,
@@ -22,7 +22,7 @@ pub struct Extension {
 /// A grant.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Granted {
-    /// The terms at the grant, as its envelopes repeat them; for its end see [`Granted::expiry`].
+    /// The terms of the grant, as its envelopes repeat them; for its end see [`Granted::expiry`].
     pub terms: GrantTerms,
     /// The last extension.
     pub extended: Option<Extension>,
@@ -32,14 +32,14 @@ pub struct Granted {
     pub transaction: Hash,
     /// The epoch that began with its revocation.
     pub revoked: Option<u64>,
-    /// Place of the grant among the block's events.
+    /// Index of the grant among the block's events.
     place: u64,
     /// The newest epochs that have an envelope, with the block of the newest one.
     wrapped: BTreeMap<u64, u64>,
 }
 
 impl Granted {
-    /// By its event; what it renews had envelopes already.
+    /// From its event; a grant that it renews already had envelopes.
     pub(super) fn of(terms: GrantTerms, told: &Told, renewed: Option<&Self>) -> Self {
         Self {
             terms,
@@ -52,12 +52,12 @@ impl Granted {
         }
     }
 
-    /// Where its event stands on the chain.
+    /// The position of its event on the chain.
     pub(super) fn place(&self) -> (u64, u64) {
         (self.block, self.place)
     }
 
-    /// When it ends, extensions included; `None` = no end.
+    /// When it ends, including extensions; `None` = never.
     pub fn expiry(&self) -> Option<Timestamp> {
         self.extended.map_or(self.terms.expiry, |extended| extended.expiry)
     }
@@ -67,7 +67,7 @@ impl Granted {
         self.revoked.is_none() && self.expiry().is_none_or(|expiry| expiry > now)
     }
 
-    /// How it stands at `now`.
+    /// Its state at `now`.
     pub fn state(&self, now: Timestamp) -> GrantState {
         match (self.revoked, self.is_active(now)) {
             (Some(_), _) => GrantState::Revoked,
@@ -76,17 +76,17 @@ impl Granted {
         }
     }
 
-    /// Whether it has an envelope of an epoch, one of the newest that it has any of.
+    /// Whether it has an envelope for an epoch, one of the newest with any.
     pub fn is_wrapped(&self, epoch: u64) -> bool {
         self.wrapped.contains_key(&epoch)
     }
 
-    /// Whether it has an envelope of such an epoch that was made in this block or later.
+    /// Whether it has an envelope for such an epoch that was made in this block or later.
     pub fn is_wrapped_since(&self, epoch: u64, block: u64) -> bool {
         self.wrapped.get(&epoch).is_some_and(|newest| *newest >= block)
     }
 
-    /// How many entries it is in memory.
+    /// The number of its entries in memory.
     #[cfg(test)]
     pub(super) fn held(&self) -> usize {
         1 + self.wrapped.len()
@@ -101,7 +101,7 @@ impl Granted {
     }
 }
 
-/// How a grant stands.
+/// The state of a grant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GrantState {
@@ -109,7 +109,7 @@ pub enum GrantState {
     Active,
     /// Its end has come.
     Expired,
-    /// Its owner took it back.
+    /// Its owner revoked it.
     Revoked,
 }
 

@@ -1,5 +1,5 @@
-//! The directory in the ledger: each event as it is kept, the directory read back from those that stand, and what only
-//! the others tell: revoked grants, envelopes, tokens of epochs that are over.
+//! The directory in the ledger: each event as stored, the directory rebuilt from the current ones, and what only the
+//! others show: revoked grants, envelopes, tokens of past epochs.
 
 use std::collections::BTreeMap;
 
@@ -15,17 +15,17 @@ use crate::store::{KeptEnvelope, KeptRight, Ledger, RightEvent, RightKind, Store
 pub struct Told {
     /// Its block.
     pub block: u64,
-    /// Its place among the block's events.
+    /// Its index among the block's events.
     pub place: u64,
     /// Its transaction.
     pub transaction: Hash,
     /// What happened.
     pub event: Event,
-    /// Whether an identity that it brings proves itself.
+    /// Whether the identity in it has a valid proof.
     pub proven: bool,
 }
 
-/// How an event is written; the envelope lies beside it.
+/// The encoding of an event; the envelope is stored separately.
 #[derive(Serialize, Deserialize)]
 struct Written {
     transaction: Hash,
@@ -34,7 +34,7 @@ struct Written {
 }
 
 impl Told {
-    /// As the ledger keeps it.
+    /// As stored in the ledger.
     pub fn to_row(&self) -> RightEvent {
         let mut event = self.event.clone();
         let envelope = match &mut event {
@@ -64,10 +64,10 @@ impl Told {
     }
 }
 
-/// Reads a blank directory back from the ledger; `false` where nothing was kept of its contract, or it cannot be read.
+/// Fills an empty directory from the ledger; `false` if nothing was stored of its contract, or it cannot be read.
 ///
 /// # Errors
-/// Of the ledger.
+/// Errors of the ledger.
 pub fn read_back(ledger: &Ledger, directory: &Directory) -> Result<bool, StoreError> {
     let Some(standing) = ledger.standing_rights(directory.domain())? else { return Ok(false) };
     let told: Option<Vec<Told>> = standing.events.iter().map(Told::from_row).collect();
@@ -79,18 +79,18 @@ pub fn read_back(ledger: &Ledger, directory: &Directory) -> Result<bool, StoreEr
     Ok(true)
 }
 
-/// Keeps what a directory was told; what is kept already is passed over.
+/// Stores events applied to a directory; those already stored are skipped.
 ///
 /// # Errors
-/// Of the ledger: then nothing more is kept.
+/// Errors of the ledger; then nothing more is stored.
 pub fn keep(ledger: &Ledger, directory: &Directory, told: &[Told]) -> Result<(), StoreError> {
     ledger.keep_rights(directory.domain(), told.iter().map(Told::to_row).collect())
 }
 
-/// The grants that an account gave or received, revoked ones too, oldest first.
+/// The grants that an account gave or received, including revoked ones, oldest first.
 ///
 /// # Errors
-/// Of the ledger.
+/// Errors of the ledger.
 pub fn history(ledger: &Ledger, directory: &Directory, account: Address) -> Result<Vec<Granted>, StoreError> {
     let mut revoked: BTreeMap<(Address, Address, u64), Granted> = BTreeMap::new();
     for row in ledger.revoked_grants(directory.domain(), account)? {
@@ -117,11 +117,11 @@ pub fn history(ledger: &Ledger, directory: &Directory, account: Address) -> Resu
     Ok(all)
 }
 
-/// The envelopes of a grant, the newest epoch first. Of each epoch those are given that may open: the newest, which was
-/// made for new keys of the grantee, and the first, which may carry keys of earlier epochs too.
+/// The envelopes of a grant, the newest epoch first. For each epoch, those that may open are returned: the newest, made
+/// for the grantee's latest keys, and the first, which may carry keys of earlier epochs too.
 ///
 /// # Errors
-/// Of the ledger.
+/// Errors of the ledger.
 pub fn envelopes(ledger: &Ledger, directory: &Directory, grant: &Granted) -> Result<Vec<KeptEnvelope>, StoreError> {
     let terms = &grant.terms;
     let all = ledger.envelopes_between(directory.domain(), terms.owner, terms.grantee, grant.revoked)?;
@@ -139,7 +139,7 @@ pub fn envelopes(ledger: &Ledger, directory: &Directory, grant: &Granted) -> Res
 /// The token that an account registered for an epoch.
 ///
 /// # Errors
-/// Of the ledger.
+/// Errors of the ledger.
 pub fn token(ledger: &Ledger, directory: &Directory, owner: Address, epoch: u64) -> Result<Option<Token>, StoreError> {
     let now = directory.with_account(owner, |account| {
         account.filter(|account| account.epoch == epoch).and_then(|account| account.token)
@@ -150,7 +150,7 @@ pub fn token(ledger: &Ledger, directory: &Directory, owner: Address, epoch: u64)
 /// Whether an account ever registered this token.
 ///
 /// # Errors
-/// Of the ledger.
+/// Errors of the ledger.
 pub fn has_token(ledger: &Ledger, directory: &Directory, owner: Address, token: Token) -> Result<bool, StoreError> {
     let now = directory.with_account(owner, |account| account.is_some_and(|account| account.token == Some(token)));
     Ok(now || ledger.ever_had_token(directory.domain(), owner, token)?)

@@ -1,5 +1,5 @@
-//! The directory that the ledger gives back is the one that all events make, whatever was taken back meanwhile; and what
-//! a stranger begins and ends over and over leaves nothing in memory.
+//! The directory rebuilt from the ledger equals the one built from all events, whatever was undone meanwhile; and what
+//! a stranger begins and ends repeatedly leaves nothing in memory.
 
 use proptest::prelude::*;
 
@@ -24,7 +24,7 @@ fn state_of(directory: &Directory) -> State {
     State { applied: None, ..directory.state.read().expect("whole").clone() }
 }
 
-/// One thing that somebody does; accounts are numbers.
+/// One act; accounts are numbers.
 #[derive(Debug, Clone)]
 enum Act {
     Grant(u8, u8, Option<u64>),
@@ -39,7 +39,7 @@ enum Act {
     Restore(u8),
     Succeed(u8, u8),
     Name(u8, u8),
-    /// So many of the newest blocks are replaced.
+    /// This many of the newest blocks are replaced.
     Replace(u64),
 }
 
@@ -63,7 +63,7 @@ fn act() -> impl Strategy<Value = Act> {
     ]
 }
 
-/// A grant as the plain story has it.
+/// A grant in the simple model.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Plain {
     terms: GrantTerms,
@@ -73,7 +73,7 @@ struct Plain {
     envelopes: Vec<(u64, Vec<u8>)>,
 }
 
-/// What stands on the chain: all its events, and what they say in the plainest way.
+/// The chain in the simple model: all its events, and their meaning.
 #[derive(Default)]
 struct Story {
     events: Vec<EventAt>,
@@ -94,7 +94,7 @@ impl Story {
         Token(self.fresh().try_into().expect("32 bytes"))
     }
 
-    /// Bytes that were never there before.
+    /// Bytes never used before.
     fn fresh(&mut self) -> Vec<u8> {
         self.made += 1;
         [self.made.to_be_bytes(); 4].concat()
@@ -136,7 +136,7 @@ impl Story {
         all
     }
 
-    /// What the contract would tell of an act; `None` where it would refuse.
+    /// The contract's event for an act; `None` if it would refuse.
     fn event(&mut self, act: &Act) -> Option<Event> {
         let stands = |story: &Self, owner: u8, grantee: u8| {
             let pair = (address(owner), address(grantee));
@@ -199,7 +199,7 @@ impl Story {
     }
 }
 
-/// A directory with its ledger, beside the story that it is told.
+/// A directory with its ledger, beside the simple model.
 struct Pair {
     story: Story,
     directory: Directory,
@@ -283,7 +283,7 @@ impl Pair {
     }
 }
 
-/// With the envelopes that are given: of each epoch the newest and the first, the newest epoch before the others.
+/// With the envelopes returned: for each epoch the newest and the first, the newest epoch first.
 fn shown(mut one: Plain) -> Plain {
     let mut epochs: Vec<u64> = one.envelopes.iter().map(|(epoch, _)| *epoch).collect();
     epochs.sort_unstable();
@@ -304,7 +304,7 @@ proptest! {
     #[test]
     fn what_the_ledger_gives_back_is_what_all_events_make(acts in prop::collection::vec((act(), any::<bool>()), 1..50)) {
         let mut pair = Pair::new();
-        // Nothing is added to a block that was read.
+        // Nothing is added to a block that was already read.
         let mut replaced = false;
         for (number, (act, in_new_block)) in acts.into_iter().enumerate() {
             if let Act::Replace(blocks) = act {
@@ -344,7 +344,7 @@ fn six_thousand_grants_and_revocations_of_a_stranger_leave_nothing_in_memory() {
         let token = pair.story.token();
         let events =
             vec![(granted(7, 8, round + 1), true), (Event::Revoked { owner, grantee, epoch: round + 2, token }, true)];
-        // The plain story of so many is long; here only memory counts.
+        // The simple model would be slow for so many; only memory matters here.
         for (event, in_new_block) in events {
             let at = pair.story.tell(event, in_new_block);
             assert!(pair.directory.apply(&at));
@@ -353,7 +353,7 @@ fn six_thousand_grants_and_revocations_of_a_stranger_leave_nothing_in_memory() {
     }
     assert_eq!(sizes, [1].into(), "the stranger's account alone");
     assert_eq!(pair.directory.epoch(address(7)), 6_001);
-    // The same with one grant that goes on: envelopes of all its epochs lie in the ledger.
+    // The same with one grant that continues: the envelopes of all its epochs are in the ledger.
     pair.directory.apply(&pair.story.tell(granted(7, 8, 6_001), true));
     for round in 0..6_000u64 {
         let (owner, grantee, epoch, token) = (address(7), address(8), 6_002 + round, pair.story.token());

@@ -1,4 +1,4 @@
-//! What becomes of records that a gateway took over.
+//! What happens to records that a gateway took over.
 
 use tokio::task::block_in_place;
 
@@ -13,11 +13,11 @@ use crate::store::{KeptStanding, RecordQuery, RecordRow};
 
 use super::{ForwardError, Forwarder};
 
-/// Records asked about at once; with their proofs they fit into a message.
+/// Records asked about at once; with their proofs they fit into one message.
 const PAGE: usize = 256;
 
 impl Forwarder {
-    /// Asks how the next page of submitted records stands, and moves those that the gateway decided about.
+    /// Asks for the standings of the next page of submitted records, and moves those that the gateway has decided.
     pub(super) async fn check(&mut self, client: &mut Client) -> Result<(), ForwardError> {
         let query = RecordQuery {
             state: Some(RecordState::Submitted),
@@ -43,15 +43,15 @@ impl Forwarder {
         self.moved |= !verified.is_empty();
         if let Some(proven) = stood.proven {
             let ledger = &self.plant.ledger;
-            // Before its state says so: what is verified without it is kept for ever.
+            // Before its state changes: a verified record without it would be kept forever.
             block_in_place(|| ledger.keep_proven(proven)).map_err(PipelineError::from)?;
         }
         block_in_place(|| self.decide(&verified, &unknown, &tampered))?;
         Ok(())
     }
 
-    /// How these records stand: signed, and of those that are said to be verified only such whose proof holds; from an
-    /// earlier gateway by its word.
+    /// The standings of these records: signed, and verified only those whose proof is valid; for an earlier gateway,
+    /// its unsigned statement.
     async fn standings(&mut self, client: &mut Client, rows: &[RecordRow]) -> Result<Standings, ForwardError> {
         let digests: Vec<Digest> = rows.iter().map(|row| row.digest).collect();
         if self.signs {
@@ -95,7 +95,7 @@ impl Forwarder {
         Standings { each, proven: (!proven.proofs.is_empty()).then_some(proven) }
     }
 
-    /// Whether a proof leads from the very bytes that are kept here to the root of a batch that was anchored.
+    /// Whether a proof leads from the very bytes stored here to the root of an anchored batch.
     fn holds(&self, row: &RecordRow, proof: &[u8]) -> bool {
         let Ok(AnchorProof { inclusion: Some(inclusion), .. }) = AnchorProof::parse(proof) else { return false };
         let Ok(Some(blob)) = self.plant.vault.get(row.digest) else { return false };
@@ -136,11 +136,11 @@ impl Forwarder {
         Ok(())
     }
 
-    /// Gives up ciphertext whose proof was checked and signed for long enough ago; on a tight disk the oldest of it before
-    /// its time. What no gateway has signed for stays.
+    /// Deletes ciphertext whose proof was checked and signed long enough ago; on a full disk the oldest of it early.
+    /// Whatever no gateway has signed for stays.
     ///
     /// # Errors
-    /// Of ledger and vault.
+    /// Errors of ledger and vault.
     pub fn tidy(&self) -> Result<(), PipelineError> {
         let time = u64::try_from(self.keeping.time.as_nanos()).unwrap_or(u64::MAX);
         let due = Timestamp(Timestamp::now().0.saturating_sub(time));
@@ -151,7 +151,7 @@ impl Forwarder {
             }
             self.give_up(&old)?;
         }
-        // A little more than the reserve, so that records are taken on.
+        // A little more than the reserve, so that records are still accepted.
         let wanted = self.keeping.reserve.saturating_add(self.keeping.reserve / 2);
         let home = self.trust_file.parent().unwrap_or(&self.trust_file);
         if wanted > 0 && free_bytes(home)? < wanted {
@@ -167,13 +167,13 @@ impl Forwarder {
     }
 
     fn give_up(&self, digests: &[Digest]) -> Result<(), PipelineError> {
-        // Deleted first: an end in between deletes again.
+        // Deleted first: after an interruption it is deleted again.
         self.plant.vault.discard(digests)?;
         Ok(self.plant.ledger.proven_gone(digests)?)
     }
 }
 
-/// How records stand, in their order, with the evidence for those that are verified.
+/// Standings, in order, with the evidence for the verified ones.
 struct Standings {
     each: Vec<Standing>,
     proven: Option<KeptStanding>,

@@ -20,7 +20,7 @@ const QUICK: Pace = Pace {
     retry: Duration::from_secs(3600),
 };
 
-/// A robot of alice, a gateway, and the line between them.
+/// A robot of alice's, a gateway, and the connection between them.
 struct Scene {
     stage: Stage,
     relay: Relay,
@@ -36,7 +36,7 @@ struct Scene {
     keep: Duration,
 }
 
-/// A forwarder at work; dropping it is as abrupt as an end of its process.
+/// A running forwarder; dropping it is as abrupt as a killed process.
 struct Work {
     link: watch::Receiver<Link>,
     refused: Arc<Mutex<HashSet<Digest>>>,
@@ -156,7 +156,7 @@ impl Scene {
         self.plant.vault.usage().expect("usage").entries
     }
 
-    /// The gateway anchors and verifies all that it has.
+    /// The gateway anchors and verifies everything it has.
     fn verify(&self) {
         self.stage.desk.state().standing = Some(Standing::Verified);
     }
@@ -271,14 +271,14 @@ async fn a_recalled_device_is_refused_and_its_records_wait() {
 async fn one_bad_record_does_not_hold_up_the_others() {
     let mut scene = Scene::new().await;
     scene.capture(10, 100);
-    // Of another owner: the gateway refuses it for itself, and with it the whole window.
+    // Of another owner: the gateway refuses it for its own sake, and with it the whole window.
     let bob = Member::new("bob", 0x31);
     let foreign = bob.record(&scene.device, 1, b"not alice's");
     let row = scene.row(&foreign);
     let digest = row.digest;
     scene.plant.vault.put(&[(digest, &foreign.blob)]).expect("kept");
     scene.plant.ledger.append(vec![row]).expect("acknowledged");
-    // Damaged where it lies: never sent.
+    // Damaged in the vault: never sent.
     let spoilt = scene.plant.ledger.in_state(None, RecordState::Stored, 1).expect("rows")[0].digest;
     scene.plant.vault.replace(spoilt, b"something else").expect("replaced");
     scene.capture(10, 100);

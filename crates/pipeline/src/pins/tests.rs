@@ -1,4 +1,4 @@
-//! Who is pinned, who is doubted, and what is said of it.
+//! Who is pinned, who is doubted, and what is reported about it.
 
 use std::path::Path;
 use std::time::Duration;
@@ -29,7 +29,7 @@ impl Desk {
         Self { pins, notes, ledger, numbers: std::cell::Cell::new(0) }
     }
 
-    /// A publisher that the master listed just now.
+    /// A publisher that the master has just listed.
     fn origin(&self, caller_id: &str, host: &str) -> Origin {
         self.numbers.set(self.numbers.get() + 1);
         Origin {
@@ -83,7 +83,7 @@ fn the_first_set_is_pinned_and_told_and_others_are_doubted_once() {
         Some(Doubt::Type)
     );
     assert_eq!((desk.alarms(), desk.audited("node forging"), desk.audited("pin on first use")), (4, 4, 2));
-    // Gone and back: no second alarm, and the pinned one goes on.
+    // Gone and back: no second alarm, and the pinned one continues.
     assert_eq!(desk.judge("/t", &desk.origin("/late", "h")), Some(Doubt::New));
     assert_eq!(desk.judge("/t", &desk.origin("/left", "h")), None);
     assert_eq!((desk.alarms(), desk.audited("node forging")), (4, 4));
@@ -206,7 +206,7 @@ fn a_flood_of_names_is_neither_a_flood_of_words_nor_of_rows() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
 
-    /// Whatever comes, only what was there at first, or was pinned, is ever trusted.
+    /// Whatever comes, only publishers that were there at first, or were pinned, are ever trusted.
     #[test]
     fn nobody_unpinned_is_trusted(claims in prop::collection::vec((0u8..4, 0u8..3, any::<bool>(), any::<bool>()), 1..40)) {
         let home = tempfile::tempdir().expect("folder");

@@ -1,4 +1,4 @@
-//! Quarantine records: complete, once, in the order of acknowledgement, and readable.
+//! Quarantine records: complete, without duplicates, in the order of acknowledgement, and readable.
 
 use std::sync::Arc;
 
@@ -92,7 +92,7 @@ fn every_topic_and_minute_is_counted_once_and_in_order() {
         let counted = held.iter().filter(|row| row.report == Some(*digest)).map(|row| row.record.digest);
         assert_eq!(counted.collect::<Vec<_>>(), digests);
     }
-    // Another order, another choice or another minute is another hash.
+    // Another order, another selection or another minute gives another hash.
     let of = |minute, digests: &[Digest]| {
         rolling(&plant, &domain, stream, TopicId([1; 16]), minute, digests.iter().copied())
     };

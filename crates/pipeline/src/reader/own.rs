@@ -1,4 +1,4 @@
-//! The contents of a reader's own record, whether or not the chain has it yet: what an import compares with.
+//! The contents of a reader's own record, whether or not it is on the chain yet, for an import to compare with.
 
 use super::Reader;
 use crate::crypto::{Anchor, Expected, OpenedRecord, open};
@@ -7,10 +7,10 @@ use crate::pipeline::PipelineError;
 use crate::store::RecordRow;
 
 impl Reader<'_> {
-    /// What this reader sealed in a record; `None` where its bytes are gone or do not open. Waits for ledger and vault.
+    /// What this reader sealed in a record; `None` if its bytes are gone or do not open. Waits for ledger and vault.
     ///
     /// # Errors
-    /// Of ledger and vault.
+    /// Errors of ledger and vault.
     pub fn own_contents(&self, row: &RecordRow) -> Result<Option<OpenedRecord>, PipelineError> {
         let stored = match self.plant.vault.get(row.digest)? {
             Some(blob) => Some(blob),

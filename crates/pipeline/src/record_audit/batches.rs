@@ -1,5 +1,5 @@
-//! Batches against the chain, both ways: what the ledger says of each must stand there, and what this home's accounts
-//! anchored there must lie in the ledger, chained root to root.
+//! Batches against the chain, in both directions: each of the ledger's must be there, and those that this home's
+//! accounts anchored there must be in the ledger, chained root to root.
 
 use std::collections::{HashMap, HashSet};
 
@@ -13,11 +13,11 @@ use crate::model::{Address, Digest, Hash};
 use crate::pipeline::proof::is_root_in;
 use crate::store::{AuditedBatch, Ledger, StoreError};
 
-/// Batches asked for at once.
+/// Batches requested at once.
 const PAGE: usize = 16;
 /// Blocks whose events are read at a time.
 const STRIDE: u64 = 2000;
-/// Nodes forget receipts of blocks further below the head than this.
+/// Nodes drop receipts of blocks further below the head than this.
 const RECEIPTS_KEPT: u64 = 100_000;
 
 /// Compares all batches.
@@ -77,7 +77,7 @@ async fn compare_page(
             Ok(Some(text)) => text,
             Err(error) => return Ok(Err(error)),
         };
-        // The chain may have been replaced below the look: what the ledger says now counts.
+        // The chain may have been replaced below us: what the ledger says now counts.
         let now = ledger.audit_batches(batch.key - 1, 1)?.pop().filter(|now| now.key == batch.key);
         if let Some(now) = now.filter(|now| *now != batch) {
             match differs(network, &now).await {
@@ -91,8 +91,8 @@ async fn compare_page(
     Ok(Ok(()))
 }
 
-/// What the chain says otherwise about a batch that the ledger has in a block: no contract that was in use then has it
-/// as the ledger does.
+/// How the chain contradicts a batch that the ledger has in a block: no contract in use at the time has it as the
+/// ledger does.
 async fn differs(network: &Network, batch: &AuditedBatch) -> Result<Option<String>, ChainError> {
     let mut told = None;
     for chain in network.chains_at(batch.block.unwrap_or(0)) {
@@ -113,7 +113,7 @@ async fn differs_from(chain: &Chain, batch: &AuditedBatch) -> Result<Option<Stri
         Some((_, count)) if count != batch.count => {
             return Ok(Some(format!("the chain has it over {count} records, the ledger over {}", batch.count)));
         }
-        // An anchor that was passed over is followed by another one of the same root.
+        // A skipped anchor is followed by another one of the same root.
         Some((found, _)) if found != block && !is_root_in(chain, account, batch.root, batch.count, block).await? => {
             return Ok(Some(format!("the chain has it in block {found}, the ledger in block {block}")));
         }
@@ -133,7 +133,7 @@ async fn differs_from(chain: &Chain, batch: &AuditedBatch) -> Result<Option<Stri
     }
 }
 
-/// Reads the chain's events for what this home's accounts anchored.
+/// Searches the chain's events for anchors by this home's accounts.
 async fn walk(
     ledger: &Ledger,
     network: &Network,
@@ -149,7 +149,7 @@ async fn walk(
     };
     let former = network.former.iter().map(|former| (&former.chain, former.until.min(head)));
     for (chain, last) in former.chain([(&network.chain, head)]) {
-        // Each contract has heads of its own.
+        // Each contract has its own heads.
         walk.previous.clear();
         let mut from = chain.pin().map_or(0, |pin| pin.deployed_at);
         while from <= last {
@@ -170,11 +170,11 @@ async fn walk(
     Ok(Ok(()))
 }
 
-/// What is kept between two stretches of the chain.
+/// State kept between two parts of the chain.
 struct Walk {
     own: HashSet<Address>,
     previous: HashMap<Address, Hash>,
-    /// The last block that a back-up knew which this ledger was restored from.
+    /// The last block known to the backup that this ledger was restored from.
     copied_at: Option<u64>,
     elsewhere: u64,
 }

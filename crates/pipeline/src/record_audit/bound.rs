@@ -1,13 +1,13 @@
-//! What hashing alone could do: SM3 over memory, on as many threads as the audit had.
+//! The limit set by hashing alone: SM3 over memory, on as many threads as the audit had.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::crypto::Provider;
 
-/// How long is measured.
+/// How long to measure.
 const SPAN: Duration = Duration::from_millis(120);
-/// Hashed at a time, bytes.
+/// Bytes hashed at a time.
 const PIECE: usize = 1 << 20;
 
 /// Megabytes (10^6) a second of SM3 on `threads` threads at once.

@@ -1,5 +1,5 @@
-//! Records: each row against its path, its batch and the chain; `deep` also what is stored of it (`stored`).
-//! One thread reads pages, as many as there are cores check them.
+//! Records: each row against its path, its batch and the chain; `deep` also against the stored bytes (`stored`). One
+//! thread reads pages, and one thread per core checks them.
 
 use std::collections::HashMap;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -18,35 +18,35 @@ use crate::crypto::IndexKey;
 use crate::model::{Address, Digest, RecordState};
 use crate::store::{AuditedRecord, StoreError};
 
-/// Rows of a page.
+/// Rows per page.
 const PAGE: usize = 512;
-/// Bytes that one piece of work may hold, unless a single record is larger.
+/// Bytes in one piece of work, unless a single record is larger.
 const PIECE: u64 = 4 << 20;
-/// Questions to the chain at once.
+/// Simultaneous queries to the chain.
 const AT_ONCE: usize = 32;
 /// The most threads.
 const MOST_THREADS: usize = 16;
 
-/// What is compared with what, the same for every record.
+/// What is compared, the same for every record.
 #[derive(Clone, Copy)]
 pub(super) struct Bench<'a> {
     pub plant: &'a Plant,
     pub network: Option<&'a Network>,
-    /// Whether there is a chain that could not be asked.
+    /// Whether there is a chain that could not be queried.
     pub blind: bool,
     pub deep: bool,
     /// Whether the vault can be asked for headers.
     pub headers: bool,
-    /// The first row that the index of tags knows.
+    /// The first row in the index of tags.
     pub first_indexed: u64,
-    /// What names are compared by.
+    /// The keys for comparing names.
     pub indices: Option<&'a HashMap<Address, IndexKey>>,
 }
 
-/// Where the chain has a record that was uploaded by itself.
+/// Where the chain has a record that was uploaded individually.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Uploaded {
-    /// It was not asked: the record is in a batch, in no block, or there is no chain.
+    /// It was not queried: the record is in a batch, in no block, or there is no chain.
     NotAsked,
     /// Nowhere.
     Nowhere,
@@ -56,7 +56,7 @@ pub(super) enum Uploaded {
 
 pub(super) type Looked = (AuditedRecord, Uploaded);
 
-/// Looks at every record; how long that took, and on how many threads.
+/// Examines every record; returns how long it took, and on how many threads.
 pub(super) fn compare(
     plant: &Plant,
     network: Option<&Network>,
@@ -93,7 +93,7 @@ pub(super) fn compare(
     Ok(Reading { seconds: begun.elapsed().as_secs_f64(), threads })
 }
 
-/// Whether headers can be read; that they cannot is told once.
+/// Whether headers can be read; if not, that is reported once.
 fn vault_answers(plant: &Plant, tally: &mut Tally) -> Result<bool, StoreError> {
     match plant.vault.fronts(&[Digest([0; 32])], 1) {
         Ok(_) => Ok(true),
@@ -106,9 +106,9 @@ fn vault_answers(plant: &Plant, tally: &mut Tally) -> Result<bool, StoreError> {
     }
 }
 
-/// Whether the index of tags leads anywhere that no header tells of.
+/// Whether the index of tags has entries that no header supports.
 fn compare_index(plant: &Plant, tally: &mut Tally) -> Result<(), StoreError> {
-    // Records whose bytes are not here tell nothing of their tags.
+    // Records whose bytes are not here reveal nothing about their tags.
     let strangers = plant.ledger.size_of_index(tally.last)?.saturating_sub(tally.indexed);
     if strangers > 0 && tally.unread == 0 {
         let text =
@@ -173,7 +173,7 @@ fn feed(
     Ok(())
 }
 
-/// Asks the chain about records that were uploaded by themselves.
+/// Asks the chain about records that were uploaded individually.
 async fn ask(plant: &Plant, chain: Option<&Network>, records: Vec<AuditedRecord>) -> (Vec<Looked>, Option<ChainError>) {
     let mut looked: Vec<Looked> = records.into_iter().map(|record| (record, Uploaded::NotAsked)).collect();
     let Some(network) = chain else { return (looked, None) };
@@ -202,13 +202,13 @@ async fn ask(plant: &Plant, chain: Option<&Network>, records: Vec<AuditedRecord>
     (looked, None)
 }
 
-/// Whether its own digest is on the chain, not its batch's root.
+/// Whether its own digest is on the chain, rather than its batch's root.
 fn stands_alone(record: &AuditedRecord) -> bool {
     let in_its_batch = record.place.as_ref().is_some_and(|place| place.block == record.row.block);
     record.row.block.is_some() && !in_its_batch
 }
 
-/// Pieces of work of a bounded size.
+/// Pieces of work of bounded size.
 fn cut(looked: Vec<Looked>) -> Vec<Vec<Looked>> {
     let mut pieces = vec![Vec::new()];
     let mut bytes = 0;
@@ -232,7 +232,7 @@ fn work(bench: Bench<'_>, waiting: &Mutex<Receiver<Vec<Looked>>>) -> Result<Tall
     loop {
         let next = waiting.lock().unwrap_or_else(PoisonError::into_inner).recv();
         let Ok(piece) = next else { break };
-        // After a failure the rest is taken and left, so that whoever reads does not wait for ever.
+        // After a failure the rest is received and dropped, so that the page reader does not wait forever.
         if failed.is_none() {
             failed = look(bench, &piece, &mut tally).err();
         }
@@ -240,7 +240,7 @@ fn work(bench: Bench<'_>, waiting: &Mutex<Receiver<Vec<Looked>>>) -> Result<Tall
     failed.map_or(Ok(tally), Err)
 }
 
-/// Looks at some records; `deep` also at their bytes, all of them read before the first is checked.
+/// Examines some records; `deep` also their bytes, all of them read before the first is checked.
 pub(super) fn look(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Result<(), StoreError> {
     for (record, uploaded) in piece {
         tally.records += 1;
@@ -266,7 +266,7 @@ pub(super) fn look(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Res
     }
 }
 
-/// Whether it is known as tampered because nothing of it is stored any more.
+/// Whether it is known as tampered because its bytes are no longer stored.
 fn is_missed(bench: Bench<'_>, record: &AuditedRecord) -> Result<bool, StoreError> {
     let known = record.row.state == RecordState::Tampered && record.row.deleted_at.is_none() && !record.has_copy;
     Ok(known && !bench.plant.vault.contains(record.row.digest)?)
@@ -276,7 +276,7 @@ pub(super) fn subject(record: &AuditedRecord) -> String {
     format!("record {} ({} {})", record.row.id, record.row.topic, record.row.seq)
 }
 
-/// What does not fit in a row, by itself and with its batch.
+/// Inconsistencies in a row, alone and with its batch.
 fn row_fault(bench: Bench<'_>, record: &AuditedRecord, uploaded: Uploaded) -> Option<String> {
     let row = &record.row;
     if row.state == RecordState::Tampered {

@@ -1,30 +1,30 @@
-//! What an audit found, as it is counted and as it is told.
+//! The findings of an audit, as counted and as reported.
 
 use serde::{Deserialize, Serialize};
 
 use crate::model::{ErrorKind, clean};
 
-/// Findings told one by one; the rest is counted.
+/// Findings listed individually; the rest are counted.
 const MOST_TOLD: usize = 100;
-/// Widest text of a finding, characters.
+/// The longest text of a finding, characters.
 const WIDEST: usize = 400;
 
-/// What sort of finding it is.
+/// The kind of finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FindingKind {
-    /// Something is there and is not what was written, anchored or signed.
+    /// Something differs from what was written, anchored or signed.
     Tampered,
-    /// Something that must be there is gone.
+    /// Something required is missing.
     Missing,
-    /// Numbers of a topic are not there.
+    /// Sequence numbers of a topic are missing.
     Gap,
-    /// A peer could not be asked.
+    /// A peer could not be queried.
     Unreachable,
 }
 
 impl FindingKind {
-    /// The word shown.
+    /// Its name on screen.
     pub fn word(self) -> &'static str {
         match self {
             Self::Tampered => "tampered",
@@ -38,9 +38,9 @@ impl FindingKind {
 /// One thing that is wrong.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RecordFinding {
-    /// What sort.
+    /// Its kind.
     pub kind: FindingKind,
-    /// About what: a record's id, a batch's root, a topic, `audit log`, `chain`.
+    /// Its subject: a record's id, a batch's root, a topic, `audit log`, `chain`.
     pub subject: String,
     /// What is wrong, cleaned.
     pub text: String,
@@ -49,51 +49,51 @@ pub struct RecordFinding {
 /// The answer to an audit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RecordAudit {
-    /// Whether nothing is wrong.
+    /// Whether there are no findings.
     pub ok: bool,
     /// Whether stored bytes and signatures were checked too.
     pub deep: bool,
-    /// Records looked at.
+    /// Records examined.
     pub records: u64,
     /// Stored bytes hashed (deep), or bytes of the messages.
     pub bytes: u64,
-    /// Things that are gone: stored bytes, rows, batches.
+    /// Missing items: stored bytes, rows, batches.
     pub missing: u64,
-    /// Things that are not what was written, anchored or signed.
+    /// Items that differ from what was written, anchored or signed.
     pub tampered: u64,
-    /// Numbers of topics that are not there.
+    /// Missing sequence numbers.
     pub gaps: u64,
     /// Batches compared.
     pub batches: u64,
-    /// Lines of the audit log whose hashes hold.
+    /// Lines of the audit log with correct hashes.
     pub audit_lines: u64,
-    /// Records that are on no chain yet.
+    /// Records not yet on any chain.
     pub pending: u64,
-    /// Records whose bytes were given up on purpose, with their word for it: discarded out of quarantine, deleted by
-    /// retention, handed over to a gateway.
+    /// Records whose bytes were deleted on purpose, with a statement to that effect: discarded from quarantine, deleted
+    /// by retention, handed over to a gateway.
     pub given_up: u64,
-    /// Records whose signature could not be checked: the signer's key is on no chain known here (deep).
+    /// Records whose signature could not be checked: the signer's key is not on any chain known here (deep).
     pub unchecked: u64,
-    /// How long it took.
+    /// The duration.
     pub seconds: f64,
-    /// Records a second, while records were looked at.
+    /// Records a second, while records were examined.
     pub records_per_second: f64,
-    /// Megabytes (10^6) a second, while records were looked at.
+    /// Megabytes (10^6) a second, while records were examined.
     pub megabytes_per_second: f64,
-    /// What SM3 alone does on as many threads, megabytes a second, measured in this run.
+    /// The speed of SM3 alone on as many threads, megabytes a second, measured in this run.
     pub sm3_megabytes_per_second: f64,
-    /// Threads that looked.
+    /// Threads used.
     pub threads: usize,
-    /// What is wrong, the first hundred.
+    /// The first hundred findings.
     pub findings: Vec<RecordFinding>,
-    /// Further findings.
+    /// The number of further findings.
     pub findings_left_out: u64,
-    /// What was left out of the audit, and why that is no finding.
+    /// What was left out of the audit, and why that is not a finding.
     pub notes: Vec<String>,
 }
 
 impl RecordAudit {
-    /// The worst that was found, as a kind of error; `None` where nothing was.
+    /// The worst finding, as a kind of error; `None` if there was none.
     pub fn worst(&self) -> Option<ErrorKind> {
         if self.tampered + self.missing + self.gaps > 0 {
             Some(ErrorKind::Tampered)
@@ -105,7 +105,7 @@ impl RecordAudit {
     }
 }
 
-/// What is counted while an audit runs.
+/// Counters of a running audit.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Tally {
     pub records: u64,
@@ -116,15 +116,15 @@ pub(super) struct Tally {
     pub pending: u64,
     pub given_up: u64,
     pub unchecked: u64,
-    /// Entries of the index of tags that headers tell of.
+    /// Entries of the index of tags supported by headers.
     pub indexed: u64,
-    /// Records of before the index, with tags.
+    /// Records from before the index, with tags.
     pub not_indexed: u64,
     /// Records whose names could not be compared.
     pub unnamed: u64,
     /// Records whose headers are not here.
     pub unread: u64,
-    /// The highest number of a row.
+    /// The highest row number.
     pub last: u64,
     tampered: u64,
     missing: u64,
@@ -133,7 +133,7 @@ pub(super) struct Tally {
     notes: Vec<String>,
 }
 
-/// How long reading the records took, and how many threads did it.
+/// How long reading the records took, and on how many threads.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Reading {
     pub seconds: f64,
@@ -141,7 +141,7 @@ pub(super) struct Reading {
 }
 
 impl Tally {
-    /// Counts a finding, and tells it while there is room.
+    /// Counts a finding, and lists it while there is room.
     pub fn find(&mut self, kind: FindingKind, subject: &str, text: &str) {
         match kind {
             FindingKind::Tampered => self.tampered += 1,
@@ -154,12 +154,12 @@ impl Tally {
         }
     }
 
-    /// Says what was left out.
+    /// Reports what was left out.
     pub fn note(&mut self, text: &str) {
         self.notes.push(clean(text, WIDEST));
     }
 
-    /// Adds what another thread counted.
+    /// Adds another thread's counters.
     pub fn join(&mut self, other: Self) {
         self.records += other.records;
         self.bytes += other.bytes;
@@ -181,7 +181,7 @@ impl Tally {
         self.notes.extend(other.notes);
     }
 
-    /// What was found, for the console's scrubber and the report.
+    /// The findings, for the console's scrubber and the report.
     pub fn findings(&self) -> &[RecordFinding] {
         &self.findings
     }

@@ -1,5 +1,5 @@
-//! The scrubber: some records at a time are re-hashed as a deep audit would, from a cursor that the ledger keeps;
-//! what is found becomes `tampered` and is told.
+//! The scrubber: a few records at a time are re-hashed like in a deep audit, from a cursor stored in the ledger;
+//! damaged ones become `tampered` and are reported.
 
 use super::records::{Bench, Uploaded, look};
 use super::report::Tally;
@@ -7,31 +7,31 @@ use super::{Network, Plant};
 use crate::model::{Digest, RecordState, Timestamp};
 use crate::store::{AuditedRecord, StoreError};
 
-/// The row behind which the next round begins.
+/// The row after which the next round begins.
 const CURSOR: &str = "scrub-cursor";
 
-/// What a round did.
+/// The result of a round.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Scrubbed {
     /// Records re-hashed.
     pub records: u64,
     /// Their bytes.
     pub bytes: u64,
-    /// Records that are tampered or gone.
+    /// Records that are tampered or missing.
     pub bad: u64,
 }
 
-/// Re-hashes up to `most` verified records behind the cursor, and moves it; at the end it begins anew.
+/// Re-hashes up to `most` verified records after the cursor, and moves it; at the end it starts over.
 ///
 /// # Errors
-/// Of ledger and vault: then the cursor stays.
+/// Errors of ledger and vault; then the cursor stays.
 pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scrubbed, StoreError> {
     let after = plant.ledger.setting(CURSOR)?.and_then(|text| text.parse().ok()).unwrap_or(0);
     let first_indexed = plant.ledger.first_indexed()?;
     let page = plant.ledger.audit_page(after, Timestamp(0), most)?;
     let mut done = Scrubbed::default();
     let mut bad = Vec::new();
-    // A row that cannot be read is the audit's to tell: it has no digest to mark.
+    // An unreadable row is reported by the audit: it has no digest to mark.
     for record in page.records.into_iter().flatten().filter(|record| record.row.state == RecordState::Verified) {
         if let Some(digest) = scrub(plant, network, (record, first_indexed), &mut done)? {
             bad.push(digest);

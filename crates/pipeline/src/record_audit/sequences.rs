@@ -1,15 +1,15 @@
-//! Numbers of topics: from 1, without holes, wherever this home gave them or anchors them; and the times beside them.
+//! Sequence numbers of topics: from 1, without gaps, wherever this home assigned them or anchors them; and their times.
 
 use super::report::{FindingKind, Tally};
 use super::{Plant, Scope};
 use crate::model::clean;
 use crate::store::StoreError;
 
-/// Holes told of one topic.
+/// The most gaps listed for one topic.
 const MOST_HOLES: usize = 5;
 
-/// Looks for numbers that are not there. Records that a gateway shows this home are only those that it may see, so
-/// their numbers have holes by right.
+/// Searches for missing numbers. A gateway shows this home only the records it may see, so gaps in their numbers are
+/// normal.
 pub(super) fn compare(plant: &Plant, scope: &Scope, tally: &mut Tally) -> Result<(), StoreError> {
     for sequence in plant.ledger.sequences()? {
         let complete = sequence.keeper.is_none_or(|keeper| scope.accounts.contains(&keeper));

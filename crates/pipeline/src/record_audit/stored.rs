@@ -1,5 +1,5 @@
-//! What is stored of records: bytes against digest and signature, the header against the row, and where nothing is
-//! stored any more, whether that was told.
+//! The stored form of records: bytes against digest and signature, the header against the row, and, if nothing is
+//! stored any more, whether that is accounted for.
 
 use super::records::{Bench, Looked, subject};
 use super::report::{FindingKind, Tally};
@@ -9,7 +9,7 @@ use crate::model::{Digest, Header, PublicKey, RecordKind, RecordState};
 use crate::pipeline::{PipelineError, authority, columns};
 use crate::store::{AuditedRecord, RecordRow, StoreError};
 
-/// Looks at the stored bytes of some records: read in one go, and their digests taken side by side.
+/// Checks the stored bytes of some records: read at once, with their digests computed in parallel.
 pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Result<(), StoreError> {
     let digests: Vec<Digest> = piece.iter().map(|(record, _)| record.row.digest).collect();
     let mut found = Vec::with_capacity(piece.len());
@@ -54,7 +54,7 @@ pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -
 
 /// Nothing is stored under a digest: whether that is as it should be.
 fn gone(bench: Bench<'_>, record: &AuditedRecord, tally: &mut Tally) -> Result<(), StoreError> {
-    // It may have been given up, or come into the vault, since its row was read.
+    // It may have been deleted, or arrived in the vault, since its row was read.
     let Some(now) = bench.plant.ledger.record(record.row.digest)? else { return Ok(()) };
     let handed_over = now.state == RecordState::Verified && bench.network.is_none() && !bench.blind;
     if now.state == RecordState::Dropped || handed_over {
@@ -70,8 +70,8 @@ fn gone(bench: Bench<'_>, record: &AuditedRecord, tally: &mut Tally) -> Result<(
     Ok(())
 }
 
-/// What does not fit where retention gave a record up: a retention record on the chain must tell of it, and what was
-/// kept of it (header, signature) must still be its owner's word.
+/// Inconsistencies after retention deleted a record: a retention record on the chain must name it, and what was kept of
+/// it (header, signature) must still be its owner's.
 fn retention_fault(
     bench: Bench<'_>,
     row: &RecordRow,
@@ -95,7 +95,7 @@ fn retention_fault(
     Ok((!valid).then(|| "its signature is not its signer's".to_owned()))
 }
 
-/// The key that could sign the record; `None` where that is not known here.
+/// The key that could have signed the record; `None` if that is not known here.
 fn signer_of(bench: Bench<'_>, row: &RecordRow) -> Result<Option<PublicKey>, StoreError> {
     match bench.network {
         Some(network) => match authority::key_of(bench.plant, network, row) {
@@ -114,7 +114,7 @@ enum Fault {
     Text(String),
 }
 
-/// What does not fit in the stored bytes; `checked` is what their check said, where the signer's key is known.
+/// Inconsistencies in the stored bytes; `checked` is the result of their check, if the signer's key is known.
 fn bytes_fault(bench: Bench<'_>, record: &AuditedRecord, blob: &[u8], checked: Option<Checked>) -> Fault {
     let row = &record.row;
     let altered = |what: &str| Fault::Text(format!("its stored bytes were altered: {what}"));
@@ -126,7 +126,7 @@ fn bytes_fault(bench: Bench<'_>, record: &AuditedRecord, blob: &[u8], checked: O
         Some(Err(CryptoError::DamagedRecord(error))) => return altered(&error.to_string()),
         Some(Err(_)) => return altered("another digest"),
         None if Digest(bench.plant.provider.sm3(&[blob])) != row.digest => return altered("another digest"),
-        // What is not verified yet is passed over by the verifier, and anchored anew.
+        // A record not verified yet is skipped by the verifier, and anchored again.
         None if row.block.is_some() && row.state == RecordState::Verified && bench.network.is_some() => {
             return Fault::Text("its signer had no right to sign for its owner at the anchoring block".to_owned());
         }
@@ -147,14 +147,14 @@ fn header_fault(bench: Bench<'_>, row: &RecordRow, header: &Header) -> Option<&'
     columns::header_difference(row, header).or((!accepted).then_some("network"))
 }
 
-/// Looks at the headers of some records, without a key and without a look at their bytes: what a row says is what its
-/// record says.
+/// Checks the headers of some records, without a key and without reading their bodies: a row must say what its record
+/// says.
 pub(super) fn look_at_headers(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Result<(), StoreError> {
     let digests: Vec<Digest> = piece.iter().map(|(record, _)| record.row.digest).collect();
     for ((record, _), front) in piece.iter().zip(bench.plant.vault.fronts(&digests, columns::FRONT)?) {
         let front = match front {
             None if record.has_copy => bench.plant.ledger.local_copy(record.row.digest)?,
-            // What is missing altogether is told by the deep look.
+            // What is missing altogether is reported by the deep check.
             None => bench.plant.ledger.retained(record.row.digest)?.map(|retained| retained.header),
             front => front,
         };
@@ -172,7 +172,7 @@ pub(super) fn look_at_headers(bench: Bench<'_>, piece: &[Looked], tally: &mut Ta
     Ok(())
 }
 
-/// Holds a row and the index of tags against the header.
+/// Compares a row and the index of tags with the header.
 fn compare(bench: Bench<'_>, record: &AuditedRecord, header: &Header, tally: &mut Tally) -> Result<(), StoreError> {
     if let Some(field) = header_fault(bench, &record.row, header) {
         tally.find(FindingKind::Tampered, &subject(record), &format!("its row and its header differ in their {field}"));
@@ -181,7 +181,7 @@ fn compare(bench: Bench<'_>, record: &AuditedRecord, header: &Header, tally: &mu
     compare_tags(bench, record, header, tally)
 }
 
-/// Holds the names in a row against their pseudonyms in the header, where these can be made.
+/// Compares the names in a row with their pseudonyms in the header, if these can be computed.
 fn compare_names(bench: Bench<'_>, row: &RecordRow, header: &Header, tally: &mut Tally) {
     let Some(indices) = bench.indices else { return };
     match indices.get(&row.owner).map(|index| columns::name_difference(row, header, index)) {
@@ -194,7 +194,7 @@ fn compare_names(bench: Bench<'_>, row: &RecordRow, header: &Header, tally: &mut
     }
 }
 
-/// Whether the record is found by every id of its header, but for those kept before there was an index of them.
+/// Whether the record is found by every id in its header, except for those stored before there was an index of them.
 fn compare_tags(
     bench: Bench<'_>,
     record: &AuditedRecord,

@@ -1,4 +1,4 @@
-//! A recorder tells its birth and its numbers while they change, and says which recorder it follows.
+//! A recorder states its birth and its numbers while they change, and names its predecessor.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use crate::store::RecordQuery;
 
 const NOW: Duration = Duration::ZERO;
 
-/// A home at work.
+/// A running home.
 struct Home {
     plant: Plant,
     owner: Owner,
@@ -37,7 +37,7 @@ impl Home {
         statement::state(&self.plant, self.owner.address, &self.keys(), said).expect("kept").expect("covered");
     }
 
-    /// Types and bodies of what the recorder said of itself, oldest first.
+    /// Types and bodies of the recorder's statements, oldest first.
     fn told(&self) -> Vec<(String, Vec<u8>, Digest)> {
         let query = RecordQuery { topic: Some(TOPIC.to_owned()), ..RecordQuery::default() };
         let rows = self.plant.ledger.list(&query).expect("listed").rows;

@@ -1,5 +1,5 @@
-//! What a round of messages becomes, settled in their order before anything is sealed: keys, numbers, definitions that
-//! go first, and what is tried to be compressed. What is settled here no longer depends on who seals what when.
+//! The plan of a round of messages, made in order before anything is sealed: keys, numbers, definitions that go first,
+//! and what to try compressing. The result no longer depends on which thread seals what when.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -10,10 +10,10 @@ use crate::pipeline::packing::{Packing, Try};
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::{PipelineError, Plant};
 
-/// Definitions whose hash is remembered at most.
+/// The most definition hashes remembered.
 const MOST_HASHES: usize = 1024;
 
-/// Whose numbers, on which topic.
+/// The author and topic of a sequence.
 pub type Stream = (Address, TopicId);
 
 /// A definition as it is stored: once for each topic and epoch of an owner.
@@ -45,17 +45,17 @@ pub enum Content {
     Message(Option<Try>),
 }
 
-/// One record that is to be sealed.
+/// One record to be sealed.
 pub struct Task<'a> {
     /// The message.
     pub item: &'a CapturedMessage,
-    /// What of it.
+    /// Which part of it.
     pub content: Content,
-    /// Under which keys.
+    /// The epoch's keys.
     pub keys: Arc<EpochKeys>,
-    /// Those of its topic.
+    /// The topic's keys.
     pub topic: Arc<TopicKeys>,
-    /// Its number.
+    /// Its seq.
     pub seq: u64,
     /// SM3 of the message's definition.
     pub definition: Digest,
@@ -76,22 +76,22 @@ impl Task<'_> {
     }
 }
 
-/// A round's records in their order.
+/// A round's records in order.
 #[derive(Default)]
 pub struct Plan<'a> {
     /// What is to be sealed.
     pub tasks: Vec<Task<'a>>,
     /// Messages for which there is no key.
     pub keyless: Vec<&'a CapturedMessage>,
-    /// Numbers given, the last of each stream.
+    /// Numbers assigned, the last of each stream.
     pub seqs: HashMap<Stream, u64>,
     /// The definitions among the tasks.
     definitions: HashSet<DefinitionId>,
 }
 
-/// What is known from the rounds before.
+/// What is known from earlier rounds.
 pub struct Planner {
-    /// The last number of each stream that is stored.
+    /// The last stored number of each stream.
     pub seqs: HashMap<Stream, u64>,
     /// Definitions that are stored.
     pub definitions: HashSet<DefinitionId>,
@@ -114,10 +114,10 @@ impl Planner {
         }
     }
 
-    /// The round for these messages. Numbers count only once [`Self::seqs`] has them.
+    /// The plan for these messages. Numbers count only once [`Self::seqs`] has them.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn plan<'a>(&mut self, plant: &Plant, items: &'a [CapturedMessage]) -> Result<Plan<'a>, PipelineError> {
         let mut plan = Plan::default();
         for item in items {
@@ -188,7 +188,7 @@ impl Planner {
         digest
     }
 
-    /// The next number of a stream; the plan has it from now on.
+    /// The next number of a stream, which the plan then contains.
     fn next_seq(&self, plant: &Plant, stream: Stream, plan: &mut Plan<'_>) -> Result<u64, PipelineError> {
         let seq = match plan.seqs.get(&stream).or_else(|| self.seqs.get(&stream)) {
             Some(last) => last + 1,

@@ -1,5 +1,5 @@
-//! Seals the records of a round side by side: each by itself, from what the plan settled. Nothing here knows of the
-//! others, writes anything, or depends on the order in which threads come by.
+//! Seals the records of a round in parallel: each independently, from the plan. Nothing here knows of the others,
+//! writes anything, or depends on the order of threads.
 
 use std::collections::BTreeMap;
 
@@ -18,16 +18,16 @@ use super::plan::{Content, Task};
 pub struct Ready {
     /// The record with its bytes.
     pub row: NewRecord,
-    /// Why it is held back, where it is.
+    /// Why it is quarantined, if it is.
     pub hold: Option<Hold>,
-    /// Whether compressing it paid, where that was tried.
+    /// Whether compressing it paid, if that was tried.
     pub paid: Option<bool>,
 }
 
-/// Seals all of a round, on as many cores as it pays.
+/// Seals a whole round, on as many cores as is worthwhile.
 ///
 /// # Errors
-/// The first record's, in their order, that cannot be sealed.
+/// The error of the first record, in order, that cannot be sealed.
 pub fn seal_all(plant: &Plant, boot_id: [u8; 16], tasks: &[Task<'_>]) -> Result<Vec<Ready>, PipelineError> {
     let bytes = tasks.iter().map(|task| task.body().len()).sum();
     each(tasks, helpers_for(tasks.len(), bytes), |task| task.seal(plant, boot_id)).into_iter().collect()

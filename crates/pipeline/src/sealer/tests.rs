@@ -1,4 +1,4 @@
-//! A round on several cores: the outcome of one thread, and one bad message among many.
+//! A round on several cores: the same outcome as on one thread, and one bad message among many.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,10 +14,10 @@ use crate::pipeline::Author;
 use crate::pipeline::epoch::EpochKeys;
 use crate::store::{Ledger, RecordQuery, open_vault};
 
-/// A text over which [`Trap`] panics.
+/// A text on which [`Trap`] panics.
 const BAD: &[u8] = b"the bad one";
 
-/// The default provider, but for one text.
+/// The default provider, except for one text.
 struct Trap(&'static dyn Provider);
 
 impl Provider for Trap {
@@ -103,7 +103,7 @@ impl Line {
         CapturedMessage { author, message, simulated: false, sessions: Vec::new(), doubt: None, rule: None }
     }
 
-    /// All records of a topic in the order of their numbers, opened.
+    /// All records of a topic by number, opened.
     fn stored(&self, topic: &str) -> Vec<(u64, RecordKind, Vec<u8>)> {
         let plant = &self.sealer.plant;
         let query = RecordQuery { topic: Some(topic.to_owned()), limit: 10_000, ..RecordQuery::default() };
@@ -123,7 +123,7 @@ impl Line {
     }
 }
 
-/// Bodies of many lengths, some of which can be compressed.
+/// Bodies of many lengths, some of them compressible.
 fn body(number: usize) -> Vec<u8> {
     let mut state = u32::try_from(number).expect("small") | 1;
     let mut noise = || {

@@ -23,22 +23,22 @@ use super::tend::Memory;
 pub struct Outgoing {
     /// The call.
     pub call: Call,
-    /// What it is for, in a word: `anchor`, `grant`, ….
+    /// Its purpose, in a word: `anchor`, `grant`, ….
     pub purpose: String,
-    /// The records that it anchors.
+    /// The records it anchors.
     pub anchors: Anchors,
 }
 
 impl Outgoing {
-    /// A call that anchors no record.
+    /// A call that anchors no records.
     pub fn plain(call: Call, purpose: &str) -> Self {
         Self { call, purpose: purpose.to_owned(), anchors: Anchors::Nothing }
     }
 }
 
-/// What is remembered of an account's lane between two looks at it.
+/// What is remembered of an account's lane between checks.
 pub(super) struct Cell {
-    /// Held while nonces are given out.
+    /// Held while nonces are assigned.
     pub nonces: std::sync::Arc<tokio::sync::Mutex<()>>,
     /// Held while the lane is tended.
     pub tending: tokio::sync::Mutex<()>,
@@ -59,7 +59,7 @@ impl Cell {
     }
 }
 
-/// A lane, held. Keep it no longer than signing takes.
+/// A lane, held. Keep it only as long as signing takes.
 pub struct Lane<'a> {
     pub(super) sender: &'a Sender,
     pub(super) chain: &'a Chain,
@@ -74,18 +74,18 @@ impl Lane<'_> {
         self.account
     }
 
-    /// How the lane is.
+    /// The state of the lane.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn state(&self) -> Result<LaneState, PipelineError> {
         self.sender.state_of(self.account)
     }
 
-    /// How many more transactions it takes now; 0 while it is paused.
+    /// How many more transactions it accepts now; 0 while it is paused.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn room(&self) -> Result<usize, PipelineError> {
         self.sender.room(self.account)
     }
@@ -93,15 +93,15 @@ impl Lane<'_> {
     /// The lane's open transactions by nonce, without their bytes.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn open(&self) -> Result<Vec<crate::store::OpenTransaction>, PipelineError> {
         Ok(block_in_place(|| self.sender.ledger.open_lane(self.account))?)
     }
 
-    /// The next nonce: behind all that is mined, that waits at the node (whoever signed it), and that is open here.
+    /// The next nonce, after everything mined, pending at the node (whoever signed it), or open here.
     ///
     /// # Errors
-    /// Of chain and ledger.
+    /// Errors of chain and ledger.
     pub async fn next_nonce(&self) -> Result<u64, PipelineError> {
         let pending = self.chain.nonce(self.account, true).await?;
         let mined = self.chain.nonce(self.account, false).await?;
@@ -109,7 +109,7 @@ impl Lane<'_> {
         Ok(open.highest.map_or(0, |nonce| nonce + 1).max(pending).max(mined))
     }
 
-    /// What gas may cost now, wei.
+    /// The most that gas may cost now, wei.
     pub(super) async fn price(&self) -> Result<u128, PipelineError> {
         match self.sender.policy.fresh(&self.chain.market().await?) {
             Priced::At(price) => Ok(price),
@@ -117,11 +117,11 @@ impl Lane<'_> {
         }
     }
 
-    /// Signs and stores `outgoing` in order, lets go of the lane, then sends it.
+    /// Signs and stores `outgoing` in order, releases the lane, then sends it.
     ///
     /// # Errors
-    /// Of the chain while signing, of the ledger while storing: then nothing is kept. A transaction that is
-    /// stored but could not be handed to the node is no error: it is sent again.
+    /// Errors of the chain while signing, of the ledger while storing; then nothing is stored. A transaction that is
+    /// stored but could not be handed to the node is not an error: it is sent again.
     pub async fn submit(self, outgoing: Vec<Outgoing>) -> Result<Vec<Hash>, PipelineError> {
         if outgoing.is_empty() {
             return Ok(Vec::new());
@@ -145,7 +145,7 @@ impl Lane<'_> {
         let hashes = sent.iter().map(|(hash, _)| *hash).collect();
         let begun = Instant::now();
         for (hash, raw) in sent {
-            // A lost answer says nothing about the next one; a node that takes its time for each does.
+            // A lost answer says nothing about the next one; a node that is slow for each one does.
             let handed = sender.hand_in(chain, account, hash, &raw).await;
             if handed == HandedIn::Refused || handed == HandedIn::Lost && begun.elapsed() > BROKEN {
                 break;
@@ -157,10 +157,10 @@ impl Lane<'_> {
 }
 
 impl Lane<'_> {
-    /// Signs and stores a transfer of ether, lets go of the lane, then sends it.
+    /// Signs and stores a transfer of ether, releases the lane, then sends it.
     ///
     /// # Errors
-    /// As [`Lane::submit`]; `NoEther` where the account holds too little.
+    /// See [`Lane::submit`]; `NoEther` if the account holds too little.
     pub async fn transfer(self, to: Address, wei: u128, purpose: &str) -> Result<Hash, PipelineError> {
         let (price, nonce) = (self.price().await?, self.next_nonce().await?);
         let signed = self.chain.sign_transfer(self.eoa, nonce, to, wei, price)?;
@@ -185,18 +185,18 @@ impl Lane<'_> {
     }
 }
 
-/// What became of bytes that were handed to the node.
+/// The outcome of handing bytes to the node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum HandedIn {
     /// The node has them, or will be asked about their nonce.
     Held,
-    /// No answer came: the node may have them or not.
+    /// No answer came: the node may or may not have them.
     Lost,
-    /// The node does not take them now.
+    /// The node does not accept them now.
     Refused,
 }
 
-/// With broken answers, bytes are handed in one after the other for no longer than this.
+/// While answers fail, the longest that bytes are handed in one after the other.
 pub(super) const BROKEN: Duration = Duration::from_secs(8);
 
 impl Sender {

@@ -1,8 +1,8 @@
-//! Nonce lanes: one per EOA. A signed transaction is stored before it is sent, and sent again
-//! as the same bytes until the chain has decided about its nonce.
+//! Nonce lanes: one per EOA. A signed transaction is stored before it is sent, and the same bytes are sent again until
+//! the chain has decided about its nonce.
 //!
-//! After every block a lane is *tended* ([`Sender::tend`]): closed, given way, replaced at a higher price, holes
-//! filled, or paused visibly; nothing is lost.
+//! After every block a lane is *tended* ([`Sender::tend`]): its transactions are closed, yielded to others, replaced at
+//! a higher price, gaps filled, or the lane visibly paused; nothing is lost.
 
 mod lane;
 #[cfg(test)]
@@ -34,7 +34,7 @@ use super::{Observer, PipelineError};
 
 /// Transactions of one account that may wait for a block.
 pub const MOST_OPEN: u64 = 1024;
-/// How long a single transaction may take until its sender is told that it waits.
+/// How long a single transaction may take before its sender is told that it is waiting.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Sends transactions of all accounts of the site.
@@ -46,7 +46,7 @@ pub struct Sender {
 }
 
 impl Sender {
-    /// A sender that keeps its transactions in `ledger` and tells `observer` when a lane stands still.
+    /// A sender that stores its transactions in `ledger` and tells `observer` when a lane is paused.
     pub fn new(ledger: Ledger, observer: Arc<dyn Observer>, policy: Policy) -> Self {
         Self { ledger, observer, policy, lanes: Mutex::default() }
     }
@@ -56,27 +56,27 @@ impl Sender {
         Arc::clone(lanes.entry(account).or_insert_with(|| Arc::new(Cell::new())))
     }
 
-    /// Holds the account's lane: until it is let go nobody else signs for it in this process.
+    /// Holds the account's lane: until it is released nobody else signs for it in this process.
     pub async fn lane<'a>(&'a self, chain: &'a Chain, eoa: &'a EoaSecret) -> Lane<'a> {
         let account = eoa.address();
         let held = Arc::clone(&self.cell(account).nonces).lock_owned().await;
         Lane { sender: self, chain, eoa, account, held }
     }
 
-    /// How an account's lane is.
+    /// The state of an account's lane.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn state_of(&self, account: Address) -> Result<LaneState, PipelineError> {
         let count = block_in_place(|| self.ledger.lane_count(account))?;
         let paused = self.cell(account).memory().paused.clone();
         Ok(LaneState { account, open: count.open, oldest: count.oldest, paused })
     }
 
-    /// How many more transactions an account's lane takes now; 0 while it is paused.
+    /// How many more transactions an account's lane accepts now; 0 while it is paused.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn room(&self, account: Address) -> Result<usize, PipelineError> {
         let state = self.state_of(account)?;
         let room = if state.paused.is_some() { 0 } else { MOST_OPEN.saturating_sub(state.open) };
@@ -86,7 +86,7 @@ impl Sender {
     /// Signs, stores and sends `outgoing` in order.
     ///
     /// # Errors
-    /// As [`Lane::submit`].
+    /// See [`Lane::submit`].
     pub async fn submit(
         &self,
         chain: &Chain,
@@ -99,8 +99,8 @@ impl Sender {
     /// Sends one call and waits until it is mined.
     ///
     /// # Errors
-    /// `Reverted` with the contract's reason, before anything is sent where the node can tell;
-    /// `NotMined` after two minutes; errors of chain and ledger.
+    /// `Reverted` with the contract's reason, before anything is sent if the node can tell; `NotMined` after two
+    /// minutes; errors of chain and ledger.
     pub async fn send(
         &self,
         chain: &Chain,
@@ -117,7 +117,7 @@ impl Sender {
     /// Sends ether, and waits until it is mined.
     ///
     /// # Errors
-    /// As [`Sender::send`]; `NoEther` where the account holds too little.
+    /// See [`Sender::send`]; `NoEther` if the account holds too little.
     pub async fn transfer(
         &self,
         chain: &Chain,
@@ -130,10 +130,10 @@ impl Sender {
         self.wait_mined(chain, eoa, hash, purpose).await.map(|_| ())
     }
 
-    /// Waits until a transaction signed here is mined, under whatever nonce or price it was signed again.
+    /// Waits until a transaction signed here is mined, even if it was signed again with another nonce or price.
     ///
     /// # Errors
-    /// As [`Sender::send`].
+    /// See [`Sender::send`].
     pub async fn wait_mined(
         &self,
         chain: &Chain,
@@ -165,7 +165,7 @@ impl Sender {
         }
     }
 
-    /// Follows a transaction to the one that was signed in its place last.
+    /// Follows a transaction to its last replacement.
     fn newest(&self, mut hash: Hash) -> Result<Hash, PipelineError> {
         for _ in 0..1000 {
             let row = block_in_place(|| self.ledger.transaction(hash))?;
@@ -177,7 +177,7 @@ impl Sender {
         Ok(hash)
     }
 
-    /// Pauses an account's lane, and tells so once.
+    /// Pauses an account's lane, and reports it once.
     fn pause(&self, account: Address, reason: PauseReason) -> PipelineError {
         let text = reason.text(account);
         self.settle(account, Some(reason));

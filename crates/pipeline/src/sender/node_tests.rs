@@ -1,4 +1,4 @@
-//! Lanes against a real node (anvil): what it costs, loses, refuses and replaces.
+//! Lanes with a real node (anvil): costs, losses, refusals and replacements.
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::{Path, PathBuf};
@@ -27,7 +27,7 @@ impl Drop for Anvil {
 }
 
 impl Anvil {
-    /// `None`, and a line that the test command counts, where there is none.
+    /// `None`, and a line that the test command counts, if there is none.
     fn start(test: &str, arguments: &[&str]) -> Option<Self> {
         let peers = std::env::var_os("AUTHROS_PEERS")
             .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/peers"), PathBuf::from);
@@ -60,7 +60,7 @@ impl Anvil {
         self.call("anvil_setBalance", json!([account.to_string(), format!("{wei:#x}")])).await;
     }
 
-    /// A registered account with ether, and records that are stored.
+    /// A registered account with ether, and stored records.
     async fn process(&self, cap: Option<u128>, records: u64) -> Process {
         let options = ChainOptions {
             endpoint: Endpoint::Node { url: self.url.clone() },

@@ -2,19 +2,19 @@
 
 use crate::chain::Market;
 
-/// What the operator allows.
+/// The operator's limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Policy {
     /// The most wei per gas; `None` = no cap.
     pub cap: Option<u128>,
 }
 
-/// A price, or that the cap forbids it.
+/// A price, or a refusal because of the cap.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Priced {
     /// Wei per gas.
     At(u128),
-    /// More than the cap would be needed.
+    /// The price would have to exceed the cap.
     Capped {
         /// Wei per gas.
         needed: u128,
@@ -24,19 +24,19 @@ pub enum Priced {
 }
 
 impl Policy {
-    /// What a new transaction offers: the market's price, lowered to the cap where that can still be mined.
+    /// The price of a new transaction: the market's price, lowered to the cap if that can still be mined.
     pub fn fresh(&self, market: &Market) -> Priced {
         self.within(market.offer(), market.base.unwrap_or_else(|| market.quoted.min(market.offer())))
     }
 
-    /// What a transaction offers that takes the place of one signed at `signed`: the market's price, at least an
-    /// eighth more (nodes refuse replacements below a tenth).
+    /// The price of a transaction that replaces one signed at `signed`: the market's price, but at least an eighth more
+    /// (nodes refuse replacements below a tenth).
     pub fn replacement(&self, signed: u128, market: &Market) -> Priced {
         let least = signed.saturating_add((signed / 8).saturating_add(1));
         self.within(market.offer().max(least), least.max(market.base.unwrap_or(0)))
     }
 
-    /// `wanted`, or the cap where that is at least `needed`.
+    /// `wanted`, or the cap if that is at least `needed`.
     fn within(&self, wanted: u128, needed: u128) -> Priced {
         match self.cap {
             Some(cap) if wanted > cap && needed > cap => Priced::Capped { needed, cap },
@@ -46,7 +46,7 @@ impl Policy {
     }
 }
 
-/// Whether a block made now cannot hold a transaction signed at this price.
+/// Whether a block made now cannot include a transaction signed at this price.
 pub fn is_outbid(signed: u128, market: &Market) -> bool {
     market.base.is_some_and(|base| base > signed)
 }

@@ -1,4 +1,4 @@
-//! How a nonce lane is, for people.
+//! The state of a nonce lane, for display.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,22 +6,22 @@ use crate::model::{Address, Timestamp};
 
 const GWEI: u128 = 1_000_000_000;
 
-/// Why a lane takes no further transactions for now. What it holds is kept and sent again.
+/// Why a lane accepts no further transactions for now. Those it holds are kept and sent again.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "reason")]
 pub enum PauseReason {
     /// The account cannot pay for the gas of its next transaction.
     NoEther,
-    /// The network asks for more than the operator's cap.
+    /// The network requires more than the operator's cap.
     FeeCap {
-        /// Gwei per gas that would be needed, rounded up.
+        /// Gwei per gas required, rounded up.
         needed: u64,
-        /// Gwei per gas that `chain.max_fee` allows.
+        /// Gwei per gas allowed by `chain.max_fee`.
         cap: u64,
     },
-    /// No block was made for a while although transactions wait.
+    /// No block was made for a while although transactions are waiting.
     Stalled,
-    /// The node refuses the next transaction for a reason of its own.
+    /// The node refuses the next transaction for another reason.
     Refused {
         /// In its words, cleaned.
         why: String,
@@ -35,7 +35,7 @@ impl PauseReason {
         Self::FeeCap { needed: gwei(needed), cap: gwei(cap) }
     }
 
-    /// One word for JSON and for telling changes.
+    /// One word, for JSON and for detecting changes.
     pub fn word(&self) -> &'static str {
         match self {
             Self::NoEther => "no ether",
@@ -45,12 +45,12 @@ impl PauseReason {
         }
     }
 
-    /// What happened and what to do, for the account whose lane it is.
+    /// What happened and what to do, for the lane's account.
     pub fn text(&self, account: Address) -> String {
         format!("anchoring of {account} is paused, nothing is lost: {}", self.cause(account))
     }
 
-    /// What stands in the way, and what to do about it.
+    /// The obstacle, and what to do about it.
     pub fn cause(&self, account: Address) -> String {
         match self {
             Self::NoEther => format!("{account} has not enough ether to pay for gas; send it some on this chain"),
@@ -66,13 +66,13 @@ impl PauseReason {
 /// A nonce lane at a glance.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LaneState {
-    /// Whose it is.
+    /// Its account.
     pub account: Address,
-    /// Signed transactions that are in no block yet.
+    /// Signed transactions in no block yet.
     pub open: u64,
     /// When the oldest of them was first signed.
     pub oldest: Option<Timestamp>,
-    /// Why it stands still, if it does.
+    /// Why it is paused, if it is.
     pub paused: Option<PauseReason>,
 }
 

@@ -1,4 +1,4 @@
-//! What the chain has decided about a lane's nonces.
+//! The chain's decisions about a lane's nonces.
 
 use std::collections::{HashMap, HashSet};
 use std::time::{Duration, Instant};
@@ -16,18 +16,18 @@ use super::price::Priced;
 use super::state::PauseReason;
 use super::{Sender, waiting};
 
-/// A nonce counts as taken by another's transaction when no receipt of ours was found for so long.
+/// A nonce counts as taken by a foreign transaction when no receipt of ours was found for this long.
 const SURE: Duration = Duration::from_secs(1);
 
-/// What is remembered of a lane; all of it can be lost at any time.
+/// What is remembered of a lane; all of it may be lost at any time.
 pub(super) struct Memory {
-    /// Why the lane stands still.
+    /// Why the lane is paused.
     pub paused: Option<PauseReason>,
-    /// When bytes were handed to the node last.
+    /// When bytes were last handed to the node.
     sent: HashMap<Hash, Instant>,
-    /// Since when a transaction's nonce is used although it has no receipt.
+    /// Since when a transaction's nonce has been used although it has no receipt.
     missing: HashMap<Hash, Instant>,
-    /// What transactions offer.
+    /// The gas terms of transactions.
     pub prices: HashMap<Hash, Offered>,
     /// Refused by the node as too cheap.
     pub cheap: HashSet<Hash>,
@@ -35,7 +35,7 @@ pub(super) struct Memory {
     pub hole: Option<(u64, Instant)>,
     /// The newest block, and since when.
     head: (u64, Instant),
-    /// The first waiting transaction, the block and the time at which it became the first.
+    /// The first waiting transaction, and the block and time at which it became the first.
     front: Option<(Hash, u64, Instant)>,
 }
 
@@ -53,12 +53,12 @@ impl Memory {
         }
     }
 
-    /// Notes that bytes were handed in just now.
+    /// Notes that bytes were just handed in.
     pub fn sent(&mut self, hash: Hash) {
         self.sent.insert(hash, Instant::now());
     }
 
-    /// Whether bytes were not handed in for so long.
+    /// Whether bytes were not handed in for this long.
     pub fn is_quiet(&self, hash: Hash, length: Duration) -> bool {
         self.sent.get(&hash).is_none_or(|at| at.elapsed() >= length)
     }
@@ -95,7 +95,7 @@ impl Memory {
     }
 }
 
-/// What the chain says of a used nonce.
+/// What the chain says about a used nonce.
 enum Decided {
     /// The open transaction is in a block.
     Own(Receipt),
@@ -106,11 +106,11 @@ enum Decided {
 }
 
 impl Sender {
-    /// Looks at every open transaction of the account, and does what is to be done about each. Called after
-    /// every block that the watcher has seen, and while none comes. Returns the reasons of refused ones.
+    /// Checks every open transaction of the account, and does what is needed for each. Called after every block seen by
+    /// the watcher, and while none comes. Returns the reasons of refused ones.
     ///
     /// # Errors
-    /// Of chain and ledger; the next call does what is left.
+    /// Errors of chain and ledger; the next call does what is left.
     pub async fn tend(&self, chain: &Chain, eoa: &EoaSecret) -> Result<Vec<String>, PipelineError> {
         let account = eoa.address();
         let cell = self.cell(account);
@@ -149,8 +149,8 @@ impl Sender {
             }
             found.push((row, decided));
         }
-        // A receipt is only worth something on the chain that the watcher follows; else it would be closed for
-        // a block that is gone, and nobody would open it again.
+        // A receipt counts only on the chain that the watcher follows; otherwise it would be closed for a block that is
+        // gone, and nobody would reopen it.
         if chain.block(seen).await?.is_none_or(|block| block.hash != hash) {
             return Ok(Vec::new());
         }
@@ -165,7 +165,7 @@ impl Sender {
                 other => others.push((row, other)),
             }
         }
-        // At once, before the chain is asked again: these receipts are of the chain that was just looked at.
+        // At once, before the chain is queried again: these receipts are of the chain just examined.
         if !closings.is_empty() {
             block_in_place(|| self.ledger.close_transactions(closings))?;
         }
@@ -217,8 +217,8 @@ impl Sender {
         self.give_way(chain, eoa, row).await
     }
 
-    /// The nonce belongs to another transaction: what anchors records gives them back to be anchored anew, on
-    /// what the chain's head is by then; any other call is signed again under the next nonce.
+    /// The nonce belongs to another transaction: one that anchors records returns them to be anchored again, on the
+    /// chain's head at that time; any other call is signed again with the next nonce.
     async fn give_way(&self, chain: &Chain, eoa: &EoaSecret, row: &OpenTransaction) -> Result<(), PipelineError> {
         if row.anchors || row.purpose == waiting::HOLE {
             let closing = vec![(row.hash, TransactionOutcome::Replaced)];

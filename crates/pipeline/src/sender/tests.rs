@@ -110,7 +110,7 @@ async fn a_replaced_transaction_that_was_mined_after_all_is_recognised() {
     process.store(0..1);
     let nonce = next(&process).await;
     let (old, raw) = keep(&process, nonce, &Process::upload(0)).await;
-    // At a price: this account holds nothing, so the dearer one can never be mined.
+    // At a price: this account holds nothing, so the more expensive one can never be mined.
     let dearer = process.network.chain.resign(&process.eoa, &raw, nonce, 5).expect("signs");
     let reissue = Reissue { hash: dearer.hash, nonce, raw: dearer.raw };
     process.plant.ledger.reissue(old, reissue.clone()).expect("replaced");
@@ -130,7 +130,7 @@ async fn an_account_that_cannot_pay_pauses_its_lane_and_tells_once() {
     let home = tempfile::tempdir().expect("folder");
     let process = Process::on_embedded(home.path()).await;
     let (account, nonce) = (process.eoa.address(), next(&process).await);
-    // Gas costs nothing here, so what cannot be paid is ether to be sent along.
+    // Gas is free here, so the unaffordable part is the ether to send.
     let signed = process.network.chain.sign_transfer(&process.eoa, nonce, account, 5, 0).expect("signs");
     let (hash, raw) = (signed.hash, signed.raw);
     let row = NewTransaction { hash, account, nonce, raw, purpose: "x".to_owned(), anchors: Anchors::Nothing };
@@ -160,7 +160,7 @@ async fn what_offered_far_too_much_is_offered_again_for_less() {
     let dear = process.network.chain.resign(&process.eoa, &raw, nonce, 1_000).expect("signs");
     let reissue = Reissue { hash: dear.hash, nonce, raw: dear.raw };
     process.plant.ledger.reissue(old, reissue).expect("replaced");
-    // The price now is 0, so the very first bytes come out again.
+    // The price is 0 now, so the very first bytes come out again.
     process.rounds_until("it is confirmed", |process| process.count(RecordState::Confirmed) == 1).await;
     assert_eq!(process.anchored(0..1).await, [1]);
 }

@@ -1,4 +1,4 @@
-//! What waits for a block: sent again, made dearer, holes below it filled.
+//! Transactions waiting for a block: resend, raise the price, fill nonce gaps.
 
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -17,24 +17,24 @@ use super::lane::{BROKEN, Cell};
 use super::price::{Priced, is_outbid};
 use super::state::PauseReason;
 
-/// The purpose of a transfer of nothing to oneself that fills a hole in the nonces.
+/// The purpose of an empty transfer to oneself that fills a nonce gap.
 pub(super) const HOLE: &str = "nonce";
-/// Bytes handed in less long ago than this are not handed in again.
+/// Bytes handed in more recently than this are not handed in again.
 const QUIET: Duration = Duration::from_millis(if cfg!(test) { 300 } else { 4_000 });
-/// Bytes that the node holds are handed in again this often.
+/// How often bytes that the node holds are handed in again.
 const REMINDER: Duration = Duration::from_secs(30);
-/// Blocks that pass the first waiting transaction by until it counts as too cheap.
+/// Blocks that skip the first waiting transaction before it counts as too cheap.
 const PASSED_BY: u64 = 6;
-/// How long it waits at least until it counts as too cheap.
+/// The shortest wait before it counts as too cheap.
 const STARVING: Duration = Duration::from_millis(if cfg!(test) { 500 } else { 10_000 });
-/// Without a block for so long the network counts as stalled.
+/// Without a block for this long the network counts as stalled.
 const STALLED: Duration = Duration::from_millis(if cfg!(test) { 2_000 } else { 30_000 });
-/// Transactions handed in again, or signed again, in one round.
+/// The most transactions handed in again, or signed again, in one round.
 const ROUND: usize = 128;
-/// Holes filled in one round.
+/// The most gaps filled in one round.
 const HOLES: usize = 32;
 
-/// One look at the transactions of a lane whose nonces the chain has not used.
+/// One check of a lane's transactions whose nonces the chain has not used.
 pub(super) struct Round<'a> {
     pub sender: &'a Sender,
     pub chain: &'a Chain,
@@ -46,7 +46,7 @@ pub(super) struct Round<'a> {
 }
 
 impl Round<'_> {
-    /// Does what is to be done; returns what stands in the way.
+    /// Does what is needed; returns the obstacle.
     pub async fn run(self) -> Result<Option<PauseReason>, PipelineError> {
         let Some(first) = self.rows.first() else { return Ok(None) };
         let market = self.chain.market().await?;
@@ -61,8 +61,8 @@ impl Round<'_> {
         Ok(hole.or(dear).or(refused).or(stalled))
     }
 
-    /// A nonce below an open one that neither the node nor we hold stops everything behind it: its transaction
-    /// was another process', or went down with a replaced block.
+    /// A nonce below an open one that neither the node nor we hold blocks everything after it: its transaction was
+    /// another process's, or was lost with a replaced block.
     async fn fill_holes(
         &self,
         cell: &Arc<Cell>,
@@ -105,7 +105,7 @@ impl Round<'_> {
         Ok(None)
     }
 
-    /// Replaces what costs too little by now. Returns the replaced ones, and what stands in the way.
+    /// Replaces transactions that have become too cheap. Returns the replaced ones, and the obstacle.
     async fn raise(
         &self,
         cell: &Arc<Cell>,
@@ -199,7 +199,7 @@ impl Round<'_> {
         }
     }
 
-    /// The account cannot pay what was offered: where far less is asked by now, less is offered.
+    /// The account cannot pay the price offered: if the market is far lower by now, less is offered.
     async fn cheapen(
         &self,
         market: &Market,

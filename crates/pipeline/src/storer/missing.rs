@@ -1,5 +1,5 @@
-//! What the vault should hold and no local copy can replace: whether it is there. What is not becomes `tampered`,
-//! as whatever the scrubber finds, and what is there again goes on.
+//! Whether records that should be in the vault and have no local copy are there. Missing ones become `tampered`, like
+//! those found by the scrubber, and ones that are back continue.
 
 use crate::crypto::fault;
 use crate::model::{Digest, RecordState, Timestamp};
@@ -9,21 +9,21 @@ use crate::store::{AuditedRecord, RecordRow};
 /// Records asked for at once.
 const ROUND: usize = 256;
 
-/// What a look at all verified records without a local copy found.
+/// The result of checking all verified records without a local copy.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Missing {
-    /// Records that are gone, those that were known to be included.
+    /// Missing records, including those known before.
     pub gone: u64,
-    /// Of these the ones that were not known to be.
+    /// Of these, those not known before.
     pub newly: u64,
-    /// Records that were gone or altered and are there again as they were stored.
+    /// Records that were missing or altered and are intact again.
     pub back: u64,
 }
 
-/// Looks for every verified record of which the vault alone has the bytes.
+/// Checks for every verified record whose bytes only the vault has.
 ///
 /// # Errors
-/// Of ledger and vault.
+/// Errors of ledger and vault.
 pub fn look_for_all(plant: &Plant, stopped: &dyn Fn() -> bool) -> Result<Missing, PipelineError> {
     let (mut found, mut after) = (Missing::default(), Some(0));
     while let Some(from) = after.filter(|_| !stopped()) {
@@ -36,8 +36,8 @@ pub fn look_for_all(plant: &Plant, stopped: &dyn Fn() -> bool) -> Result<Missing
     Ok(found)
 }
 
-/// Whether nothing but the vault can have its bytes, or whether they were found wrong there once. A robot has handed
-/// what is in no block over to its gateway.
+/// Whether only the vault can have its bytes, or they were once found wrong there. A robot has handed what is in no
+/// block over to its gateway.
 fn depends_on_vault(record: &AuditedRecord) -> bool {
     let settled = match record.row.state {
         RecordState::Verified => !record.has_copy,
@@ -71,7 +71,7 @@ fn look_for(plant: &Plant, rows: &[RecordRow], found: &mut Missing) -> Result<()
     Ok(())
 }
 
-/// Whether it is still gone when looked at again: retention may have deleted it since its row was read.
+/// Whether it is still missing when checked again: retention may have deleted it since its row was read.
 fn is_gone(plant: &Plant, digest: Digest) -> Result<bool, PipelineError> {
     let now = plant.ledger.record(digest)?;
     let kept = now.is_some_and(|row| row.state == RecordState::Verified && row.deleted_at.is_none());

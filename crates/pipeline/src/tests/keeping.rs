@@ -1,5 +1,5 @@
-//! Every writer asks before it writes: what is not taken leaves no bytes in the vault, and a vault that takes nothing
-//! does not fill the disk, whoever the records are of.
+//! Every writer asks before it writes: what is not accepted leaves no bytes in the vault, and a vault that accepts
+//! nothing does not fill the disk, whoever owns the records.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -13,8 +13,8 @@ use crate::pipeline::mirror::{Anchors, Mirror};
 use crate::pipeline::statement::{Statement, state};
 use crate::store::{StoreError, Usage, Vault};
 
-/// A vault that may forget, and counts what it is given. It loses a record between being asked whether it has it and
-/// being asked for it, as often as `forgets` says.
+/// A vault that may forget, and counts what it is given. It loses a record between two requests (whether it has it, and
+/// for its bytes), as often as `forgets` says.
 pub(super) struct Forgetful {
     vault: Arc<dyn Vault>,
     given: AtomicUsize,
@@ -65,7 +65,7 @@ impl Vault for Forgetful {
     }
 }
 
-/// A plant whose vault may forget, in which nothing more than one record may wait.
+/// A plant whose vault may forget, in which no more than one record may wait.
 fn forgetful(home: &Path) -> (Plant, Arc<Forgetful>) {
     let plant = plant(home);
     let vault = Forgetful::over(&plant.vault, 0);
@@ -86,7 +86,7 @@ fn head(body: &[u8]) -> Head {
     }
 }
 
-/// A record of the owner that another ledger numbered; under the wrong key, where there is one.
+/// A record of the owner that another ledger numbered; sealed with the wrong key, if one is given.
 fn elsewhere(owner: &Owner, seq: u64, body: &[u8], wrong: Option<&TopicKey>) -> SealedRecord {
     let keys = owner.sealing().expect("keys");
     let topic = keys.topic("/robot1/odom").expect("covered");
@@ -113,7 +113,7 @@ fn upload(owner: &Owner, seq: u64, body: &[u8]) -> NewRecord {
     NewRecord::foreign(elsewhere(owner, seq, body, None), Address([8; 20]))
 }
 
-/// Takes the record in through the mirror, as a gateway gives it.
+/// Imports the record through the mirror, as a gateway returns it.
 async fn taken(line: &Line, sealed: SealedRecord) -> Result<bool, PipelineError> {
     let (plant, network, reader, keeper) = (&line.plant, &line.network, &line.owner, Address([8; 20]));
     let mirror = Mirror { plant, network, reader, keeper, anchors: Anchors::default() };

@@ -1,4 +1,4 @@
-//! What nobody here anchors, what is anchored without a right all the same, and how both go on.
+//! Records nobody here anchors, records anchored without a right all the same, and how both continue.
 
 use super::*;
 use crate::crypto::{EoaSecret, SmKeyPair};
@@ -15,7 +15,7 @@ impl Line {
         round.expect("a round").submitted
     }
 
-    /// Anchors what is stored by what was read of the chain so far.
+    /// Anchors what is stored, based on what was read of the chain so far.
     async fn send_one(&self, lanes: &[EoaSecret]) {
         while self.round(AnchorMode::Batch, lanes).await == 0 {
             tokio::time::sleep(std::time::Duration::from_millis(50)).await;
@@ -28,7 +28,7 @@ impl Line {
         }
     }
 
-    /// Watches until so many records are confirmed; `anchors` says whether more is anchored meanwhile.
+    /// Watches until this many records are confirmed; `anchors` says whether more is anchored meanwhile.
     async fn until_confirmed(&self, wanted: u64, anchors: bool, lanes: &[EoaSecret]) {
         while self.count(RecordState::Confirmed) < wanted {
             if anchors {
@@ -70,7 +70,7 @@ async fn what_was_anchored_inside_a_suspension_is_passed_over_waits_and_is_ancho
     let (account, lanes) = (line.owner.address, [line.witness().await]);
     line.append(1, 1, 20);
     line.call(Call::Suspend { account }).await;
-    // The suspension is in a block that was not read yet: an account that nobody suspended anchors the batch.
+    // The suspension is in a block that was not read yet: an account that is not suspended anchors the batch.
     line.send_one(&lanes).await;
     line.until_confirmed(20, false, &lanes).await;
     let first = line.rows(1)[0].block.expect("anchored");
@@ -113,7 +113,7 @@ async fn a_batch_that_was_passed_over_is_anchored_again_under_another_root() {
         let other = RecordRow { seq: row.seq + 1, ..row.clone() };
         assert!(line.is_anchored(&row).await && !line.is_anchored(&other).await);
     }
-    // The contract shows a root's first block alone, so each has its own.
+    // The contract shows only a root's first block, so each has its own.
     let batches = line.plant.ledger.audit_batches(0, 9).expect("batches");
     assert!(batches.len() == 2 && batches[0].root != batches[1].root, "{batches:?}");
     line.is_whole();
@@ -141,7 +141,7 @@ async fn records_of_a_recalled_device_wait_and_go_on_when_it_is_lent_again() {
     let of_device = |seq| NewRecord { signer: device, ..record(&line.owner, 3, seq) };
     line.call(Call::Lend { device, until: None }).await;
     line.watch().await;
-    // In a closed batch with others, that nobody has sent yet.
+    // In a closed batch with others, not sent yet.
     line.append(1, 1, 4);
     line.plant.ledger.append((1..=6).map(of_device).collect()).expect("acknowledged");
     let leaves = line.plant.ledger.stored_leaves(line.owner.address, 100).expect("leaves");

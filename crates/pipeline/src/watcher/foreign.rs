@@ -1,5 +1,5 @@
-//! Anchors of this home's accounts that this home did not send: a copy of it runs elsewhere, or a key is stolen. Told
-//! at once, noted in the ledger for `status`, and written into the audit log.
+//! Anchors by this home's accounts that this home did not send: a copy of it runs elsewhere, or a key is stolen.
+//! Reported at once, noted in the ledger for `status`, and written to the audit log.
 
 use std::collections::HashMap;
 
@@ -13,9 +13,9 @@ use crate::store::{AuditEntry, AuditLog};
 
 /// The ledger's note of what was seen.
 const SEEN: &str = "foreign:anchors";
-/// So long after the last one it is part of `status`; nanoseconds.
+/// How long it is part of `status` after the last one; nanoseconds.
 const RECENT: u64 = 24 * 3600 * 1_000_000_000;
-/// At most one line of the audit log in this time; nanoseconds.
+/// The shortest time between two lines in the audit log; nanoseconds.
 const LINES_EVERY: u64 = 3600 * 1_000_000_000;
 
 /// What was seen of such anchors.
@@ -23,7 +23,7 @@ const LINES_EVERY: u64 = 3600 * 1_000_000_000;
 pub struct ForeignAnchors {
     /// The account, one of this home's.
     pub account: Address,
-    /// How many transactions anchored for it elsewhere.
+    /// How many transactions elsewhere anchored for it.
     pub count: u64,
     /// The block of the last one.
     pub block: u64,
@@ -31,7 +31,7 @@ pub struct ForeignAnchors {
     pub transaction: Hash,
     /// When it was seen here.
     pub seen: Timestamp,
-    /// When the audit log was last told.
+    /// When it was last written to the audit log.
     pub noted: Timestamp,
 }
 
@@ -46,10 +46,10 @@ impl ForeignAnchors {
     }
 }
 
-/// What was seen of them within the last day.
+/// Those seen within the last day.
 ///
 /// # Errors
-/// Of the ledger.
+/// Errors of the ledger.
 pub fn recent(plant: &Plant) -> Result<Option<ForeignAnchors>, PipelineError> {
     let now = Timestamp::now().0;
     Ok(seen(plant)?.filter(|found| now.abs_diff(found.seen.0) < RECENT))
@@ -59,7 +59,7 @@ fn seen(plant: &Plant) -> Result<Option<ForeignAnchors>, PipelineError> {
     Ok(plant.ledger.setting(SEEN)?.and_then(|text| serde_json::from_str(&text).ok()))
 }
 
-/// Looks at events of blocks up to `head` for anchors that this home knows nothing of.
+/// Searches events of blocks up to `head` for anchors that this home does not know.
 pub(super) fn look(plant: &Plant, events: &[EventAt], head: u64) -> Result<(), PipelineError> {
     let found = unknown(plant, events)?;
     if found.is_empty() {
@@ -78,8 +78,8 @@ pub(super) fn look(plant: &Plant, events: &[EventAt], head: u64) -> Result<(), P
     Ok(())
 }
 
-/// A ledger that was restored or copied knows nothing of what came between; what is on the chain when it is first
-/// looked at is history, not a rival.
+/// A restored or copied ledger does not know what came between; anything on the chain when it is first examined is
+/// history, not a rival.
 fn history(plant: &Plant, head: u64) -> Result<u64, PipelineError> {
     if plant.ledger.copied_at()?.is_none() {
         return Ok(0);

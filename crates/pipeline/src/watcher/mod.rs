@@ -1,5 +1,5 @@
-//! Follows the chain: which records are in a block, which blocks are deep enough, who was
-//! registered, granted and revoked. A function of the ledger's cursor; a restart runs it again.
+//! Follows the chain: which records are in a block, which blocks have enough confirmations, who was registered, granted
+//! and revoked. A function of the ledger's cursor; a restart runs it again.
 
 pub mod foreign;
 mod reorg;
@@ -28,23 +28,23 @@ const CHUNK: u64 = 2_000;
 /// How often a part of the chain is read again because it changed meanwhile.
 const ATTEMPTS: usize = 5;
 
-/// Reads the directory back as it was kept; where nothing of its contract was, or it cannot be read, it is scanned anew
-/// from the contract's first block.
+/// Reads the directory back from the ledger; if nothing of its contract was stored, or it cannot be read, it is scanned
+/// again from the contract's first block.
 ///
 /// # Errors
-/// Of the ledger.
+/// Errors of the ledger.
 pub fn restore(plant: &Plant, network: &Network) -> Result<(), PipelineError> {
     let domain = network.domain.to_hex();
     let is_of_it = plant.ledger.setting(SCANNED)?.as_ref() == Some(&domain);
     if let Some((number, _)) = plant.ledger.cursor(CURSOR)?.filter(|_| is_of_it) {
-        // What was kept of blocks behind the cursor is read again: they may have been replaced meanwhile.
+        // What was stored of blocks after the cursor is read again: they may have been replaced meanwhile.
         plant.ledger.take_back_rights(network.domain, number + 1)?;
         if kept::read_back(&plant.ledger, &network.directory)? {
             return Ok(());
         }
     }
     plant.ledger.forget_rights(network.domain)?;
-    // The trail stays: it tells whether blocks were replaced meanwhile.
+    // The trail stays: it shows whether blocks were replaced meanwhile.
     let (number, hash) = beginning(network);
     plant.ledger.set_cursor(CURSOR, number, hash)?;
     plant.ledger.put_setting(SCANNED, &domain)?;
@@ -60,12 +60,12 @@ fn first_block(network: &Network) -> u64 {
     network.chain.pin().map_or(0, |pin| pin.deployed_at)
 }
 
-/// Scans all blocks behind the cursor; returns the head it reached. After a reorg it first goes back to where the
-/// chains part.
+/// Scans all blocks after the cursor; returns the head it reached. After a reorg it first goes back to where the chains
+/// diverge.
 ///
 /// # Errors
-/// Of chain and ledger; the cursor stands where the last chunk was written. `ChainError::Swapped` where
-/// another chain answers by now, or the same one without its history.
+/// Errors of chain and ledger; the cursor stays where the last chunk was written. `ChainError::Swapped` if another
+/// chain answers now, or the same one without its history.
 pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef, PipelineError> {
     for _ in 0..ATTEMPTS {
         let head = network.chain.head().await?;
@@ -88,7 +88,7 @@ pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef, P
     Err(PipelineError::Unsteady)
 }
 
-/// Scans from the cursor to `head`; `false` where the chain changed while it was read.
+/// Scans from the cursor to `head`; `false` if the chain changed while it was read.
 async fn scan(plant: &Plant, network: &Network, head: BlockRef) -> Result<bool, PipelineError> {
     let first = first_block(network);
     let cursor = block_in_place(|| plant.ledger.cursor(CURSOR))?;
@@ -101,7 +101,7 @@ async fn scan(plant: &Plant, network: &Network, head: BlockRef) -> Result<bool, 
             return Ok(false);
         }
         let events = network.chain.events(from, to).await?;
-        // The same block on top means that everything below was the same while it was read.
+        // The same block at the top means that nothing below changed while it was read.
         if !stands(network, Some((to, last.hash))).await? {
             return Ok(false);
         }
@@ -133,9 +133,9 @@ fn write(plant: &Plant, network: &Network, events: &[EventAt], to: (u64, Hash)) 
     events.iter().for_each(|event| network.times.note(event));
     let told: Vec<Told> = events.iter().filter_map(|event| network.directory.judge(event)).collect();
     if !told.is_empty() {
-        // Envelopes are there before anybody looks for them.
+        // Envelopes are stored before anyone looks for them.
         let kept = kept::keep(&plant.ledger, &network.directory, &told);
-        // A right that ended has ended, even where the disk is full; what could not be kept is read again.
+        // A right that ended has ended, even if the disk is full; what could not be stored is read again.
         if told.iter().filter(|told| network.directory.take(told)).count() > 0 {
             plant.observer.directory_changed();
         }
@@ -175,5 +175,5 @@ fn root_sighting(at: &EventAt) -> Option<RootSighting> {
     })
 }
 
-/// How long to wait for a next block before looking again.
+/// How long to wait for a next block before checking again.
 pub const PATIENCE: Duration = Duration::from_secs(2);

@@ -1,4 +1,4 @@
-//! Blocks that were replaced: everything that was read from them is taken back, from where the chains part.
+//! Replaced blocks: everything read from them is undone, from where the chains diverge.
 
 use tokio::task::block_in_place;
 
@@ -9,11 +9,11 @@ use crate::pipeline::{Network, PipelineError, Plant};
 use super::{CURSOR, beginning, first_block, restore, stands};
 use crate::pipeline::directory::kept;
 
-/// A reorg that leaves nothing of so many blocks is no reorg.
+/// If a reorg leaves nothing of this many blocks, it is not a reorg.
 const DEEPEST: u64 = 1024;
 
-/// Whether the chain still holds the newest block seen; where it does not, goes back to the last block that both
-/// chains have. A chain without that history is another one.
+/// Whether the chain still holds the newest block seen; if not, goes back to the last block that both chains have. A
+/// chain without that history is another one.
 pub(super) async fn follow(plant: &Plant, network: &Network) -> Result<(), PipelineError> {
     let newest =
         block_in_place(|| Ok::<_, PipelineError>(plant.ledger.trail_end()?.max(plant.ledger.cursor(CURSOR)?)))?;
@@ -30,8 +30,8 @@ pub(super) async fn follow(plant: &Plant, network: &Network) -> Result<(), Pipel
     go_back(plant, network, common.unwrap_or_else(|| beginning(network)), number).await
 }
 
-/// No block that was ever seen is there any more. On a short history that is a deep reorg; where blocks far below
-/// the head are gone as well, it is another chain that happens to hold our contract at the same place.
+/// No block that was ever seen is there any more. On a short history that is a deep reorg; if blocks far below the head
+/// are gone as well, it is another chain that happens to hold our contract at the same address.
 async fn only_young(network: &Network, trail: &[(u64, Hash)]) -> Result<(), PipelineError> {
     let (Some(oldest), Some(newest)) = (trail.first(), trail.last()) else { return Ok(()) };
     let deepest = DEEPEST.max(network.confirmations.saturating_mul(4));
@@ -45,7 +45,7 @@ async fn only_young(network: &Network, trail: &[(u64, Hash)]) -> Result<(), Pipe
 }
 
 /// The highest block of the trail that the chain has too. Chains agree up to one block and differ from there on, so
-/// halving finds it.
+/// bisection finds it.
 async fn last_common(network: &Network, trail: &[(u64, Hash)]) -> Result<Option<(u64, Hash)>, PipelineError> {
     let (mut agree, mut differ) = (0, trail.len());
     while agree < differ {
@@ -59,13 +59,13 @@ async fn last_common(network: &Network, trail: &[(u64, Hash)]) -> Result<Option<
     Ok(agree.checked_sub(1).and_then(|last| trail.get(last).copied()))
 }
 
-/// Takes back what was read behind `common`. Each step can be cut: the cursor moves last, so the next round
-/// finds the same reorg.
+/// Undoes what was read after `common`. Each step may be interrupted: the cursor moves last, so the next round finds
+/// the same reorg.
 async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: u64) -> Result<(), PipelineError> {
     let from = common.0 + 1;
     network.times.forget_from(from);
     let deep = block_in_place(|| plant.ledger.verified_from(from))?;
-    // Confirmed ones first: what the verifier advances meanwhile is then among the verified ones.
+    // Confirmed ones first: those the verifier advances meanwhile are then among the verified ones.
     let moved = block_in_place(|| Ok::<_, PipelineError>(plant.ledger.unmine(from)? + plant.ledger.unverify(from)?))?;
     if network.directory.newest() >= from {
         block_in_place(|| undo_rights(plant, network, from))?;
@@ -87,8 +87,8 @@ async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: 
     Ok(())
 }
 
-/// The directory as it was before `from`; readers see the old one until the new one is whole. Where it cannot be read
-/// back, all of it is scanned anew.
+/// The directory as it was before `from`; readers see the old one until the new one is complete. If it cannot be read
+/// back, all of it is scanned again.
 fn undo_rights(plant: &Plant, network: &Network, from: u64) -> Result<(), PipelineError> {
     plant.ledger.take_back_rights(network.domain, from)?;
     let fresh = network.directory.blank();

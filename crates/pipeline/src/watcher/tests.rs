@@ -1,4 +1,4 @@
-//! Reorgs: the chain's folder is copied, and the copy goes on differently.
+//! Reorgs: the chain's folder is copied, and the copy continues differently.
 
 use std::path::Path;
 
@@ -16,19 +16,19 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// A process whose chain can go on in two ways from here: as it is, and in the second folder.
+/// A process whose chain can continue in two ways from here: as it is, and in the second folder.
 async fn fork(mut process: Process, home: &Path) -> Process {
     let pin = process.network.chain.pin();
     let elsewhere = embedded(&home.join("nowhere"), None).await;
     process.network.chain = elsewhere;
-    // As soon as it can be opened again, nobody writes into the file any more.
+    // Once it can be opened again, nobody writes to the file any more.
     let again = embedded(&home.join("a"), pin).await;
     copy(&home.join("a"), &home.join("b"));
     process.network.chain = again;
     process
 }
 
-/// The other way the chain can go: `blocks` blocks of a stranger.
+/// The other continuation of the chain: `blocks` blocks by a stranger.
 async fn other_way(process: &Process, home: &Path, blocks: u64) -> crate::chain::Chain {
     let chain = embedded(&home.join("b"), process.network.chain.pin()).await;
     let stranger = EoaSecret::generate().expect("key");
@@ -129,7 +129,7 @@ async fn another_chain_stops_everything_and_changes_nothing() {
     let cursor = process.plant.ledger.cursor(CURSOR);
     let own = process.network.chain.clone();
     let other = Process::on_embedded(&home.path().join("b")).await;
-    // The line is the same and knows what it was pinned to; behind it is another chain.
+    // The connection is the same and knows its pin; behind it is another chain.
     process.network.chain = other.network.chain.pretending(own.pin().expect("pinned"));
     let error = watch_round(&process.plant, &process.network).await.expect_err("another chain");
     assert!(matches!(error, PipelineError::Chain(ChainError::Swapped { what: "chain id", .. })), "{error}");

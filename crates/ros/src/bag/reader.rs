@@ -1,5 +1,5 @@
-//! Reads a bag chunk by chunk, in the order of the file. A chunk is unpacked and its checksum compared before any of
-//! its messages is given out; one that is damaged is skipped as a whole.
+//! Reads a bag chunk by chunk, in file order. A chunk is decompressed and its checksum compared before any of its
+//! messages is returned; a damaged one is skipped as a whole.
 
 use std::collections::HashMap;
 use std::io::{BufRead, Read, Seek, SeekFrom};
@@ -15,20 +15,20 @@ use crate::ros::recording::{
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
-/// A chunk that is being read.
+/// The chunk being read.
 #[derive(Debug, Default)]
 struct Chunk {
     bytes: Vec<u8>,
     at: usize,
-    /// Where it begins in the file.
+    /// Its offset in the file.
     position: u64,
-    /// Whether its end is missing, which was noted already.
+    /// Whether its end is missing, which was already reported.
     cut: bool,
     /// Whether a checksum covered its bytes.
     guarded: bool,
 }
 
-/// What stands at a position of the file.
+/// What is at a position of the file.
 enum Found {
     /// A record: the end of its header, and the length of its data.
     Record {
@@ -40,7 +40,7 @@ enum Found {
     Damage(&'static str),
 }
 
-/// Reads a bag of version 2.0. `R` is best buffered.
+/// Reads a bag of version 2.0. `R` should be buffered.
 #[derive(Debug)]
 pub struct BagReader<R> {
     file: R,
@@ -51,18 +51,18 @@ pub struct BagReader<R> {
     connections: HashMap<u32, Arc<Channel>>,
     connection_bytes: usize,
     findings: Findings,
-    /// How many messages the index counts, where it is whole.
+    /// How many messages the index counts, if it is complete.
     counted: Option<u64>,
-    /// How many were met.
+    /// How many were found.
     met: u64,
     ended: bool,
 }
 
 impl<R: BufRead + Seek> BagReader<R> {
-    /// Begins to read a bag.
+    /// Starts reading a bag.
     ///
     /// # Errors
-    /// [`RosError::Recording`] where it cannot be read, is no bag of version 2.0, or is encrypted.
+    /// [`RosError::Recording`] if it cannot be read, is not a bag of version 2.0, or is encrypted.
     pub fn open(mut file: R) -> Result<Self, RosError> {
         let length = file.seek(SeekFrom::End(0)).map_err(|error| RosError::unreadable(&error))?;
         file.seek(SeekFrom::Start(0)).map_err(|error| RosError::unreadable(&error))?;
@@ -88,20 +88,20 @@ impl<R: BufRead + Seek> BagReader<R> {
         Ok(reader)
     }
 
-    /// What was skipped so far.
+    /// What has been skipped so far.
     pub fn findings(&self) -> &Findings {
         &self.findings
     }
 
-    /// Bytes of the file that were read so far, and all of them.
+    /// Bytes of the file read so far, and its size.
     pub fn progress(&self) -> (u64, u64) {
         (self.position.min(self.length), self.length)
     }
 
-    /// The next message that can be read; `None` at the end.
+    /// The next readable message; `None` at the end.
     ///
     /// # Errors
-    /// [`RosError::Recording`] where the file itself cannot be read.
+    /// [`RosError::Recording`] if the file itself cannot be read.
     pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
         loop {
             if let Some(message) = self.next_in_chunk() {
@@ -117,7 +117,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         }
     }
 
-    /// The connections that the index at the end names: a damaged chunk may have held the only other copy.
+    /// The connections listed in the index at the end: a damaged chunk may have held the only other copy.
     fn read_index(&mut self) -> Result<(), RosError> {
         let unreadable = |error: std::io::Error| RosError::unreadable(&error);
         let Found::Record { header, .. } = self.look(self.position).map_err(unreadable)? else { return Ok(()) };
@@ -157,7 +157,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         Ok(counts.map(|count| u64::from(u32::from_le_bytes(*count))).sum())
     }
 
-    /// Takes a connection in; of one number the last counts, as in rosbag.
+    /// Adds a connection; if a number occurs twice the last one counts, as in rosbag.
     fn learn(&mut self, fields: &Fields<'_>, data: &[u8]) -> bool {
         let Some((number, channel)) = connection(fields, data).filter(|_| data.len() <= LONGEST_CONNECTION) else {
             return false;
@@ -199,7 +199,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         Ok(bytes.first_chunk().map(|bytes| u64::from(u32::from_le_bytes(*bytes))))
     }
 
-    /// Reads the next record of the file: fills the chunk, or gives a message that stands outside of chunks.
+    /// Reads the next record of the file: fills the chunk, or returns a message outside any chunk.
     fn advance(&mut self) -> std::io::Result<Option<RecordedMessage>> {
         let start = self.position;
         let (header, data, length) = match self.look(start)? {
@@ -218,7 +218,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         match fields.op() {
             Some(Op::Chunk) => self.read_chunk(&fields, start, data, length)?,
             Some(Op::Index) if fields.u32("ver") == Some(1) => {
-                // Some recorders wrote a wrong length here; rosbag goes by the count.
+                // Some recorders wrote a wrong length here; like rosbag, go by the count.
                 self.position = data + u64::from(fields.u32("count").unwrap_or(0)) * 12;
             }
             Some(Op::Connection) if length <= LONGEST_CONNECTION as u64 => {
@@ -253,7 +253,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         message
     }
 
-    /// Goes on at the next chunk behind `from`; what lies between is noted as skipped.
+    /// Continues at the next chunk after `from`; what lies between is reported as skipped.
     fn search(&mut self, damaged: u64, from: u64, why: &str) -> std::io::Result<()> {
         let next = next_chunk(&mut self.file, from)?;
         let end = next.unwrap_or(self.length);
@@ -272,7 +272,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         };
         let unfinished = size == 0 && length == 0;
         if unfinished && compression == ChunkCompression::None {
-            // A recorder that was killed: the chunk's records follow, only its length was never written.
+            // The recorder was killed: the chunk's records follow, but its length was never written.
             self.position = data;
             return Ok(());
         }
@@ -304,12 +304,12 @@ impl<R: BufRead + Seek> BagReader<R> {
         self.skip_chunk(start, data, &why)
     }
 
-    /// Whether another chunk begins behind `from`, so that the length read there is not to be believed.
+    /// Whether another chunk begins after `from`, so that the length read there is wrong.
     fn is_followed(&mut self, from: u64) -> std::io::Result<bool> {
         next_chunk(&mut self.file, from).map(|next| next.is_some())
     }
 
-    /// A damaged chunk: goes on behind it where a record begins there, else at the next chunk to be found.
+    /// A damaged chunk: continues after it if a record begins there, otherwise at the next chunk found.
     fn skip_chunk(&mut self, start: u64, data: u64, why: &str) -> std::io::Result<()> {
         if self.position <= self.length && !matches!(self.look(self.position)?, Found::Damage(_)) {
             let skipped = self.position - start;
@@ -354,13 +354,13 @@ impl<R: BufRead + Seek> BagReader<R> {
             let text = format!("the last {left} bytes of a chunk were skipped: they are no records of a bag");
             self.findings.note(chunk.position, &text);
         }
-        // The memory is kept for the next one.
+        // The memory is reused for the next one.
         chunk.bytes.clear();
         self.chunk = Chunk { bytes: chunk.bytes, ..Chunk::default() };
     }
 }
 
-/// Header, data and length of the record at the beginning of the bytes.
+/// Header, data and length of the record at the start of the bytes.
 fn record_in(bytes: &[u8]) -> Option<(&[u8], &[u8], usize)> {
     let (header, rest) = sized(bytes)?;
     let (data, rest) = sized(rest)?;

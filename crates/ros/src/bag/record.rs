@@ -12,7 +12,7 @@ pub(super) const LONGEST_HEADER: usize = 64 * 1024;
 /// The longest data of a connection record, bytes: it holds a definition.
 pub(super) const LONGEST_CONNECTION: usize = 2 << 20;
 
-/// What a record is (its field `op`).
+/// The kind of a record (its field `op`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Op {
     Message = 2,
@@ -30,14 +30,14 @@ impl Op {
     }
 }
 
-/// The fields of a header, as they stand in its bytes.
+/// The fields of a header, as slices of its bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Fields<'a> {
     fields: Vec<(&'a [u8], &'a [u8])>,
 }
 
 impl<'a> Fields<'a> {
-    /// Reads a whole header; `None` where the bytes are not exactly fields.
+    /// Parses a whole header; `None` if the bytes are not exactly fields.
     pub fn parse(mut bytes: &'a [u8]) -> Option<Self> {
         let mut fields = Vec::new();
         while !bytes.is_empty() {
@@ -81,13 +81,13 @@ impl<'a> Fields<'a> {
     }
 }
 
-/// A length and so many bytes; then the rest.
+/// A length and that many bytes; then the rest.
 pub(super) fn sized(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = bytes.split_first_chunk::<4>()?;
     rest.split_at_checked(usize::try_from(u32::from_le_bytes(*length)).ok()?)
 }
 
-/// A connection record: its number, and what it says of the publisher.
+/// A connection record: its number, and its description of the publisher.
 pub(super) fn connection(fields: &Fields<'_>, data: &[u8]) -> Option<(u32, Channel)> {
     let about = Fields::parse(data)?;
     let channel = Channel {
@@ -139,7 +139,7 @@ pub(super) fn put_connection(out: &mut Vec<u8>, number: u32, channel: &Channel) 
     put_fields(out, &about);
 }
 
-/// A moment as a bag has it.
+/// A time in the format of a bag.
 pub(super) fn time_bytes(time: Timestamp) -> [u8; 8] {
     let seconds = u32::try_from(time.0 / 1_000_000_000).unwrap_or(u32::MAX).to_le_bytes();
     let nanoseconds = u32::try_from(time.0 % 1_000_000_000).unwrap_or(0).to_le_bytes();

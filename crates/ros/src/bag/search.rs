@@ -1,22 +1,22 @@
-//! Where the next chunk of a damaged bag begins: looked for by what every chunk's header holds.
+//! Where the next chunk of a damaged bag begins: found by the bytes that every chunk header contains.
 
 use std::io::{self, Read, Seek, SeekFrom};
 
 use super::record::{Fields, Op, sized};
 use crate::ros::recording::ChunkCompression;
 
-/// In every header of a chunk: a field of four bytes, `op=` and the chunk's code.
+/// Part of every chunk header: a field of four bytes, `op=` and the chunk's code.
 const MARK: &[u8] = b"\x04\0\0\0op=\x05";
 
-/// The longest way from the beginning of a chunk's record to the mark, bytes.
+/// The greatest distance from the start of a chunk record to the mark, bytes.
 const LONGEST_LEAD: u64 = 64;
 
-/// The longest chunk header looked for, bytes.
+/// The longest chunk header searched for, bytes.
 const LONGEST: usize = 128;
 
 const WINDOW: usize = 64 * 1024;
 
-/// The compression of a chunk, by its header; `None` where it is of no known one.
+/// The compression of a chunk, from its header; `None` if it is unknown.
 pub(super) fn chunk_compression(fields: &Fields<'_>) -> Option<ChunkCompression> {
     match fields.bytes("compression")? {
         b"none" => Some(ChunkCompression::None),
@@ -26,10 +26,10 @@ pub(super) fn chunk_compression(fields: &Fields<'_>) -> Option<ChunkCompression>
     }
 }
 
-/// The first position at or behind `from` where a chunk's record begins.
+/// The first position at or after `from` where a chunk record begins.
 ///
 /// # Errors
-/// Of the file.
+/// Errors of the file.
 pub(super) fn next_chunk(file: &mut (impl Read + Seek), from: u64) -> io::Result<Option<u64>> {
     let mut at = from;
     let mut window = Vec::with_capacity(WINDOW);
@@ -50,14 +50,14 @@ pub(super) fn next_chunk(file: &mut (impl Read + Seek), from: u64) -> io::Result
     }
 }
 
-/// The beginning of the chunk record whose mark stands at `mark`.
+/// The start of the chunk record whose mark is at `mark`.
 fn start_of_chunk(file: &mut (impl Read + Seek), from: u64, mark: u64) -> io::Result<Option<u64>> {
     let first = from.max(mark.saturating_sub(LONGEST_LEAD));
     let mut bytes = Vec::with_capacity(LONGEST * 2);
     file.seek(SeekFrom::Start(first))?;
     file.by_ref().take(LONGEST as u64 * 2).read_to_end(&mut bytes)?;
     let lead = usize::try_from(mark - first).unwrap_or(0);
-    // The nearest beginning that makes a header is it.
+    // The nearest start that gives a valid header is the right one.
     let starts = (0..=lead.saturating_sub(4)).rev().filter(|start| start + 4 <= lead);
     let is_chunk =
         |start: &usize| bytes.get(*start..).and_then(sized).is_some_and(|(header, _)| is_chunk_header(header));

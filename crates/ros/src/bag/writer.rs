@@ -1,4 +1,4 @@
-//! Writes a bag: chunks of about 768 KiB, each with its index; connections and the chunks' places at the end.
+//! Writes a bag: chunks of about 768 KiB, each with its index; the connections and the chunks' positions at the end.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io::{Seek, SeekFrom, Write};
@@ -16,7 +16,7 @@ use crate::ros::tcpros::LONGEST_MESSAGE;
 /// The bag's header with its padding, without lengths.
 const HEADER_LENGTH: usize = 4096;
 
-/// Where a chunk lies and what it holds.
+/// The position of a chunk and what it holds.
 #[derive(Debug)]
 struct ChunkInfo {
     position: u64,
@@ -34,16 +34,16 @@ pub struct BagWriter<W> {
     connections: Vec<Arc<Channel>>,
     chunk: Vec<u8>,
     span: Option<(Timestamp, Timestamp)>,
-    /// Time and place of each message of the chunk, by connection.
+    /// Time and offset of each message of the chunk, by connection.
     index: BTreeMap<u32, Vec<(Timestamp, usize)>>,
     chunks: Vec<ChunkInfo>,
 }
 
 impl<W: Write + Seek> BagWriter<W> {
-    /// Begins a bag.
+    /// Starts a bag.
     ///
     /// # Errors
-    /// [`RosError::Recording`] where it cannot be written, or bags are never compressed so.
+    /// [`RosError::Recording`] if it cannot be written, or bags do not use this compression.
     pub fn begin(out: W, compression: ChunkCompression) -> Result<Self, RosError> {
         if !RecordingFormat::Bag.takes(compression) {
             return Err(RosError::recording(&format!("a bag is never compressed with {compression}")));
@@ -73,7 +73,7 @@ impl<W: Write + Seek> BagWriter<W> {
     /// Writes one message; its time is kept to the nanosecond.
     ///
     /// # Errors
-    /// [`RosError::Recording`] where it cannot be written, is too large, or is no message of ROS 1.
+    /// [`RosError::Recording`] if it cannot be written, is too large, or is not a ROS 1 message.
     pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, body: &[u8]) -> Result<(), RosError> {
         if channel.encoding != Encoding::Ros1 {
             return Err(RosError::recording("a bag holds messages of ROS 1 alone; write MCAP instead"));
@@ -92,7 +92,7 @@ impl<W: Write + Seek> BagWriter<W> {
         if self.chunk.len() >= CHUNK_THRESHOLD { self.end_chunk() } else { Ok(()) }
     }
 
-    /// The number of a connection; a new one's record goes into the chunk first.
+    /// The number of a connection; the record of a new one goes into the chunk first.
     fn number(&mut self, channel: &Arc<Channel>) -> Result<u32, RosError> {
         if let Some(number) = self.numbers.get(channel) {
             return Ok(*number);
@@ -144,10 +144,10 @@ impl<W: Write + Seek> BagWriter<W> {
         self.put(&record)
     }
 
-    /// Writes the last chunk and the index, and gives the file back.
+    /// Writes the last chunk and the index, and returns the file.
     ///
     /// # Errors
-    /// [`RosError::Recording`] where it cannot be written.
+    /// [`RosError::Recording`] if it cannot be written.
     pub fn finish(mut self) -> Result<W, RosError> {
         self.end_chunk()?;
         let index_position = self.position;

@@ -1,5 +1,5 @@
-//! What the threads of a capture share: the watched topics, the count of threads, and the face
-//! the node shows to the master and to tools.
+//! State shared by the threads of a capture: the watched topics, the count of threads, and what the node shows to the
+//! master and to tools.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -12,10 +12,10 @@ use crate::model::{TopicName, TypeName, clean};
 use crate::ros::address::Endpoint;
 use crate::ros::slave::{BusLink, Node};
 
-/// How long a thread rests after a panic.
+/// How long a thread pauses after a panic.
 const REST: Duration = Duration::from_millis(500);
 
-/// A lock that a panicking thread did not leave useless: the data are plain counters and lists.
+/// A lock that survives a panicking thread: the data are plain counters and lists.
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -23,7 +23,7 @@ pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 /// What the registrar is to do next.
 #[derive(Default)]
 pub(super) struct Errands {
-    /// Topics to ask the master about at once.
+    /// Topics to query the master about at once.
     pub urgent: BTreeSet<TopicName>,
     /// Topics to unregister.
     pub leaving: BTreeSet<TopicName>,
@@ -90,7 +90,7 @@ impl Shared {
         self.send(|errands| errands.stopping = true);
     }
 
-    /// The master is asked about this topic at once.
+    /// Has the master queried about this topic at once.
     pub fn ask_about(&self, name: &TopicName) {
         self.send(|errands| {
             errands.urgent.insert(name.clone());
@@ -101,7 +101,7 @@ impl Shared {
         self.sink.notice(notice);
     }
 
-    /// Waits up to `patience` for an errand and takes all there are.
+    /// Waits up to `patience` for an errand and takes all of them.
     pub fn errands(&self, patience: Duration) -> Errands {
         let idle = |errands: &mut Errands| errands.urgent.is_empty() && errands.leaving.is_empty() && !errands.stopping;
         let waited = self.wake.wait_timeout_while(lock(&self.errands), patience, idle);
@@ -138,7 +138,7 @@ impl Node for Shared {
         self.topics().iter().flat_map(|topic| topic.links()).collect()
     }
 
-    /// Anybody can send this, so it is only a hint to ask the master at once, and a claim to hold against the answer.
+    /// Anyone can send this, so it is only a hint to query the master at once, and a claim to compare with the answer.
     fn publishers_changed(&self, topic: &str, publishers: &[&str]) {
         if let Some(topic) = self.topic(topic) {
             topic.claim(publishers);
@@ -156,15 +156,15 @@ impl Node for Shared {
     }
 }
 
-/// Counts running threads, so that ending can wait for them, but not for ever.
+/// Counts running threads, so that shutdown can wait for them, but not forever.
 #[derive(Default)]
 pub(super) struct Threads {
     running: Arc<(Mutex<usize>, Condvar)>,
 }
 
 impl Threads {
-    /// Runs `work` in a counted thread until it ends by itself; after a panic, of which the panic hook tells, it is
-    /// begun again.
+    /// Runs `work` in a counted thread until it ends by itself; after a panic, which the panic hook reports, it is
+    /// started again.
     pub fn spawn(&self, name: &str, mut work: impl FnMut() + Send + 'static) -> std::io::Result<()> {
         let place = Counted::new(&self.running);
         std::thread::Builder::new().name(name.into()).spawn(move || {
@@ -176,7 +176,7 @@ impl Threads {
         Ok(())
     }
 
-    /// Waits until no thread runs; whether that came before `deadline`.
+    /// Waits until no thread runs; returns whether that happened before `deadline`.
     pub fn wait_until_none(&self, deadline: Instant) -> bool {
         let (count, changed) = &*self.running;
         let patience = deadline.saturating_duration_since(Instant::now());

@@ -1,7 +1,7 @@
-//! Where a message claims to come from, and which publishers of one caller id overlapped in time.
+//! Where a message claims to come from, and which publishers with the same caller id overlapped in time.
 //!
-//! ROS 1 has no authentication: caller id, host and type are what a publisher says. What can be seen from
-//! here is whether two processes of one caller id were there at once, which a restart never is.
+//! ROS 1 has no authentication: caller id, host and type are what a publisher states. What can be observed here is
+//! whether two processes with one caller id existed at once, which never happens in a restart.
 
 use std::collections::HashMap;
 use std::net::{IpAddr, SocketAddr};
@@ -14,7 +14,7 @@ use crate::ros::address::{Endpoint, resolve};
 /// The most caller ids of a topic whose end is remembered.
 const MOST_ENDED: usize = 256;
 
-/// Counts publishers met by this process.
+/// Counts the publishers seen by this process.
 static MET: AtomicU64 = AtomicU64::new(1);
 
 /// The number of the next publisher.
@@ -22,7 +22,7 @@ pub(crate) fn next_number() -> u64 {
     MET.fetch_add(1, Ordering::Relaxed)
 }
 
-/// A publisher of the same caller id that was still being read when another one registered.
+/// A publisher with the same caller id that was still being read when another one registered.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Rival {
     /// Its number.
@@ -31,25 +31,25 @@ pub struct Rival {
     pub uri: String,
 }
 
-/// Who sends the messages of one connection, as far as ROS 1 tells.
+/// Who sends the messages of a connection, as far as ROS 1 reveals it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Origin {
-    /// Its own in this process, over reconnections, for as long as the master goes on listing its URI.
+    /// Unique in this process, kept across reconnections for as long as the master keeps listing its URI.
     pub number: u64,
-    /// The node name that it gave: clean it before it is shown.
+    /// The node name it stated: clean it before it is shown.
     pub caller_id: Arc<str>,
-    /// The host part of its URI, in small letters; where the bytes come from an address that this name does not
-    /// stand for, that address.
+    /// The host part of its URI, in lower case; if the bytes come from an address that does not belong to this name,
+    /// that address.
     pub host: String,
-    /// Its URI, as the master lists it.
+    /// Its URI, as listed by the master.
     pub uri: String,
     /// Its type, `package/Type`.
     pub type_name: Arc<str>,
-    /// The type's md5sum, as it gave it.
+    /// The type's md5sum, as it stated it.
     pub md5sum: Arc<str>,
-    /// When an answer of the master first named it.
+    /// When an answer of the master first listed it.
     pub listed_at: Instant,
-    /// The one that it pushes aside or stands beside under the same caller id.
+    /// The publisher with the same caller id that it replaces or coexists with.
     pub rival: Option<Rival>,
 }
 
@@ -73,30 +73,30 @@ struct Ended {
     number: u64,
     endpoint: Endpoint,
     at: Instant,
-    /// Somebody else was registered under its caller id by then.
+    /// By then its caller id was registered to somebody else.
     taken: bool,
 }
 
-/// When connections ended, by caller id, and since when the master's answers are known not to name somebody.
+/// When connections ended, by caller id, and since when the master's answers are known not to list somebody.
 #[derive(Default)]
 pub(super) struct Lineage {
     ended: HashMap<Arc<str>, Ended>,
-    /// When the last answer of the master was asked for.
+    /// When the last answer of the master was requested.
     asked: Option<Instant>,
 }
 
 impl Lineage {
-    /// The master was asked then, and answered or was not there.
+    /// The master was queried then, and answered or was down.
     pub fn asked(&mut self, at: Instant) {
         self.asked = Some(at);
     }
 
-    /// The last moment at which somebody whom the next answer names for the first time was not registered yet.
+    /// The last moment at which a publisher that the next answer lists for the first time was not registered yet.
     pub fn absent_until(&self) -> Option<Instant> {
         self.asked
     }
 
-    /// A connection ended; `taken` where the master then had somebody else under its caller id.
+    /// A connection ended; `taken` if the master then had somebody else under its caller id.
     pub fn ended(&mut self, caller_id: &Arc<str>, (number, endpoint): (u64, &Endpoint), at: Instant, taken: bool) {
         if self.ended.len() >= MOST_ENDED
             && let Some(oldest) = self.ended.iter().min_by_key(|(_, ended)| ended.at).map(|(name, _)| Arc::clone(name))
@@ -106,8 +106,8 @@ impl Lineage {
         self.ended.insert(Arc::clone(caller_id), Ended { number, endpoint: endpoint.clone(), at, taken });
     }
 
-    /// A publisher of this caller id whose connection may have ended only after `number` had registered, which
-    /// was no earlier than `absent_until`.
+    /// A publisher with this caller id whose connection may have ended only after `number` had registered, which was no
+    /// earlier than `absent_until`.
     pub fn rival(&self, caller_id: &str, number: u64, absent_until: Option<Instant>) -> Option<Rival> {
         let former = self.ended.get(caller_id)?;
         let overlapped = former.taken || absent_until.is_none_or(|absent| former.at >= absent);
@@ -134,16 +134,16 @@ mod tests {
         assert_eq!(lineage.absent_until(), None);
         lineage.asked(at(1));
         lineage.ended(&name, (1, &endpoint(10)), at(2), false);
-        // Listed by the answer to the very next question: it had registered while the former was still there.
+        // Listed in the answer to the very next query: it had registered while the former was still there.
         let taken = lineage.rival(&name, 2, lineage.absent_until());
         assert_eq!(taken, Some(Rival { number: 1, uri: "http://Robot:10/".into() }));
-        // A question after the end that did not name it: it came later.
+        // A query after the end that did not list it: it came later.
         lineage.asked(at(3));
         assert_eq!(lineage.rival(&name, 3, lineage.absent_until()), None);
-        // The same publisher again is nobody's rival, another name neither.
+        // The same publisher again is not a rival, nor is another name.
         assert_eq!(lineage.rival(&name, 1, Some(at(1))), None);
         assert_eq!(lineage.rival("/other", 4, Some(at(1))), None);
-        // However long after: its name was somebody else's already when it ended.
+        // However much later: its name was already somebody else's when it ended.
         lineage.ended(&name, (5, &endpoint(11)), at(4), true);
         lineage.asked(at(5));
         assert_eq!(lineage.rival("/driver", 6, lineage.absent_until()).map(|rival| rival.number), Some(5));

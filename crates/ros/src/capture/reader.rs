@@ -1,5 +1,5 @@
-//! The thread that reads one publisher: asks it for the topic, connects, shakes hands, and hands
-//! every message on; after a loss it tries again for as long as the master names the publisher.
+//! The thread that reads one publisher: requests the topic, connects, shakes hands, and passes every message on; after
+//! a loss it tries again for as long as the master lists the publisher.
 
 use std::collections::BTreeSet;
 use std::io;
@@ -18,25 +18,25 @@ use crate::ros::message::Definition;
 use crate::ros::tcpros::{ConnectionHeader, FrameReader, LONGEST_HEADER, LONGEST_MESSAGE, Poll};
 use crate::ros::xmlrpc::{CallError, Value, call};
 
-/// The longest that asking, connecting and shaking hands may take, each.
+/// The longest that each of requesting, connecting and shaking hands may take.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// How long a read waits before it looks whether the topic has ended.
+/// How long a read waits before checking whether the topic has ended.
 const TICK: Duration = Duration::from_millis(250);
 
-/// After so long without a message the publisher's host is asked whether it still lives.
+/// After this long without a message the publisher's host is checked for life.
 const SILENCE: Duration = Duration::from_secs(30);
 
 /// First and longest wait between attempts.
 const RETRY: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(2));
 
-/// A connection that lasted so long was a good one.
+/// A connection that lasted this long was a good one.
 const STEADY: Duration = Duration::from_secs(5);
 
-/// No two attempts follow each other faster.
+/// The shortest time between two attempts.
 const FLOOR: Duration = Duration::from_millis(20);
 
-/// Wait after an attempt that more attempts will hardly change.
+/// Wait after a failure that more attempts are unlikely to fix.
 const RETRY_REFUSED: Duration = Duration::from_secs(10);
 
 /// Starts the thread.
@@ -53,19 +53,19 @@ pub(super) fn spawn(shared: &Arc<Shared>, topic: &Arc<Topic>, publisher: Arc<Pub
     shared.threads.spawn("ros-reader", move || reader.run())
 }
 
-/// What a publisher's connection header says of its messages.
+/// What a publisher's connection header says about its messages.
 struct Description {
     type_name: Arc<str>,
     md5sum: Arc<str>,
     definition: Arc<str>,
     caller_id: Arc<str>,
     latching: bool,
-    /// What of its words contradicts the rest.
+    /// The inconsistencies in it.
     contradiction: Option<String>,
     has_header: bool,
 }
 
-/// A connection that is up.
+/// An open connection.
 struct Link {
     frames: FrameReader<TcpStream>,
     from: Description,
@@ -78,7 +78,7 @@ enum Failure {
     Passing(String),
     /// It sends another type.
     Mismatch { caller_id: String, found: String },
-    /// It breaks the protocol or a limit.
+    /// It violates the protocol or a limit.
     Refused(String),
 }
 
@@ -87,11 +87,11 @@ struct Reader {
     topic: Arc<Topic>,
     publisher: Arc<Publisher>,
     sequence: Sequence,
-    /// Attempts in a row that failed.
+    /// Failed attempts in a row.
     failures: u32,
-    /// Whether that was told.
+    /// Whether that was reported.
     told: bool,
-    /// Contradictions that were told.
+    /// Inconsistencies already reported.
     contradicted: BTreeSet<String>,
 }
 
@@ -114,7 +114,7 @@ impl Reader {
                     wait
                 }
             };
-            // Anybody can hint at a change: a flood of hints must not become a flood of attempts.
+            // Anyone can hint at a change: a flood of hints must not become a flood of attempts.
             std::thread::sleep(FLOOR);
             if !self.topic.wait_to_retry(&self.publisher, wait) {
                 return;
@@ -122,7 +122,7 @@ impl Reader {
         }
     }
 
-    /// Connects and reads until the connection is gone; `Ok` where it was up.
+    /// Connects and reads until the connection is gone; `Ok` if it was open.
     fn attempt(&mut self) -> Result<(), Failure> {
         let mut link = self.open()?;
         self.topic.set_type(&link.from.type_name);
@@ -148,7 +148,7 @@ impl Reader {
         if self.topic.has_ended() {
             return Ok(());
         }
-        // Whoever is listed already had registered while this one was still there.
+        // A publisher that is already listed had registered while this one was still there.
         self.shared.ask_about(&self.topic.name);
         let (reason, result) = match ended {
             Ok(reason) => (reason, Ok(())),
@@ -167,7 +167,7 @@ impl Reader {
         let stream = connect(&host, port, Instant::now() + PATIENCE).map_err(passing)?;
         stream.set_read_timeout(Some(TICK)).map_err(passing)?;
         stream.set_write_timeout(Some(PATIENCE)).map_err(passing)?;
-        // Any type, even where one is asked for: so the answer tells which one it is.
+        // Any type, even if one is requested, so that the answer says which one it is.
         let request = ConnectionHeader::new([
             ("callerid", self.shared.node_name.as_str()),
             ("topic", self.topic.name.as_str()),
@@ -195,7 +195,7 @@ impl Reader {
         Ok(Link { frames, from, origin: Arc::new(origin) })
     }
 
-    /// Asks the publisher's slave API where it gives out the topic.
+    /// Asks the publisher's slave API where it serves the topic.
     fn ask(&self) -> Result<(String, u16), Failure> {
         let protocols = Value::Array(vec![Value::Array(vec!["TCPROS".into()])]);
         let params = [self.shared.node_name.as_str().into(), self.topic.name.as_str().into(), protocols];
@@ -229,7 +229,7 @@ impl Reader {
         Err(Failure::Passing("it sent no connection header in time".into()))
     }
 
-    /// Hands on messages until the connection or the topic ends; why it ended.
+    /// Passes messages on until the connection or the topic ends; returns why.
     fn read(&mut self, link: &mut Link) -> Result<String, Failure> {
         let mut heard = Instant::now();
         loop {
@@ -290,8 +290,8 @@ impl Reader {
         self.topic.count_message(bytes, captured_at);
     }
 
-    /// Whether the master has another process under this caller id. One that takes a name over registers first, and
-    /// only then does the master end the elder one; one that is restarted comes after the elder one's end.
+    /// Whether the master has another process under this caller id. A process that takes over a name registers first,
+    /// and only then does the master shut down the older one; a restarted one registers after the older one's end.
     fn is_taken(&self, caller_id: &str) -> bool {
         let params = [self.shared.node_name.as_str().into(), caller_id.into()];
         let found = call(&self.shared.master, "lookupNode", &params, Instant::now() + PATIENCE).ok();
@@ -299,7 +299,7 @@ impl Reader {
         found.is_some_and(|found| found != self.publisher.endpoint)
     }
 
-    /// A peer without power says nothing, as one without news does. A hung one still lives.
+    /// A peer without power is as silent as one without news. A hung one is still alive.
     fn host_lives(&self) -> bool {
         let params = [self.shared.node_name.as_str().into()];
         let answer = call(&self.publisher.endpoint, "getPid", &params, Instant::now() + PATIENCE);
@@ -308,7 +308,7 @@ impl Reader {
 
     fn complain(&mut self, failure: Failure) {
         self.failures = self.failures.saturating_add(1);
-        // A publisher that ends is asked in vain once or twice before the master stops naming it.
+        // A publisher that is shutting down may be queried in vain once or twice before the master stops listing it.
         let lasting = self.failures > 3 || !matches!(failure, Failure::Passing(_));
         if self.told || !lasting || self.topic.has_ended() {
             return;
@@ -334,7 +334,7 @@ impl Reader {
     }
 }
 
-/// How long to wait after a connection that lasted so long: one that lets go again and again is not asked without end.
+/// How long to wait after a connection that lasted this long: one that keeps disconnecting is not retried endlessly.
 fn rest(before: Duration, lasted: Duration) -> Duration {
     if lasted < STEADY { (before * 2).min(RETRY.1) } else { RETRY.0 }
 }
@@ -369,7 +369,7 @@ fn describe(header: &ConnectionHeader, wanted: Option<&TypeName>) -> Result<Desc
     })
 }
 
-/// What of type, md5sum and definition does not fit together. Such messages are captured as they are sent.
+/// Inconsistencies between type, md5sum and definition. Such messages are captured as sent.
 fn contradiction(type_name: &str, md5sum: &str, text: &str, definition: Option<&Definition>) -> Option<String> {
     if text.is_empty() && type_name != "std_msgs/Empty" {
         return Some(format!("it sends no definition of {}: its messages are kept, not decoded", clean(type_name, 80)));
@@ -391,7 +391,7 @@ mod tests {
             *wait = rest(*wait, Duration::from_millis(30));
             Some(*wait)
         });
-        // 45 s of it were 549 attempts before.
+        // 45 s of it used to be 549 attempts.
         assert!(waits.sum::<Duration>() > Duration::from_secs(5));
         assert_eq!(rest(RETRY.1, Duration::from_secs(60)), RETRY.0);
     }

@@ -1,5 +1,5 @@
-//! The thread that keeps the subscriptions at the master: it registers each watched topic again
-//! and again, which finds new publishers and heals a master's restart, and unregisters at the end.
+//! The thread that keeps the subscriptions at the master: it registers each watched topic repeatedly, which finds new
+//! publishers and survives a master's restart, and unregisters at the end.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -14,13 +14,13 @@ use crate::ros::RosError;
 use crate::ros::address::Endpoint;
 use crate::ros::xmlrpc::{CallError, Value, call};
 
-/// How often every topic is registered anew.
+/// How often every topic is registered again.
 const PERIOD: Duration = Duration::from_millis(500);
 
-/// Between two rounds so many times the duration of one passes, however many topics there are.
+/// The pause between two rounds, as a multiple of a round's duration, however many topics there are.
 const REST: u32 = 10;
 
-/// The longest wait for one answer of the master.
+/// The longest wait for an answer of the master.
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// The most publishers of one topic.
@@ -40,7 +40,7 @@ impl Registrar {
         Ok(Self { thread })
     }
 
-    /// Waits for the end, which the shared state has already been told of.
+    /// Waits for the end, which the shared state already knows about.
     pub fn stop(&self, deadline: Instant) {
         self.thread.wait_until_none(deadline);
     }
@@ -68,7 +68,7 @@ impl Work {
             } else {
                 let begun = Instant::now();
                 let topics = self.shared.topics();
-                // A topic that is watched from now on is urgent: it does not wait for the round.
+                // A newly watched topic is urgent: it does not wait for the round.
                 let period = if topics.is_empty() { PATIENCE } else { PERIOD };
                 self.register(topics);
                 next_round = Instant::now() + period.max(begun.elapsed() * REST);
@@ -76,8 +76,8 @@ impl Work {
         }
     }
 
-    /// Registers each topic. One that becomes urgent meanwhile comes first, but once only: a
-    /// flood of hints for one topic must not starve the others.
+    /// Registers each topic. One that becomes urgent meanwhile goes first, but only once: a flood of hints for one
+    /// topic must not starve the others.
     fn register(&mut self, topics: Vec<Arc<Topic>>) {
         let mut queue: VecDeque<_> = topics.into();
         let mut hurried = BTreeSet::new();
@@ -99,9 +99,9 @@ impl Work {
         }
     }
 
-    /// Registers a topic and meets its publishers; whether the master answered.
+    /// Registers a topic and handles its publishers; returns whether the master answered.
     fn register_one(&mut self, topic: &Arc<Topic>) -> bool {
-        // Taken first: only an answer asked for later can gainsay a claim.
+        // Taken first: only an answer requested later can contradict a claim.
         let claims = topic.take_claims();
         let asked_at = Instant::now();
         let answer = self.publishers(topic);
@@ -115,7 +115,7 @@ impl Work {
             Err(error) => {
                 topic.give_back(claims);
                 if matches!(error, CallError::Connect(_)) {
-                    // There is no master, so nobody is registered at one.
+                    // Without a master nobody is registered.
                     topic.asked(asked_at);
                 }
                 false
@@ -149,7 +149,7 @@ impl Work {
     fn unregister(&self, names: &BTreeSet<TopicName>, deadline: Instant) {
         for name in names {
             let params = self.params(&[name.as_str()]);
-            // A master that is gone has forgotten the subscription as well.
+            // A master that is gone has forgotten the subscription too.
             if call(&self.shared.master, "unregisterSubscriber", &params, deadline).is_err() {
                 return;
             }
@@ -189,7 +189,7 @@ fn meet(shared: &Arc<Shared>, topic: &Arc<Topic>, uris: &[String], asked_at: Ins
     }
 }
 
-/// Tells of claimed publishers that the master's answer did not name. Nobody connects to them.
+/// Reports claimed publishers that the master's answer did not list. Nobody connects to them.
 fn refute(shared: &Shared, topic: &Topic, claims: BTreeSet<String>) {
     for publisher in topic.unconfirmed(claims) {
         shared.notice(CaptureNotice::UnconfirmedPublisher { topic: Arc::clone(&topic.label), publisher });

@@ -1,4 +1,4 @@
-//! Counting of gaps in `header.seq`: what a publisher sent and we never saw.
+//! Counts gaps in `header.seq`: messages a publisher sent that never arrived.
 
 /// Follows the sequence numbers of one publisher.
 #[derive(Debug, Default)]
@@ -7,17 +7,17 @@ pub(super) struct Sequence {
 }
 
 impl Sequence {
-    /// Takes the next number; how many are missing before it. The first, a repeated, and a lower
-    /// one (a publisher that began anew) miss none; the step from the highest to 0 is no gap.
+    /// Takes the next number; returns how many are missing before it. The first, a repeated, and a lower one (a
+    /// publisher that restarted) miss none; the step from the highest to 0 is not a gap.
     pub fn follow(&mut self, next: u32) -> u64 {
         let step = self.last.map_or(1, |last| next.wrapping_sub(last));
         self.last = Some(next);
-        // More than half the range ahead is behind.
+        // More than half the range ahead counts as behind.
         if (1..1 << 31).contains(&step) { u64::from(step - 1) } else { 0 }
     }
 }
 
-/// The number at the start of a body that begins with a header.
+/// The sequence number at the start of a body that begins with a header.
 pub(super) fn header_seq(body: &[u8]) -> Option<u32> {
     body.first_chunk().copied().map(u32::from_le_bytes)
 }

@@ -1,4 +1,4 @@
-//! Capture against publishers that misbehave: hung, too long, gapped, restarted.
+//! Capture against publishers that misbehave: hung, too long, with gaps, restarted.
 
 use std::io::{Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
@@ -15,7 +15,7 @@ const TOPIC: &str = "/t";
 const HEADER: &str = "Header header\n================================================================================\n\
     MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n";
 
-/// A node whose slave API is sound; what its TCPROS port does is up to the test.
+/// A node whose slave API works; what its TCPROS port does is up to the test.
 struct Publisher {
     port: u16,
 }
@@ -123,7 +123,7 @@ fn a_hung_publisher_starves_nobody() {
     let (_hung_slave, hung) = publisher(&master, "/hung");
     let (_slave, listener) = publisher(&master, "/sound");
     let (capture, kept) = start(&master);
-    // The hung one takes the connection and never says a word.
+    // The hung one accepts the connection and never sends a word.
     let _silent = hung.accept().expect("accept");
     let mut stream = welcome(&listener, "/sound");
     for seq in 0..100 {
@@ -195,7 +195,7 @@ fn a_broken_connection_header_is_refused() {
     }
 }
 
-/// Tells a capture what its publishers are, as the master would, but not being it.
+/// Tells a capture which publishers it has, like the master, without being the master.
 fn tell(capture: &Capture, uris: &[&str]) {
     let slave = Endpoint::parse(capture.uri()).expect("uri");
     let uris = crate::ros::xmlrpc::Value::Array(uris.iter().map(|uri| (*uri).into()).collect());
@@ -209,7 +209,7 @@ fn an_unconfirmed_publisher_is_told_of_once_and_never_connected_to() {
     let (listed, listener) = publisher(&master, "/p");
     let (capture, kept) = start(&master);
     let mut stream = welcome(&listener, "/p");
-    // Somebody's node, with a slave API and a port that would give out the topic.
+    // Somebody's node, with a slave API and a port that would serve the topic.
     let trap = TcpListener::bind("127.0.0.1:0").expect("bind");
     let port = trap.local_addr().expect("address").port();
     let forged = SlaveServer::start("127.0.0.1", Arc::new(Publisher { port })).expect("slave");
@@ -227,7 +227,7 @@ fn an_unconfirmed_publisher_is_told_of_once_and_never_connected_to() {
     assert_eq!(trap.accept().err().map(|error| error.kind()), Some(std::io::ErrorKind::WouldBlock), "nobody came");
 }
 
-/// The origins of the connections so far, by their order.
+/// The origins of the connections so far, in order.
 fn origins(kept: &Kept) -> Vec<Arc<Origin>> {
     let notices = kept.notices.lock().expect("lock");
     let origin = |notice: &CaptureNotice| match notice {
@@ -253,7 +253,7 @@ fn a_restarted_node_is_nobodys_rival() {
     unregister(&master, "/p", &slave);
     drop((stream, listener, slave));
     until("its end", || kept.noticed(|notice| matches!(notice, CaptureNotice::PublisherLost { .. })) == 1);
-    // The look that follows the end finds nobody; the new process comes later.
+    // The query after the end finds nobody; the new process comes later.
     std::thread::sleep(Duration::from_millis(700));
     let (_slave, listener) = publisher(&master, "/p");
     let _stream = welcome(&listener, "/p");
@@ -273,7 +273,7 @@ fn one_that_registers_while_its_namesake_is_read_is_its_rival_whether_that_one_e
         until("the first", || origins(&kept).len() == 1);
         let (_second, forged) = publisher(&master, "/p");
         if ends {
-            // As a node ends that the master tells to: a moment after the other one has registered.
+            // Like a node shut down by the master: it ends a moment after the other one has registered.
             drop((stream, listener));
         }
         let _stream = welcome(&forged, "/p");

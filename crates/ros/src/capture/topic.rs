@@ -1,4 +1,4 @@
-//! One watched topic: its publishers, its counters, and when it ends.
+//! One watched topic: its publishers, its counters, and its end.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,21 +12,21 @@ use crate::model::{Timestamp, TopicName, TypeName, clean};
 use crate::ros::address::Endpoint;
 use crate::ros::slave::BusLink;
 
-/// The most addresses complained about; further ones are refused in silence.
+/// The most addresses reported; further ones are refused silently.
 const MOST_COMPLAINTS: usize = 64;
 
 /// The most claims of publishers kept until the master has answered.
 const MOST_CLAIMS: usize = 64;
 
-/// A publisher that the master listed so short a time ago may still be named by a late note of the master.
+/// A publisher that the master listed this recently may still be named in a late notice from the master.
 const LATELY: Duration = Duration::from_secs(10);
 
 /// A publisher of the topic, read by one thread.
 pub(super) struct Publisher {
     pub endpoint: Endpoint,
-    /// Its own in this process.
+    /// Unique in this process.
     pub number: u64,
-    /// When an answer of the master first named it.
+    /// When an answer of the master first listed it.
     pub listed_at: Instant,
     /// It registered no earlier than this.
     absent_until: Option<Instant>,
@@ -35,11 +35,11 @@ pub(super) struct Publisher {
 
 #[derive(Default)]
 struct PublisherState {
-    /// Whether the master still names it.
+    /// Whether the master still lists it.
     listed: bool,
     /// Its node name while it is read.
     connected: Option<Arc<str>>,
-    /// The caller id that it first came with, and whom it pushed aside then.
+    /// The caller id that it first came with, and whom it replaced then.
     judged: Option<(Arc<str>, Option<Rival>)>,
 }
 
@@ -48,14 +48,14 @@ struct State {
     publishers: HashMap<Endpoint, Arc<Publisher>>,
     complaints: HashSet<String>,
     lineage: Lineage,
-    /// URIs that somebody named as publishers, until the master has answered.
+    /// URIs that somebody announced as publishers, until the master has answered.
     claims: BTreeSet<String>,
-    /// Claims that were told of.
+    /// Claims already reported.
     refuted: HashSet<String>,
     /// When the master last listed each.
     lately: HashMap<Endpoint, Instant>,
     type_name: Option<Arc<str>>,
-    /// Counts kicks, so that a waiting thread sees one that came just before it waited.
+    /// Counts kicks, so that a waiting thread notices one that came just before it waited.
     kicks: u64,
 }
 
@@ -92,8 +92,8 @@ impl Topic {
         }
     }
 
-    /// Takes the master's list: returns the publishers that nobody reads yet.
-    /// `asked_at` is when that list was asked for.
+    /// Takes the master's list: returns the publishers that nobody reads yet. `asked_at` is when that list was
+    /// requested.
     pub fn list(&self, endpoints: &[Endpoint], asked_at: Instant) -> Vec<Arc<Publisher>> {
         let mut state = lock(&self.state);
         let (now, absent_until) = (Instant::now(), state.lineage.absent_until());
@@ -121,12 +121,12 @@ impl Topic {
         fresh
     }
 
-    /// The master was asked then and was not there.
+    /// The master was queried then and was down.
     pub fn asked(&self, at: Instant) {
         lock(&self.state).lineage.asked(at);
     }
 
-    /// A publisher is being read under this caller id; whom it pushes aside, decided once for each.
+    /// A publisher is being read under this caller id; returns whom it replaces, decided once for each.
     pub fn connected(&self, publisher: &Publisher, caller_id: &Arc<str>) -> Option<Rival> {
         let state = lock(&self.state);
         let beside = state.publishers.values().filter(|other| other.number != publisher.number).find_map(|other| {
@@ -146,14 +146,14 @@ impl Topic {
         }
     }
 
-    /// A publisher's connection has ended; `taken` where the master has somebody else under its caller id.
+    /// A publisher's connection has ended; `taken` if the master has somebody else under its caller id.
     pub fn disconnected(&self, publisher: &Publisher, caller_id: &Arc<str>, taken: bool) {
         let mut state = lock(&self.state);
         state.lineage.ended(caller_id, (publisher.number, &publisher.endpoint), Instant::now(), taken);
         lock(&publisher.state).connected = None;
     }
 
-    /// Somebody says that these are the publishers.
+    /// Somebody claims that these are the publishers.
     pub fn claim(&self, uris: &[&str]) {
         let claims = &mut lock(&self.state).claims;
         for uri in uris.iter().filter(|uri| uri.len() <= 1024) {
@@ -163,7 +163,7 @@ impl Topic {
         }
     }
 
-    /// The claims so far, to be held against an answer that is asked for now.
+    /// The claims so far, to be compared with an answer requested now.
     pub fn take_claims(&self) -> BTreeSet<String> {
         std::mem::take(&mut lock(&self.state).claims)
     }
@@ -174,7 +174,7 @@ impl Topic {
         kept.extend(claims.into_iter().take(MOST_CLAIMS));
     }
 
-    /// Those of the claims that the master does not list and has not listed lately, each once.
+    /// The claims that the master does not list and has not listed lately, without duplicates.
     pub fn unconfirmed(&self, claims: BTreeSet<String>) -> Vec<String> {
         let state = &mut *lock(&self.state);
         let listed = |uri: &str| Endpoint::parse(uri).is_some_and(|endpoint| state.lately.contains_key(&endpoint));
@@ -192,15 +192,15 @@ impl Topic {
         lock(&self.state).publishers.remove(&publisher.endpoint);
     }
 
-    /// Waits before a publisher is tried again, until `patience` is over or somebody kicks.
-    /// `false`: the topic has ended or the master no longer names it; it is forgotten.
+    /// Waits before a publisher is tried again, until `patience` is over or it is kicked. `false`: the topic has ended
+    /// or the master no longer lists the publisher; it is forgotten.
     pub fn wait_to_retry(&self, publisher: &Publisher, patience: Duration) -> bool {
         let state = lock(&self.state);
         let kicks = state.kicks;
         let idle = |state: &mut State| state.kicks == kicks && !self.has_ended();
         let waited = self.wake.wait_timeout_while(state, patience, idle);
         let mut state = waited.unwrap_or_else(PoisonError::into_inner).0;
-        // Decided under the lock of `list`, so that a publisher named again gets a new thread.
+        // Decided under the lock of `list`, so that a publisher listed again gets a new thread.
         let goes_on = !self.has_ended() && lock(&publisher.state).listed;
         if !goes_on {
             state.publishers.remove(&publisher.endpoint);
@@ -208,7 +208,7 @@ impl Topic {
         goes_on
     }
 
-    /// Makes waiting threads try again now.
+    /// Makes waiting threads try again at once.
     pub fn kick(&self) {
         lock(&self.state).kicks += 1;
         self.wake.notify_all();
@@ -227,7 +227,7 @@ impl Topic {
         lock(&self.state).type_name = Some(Arc::clone(type_name));
     }
 
-    /// Whether this address is complained about for the first time.
+    /// Whether this address is reported for the first time.
     pub fn first_complaint(&self, address: &str) -> bool {
         let complaints = &mut lock(&self.state).complaints;
         complaints.len() < MOST_COMPLAINTS && complaints.insert(address.to_owned())

@@ -1,4 +1,5 @@
-//! Who is on a topic of a graph, and whether two addresses are one graph's: asked before anything is published.
+//! Who is on a topic of a graph, and whether two addresses lead to the same graph: checked before anything is
+//! published.
 
 use std::time::Instant;
 
@@ -6,7 +7,7 @@ use super::{Graph, PATIENCE, rows};
 use crate::ros::RosError;
 use crate::ros::address::{Endpoint, resolve};
 
-/// The nodes of one topic, as the master gave their names: clean them before they are shown.
+/// The nodes of one topic, as the master named them: clean the names before they are shown.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Presence {
     /// Nodes that publish it.
@@ -19,7 +20,7 @@ impl Graph {
     /// The nodes on a topic now.
     ///
     /// # Errors
-    /// As [`Graph::topics`].
+    /// See [`Graph::topics`].
     pub fn presence(&self, topic: &str) -> Result<Presence, RosError> {
         let state = self.ask("getSystemState", Instant::now() + PATIENCE)?;
         let nodes = |index: usize| {
@@ -30,7 +31,7 @@ impl Graph {
         Ok(Presence { publishers: nodes(0), subscribers: nodes(1) })
     }
 
-    /// Whether another URI leads to this master, as far as names and addresses tell.
+    /// Whether another URI leads to this master, as far as names and addresses show.
     pub fn is_at(&self, uri: &str) -> bool {
         let Some(other) = Endpoint::parse(uri) else { return false };
         if other.port != self.master.port {

@@ -1,5 +1,5 @@
-//! Whether nodes can be reached by the names they gave, and others this machine by the one that it gives: the commonest
-//! fault of a ROS network, which shows only as topics without messages.
+//! Whether nodes can be reached by the names they gave, and this machine by the name it gives: the most common fault of
+//! a ROS network, which shows only as topics without messages.
 
 use std::collections::BTreeSet;
 use std::net::TcpListener;
@@ -11,27 +11,27 @@ use crate::ros::RosError;
 use crate::ros::address::{Endpoint, connect, own_host, resolve};
 use crate::ros::xmlrpc::call;
 
-/// Nodes that are tried at most.
+/// The most nodes tried.
 const MOST_NODES: usize = 20;
-/// How long one of them may take.
+/// How long each attempt may take.
 const EACH: Duration = Duration::from_millis(800);
 
-/// A publisher that its own words lead nowhere to.
+/// A publisher that cannot be reached at its stated address.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Unreached {
     /// The node's name, cleaned.
     pub node: String,
-    /// Host and port that it gave, cleaned.
+    /// The host and port it stated, cleaned.
     pub place: String,
-    /// Why, cleaned.
+    /// The reason, cleaned.
     pub reason: String,
 }
 
 impl Graph {
-    /// Tries the addresses that publishers gave the master; how many were tried, and those that do not answer.
+    /// Tries the addresses that publishers gave the master; returns how many were tried, and those that do not answer.
     ///
     /// # Errors
-    /// Of the master.
+    /// Errors of the master.
     pub fn unreached(&self) -> Result<(usize, Vec<Unreached>), RosError> {
         let nodes: BTreeSet<String> = self.topics()?.into_iter().flat_map(|topic| topic.publishers).collect();
         let mut found = Vec::new();
@@ -67,7 +67,7 @@ impl Graph {
             .map_err(|error| (given.unwrap_or_default().to_owned(), error.to_string()))?;
         let fault = |reason: String| (clean(&host, 120), reason);
         let places = resolve(&host, 0, deadline).map_err(|error| fault(format!("does not resolve: {error}")))?;
-        // What can be listened on is this machine's.
+        // An address that can be listened on is this machine's.
         if !places.iter().any(|place| TcpListener::bind(place).is_ok()) {
             return Err(fault(format!("resolves to {places:?}, and none of them is this machine's")));
         }

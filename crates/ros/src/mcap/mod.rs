@@ -1,7 +1,7 @@
 //! MCAP: read as far as a file is readable, written with chunks, indexes and checksums (<https://mcap.dev/spec>).
 //!
-//! The profile `ros1` is read and written whole; messages of ROS 2 are taken as raw CDR with their schema.
-//! Whatever a file says is untrusted.
+//! The profile `ros1` is fully read and written; ROS 2 messages are taken as raw CDR with their schema. The content of
+//! a file is untrusted.
 
 mod reader;
 mod record;
@@ -10,5 +10,5 @@ mod writer;
 pub use reader::McapReader;
 pub use writer::McapWriter;
 
-/// What a file begins and ends with.
+/// The start and end of every file.
 pub(super) const MAGIC: &[u8] = b"\x89MCAP0\r\n";

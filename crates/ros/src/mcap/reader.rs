@@ -1,5 +1,5 @@
-//! Reads MCAP chunk by chunk, in the order of the file. A chunk is unpacked and its checksum compared before any of
-//! its messages is given out; one that is damaged is skipped as a whole.
+//! Reads MCAP chunk by chunk, in file order. A chunk is decompressed and its checksum compared before any of its
+//! messages is returned; a damaged one is skipped as a whole.
 
 use std::collections::{BTreeSet, HashMap};
 use std::io::{BufRead, Read, Seek, SeekFrom};
@@ -15,7 +15,7 @@ use crate::ros::recording::{
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
-/// The longest record that is no message and no chunk, bytes: it may hold a definition.
+/// The longest record other than a message or chunk, bytes: it may hold a definition.
 const LONGEST_RECORD: u64 = 2 << 20;
 
 /// Bytes of a record's code and length.
@@ -24,13 +24,13 @@ const LEAD: u64 = 9;
 /// The longest head of a chunk (times, sizes, checksum, the name of a compression), bytes.
 const LONGEST_CHUNK_HEAD: u64 = 128;
 
-/// The most chunks whose place is remembered from the summary, to go on behind damage.
+/// The most chunks whose position is remembered from the summary, to continue after damage.
 const MOST_PLACES: usize = 1 << 20;
 
 /// The latest time of a record, nanoseconds.
 const LATEST: u64 = i64::MAX as u64;
 
-/// A chunk that is being read.
+/// The chunk being read.
 #[derive(Debug, Default)]
 struct Chunk {
     bytes: Vec<u8>,
@@ -41,7 +41,7 @@ struct Chunk {
     guarded: bool,
 }
 
-/// What a chunk's head says.
+/// The content of a chunk's head.
 struct ChunkHead {
     size: u64,
     checksum: u32,
@@ -51,7 +51,7 @@ struct ChunkHead {
     length: u64,
 }
 
-/// Reads an MCAP file. `R` is best buffered.
+/// Reads an MCAP file. `R` should be buffered.
 #[derive(Debug)]
 pub struct McapReader<R> {
     file: R,
@@ -61,21 +61,21 @@ pub struct McapReader<R> {
     schemas: HashMap<u16, Schema>,
     channels: HashMap<u16, Option<Arc<Channel>>>,
     texts: usize,
-    /// Where chunks begin, by the summary.
+    /// Where chunks begin, according to the summary.
     places: BTreeSet<u64>,
     findings: Findings,
     /// How many messages the summary counts.
     counted: Option<u64>,
-    /// How many were met.
+    /// How many were found.
     met: u64,
     ended: bool,
 }
 
 impl<R: BufRead + Seek> McapReader<R> {
-    /// Begins to read a file.
+    /// Starts reading a file.
     ///
     /// # Errors
-    /// [`RosError::Recording`] where it cannot be read or is no MCAP.
+    /// [`RosError::Recording`] if it cannot be read or is not MCAP.
     pub fn open(mut file: R) -> Result<Self, RosError> {
         let unreadable = |error: std::io::Error| RosError::unreadable(&error);
         let length = file.seek(SeekFrom::End(0)).map_err(unreadable)?;
@@ -101,20 +101,20 @@ impl<R: BufRead + Seek> McapReader<R> {
         Ok(reader)
     }
 
-    /// What was skipped so far.
+    /// What has been skipped so far.
     pub fn findings(&self) -> &Findings {
         &self.findings
     }
 
-    /// Bytes of the file that were read so far, and all of them.
+    /// Bytes of the file read so far, and its size.
     pub fn progress(&self) -> (u64, u64) {
         (self.position.min(self.length), self.length)
     }
 
-    /// The next message that can be read; `None` at the end.
+    /// The next readable message; `None` at the end.
     ///
     /// # Errors
-    /// [`RosError::Recording`] where the file itself cannot be read.
+    /// [`RosError::Recording`] if the file itself cannot be read.
     pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
         loop {
             if let Some(message) = self.next_in_chunk() {
@@ -137,7 +137,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         Ok(fields.u8().zip(fields.u64()))
     }
 
-    /// Schemas, channels and places of chunks from the summary at the end, if there is one.
+    /// Schemas, channels and positions of chunks from the summary at the end, if there is one.
     fn read_summary(&mut self) -> std::io::Result<()> {
         const TAIL: u64 = LEAD + 20 + 8;
         let Some(footer) = self.length.checked_sub(TAIL).filter(|footer| *footer >= MAGIC.len() as u64) else {
@@ -180,7 +180,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         Ok(())
     }
 
-    /// CRC-32 of the file from a position up to another.
+    /// CRC-32 of the file between two positions.
     fn checksum_of(&mut self, from: u64, until: u64) -> std::io::Result<u32> {
         let mut hasher = crc32fast::Hasher::new();
         go_to(&mut self.file, from)?;
@@ -196,7 +196,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         }
     }
 
-    /// Behind the last record of data. Where messages had no checksum of their own, that of all data is compared.
+    /// After the last record of data. If messages had no checksum of their own, that of all data is compared.
     fn end_data(&mut self, start: u64, length: u64) -> std::io::Result<()> {
         self.ended = true;
         let content = read_at(&mut self.file, start + LEAD, length.min(4))?;
@@ -210,7 +210,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         Ok(())
     }
 
-    /// Takes a schema or a channel in; `false` where it is damaged. Of one number the first counts.
+    /// Adds a schema or a channel; `false` if it is damaged. If a number occurs twice the first one counts.
     fn learn(&mut self, code: u8, content: &[u8]) -> bool {
         self.texts += content.len();
         if self.texts > MOST_CHANNEL_BYTES && code <= Code::Channel as u8 {
@@ -242,7 +242,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         }
     }
 
-    /// Reads the next record of the file: fills the chunk, or gives a message that stands outside of chunks.
+    /// Reads the next record of the file: fills the chunk, or returns a message outside any chunk.
     fn advance(&mut self) -> std::io::Result<Option<RecordedMessage>> {
         let start = self.position;
         let Some((code, length)) = self.look(start)? else {
@@ -301,7 +301,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         })
     }
 
-    /// Goes on at the next chunk that the summary knows; what lies between is noted as skipped.
+    /// Continues at the next chunk listed in the summary; what lies between is reported as skipped.
     fn skip(&mut self, damaged: u64, why: &str) {
         let next = self.places.range(damaged + 1..).next().copied().filter(|next| *next < self.length);
         let end = next.unwrap_or(self.length);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::ros::recording::{Channel, Encoding};
 
-/// What a record is.
+/// The kind of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Code {
     Header = 1,
@@ -22,7 +22,7 @@ pub(super) enum Code {
 }
 
 impl Code {
-    /// `None` for records that a reader of messages passes over.
+    /// `None` for records that a reader of messages skips.
     pub fn from_byte(byte: u8) -> Option<Self> {
         let all = [
             Self::Header,
@@ -41,14 +41,14 @@ impl Code {
     }
 }
 
-/// What a channel says that has a place of its own.
+/// Those of a channel's metadata that have a field here.
 const OWN: [&str; 3] = ["md5sum", "callerid", "latching"];
 
-/// The longest of what else it says, bytes; and the most.
+/// The longest other metadata, bytes; and the most entries.
 const LONGEST_ABOUT: usize = 8 * 1024;
 const MOST_ABOUT: usize = 12;
 
-/// Reads fields one behind the other; `None` where the bytes end too early.
+/// Parses consecutive fields; `None` if the bytes end too early.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fields<'a>(pub &'a [u8]);
 
@@ -106,13 +106,13 @@ pub(super) struct Schema {
     pub text: Arc<str>,
 }
 
-/// A schema record: its number (never 0) and what it says.
+/// A schema record: its number (never 0) and its content.
 pub(super) fn schema(mut fields: Fields<'_>) -> Option<(u16, Schema)> {
     let number = fields.u16().filter(|number| *number > 0)?;
     Some((number, Schema { name: fields.text()?, encoding: fields.text()?, text: fields.text()? }))
 }
 
-/// What a channel record says, without its schema's words.
+/// The content of a channel record, without its schema's text.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct ChannelRecord {
     pub number: u16,
@@ -135,13 +135,13 @@ impl ChannelRecord {
         Some(Self { number, schema, topic, encoding, about })
     }
 
-    /// Whether all that it says of itself is kept.
+    /// Whether all its metadata is kept.
     pub fn is_kept(&self) -> bool {
         let others = || self.about.iter().filter(|(key, _)| !OWN.contains(&key.as_str()));
         others().count() <= MOST_ABOUT && others().all(|entry| kept(entry).is_some())
     }
 
-    /// The channel, where its encoding is one of ROS and its schema belongs to it.
+    /// The channel, if its encoding is one of ROS and matches its schema.
     pub fn with(self, schema: &Schema) -> Option<Channel> {
         let encoding = match (&*self.encoding, &*schema.encoding) {
             ("ros1", "ros1msg") => Encoding::Ros1,
@@ -177,7 +177,7 @@ fn kept((key, value): (&String, &Arc<str>)) -> Option<(Arc<str>, Arc<str>)> {
     (key.len() + value.len() <= LONGEST_ABOUT).then(|| (key.as_str().into(), Arc::clone(value)))
 }
 
-/// Appends a record whose content `fill` writes.
+/// Appends a record whose content is written by `fill`.
 pub(super) fn put_record(out: &mut Vec<u8>, code: Code, fill: impl FnOnce(&mut Vec<u8>)) {
     out.push(code as u8);
     let at = out.len();
@@ -210,7 +210,7 @@ pub(super) fn put_schema(out: &mut Vec<u8>, number: u16, channel: &Channel) {
     });
 }
 
-/// The schema encoding's word.
+/// The name of the schema encoding.
 pub(super) fn schema_encoding(encoding: Encoding) -> &'static str {
     match encoding {
         Encoding::Ros1 => "ros1msg",

@@ -19,7 +19,7 @@ struct ChunkIndex {
     span: (Timestamp, Timestamp),
     position: u64,
     length: u64,
-    /// Where the message index of each channel lies.
+    /// The position of each channel's message index.
     indexes: Vec<(u16, u64)>,
     index_length: u64,
     packed: u64,
@@ -46,10 +46,10 @@ pub struct McapWriter<W> {
 }
 
 impl<W: Write + Seek> McapWriter<W> {
-    /// Begins a file.
+    /// Starts a file.
     ///
     /// # Errors
-    /// [`RosError::Recording`] where it cannot be written, or MCAP is never compressed so.
+    /// [`RosError::Recording`] if it cannot be written, or MCAP does not use this compression.
     pub fn begin(out: W, compression: ChunkCompression) -> Result<Self, RosError> {
         if !RecordingFormat::Mcap.takes(compression) {
             return Err(RosError::recording(&format!("MCAP is never compressed with {compression}")));
@@ -80,7 +80,7 @@ impl<W: Write + Seek> McapWriter<W> {
         Ok(())
     }
 
-    /// The header names the profile, which the first message decides.
+    /// The header names the profile, which depends on the first message.
     fn put_header(&mut self, profile: &str) -> Result<(), RosError> {
         if std::mem::replace(&mut self.begun, true) {
             return Ok(());
@@ -93,10 +93,10 @@ impl<W: Write + Seek> McapWriter<W> {
         self.put(&header)
     }
 
-    /// Writes one message, published when it was recorded.
+    /// Writes one message, with its recording time as its publishing time.
     ///
     /// # Errors
-    /// [`RosError::Recording`] where it cannot be written or is too large.
+    /// [`RosError::Recording`] if it cannot be written or is too large.
     pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, body: &[u8]) -> Result<(), RosError> {
         let sequence = self.sequence.wrapping_add(1);
         self.write_sent(channel, time, Sent { time, sequence }, body)
@@ -105,7 +105,7 @@ impl<W: Write + Seek> McapWriter<W> {
     /// Writes one message as it was sent.
     ///
     /// # Errors
-    /// [`RosError::Recording`] where it cannot be written or is too large.
+    /// [`RosError::Recording`] if it cannot be written or is too large.
     pub fn write_sent(
         &mut self,
         channel: &Arc<Channel>,
@@ -196,10 +196,10 @@ impl<W: Write + Seek> McapWriter<W> {
         if self.compression == ChunkCompression::None { "" } else { self.compression.word() }
     }
 
-    /// Writes the last chunk and the summary, and gives the file back.
+    /// Writes the last chunk and the summary, and returns the file.
     ///
     /// # Errors
-    /// [`RosError::Recording`] where it cannot be written.
+    /// [`RosError::Recording`] if it cannot be written.
     pub fn finish(mut self) -> Result<W, RosError> {
         self.put_header("ros1")?;
         self.end_chunk()?;
@@ -226,7 +226,7 @@ impl<W: Write + Seek> McapWriter<W> {
             out.extend_from_slice(&start.to_le_bytes());
             out.extend_from_slice(&offsets.to_le_bytes());
         });
-        // The checksum covers the footer too, which has its length only now: the checksum's own bytes included.
+        // The checksum also covers the footer, whose length is known only now and includes the checksum's own bytes.
         let footer = summary.len() - 24;
         if let Some(place) = summary.get_mut(footer..footer + 8) {
             place.copy_from_slice(&20_u64.to_le_bytes());

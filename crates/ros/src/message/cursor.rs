@@ -1,15 +1,15 @@
-//! Where a walk is in a body, and how numbers lie there: packed as ROS 1 has them, or aligned as CDR has them.
+//! The position of a walk in a body, and the layout of numbers there: packed as in ROS 1, or aligned as in CDR.
 
 use super::decode::Failure;
 use crate::model::wire::WireError;
 
-/// Bytes of the encapsulation header: how what follows is laid out.
+/// Bytes of the encapsulation header, which gives the layout of the rest.
 const ENCAPSULATION: usize = 4;
 
-/// Bytes that may follow a CDR body, to fill it up.
+/// The most bytes of padding after a CDR body.
 const MOST_PADDING: usize = 3;
 
-/// How a wide text says its length; middlewares do not agree.
+/// How a wide text states its length; middlewares do not agree.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Wide {
     /// Bytes, two for each unit (Fast CDR 2, XTypes).
@@ -20,13 +20,14 @@ pub(super) enum Wide {
     Quads,
 }
 
-/// How a CDR body is laid out, as its first bytes say.
+/// The layout of a CDR body, from its first bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Cdr {
     big_endian: bool,
-    /// The second version: eight bytes are aligned to four, lists of what is no number tell their length in bytes.
+    /// The second version: eight-byte values are aligned to four, sequences of non-primitive elements state their
+    /// length in bytes.
     second: bool,
-    /// Whether every message tells its length in bytes too.
+    /// Whether every message states its length in bytes too.
     delimited: bool,
     wide: Wide,
 }
@@ -45,7 +46,7 @@ impl Cdr {
         Ok(Self { big_endian: kind & 1 == 0, second, delimited, wide: Wide::Bytes })
     }
 
-    /// Every way in which its wide texts may be laid out.
+    /// Every possible layout of its wide texts.
     pub fn ways(self) -> [Self; 3] {
         [Wide::Bytes, Wide::Pairs, Wide::Quads].map(|wide| Self { wide, ..self })
     }
@@ -56,11 +57,11 @@ impl Cdr {
 pub(super) struct Cursor<'a> {
     body: &'a [u8],
     at: usize,
-    /// `None` where numbers are packed.
+    /// `None` if numbers are packed.
     cdr: Option<Cdr>,
 }
 
-/// A part of a body that told its length in bytes: where it ends.
+/// A part of a body that stated its length in bytes: its end.
 #[derive(Debug, Clone, Copy)]
 #[must_use]
 pub(super) struct Part(Option<usize>);
@@ -95,7 +96,7 @@ impl<'a> Cursor<'a> {
         Ok(bytes)
     }
 
-    /// Passes over what lies before a number of that many bytes.
+    /// Skips the padding before a number of that many bytes.
     pub fn align(&mut self, size: usize) -> Result<(), WireError> {
         let Some(cdr) = self.cdr else { return Ok(()) };
         let size = size.min(if cdr.second { 4 } else { 8 });
@@ -103,7 +104,7 @@ impl<'a> Cursor<'a> {
         if over > 0 { self.take(size - over, "number").map(drop) } else { Ok(()) }
     }
 
-    /// The bytes of a number, least first.
+    /// The bytes of a number, least significant first.
     pub fn number<const N: usize>(&mut self, what: &'static str) -> Result<[u8; N], WireError> {
         self.align(N)?;
         let mut bytes = *self.take(N, what)?.first_chunk().ok_or(WireError::Short(what))?;
@@ -119,7 +120,7 @@ impl<'a> Cursor<'a> {
         Ok(usize::try_from(length).unwrap_or(usize::MAX))
     }
 
-    /// The bytes of a text; in CDR its length counts the zero behind it.
+    /// The bytes of a text; in CDR its length includes the trailing zero.
     pub fn text(&mut self) -> Result<&'a [u8], WireError> {
         let length = self.length()?;
         let bytes = self.take(length, "text")?;
@@ -167,7 +168,7 @@ impl<'a> Cursor<'a> {
         Ok(Part(Some(self.at + length)))
     }
 
-    /// Ends a part; what is left of it was written by a newer definition and is passed over.
+    /// Ends a part; any rest of it was written by a newer definition and is skipped.
     pub fn end_part(&mut self, part: Part) -> Result<(), Failure> {
         match part.0 {
             Some(end) if end < self.at => Err(WireError::Short("part").into()),
@@ -179,13 +180,13 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// Nothing may be left but what fills a CDR body up.
+    /// Nothing may be left but the padding of a CDR body.
     pub fn end(&self) -> Result<(), WireError> {
         let most = if self.is_cdr() { MOST_PADDING } else { 0 };
         if self.left() > most { Err(WireError::Long(self.left())) } else { Ok(()) }
     }
 
-    /// Whether nothing but zeros is left, and few of them.
+    /// Whether only zeros are left, and few of them.
     pub fn is_at_end(&self) -> bool {
         self.end().is_ok() && self.body.get(self.at..).is_some_and(|rest| rest.iter().all(|byte| *byte == 0))
     }

@@ -1,5 +1,5 @@
-//! The bounded walk over a message body. Counts are checked against the bytes that are left
-//! before anything is built, and every visited field costs from one budget.
+//! The bounded walk over a message body. Counts are checked against the remaining bytes before anything is built, and
+//! every visited field is charged to one budget.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -12,12 +12,12 @@ use super::value::Value;
 use crate::model::wire::WireError;
 use crate::ros::RosError;
 
-/// What decoding may cost.
+/// The limits of decoding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Arrays with more elements than this are not spelled out.
+    /// Arrays with more elements than this are not expanded.
     pub elements: usize,
-    /// Fields visited in all, spelled out or not.
+    /// Total fields visited, expanded or not.
     pub steps: usize,
 }
 
@@ -30,7 +30,7 @@ impl Default for Limits {
 /// The picture in a `sensor_msgs/CompressedImage`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Picture {
-    /// What the publisher calls its format, as it came: `jpeg`, `png`, `rgb8; jpeg compressed bgr8`.
+    /// The publisher's name for its format, unchanged: `jpeg`, `png`, `rgb8; jpeg compressed bgr8`.
     pub format: String,
     /// Where the picture's file is in the body.
     pub data: Range<usize>,
@@ -40,16 +40,16 @@ impl Definition {
     /// Decodes a message body for display.
     ///
     /// # Errors
-    /// [`RosError::Body`] where the body ends early, has bytes left over, or costs more than `limits`.
+    /// [`RosError::Body`] if the body ends early, has bytes left over, or exceeds `limits`.
     pub fn decode(&self, body: &[u8], limits: Limits) -> Result<Value, RosError> {
         let mut limits = limits;
         self.decode_from(body, &mut limits)
     }
 
-    /// As [`Definition::decode`]; the steps that it took are taken off `limits`, so that many bodies share them.
+    /// Like [`Definition::decode`]; its steps are subtracted from `limits`, so that several bodies share them.
     ///
     /// # Errors
-    /// As [`Definition::decode`].
+    /// See [`Definition::decode`].
     pub fn decode_from(&self, body: &[u8], limits: &mut Limits) -> Result<Value, RosError> {
         let failed = |failure: Failure| RosError::body(self.type_name(), failure.to_string());
         let mut walk = self.walk(body, *limits).map_err(failed)?;
@@ -59,7 +59,7 @@ impl Definition {
         value.map_err(failed)
     }
 
-    /// A walk over `body`, which knows how it is laid out.
+    /// A walk over `body`, with its layout determined.
     pub(super) fn walk<'a>(&'a self, body: &'a [u8], limits: Limits) -> Result<Walk<'a>, Failure> {
         if !self.cdr {
             return Ok(Walk::new(&self.layouts, Cursor::new(body, None), limits));
@@ -78,7 +78,7 @@ impl Definition {
         Ok(walk(cdr.ways().into_iter().find(fits).unwrap_or(cdr)))
     }
 
-    /// The picture in `body`, where this is `sensor_msgs/CompressedImage`.
+    /// The picture in `body`, if this is `sensor_msgs/CompressedImage`.
     pub fn compressed_image(&self, body: &[u8]) -> Option<Picture> {
         if self.short_name() != "sensor_msgs/CompressedImage" {
             return None;
@@ -133,7 +133,7 @@ impl<'a> Walk<'a> {
         Ok(self.cursor.end()?)
     }
 
-    /// Refuses a count of elements, each of at least `size` bytes, that the rest of the body cannot hold.
+    /// Refuses a count of elements, each of at least `size` bytes, that does not fit into the rest of the body.
     pub fn claim(&self, size: usize, count: usize, element: &str) -> Result<(), Failure> {
         if size.saturating_mul(count) > self.cursor.left() {
             return Err(Failure::Claim(count, element.split('[').next().unwrap_or_default().to_owned()));
@@ -151,7 +151,7 @@ impl<'a> Walk<'a> {
         Ok(Value::Message(fields))
     }
 
-    /// Begins a message. In CDR one without fields has a byte in their stead.
+    /// Begins a message. In CDR one without fields has a placeholder byte.
     pub fn begin_message(&mut self, layout: &Layout) -> Result<Part, Failure> {
         let part = self.cursor.begin_message()?;
         if self.cursor.is_cdr() && layout.fields.is_empty() {
@@ -160,7 +160,7 @@ impl<'a> Walk<'a> {
         Ok(part)
     }
 
-    /// Begins an array: where it lies, and how many elements it has, which the rest of the body can hold.
+    /// Begins an array: its position, and its number of elements, checked against the rest of the body.
     pub fn begin_array(&mut self, field: &Field) -> Result<(Part, usize), Failure> {
         let of_numbers = matches!(field.kind, Kind::Primitive(primitive) if !primitive.is_text());
         let part = self.cursor.begin_array(of_numbers)?;
@@ -210,7 +210,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// Walks over elements; gives where they begin.
+    /// Walks over elements; returns where they begin.
     fn skip_all(&mut self, kind: Kind, count: usize) -> Result<usize, Failure> {
         let (size, fixed) = element_size(self.layouts, kind);
         if fixed && count > 0 {
@@ -280,7 +280,7 @@ impl<'a> Walk<'a> {
         })
     }
 
-    /// A text; what is not UTF-8 is replaced.
+    /// A text; invalid UTF-8 is replaced.
     pub fn text(&mut self, primitive: Primitive) -> Result<Cow<'a, str>, Failure> {
         if primitive == Primitive::Wide {
             return Ok(self.cursor.wide_text().map(Cow::Owned)?);
@@ -288,7 +288,7 @@ impl<'a> Walk<'a> {
         Ok(String::from_utf8_lossy(self.cursor.text()?))
     }
 
-    /// A text, or its bytes where these are not UTF-8.
+    /// A text, or its bytes if these are not UTF-8.
     pub fn text_or_bytes(&mut self, primitive: Primitive) -> Result<Result<Cow<'a, str>, &'a [u8]>, Failure> {
         if primitive == Primitive::Wide {
             return self.text(primitive).map(Ok);

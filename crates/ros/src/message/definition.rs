@@ -17,7 +17,7 @@ pub const LONGEST_DEFINITION: usize = 1 << 20;
 /// The most types in one definition.
 pub(super) const MOST_TYPES: usize = 512;
 
-/// What a field holds.
+/// The type of a field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Primitive(Primitive),
@@ -28,7 +28,7 @@ pub(super) enum Kind {
 /// One field of a layout.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Field {
-    /// Shared with every value that is read by it.
+    /// Shared with every value read by it.
     pub name: Arc<str>,
     pub kind: Kind,
     pub arity: Arity,
@@ -41,29 +41,29 @@ pub(super) struct Field {
 pub(super) struct Layout {
     pub name: String,
     pub fields: Vec<Field>,
-    /// `type name=value` lines, as the md5sum wants them.
+    /// `type name=value` lines, as the md5sum needs them.
     pub constants: Vec<String>,
     /// Fewest bytes of a message of this type.
     pub minimum: usize,
-    /// Whether every message of this type has just `minimum` bytes.
+    /// Whether every message of this type has exactly `minimum` bytes.
     pub fixed: bool,
 }
 
-/// A message type with all the types it is made of.
+/// A message type with all the types it consists of.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Definition {
-    /// The type itself is last; every layout comes after those it is made of.
+    /// The type itself is last; every layout comes after those it consists of.
     pub(super) layouts: Vec<Layout>,
-    /// Whether bodies are CDR, as ROS 2 has them.
+    /// Whether bodies are CDR, as in ROS 2.
     pub(super) cdr: bool,
 }
 
 impl Definition {
-    /// Parses the full text of a definition, as a publisher's header or a bag carries it: the type's
-    /// own lines, then `MSG: package/Type` sections.
+    /// Parses the full text of a definition, as found in a publisher's header or a bag: the type's own lines, then
+    /// `MSG: package/Type` sections.
     ///
     /// # Errors
-    /// [`RosError::Definition`] where the text is too long, broken, incomplete, recursive or too deep.
+    /// [`RosError::Definition`] if the text is too long, broken, incomplete, recursive or too deep.
     pub fn parse(type_name: &str, text: &str) -> Result<Self, RosError> {
         let failed = |reason: String| RosError::definition(type_name, reason);
         type_name.parse::<TypeName>().map_err(|_| failed("its type is not package/Type".into()))?;
@@ -75,12 +75,12 @@ impl Definition {
         Ok(Self { layouts, cdr: false })
     }
 
-    /// The type's name, `package/Type`; of ROS 2 `package/msg/Type`.
+    /// The type's name, `package/Type`; for ROS 2 `package/msg/Type`.
     pub fn type_name(&self) -> &str {
         self.root().map_or("", |layout| layout.name.as_str())
     }
 
-    /// The type's name as ROS 1 writes it.
+    /// The type's name as written in ROS 1.
     pub fn short_name(&self) -> String {
         self.type_name().replacen("/msg/", "/", 1)
     }
@@ -119,7 +119,7 @@ impl Definition {
 
 const HEADER: &str = "std_msgs/Header";
 
-/// What it was called before 2011.
+/// Its name before 2011.
 const OLD_HEADER: &str = "roslib/Header";
 
 /// Splits the text at its `MSG:` lines; a type given twice keeps its first text.
@@ -145,7 +145,7 @@ fn sections<'a>(type_name: &'a str, text: &'a str) -> Result<Texts<'a>, String> 
     Ok(sections)
 }
 
-/// The layout of a type and how many levels it has.
+/// The layout of a type and its number of levels.
 fn layout(nesting: &mut Nesting<'_, Layout>, name: &str, lines: &[&str]) -> Result<(Layout, usize), String> {
     let mut layout =
         Layout { name: name.to_owned(), fields: Vec::new(), constants: Vec::new(), minimum: 0, fixed: true };
@@ -171,7 +171,7 @@ fn kind(nesting: &mut Nesting<'_, Layout>, inside: &str, base: &str) -> Result<(
         return Ok((Kind::Primitive(primitive), 0));
     }
     let full = match (base, inside.split_once('/')) {
-        // Bags of before 2011 carry the header under its name of then.
+        // Bags from before 2011 carry the header under its old name.
         ("Header", _) if !nesting.has(HEADER) && nesting.has(OLD_HEADER) => OLD_HEADER.to_owned(),
         ("Header", _) => HEADER.to_owned(),
         (_, Some((package, _))) if !base.contains('/') => format!("{package}/{base}"),

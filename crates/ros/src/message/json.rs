@@ -1,5 +1,5 @@
-//! The whole message as JSON, written while it is read: nothing is left out and nothing is kept in memory.
-//! Every text is whole; characters that a terminal must not see are escaped.
+//! The whole message as JSON, written while it is parsed: nothing is left out and nothing is kept in memory. Texts are
+//! complete; characters unsafe for a terminal are escaped.
 
 use std::io::{self, Write};
 
@@ -12,13 +12,13 @@ use crate::model::spelt_out;
 use crate::ros::RosError;
 
 impl Definition {
-    /// Writes the whole message as JSON, fields in their order, numbers as they are, numbers that JSON lacks as
-    /// text (`NaN`, `inf`), texts that are not UTF-8 as `{not_utf8: hex}`, times as `{secs, nsecs}`, arrays of bytes as arrays of numbers. A body of n bytes
-    /// becomes at most `64 n` + 16 MiB of text, since names of fields come again with every element; no memory is used
-    /// beside.
+    /// Writes the whole message as JSON, fields in order, numbers unchanged, numbers that JSON lacks as text (`NaN`,
+    /// `inf`), texts that are not UTF-8 as `{not_utf8: hex}`, times as `{secs, nsecs}`, arrays of bytes as arrays of
+    /// numbers. A body of n bytes becomes at most `64 n` + 16 MiB of text, because field names are repeated for every
+    /// element; it uses no further memory.
     ///
     /// # Errors
-    /// [`RosError::Body`] where the body does not fit the definition, would become more text than that, or `out` cannot
+    /// [`RosError::Body`] if the body does not match the definition, would become more text than that, or `out` cannot
     /// be written.
     pub fn write_json(&self, body: &[u8], out: &mut dyn Write) -> Result<(), RosError> {
         let failed = |failure: Failure| RosError::body(self.type_name(), failure.to_string());
@@ -32,15 +32,15 @@ impl Definition {
     }
 }
 
-/// What stands instead of a text whose bytes are not UTF-8: an object with these bytes in hex.
+/// Replaces a text whose bytes are not UTF-8: an object with these bytes in hex.
 const NOT_UTF8: &str = "not_utf8";
 
-/// The most bytes of text for a byte of the body.
+/// The most bytes of text per byte of the body.
 const GROWTH: usize = 64;
-/// Bytes of text that every body may become.
+/// Bytes of text allowed for any body.
 const LEAST: usize = 16 << 20;
 
-/// Takes so many bytes and no more.
+/// Accepts this many bytes and no more.
 struct Bounded<'a> {
     out: &'a mut dyn Write,
     left: usize,
@@ -94,7 +94,7 @@ impl<'a> Export<'a> {
         if field.arity == Arity::One {
             return self.element(field.kind);
         }
-        // Arrays of nothing (`uint8[0]`) have no bytes that could bound them.
+        // Empty arrays (`uint8[0]`) have no bytes to bound them.
         self.walk.spend()?;
         let (part, count) = self.walk.begin_array(field)?;
         self.text("[")?;
@@ -114,7 +114,7 @@ impl<'a> Export<'a> {
             Kind::Primitive(primitive) if primitive.is_text() => {
                 let text = match self.walk.text_or_bytes(primitive)? {
                     Ok(text) => serde_json::Value::from(text).to_string(),
-                    // Replaced characters would look like the message's own.
+                    // Replacement characters would look like part of the message.
                     Err(bytes) => serde_json::json!({ NOT_UTF8: hex(bytes) }).to_string(),
                 };
                 self.text(&spelt_out(&text))

@@ -15,7 +15,7 @@ pub(super) enum Primitive {
     Float32,
     Float64,
     Text,
-    /// A text of UTF-16, of ROS 2.
+    /// A UTF-16 text, of ROS 2.
     Wide,
     Time,
     Duration,
@@ -47,7 +47,7 @@ impl Primitive {
         matches!(self, Self::Text | Self::Wide)
     }
 
-    /// Bytes of one; of a text the bytes of its length.
+    /// Size in bytes; for a text, the size of its length field.
     pub fn size(self) -> usize {
         match self {
             Self::Bool | Self::Int8 | Self::Uint8 => 1,
@@ -58,7 +58,7 @@ impl Primitive {
     }
 }
 
-/// How many of a field's type there are.
+/// How many of its type a field holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Arity {
     One,
@@ -73,7 +73,7 @@ pub(super) enum Line<'a> {
     Constant { base: &'a str, name: &'a str, text: &'a str },
 }
 
-/// Reads one line; `None` where it is blank or a comment.
+/// Parses one line; `None` if it is blank or a comment.
 pub(super) fn parse_line(line: &str) -> Result<Option<Line<'_>>, &'static str> {
     let plain = line.split('#').next().unwrap_or_default().trim();
     if plain.is_empty() {
@@ -85,7 +85,7 @@ pub(super) fn parse_line(line: &str) -> Result<Option<Line<'_>>, &'static str> {
 
 fn constant<'a>(line: &'a str, base: &'a str, rest: &'a str) -> Result<Line<'a>, &'static str> {
     let whole = if base == "string" {
-        // A text constant reaches to the end of its line, '#' included.
+        // A text constant extends to the end of its line, including '#'.
         line.trim_start().strip_prefix(base).ok_or("a constant is broken")?
     } else {
         rest

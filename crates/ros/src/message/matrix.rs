@@ -1,18 +1,18 @@
-//! Where the numbers of a message lie that are worth coding as a matrix: pictures, depth, clouds, scans.
+//! Where a message has numbers worth coding as a matrix: pictures, depth, clouds, scans.
 
 use super::decode::Limits;
 use super::definition::Definition;
 use super::value::Value;
 use crate::crypto::compression::{MOST_CHANNELS, Matrix};
 
-/// Arrays of numbers shorter than this are no matrix, bytes.
+/// Arrays of numbers shorter than this are not treated as a matrix, bytes.
 const SHORTEST: usize = 512;
 
-/// Nothing spelled out, little looked at: this is asked of every message that is sealed.
+/// Expands nothing and visits little: this runs for every message that is sealed.
 const LIMITS: Limits = Limits { elements: 0, steps: 20_000 };
 
 impl Definition {
-    /// The matrix in `body`, where it has one: that of an Image or a PointCloud2, else its longest array of floats.
+    /// The matrix in `body`, if any: that of an Image or a PointCloud2, otherwise its longest array of floats.
     pub fn matrix(&self, body: &[u8]) -> Option<Matrix> {
         if body.len() < SHORTEST {
             return None;

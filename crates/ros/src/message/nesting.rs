@@ -1,5 +1,5 @@
-//! Types made of types: texts are turned into layouts, innermost first. What comes out has no cycles and is at most
-//! [`DEEPEST`] deep.
+//! Nested types: texts are turned into layouts, innermost first. The result has no cycles and is at most [`DEEPEST`]
+//! deep.
 
 use std::collections::HashMap;
 
@@ -9,24 +9,24 @@ pub const DEEPEST: usize = 16;
 /// The lines of each type, by its full name.
 pub(super) type Texts<'a> = HashMap<String, Vec<&'a str>>;
 
-/// Makes a type's layout and height of its lines; for the types inside it calls [`Nesting::resolve`] with itself.
+/// Builds the layout and height of a type from its lines; for nested types it calls [`Nesting::resolve`] with itself.
 pub(super) type Make<'a, T> = fn(&mut Nesting<'a, T>, &str, &[&str]) -> Result<(T, usize), String>;
 
-/// The types of one definition, as far as they are resolved.
+/// The types of one definition resolved so far.
 pub(super) struct Nesting<'a, T> {
     texts: Texts<'a>,
-    /// Index and height (nested levels, itself included) of what is resolved.
+    /// Index and height (nested levels, itself included) of each resolved type.
     done: HashMap<String, (usize, usize)>,
     path: Vec<String>,
-    /// Every one comes after those it is made of.
+    /// Each comes after those it consists of.
     pub layouts: Vec<T>,
 }
 
 impl<'a, T> Nesting<'a, T> {
-    /// The layouts of `name` and of all it is made of, itself last.
+    /// The layouts of `name` and of all types it consists of, itself last.
     ///
     /// # Errors
-    /// In words: a type that is missing, contains itself or lies too deep, and what `make` finds wrong.
+    /// In words: a type that is missing, contains itself or is nested too deep, and errors from `make`.
     pub fn layouts_of(name: &str, texts: Texts<'a>, make: Make<'a, T>) -> Result<Vec<T>, String> {
         let mut nesting = Self { texts, done: HashMap::new(), path: Vec::new(), layouts: Vec::new() };
         nesting.resolve(name, make)?;
@@ -41,7 +41,7 @@ impl<'a, T> Nesting<'a, T> {
     /// Index and height of a type's layout.
     ///
     /// # Errors
-    /// As [`Nesting::layouts_of`] has them.
+    /// As in [`Nesting::layouts_of`].
     pub fn resolve(&mut self, name: &str, make: Make<'a, T>) -> Result<(usize, usize), String> {
         if self.path.iter().any(|above| above == name) {
             return Err(format!("{name} contains itself"));

@@ -1,6 +1,6 @@
-//! Definitions of ROS 2: `.msg` texts with all the types they are made of, and the hash that tells them apart.
+//! ROS 2 definitions: `.msg` texts with all the types they consist of, and the hash that identifies them.
 //!
-//! What is read becomes the same layouts that messages of ROS 1 have; only bodies are laid out otherwise.
+//! They become the same layouts as ROS 1 messages; only bodies are laid out differently.
 
 mod folder;
 mod hash;
@@ -16,11 +16,11 @@ use line::Many;
 use schema::{Interface, Member, Of, Schema};
 
 impl Definition {
-    /// Parses the text of a ROS 2 definition, as MCAP carries it for `ros2msg`: the type's own lines, then
-    /// `MSG: package/Type` sections.
+    /// Parses the text of a ROS 2 definition, as in MCAP's `ros2msg`: the type's own lines, then `MSG: package/Type`
+    /// sections.
     ///
     /// # Errors
-    /// [`RosError::Definition`] where the text is too long, broken, incomplete, recursive or too deep.
+    /// [`RosError::Definition`] if the text is too long, broken, incomplete, recursive or too deep.
     pub fn parse_ros2(type_name: &str, text: &str) -> Result<Self, RosError> {
         Schema::parse(type_name, text).map(|schema| Self::of_schema(&schema))
     }
@@ -37,7 +37,7 @@ impl Definition {
 /// The hash of a type as ROS 2 computes it, `RIHS01_` and 64 hex characters.
 ///
 /// # Errors
-/// [`RosError::Definition`] where the text is not a definition of `type_name`.
+/// [`RosError::Definition`] if the text is not a definition of `type_name`.
 pub fn type_hash(type_name: &str, text: &str) -> Result<String, RosError> {
     Schema::parse(type_name, text).map(|schema| hash::of(&schema))
 }
@@ -50,7 +50,7 @@ fn layout(interface: &Interface, known: &[Layout]) -> Layout {
         Arity::Variable => 4,
     };
     let minimum = fields.iter().map(least).fold(0, usize::saturating_add).max(1);
-    // What lies between numbers depends on where a message begins, so none has a fixed size.
+    // The padding between numbers depends on where a message begins, so none has a fixed size.
     Layout { name: interface.name.clone(), fields, constants: Vec::new(), minimum, fixed: false }
 }
 

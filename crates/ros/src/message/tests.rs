@@ -1,4 +1,4 @@
-//! Definitions and bodies, friendly and hostile.
+//! Definitions and bodies, valid and hostile.
 
 use proptest::prelude::*;
 
@@ -18,7 +18,7 @@ fn decode(text: &str, body: &[u8]) -> Result<Value, RosError> {
     parse(text).expect("definition").decode(body, Limits::default())
 }
 
-/// Types a/T1 .. a/Tn, each holding the next.
+/// Types a/T1 .. a/Tn, each containing the next.
 fn chain(length: usize) -> String {
     let names: Vec<String> = (1..=length).map(|level| format!("a/T{level}")).collect();
     let bodies: Vec<String> = (2..=length + 1).map(|level| format!("T{level} below")).collect();
@@ -105,7 +105,7 @@ fn hostile_definitions() {
     assert!(parse(&with("", &many)).is_err());
 }
 
-/// A deep part reached first by a short way, then by a long one.
+/// A deep type reached first by a short path, then by a long one.
 #[test]
 fn depth_is_that_of_the_longest_way() {
     let short_first = format!("T9 near\n{}", chain(DEEPEST));

@@ -1,5 +1,5 @@
-//! A decoded message: a tree that keeps the order of its fields, and its ways to screen and JSON.
-//! Texts in it come from outside and are cleaned on the way out.
+//! A decoded message: a tree that keeps the order of its fields, and its output to screen and JSON. Its texts are
+//! untrusted and cleaned on output.
 
 use std::fmt::Write as _;
 use std::ops::Range;
@@ -23,7 +23,7 @@ pub enum Value {
     Unsigned(u64),
     /// A floating-point number (a float32 widened).
     Float(f64),
-    /// A text, as it came; what was not UTF-8 is replaced.
+    /// A text, unchanged; invalid UTF-8 is replaced.
     Text(String),
     /// A point in time: seconds and nanoseconds since 1970.
     Time(u32, u32),
@@ -31,15 +31,15 @@ pub enum Value {
     Duration(i32, i32),
     /// An array.
     Array(Vec<Value>),
-    /// An array too large to spell out.
+    /// An array too large to expand.
     Large {
         /// The element type.
         element: String,
-        /// How many elements.
+        /// The number of elements.
         count: usize,
-        /// Where their bytes are in the body.
+        /// The position of their bytes in the body.
         bytes: Range<usize>,
-        /// Whether the numbers have their greatest byte first.
+        /// Whether the numbers are big endian.
         big_endian: bool,
     },
     /// A message: its fields by name, in order.
@@ -55,9 +55,9 @@ impl Value {
         })
     }
 
-    /// As JSON: texts cleaned, large arrays as `uint8[58000]`, numbers that JSON lacks as text
-    /// (`NaN`, `inf`), times as `{secs, nsecs}`. Order of fields is kept where the JSON map keeps it;
-    /// serialising the value itself always keeps it.
+    /// As JSON: texts cleaned, large arrays as `uint8[58000]`, numbers that JSON lacks as text (`NaN`, `inf`), times as
+    /// `{secs, nsecs}`. The order of fields is kept if the JSON map keeps it; serialising the value itself always keeps
+    /// it.
     pub fn to_json(&self) -> serde_json::Value {
         serde_json::to_value(self).unwrap_or(serde_json::Value::Null)
     }

@@ -28,16 +28,16 @@ const MOST_SUBSCRIBERS: usize = 64;
 /// The most connections of one node.
 const MOST_CONNECTIONS: usize = 1024;
 
-/// What the slave API and the TCPROS port know of the node.
+/// The node's state as seen by the slave API and the TCPROS port.
 struct Identity {
     name: String,
     host: String,
     port: u16,
     master: Endpoint,
     outlets: Mutex<Vec<Arc<Outlet>>>,
-    /// Of topics that were taken back.
+    /// Of withdrawn topics.
     overflowed: AtomicU64,
-    /// Those that tell a master, perhaps a slow one, what is not published any more.
+    /// Threads that tell a master, perhaps a slow one, what is no longer published.
     telling: Mutex<Vec<JoinHandle<()>>>,
     left: AtomicBool,
 }
@@ -78,7 +78,7 @@ impl PublisherNode {
         self.identity.outlet_of(topic)
     }
 
-    /// Registers one more topic; how many subscribers the master knows.
+    /// Registers another topic; returns how many subscribers the master knows.
     pub fn advertise(&self, outlet: Arc<Outlet>) -> Result<usize, RosError> {
         let known = self.outlet_of(outlet.topic());
         let outlet = known.unwrap_or_else(|| {
@@ -101,13 +101,13 @@ impl PublisherNode {
         Ok(answer.as_array().map_or(0, <[Value]>::len))
     }
 
-    /// Messages that subscribers did not get, in all.
+    /// Total messages that subscribers missed.
     pub fn overflowed(&self) -> u64 {
         let now: u64 = self.outlets().iter().map(|outlet| outlet.overflowed()).sum();
         now + self.identity.overflowed.load(Ordering::SeqCst)
     }
 
-    /// Takes topics back: no subscriber gets any more of any of them, whenever the master hears of it.
+    /// Withdraws topics: no subscriber gets any more of them, however late the master hears of it.
     pub fn withdraw(&self, topics: &[String]) {
         let is_meant = |outlet: &Arc<Outlet>| topics.iter().any(|topic| topic == outlet.topic());
         let gone: Vec<Arc<Outlet>> = self.outlets().into_iter().filter(is_meant).collect();
@@ -129,12 +129,12 @@ impl PublisherNode {
         self.tell_gone(&outlets);
     }
 
-    /// Whether nothing is queued any more.
+    /// Whether the queues are empty.
     pub fn is_sent(&self) -> bool {
         self.outlets().iter().all(|outlet| outlet.is_sent())
     }
 
-    /// Unregisters, and sends what is queued, all of it until one deadline.
+    /// Unregisters, and sends what is queued, with one deadline for all.
     pub fn close(&self, patience: Duration) {
         self.leave();
         let deadline = Instant::now() + patience;
@@ -145,7 +145,7 @@ impl PublisherNode {
         self.finish_telling();
     }
 
-    /// Unregisters, without waiting for a master that is slow.
+    /// Unregisters, without waiting for a slow master.
     fn tell_gone(&self, outlets: &[Arc<Outlet>]) {
         let topics: Vec<String> = outlets.iter().map(|outlet| outlet.topic().to_owned()).collect();
         let (identity, uri) = (Arc::clone(&self.identity), self.slave.uri.clone());
@@ -154,12 +154,12 @@ impl PublisherNode {
             for topic in topics {
                 let is_open = identity.outlet_of(&topic).is_some() && !identity.left.load(Ordering::SeqCst);
                 if !is_open {
-                    // A master that is gone has forgotten the publisher as well.
+                    // A master that is gone has forgotten the publisher too.
                     let _ = identity.tell_master("unregisterPublisher", &[&topic], &uri, deadline);
                 }
             }
         });
-        // Without a thread the master sees the node's end by its slave API.
+        // Without a thread the master notices the node's end through its slave API.
         lock(&self.identity.telling).extend(told.ok());
     }
 
@@ -177,7 +177,7 @@ impl Drop for PublisherNode {
             outlet.close(Duration::ZERO);
         }
         self.stopping.store(true, Ordering::SeqCst);
-        // Accepting blocks: a connection of our own wakes it.
+        // Accepting blocks: connecting to ourselves wakes it.
         let woken = TcpStream::connect((self.identity.host.as_str(), self.identity.port)).is_ok();
         if let Some(accepting) = self.accepting.take().filter(|_| woken) {
             let _ = accepting.join();
@@ -238,7 +238,7 @@ fn accept_all(listener: &TcpListener, stopping: &AtomicBool, identity: &Arc<Iden
             continue;
         }
         let identity = Arc::clone(identity);
-        // Without a thread, or with a broken handshake, the subscriber sees its connection closed.
+        // Without a thread, or with a broken handshake, the subscriber's connection is closed.
         let _ = std::thread::Builder::new().name("ros-handshake".into()).spawn(move || welcome(&identity, stream));
     }
 }

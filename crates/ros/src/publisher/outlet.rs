@@ -1,4 +1,5 @@
-//! One published topic and its subscribers; what a subscriber cannot take is dropped from its queue and counted.
+//! One published topic and its subscribers; messages that a subscriber cannot take are dropped from its queue and
+//! counted.
 
 use std::net::TcpStream;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -24,9 +25,9 @@ pub(crate) struct Outlet {
 #[derive(Default)]
 struct Audience {
     subscribers: Vec<Arc<Subscriber>>,
-    /// The last message of each source, where the topic is latching; the newest last.
+    /// The last message of each source, if the topic is latching; the newest last.
     latched: Vec<(u64, Frame)>,
-    /// A subscriber whose handshake is on its way comes too late.
+    /// A subscriber still shaking hands is too late.
     closed: bool,
 }
 
@@ -60,17 +61,17 @@ impl Outlet {
         lock(&self.audience).subscribers.iter().any(|subscriber| subscriber.is_crowded())
     }
 
-    /// Waits no more for subscribers that are behind now.
+    /// Stops waiting for subscribers that are behind now.
     pub fn outrun(&self) {
         lock(&self.audience).subscribers.iter().for_each(|subscriber| subscriber.outrun());
     }
 
-    /// Sends `body` to all subscribers there are.
+    /// Sends `body` to all current subscribers.
     pub fn publish(&self, body: &[u8]) {
         self.publish_of(0, body);
     }
 
-    /// As [`Self::publish`], of one of several sources: a latching topic keeps the last message of each.
+    /// Like [`Self::publish`], for one of several sources: a latching topic keeps the last message of each.
     pub fn publish_of(&self, source: u64, body: &[u8]) {
         let Ok(length) = u32::try_from(body.len()) else { return };
         let frame = Arc::new([length.to_le_bytes().as_slice(), body].concat());
@@ -93,7 +94,7 @@ impl Outlet {
         }
     }
 
-    /// Why a subscriber's connection header does not fit this topic.
+    /// Why a subscriber's connection header does not match this topic.
     pub fn objection(&self, header: &ConnectionHeader) -> Option<String> {
         let Advertised { topic, type_name, md5sum, .. } = &self.about;
         let fits = |key: &str, ours: &str| header.get(key).is_none_or(|theirs| theirs == ours || theirs == "*");
@@ -116,7 +117,7 @@ impl Outlet {
         ])
     }
 
-    /// Takes in a subscriber whose handshake is done; it gets the latched messages first.
+    /// Adds a subscriber after its handshake; it gets the latched messages first.
     pub fn add(&self, name: String, stream: TcpStream) -> std::io::Result<()> {
         let subscriber = Arc::new(Subscriber::new(name, stream));
         let writer = Arc::clone(&subscriber);
@@ -133,7 +134,7 @@ impl Outlet {
         Ok(())
     }
 
-    /// Forgets what one source published, and all that is queued.
+    /// Drops what one source published, and everything queued.
     pub fn silence(&self, source: u64) {
         let mut audience = lock(&self.audience);
         audience.latched.retain(|(other, _)| *other != source);
@@ -157,13 +158,12 @@ impl Outlet {
         audience.subscribers.iter().for_each(|subscriber| subscriber.close());
     }
 
-    /// Whether all queues have run empty, after [`Self::leave`].
+    /// Whether all queues are empty, after [`Self::leave`].
     pub fn is_sent(&self) -> bool {
         lock(&self.audience).subscribers.iter().all(|subscriber| subscriber.is_done())
     }
 
-    /// Lets the queues run empty, but not for ever, and ends the connections; without patience what is queued is
-    /// forgotten.
+    /// Lets the queues drain, but not forever, and ends the connections; without patience what is queued is dropped.
     pub fn close(&self, patience: Duration) {
         let deadline = Instant::now() + patience;
         if patience.is_zero() {
@@ -173,7 +173,7 @@ impl Outlet {
         self.end(deadline);
     }
 
-    /// Ends the connections at the deadline, or when all is sent; what was not sent is counted.
+    /// Ends the connections at the deadline, or when everything is sent; the rest is counted.
     pub fn end(&self, deadline: Instant) {
         let subscribers = std::mem::take(&mut lock(&self.audience).subscribers);
         for subscriber in &subscribers {

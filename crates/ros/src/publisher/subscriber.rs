@@ -1,4 +1,4 @@
-//! One subscriber of a topic: a bounded queue and a writing thread of its own, so that a slow one holds up nobody.
+//! One subscriber of a topic: a bounded queue and its own writer thread, so that a slow one delays nobody.
 
 use std::collections::VecDeque;
 use std::io::Write as _;
@@ -6,7 +6,7 @@ use std::net::{Shutdown, TcpStream};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// The most a queue holds, bytes; a single longer message has room all the same.
+/// The most a queue holds, bytes; a single longer message is accepted nevertheless.
 pub(super) const LONGEST_QUEUE: usize = 32 << 20;
 
 /// A message with its length before it, shared by all that send it.
@@ -25,9 +25,9 @@ struct Queue {
     bytes: usize,
     /// No more frames come.
     closing: bool,
-    /// All is sent or will never be.
+    /// Everything is sent or never will be.
     done: bool,
-    /// It was waited for in vain; nobody waits for it until it has caught up.
+    /// Waiting for it was in vain; nobody waits for it until it has caught up.
     slow: bool,
 }
 
@@ -40,7 +40,7 @@ impl Subscriber {
         Self { name, stream, queue: Mutex::default(), changed: Condvar::new() }
     }
 
-    /// Queues a frame; how many older ones had to go for it, `None` where the subscriber is gone.
+    /// Queues a frame; returns how many older ones were dropped for it, `None` if the subscriber is gone.
     pub fn push(&self, frame: &Frame) -> Option<u64> {
         let mut queue = lock(&self.queue);
         if queue.done || queue.closing {
@@ -64,7 +64,7 @@ impl Subscriber {
         !queue.done && !queue.slow && queue.bytes > LONGEST_QUEUE / 2
     }
 
-    /// Waits for it no more where it is behind.
+    /// Stops waiting for it if it is behind.
     pub fn outrun(&self) {
         let mut queue = lock(&self.queue);
         queue.slow |= queue.bytes > LONGEST_QUEUE / 2;
@@ -74,7 +74,7 @@ impl Subscriber {
         lock(&self.queue).done
     }
 
-    /// Nothing of what is queued is sent any more.
+    /// Nothing queued is sent any more.
     pub fn forget(&self) {
         let mut queue = lock(&self.queue);
         queue.frames.clear();
@@ -107,13 +107,13 @@ impl Subscriber {
         self.changed.notify_all();
     }
 
-    /// Waits until all is sent; how many messages were not when `deadline` came.
+    /// Waits until everything is sent; returns how many messages were not when `deadline` came.
     pub fn wait(&self, deadline: Instant) -> u64 {
         let patience = deadline.saturating_duration_since(Instant::now());
         let waited = self.changed.wait_timeout_while(lock(&self.queue), patience, |queue| !queue.done);
         let (queue, waited) = waited.unwrap_or_else(PoisonError::into_inner);
         if waited.timed_out() {
-            // Wakes the writer from a write that a hung subscriber never takes.
+            // Wakes the writer from a write that a hung subscriber never accepts.
             let _ = self.stream.shutdown(Shutdown::Both);
             return queue.frames.len() as u64;
         }

@@ -1,4 +1,4 @@
-//! Our publisher heard by our capture, at an embedded master.
+//! Our publisher received by our capture, with an embedded master.
 
 use std::sync::{Arc, Mutex};
 

@@ -1,4 +1,4 @@
-//! Files of pictures, PNG and JPEG: decoded to RGB within bounds of pixels and memory, and written.
+//! Picture files, PNG and JPEG: decoded to RGB within limits of pixels and memory, and encoded.
 
 use std::io::Cursor;
 
@@ -17,7 +17,7 @@ pub const MOST_PIXELS: u64 = 12_000_000;
 /// The most memory that decoding one may take, bytes.
 pub const DECODER_MEMORY: usize = 128 << 20;
 
-/// What a PNG begins with.
+/// The start of every PNG.
 pub(super) const PNG_MAGIC: &[u8] = b"\x89PNG";
 
 /// A picture, three bytes a pixel.
@@ -53,7 +53,7 @@ fn decode_png(data: &[u8]) -> Result<Rgb, PictureError> {
     let mut decoder = png::Decoder::new_with_limits(Cursor::new(data), limits);
     decoder.set_ignore_text_chunk(true);
     decoder.set_ignore_iccp_chunk(true);
-    // Palettes and samples below a byte become bytes.
+    // Palettes and samples below a byte are expanded to bytes.
     decoder.set_transformations(Transformations::EXPAND);
     let (width, height) = decoder.read_header_info().map_err(broken)?.size();
     within_bounds(width, height)?;
@@ -90,7 +90,7 @@ fn decode_jpeg(data: &[u8]) -> Result<Rgb, PictureError> {
     rgb(size, colours.num_components(), samples)
 }
 
-/// Pixels of one to four samples without their transparency.
+/// Pixels of one to four samples, without transparency.
 fn rgb((width, height): (u32, u32), channels: usize, samples: Vec<u8>) -> Result<Rgb, PictureError> {
     let (width, height) = (width as usize, height as usize);
     if samples.len() != width * height * channels {
@@ -125,7 +125,7 @@ pub(super) fn png_file(
     Ok(out)
 }
 
-/// Writes a JPEG of RGB in which the colours have every pixel.
+/// Writes a JPEG of RGB without chroma subsampling.
 pub(super) fn jpeg_file(data: &[u8], size: (usize, usize), quality: u8) -> Result<Vec<u8>, PictureError> {
     let side = |length: usize| u16::try_from(length).map_err(|_| broken("it is too large"));
     let mut out = Vec::new();

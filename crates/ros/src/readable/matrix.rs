@@ -1,11 +1,11 @@
-//! The matrix of a `sensor_msgs/Image`: its encoding, its pixels for the eye, its numbers for others.
+//! The matrix of a `sensor_msgs/Image`: its encoding, its pixels for display, its numbers for export.
 
 use super::numbers::{Body, count};
 use super::picture::PictureError;
 use super::points::bytes;
 use crate::ros::message::{Value, layout};
 
-/// A raw picture over its message.
+/// A raw picture, borrowed from its message.
 pub(super) struct Matrix<'a> {
     pub width: usize,
     pub height: usize,
@@ -38,7 +38,7 @@ impl<'a> Matrix<'a> {
         Ok(Self { width, height, encoding, channels, sample, big_endian, step, data })
     }
 
-    /// The bytes of a row, without what fills it up.
+    /// The bytes of a row, without padding.
     pub fn row(&self, y: usize) -> &[u8] {
         let start = y * self.step;
         self.data.get(start..start + self.width * self.channels * self.sample).unwrap_or_default()
@@ -52,25 +52,25 @@ impl<'a> Matrix<'a> {
         (0..self.sample).map(|offset| byte(order(offset)) << (8 * offset)).sum()
     }
 
-    /// A number as a float, where numbers are depths.
+    /// A number as a float, if the numbers are depths.
     fn depth(&self, x: usize, y: usize) -> f32 {
         let number = self.number(x, y, 0);
         if self.encoding.starts_with("32F") {
             f32::from_bits(number)
         } else if self.sample == 4 {
-            // Depths of whole numbers this large do not come; the eye sees no difference.
+            // Integer depths never get this large; the difference would not be visible.
             f32::from(u16::try_from(number >> 16).unwrap_or(u16::MAX))
         } else {
             f32::from(u16::try_from(number).unwrap_or(u16::MAX))
         }
     }
 
-    /// Whether numbers are measures, to be spread over all greys.
+    /// Whether numbers are measurements, to be spread over all greys.
     pub fn is_depth(&self) -> bool {
         self.channels == 1 && (self.sample == 4 || self.encoding.starts_with("16"))
     }
 
-    /// The least and the greatest measure; what was not measured (0, NaN, infinite) does not count.
+    /// The smallest and the largest measurement; missing ones (0, NaN, infinite) do not count.
     pub fn depths(&self) -> Option<(f32, f32)> {
         let mut range: Option<(f32, f32)> = None;
         for y in 0..self.height {
@@ -85,7 +85,7 @@ impl<'a> Matrix<'a> {
         range
     }
 
-    /// The pixels for the eye.
+    /// The pixels for display.
     pub fn eye(&self) -> Box<dyn Fn(usize, usize) -> [u8; 3] + '_> {
         if self.is_depth() {
             let (low, high) = self.depths().unwrap_or((0.0, 1.0));
@@ -122,7 +122,7 @@ impl<'a> Matrix<'a> {
         }
     }
 
-    /// Red, one green and blue of the pixel's square of four; `red` = column and row of red in it.
+    /// Red, one green and blue of the pixel's 2x2 square; `red` = column and row of red in it.
     fn bayer(&self, x: usize, y: usize, red: (usize, usize)) -> [u8; 3] {
         let inside = |x: usize, y: usize| self.part(x.min(self.width - 1), y.min(self.height - 1), 0);
         let (left, top) = (x & !1, y & !1);
@@ -143,7 +143,7 @@ impl<'a> Matrix<'a> {
     }
 }
 
-/// Where the colours of a pixel are.
+/// The positions of a pixel's colours.
 enum Places {
     Pixel([usize; 3]),
     Bayer((usize, usize)),

@@ -1,4 +1,4 @@
-//! Where a robot is and how it moves: Odometry in the paper's words (LV, AV, Pose, Cov, TS, Type), Imu, NavSatFix.
+//! Where a robot is and how it moves: Odometry in the paper's terms (LV, AV, Pose, Cov, TS, Type), Imu, NavSatFix.
 
 use super::numbers::{Body, count, float, number, shown, square, text, triple, turned};
 use super::{Plot, Readable};
@@ -40,7 +40,7 @@ fn here(title: &str, axes: (&str, &str), value: &Value, paths: (&str, &str)) -> 
 pub(super) fn inertia(value: &Value, _: &Body) -> Readable {
     let mut out = Readable::default();
     let known = |path: &str| match value.get(path) {
-        // REP 145: -1 in the first place = not measured.
+        // REP 145: -1 in the first element = not measured.
         Some(Value::Array(items)) => !matches!(items.first(), Some(Value::Float(first)) if *first < 0.0),
         _ => true,
     };
@@ -103,7 +103,7 @@ pub(super) fn around(from: (f64, f64), to: (f64, f64)) -> (f64, f64) {
     (east, (to.1 - from.1).to_radians() * EARTH)
 }
 
-/// A length for people.
+/// A length in readable form.
 pub(super) fn metres(length: f64) -> String {
     format!("{} m", number(length))
 }

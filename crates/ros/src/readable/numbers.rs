@@ -1,11 +1,11 @@
-//! Numbers out of decoded values, and numbers as people read them.
+//! Numbers from decoded values, and numbers in readable form.
 
 use super::MOST_ROWS;
 use super::Table;
 use crate::model::clean;
 use crate::ros::message::Value;
 
-/// The message's bytes, for arrays that were not spelled out.
+/// The message's bytes, for arrays that were not expanded.
 pub(super) struct Body<'a>(pub &'a [u8]);
 
 /// A field as a float.
@@ -45,7 +45,7 @@ pub(super) fn text(value: &Value, path: &str) -> String {
     }
 }
 
-/// A time or duration of ROS 2, as those of ROS 1 are written.
+/// A time or duration of ROS 2, written like those of ROS 1.
 fn seconds(value: &Value) -> Option<String> {
     let (Value::Integer(seconds), Value::Unsigned(nanoseconds)) = (value.get("sec")?, value.get("nanosec")?) else {
         return None;
@@ -53,7 +53,7 @@ fn seconds(value: &Value) -> Option<String> {
     Some(format!("{seconds}.{nanoseconds:09}"))
 }
 
-/// A field as a number for people.
+/// A field as a readable number.
 pub(super) fn shown(value: &Value, path: &str) -> String {
     float(value, path).map_or_else(|| String::from("-"), number)
 }
@@ -64,7 +64,7 @@ pub(super) fn triple(value: &Value, path: &str) -> String {
     format!("x {}  y {}  z {}", part("x"), part("y"), part("z"))
 }
 
-/// A number for people: four digits behind the point, very small and very large ones by their power of ten.
+/// A readable number: four decimals, very small and very large ones with an exponent.
 pub(super) fn number(number: f64) -> String {
     let size = number.abs();
     if size != 0.0 && !(1e-4..1e7).contains(&size) {
@@ -75,7 +75,7 @@ pub(super) fn number(number: f64) -> String {
     if short == "-0" { String::from("0") } else { short.to_owned() }
 }
 
-/// The floats of a field, spelled out or not; at most `most`, spread over all.
+/// The floats of a field, expanded or not; at most `most`, evenly spread.
 pub(super) fn floats(value: &Value, path: &str, body: &Body, most: usize) -> Vec<(usize, f64)> {
     match value.get(path) {
         Some(Value::Array(items)) => {
@@ -108,7 +108,7 @@ fn large((element, big_endian): (&str, bool), count: usize, bytes: Option<&[u8]>
     numbered.filter_map(|(at, chunk)| Some((at, read(chunk)?))).collect()
 }
 
-/// A covariance as a square table, where it is one.
+/// A covariance as a square table, if it is one.
 pub(super) fn square(title: &str, names: &[&str], value: &Value, path: &str) -> Option<Table> {
     let Some(Value::Array(items)) = value.get(path) else { return None };
     let side = names.len();
@@ -124,7 +124,7 @@ pub(super) fn square(title: &str, names: &[&str], value: &Value, path: &str) -> 
     Some(Table { title: title.to_owned(), head: head.collect(), rows: rows.collect() })
 }
 
-/// A table of an array's items; what is over is counted in its title.
+/// A table of an array's items; its title counts those left out.
 pub(super) fn listed(
     title: &str,
     head: &[&str],
@@ -152,7 +152,7 @@ pub(super) fn angles(value: &Value, path: &str) -> Option<(f64, f64, f64)> {
     Some((roll.to_degrees(), pitch.to_degrees(), yaw.to_degrees()))
 }
 
-/// The angles of a quaternion field for people.
+/// The angles of a quaternion field in readable form.
 pub(super) fn turned(value: &Value, path: &str) -> String {
     match angles(value, path) {
         Some((roll, pitch, yaw)) => {

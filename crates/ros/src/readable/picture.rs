@@ -1,4 +1,4 @@
-//! Pictures: what they are, a small form for screens, and files of them.
+//! Pictures: their properties, thumbnails for screens, and picture files.
 
 use png::{BitDepth, ColorType};
 use serde::{Deserialize, Serialize};
@@ -18,25 +18,25 @@ const QUALITY: u8 = 92;
 /// Why a picture cannot be shown or written.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PictureError {
-    /// The message is no picture.
+    /// The message is not a picture.
     #[error("{0} is no picture; write it as .json or .bin")]
     NoPicture(String),
-    /// Its encoding is none of those known.
+    /// Its encoding is unknown.
     #[error("the encoding '{0}' is not known here; write the message as .bin or .json")]
     Encoding(String),
-    /// It is larger than the decoder may make it.
+    /// It is larger than the decoder allows.
     #[error("the picture is {0} x {1} pixels, more than the {most} that are decoded; write it as .bin", most = MOST_PIXELS)]
     Large(u32, u32),
     /// It is damaged.
     #[error("the picture is damaged: {0}; write the message as .bin")]
     Broken(String),
-    /// The message does not fit its definition.
+    /// The message does not match its definition.
     #[error("{0}; write it as .bin")]
     Message(String),
 }
 
 impl PictureError {
-    /// Decides the exit code.
+    /// Determines the exit code.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::NoPicture(_) | Self::Encoding(_) => ErrorKind::Usage,
@@ -45,7 +45,7 @@ impl PictureError {
     }
 }
 
-/// A file that a message can be written as.
+/// A file format that a message can be written in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Exported {
@@ -61,7 +61,7 @@ pub enum Exported {
     Bin,
 }
 
-/// The kind of file that a name asks for by its end.
+/// The format requested by a file name's extension.
 pub fn file_of(name: &str) -> Option<Exported> {
     let end = name.rsplit_once('.')?.1.to_ascii_lowercase();
     Some(match end.as_str() {
@@ -74,10 +74,10 @@ pub fn file_of(name: &str) -> Option<Exported> {
     })
 }
 
-/// The message as a file of that kind.
+/// The message as a file of that format.
 ///
 /// # Errors
-/// [`PictureError`] where it is no such picture, or none that can be decoded.
+/// [`PictureError`] if it is not such a picture, or cannot be decoded.
 pub fn export(kind: Exported, definition: &Definition, body: &[u8]) -> Result<Vec<u8>, PictureError> {
     match kind {
         Exported::Bin => return Ok(body.to_vec()),

@@ -1,4 +1,4 @@
-//! Scans, clouds and paths: their figures, and their points seen from above.
+//! Scans, clouds and paths: their figures, and their points from above.
 
 use super::motion::metres;
 use super::numbers::{Body, count, float, floats, number, shown, text};
@@ -91,7 +91,7 @@ fn heights(points: &[(f64, f64, f64)]) -> Option<(f64, f64)> {
     (low <= high).then_some((low, high))
 }
 
-/// x, y and z of some of the points.
+/// x, y and z of a sample of the points.
 fn seen_from_above(value: &Value, body: &Body, parts: &[Part]) -> Option<Vec<(f64, f64, f64)>> {
     let big = count(value, "is_bigendian")? != 0;
     let step = count(value, "point_step").filter(|step| *step > 0)?;

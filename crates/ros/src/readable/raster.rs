@@ -1,4 +1,4 @@
-//! Small pictures for screens: any picture averaged down to a bounded number of pixels.
+//! Thumbnails for screens: any picture averaged down to a bounded number of pixels.
 
 use png::{BitDepth, ColorType};
 use serde::{Deserialize, Serialize};
@@ -10,10 +10,10 @@ use crate::model::base64_text;
 /// The largest raster, pixels: enough for half-blocks on a screen of 240 columns and 80 rows.
 pub const LARGEST: (usize, usize) = (240, 160);
 
-/// Pixels of a source averaged into one, in each direction, at most.
+/// The most source pixels averaged into one, in each direction.
 const AVERAGED: usize = 4;
 
-/// A small picture.
+/// A thumbnail.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Raster {
     /// Columns.
@@ -26,7 +26,7 @@ pub struct Raster {
 }
 
 impl Raster {
-    /// A picture of `width` x `height`, averaged down to at most `largest`; never made larger.
+    /// A picture of `width` x `height`, averaged down to at most `largest`; never enlarged.
     pub fn of(size: (usize, usize), largest: (usize, usize), pixel: &dyn Fn(usize, usize) -> [u8; 3]) -> Self {
         let (columns, rows) = fitted(size, largest);
         let mut rgb = Vec::with_capacity(columns * rows * 3);
@@ -40,12 +40,12 @@ impl Raster {
         Self { width: columns, height: rows, rgb }
     }
 
-    /// This raster averaged down once more.
+    /// This raster averaged down again.
     pub fn fit(&self, largest: (usize, usize)) -> Self {
         Self::of((self.width, self.height), largest, &|x, y| self.pixel(x, y))
     }
 
-    /// The size it has where it fits into `largest` with its shape kept; never larger than it is.
+    /// Its size when fitted into `largest` with its aspect ratio kept; never enlarged.
     pub fn size_within(&self, largest: (usize, usize)) -> (usize, usize) {
         fitted((self.width, self.height), largest)
     }
@@ -53,19 +53,19 @@ impl Raster {
     /// As a PNG.
     ///
     /// # Errors
-    /// [`PictureError`] where it has no pixels.
+    /// [`PictureError`] if it has no pixels.
     pub fn png(&self) -> Result<Vec<u8>, PictureError> {
         png_file(&self.rgb, (self.width, self.height), ColorType::Rgb, BitDepth::Eight)
     }
 
-    /// A pixel; black where there is none.
+    /// A pixel; black outside the picture.
     pub fn pixel(&self, x: usize, y: usize) -> [u8; 3] {
         let at = (y * self.width + x) * 3;
         self.rgb.get(at..at + 3).and_then(|rgb| rgb.try_into().ok()).unwrap_or_default()
     }
 }
 
-/// The size in which a picture fits into `largest` with its shape kept.
+/// The size of a picture fitted into `largest` with its aspect ratio kept.
 pub fn fitted(size: (usize, usize), largest: (usize, usize)) -> (usize, usize) {
     let (width, height) = size;
     if width == 0 || height == 0 || largest.0 == 0 || largest.1 == 0 {

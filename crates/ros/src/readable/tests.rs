@@ -1,4 +1,4 @@
-//! Well-known messages, friendly and hostile, and pictures that claim too much.
+//! Well-known messages, valid and hostile, and pictures that claim too much.
 
 use super::codec::{DECODER_MEMORY, MOST_PIXELS, decode, png_file};
 use super::*;
@@ -6,7 +6,7 @@ use crate::ros::robot::{ODOMETRY, odometry_definition};
 
 const HEADER: &str = "uint32 seq\ntime stamp\nstring frame_id";
 
-/// A message put together field by field.
+/// A message built field by field.
 #[derive(Default)]
 struct Bytes(Vec<u8>);
 
@@ -152,7 +152,7 @@ fn a_cloud_is_seen_from_above() {
     assert_eq!(readable.tables[0].rows[2], ["z", "8", "float32", "1"]);
     let plot = readable.plot.expect("a plot");
     assert_eq!((plot.points.len(), plot.points[499]), (500, (499.0, 1.0)));
-    // A field that lies beyond its point is not followed.
+    // A field beyond its point is not followed.
     let mut hostile = body.clone();
     let offset = hostile.windows(5).position(|bytes| bytes == [1, 0, 0, 0, b'x']).expect("x") + 5;
     hostile[offset..offset + 4].copy_from_slice(&u32::MAX.to_le_bytes());
@@ -256,7 +256,7 @@ fn files_hold_the_matrix() {
     assert!(matches!(export(Exported::Png, &definition, &body), Err(PictureError::NoPicture(_))));
 }
 
-/// A PNG that says it is larger than it is; its checksum agrees.
+/// A PNG that claims to be larger than it is; its checksum matches.
 fn claiming(width: u32, height: u32) -> Vec<u8> {
     let mut png = png_file(&[0; 12], (2, 2), png::ColorType::Rgb, png::BitDepth::Eight).expect("encodes");
     png[16..20].copy_from_slice(&width.to_be_bytes());

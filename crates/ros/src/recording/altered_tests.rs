@@ -1,11 +1,11 @@
-//! Recordings in which single bits were flipped: what is given out was written, or something tells of it.
+//! Recordings with single bits flipped: whatever is returned was written, or something reports the damage.
 
 use proptest::prelude::*;
 
 use super::tests::{WAYS, channel, message, read, write};
 use super::*;
 
-/// Where the checksum lies in the content of an MCAP chunk: behind two times and a size.
+/// Offset of the checksum in the content of an MCAP chunk: after two times and a size.
 const CHECKSUM: usize = 9 + 24;
 
 /// The same file without the checksums of its chunks, as some writers leave them out.
@@ -30,7 +30,7 @@ fn written() -> Vec<RecordedMessage> {
     (0..60_u8).map(|number| message(&channels[usize::from(number % 2)], u64::from(number), &body(number))).collect()
 }
 
-/// Every way of writing, with and without checksums of the chunks.
+/// Every way of writing, with and without chunk checksums.
 fn files() -> Vec<(String, RecordingFormat, Vec<u8>)> {
     let messages = written();
     let mut files = Vec::new();
@@ -44,7 +44,7 @@ fn files() -> Vec<(String, RecordingFormat, Vec<u8>)> {
     files
 }
 
-/// Whether the file tells of the damage: nothing altered and nothing missing, or a finding.
+/// Whether the file shows the damage: nothing altered and nothing missing, or a finding.
 fn is_told(found: &[RecordedMessage], findings: &Findings, messages: &[RecordedMessage]) -> bool {
     findings.unguarded > 0 || !findings.is_whole() || found == messages
 }

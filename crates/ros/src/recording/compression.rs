@@ -1,4 +1,4 @@
-//! How chunks are compressed: nothing, bzip2, LZ4 frames, Zstandard. All in Rust; every output has a bound.
+//! Compression of chunks: none, bzip2, LZ4 frames, Zstandard. All in Rust; every output is bounded.
 
 use std::fmt;
 use std::io::{BufRead, Read, Write};
@@ -8,7 +8,7 @@ use std::str::FromStr;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ChunkCompression {
-    /// Not at all.
+    /// No compression.
     #[default]
     None,
     /// bzip2 (bags).
@@ -20,7 +20,7 @@ pub enum ChunkCompression {
 }
 
 impl ChunkCompression {
-    /// Its word on the command line and in a bag.
+    /// Its name on the command line and in a bag.
     pub fn word(self) -> &'static str {
         match self {
             Self::None => "none",
@@ -50,12 +50,11 @@ impl FromStr for ChunkCompression {
     }
 }
 
-/// Unpacks at most `limit` bytes from `source` into `out`; gives whether a checksum of the compression itself covered
-/// all of them. Memory grows with what really comes out.
+/// Decompresses at most `limit` bytes from `source` into `out`; returns whether a checksum of the compression itself
+/// covered all of them. Memory grows only with the actual output.
 ///
 /// # Errors
-/// Where the data is damaged, its checksum is another one, or it is longer than `limit`; what came out before lies in
-/// `out`.
+/// If the data is damaged, its checksum does not match, or it is longer than `limit`; the output so far is in `out`.
 pub(crate) fn unpack(
     compression: ChunkCompression,
     source: impl BufRead,
@@ -71,7 +70,7 @@ pub(crate) fn unpack(
     }
 }
 
-/// The frame's descriptor tells which checksums it has; the decoder compares those.
+/// The frame's descriptor says which checksums it has; the decoder compares those.
 fn unpack_lz4(mut source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Result<bool, String> {
     /// Magic number (4), then flags: bit 4 for checksums of blocks, bit 2 for one of the content.
     const CHECKSUMS: u8 = 0b0001_0100;
@@ -81,7 +80,7 @@ fn unpack_lz4(mut source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Resu
     drain(lz4_flex::frame::FrameDecoder::new(lead.as_slice().chain(source)), limit, out).map(|()| covered)
 }
 
-/// The decoder computes the checksum of the content; comparing it is the caller's.
+/// The decoder computes the checksum of the content; comparing it is up to the caller.
 fn unpack_zstd(source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Result<bool, String> {
     let window = u64::try_from(super::LARGEST_CHUNK).unwrap_or(u64::MAX);
     let decoder = ruzstd::decoding::StreamingDecoder::new_with_max_window_size(source, window);
@@ -105,10 +104,10 @@ fn drain(source: impl Read, limit: usize, out: &mut Vec<u8>) -> Result<(), Strin
     Ok(())
 }
 
-/// Packs the bytes of a chunk.
+/// Compresses the bytes of a chunk.
 ///
 /// # Errors
-/// The compressor's words.
+/// The compressor's error text.
 pub(crate) fn pack(compression: ChunkCompression, bytes: &[u8]) -> Result<Vec<u8>, String> {
     match compression {
         ChunkCompression::None => Ok(bytes.to_vec()),
@@ -118,7 +117,7 @@ pub(crate) fn pack(compression: ChunkCompression, bytes: &[u8]) -> Result<Vec<u8
             encoder.finish().map_err(|error| error.to_string())
         }
         ChunkCompression::Lz4 => {
-            // ROS's own reader knows independent blocks only, and wants the checksum of the whole.
+            // ROS's own reader supports only independent blocks, and requires the checksum of the whole.
             let frame = lz4_flex::frame::FrameInfo::new()
                 .block_mode(lz4_flex::frame::BlockMode::Independent)
                 .block_size(lz4_flex::frame::BlockSize::Max1MB)

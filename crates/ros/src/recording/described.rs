@@ -1,4 +1,4 @@
-//! By which definition a recorded message is read, and what is to be said of that.
+//! The definition by which a recorded message is read, and any remark about it.
 
 use std::sync::Arc;
 
@@ -6,33 +6,33 @@ use super::Encoding;
 use crate::ros::RosError;
 use crate::ros::message::{Definition, Folders, type_hash};
 
-/// What MCAP calls the hash of a channel's type.
+/// MCAP's name for the hash of a channel's type.
 pub const TYPE_HASH: &str = "topic_type_hash";
 
-/// What is known of a message's type.
+/// What is known about a message's type.
 #[derive(Debug, Clone, Copy)]
 pub struct TypeFacts<'a> {
     /// Its name.
     pub name: &'a str,
     /// How bodies are serialised.
     pub encoding: Encoding,
-    /// The text of its definition, where one was found.
+    /// The text of its definition, if one was found.
     pub text: Option<&'a str>,
-    /// Its hash, as the recording names it.
+    /// Its hash, as given in the recording.
     pub hash: Option<&'a str>,
 }
 
-/// A definition to read by, and what is to be said of it.
+/// A definition to read by, and any remark about it.
 #[derive(Debug, Clone, Default)]
 pub struct Described {
-    /// The definition; `None` where nothing but the bytes can be shown.
+    /// The definition; `None` if nothing but the bytes can be shown.
     pub definition: Option<Arc<Definition>>,
-    /// Why there is none, or what speaks against it.
+    /// Why there is none, or what casts doubt on it.
     pub note: Option<String>,
 }
 
 impl Described {
-    /// The definition that came with the recording; for ROS 2 else one that lies in `folders`.
+    /// The definition that came with the recording; for ROS 2 otherwise one found in `folders`.
     pub fn of(facts: TypeFacts<'_>, folders: &Folders) -> Self {
         match own(facts) {
             Ok(definition) => Self { definition: Some(Arc::new(definition)), note: differs(facts) },
@@ -89,7 +89,7 @@ fn trust(facts: TypeFacts<'_>) -> &'static str {
     }
 }
 
-/// What the definition of a recording says against the hash in it.
+/// Whether a recording's definition matches the hash in it.
 fn differs(facts: TypeFacts<'_>) -> Option<String> {
     let (hash, Encoding::Cdr { .. }) = (facts.hash?, facts.encoding) else { return None };
     let found = type_hash(facts.name, facts.text?).ok().filter(|found| found != hash)?;

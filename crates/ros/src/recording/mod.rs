@@ -1,7 +1,7 @@
-//! Recordings: files that hold messages with their times, as `rosbag record` and MCAP writers make them.
+//! Recordings: files that hold messages with their times, as written by `rosbag record` and MCAP writers.
 //!
-//! What both formats share lives here: channels, messages, chunks' compression, and what a reader says of damage.
-//! Files are taken for hostile: every length is checked, memory is bounded by [`LARGEST_CHUNK`].
+//! What both formats share: channels, messages, chunk compression, and a reader's report of damage. Files are treated
+//! as hostile: every length is checked, memory is bounded by [`LARGEST_CHUNK`].
 
 mod compression;
 mod damage;
@@ -23,10 +23,10 @@ pub(super) use place::{go_to, read_at};
 use super::tcpros::LONGEST_MESSAGE;
 use crate::model::Timestamp;
 
-/// The most bytes of a chunk, unpacked: a message of the largest size and what lay in its chunk before it.
+/// The most bytes of a decompressed chunk: a message of the largest size and what was in its chunk before it.
 pub const LARGEST_CHUNK: usize = LONGEST_MESSAGE + (64 << 20);
 
-/// A chunk is closed when it holds so many bytes, as `rosbag record` does it.
+/// A chunk is closed when it holds this many bytes, as in `rosbag record`.
 pub(super) const CHUNK_THRESHOLD: usize = 768 * 1024;
 
 /// The most channels of a recording.
@@ -35,36 +35,36 @@ pub(super) const MOST_CHANNELS: usize = 16_384;
 /// The most bytes of all channels' texts together.
 pub(super) const MOST_CHANNEL_BYTES: usize = 64 << 20;
 
-/// How the bodies of a channel are serialised.
+/// How the message bodies of a channel are serialised.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Encoding {
-    /// As ROS 1 does it.
+    /// As in ROS 1.
     Ros1,
-    /// CDR, as ROS 2 does it; with the schema's encoding in MCAP's words (`ros2msg`, `ros2idl`).
+    /// CDR, as in ROS 2; with the schema's encoding as named by MCAP (`ros2msg`, `ros2idl`).
     Cdr {
         /// Whether the schema is IDL.
         idl: bool,
     },
 }
 
-/// What a recording says of the messages of one publisher on one topic.
+/// A recording's description of the messages of one publisher on one topic.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Channel {
-    /// Topic name, as it was written.
+    /// Topic name, as written.
     pub topic: Arc<str>,
-    /// Type, `package/Type`; of ROS 2 `package/msg/Type`.
+    /// Type, `package/Type`; for ROS 2 `package/msg/Type`.
     pub type_name: Arc<str>,
-    /// The type's md5sum, 32 hex characters; `*` where the recording has none.
+    /// The type's md5sum, 32 hex characters; `*` if the recording has none.
     pub md5sum: Arc<str>,
     /// The full text of the type's definition.
     pub definition: Arc<str>,
-    /// The publisher's node name; empty where the recording has none.
+    /// The publisher's node name; empty if the recording has none.
     pub caller_id: Arc<str>,
-    /// Whether the last message is kept for those who subscribe later.
+    /// Whether the last message is kept for later subscribers.
     pub latching: bool,
     /// How bodies are serialised.
     pub encoding: Encoding,
-    /// What else MCAP says of it, as the QoS that was offered; bounded.
+    /// MCAP's further metadata, such as the QoS offered; bounded.
     pub about: BTreeMap<Arc<str>, Arc<str>>,
 }
 
@@ -77,12 +77,12 @@ impl Channel {
     }
 }
 
-/// What MCAP says of a message's publishing.
+/// MCAP's data about a message's publishing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sent {
     /// When it was published.
     pub time: Timestamp,
-    /// Its number.
+    /// Its sequence number.
     pub sequence: u32,
 }
 
@@ -93,7 +93,7 @@ pub struct RecordedMessage {
     pub channel: Arc<Channel>,
     /// When it was recorded.
     pub time: Timestamp,
-    /// When it was published and as which, where the recording says so.
+    /// When and with which number it was published, if the recording says so.
     pub sent: Option<Sent>,
     /// The serialised message.
     pub body: Vec<u8>,

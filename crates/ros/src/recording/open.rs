@@ -1,4 +1,4 @@
-//! A recording by its file: which format it has, and one reader and one writer for both.
+//! A recording by its file: its format, and one reader and one writer for both formats.
 
 use std::fs::File;
 use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom};
@@ -35,7 +35,7 @@ impl RecordingFormat {
         }
     }
 
-    /// Whether chunks of this format may be compressed so.
+    /// Whether chunks of this format may use this compression.
     pub fn takes(self, compression: ChunkCompression) -> bool {
         match self {
             Self::Bag => compression != ChunkCompression::Zstd,
@@ -49,7 +49,7 @@ impl RecordingFormat {
     }
 }
 
-/// What a file is that begins so and is no recording of either format.
+/// What a file that begins like this is, if it is not a recording in either format.
 fn other_than_a_recording(magic: &[u8]) -> String {
     let version = [&b"#ROSBAG V"[..], b"#ROSRECORD V"].iter().find_map(|lead| magic.strip_prefix(*lead));
     match version {
@@ -63,7 +63,7 @@ fn other_than_a_recording(magic: &[u8]) -> String {
     }
 }
 
-/// A recording that is being read, message by message in the order of the file.
+/// A recording being read, message by message in file order.
 pub enum Recording {
     /// A bag.
     Bag(BagReader<BufReader<File>>),
@@ -75,7 +75,7 @@ impl Recording {
     /// Opens a file of either format.
     ///
     /// # Errors
-    /// [`RosError::Recording`] where it cannot be read or is no recording.
+    /// [`RosError::Recording`] if it cannot be read or is not a recording.
     pub fn open(path: &Path) -> Result<Self, RosError> {
         let unreadable = |error: std::io::Error| RosError::recording(&format!("{}: {error}", path.display()));
         let mut file = BufReader::with_capacity(BUFFER, File::open(path).map_err(unreadable)?);
@@ -91,7 +91,7 @@ impl Recording {
         Err(RosError::recording(&format!("{} is {}", path.display(), other_than_a_recording(&magic))))
     }
 
-    /// Which format it has.
+    /// Its format.
     pub fn format(&self) -> RecordingFormat {
         match self {
             Self::Bag(_) => RecordingFormat::Bag,
@@ -99,10 +99,10 @@ impl Recording {
         }
     }
 
-    /// The next message that can be read; `None` at the end. Damage is no error: see [`Self::findings`].
+    /// The next readable message; `None` at the end. Damage is not an error: see [`Self::findings`].
     ///
     /// # Errors
-    /// [`RosError::Recording`] where the file itself cannot be read.
+    /// [`RosError::Recording`] if the file itself cannot be read.
     pub fn next_message(&mut self) -> Result<Option<RecordedMessage>, RosError> {
         match self {
             Self::Bag(reader) => reader.next_message(),
@@ -110,7 +110,7 @@ impl Recording {
         }
     }
 
-    /// What was skipped so far.
+    /// What has been skipped so far.
     pub fn findings(&self) -> &Findings {
         match self {
             Self::Bag(reader) => reader.findings(),
@@ -118,7 +118,7 @@ impl Recording {
         }
     }
 
-    /// Bytes of the file that were read so far, and all of them.
+    /// Bytes of the file read so far, and its size.
     pub fn progress(&self) -> (u64, u64) {
         match self {
             Self::Bag(reader) => reader.progress(),
@@ -127,7 +127,7 @@ impl Recording {
     }
 }
 
-/// A recording that is being written.
+/// A recording being written.
 pub enum RecordingWriter {
     /// A bag.
     Bag(Box<BagWriter<BufWriter<File>>>),
@@ -136,10 +136,10 @@ pub enum RecordingWriter {
 }
 
 impl RecordingWriter {
-    /// Begins a recording in an empty file.
+    /// Starts a recording in an empty file.
     ///
     /// # Errors
-    /// [`RosError::Recording`] where it cannot be written.
+    /// [`RosError::Recording`] if it cannot be written.
     pub fn begin(format: RecordingFormat, compression: ChunkCompression, file: File) -> Result<Self, RosError> {
         let out = BufWriter::with_capacity(BUFFER, file);
         Ok(match format {
@@ -148,10 +148,10 @@ impl RecordingWriter {
         })
     }
 
-    /// Writes one message. A bag has no place for what is known of its publishing.
+    /// Writes one message. A bag has no room for data about its publishing.
     ///
     /// # Errors
-    /// [`RosError::Recording`] where it cannot be written, or the format cannot hold it.
+    /// [`RosError::Recording`] if it cannot be written, or the format cannot hold it.
     pub fn write(
         &mut self,
         channel: &Arc<Channel>,
@@ -166,10 +166,10 @@ impl RecordingWriter {
         }
     }
 
-    /// Writes the index; the file is then on the disk.
+    /// Writes the index; the file is then on disk.
     ///
     /// # Errors
-    /// [`RosError::Recording`] where it cannot be written.
+    /// [`RosError::Recording`] if it cannot be written.
     pub fn finish(self) -> Result<(), RosError> {
         let out = match self {
             Self::Bag(writer) => writer.finish()?,

@@ -1,8 +1,8 @@
-//! Reading at places of a file that is mostly read on and on.
+//! Reading at positions of a file that is mostly read sequentially.
 
 use std::io::{BufRead, Read as _, Result, Seek};
 
-/// Up to `length` bytes from a place on; fewer where the file ends.
+/// Up to `length` bytes from a position on; fewer at the end of the file.
 pub(crate) fn read_at(file: &mut (impl BufRead + Seek), at: u64, length: u64) -> Result<Vec<u8>> {
     go_to(file, at)?;
     let mut bytes = Vec::new();
@@ -10,7 +10,7 @@ pub(crate) fn read_at(file: &mut (impl BufRead + Seek), at: u64, length: u64) ->
     Ok(bytes)
 }
 
-/// Goes to a place; what was read ahead is kept.
+/// Moves to a position, keeping the read-ahead.
 pub(crate) fn go_to(file: &mut (impl BufRead + Seek), at: u64) -> Result<()> {
     let here = file.stream_position()?;
     let step = i64::try_from(at).and_then(|at| i64::try_from(here).map(|here| at - here));

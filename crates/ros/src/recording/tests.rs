@@ -1,4 +1,4 @@
-//! What both formats promise: what was written is read, damage is skipped and told, nothing panics.
+//! The guarantees of both formats: what was written is read, damage is skipped and reported, nothing panics.
 
 use std::io::Cursor;
 use std::sync::Arc;
@@ -78,7 +78,7 @@ pub(super) const WAYS: [(RecordingFormat, ChunkCompression); 6] = [
     (RecordingFormat::Mcap, ChunkCompression::Zstd),
 ];
 
-/// Three chunks and a bit, of two publishers.
+/// Three chunks and a bit, from two publishers.
 fn several_chunks() -> Vec<RecordedMessage> {
     let (odometry, picture) = (channel("/odom", "/base"), channel("/camera", "/lens"));
     let large: Vec<u8> =
@@ -129,7 +129,7 @@ fn a_damaged_chunk_is_skipped_and_told_and_the_others_are_read() {
         bytes[middle] ^= 0x10;
         let (found, findings) = read(format, &bytes).expect("read");
         if (format, compression) == (RecordingFormat::Bag, ChunkCompression::None) {
-            // Nothing in the format tells of it: there is no checksum.
+            // Nothing in the format shows it: there is no checksum.
             assert_eq!(found.len(), messages.len());
             continue;
         }
@@ -144,7 +144,7 @@ fn a_wrong_length_is_gone_around() {
     let messages = several_chunks();
     for compression in [ChunkCompression::None, ChunkCompression::Bz2, ChunkCompression::Lz4] {
         let mut bytes = write(RecordingFormat::Bag, compression, &messages);
-        // The first chunk begins behind the padded header; its data's length is claimed 1 GiB longer.
+        // The first chunk begins after the padded header; its data's length claims to be 1 GiB longer.
         let size = bytes.windows(5).position(|at| at == b"size=").expect("a chunk") + 5;
         bytes[size + 7] ^= 0x40;
         let (found, findings) = read(RecordingFormat::Bag, &bytes).expect("read");
@@ -159,7 +159,7 @@ fn the_recording_of_a_killed_recorder_is_read_to_its_end() {
     for compression in [ChunkCompression::None, ChunkCompression::Bz2, ChunkCompression::Lz4] {
         let mut bytes = write(RecordingFormat::Bag, compression, &messages[..4]);
         let size = bytes.windows(5).position(|at| at == b"size=").expect("a chunk") + 5;
-        // Neither length of the only chunk was written yet, and no index.
+        // Neither length of the only chunk had been written yet, and no index.
         let end = size
             + 8
             + usize::try_from(u32::from_le_bytes(bytes[size + 4..size + 8].try_into().expect("4"))).expect("usize");
@@ -189,7 +189,7 @@ fn a_chunk_that_is_cut_says_whether_anything_of_it_was_read() {
     let one = [several_chunks().remove(1)];
     for (compression, words) in [(ChunkCompression::None, "came before"), (ChunkCompression::Zstd, "not read")] {
         let bytes = write(RecordingFormat::Mcap, compression, &one);
-        // Behind the chunk come its index and the summary: a third of the file lies within the chunk.
+        // The chunk is followed by its index and the summary: a third of the file is inside the chunk.
         let (found, findings) = read(RecordingFormat::Mcap, &bytes[..bytes.len() / 3]).expect("read");
         assert!(found.is_empty(), "the only message is cut");
         assert!(findings.damages[0].text.contains(words), "{compression}: {findings:?}");
@@ -217,7 +217,7 @@ fn no_flipped_byte_is_taken_for_another_message_where_there_is_a_checksum() {
 
 #[test]
 fn lies_about_lengths_cost_no_memory() {
-    // A chunk that claims 4 GiB, one that unpacks to more than it says, a connection of 4 GiB.
+    // A chunk that claims 4 GiB, one that decompresses to more than it says, a connection of 4 GiB.
     let mut bag = write(RecordingFormat::Bag, ChunkCompression::Lz4, &several_chunks());
     let size = bag.windows(5).position(|at| at == b"size=").expect("a chunk") + 5;
     bag[size..size + 4].copy_from_slice(&u32::MAX.to_le_bytes());

@@ -1,4 +1,4 @@
-//! The vendored message definitions of the robots' two types, put together as publishers send them.
+//! The vendored message definitions of the robots' two types, combined as publishers send them.
 
 use super::super::message::md5sum;
 

@@ -1,6 +1,6 @@
-//! A 5x7 pixel alphabet: the digits and the letters that the pictures' captions need.
+//! A 5x7 pixel alphabet: the digits and the letters needed for the pictures' captions.
 
-/// Columns of a letter, the gap included.
+/// Columns of a letter, including the gap.
 pub(super) const ADVANCE: i32 = 6;
 
 /// Rows of a letter, top first; bit 4 is the left column. Unknown characters are blank.

@@ -1,5 +1,5 @@
-//! Publishers for measurements: `/loadN/data` (`sensor_msgs/CompressedImage`), each a ROS node of its own, at a rate
-//! that is held: what a pause of the machine delayed is sent behind it.
+//! Publishers for measurements: `/loadN/data` (`sensor_msgs/CompressedImage`), each a ROS node of its own, at a
+//! constant rate: messages delayed by a pause of the machine are sent after it.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,10 +15,10 @@ use crate::ros::publisher::{Outlet, PublisherNode};
 
 /// Length of the fields around a message's data: header, format and lengths, with a one-digit publisher.
 const AROUND: usize = 4 + 8 + 4 + 13 + 4 + 4 + 4;
-/// Messages that are made beforehand, so that their making costs nothing.
+/// Messages prepared in advance, so that making them costs nothing.
 const VARIANTS: usize = 16;
 
-/// Running publishers; they end when dropped, what is queued for subscribers is sent first.
+/// Running publishers; they end on drop, sending what is queued for subscribers first.
 pub struct Load {
     nodes: Vec<PublisherNode>,
     outlets: Vec<Arc<Outlet>>,
@@ -30,7 +30,7 @@ impl Load {
     /// Registers `publishers` publishers at the master; nothing is sent before [`Load::begin`].
     ///
     /// # Errors
-    /// [`RosError::Robots`] beyond [`MOST_ROBOTS`], and what goes wrong with master and sockets.
+    /// [`RosError::Robots`] beyond [`MOST_ROBOTS`], and failures of master and sockets.
     pub fn start(master_uri: &str, publishers: u16) -> Result<Self, RosError> {
         if publishers > MOST_ROBOTS {
             return Err(RosError::Robots(publishers));
@@ -62,16 +62,16 @@ impl Load {
         self.outlets.iter().filter(|outlet| !outlet.links().is_empty()).count()
     }
 
-    /// Publishes messages of `bytes` each, `period` apart on every topic, with data that no compression shortens.
+    /// Publishes messages of `bytes` each, `period` apart on every topic, with incompressible data.
     ///
     /// # Errors
-    /// Where a thread cannot be started, or there is no randomness.
+    /// If a thread cannot be started, or there is no randomness.
     pub fn begin(&mut self, bytes: usize, period: Duration) -> Result<(), RosError> {
         let data = self.data(bytes)?;
         for (index, outlet) in self.outlets.iter().enumerate() {
             let (stopping, outlet, data) = (Arc::clone(&self.stopping), Arc::clone(outlet), Arc::clone(&data));
             let number = u16::try_from(index + 1).unwrap_or(u16::MAX);
-            // Spread over the period, as independent robots are.
+            // Spread over the period, as if by independent robots.
             let first = Instant::now() + period * u32::from(number) / u32::try_from(self.outlets.len()).unwrap_or(1);
             let work = move || publish(&outlet, &data, number, first, period, &stopping);
             let thread = std::thread::Builder::new().name("load".into()).spawn(work);
@@ -89,7 +89,7 @@ impl Load {
         Ok(Arc::new(variants))
     }
 
-    /// Messages published so far, and how many of them a subscriber's full queue did not take.
+    /// Messages published so far, and how many of them did not fit into a subscriber's queue.
     pub fn published(&self) -> (u64, u64) {
         let sum = |count: fn(&Outlet) -> u64| self.outlets.iter().map(|outlet| count(outlet)).sum();
         (sum(Outlet::published), sum(Outlet::overflowed))
@@ -100,7 +100,7 @@ impl Load {
         self.stopping.store(true, Ordering::SeqCst);
         for thread in self.threads.drain(..) {
             thread.thread().unpark();
-            // A thread that panicked has published what it has.
+            // A thread that panicked leaves what it has published.
             drop(thread.join());
         }
     }

@@ -3,7 +3,7 @@
 use super::track::Motion;
 use crate::model::Timestamp;
 
-/// Standard deviations squared: x, y (m²) and the turn about Z (rad²); the rest is not measured.
+/// Standard deviations squared: x, y (m²) and the rotation about Z (rad²); the rest is not measured.
 const VARIANCES: [f64; 6] = [0.0004, 0.0004, 1e-6, 1e-6, 1e-6, 0.0003];
 
 /// The body of a `nav_msgs/Odometry`.

@@ -8,13 +8,13 @@ use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use super::track::Track;
 use canvas::{Canvas, HEIGHT, WIDTH, whole};
 
-/// The size wanted, bytes: below and above it the quality of the next picture is corrected.
+/// The target size, bytes: the quality of the next picture is adjusted towards it.
 const WANTED: std::ops::Range<usize> = 56_000..60_000;
 
-/// The sizes that are sent, bytes.
+/// The sizes allowed, bytes.
 const ALLOWED: std::ops::RangeInclusive<usize> = 50_000..=66_000;
 
-/// How often one picture is encoded anew to come into the allowed sizes.
+/// How often a picture is re-encoded to get within the allowed sizes.
 const ATTEMPTS: usize = 8;
 
 /// The row of the horizon.
@@ -23,7 +23,7 @@ const HORIZON: i32 = 170;
 /// Rows below the horizon of a point 1 m away, at the camera's feet.
 const NEAR: f64 = 330.0;
 
-/// Distance between two markers and of the last that is seen, metres.
+/// The distance between two markers and the farthest one visible, metres.
 const MARKERS: (f64, i32) = (1.7, 5);
 
 /// A robot's camera.
@@ -31,7 +31,7 @@ pub(super) struct Camera {
     robot: u16,
     track: Track,
     canvas: Canvas,
-    /// JPEG quality, follows the size of the last picture.
+    /// JPEG quality, adjusted to the size of the last picture.
     quality: u8,
 }
 
@@ -85,7 +85,7 @@ impl Camera {
         self.caption(seq);
     }
 
-    /// Yellow tents with numbers, as investigators put beside evidence; they come nearer.
+    /// Numbered yellow tents, as investigators place beside evidence; they come nearer.
     fn markers(&mut self, travelled: f64) {
         let (spacing, seen) = MARKERS;
         let passed = (travelled / spacing).floor();

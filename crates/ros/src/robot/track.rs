@@ -1,4 +1,4 @@
-//! The robots' paths: closed, smooth eights on the ground, each robot its own size, place and phase.
+//! The robots' paths: closed, smooth figures of eight on the ground, each robot with its own size, place and phase.
 
 use std::f64::consts::TAU;
 

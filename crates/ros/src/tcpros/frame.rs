@@ -1,25 +1,25 @@
-//! Reading of frames (32-bit little-endian length, then so many bytes) from a stream whose reads
-//! may time out at any byte: nothing that arrived is lost, and nothing is allocated on a mere claim.
+//! Reads frames (32-bit little-endian length, then that many bytes) from a stream whose reads may time out at any byte:
+//! nothing that arrived is lost, and nothing is allocated on a mere claim.
 
 use std::io::{BufRead, BufReader, ErrorKind, Read};
 
-/// How much is read from the socket at once, bytes.
+/// How much is read from the socket at a time, bytes.
 const BUFFER: usize = 256 << 10;
 
-/// What reading brought.
+/// The result of reading.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Poll {
-    /// A whole frame.
+    /// A complete frame.
     Frame(Vec<u8>),
-    /// Nothing whole before the read timed out.
+    /// Nothing complete before the read timed out.
     Pending,
     /// The peer closed, between frames (`true`) or inside one.
     Closed(bool),
-    /// The peer announced a frame of this length, beyond the cap; the stream is of no use any more.
+    /// The peer announced a frame of this length, beyond the cap; the stream is no longer usable.
     TooLong(u32),
 }
 
-/// Reads frames; keeps what it has of a frame between calls.
+/// Reads frames; keeps an incomplete frame between calls.
 pub(crate) struct FrameReader<R> {
     reader: BufReader<R>,
     prefix: Vec<u8>,
@@ -27,7 +27,7 @@ pub(crate) struct FrameReader<R> {
 }
 
 impl<R: Read> FrameReader<R> {
-    /// Over a stream, which has a read timeout if waiting is to end.
+    /// Over a stream, which needs a read timeout if waiting is to end.
     pub fn new(stream: R) -> Self {
         Self { reader: BufReader::with_capacity(BUFFER, stream), prefix: Vec::with_capacity(4), body: Vec::new() }
     }
@@ -92,7 +92,7 @@ mod tests {
     use proptest::prelude::*;
     use std::collections::VecDeque;
 
-    /// Gives its pieces one by one, a time-out after each.
+    /// Returns its pieces one by one, with a timeout after each.
     struct Dripping(VecDeque<Vec<u8>>, bool);
 
     impl Read for Dripping {

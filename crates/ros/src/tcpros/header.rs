@@ -6,7 +6,7 @@ pub(crate) const LONGEST_HEADER: usize = 1 << 20;
 /// The most fields in a header.
 const MOST_FIELDS: usize = 64;
 
-/// A connection header: its fields in their order.
+/// A connection header: its fields in order.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(crate) struct ConnectionHeader(Vec<(String, String)>);
 
@@ -21,7 +21,7 @@ impl ConnectionHeader {
         self.0.iter().find(|(name, _)| name == key).map(|(_, value)| value.as_str())
     }
 
-    /// From the bytes after the length; what is not UTF-8 is replaced.
+    /// From the bytes after the length; invalid UTF-8 is replaced.
     pub fn parse(mut bytes: &[u8]) -> Result<Self, &'static str> {
         let mut fields = Vec::new();
         while !bytes.is_empty() {

@@ -1,5 +1,5 @@
-//! TCPROS on the wire: connection headers and length-prefixed frames. Who connects to whom, and
-//! what is done with the frames, is the business of capture and robots.
+//! TCPROS on the wire: connection headers and length-prefixed frames. Who connects to whom, and what happens to the
+//! frames, is up to capture and robots.
 
 mod frame;
 mod header;

@@ -1,4 +1,4 @@
-//! One XML-RPC call to one peer, ended by its deadline whatever the peer does.
+//! One XML-RPC call to one peer, ended at its deadline whatever the peer does.
 
 use std::io::Write as _;
 use std::net::{Shutdown, TcpStream};
@@ -16,24 +16,24 @@ const LONGEST_RESPONSE: usize = 8 << 20;
 /// The longest wait for a connection.
 const CONNECT: Duration = Duration::from_millis(1500);
 
-/// Why a call brought nothing.
+/// Why a call failed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum CallError {
-    /// No connection came about.
+    /// No connection could be made.
     #[error("{0}")]
     Connect(String),
     /// The connection broke, or the answer did not come in time.
     #[error("{0}")]
     Broken(String),
-    /// What came is not an answer.
+    /// The response is not valid.
     #[error("{0}")]
     Protocol(String),
-    /// The peer said no.
+    /// The peer refused.
     #[error("{0}")]
     Refused(String),
 }
 
-/// Calls `method` and unwraps the answer of ROS, `[code, status, value]`.
+/// Calls `method` and unwraps ROS's response, `[code, status, value]`.
 pub(crate) fn call(peer: &Endpoint, method: &str, params: &[Value], deadline: Instant) -> Result<Value, CallError> {
     let by = deadline.min(Instant::now() + CONNECT);
     let stream = connect(&peer.host, peer.port, by).map_err(|error| CallError::Connect(error.to_string()))?;

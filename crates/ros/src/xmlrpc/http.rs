@@ -1,5 +1,5 @@
-//! The part of HTTP/1.x that XML-RPC needs: one request, one response, then the connection closes.
-//! Every read and write runs under one deadline; head and body are capped before they are kept.
+//! The part of HTTP/1.x that XML-RPC needs: one request, one response, then the connection closes. Every read and write
+//! is under one deadline; head and body are capped before they are stored.
 
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::TcpStream;
@@ -10,7 +10,7 @@ use crate::ros::address::time_left;
 /// The longest head (request or status line with headers), bytes.
 const LONGEST_HEAD: u64 = 16 * 1024;
 
-/// A connection whose every read and write ends by one deadline.
+/// A connection whose reads and writes all end at one deadline.
 pub(super) struct Timed<'a> {
     pub stream: &'a TcpStream,
     pub deadline: Instant,
@@ -44,8 +44,7 @@ fn bad(reason: &'static str) -> io::Error {
     io::Error::new(ErrorKind::InvalidData, reason)
 }
 
-/// First line and body of a message. Without a length a response ends with the connection, a
-/// request has no body.
+/// First line and body of a message. Without a length, a response ends with the connection and a request has no body.
 pub(super) fn read_message(from: impl Read, most: usize, to_end: bool) -> io::Result<(String, Vec<u8>)> {
     let mut reader = BufReader::new(from);
     let mut head = reader.by_ref().take(LONGEST_HEAD);

@@ -1,5 +1,5 @@
-//! A small XML-RPC over HTTP, client and server, every call under a deadline and every size capped.
-//! It knows values, requests and responses; what the calls mean is the business of graph, capture and robots.
+//! A small XML-RPC over HTTP, client and server, with a deadline on every call and a cap on every size. It knows
+//! values, requests and responses; what the calls mean is up to graph, capture and robots.
 
 mod client;
 mod http;

@@ -1,5 +1,5 @@
-//! Reading of XML-RPC: the subset of XML it uses, nothing else (no document types, no entities of
-//! one's own), values nested at most 16 deep. The input's size is capped by who read it.
+//! Parses XML-RPC: the subset of XML it uses, nothing else (no document types, no custom entities), values nested at
+//! most 16 deep. The caller caps the input's size.
 
 use super::value::Value;
 
@@ -22,7 +22,7 @@ enum Token<'a> {
     Verbatim(&'a str),
 }
 
-/// What a response holds.
+/// The content of a response.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Response {
     Value(Value),
@@ -89,7 +89,7 @@ impl<'a> Tokens<'a> {
         if self.tag()? == Token::Close(name) { Ok(()) } else { Err(ParseError("a tag is not closed in its place")) }
     }
 
-    /// Text up to the closing tag `name`, which is taken too.
+    /// Text up to the closing tag `name`, which is consumed too.
     fn text_until(&mut self, name: &str) -> Result<String> {
         let mut out = String::new();
         loop {
@@ -131,7 +131,7 @@ fn numeric(entity: &str) -> Option<char> {
     char::from_u32(code)
 }
 
-/// The value after an opened `<value>`, closing tag included.
+/// The value after an opened `<value>`, including the closing tag.
 fn value(tokens: &mut Tokens<'_>, depth: usize) -> Result<Value> {
     if depth > DEEPEST {
         return Err(ParseError("its values are nested too deep"));
@@ -225,7 +225,7 @@ fn structure(tokens: &mut Tokens<'_>, depth: usize) -> Result<Value> {
     }
 }
 
-/// Reads a call: method name and parameters.
+/// Parses a call: method name and parameters.
 pub(super) fn parse_call(text: &str) -> Result<(String, Vec<Value>)> {
     let mut tokens = Tokens { rest: text };
     tokens.open("methodCall")?;
@@ -250,7 +250,7 @@ pub(super) fn parse_call(text: &str) -> Result<(String, Vec<Value>)> {
     }
 }
 
-/// Reads a response: its one value, or the words of its fault.
+/// Parses a response: its one value, or the text of its fault.
 pub(super) fn parse_response(text: &str) -> Result<Response> {
     let mut tokens = Tokens { rest: text };
     tokens.open("methodResponse")?;

@@ -1,5 +1,5 @@
-//! An XML-RPC server for a node's slave API: one request per connection, a cap on connections
-//! and on every size, a deadline on each. It stops when dropped.
+//! An XML-RPC server for a node's slave API: one request per connection, a cap on connections and on every size, a
+//! deadline on each. It stops on drop.
 
 use std::io::Write as _;
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
@@ -15,15 +15,15 @@ use super::value::{Value, write_fault, write_response};
 /// The longest request body, bytes.
 const LONGEST_REQUEST: usize = 1 << 20;
 
-/// The most connections served at once; further ones are closed at once.
+/// The most connections served at once; further ones are closed immediately.
 const MOST_CONNECTIONS: usize = 32;
 
 /// The longest a connection may take.
 const LONGEST_CONNECTION: Duration = Duration::from_secs(5);
 
-/// Who answers the calls.
+/// Answers the calls.
 pub(crate) trait Answer: Send + Sync + 'static {
-    /// The answer to a call; `None` where there is no such method. Must not block.
+    /// The answer to a call; `None` if there is no such method. Must not block.
     fn answer(&self, method: &str, params: &[Value]) -> Option<Value>;
 }
 
@@ -35,7 +35,7 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    /// Serves `listener` in a thread of its own.
+    /// Serves `listener` in its own thread.
     pub fn start(listener: TcpListener, answer: Arc<dyn Answer>) -> std::io::Result<Self> {
         let address = listener.local_addr()?;
         let stopping = Arc::new(AtomicBool::new(false));
@@ -50,7 +50,7 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         self.stopping.store(true, Ordering::SeqCst);
-        // Accepting blocks: a connection of our own wakes it.
+        // Accepting blocks: connecting to ourselves wakes it.
         let woken = TcpStream::connect_timeout(&self.address, Duration::from_millis(500)).is_ok();
         if let Some(thread) = self.thread.take().filter(|_| woken) {
             let _ = thread.join();
@@ -71,16 +71,16 @@ fn accept_all(listener: &TcpListener, stopping: &AtomicBool, answer: &Arc<dyn An
         }
         let place = Place::take(&open);
         let answer = Arc::clone(answer);
-        // Without a thread the peer sees its connection closed and asks again.
+        // Without a thread the peer's connection is closed, and it asks again.
         let _ = std::thread::Builder::new().name("ros-slave-call".into()).spawn(move || {
             let _place = place;
-            // A peer that breaks off has only itself to blame.
+            // A peer that disconnects has only itself to blame.
             let _ = serve(&stream, &*answer);
         });
     }
 }
 
-/// One of the places for connections; given back when dropped.
+/// One of the places for connections; returned on drop.
 struct Place(Arc<AtomicUsize>);
 
 impl Place {

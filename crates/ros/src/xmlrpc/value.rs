@@ -1,6 +1,6 @@
-//! Values of XML-RPC and their writing as XML. Reading is in `parse`.
+//! XML-RPC values and writing them as XML. Parsing is in `parse`.
 
-/// A value of XML-RPC. Dates and base64 stay the text they came as.
+/// An XML-RPC value. Dates and base64 remain text, unchanged.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Value {
     Int(i64),

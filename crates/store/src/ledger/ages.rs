@@ -1,5 +1,5 @@
-//! How old what waits is, and when each signer was last heard of: a few looks into the index of states for each stream,
-//! whatever the number of records.
+//! How old waiting records are, and when each signer was last heard of: a few look-ups in the index of states for each
+//! stream, whatever the number of records.
 
 use rusqlite::params;
 
@@ -7,16 +7,16 @@ use super::Ledger;
 use crate::model::{Address, RecordKind, RecordState, SignerId, Timestamp};
 use crate::store::StoreError;
 
-/// Whose records were last captured when.
+/// A signer with the time of its last capture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LastSeen {
     /// The key that signed them.
     pub signer: SignerId,
-    /// When the newest was captured, as its recorder's clock said.
+    /// When the newest was captured, by its recorder's clock.
     pub at: Timestamp,
 }
 
-/// The states of a record that is here and in no block.
+/// The states of a record that is here but in no block.
 const UNANCHORED: [RecordState; 4] =
     [RecordState::Sealed, RecordState::Stored, RecordState::Batched, RecordState::Submitted];
 
@@ -40,10 +40,10 @@ pub(super) fn last_seen() -> String {
 }
 
 impl Ledger {
-    /// Whose records are here, at most `limit` accounts.
+    /// The accounts whose records are here, at most `limit`.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn owners(&self, limit: usize) -> Result<Vec<Address>, StoreError> {
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
         self.read(|connection| {
@@ -53,10 +53,10 @@ impl Ledger {
         })
     }
 
-    /// When the oldest of an owner's data records was captured that is in no block yet.
+    /// When an owner's oldest data record that is in no block yet was captured.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn oldest_unanchored(&self, owner: Address) -> Result<Option<Timestamp>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(OLDEST)?;
@@ -70,10 +70,10 @@ impl Ledger {
         })
     }
 
-    /// When each signer's newest data record was captured; the `limit` heard of last.
+    /// When each signer's newest data record was captured, for the `limit` most recent signers.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn last_seen(&self, limit: usize) -> Result<Vec<LastSeen>, StoreError> {
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
         self.read(|connection| {
@@ -86,10 +86,10 @@ impl Ledger {
         })
     }
 
-    /// Losses that no gap record tells of yet: places and reasons, not messages.
+    /// Losses not yet reported in a gap record: entries by place and reason, not messages.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn untold_gaps(&self) -> Result<u64, StoreError> {
         self.read(|connection| {
             Ok(connection.prepare_cached(UNTOLD)?.query_row([], |row| super::rows::unsigned(row, 0))?)

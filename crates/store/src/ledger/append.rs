@@ -1,4 +1,4 @@
-//! Acknowledging records, moving them along their life line, and their local copies.
+//! Acknowledging records, changing their state, and their local copies.
 
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
@@ -13,7 +13,7 @@ use crate::store::database::whole;
 
 type StreamKey = (i64, u8, String, SignerId);
 
-/// Keys of the names met so far; only ever a cache of the tables.
+/// Keys of the names seen so far; only a cache of the tables.
 #[derive(Default)]
 pub(crate) struct Names {
     topics: HashMap<(Address, TopicId, Option<Foreign>), (i64, String)>,
@@ -22,7 +22,7 @@ pub(crate) struct Names {
 }
 
 impl Names {
-    /// Forgets all: a rollback may have taken some of them back.
+    /// Clears it: a rollback may have removed some of them.
     pub(super) fn clear(&mut self) {
         self.topics.clear();
         self.streams.clear();
@@ -31,10 +31,10 @@ impl Names {
 }
 
 impl Ledger {
-    /// The highest acknowledged sequence number of a topic in this ledger's recorder, plus 1.
+    /// The highest acknowledged sequence number of a topic for this ledger's recorder, plus 1.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn next_seq(&self, owner: Address, topic: TopicId) -> Result<u64, StoreError> {
         self.read(|connection| {
             let highest: Option<i64> = connection
@@ -48,13 +48,13 @@ impl Ledger {
         })
     }
 
-    /// Acknowledges records: all of them are durable when this returns, or none is. A record that the
-    /// ledger holds already is left as it is.
+    /// Acknowledges records: all of them are durable when this returns, or none is. A record that the ledger already
+    /// holds is unchanged.
     ///
     /// # Errors
-    /// [`StoreError::Conflict`] where the sequence number is another record's or the topic id has
-    /// another name, [`StoreError::IllegalEdge`] where a record cannot begin in its state,
-    /// [`StoreError::DiskFull`] and the like: then nothing is acknowledged.
+    /// [`StoreError::Conflict`] if the sequence number is another record's or the topic id has another name,
+    /// [`StoreError::IllegalEdge`] if a record cannot begin in its state, [`StoreError::DiskFull`] and the like; then
+    /// nothing is acknowledged.
     pub fn append(&self, records: Vec<NewRecord>) -> Result<(), StoreError> {
         self.takes_records()?;
         self.write_many(records.len(), move |session| {
@@ -63,11 +63,11 @@ impl Ledger {
         })
     }
 
-    /// Whether [`Ledger::append`] would take these records; to be asked before their bytes go into the vault. Only what
-    /// comes from elsewhere is looked up: the numbers of this ledger are its own.
+    /// Whether [`Ledger::append`] would accept these records; checked before their bytes go into the vault. Only
+    /// records from elsewhere are looked up: this ledger's own numbers cannot collide.
     ///
     /// # Errors
-    /// [`StoreError::Conflict`] where it would not, and whatever keeps the ledger from being read.
+    /// [`StoreError::Conflict`] if it would not, or an error from reading the ledger.
     pub fn check_foreign(&self, records: &[NewRecord]) -> Result<(), StoreError> {
         let mut foreign = records.iter().filter(|record| record.foreign.is_some()).peekable();
         if foreign.peek().is_none() {
@@ -76,10 +76,10 @@ impl Ledger {
         self.read(|connection| foreign.try_for_each(|record| check_one(connection, record)))
     }
 
-    /// Moves those of the records that are in state `from` to state `to`; returns how many were moved.
+    /// Moves those of the records that are in state `from` to state `to`; returns how many.
     ///
     /// # Errors
-    /// [`StoreError::IllegalEdge`] where no worker may take this edge.
+    /// [`StoreError::IllegalEdge`] if no worker may make this transition.
     pub fn advance(&self, digests: &[Digest], from: RecordState, to: RecordState) -> Result<u64, StoreError> {
         if !may(By::Worker, from, to) {
             return Err(StoreError::IllegalEdge { from, to });
@@ -94,11 +94,11 @@ impl Ledger {
         })
     }
 
-    /// Puts tampered records whose bytes are right again back to where they belong: quarantined where nobody has
-    /// decided about them, else mined, submitted, batched or stored, by what the chain has of them. Returns how many were put back.
+    /// Returns tampered records whose bytes are right again to their state: quarantined if still undecided, otherwise
+    /// mined, submitted, batched or stored, depending on what the chain has of them. Returns how many.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn heal(&self, digests: &[Digest]) -> Result<u64, StoreError> {
         use RecordState::{Batched, Mined, Quarantined, Stored, Submitted};
         [Quarantined, Mined, Submitted, Batched, Stored]
@@ -109,7 +109,7 @@ impl Ledger {
     /// Deletes the local copies of these records; returns how many there were.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn drop_local_copies(&self, digests: &[Digest]) -> Result<u64, StoreError> {
         let digests = digests.to_vec();
         self.write_many(digests.len(), move |session| {
@@ -120,10 +120,10 @@ impl Ledger {
         })
     }
 
-    /// The local copy of a record's stored bytes, where one is kept.
+    /// The local copy of a record's stored bytes, if one is kept.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn local_copy(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
         self.read(|connection| {
             let copy = connection
@@ -134,11 +134,11 @@ impl Ledger {
         })
     }
 
-    /// Records with a local copy, in the order of acknowledgement, behind `after`: what a vault that
-    /// came back empty is filled from.
+    /// Records with a local copy, in the order of acknowledgement, after `after`: used to refill a vault that came back
+    /// empty.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn held_copies(&self, after: Option<Digest>, limit: usize) -> Result<Vec<Digest>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
@@ -152,12 +152,12 @@ impl Ledger {
     }
 }
 
-/// A count of changed rows.
+/// A number of changed rows.
 pub(super) fn count(rows: usize) -> u64 {
     u64::try_from(rows).unwrap_or(u64::MAX)
 }
 
-/// Out of `tampered` the way back depends on how far the record had come.
+/// From `tampered` the next state depends on how far the record had come.
 fn move_sql(from: RecordState, to: RecordState) -> &'static str {
     match to {
         RecordState::Quarantined if from == RecordState::Tampered => {
@@ -261,7 +261,7 @@ fn topic_key(session: &mut Session<'_>, record: &NewRecord) -> Result<i64, Store
         Entry::Occupied(found) => found.into_mut(),
         Entry::Vacant(place) => place.insert(find_topic(session.connection, record)?),
     };
-    // Named only now.
+    // Its name became known only now.
     if found.1.is_empty() && !record.topic.is_empty() {
         *found = find_topic(session.connection, record)?;
     }

@@ -1,4 +1,4 @@
-//! Merkle batches: closing one, what waits to be anchored, what the chain has of it, a record's proof.
+//! Merkle batches: closing them, finding those still to be anchored, their state on the chain, a record's proof.
 
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 use serde::{Deserialize, Serialize};
@@ -14,11 +14,11 @@ use crate::store::StoreError;
 /// A batch to be closed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NewBatch {
-    /// Who anchors them.
+    /// The account that anchors them.
     pub owner: Address,
     /// Merkle root over the leaves.
     pub root: Hash,
-    /// The records in the order of their leaves, each with its path to the root.
+    /// The records in leaf order, each with its path to the root.
     pub leaves: Vec<(Digest, Vec<Hash>)>,
 }
 
@@ -34,11 +34,11 @@ pub struct WaitingBatch {
 /// A root found in a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RootSighting {
-    /// Who anchored it.
+    /// The account that anchored it.
     pub account: Address,
     /// The root.
     pub root: Hash,
-    /// Over how many leaves, as the chain says.
+    /// The number of its leaves, as the chain says.
     pub count: u64,
     /// The transaction that anchored it.
     pub transaction: Hash,
@@ -48,14 +48,14 @@ pub struct RootSighting {
     pub block_hash: Hash,
 }
 
-/// A record's place in its batch, and where that stands.
+/// A record's place in its batch, and the batch's state.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BatchPlace {
     /// Index, count, path and root.
     pub inclusion: Inclusion,
     /// When the batch was closed.
     pub closed_at: Timestamp,
-    /// Who anchored the root, or tries to.
+    /// The account that anchored the root, or is to.
     pub account: Option<Address>,
     /// The block of the root's first anchoring.
     pub block: Option<u64>,
@@ -68,21 +68,21 @@ pub struct BatchPlace {
 /// What a transaction anchors.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Anchors {
-    /// No record: a grant, a registration, ….
+    /// No records: it is a grant, a registration, ….
     Nothing,
-    /// These records, one by one.
+    /// These records, individually.
     Digests(Vec<Digest>),
     /// All records of the batch with this root.
     Batch(Hash),
 }
 
 impl Ledger {
-    /// Closes a batch: keeps its root and every record's path, and moves its records from stored to
-    /// batched, in one commit. Closing the same batch again changes nothing, unless its records have left it: then it
-    /// waits anew.
+    /// Closes a batch: stores its root and every record's path, and moves its records from stored to batched, in one
+    /// commit. Closing the same batch again changes nothing, unless its records have left it: then it waits to be
+    /// anchored again.
     ///
     /// # Errors
-    /// [`StoreError::NotReady`] where a record is not stored: then nothing is kept.
+    /// [`StoreError::NotReady`] if a record is not stored; then nothing is written.
     pub fn close_batch(&self, batch: NewBatch) -> Result<(), StoreError> {
         self.write_many(batch.leaves.len(), move |session| close(session.connection, &batch))
     }
@@ -90,7 +90,7 @@ impl Ledger {
     /// Closed batches of an owner that no transaction anchors, oldest first.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn waiting_batches(&self, owner: Address, limit: usize) -> Result<Vec<WaitingBatch>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
@@ -106,10 +106,10 @@ impl Ledger {
         })
     }
 
-    /// Roots that open transactions of an account anchor, by nonce.
+    /// Roots anchored by an account's open transactions, by nonce.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn open_roots(&self, account: Address) -> Result<Vec<Hash>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
@@ -120,11 +120,11 @@ impl Ledger {
         })
     }
 
-    /// How many stored records that an account anchors (its own, and those it keeps for others) wait for a batch, and when the first captured of them was
-    /// acknowledged.
+    /// How many stored records that an account anchors (its own, and those it keeps for others) wait for a batch, and
+    /// when the first captured of them was acknowledged.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn unbatched(&self, keeper: Address) -> Result<(u64, Option<Timestamp>), StoreError> {
         self.read(|connection| {
             let found = connection
@@ -141,10 +141,11 @@ impl Ledger {
         })
     }
 
-    /// Up to `limit` stored records that an account anchors, its own and those it keeps for others, as leaves, topic by topic in the order of capture.
+    /// Up to `limit` stored records that an account anchors, its own and those it keeps for others, as leaves, topic by
+    /// topic in the order of capture.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn stored_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
@@ -163,13 +164,13 @@ impl Ledger {
         })
     }
 
-    /// Takes in roots found on the chain: pending records of the batch are mined now, with this
-    /// transaction and block; those that stand in a block by themselves stay there. A root that stands in a block already keeps it: the earliest counts. Roots
-    /// of other ledgers, or over another number of leaves, are passed over. Returns how many records
-    /// changed; seeing the same again changes none.
+    /// Takes in roots found on the chain: pending records of the batch are now mined, with this transaction and block;
+    /// those in a block individually stay there. A root already in a block keeps that block: the earliest counts. Roots
+    /// of other ledgers, or over another number of leaves, are skipped. Returns how many records changed; seeing the
+    /// same again changes none.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then none is taken in.
+    /// [`StoreError::DiskFull`] and the like; then nothing is recorded.
     pub fn anchored(&self, sightings: &[RootSighting]) -> Result<u64, StoreError> {
         let sightings = sightings.to_vec();
         self.write(move |session| {
@@ -177,10 +178,10 @@ impl Ledger {
         })
     }
 
-    /// A record's place in its batch, where it is in one.
+    /// A record's place in its batch, if it is in one.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn batch_place(&self, digest: Digest) -> Result<Option<BatchPlace>, StoreError> {
         Ok(self.batch_places(&[digest])?.pop().flatten())
     }
@@ -281,7 +282,7 @@ fn see(connection: &Connection, sighting: &RootSighting) -> Result<u64, StoreErr
     Ok(count(changed))
 }
 
-/// A record came into a batch that stands in a block already, or does so by this anchor.
+/// A record joined a batch that is already in a block, or is now through this anchor.
 pub(super) fn see_record(
     connection: &Connection,
     record: i64,
@@ -301,7 +302,7 @@ pub(super) fn see_record(
     Ok(())
 }
 
-/// A transaction that anchors the batch was signed: its records are submitted.
+/// A transaction that anchors the batch was signed: its records are now submitted.
 pub(super) fn submit(
     connection: &Connection,
     root: Hash,
@@ -325,7 +326,7 @@ pub(super) fn submit(
     Ok(())
 }
 
-/// The transaction will never be mined: where nothing else anchored the batch, it waits again.
+/// The transaction will never be mined: unless something else anchored the batch, it waits again.
 pub(super) fn release(connection: &Connection, root: Hash, transaction: Hash) -> Result<(), StoreError> {
     let Some(key) = key_of(connection, root)? else { return Ok(()) };
     let freed = connection
@@ -343,8 +344,8 @@ pub(super) fn release(connection: &Connection, root: Hash, transaction: Hash) ->
     Ok(())
 }
 
-/// Blocks from this one on are gone: batches lose their block. Whoever anchored them, an open transaction of
-/// ours that does so goes on.
+/// Blocks from this one on are gone, and batches lose their block. Whichever account anchored them, one of our open
+/// transactions that does so continues.
 pub(super) fn take_back(connection: &Connection, block: i64) -> Result<(), StoreError> {
     connection
         .prepare_cached(

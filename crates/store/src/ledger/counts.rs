@@ -1,4 +1,4 @@
-//! How many records stand where: read off counters that move in the same transaction as the records.
+//! How many records are in each state, read from counters that change in the same transaction as the records.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -13,57 +13,57 @@ use crate::store::StoreError;
 /// Bytes that header, head and tags add to a message.
 const AROUND: i64 = 600;
 
-/// How the records of one topic stand. `captured = verified + pending + right_ended +
-/// quarantined + dropped + tampered`.
+/// The counts of one topic's records by state. `captured = verified + pending + right_ended + quarantined + dropped +
+/// tampered`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TopicCounts {
-    /// Whose topic it is.
+    /// The topic's owner.
     pub owner: Address,
     /// Its name.
     pub topic: String,
-    /// Its pseudonym; nothing where all was dropped.
+    /// Its pseudonym; none if all messages were dropped.
     pub topic_id: Option<TopicId>,
-    /// The message type last seen; empty where all was dropped.
+    /// The message type last seen; empty if all messages were dropped.
     #[serde(rename = "type")]
     pub type_name: String,
-    /// Messages taken in, the dropped ones included; counted by itself, not summed up.
+    /// Messages captured, including dropped ones; counted independently, not summed.
     pub captured: u64,
     /// Verified records.
     pub verified: u64,
     /// Records on their way to verified.
     pub pending: u64,
-    /// Records that wait for their signer's right.
+    /// Records waiting for their signer's right.
     #[serde(default)]
     pub right_ended: u64,
-    /// Records held back.
+    /// Quarantined records.
     pub quarantined: u64,
     /// Records whose stored bytes are wrong.
     pub tampered: u64,
-    /// Messages that were captured and never acknowledged, or discarded out of quarantine.
+    /// Messages captured but never acknowledged, or discarded from quarantine.
     pub dropped: u64,
-    /// Of these never acknowledged.
+    /// Of these, never acknowledged.
     #[serde(default)]
     pub lost: u64,
-    /// Messages that never arrived ([`LossReason::Transport`]); no part of `captured`.
+    /// Messages that never arrived ([`LossReason::Transport`]); not part of `captured`.
     pub missed: u64,
     /// Plaintext bytes of all acknowledged data records.
     pub bytes: u64,
 }
 
-/// How the records of an owner, or of all, stand.
+/// The counts of an owner's records, or of all, by state.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct StateCounts {
-    /// Data records per state; `dropped` holds also the messages counted by [`Ledger::count_losses`].
+    /// Data records per state; `dropped` includes the messages counted by [`Ledger::count_losses`].
     pub data: BTreeMap<RecordState, u64>,
-    /// Data records ever acknowledged: counted by itself, not summed up.
+    /// All data records ever acknowledged; counted independently, not summed.
     pub acknowledged: u64,
-    /// Messages that were captured and never acknowledged.
+    /// Messages captured but never acknowledged.
     pub lost_in_recorder: u64,
-    /// Messages that never arrived; no part of what was captured.
+    /// Messages that never arrived; not part of what was captured.
     pub lost_in_transport: u64,
     /// Records of all other kinds, per state.
     pub others: BTreeMap<RecordState, u64>,
-    /// Data records per topic, in the order of (topic, owner).
+    /// Data records per topic, ordered by (topic, owner).
     pub topics: Vec<TopicCounts>,
 }
 
@@ -81,12 +81,13 @@ impl StateCounts {
         self.data.get(&state).copied().unwrap_or(0)
     }
 
-    /// Messages taken in, the dropped ones included.
+    /// Messages captured, including dropped ones.
     pub fn captured(&self) -> u64 {
         self.acknowledged + self.lost_in_recorder
     }
 
-    /// Whether captured = verified + pending + right ended + quarantined + dropped + tampered, in all and for each topic.
+    /// Whether captured = verified + pending + right ended + quarantined + dropped + tampered, in total and for each
+    /// topic.
     pub fn is_conserved(&self) -> bool {
         self.captured() == self.data.values().sum::<u64>() && self.topics.iter().all(TopicCounts::is_conserved)
     }
@@ -106,7 +107,7 @@ impl Ledger {
     /// Counts per state and topic; costs the same whatever the number of records.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn counts(&self, owner: Option<Address>) -> Result<StateCounts, StoreError> {
         self.read(|connection| {
             let streams =
@@ -119,10 +120,10 @@ impl Ledger {
         })
     }
 
-    /// Sealed records that wait here for the vault.
+    /// Sealed records waiting here for the vault.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn sealed(&self) -> Result<u64, StoreError> {
         self.read(|connection| {
             let sql = "SELECT coalesce(sum(records), 0) FROM counters WHERE state = ?1";
@@ -131,10 +132,10 @@ impl Ledger {
         })
     }
 
-    /// Bytes of sealed records that wait here for the vault, each with what a record is larger than its message.
+    /// Bytes of sealed records waiting here for the vault, including each record's overhead over its message.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn backlog(&self) -> Result<u64, StoreError> {
         self.read(|connection| {
             let sql = "SELECT coalesce(sum(bytes + records * ?2), 0) FROM counters WHERE state = ?1";

@@ -1,5 +1,6 @@
-//! Who is registered and who may read what, as a contract's events tell it. Each event is a row; what it ends is marked,
-//! so that those that still count are found without the others, the others tell history, and a replaced block is undone.
+//! Who is registered and who may read what, as a contract's events say. Each event is a row, and events that no longer
+//! count are marked: the current ones are found without the others, the others are history, and a replaced block can be
+//! undone.
 
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 
@@ -9,70 +10,70 @@ use crate::model::{Address, Domain, Token};
 use crate::store::StoreError;
 use crate::store::database::whole;
 
-/// What an event is about, as far as it matters here.
+/// The subject of an event, as far as it matters here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RightKind {
     /// A grant.
     Grant = 1,
-    /// An envelope of a further epoch.
+    /// An envelope of another epoch.
     Envelope = 2,
-    /// A later end of a grant.
+    /// An extension of a grant.
     Extension = 3,
-    /// An epoch began; where a grantee is named, with the revocation of its grant.
+    /// An epoch began; if a grantee is named, by the revocation of its grant.
     Epoch = 4,
     /// Anything else.
     Other = 5,
 }
 
-/// An event to be kept.
+/// An event to be stored.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RightEvent {
     /// Its block.
     pub block: u64,
-    /// Its place among the block's events.
+    /// Its index among the block's events.
     pub place: u64,
-    /// What it is about.
+    /// Its subject.
     pub kind: RightKind,
-    /// Whose right, or who gives it.
+    /// The owner of the right.
     pub owner: Option<Address>,
-    /// Who may read, or may no longer.
+    /// The grantee, current or former.
     pub grantee: Option<Address>,
-    /// The epoch that it names.
+    /// The epoch it names.
     pub epoch: Option<u64>,
     /// The token of that epoch.
     pub token: Option<Token>,
-    /// All of it but the envelope, as its reader writes it.
+    /// Everything but the envelope, encoded by its reader.
     pub event: String,
     /// The envelope.
     pub envelope: Option<Vec<u8>>,
 }
 
-/// An event as it was kept.
+/// A stored event.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptRight {
     /// Its block.
     pub block: u64,
-    /// Its place among the block's events.
+    /// Its index among the block's events.
     pub place: u64,
-    /// As it was written.
+    /// Its encoding.
     pub event: String,
     /// The epoch that began when its grant was revoked.
     pub revoked: Option<u64>,
 }
 
-/// What stands of a contract's events.
+/// The current events of a contract.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct StandingRights {
-    /// Block and place of the last event that was kept; `None` before the first.
+    /// Block and index of the last event stored; `None` before the first.
     pub last: Option<(u64, u64)>,
     /// Those that still count, in the chain's order.
     pub events: Vec<KeptRight>,
 }
 
-/// An envelope as an event brought it.
+/// An envelope from an event.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptEnvelope {
-    /// The epoch whose keys it carries.
+    /// The epoch whose keys it contains.
     pub epoch: u64,
     /// The block of the event.
     pub block: u64,
@@ -80,7 +81,8 @@ pub struct KeptEnvelope {
     pub bytes: Vec<u8>,
 }
 
-/// What events put an end to: an extension the one before it, an epoch the one before it, a revocation its grant.
+/// What an event supersedes: an extension supersedes the one before it, an epoch the one before it, a revocation its
+/// grant.
 pub(super) const ENDING: [&str; 3] = [
     "UPDATE rights INDEXED BY rights_standing SET replaced = ?4
      WHERE contract = ?1 AND owner = ?2 AND kind = 3 AND grantee = ?3 AND replaced IS NULL AND revoked IS NULL",
@@ -90,22 +92,22 @@ pub(super) const ENDING: [&str; 3] = [
      WHERE contract = ?1 AND owner = ?2 AND kind IN (1, 2, 3) AND grantee = ?3
      AND replaced IS NULL AND revoked IS NULL",
 ];
-/// Behind every event of a block.
+/// After every event of a block.
 const WHOLE_BLOCK: i64 = i64::MAX;
 
 impl Ledger {
-    /// Keeps events of a contract in the chain's order, all in one commit; those that are there already are passed over.
+    /// Stores events of a contract in the chain's order, all in one commit; those already there are skipped.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then nothing is kept.
+    /// [`StoreError::DiskFull`] and the like; then nothing is stored.
     pub fn keep_rights(&self, domain: Domain, events: Vec<RightEvent>) -> Result<(), StoreError> {
         self.write_many(events.len(), move |session| keep_all(session, domain, &events))
     }
 
-    /// What stands of a contract's events; `None` where none were read yet.
+    /// The current events of a contract; `None` if none were read yet.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn standing_rights(&self, domain: Domain) -> Result<Option<StandingRights>, StoreError> {
         self.read(|connection| {
             let Some((contract, block, place)) = contract(connection, domain)? else { return Ok(None) };
@@ -118,10 +120,10 @@ impl Ledger {
         })
     }
 
-    /// Undoes the events of all blocks from `from` on, and what they ended, in one commit.
+    /// Undoes the events of all blocks from `from` on, and what they superseded, in one commit.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then nothing is undone.
+    /// [`StoreError::DiskFull`] and the like; then nothing is undone.
     pub fn take_back_rights(&self, domain: Domain, from: u64) -> Result<(), StoreError> {
         let from = whole("block", from)?;
         self.write_many(super::writer::MANY + 1, move |session| {
@@ -142,10 +144,10 @@ impl Ledger {
         })
     }
 
-    /// Forgets all that was read of a contract.
+    /// Deletes everything read of a contract.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then nothing is forgotten.
+    /// [`StoreError::DiskFull`] and the like; then nothing is deleted.
     pub fn forget_rights(&self, domain: Domain) -> Result<(), StoreError> {
         self.write_many(super::writer::MANY + 1, move |session| {
             let Some((contract, ..)) = contract(session.connection, domain)? else { return Ok(()) };
@@ -160,7 +162,7 @@ impl Ledger {
     /// Grants that an account gave or received and that were revoked, with their extensions, in the chain's order.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn revoked_grants(&self, domain: Domain, account: Address) -> Result<Vec<KeptRight>, StoreError> {
         self.read(|connection| {
             let Some((contract, ..)) = contract(connection, domain)? else { return Ok(Vec::new()) };
@@ -181,10 +183,11 @@ impl Ledger {
         })
     }
 
-    /// The envelopes of a grant that stands, or of the one whose revocation began the epoch `revoked`; in the chain's order.
+    /// The envelopes of a current grant, or of the one whose revocation began the epoch `revoked`; in the chain's
+    /// order.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn envelopes_between(
         &self,
         domain: Domain,
@@ -216,7 +219,7 @@ impl Ledger {
     /// The token that an owner registered for an epoch.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn epoch_token(&self, domain: Domain, owner: Address, epoch: u64) -> Result<Option<Token>, StoreError> {
         let epoch = whole("epoch", epoch)?;
         self.read(|connection| {
@@ -232,7 +235,7 @@ impl Ledger {
     /// Whether an owner ever registered this token.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn ever_had_token(&self, domain: Domain, owner: Address, token: Token) -> Result<bool, StoreError> {
         self.read(|connection| {
             let Some((contract, ..)) = contract(connection, domain)? else { return Ok(false) };
@@ -248,7 +251,7 @@ fn kept(row: &Row<'_>) -> rusqlite::Result<KeptRight> {
     Ok(KeptRight { block: unsigned(row, 0)?, place: unsigned(row, 1)?, event: row.get(2)?, revoked })
 }
 
-/// The contract's key, and block and place of the last event that was kept.
+/// The contract's key, and block and index of the last event stored.
 fn contract(connection: &Connection, domain: Domain) -> Result<Option<(i64, i64, i64)>, StoreError> {
     let mut statement = connection.prepare_cached("SELECT key, block, place FROM contracts WHERE domain = ?1")?;
     let found = statement.query_row([domain.0], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)));
@@ -276,7 +279,7 @@ fn keep_all(session: &Session<'_>, domain: Domain, events: &[RightEvent]) -> Res
     Ok(())
 }
 
-/// Marks what an event puts an end to.
+/// Marks what an event supersedes.
 fn end_others(connection: &Connection, contract: i64, event: &RightEvent) -> Result<(), StoreError> {
     let (Some(owner), block) = (event.owner, whole("block", event.block)?) else { return Ok(()) };
     let [extended, begun, revoked] = ENDING;

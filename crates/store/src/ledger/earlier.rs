@@ -1,5 +1,5 @@
-//! Leaving a chain for another one: what was verified keeps its old anchor in words, the rest is anchored anew. Leaving
-//! only the contract: what stands in a block stays as it is, and is remembered to stand in the old contract.
+//! Moving from one chain to another: verified records keep a note of their old anchor, the rest are anchored again.
+//! Moving only to another contract: what is in a block stays there, and is noted as anchored in the old contract.
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 use serde::{Deserialize, Serialize};
@@ -10,7 +10,7 @@ use super::{Ledger, rows::unsigned};
 use crate::model::{Digest, Domain, Hash, RecordState};
 use crate::store::StoreError;
 
-/// Where a verified record was anchored on a chain that was given up.
+/// Where a verified record was anchored on an abandoned chain.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EarlierAnchor {
     /// The network of that chain.
@@ -23,25 +23,25 @@ pub struct EarlierAnchor {
     pub block_hash: Option<Hash>,
 }
 
-/// What leaving a chain did.
+/// The effect of leaving a chain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Left {
-    /// Verified records whose anchors stay behind.
+    /// Verified records whose anchors stay on the old chain.
     pub kept: u64,
-    /// Records that are to be anchored anew.
+    /// Records to be anchored again.
     pub anew: u64,
 }
 
-/// States of records whose anchor, or the way to it, went with the chain.
+/// States of records whose anchor, or progress to one, was lost with the chain.
 const UNSETTLED: [RecordState; 3] = [RecordState::Submitted, RecordState::Mined, RecordState::Confirmed];
 
 impl Ledger {
-    /// Gives up the chain of `domain`, in one commit: verified records stay verified and remember their anchor
-    /// there; all others are stored (or batched) again; no transaction is open, no block is known any more. The
-    /// setting `key` is written along, so that both happen or neither does.
+    /// Abandons the chain of `domain`, in one commit: verified records stay verified and keep a note of their anchor
+    /// there; all others are stored (or batched) again; no transaction is open, no block is known any more. The setting
+    /// `key` is written with it, so that both happen or neither does.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then nothing is given up.
+    /// [`StoreError::DiskFull`] and the like; then nothing changes.
     pub fn leave_chain(&self, domain: Domain, key: &str, value: &str) -> Result<Left, StoreError> {
         let (key, value) = (key.to_owned(), value.to_owned());
         self.write(move |session| {
@@ -67,12 +67,12 @@ impl Ledger {
         })
     }
 
-    /// Gives up the contract of `domain` for another one on the same chain, in one commit: what is in a block stays there
-    /// and is remembered as anchored in that contract; what was on its way is anchored anew. `key` as for
+    /// Abandons the contract of `domain` for another one on the same chain, in one commit: what is in a block stays
+    /// there and is noted as anchored in that contract; what was on its way is anchored again. `key` as for
     /// [`Ledger::leave_chain`].
     ///
     /// # Errors
-    /// As [`Ledger::leave_chain`].
+    /// See [`Ledger::leave_chain`].
     pub fn leave_contract(&self, domain: Domain, key: &str, value: &str) -> Result<Left, StoreError> {
         let (key, value) = (key.to_owned(), value.to_owned());
         self.write(move |session| {
@@ -97,10 +97,10 @@ impl Ledger {
         })
     }
 
-    /// Where a verified record was anchored before its chain was given up.
+    /// Where a verified record was anchored before its chain was abandoned.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn earlier_anchor(&self, digest: Digest) -> Result<Option<EarlierAnchor>, StoreError> {
         self.read(|connection| {
             let sql = "SELECT domain, earlier_anchors.tx, earlier_anchors.block, earlier_anchors.block_hash
@@ -133,7 +133,7 @@ fn keep_anchors(connection: &Connection, domain: Domain) -> Result<u64, StoreErr
     Ok(count(kept))
 }
 
-/// Batches all of whose records are verified keep their transaction, so that they do not wait; the others wait.
+/// Batches with only verified records keep their transaction, so that they do not wait; the others wait.
 fn free_batches(connection: &Connection) -> Result<(), StoreError> {
     connection.execute(
         "UPDATE batches SET tx = NULL, account = NULL WHERE key IN
@@ -230,7 +230,7 @@ mod tests {
         assert_eq!(ledger.setting("adoptions"), Ok(Some("[1]".to_owned())));
         let again = ledger.leave_contract(Domain([6; 32]), "adoptions", "[2]");
         assert_eq!(again, Ok(Left { kept: 0, anew: 0 }), "no block of that chain holds any");
-        // A reorg on the new chain leaves them alone.
+        // A reorg on the new chain does not affect them.
         assert_eq!((ledger.unverify(0), ledger.unmine(0)), (Ok(0), Ok(0)));
     }
 
@@ -257,7 +257,7 @@ mod tests {
             |n| ledger.earlier_anchor(Digest([n; 32])).expect("read").map(|anchor| (anchor.domain, anchor.block));
         assert_eq!([anchor(1), anchor(2), anchor(3)], [Some((Domain([8; 32]), 5)), Some((Domain([8; 32]), 6)), None]);
         assert_eq!(ledger.confirm(6).map(|times| times.len()), Ok(1), "it goes on");
-        // The next contract: what stands in the first one is still known to.
+        // With the next contract, records in the first one are still known to be there.
         assert_eq!(ledger.leave_contract(Domain([9; 32]), "adoptions", "[2]").map(|left| left.kept), Ok(0));
         assert_eq!(anchor(1), Some((Domain([8; 32]), 5)));
     }

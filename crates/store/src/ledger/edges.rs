@@ -1,10 +1,10 @@
-//! The legal edges of a record's life line, and which part of the program may take each.
+//! The legal state transitions of a record, and which part of the program may make each.
 
 use crate::model::RecordState::{
     self, Batched, Confirmed, Dropped, Mined, Quarantined, RightEnded, Sealed, Stored, Submitted, Tampered, Verified,
 };
 
-/// What takes an edge.
+/// The cause of a transition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum By {
     /// A worker, with `advance`.
@@ -15,17 +15,17 @@ pub(super) enum By {
     Submit,
     /// The sender's transaction failed or was replaced.
     Close,
-    /// The watcher saw the anchor in a block.
+    /// The watcher found the anchor in a block.
     Sight,
     /// The block is deep enough.
     Confirm,
-    /// The block is gone.
+    /// The block was replaced.
     Reorg,
-    /// A gateway took the record over, or says how it stands there.
+    /// A gateway took the record over, or reported its standing.
     Gateway,
     /// The operator decides about a quarantined record.
     Operator,
-    /// The signer's right ended or came back, or its anchor does not count for want of it.
+    /// The signer's right ended or returned, or its anchor does not count for lack of it.
     Right,
 }
 
@@ -89,7 +89,7 @@ pub fn is_legal(from: RecordState, to: RecordState) -> bool {
     EDGES.iter().any(|edge| (edge.0, edge.1) == (from, to))
 }
 
-/// Whether `by` may take this edge.
+/// Whether `by` may make this transition.
 pub(super) fn may(by: By, from: RecordState, to: RecordState) -> bool {
     EDGES.contains(&(from, to, by))
 }

@@ -1,4 +1,4 @@
-//! By which pseudonyms of types and tags records are found.
+//! The pseudonyms of types and tags by which records are found.
 
 use std::collections::BTreeMap;
 
@@ -6,23 +6,23 @@ use serde::{Deserialize, Serialize};
 
 use crate::model::{FilterId, TopicId};
 
-/// A filter id that records are found by: the same on every topic, or another one on some topics.
+/// A filter id that finds records: the same for every topic, or another one for some topics.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FilterChoice {
-    /// Records of any topic have it.
+    /// For records of any topic.
     pub id: FilterId,
-    /// Or those of these topics have these.
+    /// For records of these topics.
     #[serde(default)]
     pub by_topic: BTreeMap<TopicId, FilterId>,
 }
 
 impl FilterChoice {
-    /// Both ids that records of a topic may have; the same twice where there is but one.
+    /// Both ids that records of a topic may have; the same twice if there is only one.
     pub(super) fn of(&self, topic: TopicId) -> [FilterId; 2] {
         [self.id, self.by_topic.get(&topic).copied().unwrap_or(self.id)]
     }
 
-    /// Whether a record of a topic with these ids is found by it.
+    /// Whether it finds a record of a topic with these ids.
     pub fn is_in(&self, topic: TopicId, ids: &[FilterId]) -> bool {
         self.of(topic).iter().any(|id| ids.contains(id))
     }

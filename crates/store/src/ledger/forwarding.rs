@@ -1,4 +1,4 @@
-//! Records that are passed on to a gateway: accepted by its signed receipt, verified or lost by its word.
+//! Records passed on to a gateway: accepted by its signed receipt, verified or lost by its statement.
 
 use std::collections::BTreeSet;
 
@@ -11,14 +11,14 @@ use crate::model::{Digest, RecordState, Signature, Timestamp};
 use crate::store::StoreError;
 use crate::store::database::whole;
 
-/// What a gateway signed when it took records over.
+/// A gateway's signed receipt for records.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptReceipt {
     /// Its time.
     pub time: Timestamp,
-    /// All that it covers, in its order.
+    /// All digests it covers, in order.
     pub digests: Vec<Digest>,
-    /// By the gateway's identity key.
+    /// Signature by the gateway's identity key.
     pub signature: Signature,
 }
 
@@ -26,11 +26,11 @@ pub struct KeptReceipt {
 const MOVE: &str = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND tx IS NULL AND block IS NULL";
 
 impl Ledger {
-    /// A gateway took records over: the receipt is kept, and those that were stored are submitted. Returns how
-    /// many moved.
+    /// A gateway took records over: the receipt is stored, and those in state stored become submitted. Returns how many
+    /// changed.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then nothing moved, and they are passed on again.
+    /// [`StoreError::DiskFull`] and the like; then nothing changes, and they are passed on again.
     pub fn accept(&self, receipt: KeptReceipt) -> Result<u64, StoreError> {
         self.write(move |session| {
             let digests: Vec<u8> = receipt.digests.iter().flat_map(|digest| digest.0).collect();
@@ -53,11 +53,11 @@ impl Ledger {
         })
     }
 
-    /// What the gateway says of records that it took over: verified, tampered, or, where it knows them no more,
-    /// stored again. Receipts of which all is verified are forgotten. Returns how many moved.
+    /// A gateway's standings of records it took over: verified, tampered, or, if it no longer knows them, stored again.
+    /// Receipts whose records are all verified are deleted. Returns how many records changed.
     ///
     /// # Errors
-    /// [`StoreError::IllegalEdge`] where no gateway may take this edge, [`StoreError::DiskFull`] and the like.
+    /// [`StoreError::IllegalEdge`] if no gateway may cause this transition, [`StoreError::DiskFull`] and the like.
     pub fn settle_forwarded(&self, digests: &[Digest], to: RecordState) -> Result<u64, StoreError> {
         let from = RecordState::Submitted;
         if !may(By::Gateway, from, to) {
@@ -80,10 +80,10 @@ impl Ledger {
         })
     }
 
-    /// The newest receipt that covers a record which is not verified yet.
+    /// The newest receipt that covers a record not yet verified.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn receipt_of(&self, digest: Digest) -> Result<Option<KeptReceipt>, StoreError> {
         self.read(|connection| {
             let row: Option<(i64, Vec<u8>, [u8; 64])> = connection
@@ -118,7 +118,7 @@ fn held(session: &Session<'_>, digests: &[Digest]) -> Result<BTreeSet<i64>, Stor
     Ok(found.filter_map(Result::transpose).collect::<Result<_, _>>()?)
 }
 
-/// Forgets those of the receipts that cover no record any more.
+/// Deletes receipts that no longer cover any record.
 fn sweep(session: &Session<'_>, receipts: BTreeSet<i64>) -> Result<(), StoreError> {
     let mut forget = session.connection.prepare_cached(
         "DELETE FROM receipts WHERE key = ?1 AND NOT EXISTS (SELECT 1 FROM receipted WHERE receipt = ?1)",

@@ -1,4 +1,4 @@
-//! Messages that became no records: counted durably per topic and reason, then told in a signed gap record.
+//! Messages that did not become records: counted durably per topic and reason, then reported in a signed gap record.
 
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 use serde::{Deserialize, Serialize};
@@ -12,44 +12,44 @@ use crate::store::StoreError;
 /// Messages of one topic and publisher that were lost for one reason.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Loss {
-    /// Whose records they would have become.
+    /// The owner.
     pub owner: Address,
     /// Topic name.
     pub topic: String,
-    /// Node that sent them; of a peer's making.
+    /// The sending node; untrusted text.
     pub publisher: String,
-    /// Why.
+    /// The reason.
     pub reason: LossReason,
-    /// How many.
+    /// The number.
     pub count: u64,
-    /// `header.seq` of the first and the last, where they have one.
+    /// `header.seq` of the first and the last, if they have one.
     pub numbers: Option<(u32, u32)>,
-    /// When the first was noticed to be lost.
+    /// When the first loss was noticed.
     pub first_at: Timestamp,
-    /// When the last was.
+    /// When the last loss was noticed.
     pub last_at: Timestamp,
 }
 
-/// Losses as the ledger keeps them.
+/// Losses as stored in the ledger.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GapRow {
-    /// Names the row.
+    /// The id of the row.
     pub key: i64,
     /// Topic name.
     pub topic: String,
-    /// Node that sent them; of a peer's making: clean it.
+    /// The sending node; untrusted text: clean it.
     pub publisher: String,
-    /// The word of the [`LossReason`].
+    /// The name of the [`LossReason`].
     pub reason: String,
-    /// How many.
+    /// The number.
     pub count: u64,
     /// `header.seq` of the first and the last.
     pub numbers: Option<(u32, u32)>,
-    /// When the first was noticed to be lost.
+    /// When the first loss was noticed.
     pub first_at: Timestamp,
-    /// When the last was.
+    /// When the last loss was noticed.
     pub last_at: Timestamp,
-    /// The gap record that tells of them; none yet where it is still to be sealed.
+    /// The gap record that reports them; none until it is sealed.
     pub report: Option<Digest>,
 }
 
@@ -57,18 +57,18 @@ const COLUMNS: &str =
     "key, topic, publisher, reason, count, first_number, last_number, first_at, last_at, report FROM gaps";
 
 impl Ledger {
-    /// Counts losses durably, all or none; they stay open until a gap record tells of them.
+    /// Counts losses durably, all or none; they stay open until a gap record reports them.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then none is counted yet.
+    /// [`StoreError::DiskFull`] and the like; then none is counted yet.
     pub fn count_losses(&self, losses: Vec<Loss>) -> Result<(), StoreError> {
         self.write(move |session| losses.iter().try_for_each(|loss| count_one(session.connection, loss)))
     }
 
-    /// Losses of an owner that no gap record tells of, begun by a moment, oldest first, at most `limit`.
+    /// Losses of an owner that no gap record reports and that began before a given time, oldest first, at most `limit`.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn open_gaps(&self, owner: Address, by: Timestamp, limit: usize) -> Result<Vec<GapRow>, StoreError> {
         self.read(|connection| {
             let sql = format!(
@@ -82,11 +82,11 @@ impl Ledger {
         })
     }
 
-    /// Acknowledges a gap record and notes what it tells of, in one commit. What was lost since the row was read stays
+    /// Acknowledges a gap record and notes the losses it reports, in one commit. Losses since the row was read stay
     /// open.
     ///
     /// # Errors
-    /// As [`Ledger::append`]; [`StoreError::NotReady`] where the row is told of already.
+    /// See [`Ledger::append`]; [`StoreError::NotReady`] if the row is already reported.
     pub fn close_gap(&self, gap: &GapRow, report: NewRecord) -> Result<(), StoreError> {
         let gap = gap.clone();
         self.write(move |session| {
@@ -99,7 +99,7 @@ impl Ledger {
     /// The losses of an owner, newest first, at most `limit`.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn gaps(&self, owner: Address, limit: usize) -> Result<Vec<GapRow>, StoreError> {
         self.read(|connection| {
             let sql = format!("SELECT {COLUMNS} WHERE owner = ?1 ORDER BY key DESC LIMIT ?2");

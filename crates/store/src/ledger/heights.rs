@@ -1,4 +1,4 @@
-//! How high the numbers of this ledger's recorder are, and which recorder it follows.
+//! How far this ledger's recorder has counted, and which recorder it succeeds.
 
 use rusqlite::params;
 
@@ -8,11 +8,11 @@ use crate::model::{Address, RecorderId, TopicId};
 use crate::store::StoreError;
 
 impl Ledger {
-    /// The highest acknowledged number of each topic of an owner in this ledger's recorder, by topic id; topics that are
-    /// filed under one of these names are left out.
+    /// The highest acknowledged number of each topic of an owner for this ledger's recorder, by topic id; topics filed
+    /// under one of these names are left out.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn heights(&self, owner: Address, but: [&str; 2]) -> Result<Vec<(TopicId, u64)>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
@@ -28,10 +28,10 @@ impl Ledger {
         })
     }
 
-    /// The recorder whose ledger this one is a copy of, restored or opened elsewhere.
+    /// The recorder of the ledger that this one is a copy of, restored or opened elsewhere.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn predecessor(&self) -> Result<Option<RecorderId>, StoreError> {
         Ok(self.setting(PREDECESSOR)?.and_then(|text| text.parse().ok()))
     }

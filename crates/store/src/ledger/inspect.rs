@@ -1,5 +1,5 @@
-//! What an audit reads: records with their places in batches, batches, sequences; page by page, each page one
-//! snapshot, so that memory stays flat. A row that cannot be read is told, it does not end the walk.
+//! What an audit reads: records with their places in batches, batches, sequences; page by page, each page one snapshot,
+//! so that memory stays constant. An unreadable row is reported and does not end the walk.
 
 use std::collections::HashMap;
 
@@ -11,7 +11,7 @@ use crate::chain::merkle::Inclusion;
 use crate::model::{Address, Digest, FilterId, Hash, RecorderId, Timestamp, TopicId, clean};
 use crate::store::StoreError;
 
-/// The setting that says where a restored ledger's back-up stood.
+/// The setting that records the state of a restored ledger's backup.
 pub(super) const COPIED_AT: &str = "copied-at";
 /// Columns of a record, in the order of [`rows::record`].
 const RECORD_COLUMNS: usize = 14;
@@ -19,7 +19,7 @@ const RECORD_COLUMNS: usize = 14;
 /// A record's place in a batch, as an audit compares it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AuditedPlace {
-    /// Index, count, path and root; `None` where the batch is gone.
+    /// Index, count, path and root; `None` if the batch is gone.
     pub inclusion: Option<Inclusion>,
     /// The transaction of the batch.
     pub transaction: Option<Hash>,
@@ -29,32 +29,32 @@ pub struct AuditedPlace {
     pub block_hash: Option<Hash>,
 }
 
-/// A record with all that an audit holds against it.
+/// A record with everything an audit compares with it.
 #[allow(clippy::struct_excessive_bools, reason = "each says another thing of the row")]
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AuditedRecord {
-    /// Its row's number.
+    /// Its row number.
     pub number: u64,
     /// The record.
     pub row: RecordRow,
     /// Its place in a batch.
     pub place: Option<AuditedPlace>,
-    /// Whether the ledger holds its bytes until the vault has them durably.
+    /// Whether the ledger holds its bytes until they are durable in the vault.
     pub has_copy: bool,
-    /// Whether it was anchored on a chain that was left.
+    /// Whether it was anchored on an abandoned chain.
     pub anchored_earlier: bool,
-    /// Whether its row names the topic that its stream names.
+    /// Whether its row and its stream name the same topic.
     pub in_its_topic: bool,
     /// Whether row and retention agree on when its ciphertext was deleted.
     pub as_retained: bool,
 }
 
-/// A page of records, in the order they were acknowledged.
+/// A page of records, in the order of acknowledgement.
 #[derive(Debug, Default)]
 pub struct AuditPage {
-    /// The records; of a row that cannot be read, its number and why.
+    /// The records; for an unreadable row, its number and the reason.
     pub records: Vec<Result<AuditedRecord, (u64, String)>>,
-    /// Where the next page begins; `None` at the end.
+    /// Cursor of the next page; `None` at the end.
     pub next: Option<u64>,
 }
 
@@ -65,11 +65,11 @@ pub struct AuditedBatch {
     pub key: u64,
     /// Merkle root.
     pub root: Hash,
-    /// Leaves that it was closed with.
+    /// Leaves it was closed with.
     pub count: u64,
-    /// Leaves that the ledger still has with their records.
+    /// Leaves whose records the ledger still has.
     pub held: u64,
-    /// Who anchored it, or tries to.
+    /// The account that anchored it, or is to.
     pub account: Option<Address>,
     /// The transaction.
     pub transaction: Option<Hash>,
@@ -79,30 +79,30 @@ pub struct AuditedBatch {
     pub block_hash: Option<Hash>,
 }
 
-/// How far the numbers of one topic reach.
+/// The range of one topic's sequence numbers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sequence {
-    /// The ledger's own number of the topic.
+    /// The ledger's own key of the topic.
     pub key: i64,
-    /// Whose it is.
+    /// Its owner.
     pub owner: Address,
-    /// Its name, or its pseudonym where that is not known.
+    /// Its name, or its pseudonym if the name is unknown.
     pub name: String,
-    /// Who anchors it in its owner's place.
+    /// The account that anchors it instead of its owner.
     pub keeper: Option<Address>,
     /// Records.
     pub count: u64,
-    /// Lowest number.
+    /// Lowest sequence number.
     pub first: u64,
-    /// Highest number.
+    /// Highest sequence number.
     pub last: u64,
 }
 
 impl Ledger {
-    /// The records behind row `after`, captured at `since` or later, `limit` at most.
+    /// The records after row `after`, captured at `since` or later, at most `limit`.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn audit_page(&self, after: u64, since: Timestamp, limit: usize) -> Result<AuditPage, StoreError> {
         let (after, since) = (whole("row", after)?, whole("time", since.0)?);
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
@@ -135,10 +135,10 @@ impl Ledger {
         })
     }
 
-    /// How many of these ids lead to a record, by its row's number, in the index of tags and of their streams.
+    /// How many of these ids find a record, by its row number, in the index of tags and of their streams.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn indexed(&self, number: u64, filters: &[FilterId]) -> Result<u64, StoreError> {
         let number = whole("row", number)?;
         self.read(|connection| {
@@ -152,10 +152,10 @@ impl Ledger {
         })
     }
 
-    /// The first row that the index of tags knows; the highest number where it knows none.
+    /// The first row in the index of tags; the highest number if it is empty.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn first_indexed(&self) -> Result<u64, StoreError> {
         self.read(|connection| {
             let first: Option<i64> = connection.query_row("SELECT min(record) FROM filters", [], |row| row.get(0))?;
@@ -163,10 +163,10 @@ impl Ledger {
         })
     }
 
-    /// Entries of the index of tags for the rows up to a number.
+    /// Entries of the index of tags for rows up to a number.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn size_of_index(&self, last: u64) -> Result<u64, StoreError> {
         let last = whole("row", last)?;
         self.read(|connection| {
@@ -175,10 +175,10 @@ impl Ledger {
         })
     }
 
-    /// The batches behind number `after`, `limit` at most.
+    /// The batches after number `after`, at most `limit`.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin, also where a batch cannot be read.
+    /// [`StoreError::Database`] and the like, also if a batch cannot be read.
     pub fn audit_batches(&self, after: u64, limit: usize) -> Result<Vec<AuditedBatch>, StoreError> {
         let after = whole("batch", after)?;
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
@@ -193,10 +193,10 @@ impl Ledger {
         })
     }
 
-    /// When the newest record was captured, as its recorder's clock said.
+    /// When the newest record was captured, by its recorder's clock.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn newest_capture(&self) -> Result<Option<Timestamp>, StoreError> {
         self.read(|connection| {
             let newest: Option<i64> =
@@ -208,7 +208,7 @@ impl Ledger {
     /// Which of these roots belong to no batch of this ledger.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn unknown_roots(&self, roots: &[Hash]) -> Result<Vec<Hash>, StoreError> {
         let find = "SELECT 1 FROM batches WHERE root = ?1";
         self.read(|connection| absent(connection, find, roots.iter().map(|root| root.0)).map(hashes))
@@ -217,25 +217,25 @@ impl Ledger {
     /// Which of these digests belong to no record of this ledger.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn unknown_digests(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
         let find = "SELECT 1 FROM records WHERE digest = ?1";
         let found = self.read(|connection| absent(connection, find, digests.iter().map(|digest| digest.0)))?;
         Ok(found.into_iter().map(Digest).collect())
     }
 
-    /// The newest block that the back-up knew which this ledger was restored from; `None` where it never was.
+    /// The newest block known to the backup that this ledger was restored from; `None` if it never was.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn copied_at(&self) -> Result<Option<u64>, StoreError> {
         Ok(self.setting(COPIED_AT)?.and_then(|text| text.parse().ok()))
     }
 
-    /// Records of any kind and state.
+    /// All records, of any kind and state.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn size(&self) -> Result<u64, StoreError> {
         self.read(|connection| {
             let sql = "SELECT coalesce(sum(records), 0) FROM counters";
@@ -243,10 +243,10 @@ impl Ledger {
         })
     }
 
-    /// The accounts that this ledger ever signed for.
+    /// The accounts that this ledger has ever signed for.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn signing_accounts(&self) -> Result<Vec<Address>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached("SELECT DISTINCT account FROM transactions")?;
@@ -255,10 +255,10 @@ impl Ledger {
         })
     }
 
-    /// Whether this ledger ever signed for an account.
+    /// Whether this ledger has ever signed for an account.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn signs_for(&self, account: Address) -> Result<bool, StoreError> {
         self.read(|connection| {
             let sql = "SELECT EXISTS (SELECT 1 FROM transactions WHERE account = ?1)";
@@ -266,10 +266,10 @@ impl Ledger {
         })
     }
 
-    /// Topics with records that are stamped more than five seconds earlier than the record before them, and how many.
+    /// Topics with records stamped more than five seconds earlier than the record before them, and how many.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn backwards(&self) -> Result<Vec<(String, u64)>, StoreError> {
         self.read(|connection| {
             let sql = "SELECT coalesce(nullif(name, ''), lower(hex(topic_id))), held FROM
@@ -283,10 +283,10 @@ impl Ledger {
         })
     }
 
-    /// The record that has a number of a topic, as `recorder` counts.
+    /// The record with a sequence number of a topic, by `recorder`.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn holder(
         &self,
         owner: Address,
@@ -305,10 +305,10 @@ impl Ledger {
         })
     }
 
-    /// Every topic with the reach of its numbers.
+    /// Every topic with its range of sequence numbers.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn sequences(&self) -> Result<Vec<Sequence>, StoreError> {
         self.read(|connection| {
             let sql = "SELECT topics.key, owner, coalesce(nullif(name, ''), lower(hex(topic_id))), keeper, held, low, high
@@ -330,10 +330,10 @@ impl Ledger {
         })
     }
 
-    /// The first `limit` holes of a topic's numbers: first and last number that is missing.
+    /// The first `limit` gaps in a topic's sequence numbers: first and last missing number.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn holes(&self, sequence: &Sequence, limit: usize) -> Result<Vec<(u64, u64)>, StoreError> {
         let limit = i64::try_from(limit).unwrap_or(i64::MAX);
         self.read(|connection| {

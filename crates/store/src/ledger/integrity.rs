@@ -1,4 +1,4 @@
-//! Whether the ledger's tables agree with each other: looked at after an unclean end, and by whoever examines a home.
+//! Whether the ledger's tables agree with each other: checked after an unclean shutdown, and when a home is examined.
 
 use rusqlite::Connection;
 
@@ -6,7 +6,7 @@ use super::Ledger;
 use crate::model::{Digest, RecordState};
 use crate::store::StoreError;
 
-/// What must find nothing, and what it means where it finds something.
+/// A query that must find nothing, and the meaning if it does.
 const RULES: [(&str, &str); 5] = [
     (
         "SELECT count(*) FROM (SELECT stream, state, count(*) AS rows FROM records GROUP BY state, stream) found
@@ -36,16 +36,15 @@ const RULES: [(&str, &str); 5] = [
 ];
 
 impl Ledger {
-    /// Whether the process that had it open before closed it. Where it did not, the file's structure was checked
-    /// when it was opened.
+    /// Whether the previous process closed it. If not, the file's structure was checked on opening.
     pub fn ended_cleanly(&self) -> bool {
         self.shared.clean
     }
 
-    /// What in its tables contradicts itself, in words; a second or so per million records.
+    /// Contradictions in its tables, in words; takes about a second per million records.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn contradictions(&self) -> Result<Vec<String>, StoreError> {
         self.read(|connection| {
             let found = RULES.iter().map(|(sql, text)| {
@@ -56,10 +55,10 @@ impl Ledger {
         })
     }
 
-    /// The records acknowledged last, at most `limit`, that should be in the vault and were not given up.
+    /// The records acknowledged last, at most `limit`, that should be in the vault and were not deleted by retention.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn newest_stored(&self, limit: usize) -> Result<Vec<Digest>, StoreError> {
         self.read(|connection| newest(connection, limit))
     }

@@ -1,5 +1,5 @@
-//! What a gateway keeps for others: public keys of their devices, what names stand for, and anchors made
-//! elsewhere, taken in with their proofs.
+//! What a gateway keeps for others: public keys of their devices, bindings of names, and anchors made elsewhere,
+//! recorded with their proofs.
 
 use rusqlite::{OptionalExtension as _, params};
 
@@ -13,24 +13,24 @@ use crate::model::{
 use crate::store::StoreError;
 use crate::store::database::whole;
 
-/// What a name stands for at a gateway.
+/// The binding of a name at a gateway.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptBinding {
     /// Addr.
     pub account: Address,
     /// P_C when the transport key was allocated.
     pub signing: PublicKey,
-    /// P_E then.
+    /// P_E at that time.
     pub envelope: PublicKey,
-    /// The transport key, sealed by whoever keeps it here.
+    /// The transport key, sealed by its keeper.
     pub sealed_key: Vec<u8>,
-    /// The device that the name belongs to, with the topic id of its owner's notices to it where that was told; `None`
-    /// where the name is its account's own.
+    /// The device that owns the name, with the topic id of its owner's notices to it, if known; `None` if the name is
+    /// its account's own.
     pub device: Option<(SignerId, Option<TopicId>)>,
 }
 
 impl Ledger {
-    /// Remembers a device's public key under its id.
+    /// Stores a device's public key under its id.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like.
@@ -44,10 +44,10 @@ impl Ledger {
         })
     }
 
-    /// The public key of a device, where it was ever met.
+    /// The public key of a device, if it is known.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn signer(&self, id: SignerId) -> Result<Option<PublicKey>, StoreError> {
         self.read(|connection| {
             let key = connection
@@ -58,10 +58,10 @@ impl Ledger {
         })
     }
 
-    /// Binds a name, in place of what it stood for.
+    /// Binds a name, replacing its previous binding.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then nothing changed.
+    /// [`StoreError::DiskFull`] and the like; then nothing changes.
     pub fn bind(&self, name: &ProfileName, binding: KeptBinding) -> Result<(), StoreError> {
         let name = name.to_string();
         self.write(move |session| {
@@ -80,11 +80,10 @@ impl Ledger {
         })
     }
 
-    /// Puts the same transport key of a name in place of what it was sealed as before; nothing where another one has
-    /// been bound meanwhile.
+    /// Replaces the sealed form of a name's transport key; does nothing if another key has been bound meanwhile.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then nothing changed.
+    /// [`StoreError::DiskFull`] and the like; then nothing changes.
     pub fn reseal_binding(&self, name: &str, before: Vec<u8>, after: Vec<u8>) -> Result<(), StoreError> {
         let name = name.to_owned();
         self.write(move |session| {
@@ -96,11 +95,11 @@ impl Ledger {
         })
     }
 
-    /// From now on a name of `account` is that of a device, whose notices are filed under `notices`; its transport key
-    /// stays. Returns whether there was such a name.
+    /// From now on a name of `account` belongs to a device, whose notices are filed under `notices`; its transport key
+    /// is unchanged. Returns whether there was such a name.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then nothing changed.
+    /// [`StoreError::DiskFull`] and the like; then nothing changes.
     pub fn bind_device(
         &self,
         name: &str,
@@ -118,10 +117,10 @@ impl Ledger {
         })
     }
 
-    /// What a name stands for.
+    /// The binding of a name.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn binding(&self, name: &ProfileName) -> Result<Option<KeptBinding>, StoreError> {
         self.read(|connection| {
             let binding = connection
@@ -145,10 +144,10 @@ impl Ledger {
         })
     }
 
-    /// Every name that is bound, with its account, by name.
+    /// Every bound name with its account, by name.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn bound_names(&self) -> Result<Vec<(String, Address)>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached("SELECT name, account FROM bindings ORDER BY name")?;
@@ -157,7 +156,7 @@ impl Ledger {
         })
     }
 
-    /// Remembers what a pseudonym (lower-case hex of a topic id, or of a type's filter id) stands for.
+    /// Stores the meaning of a pseudonym (lower-case hex of a topic id, or of a type's filter id).
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like.
@@ -171,10 +170,10 @@ impl Ledger {
         })
     }
 
-    /// Every name that a topic of an owner ever went by here: captured, learned or given; nothing proves them.
+    /// Every name that a topic of an owner ever had here: captured, learnt or given; none of them is proven.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn topic_names(&self, owner: Address, topic: TopicId) -> Result<Vec<String>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
@@ -189,7 +188,7 @@ impl Ledger {
     /// Whether a record has this id among its filters.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn has_filter(&self, digest: Digest, filter: FilterId) -> Result<bool, StoreError> {
         self.read(|connection| {
             let found = connection
@@ -202,10 +201,10 @@ impl Ledger {
         })
     }
 
-    /// One record of each stream of an owner whose topic or type is known by its pseudonym only.
+    /// One record of each of an owner's streams whose topic or type is known only by its pseudonym.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn unnamed(&self, owner: Address) -> Result<Vec<Digest>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
@@ -222,12 +221,11 @@ impl Ledger {
         })
     }
 
-    /// Takes in where a stored record was anchored by another ledger: its place in the batch, and the block that
-    /// the chain has of the root. From then on it stands as if it had been anchored from here. Returns whether
-    /// anything changed.
+    /// Notes where a stored record was anchored by another ledger: its place in the batch, and the block of the root
+    /// on the chain. From then on it counts as if anchored from here. Returns whether anything changed.
     ///
     /// # Errors
-    /// [`StoreError::NotReady`] where the record is not stored here, [`StoreError::DiskFull`] and the like.
+    /// [`StoreError::NotReady`] if the record is not in state stored here, [`StoreError::DiskFull`] and the like.
     pub fn take_in(&self, digest: Digest, inclusion: Inclusion, anchor: RootSighting) -> Result<bool, StoreError> {
         self.write(move |session| {
             let connection = session.connection;

@@ -1,5 +1,5 @@
-//! Nonce lanes as the ledger knows them: what is open, what shares a nonce, and one signed
-//! transaction in place of another with all that it carries.
+//! Nonce lanes as the ledger knows them: open transactions, those that share a nonce, and replacing one signed
+//! transaction with another along with everything it carries.
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 
@@ -9,10 +9,10 @@ use super::{Ledger, database::whole};
 use crate::model::{Address, Hash, Timestamp};
 use crate::store::{StoreError, TransactionOutcome};
 
-/// How much of a lane is open.
+/// The open part of a lane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct LaneCount {
-    /// Transactions that are in no block yet.
+    /// Transactions in no block yet.
     pub open: u64,
     /// The highest nonce among them.
     pub highest: Option<u64>,
@@ -27,13 +27,13 @@ pub struct OpenTransaction {
     pub hash: Hash,
     /// Its nonce.
     pub nonce: u64,
-    /// What it is for.
+    /// Its purpose.
     pub purpose: String,
-    /// Whether records go back where it fails; else it is a call of its own, to be signed again.
+    /// Whether its records go back if it fails; otherwise it is a call of its own, to be signed again.
     pub anchors: bool,
 }
 
-/// The same call as an open transaction's, signed again.
+/// An open transaction's call, signed again.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Reissue {
     /// The new hash.
@@ -45,10 +45,10 @@ pub struct Reissue {
 }
 
 impl Ledger {
-    /// How many transactions of an account are open, read off an index.
+    /// How many transactions of an account are open, read from an index.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn lane_count(&self, account: Address) -> Result<LaneCount, StoreError> {
         self.read(|connection| {
             let sql = "SELECT count(*), max(nonce), min(signed_at) FROM transactions WHERE state = 0 AND account = ?1";
@@ -60,11 +60,11 @@ impl Ledger {
         })
     }
 
-    /// What the newest `most` anchoring transactions of an account in blocks cost: how many they are, their gas, and
-    /// the records that they anchored. Read off an index, whatever the number of transactions.
+    /// The cost of an account's newest `most` anchoring transactions in blocks: their number, their gas, and the
+    /// records they anchored. Read from an index, whatever the number of transactions.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn anchoring_gas(&self, account: Address, most: u64) -> Result<(u64, u64, u64), StoreError> {
         let most = whole("transactions", most)?;
         self.read(|connection| {
@@ -84,7 +84,7 @@ impl Ledger {
     /// The open transactions of an account by nonce, without their bytes.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn open_lane(&self, account: Address) -> Result<Vec<OpenTransaction>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
@@ -103,10 +103,10 @@ impl Ledger {
         })
     }
 
-    /// The signed bytes of a transaction; `None` where the ledger does not hold it.
+    /// The signed bytes of a transaction; `None` if the ledger does not hold it.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn raw_transaction(&self, hash: Hash) -> Result<Option<Vec<u8>>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached("SELECT raw FROM transactions WHERE hash = ?1")?;
@@ -114,10 +114,10 @@ impl Ledger {
         })
     }
 
-    /// Hash and bytes of every transaction ever signed here with this nonce, whatever became of it, newest first.
+    /// Hash and bytes of every transaction ever signed here with this nonce, whatever its outcome, newest first.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn of_nonce(&self, account: Address, nonce: u64) -> Result<Vec<(Hash, Vec<u8>)>, StoreError> {
         let nonce = whole("nonce", nonce)?;
         self.read(|connection| {
@@ -132,18 +132,19 @@ impl Ledger {
     /// [`Ledger::close_transaction`] for several, in one commit.
     ///
     /// # Errors
-    /// As [`Ledger::close_transaction`]: then none is closed.
+    /// See [`Ledger::close_transaction`]; then none is closed.
     pub fn close_transactions(&self, closings: Vec<(Hash, TransactionOutcome)>) -> Result<(), StoreError> {
         self.write_many(closings.len(), move |session| {
             closings.into_iter().try_for_each(|(hash, outcome)| close(session.connection, hash, outcome))
         })
     }
 
-    /// Puts the same call, signed again, in place of an open transaction, in one commit: purpose, age and
-    /// everything that it anchors go over to the new one. The new one may be one that was replaced before.
+    /// Replaces an open transaction with the same call, signed again, in one commit: purpose, age and everything it
+    /// anchors pass to the new one. The new one may be one that was replaced before.
     ///
     /// # Errors
-    /// [`StoreError::Transaction`] where the old one is not open, or the new one is the old one or closed by the chain.
+    /// [`StoreError::Transaction`] if the old one is not open, or the new one is the old one or was closed by the
+    /// chain.
     pub fn reissue(&self, old: Hash, new: Reissue) -> Result<(), StoreError> {
         let nonce = whole("nonce", new.nonce)?;
         self.write(move |session| {
@@ -165,11 +166,11 @@ impl Ledger {
         })
     }
 
-    /// The chain decided for `winner`, which makes the same call with the same nonce as the open `loser`: what the
-    /// loser carries goes over to the winner, which then ends with `outcome`.
+    /// The chain chose `winner`, which makes the same call with the same nonce as the open `loser`: what the loser
+    /// carries passes to the winner, which then ends with `outcome`.
     ///
     /// # Errors
-    /// [`StoreError::Transaction`] where the ledger does not hold the winner.
+    /// [`StoreError::Transaction`] if the ledger does not hold the winner.
     pub fn decide_nonce(&self, loser: Hash, winner: Hash, outcome: TransactionOutcome) -> Result<(), StoreError> {
         self.write(move |session| {
             let connection = session.connection;
@@ -207,7 +208,7 @@ fn hand_over(connection: &Connection, from: Hash, to: Hash) -> Result<(), StoreE
     Ok(())
 }
 
-/// Marks a transaction as replaced by another one, without giving its records back.
+/// Marks a transaction as replaced by another one, without returning its records.
 fn supersede(connection: &Connection, old: Hash, new: Hash) -> Result<(), StoreError> {
     connection
         .prepare_cached("UPDATE transactions SET state = 3, replaced_by = ?2 WHERE hash = ?1")?

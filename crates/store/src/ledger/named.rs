@@ -1,4 +1,4 @@
-//! Finding one record: by its digest, or by the beginning of it.
+//! Finding one record by its digest or a prefix of it.
 
 use rusqlite::{OptionalExtension as _, params};
 
@@ -11,7 +11,7 @@ impl Ledger {
     /// The record with this digest.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn record(&self, digest: Digest) -> Result<Option<RecordRow>, StoreError> {
         self.read(|connection| {
             let stream = connection
@@ -31,7 +31,7 @@ impl Ledger {
     /// The record whose digest begins with `id` (4 to 64 hex characters).
     ///
     /// # Errors
-    /// [`StoreError::Id`] where `id` is none, [`StoreError::Ambiguous`] where several records match.
+    /// [`StoreError::Id`] if `id` is malformed, [`StoreError::Ambiguous`] if several records match.
     pub fn record_by_id(&self, id: &str) -> Result<Option<RecordRow>, StoreError> {
         let (low, high) = bounds(id).ok_or_else(|| StoreError::Id(clean(id, 70)))?;
         self.read(|connection| {
@@ -50,7 +50,7 @@ impl Ledger {
     }
 }
 
-/// The fewest characters by which a record may be named.
+/// The fewest characters that may name a record.
 const SHORTEST_ID: usize = 4;
 
 /// The lowest and highest digest that begin with `id`.

@@ -13,11 +13,11 @@ use crate::store::StoreError;
 pub struct PinRow {
     /// The topic.
     pub topic: String,
-    /// Who may publish it.
+    /// The publisher.
     pub publisher: Publisher,
-    /// `first` (seen first), or `operator`.
+    /// `first` (first seen), or `operator`.
     pub source: String,
-    /// Since when.
+    /// When it was pinned.
     pub at: Timestamp,
 }
 
@@ -26,21 +26,21 @@ pub struct PinRow {
 pub struct AlarmRow {
     /// The topic.
     pub topic: String,
-    /// Whom it is about: a publisher as pins write it, or a URI. Of a peer's making: clean it.
+    /// Its publisher, written as in pins, or a URI. Untrusted text: clean it.
     pub publisher: String,
-    /// The word of the doubt.
+    /// The name of the doubt.
     pub reason: String,
     /// When it was raised.
     pub at: Timestamp,
-    /// Whether the operator has not decided since.
+    /// Whether the operator has yet to decide.
     pub open: bool,
 }
 
 impl Ledger {
-    /// Pins publishers of a topic; one that is pinned already stays as it is. Alarms about them are forgotten.
+    /// Pins publishers of a topic; those already pinned are unchanged. Alarms about them are deleted.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then none is pinned.
+    /// [`StoreError::DiskFull`] and the like; then none is pinned.
     pub fn pin(
         &self,
         owner: Address,
@@ -57,10 +57,10 @@ impl Ledger {
         })
     }
 
-    /// Takes away every pin of a caller id on a topic; returns how many there were.
+    /// Removes every pin of a caller id on a topic; returns how many there were.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then none is taken away.
+    /// [`StoreError::DiskFull`] and the like; then none is removed.
     pub fn unpin(&self, owner: Address, topic: &str, caller_id: &str) -> Result<u64, StoreError> {
         let (topic, caller_id) = (topic.to_owned(), caller_id.to_owned());
         self.write(move |session| {
@@ -69,10 +69,10 @@ impl Ledger {
         })
     }
 
-    /// Takes away one pin on a topic, and leaves others of its caller id; returns how many there were.
+    /// Removes one pin on a topic, leaving others of its caller id; returns how many there were.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then it is not taken away.
+    /// [`StoreError::DiskFull`] and the like; then it is not removed.
     pub fn unpin_one(&self, owner: Address, topic: &str, publisher: &Publisher) -> Result<u64, StoreError> {
         let (topic, publisher) = (topic.to_owned(), publisher.clone());
         self.write(move |session| {
@@ -87,7 +87,7 @@ impl Ledger {
     /// The pins of an owner, of one topic or of all.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn pins(&self, owner: Address, topic: Option<&str>) -> Result<Vec<PinRow>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
@@ -102,7 +102,7 @@ impl Ledger {
     /// Whether a topic ever had pins.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn was_pinned(&self, owner: Address, topic: &str) -> Result<bool, StoreError> {
         self.read(|connection| {
             let mut statement =
@@ -111,7 +111,7 @@ impl Ledger {
         })
     }
 
-    /// Raises an alarm; `false` where the same publisher's alarm on this topic is open already.
+    /// Raises an alarm; `false` if the same publisher already has an open alarm on this topic.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like.
@@ -134,7 +134,7 @@ impl Ledger {
         })
     }
 
-    /// The operator has decided about a topic: its alarms are closed, not forgotten. Returns how many were open.
+    /// The operator has decided about a topic: its alarms are closed but kept. Returns how many were open.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like.
@@ -146,10 +146,10 @@ impl Ledger {
         })
     }
 
-    /// The alarms of an owner, closed ones too, of one topic or of all.
+    /// The alarms of an owner, including closed ones, of one topic or of all.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn alarms(&self, owner: Address, topic: Option<&str>) -> Result<Vec<AlarmRow>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(

@@ -1,5 +1,5 @@
-//! Where a ledger lies: a copy of it that is opened elsewhere becomes one of its own, as a restored one does, so that
-//! no number is ever given twice.
+//! Where a ledger is stored: a copy opened elsewhere becomes a ledger of its own, like a restored one, so that no
+//! number is ever used twice.
 
 use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
@@ -8,17 +8,17 @@ use super::Ledger;
 use crate::model::clean;
 use crate::store::{StoreError, snapshot};
 
-/// The setting that says where the ledger lay when it was last opened.
+/// The setting that records where the ledger was last opened.
 pub(super) const PLACE: &str = "home:place";
-/// What tells machines apart (machine-id(5)).
+/// Identifies the machine (machine-id(5)).
 const MACHINE: &str = "/etc/machine-id";
 
 impl Ledger {
     /// Opens the ledger of a home, and says whether it is a copy: its file is another one than when it was last opened,
-    /// or on another machine. It then has a new recorder, and a note of how far the chain was known.
+    /// or it is on another machine. It then has a new recorder, and a note of how far the chain was known.
     ///
     /// # Errors
-    /// As [`Ledger::open`].
+    /// See [`Ledger::open`].
     pub fn open_in_place(path: &Path) -> Result<(Self, bool), StoreError> {
         let ledger = Self::open(path)?;
         let here = place(path)?;
@@ -38,7 +38,7 @@ impl Ledger {
     }
 }
 
-/// The machine and the file's number on its disk: a copy has another one.
+/// The machine and the file's inode: a copy has another one.
 fn place(path: &Path) -> Result<String, StoreError> {
     let about = std::fs::metadata(path).map_err(|error| StoreError::home(path, &error))?;
     let machine = std::fs::read_to_string(MACHINE).unwrap_or_default();

@@ -1,4 +1,5 @@
-//! What a robot holds of records that its gateway says are verified: the signed statement, and proofs that were checked.
+//! A robot's evidence for records that its gateway reports as verified: the signed statement, and proofs that were
+//! checked.
 
 use rusqlite::params;
 
@@ -7,24 +8,24 @@ use crate::model::{Digest, Signature, Timestamp};
 use crate::store::StoreError;
 use crate::store::database::whole;
 
-/// A gateway's signed word on how records stand.
+/// A gateway's signed statement of standings.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptStanding {
     /// Its time.
     pub time: Timestamp,
-    /// What was signed, without label and domain.
+    /// The signed bytes, without label and domain.
     pub statement: Vec<u8>,
-    /// By the gateway's identity key.
+    /// Signature by the gateway's identity key.
     pub signature: Signature,
-    /// Records that it says are verified, each with the proof of its anchor.
+    /// Records it reports as verified, each with the proof of its anchor.
     pub proofs: Vec<(Digest, Vec<u8>)>,
 }
 
 impl Ledger {
-    /// Keeps a statement with the proofs of the records that it is kept for; those that have one keep it.
+    /// Stores a statement with the proofs of its records; records that already have one keep it.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then nothing is kept.
+    /// [`StoreError::DiskFull`] and the like; then nothing is stored.
     pub fn keep_proven(&self, kept: KeptStanding) -> Result<(), StoreError> {
         self.write(move |session| {
             let (connection, time) = (session.connection, whole("time", kept.time.0)?);
@@ -42,10 +43,10 @@ impl Ledger {
         })
     }
 
-    /// Verified records that were proven before a moment and whose ciphertext is still here, oldest first.
+    /// Verified records that were proven before a given time and whose ciphertext is still here, oldest first.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn proven_before(&self, moment: Timestamp, limit: usize) -> Result<Vec<Digest>, StoreError> {
         let (moment, limit) = (whole("time", moment.0)?, i64::try_from(limit).unwrap_or(i64::MAX));
         self.read(|connection| {
@@ -59,7 +60,7 @@ impl Ledger {
         })
     }
 
-    /// The ciphertext of these was given up; statement and proof stay.
+    /// Notes that the ciphertext of these was deleted; statement and proof stay.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like.
@@ -76,10 +77,10 @@ impl Ledger {
         })
     }
 
-    /// The statement that says that a record is verified, with the proof of its anchor alone.
+    /// The statement that reports a record as verified, with only the proof of its anchor.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn proven(&self, digest: Digest) -> Result<Option<KeptStanding>, StoreError> {
         use rusqlite::OptionalExtension as _;
         self.read(|connection| {
@@ -97,10 +98,10 @@ impl Ledger {
         })
     }
 
-    /// How many verified records are here that no signed statement covers: their ciphertext is kept.
+    /// How many verified records here are not covered by a signed statement: their ciphertext is kept.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn unproven(&self) -> Result<u64, StoreError> {
         self.read(|connection| {
             let all: i64 = connection

@@ -1,4 +1,4 @@
-//! Records that are held back: acknowledged like others, counted in quarantine records, released or discarded.
+//! Quarantined records: acknowledged like others, counted in quarantine records, released or discarded.
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 use serde::{Deserialize, Serialize};
@@ -10,28 +10,28 @@ use super::{Ledger, NewRecord, database::whole};
 use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId};
 use crate::store::StoreError;
 
-/// Nanoseconds of a minute.
+/// Nanoseconds in a minute.
 const MINUTE: i64 = 60_000_000_000;
 
-/// Why a record is held back.
+/// Why a record is quarantined.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Hold {
-    /// The record, acknowledged along with this.
+    /// The record, acknowledged in the same commit.
     pub digest: Digest,
-    /// The word of the doubt.
+    /// The name of the doubt.
     pub reason: &'static str,
-    /// Who sent it, as pins write it.
+    /// Its sender, written as in pins.
     pub publisher: String,
 }
 
-/// A record that is or was held back.
+/// A record that is or was quarantined.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeldRow {
     /// The record.
     pub record: RecordRow,
-    /// The word of the doubt.
+    /// The name of the doubt.
     pub reason: String,
-    /// Who sent it, as pins write it; of a peer's making: clean it.
+    /// Its sender, written as in pins; untrusted text: clean it.
     pub publisher: String,
     /// The quarantine record that counts it.
     pub report: Option<Digest>,
@@ -39,7 +39,7 @@ pub struct HeldRow {
     pub decision: Option<String>,
 }
 
-/// What of one topic and minute no quarantine record counts yet.
+/// Records of one topic and minute that no quarantine record counts yet.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HeldMinute {
     /// Pseudonym of the topic.
@@ -52,25 +52,25 @@ pub struct HeldMinute {
     pub records: Vec<(u64, Digest)>,
 }
 
-/// Which held records.
+/// Which quarantined records to list.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct HeldQuery {
     /// Only of this topic.
     pub topic: Option<String>,
-    /// Also those that were decided about.
+    /// Including those already decided.
     pub decided: bool,
-    /// Captured messages alone, no definitions.
+    /// Only captured messages, no definitions.
     pub messages: bool,
-    /// At most so many.
+    /// At most this many.
     pub limit: usize,
 }
 
 impl Ledger {
-    /// As [`Ledger::append`], along with why some of the records are held back; all of it is durable when this
-    /// returns, or nothing is.
+    /// Like [`Ledger::append`], with the reasons why some of the records are quarantined; all of it is durable when
+    /// this returns, or nothing is.
     ///
     /// # Errors
-    /// As [`Ledger::append`]; [`StoreError::NotReady`] where a record to be held back is not quarantined.
+    /// See [`Ledger::append`]; [`StoreError::NotReady`] if a record given a reason is not in state quarantined.
     pub fn append_held(&self, records: Vec<NewRecord>, holds: Vec<Hold>) -> Result<(), StoreError> {
         self.write_many(records.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
@@ -79,10 +79,10 @@ impl Ledger {
         })
     }
 
-    /// Held records of an owner, oldest first.
+    /// Quarantined records of an owner, oldest first.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn held(&self, owner: Address, query: &HeldQuery) -> Result<Vec<HeldRow>, StoreError> {
         self.read(|connection| {
             let streams =
@@ -111,11 +111,11 @@ impl Ledger {
         })
     }
 
-    /// What a quarantine record is due for: the oldest (topic, minute) of an owner before minute `before` with
-    /// records that none counts, and all of those.
+    /// What the next quarantine record has to count: the oldest (topic, minute) of an owner before minute `before` with
+    /// uncounted records, and all of those.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn unreported(&self, owner: Address, before: u64) -> Result<Option<HeldMinute>, StoreError> {
         let before = i64::try_from(before).unwrap_or(i64::MAX);
         self.read(|connection| {
@@ -140,10 +140,10 @@ impl Ledger {
         })
     }
 
-    /// Acknowledges a quarantine record and notes that it counts these records, in one commit.
+    /// Acknowledges a quarantine record and notes the records it counts, in one commit.
     ///
     /// # Errors
-    /// As [`Ledger::append`]; [`StoreError::NotReady`] where one of the records is counted already.
+    /// See [`Ledger::append`]; [`StoreError::NotReady`] if one of the records is already counted.
     pub fn report(&self, report: NewRecord, counted: Vec<Digest>) -> Result<(), StoreError> {
         self.write_many(counted.len(), move |session| {
             let now = whole("time", Timestamp::now().0)?;
@@ -159,22 +159,21 @@ impl Ledger {
         })
     }
 
-    /// Lets quarantined records go on: to stored, or to sealed where their bytes are not in the vault yet. Returns
-    /// how many went.
+    /// Releases quarantined records: to stored, or to sealed if their bytes are not in the vault yet. Returns how many.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then none went.
+    /// [`StoreError::DiskFull`] and the like; then none is released.
     pub fn release(&self, digests: &[Digest]) -> Result<u64, StoreError> {
         const COPY: &str = "EXISTS (SELECT 1 FROM copies WHERE record = n)";
         let (copied, stored) = (COPY.to_owned(), format!("NOT {COPY}"));
         self.decide(digests, "released", vec![(RecordState::Sealed, copied), (RecordState::Stored, stored)])
     }
 
-    /// Gives quarantined records up: they are dropped, their local copies deleted; digests, signatures and reasons
-    /// stay. The vault's bytes are the caller's to delete. Returns how many were given up.
+    /// Discards quarantined records: they are dropped and their local copies deleted; digests, signatures and reasons
+    /// stay. The caller must delete the vault's bytes. Returns how many were discarded.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then none was.
+    /// [`StoreError::DiskFull`] and the like; then none is discarded.
     pub fn discard(&self, digests: &[Digest]) -> Result<u64, StoreError> {
         self.decide(digests, "discarded", vec![(RecordState::Dropped, "1".to_owned())])
     }
@@ -241,7 +240,7 @@ fn note(connection: &Connection, digest: Digest, decision: &str, now: i64) -> Re
 }
 
 impl HeldRow {
-    /// Whether it is a captured message, and no definition.
+    /// Whether it is a captured message rather than a definition.
     pub fn is_message(&self) -> bool {
         self.record.kind == RecordKind::Data
     }

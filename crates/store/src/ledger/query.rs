@@ -1,7 +1,7 @@
-//! Finding records page by page in the order of capture.
+//! Finding records page by page, in the order of capture.
 //!
-//! A page costs the same whatever the size of the ledger: the query picks streams (owner, topic, type,
-//! kind), each stream's records of each state are read in order off an index, and these lanes are merged.
+//! A page costs the same whatever the size of the ledger: the query picks streams (owner, topic, type, kind), each
+//! stream's records of each state are read in order from an index, and these lanes are merged.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap, HashMap, HashSet, VecDeque};
@@ -18,7 +18,7 @@ use crate::store::StoreError;
 
 const LARGEST_PAGE: usize = 10_000;
 
-/// What records to list. Everything that is set must hold.
+/// Which records to list. All conditions must hold.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct RecordQuery {
@@ -36,21 +36,21 @@ pub struct RecordQuery {
     /// Numbered by this recorder.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub recorder: Option<RecorderId>,
-    /// With one id of each of these among its own.
+    /// With one id of each of these choices.
     pub filters: Vec<FilterChoice>,
     /// Of this message type.
     pub type_name: Option<String>,
-    /// Each of these stands in the topic's name or in the type's, whatever its case.
+    /// Each of these occurs in the topic's name or in the type's, ignoring case.
     pub words: Vec<String>,
     /// Of this kind.
     pub kind: Option<RecordKind>,
     /// In this state.
     pub state: Option<RecordState>,
-    /// Captured then or later.
+    /// Captured at or after.
     pub since: Option<Timestamp>,
-    /// Captured before then.
+    /// Captured before.
     pub until: Option<Timestamp>,
-    /// Behind the page that gave this cursor as its `next`.
+    /// After the page whose `next` was this cursor.
     pub after: Option<String>,
     /// The most records on a page, 1 to 10,000; 100 unless set.
     pub limit: usize,
@@ -104,17 +104,17 @@ fn says(stream: &Stream, word: &str) -> bool {
 pub struct RecordPage {
     /// The records.
     pub rows: Vec<RecordRow>,
-    /// Where the next page begins; nothing where this is the last.
+    /// Cursor of the next page; none if this is the last.
     pub next: Option<String>,
 }
 
 impl Ledger {
-    /// A page of records, ordered by capture time (and order of acknowledgement within one time). Where no state is
-    /// asked for, the counters say which states a topic has records in; [`Ledger::contradictions`] holds them against
+    /// A page of records, ordered by capture time (and by acknowledgement within the same time). If no state is
+    /// requested, the counters say which states a topic has records in; [`Ledger::contradictions`] compares them with
     /// the records.
     ///
     /// # Errors
-    /// [`StoreError::Cursor`] where `after` is no cursor, [`StoreError::Database`] and its kin.
+    /// [`StoreError::Cursor`] if `after` is not a cursor, [`StoreError::Database`] and the like.
     pub fn list(&self, query: &RecordQuery) -> Result<RecordPage, StoreError> {
         let limit = query.limit.clamp(1, LARGEST_PAGE);
         let range = Range::of(query)?;
@@ -141,7 +141,7 @@ impl Ledger {
     /// The oldest records (by capture) in a state, of one owner or of all.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn in_state(
         &self,
         owner: Option<Address>,
@@ -153,7 +153,7 @@ impl Ledger {
     }
 }
 
-/// The streams among which those of a query are: never more than its owner has, or than have records in its state.
+/// The streams that may match a query: never more than its owner has, or than have records in its state.
 fn candidates(connection: &Connection, query: &RecordQuery) -> Result<Vec<Stream>, StoreError> {
     match (query.owner, &query.owners, query.state) {
         (Some(owner), ..) => rows::streams(connection, &Which::Of(owner)),
@@ -167,7 +167,7 @@ fn candidates(connection: &Connection, query: &RecordQuery) -> Result<Vec<Stream
             Ok(found)
         }
         (None, None, Some(state)) => {
-            // From stream to stream along the index of states; SQLite would read every entry for a DISTINCT.
+            // From stream to stream along the index of states; for a DISTINCT, SQLite would read every entry.
             let keys: Vec<i64> = connection
                 .prepare_cached(
                     "WITH RECURSIVE found (stream) AS (
@@ -199,7 +199,7 @@ fn fetch(connection: &Connection, keys: &[Key], streams: Vec<Stream>) -> Result<
     keys.iter().map(|key| Ok(statement.query_row([key.n], |row| rows::record(row, &by_key))?)).collect()
 }
 
-/// Where a record stands in the order of capture.
+/// A record's position in the order of capture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Key {
     pub captured_at: i64,
@@ -218,7 +218,7 @@ impl Key {
     }
 }
 
-/// Keys strictly between two, read in one direction.
+/// Keys strictly between two others, read in one direction.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Range {
     pub low: Key,
@@ -262,7 +262,7 @@ impl Range {
     }
 }
 
-/// The keys of one stream's records in one state, some of them read ahead.
+/// The keys of one stream's records in one state, some of them prefetched.
 struct Lane {
     stream: i64,
     state: u8,
@@ -273,7 +273,7 @@ struct Lane {
     exhausted: bool,
 }
 
-/// Leaves the streams that ever had records with an id of each of these choices.
+/// Keeps only the streams that ever had records with an id of each of these choices.
 fn narrow(connection: &Connection, streams: &mut Vec<&Stream>, choices: &[FilterChoice]) -> Result<(), StoreError> {
     let mut on_any = connection.prepare_cached("SELECT stream FROM filter_streams WHERE filter = ?1")?;
     let mut on_one =
@@ -297,7 +297,7 @@ fn narrow(connection: &Connection, streams: &mut Vec<&Stream>, choices: &[Filter
     Ok(())
 }
 
-/// The lanes (stream, state) that have records, or those in the state that is asked for.
+/// The lanes (stream, state) that have records, limited to the requested state if there is one.
 fn lanes(connection: &Connection, streams: &[i64], wanted: Option<RecordState>) -> Result<Vec<(i64, u8)>, StoreError> {
     if let Some(state) = wanted {
         return Ok(streams.iter().map(|stream| (*stream, state.code())).collect());
@@ -371,7 +371,7 @@ impl<'a> Merge<'a> {
         self.lanes.first().is_some_and(|lane| lane.range.newest_first)
     }
 
-    /// Puts a lane's next key into the heap, reading on where nothing is read ahead.
+    /// Puts a lane's next key into the heap, reading on if nothing is prefetched.
     fn offer(&mut self, index: usize) -> Result<(), StoreError> {
         let Some(lane) = self.lanes.get_mut(index) else { return Ok(()) };
         if lane.ahead.is_empty() && !lane.exhausted {
@@ -405,7 +405,7 @@ impl Lane {
     }
 }
 
-/// Turns the order around; its own inverse.
+/// Reverses the order; its own inverse.
 fn flip(key: Key) -> Key {
     Key { captured_at: !key.captured_at, n: !key.n }
 }

@@ -1,5 +1,5 @@
-//! Pages over many streams at once, read off the index of capture times: where most records are wanted, a few rows
-//! tell as much as a look into each of thousands of streams. Where few are, `query` merges the streams instead.
+//! Pages over many streams at once, read from the index of capture times: when most records match, a few rows tell as
+//! much as a look into each of thousands of streams. When few match, `query` merges the streams instead.
 
 use std::collections::HashSet;
 
@@ -8,13 +8,13 @@ use rusqlite::{Connection, params};
 use super::query::{Key, Range};
 use crate::store::StoreError;
 
-/// Below so many streams a merge is as quick.
+/// With fewer streams than this, a merge is as fast.
 pub(super) const MANY: usize = 24;
-/// Rows looked at for each row wanted, at most.
+/// The most rows examined for each row wanted.
 const PATIENCE: usize = 8;
 
-/// The first `wanted` keys of these streams within a range; nothing where the streams are few, or their records so
-/// rare that the rows looked at did not hold enough of them.
+/// The first `wanted` keys of these streams within a range; nothing if the streams are few, or their records so rare
+/// that the rows examined did not contain enough of them.
 pub(super) fn keys(
     connection: &Connection,
     streams: &[i64],

@@ -1,4 +1,4 @@
-//! Records whose ciphertext is given up: named in a retention record first, deleted when that is anchored. Digest,
+//! Records whose ciphertext is deleted: named in a retention record first, deleted once that is anchored. Digest,
 //! signature, place in the batch and public header stay.
 
 use rusqlite::{Connection, OptionalExtension as _, params};
@@ -9,25 +9,25 @@ use super::{Ledger, NewRecord, database::whole};
 use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId};
 use crate::store::StoreError;
 
-/// A topic that retention looks at.
+/// A topic considered for retention.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KeptTopic {
-    /// Names it in this ledger.
+    /// Its key in this ledger.
     pub key: i64,
     /// Its pseudonym.
     pub topic_id: TopicId,
     /// Its name.
     pub name: String,
-    /// Bytes of the messages whose ciphertext is there.
+    /// Bytes of the messages whose ciphertext is still there.
     pub bytes: u64,
 }
 
-/// A record that could be given up.
+/// A record whose ciphertext could be deleted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct OldRecord {
     /// SM3 of its stored bytes.
     pub digest: Digest,
-    /// Its number.
+    /// Its sequence number.
     pub seq: u64,
     /// Length of its message.
     pub bytes: u64,
@@ -35,12 +35,12 @@ pub struct OldRecord {
     pub captured_at: Timestamp,
 }
 
-/// What is known of a record that retention has given up.
+/// What is known of a record deleted by retention.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Retained {
     /// The retention record that names it.
     pub report: Digest,
-    /// Whether that stands confirmed on the chain: without it a missing ciphertext is an alarm.
+    /// Whether that is confirmed on the chain: without it a missing ciphertext is an alarm.
     pub anchored: bool,
     /// The public header of its stored bytes.
     pub header: Vec<u8>,
@@ -52,7 +52,7 @@ impl Ledger {
     /// The topics that an owner records and anchors here.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn kept_topics(&self, owner: Address) -> Result<Vec<KeptTopic>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
@@ -74,10 +74,11 @@ impl Ledger {
         })
     }
 
-    /// The oldest verified messages of a topic that are not given up, captured from `since` on and before `until`.
+    /// The oldest verified messages of a topic not yet deleted by retention, captured from `since` on and before
+    /// `until`.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn oldest(
         &self,
         topic: &KeptTopic,
@@ -113,10 +114,10 @@ impl Ledger {
         })
     }
 
-    /// Acknowledges a retention record and notes the records that it names, with their public headers, in one commit.
+    /// Acknowledges a retention record and notes the records it names, with their public headers, in one commit.
     ///
     /// # Errors
-    /// As [`Ledger::append`]; [`StoreError::NotReady`] where one of them is no longer verified, or named already.
+    /// See [`Ledger::append`]; [`StoreError::NotReady`] if one of them is no longer verified, or already named.
     pub fn give_up(
         &self,
         topic: &KeptTopic,
@@ -146,7 +147,7 @@ impl Ledger {
     /// incident holds.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn to_delete(&self, owner: Address, limit: usize) -> Result<Vec<Digest>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
@@ -188,10 +189,10 @@ impl Ledger {
         })
     }
 
-    /// Whether retention has given a record up, and what stays of it.
+    /// Whether retention has deleted a record, and what is left of it.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn retained(&self, digest: Digest) -> Result<Option<Retained>, StoreError> {
         self.read(|connection| {
             let found = connection
@@ -212,10 +213,10 @@ impl Ledger {
         })
     }
 
-    /// How many messages of an owner retention has given up.
+    /// How many messages of an owner retention has deleted.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn given_up(&self, owner: Address) -> Result<u64, StoreError> {
         self.read(|connection| {
             let sql =
@@ -224,7 +225,7 @@ impl Ledger {
         })
     }
 
-    /// Deletes local copies of records that were verified and captured before a moment; returns how many.
+    /// Deletes local copies of records that were verified and captured before a given time; returns how many.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like.

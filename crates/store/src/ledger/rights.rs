@@ -1,5 +1,5 @@
-//! Records whose signer may not sign for its owner now wait here, and anchors that do not count are passed over. Who has
-//! which right the ledger does not know: it is told.
+//! Records whose signer may not sign for its owner wait here, and anchors that do not count are ignored. The ledger
+//! does not know who has which right; its callers do.
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 
@@ -11,31 +11,31 @@ use crate::chain::merkle::Leaf;
 use crate::model::{Address, Digest, RecordState, RecorderId, SignerId, TopicId};
 use crate::store::StoreError;
 
-/// Records moved in one commit at most.
+/// The most records moved in one commit.
 const MOST: usize = 8192;
 
-/// Who signed records of which some are still to be anchored by an account.
+/// A signer with records still to be anchored by an account.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WaitingSigner {
-    /// For whom.
+    /// The owner it signed for.
     pub owner: Address,
     /// The key's id.
     pub signer: SignerId,
-    /// Some of them wait for the right.
+    /// Some of them are waiting for the right.
     pub held: bool,
-    /// Some of them would be anchored now.
+    /// Some of them are ready to be anchored.
     pub ready: bool,
 }
 
-/// The streams of one signer of one owner that an account anchors.
+/// The streams of one signer and owner that an account anchors.
 const STREAMS: &str = "SELECT s.key FROM streams s JOIN topics t ON t.key = s.topic
      WHERE coalesce(t.keeper, t.owner) = ?1 AND t.owner = ?2 AND s.signer = ?3";
 
 impl Ledger {
-    /// Who signed the records that `keeper` anchors and that are stored, in a closed batch, or wait for a right.
+    /// The signers of the records that `keeper` anchors and that are stored, in a closed batch, or waiting for a right.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn waiting_signers(&self, keeper: Address) -> Result<Vec<WaitingSigner>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
@@ -54,12 +54,12 @@ impl Ledger {
         })
     }
 
-    /// The right of a signer has ended: its records that no transaction anchors wait. Batches that nobody sent yet fall
-    /// apart where one of them is in, and what else was in them is stored again. Returns how many records wait now that
-    /// did not before; 0 where all do.
+    /// A signer's right has ended: those of its records that no transaction anchors now wait. Unsent batches that
+    /// contain one of them are dissolved, and their other records are stored again. Returns how many records began to
+    /// wait; 0 once all do.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then none is moved.
+    /// [`StoreError::DiskFull`] and the like; then none is moved.
     pub fn hold_signer(&self, keeper: Address, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
         self.write_many(MOST, move |session| {
             for batch in unsent_batches(session.connection, keeper, owner, signer)? {
@@ -69,22 +69,22 @@ impl Ledger {
         })
     }
 
-    /// The right of a signer is back: its records are stored, and anchored as all others. Returns how many did so; 0
-    /// where none waits any more.
+    /// A signer's right is back: its records are stored, and anchored like all others. Returns how many; 0 once none
+    /// waits any more.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then none is moved.
+    /// [`StoreError::DiskFull`] and the like; then none is moved.
     pub fn free_signer(&self, keeper: Address, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
         self.write_many(MOST, move |session| {
             shift(session.connection, (keeper, owner, signer), RecordState::RightEnded, RecordState::Stored)
         })
     }
 
-    /// The blocks of these confirmed records do not count, for their signers had no right in them: they leave their
-    /// batches and are stored, to be anchored anew. Returns how many were confirmed.
+    /// The blocks of these confirmed records do not count, because their signers had no right at that time: they leave
+    /// their batches and are stored, to be anchored again. Returns how many were confirmed.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then none is moved.
+    /// [`StoreError::DiskFull`] and the like; then none is moved.
     pub fn pass_over(&self, digests: &[Digest]) -> Result<u64, StoreError> {
         let digests = digests.to_vec();
         self.write_many(digests.len(), move |session| {
@@ -92,11 +92,11 @@ impl Ledger {
         })
     }
 
-    /// Whether the chain has this record in a block that does not count; it is not uploaded by itself again, which the
-    /// contract takes once.
+    /// Whether the chain has this record in a block that does not count; it is not uploaded individually again, because
+    /// the contract accepts that only once.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn was_passed_over(&self, digest: Digest) -> Result<bool, StoreError> {
         self.read(|connection| {
             let sql = "SELECT 1 FROM passed_over JOIN records ON n = record WHERE digest = ?1";
@@ -104,10 +104,10 @@ impl Ledger {
         })
     }
 
-    /// Stored records that an account anchors and whose blocks were passed over, as leaves.
+    /// Stored records that an account anchors and whose blocks were ignored, as leaves.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn passed_over_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
@@ -145,7 +145,7 @@ fn shift(
     Ok(count(connection.prepare_cached(&sql)?.execute(values)?))
 }
 
-/// Closed batches that nobody sent and that records of a signer are in.
+/// Closed, unsent batches that contain records of a signer.
 fn unsent_batches(
     connection: &Connection,
     keeper: Address,
@@ -163,7 +163,7 @@ fn unsent_batches(
     Ok(found.collect::<Result<_, _>>()?)
 }
 
-/// A batch that nobody sent is none any more; its root stays known as this ledger's.
+/// An unsent batch is dissolved; its root stays known as this ledger's.
 fn dissolve(connection: &Connection, batch: i64) -> Result<(), StoreError> {
     let [batched, stored] = [RecordState::Batched, RecordState::Stored];
     if !may(By::Right, batched, stored) {
@@ -204,7 +204,7 @@ fn pass_over_one(connection: &Connection, digest: Digest) -> Result<u64, StoreEr
     Ok(1)
 }
 
-/// A batch that all its records left is closed over the same ones again: it waits anew, as if nobody had ever sent it.
+/// A batch that all its records left is closed over the same ones again: it waits, as if it had never been sent.
 pub(super) fn begin_again(connection: &Connection, batch: i64) -> Result<bool, StoreError> {
     let in_use = connection.prepare_cached("SELECT 1 FROM leaves WHERE batch = ?1")?.exists([batch])?;
     if in_use {

@@ -1,4 +1,4 @@
-//! What goes into the ledger and what comes out of it, one record at a time.
+//! The input and output of the ledger, one record at a time.
 
 use std::collections::HashMap;
 
@@ -18,12 +18,12 @@ use crate::store::StoreError;
 /// Characters of a record id: the first 16 hex characters of its digest.
 const ID_LENGTH: usize = 16;
 
-/// Where a record comes from that was not captured here.
+/// The origin of a record that was not captured here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Foreign {
-    /// The ledger that its number counts in.
+    /// The recorder that its number belongs to.
     pub recorder: RecorderId,
-    /// The account that anchors it in its owner's place.
+    /// The account that anchors it instead of its owner.
     pub keeper: Address,
 }
 
@@ -32,42 +32,42 @@ pub struct Foreign {
 pub struct NewRecord {
     /// SM3 of the stored bytes.
     pub digest: Digest,
-    /// Whose it is.
+    /// The owner.
     pub owner: Address,
     /// Pseudonym of its topic.
     pub topic_id: TopicId,
     /// Number within (recorder, topic), from 1.
     pub seq: u64,
-    /// `None` where this ledger recorded it and its owner anchors it.
+    /// `None` if this ledger recorded it and its owner anchors it.
     pub foreign: Option<Foreign>,
-    /// The epoch that it is sealed under.
+    /// The epoch it is sealed under.
     pub epoch: u64,
-    /// What it is.
+    /// The kind of record.
     pub kind: RecordKind,
-    /// Who signed it.
+    /// The signer.
     pub signer: SignerId,
     /// The raw signature, r || s.
     pub signature: Signature,
-    /// Ids of type and tags, as its header has them.
+    /// Ids of type and tags, as in its header.
     pub filters: Vec<FilterId>,
-    /// Topic name, in clear: the ledger never leaves the machine. Empty where only the owner knows it.
+    /// Topic name, in clear: the ledger never leaves the machine. Empty if only the owner knows it.
     pub topic: String,
-    /// Message type, `package/Type`; the hex of its filter id where only the owner knows it.
+    /// Message type, `package/Type`; the hex of its filter id if only the owner knows it.
     pub type_name: String,
-    /// Length of the plaintext, bytes; of what it was packed into before it was sealed where only the owner knows more.
+    /// Length of the plaintext, bytes; of the packed message if only the owner knows more.
     pub bytes: u64,
     /// When it was captured.
     pub captured_at: Timestamp,
-    /// Whether a simulated robot sent it, as far as that is known here.
+    /// Whether a simulated robot sent it, as far as known here.
     pub simulated: bool,
     /// [`RecordState::Sealed`], [`RecordState::Stored`] or [`RecordState::Quarantined`].
     pub state: RecordState,
-    /// The stored bytes, where the vault does not hold them durably yet.
+    /// The stored bytes, if they are not durable in the vault yet.
     pub local_copy: Option<Vec<u8>>,
 }
 
 impl NewRecord {
-    /// A record of this ledger as it was sealed, with its bytes; what its head says is not known yet.
+    /// A record of this ledger as sealed, with its bytes; the content of its head is not known yet.
     pub fn sealed(sealed: SealedRecord) -> Self {
         let SealedRecord { header, blob, digest, signature } = sealed;
         Self {
@@ -92,13 +92,13 @@ impl NewRecord {
         }
     }
 
-    /// As [`Self::sealed`], of a record that another ledger numbered; `keeper` anchors it.
+    /// Like [`Self::sealed`], for a record that another ledger numbered; `keeper` anchors it.
     pub fn foreign(sealed: SealedRecord, keeper: Address) -> Self {
         let foreign = Some(Foreign { recorder: sealed.header.recorder, keeper });
         Self { foreign, ..Self::sealed(sealed) }
     }
 
-    /// With what its head says, for who sealed or opened it.
+    /// Adds the content of its head, for callers that sealed or opened it.
     pub fn named(self, head: &Head) -> Self {
         let (topic, type_name) = (head.topic.clone(), head.type_name.clone());
         Self { topic, type_name, bytes: head.plain_length, simulated: head.is_simulated(), ..self }
@@ -112,19 +112,19 @@ pub struct RecordRow {
     pub id: String,
     /// SM3 of the stored bytes.
     pub digest: Digest,
-    /// Whose it is.
+    /// The owner.
     pub owner: Address,
-    /// The ledger file's life that `seq` counts in.
+    /// The recorder that `seq` belongs to.
     pub recorder: RecorderId,
     /// Pseudonym of its topic.
     pub topic_id: TopicId,
     /// Number within (recorder, topic), from 1.
     pub seq: u64,
-    /// The epoch that it is sealed under.
+    /// The epoch it is sealed under.
     pub epoch: u64,
-    /// What it is.
+    /// The kind of record.
     pub kind: RecordKind,
-    /// Who signed it.
+    /// The signer.
     pub signer: SignerId,
     /// The raw signature, r || s.
     pub signature: Signature,
@@ -133,19 +133,19 @@ pub struct RecordRow {
     /// Message type, `package/Type`.
     #[serde(rename = "type")]
     pub type_name: String,
-    /// Length of the plaintext, bytes; of what it was packed into where this site cannot open it.
+    /// Length of the plaintext, bytes; of the packed message if this site cannot open it.
     pub bytes: u64,
     /// When it was captured.
     pub captured_at: Timestamp,
-    /// When it was fsynced here.
+    /// When it was written to disk here.
     pub acknowledged_at: Timestamp,
     /// Whether a simulated robot sent it.
     pub simulated: bool,
-    /// Where it stands.
+    /// Its state.
     pub state: RecordState,
     /// The transaction that anchors it: sent, or seen in a block.
     pub transaction: Option<Hash>,
-    /// The block that it was seen in.
+    /// The block it was seen in.
     pub block: Option<u64>,
     /// That block's hash.
     pub block_hash: Option<Hash>,
@@ -167,7 +167,7 @@ pub(super) struct Stream {
     pub signer: SignerId,
 }
 
-/// What stands before the pseudonym of a topic whose name is not known here; no ROS name begins so.
+/// Prefix of the pseudonym of a topic whose name is not known here; no ROS name begins like this.
 const UNNAMED: &str = "id:";
 
 const STREAMS: &str = "SELECT s.key, t.owner, r.id, t.topic_id,
@@ -177,9 +177,9 @@ const STREAMS: &str = "SELECT s.key, t.owner, r.id, t.topic_id,
     LEFT JOIN names topic_name ON topic_name.owner = t.owner AND topic_name.id = lower(hex(t.topic_id))
     LEFT JOIN names type_name ON type_name.owner = t.owner AND type_name.id = s.type_name";
 
-/// Which streams are meant.
+/// A selection of streams.
 pub(super) enum Which {
-    /// All; there are as many as topics, types and signers, not as records.
+    /// All; as many as there are combinations of topic, type and signer, not records.
     All,
     /// One owner's.
     Of(Address),
@@ -187,7 +187,7 @@ pub(super) enum Which {
     Key(i64),
 }
 
-/// The streams that are meant.
+/// The selected streams.
 pub(super) fn streams(connection: &Connection, which: &Which) -> Result<Vec<Stream>, StoreError> {
     let (condition, value): (&str, Option<Value>) = match which {
         Which::All => ("", None),
@@ -210,7 +210,7 @@ pub(super) fn streams(connection: &Connection, which: &Which) -> Result<Vec<Stre
     Ok(rows.collect::<Result<_, _>>()?)
 }
 
-/// The streams with these keys, by key: a lookup of a few records costs the same however many streams there are.
+/// The streams with these keys, by key: looking up a few records costs the same however many streams there are.
 pub(super) fn keyed_streams(
     connection: &Connection,
     keys: impl IntoIterator<Item = i64>,
@@ -225,17 +225,17 @@ pub(super) fn keyed_streams(
 }
 
 impl RecordRow {
-    /// Whether its topic's name is known here; else the pseudonym stands in its place.
+    /// Whether its topic's name is known here; otherwise the pseudonym takes its place.
     pub fn is_named(&self) -> bool {
         !self.topic.starts_with(UNNAMED)
     }
 
-    /// What stands in the place of a topic's name where that is not known.
+    /// The placeholder for a topic's name that is not known.
     pub fn unnamed(topic: TopicId) -> String {
         format!("{UNNAMED}{topic}")
     }
 
-    /// What its batch binds.
+    /// The fields that its batch binds.
     pub fn leaf(&self) -> Leaf {
         let Self { owner, recorder, topic_id, seq, digest, .. } = *self;
         Leaf { owner, recorder, topic_id, seq, digest }

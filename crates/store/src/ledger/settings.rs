@@ -1,4 +1,4 @@
-//! Small durable state: key-value settings, and the positions of whoever walks the chain.
+//! Small durable state: key-value settings, and the positions of those who walk the chain.
 
 use rusqlite::{OptionalExtension as _, params};
 
@@ -7,10 +7,10 @@ use crate::model::Hash;
 use crate::store::StoreError;
 
 impl Ledger {
-    /// Keeps a value under a key, in place of the one before.
+    /// Stores a value under a key, replacing the previous one.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: the value before is then still there.
+    /// [`StoreError::DiskFull`] and the like; the previous value is then unchanged.
     pub fn put_setting(&self, key: &str, value: &str) -> Result<(), StoreError> {
         let (key, value) = (key.to_owned(), value.to_owned());
         self.write(move |session| {
@@ -22,7 +22,7 @@ impl Ledger {
     /// The value under a key.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn setting(&self, key: &str) -> Result<Option<String>, StoreError> {
         self.read(|connection| {
             let value = connection
@@ -33,10 +33,10 @@ impl Ledger {
         })
     }
 
-    /// The last block (number and hash) that the walker `name` is done with.
+    /// The last block (number and hash) that the walker `name` has finished.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn cursor(&self, name: &str) -> Result<Option<(u64, Hash)>, StoreError> {
         self.read(|connection| {
             let cursor = connection
@@ -47,10 +47,10 @@ impl Ledger {
         })
     }
 
-    /// Keeps the last block that the walker `name` is done with.
+    /// Stores the last block that the walker `name` has finished.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: the position before is then still there.
+    /// [`StoreError::DiskFull`] and the like; the previous position is then unchanged.
     pub fn set_cursor(&self, name: &str, block: u64, hash: Hash) -> Result<(), StoreError> {
         let (name, block) = (name.to_owned(), whole("block", block)?);
         self.write(move |session| {

@@ -1,4 +1,4 @@
-//! What the watcher saw on the chain: anchors in blocks, depth, blocks that are gone, events.
+//! What the watcher saw on the chain: anchors in blocks, depth, replaced blocks, events.
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 use serde::{Deserialize, Serialize};
@@ -13,7 +13,7 @@ use crate::store::StoreError;
 /// An anchor found in a block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sighting {
-    /// Whose record it is, as the chain says.
+    /// The record's owner, as the chain says.
     pub owner: Address,
     /// The anchored digest.
     pub digest: Digest,
@@ -25,7 +25,7 @@ pub struct Sighting {
     pub block_hash: Hash,
 }
 
-/// An event of the contract that is kept for later readers.
+/// An event of the contract, kept for later readers.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KeptEvent {
     /// Its block's number.
@@ -48,13 +48,12 @@ struct Standing {
 }
 
 impl Ledger {
-    /// Takes in anchors found on the chain: whatever a pending record's state was, it is mined now, with
-    /// this transaction and block. A mined record moves to the block seen last; a tampered one only notes
-    /// its block. Digests of other ledgers are passed over. Returns how many records changed; seeing the
-    /// same again changes none.
+    /// Takes in anchors found on the chain: whatever a pending record's state was, it is now mined, with this
+    /// transaction and block. A mined record moves to the block seen last; a tampered one only notes its block. Digests
+    /// of other ledgers are skipped. Returns how many records changed; seeing the same again changes none.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then none is taken in.
+    /// [`StoreError::DiskFull`] and the like; then nothing is recorded.
     pub fn mined(&self, sightings: &[Sighting]) -> Result<u64, StoreError> {
         let sightings = sightings.to_vec();
         self.write_many(sightings.len(), move |session| {
@@ -62,10 +61,10 @@ impl Ledger {
         })
     }
 
-    /// Mined records in blocks up to this one are confirmed; returns when each was captured, in no order.
+    /// Mined records in blocks up to this one are now confirmed; returns when each was captured, unordered.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then none is.
+    /// [`StoreError::DiskFull`] and the like; then none is.
     pub fn confirm(&self, up_to_block: u64) -> Result<Vec<Timestamp>, StoreError> {
         let block = whole("block", up_to_block)?;
         self.write(move |session| {
@@ -79,17 +78,17 @@ impl Ledger {
         })
     }
 
-    /// Blocks from this one on are gone: their mined and confirmed records lose their block. Where the
-    /// record's own transaction was signed here, it counts as open again and the record as submitted, so
-    /// that the sender sends the same bytes again; else the record is stored, or batched, and will be anchored anew.
-    /// Returns how many records moved.
+    /// Blocks from this one on are gone: their mined and confirmed records lose their block. If the record's own
+    /// transaction was signed here, it counts as open again and the record as submitted, so that the sender sends the
+    /// same bytes again; otherwise the record is stored, or batched, and will be anchored again. Returns how many
+    /// records moved.
     ///
-    /// Verified records stay: a block deeper than the confirmations asked for is gone only where the
-    /// chain is broken, and that is the operator's decision. [`Ledger::verified_from`] counts them and
-    /// [`Ledger::unverify`] moves them the same way.
+    /// Verified records stay: a block deeper than the required confirmations disappears only if the chain is broken,
+    /// and that is for the operator to decide. [`Ledger::verified_from`] counts them and [`Ledger::unverify`] moves
+    /// them the same way.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then none moves.
+    /// [`StoreError::DiskFull`] and the like; then none moves.
     pub fn unmine(&self, from_block: u64) -> Result<u64, StoreError> {
         self.take_back(from_block, &[RecordState::Mined, RecordState::Confirmed])
     }
@@ -97,7 +96,7 @@ impl Ledger {
     /// Like [`Ledger::unmine`], for verified records.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then none moves.
+    /// [`StoreError::DiskFull`] and the like; then none moves.
     pub fn unverify(&self, from_block: u64) -> Result<u64, StoreError> {
         self.take_back(from_block, &[RecordState::Verified])
     }
@@ -105,7 +104,7 @@ impl Ledger {
     /// How many verified records are anchored in this block or later.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn verified_from(&self, block: u64) -> Result<u64, StoreError> {
         let block = whole("block", block)?;
         self.read(|connection| {
@@ -138,10 +137,10 @@ impl Ledger {
         })
     }
 
-    /// Keeps events of the contract; one seen again replaces itself.
+    /// Stores events of the contract; one seen again replaces itself.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then none is kept.
+    /// [`StoreError::DiskFull`] and the like; then none is stored.
     pub fn keep_events(&self, events: &[KeptEvent]) -> Result<(), StoreError> {
         let events = events.to_vec();
         self.write_many(events.len(), move |session| {
@@ -154,10 +153,10 @@ impl Ledger {
         })
     }
 
-    /// Kept events of one name from a block on, in the order of the chain.
+    /// Stored events of one name from a block on, in the chain's order.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn kept_events(&self, name: &str, from_block: u64) -> Result<Vec<KeptEvent>, StoreError> {
         let from = whole("block", from_block)?;
         self.read(|connection| {
@@ -207,7 +206,7 @@ fn standing(connection: &Connection, sighting: &Sighting) -> Result<Option<Stand
     Ok(found)
 }
 
-/// Takes the block from the records of one state. Each goes to what still stands for it: its own open
+/// Removes the block from the records of one state. Each goes to the best that is left for it: its own open
 /// transaction, its batch's place on the chain, its batch's open transaction, another open upload of it.
 fn unplace(connection: &Connection, from: RecordState, block: i64) -> Result<u64, StoreError> {
     const OPEN: &str = "EXISTS (SELECT 1 FROM transactions WHERE hash = records.tx AND transactions.state = 0)";

@@ -1,4 +1,4 @@
-//! The ledger's tests: single behaviours here, random operations in `model`, random queries in `pages`.
+//! The ledger's tests: individual behaviours here, random operations in `model`, random queries in `pages`.
 
 mod adoption;
 mod ages;
@@ -392,7 +392,7 @@ fn held_copies_are_paged_for_a_vault_that_came_back_empty() {
     assert_eq!(ledger.local_copy(all[2].digest), Ok(None));
 }
 
-/// What a crash leaves: the files as they are while the writer is in the middle of a transaction.
+/// The state after a crash: the files as they are while the writer is in the middle of a transaction.
 fn copy_files(from: &Path, to: &Path) {
     for suffix in ["", "-wal"] {
         let name = format!("ledger.db{suffix}");

@@ -1,4 +1,4 @@
-//! The blocks that the watcher has seen, so that after a reorg it finds where the old and the new chain part.
+//! The blocks that the watcher has seen, so that after a reorg it finds where the old and the new chain diverge.
 
 use rusqlite::{OptionalExtension as _, params};
 
@@ -6,16 +6,16 @@ use super::{Ledger, database::whole, rows::unsigned};
 use crate::model::Hash;
 use crate::store::StoreError;
 
-/// Blocks below the newest whose every entry is kept.
+/// Below the newest block, how many blocks have every entry kept.
 const DENSE: u64 = 1024;
-/// Below those one entry is kept for so many blocks.
+/// Below those, one entry is kept for this many blocks.
 const SPARSE: u64 = 256;
 
 impl Ledger {
-    /// Moves the walker `name` to a block, and keeps this and other blocks met on the way, in one commit.
+    /// Moves the walker `name` to a block, and stores this and other blocks met on the way, in one commit.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then nothing moves.
+    /// [`StoreError::DiskFull`] and the like; then nothing moves.
     pub fn walk_to(&self, name: &str, to: (u64, Hash), met: Vec<(u64, Hash)>) -> Result<(), StoreError> {
         let name = name.to_owned();
         let block = whole("block", to.0)?;
@@ -44,7 +44,7 @@ impl Ledger {
     /// The blocks kept, oldest first.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn trail(&self) -> Result<Vec<(u64, Hash)>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached("SELECT block, hash FROM trail ORDER BY block")?;
@@ -56,7 +56,7 @@ impl Ledger {
     /// The newest block kept.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn trail_end(&self) -> Result<Option<(u64, Hash)>, StoreError> {
         self.read(|connection| {
             let sql = "SELECT block, hash FROM trail ORDER BY block DESC LIMIT 1";
@@ -65,10 +65,10 @@ impl Ledger {
         })
     }
 
-    /// Puts the walker `name` back to `to` where it is further, and forgets the blocks behind `to`, in one commit.
+    /// Moves the walker `name` back to `to` if it is further, and deletes the blocks after `to`, in one commit.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then nothing moves.
+    /// [`StoreError::DiskFull`] and the like; then nothing moves.
     pub fn walk_back(&self, name: &str, to: (u64, Hash)) -> Result<(), StoreError> {
         let name = name.to_owned();
         let block = whole("block", to.0)?;

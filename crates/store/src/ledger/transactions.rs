@@ -1,4 +1,4 @@
-//! The sender's transactions: signed bytes are kept before they are sent, with the records they anchor.
+//! The sender's transactions: signed bytes are stored before they are sent, with the records they anchor.
 
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
 use serde::{Deserialize, Serialize};
@@ -14,19 +14,19 @@ use crate::store::StoreError;
 pub struct NewTransaction {
     /// Its hash.
     pub hash: Hash,
-    /// Who signed it.
+    /// The signing account.
     pub account: Address,
-    /// The account's nonce in it.
+    /// Its nonce.
     pub nonce: u64,
     /// The signed bytes, as sent.
     pub raw: Vec<u8>,
-    /// What it is for, in a word: `anchor`, `grant`, ….
+    /// Its purpose, in a word: `anchor`, `grant`, ….
     pub purpose: String,
     /// The records that it anchors.
     pub anchors: Anchors,
 }
 
-/// Where a transaction stands.
+/// The state of a transaction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TransactionState {
@@ -51,7 +51,7 @@ impl TransactionState {
 /// How a transaction ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum TransactionOutcome {
-    /// In a block, successful. Its records wait for the watcher, who sees their anchors there.
+    /// In a block, successful. Its records wait for the watcher, which will find their anchors there.
     Mined {
         /// The block's number.
         block: u64,
@@ -62,7 +62,7 @@ pub enum TransactionOutcome {
     },
     /// In a block, failed; its records are stored again.
     Reverted {
-        /// What the contract said.
+        /// The contract's reason.
         reason: String,
     },
     /// Another one took its nonce; its records are stored again.
@@ -74,19 +74,19 @@ pub enum TransactionOutcome {
 pub struct TransactionRow {
     /// Its hash.
     pub hash: Hash,
-    /// Who signed it.
+    /// The signing account.
     pub account: Address,
-    /// The account's nonce in it.
+    /// Its nonce.
     pub nonce: u64,
     /// The signed bytes.
     pub raw: Vec<u8>,
-    /// What it is for.
+    /// Its purpose.
     pub purpose: String,
     /// The records that it anchors.
     pub anchors: Anchors,
-    /// When it was kept here.
+    /// When it was stored here.
     pub signed_at: Timestamp,
-    /// Where it stands.
+    /// Its state.
     pub state: TransactionState,
     /// The block it was mined in.
     pub block: Option<u64>,
@@ -94,7 +94,7 @@ pub struct TransactionRow {
     pub gas_used: Option<u64>,
     /// Why it failed.
     pub reason: Option<String>,
-    /// What took its nonce, where that was signed here.
+    /// The transaction that took its nonce, if it was signed here.
     pub replaced_by: Option<Hash>,
 }
 
@@ -102,12 +102,12 @@ const COLUMNS: &str =
     "hash, account, nonce, raw, purpose, digests, signed_at, state, block, gas_used, reason, replaced_by, batch";
 
 impl Ledger {
-    /// Keeps a signed transaction and moves its records (stored ones, or those of its batch) to submitted, in one
-    /// commit. Keeping the same open transaction again changes nothing.
+    /// Stores a signed transaction and moves its records (stored ones, or those of its batch) to submitted, in one
+    /// commit. Storing the same open transaction again changes nothing.
     ///
     /// # Errors
-    /// [`StoreError::NotReady`] where a record is not stored or batched, [`StoreError::Transaction`] where
-    /// another open transaction has this nonce or this one is closed: then nothing is kept.
+    /// [`StoreError::NotReady`] if a record is not stored or batched, [`StoreError::Transaction`] if another open
+    /// transaction has this nonce or this one is closed; then nothing is written.
     pub fn submit(&self, transaction: NewTransaction) -> Result<(), StoreError> {
         self.submit_many(vec![transaction])
     }
@@ -115,17 +115,17 @@ impl Ledger {
     /// [`Ledger::submit`] for several, all or none.
     ///
     /// # Errors
-    /// As [`Ledger::submit`].
+    /// See [`Ledger::submit`].
     pub fn submit_many(&self, transactions: Vec<NewTransaction>) -> Result<(), StoreError> {
         self.write_many(transactions.len(), move |session| {
             transactions.iter().try_for_each(|new| keep(session.connection, new))
         })
     }
 
-    /// The transactions of an account that are in no block yet, by nonce.
+    /// The transactions of an account in no block yet, by nonce.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn open_transactions(&self, account: Address) -> Result<Vec<TransactionRow>, StoreError> {
         self.read(|connection| {
             let sql = format!("SELECT {COLUMNS} FROM transactions WHERE state = 0 AND account = ?1 ORDER BY nonce");
@@ -138,7 +138,7 @@ impl Ledger {
     /// The transaction with this hash.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn transaction(&self, hash: Hash) -> Result<Option<TransactionRow>, StoreError> {
         self.read(|connection| {
             let sql = format!("SELECT {COLUMNS} FROM transactions WHERE hash = ?1");
@@ -146,21 +146,21 @@ impl Ledger {
         })
     }
 
-    /// Notes how a transaction ended. Where it failed or was replaced, its submitted records are stored
-    /// (or batched) again; where it was mined they wait for the watcher ([`Ledger::mined`]).
+    /// Records how a transaction ended. If it failed or was replaced, its submitted records are stored (or batched)
+    /// again; if it was mined they wait for the watcher ([`Ledger::mined`]).
     ///
     /// # Errors
-    /// [`StoreError::Transaction`] where the ledger does not hold it.
+    /// [`StoreError::Transaction`] if the ledger does not hold it.
     pub fn close_transaction(&self, hash: Hash, outcome: TransactionOutcome) -> Result<(), StoreError> {
         self.write(move |session| close(session.connection, hash, outcome))
     }
 
-    /// Puts a transaction in place of an open one with the same account and nonce, in one commit: records
-    /// that the new one anchors too stay submitted (under it), the others are stored again.
+    /// Replaces an open transaction with another of the same account and nonce, in one commit: records that the new one
+    /// also anchors stay submitted (under it), the others are stored again.
     ///
     /// # Errors
-    /// [`StoreError::Transaction`] where the old one is not open or the nonce differs,
-    /// [`StoreError::NotReady`] as in [`Ledger::submit`].
+    /// [`StoreError::Transaction`] if the old one is not open or the nonce differs, [`StoreError::NotReady`] as in
+    /// [`Ledger::submit`].
     pub fn replace_transaction(&self, old: Hash, new: NewTransaction) -> Result<(), StoreError> {
         self.write(move |session| {
             let connection = session.connection;
@@ -239,7 +239,7 @@ fn mark(connection: &Connection, digest: Digest, hash: Hash) -> Result<(), Store
         .prepare_cached("SELECT state FROM records WHERE digest = ?1")?
         .query_row([digest.0], |row| rows::state(row, 0))
         .optional()?;
-    // A batched record is anchored with its batch, never by itself.
+    // A batched record is anchored with its batch, never individually.
     let ready = |state| state != RecordState::Batched && may(By::Submit, state, RecordState::Submitted);
     if !found.is_some_and(ready) {
         return Err(StoreError::NotReady { digest, found: found.map_or("unknown", RecordState::word) });

@@ -1,4 +1,4 @@
-//! What an owner takes up in this ledger: streams and bytes, off the counters; a gateway holds it against its quotas.
+//! What an owner uses in this ledger: streams and bytes, from the counters; a gateway compares it with its quotas.
 
 use rusqlite::params;
 
@@ -6,20 +6,20 @@ use super::Ledger;
 use crate::model::{Address, RecordKind, RecorderId, SignerId, TopicId};
 use crate::store::StoreError;
 
-/// What an owner takes up.
+/// An owner's usage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct OwnerUsage {
-    /// Bytes of plaintext of all its records, those included whose ciphertext was deleted.
+    /// Bytes of plaintext of all its records, including those whose ciphertext was deleted.
     pub bytes: u64,
     /// Streams: combinations of recorder, topic, kind, type and signer.
     pub streams: u64,
 }
 
 impl Ledger {
-    /// What an owner takes up here. Costs as much as it has streams.
+    /// An owner's usage here. The cost is proportional to its streams.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn owner_usage(&self, owner: Address) -> Result<OwnerUsage, StoreError> {
         self.read(|connection| {
             let usage = connection
@@ -36,10 +36,10 @@ impl Ledger {
         })
     }
 
-    /// Whether an owner has such a stream already.
+    /// Whether an owner already has such a stream.
     ///
     /// # Errors
-    /// [`StoreError::Database`] and its kin.
+    /// [`StoreError::Database`] and the like.
     pub fn has_stream(
         &self,
         owner: Address,

@@ -1,8 +1,7 @@
-//! The one writing thread: takes all waiting work (up to a bound), does it in one transaction, fsyncs
-//! once, then answers everybody. A failing piece of work leaves its neighbours alone: the first of a
-//! transaction is alone in it so far, the others have savepoints. Work on very many records begins a
-//! transaction: inside of a savepoint SQLite copies every page that changes, and walks all copies so far
-//! after every statement.
+//! The only writer thread: takes all waiting work (up to a limit), does it in one transaction, fsyncs once, then
+//! answers everyone. A failing piece of work does not affect the others: the first in a transaction is alone in it so
+//! far, the others have savepoints. Work on a great many records starts a transaction: inside a savepoint SQLite copies
+//! every page that changes, and walks all copies so far after every statement.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -19,10 +18,10 @@ use crate::store::database::{self, Checkpoints};
 
 /// The most pieces of work in one transaction.
 const GROUP: usize = 256;
-/// Work on more records than this begins a transaction; a further fsync is nothing beside it.
+/// Work on more records than this starts a new transaction; another fsync is negligible then.
 pub(super) const MANY: usize = 1_000;
 
-/// What a piece of work gets: the connection inside the open transaction, and the keys of known names.
+/// The context of a piece of work: the connection inside the open transaction, and the keys of known names.
 pub(crate) struct Session<'a> {
     /// Inside a transaction; never commit or roll back here.
     pub connection: &'a Connection,
@@ -31,11 +30,11 @@ pub(crate) struct Session<'a> {
 }
 
 trait Job: Send {
-    /// Whether it begins a transaction.
+    /// Whether it starts a new transaction.
     fn is_large(&self) -> bool;
-    /// Does the work; whether it may stay.
+    /// Does the work; returns whether it may stay.
     fn run(&mut self, session: &mut Session<'_>) -> bool;
-    /// Tells the caller, who waits.
+    /// Answers the waiting caller.
     fn answer(self: Box<Self>, committed: Result<(), StoreError>);
 }
 
@@ -53,7 +52,7 @@ impl<T: Send, F: FnOnce(&mut Session<'_>) -> Result<T, StoreError> + Send> Job f
 
     fn run(&mut self, session: &mut Session<'_>) -> bool {
         if let Some(work) = self.work.take() {
-            // Stands where the work panics.
+            // The result if the work panics.
             self.outcome = Err(failed_job());
             self.outcome = work(session);
         }
@@ -76,14 +75,15 @@ enum Message {
     Leave,
 }
 
-/// The handle of the writing thread. Dropping it ends the thread without marking the file as closed.
+/// The handle of the writer thread. Dropping it ends the thread without marking the file as closed.
 pub(super) struct Writer {
     messages: Sender<Message>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
 impl Writer {
-    /// Starts the thread that owns `connection` from now on; `closed` says whether the file is marked as cleanly closed.
+    /// Starts the thread that owns `connection` from now on; `closed` says whether the file is marked as cleanly
+    /// closed.
     pub(super) fn start(connection: Connection, path: &Path, closed: bool) -> Result<Self, StoreError> {
         let (messages, inbox) = mpsc::channel();
         let thread = thread::Builder::new()
@@ -97,7 +97,7 @@ impl Writer {
         Ok(Self { messages, thread: Mutex::new(Some(thread)) })
     }
 
-    /// Waits until `work`, which changes so many records, is done and durable.
+    /// Waits until `work`, which changes this many records, is done and durable.
     pub(super) fn write<T: Send + 'static>(
         &self,
         records: usize,
@@ -106,7 +106,7 @@ impl Writer {
         self.ask(records, work)?.recv().map_err(|_| StoreError::Closed)?
     }
 
-    /// Puts work into the queue; the answer comes when it is durable.
+    /// Queues work; the answer comes when it is durable.
     pub(super) fn ask<T: Send + 'static>(
         &self,
         records: usize,
@@ -130,7 +130,7 @@ impl Writer {
     fn join(&self) {
         let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(thread) = thread {
-            // A panic in there was answered with `Closed` already.
+            // A panic there was already answered with `Closed`.
             let _ = thread.join();
         }
     }
@@ -144,7 +144,7 @@ impl Drop for Writer {
     }
 }
 
-/// Whether the file says that it was cleanly closed: until the first change it does.
+/// Whether the file says that it was cleanly closed, which it does until the first change.
 struct Mark {
     closed: bool,
     /// Changes that the connection had made before.
@@ -170,7 +170,7 @@ fn serve(connection: Connection, mut checkpoints: Checkpoints, mut mark: Mark, i
         checkpoints.adjust(&connection);
         commit(&connection, &mut names, &mut mark, group);
         if !connection.is_autocommit() {
-            // What could not be taken back must never be committed; closing the file takes it back.
+            // What could not be rolled back must never be committed; closing the file rolls it back.
             return;
         }
         match last {
@@ -184,7 +184,7 @@ fn serve(connection: Connection, mut checkpoints: Checkpoints, mut mark: Mark, i
     }
 }
 
-/// Collects what waits; returns the message that ends the thread, if one came.
+/// Collects waiting work; returns the message that ends the thread, if one came.
 fn gather(first: Message, inbox: &Receiver<Message>, group: &mut Vec<Box<dyn Job>>) -> Option<Message> {
     let mut next = Some(first);
     while let Some(message) = next {
@@ -211,7 +211,7 @@ fn commit(connection: &Connection, names: &mut Names, mark: &mut Mark, group: Ve
             Ok(false) => job.answer(Err(StoreError::Closed)),
             Err(error) => {
                 job.answer(Err(error));
-                // Its half may be in there still.
+                // A half-done piece may still be in there.
                 if !connection.is_autocommit() && run(connection, "ROLLBACK").is_err() {
                     answer_all(&mut done, &lost_group());
                     return;
@@ -236,11 +236,11 @@ fn settle(connection: &Connection, names: &mut Names, mark: &mut Mark, done: &mu
     answer_all(done, &result);
 }
 
-/// Whether the job did its work; an error means that it could not be tried, kept or taken back.
+/// Whether the job did its work; an error means that it could not be tried, kept or rolled back.
 fn attempt(connection: &Connection, names: &mut Names, job: &mut dyn Job) -> Result<bool, StoreError> {
     let is_first = connection.is_autocommit();
     run(connection, if is_first { "BEGIN IMMEDIATE" } else { "SAVEPOINT job" })?;
-    // A fault of one piece of work must end neither this thread nor its neighbours' work.
+    // A fault in one piece of work must end neither this thread nor the others' work.
     let done = catch_unwind(AssertUnwindSafe(|| job.run(&mut Session { connection, names })));
     if matches!(done, Ok(true)) {
         if !is_first {

@@ -20,7 +20,7 @@ pub struct EmbeddedVault {
 }
 
 impl EmbeddedVault {
-    /// Opens the file, or makes it.
+    /// Opens the file, or creates it.
     ///
     /// # Errors
     /// [`StoreError::Home`], [`StoreError::Mode`], [`StoreError::Corrupt`], [`StoreError::Newer`].
@@ -98,7 +98,7 @@ impl Vault for EmbeddedVault {
             let front = |digest: &Digest| {
                 let found = statement.query_row([digest.0], |row| row.get(0)).optional()?;
                 let Some(n) = found else { return Ok(None) };
-                // Opened as a blob: the pages of a long one are not all read.
+                // Opened as a blob, so that not all pages of a long one are read.
                 let blob = page.blob_open("main", "blobs", "bytes", n, true)?;
                 let mut bytes = vec![0; length.min(blob.len())];
                 blob.read_at_exact(&mut bytes, 0)?;

@@ -1,26 +1,27 @@
-//! How a vault is set up, and what of it would lose records: told at the start, and by whoever examines a home.
+//! A vault's configuration, and which parts of it could lose records: reported at the start, and when a home is
+//! examined.
 
 use super::redis::RedisVault;
 use crate::model::clean;
 use crate::store::StoreError;
 
-/// How bad a finding is.
+/// The severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Gravity {
-    /// The vault is used; records can be lost from it, and are put back from their local copies.
+    /// The vault is used; it can lose records, which are restored from their local copies.
     Warning,
-    /// The vault is refused: it would throw records away while it runs.
+    /// The vault is refused: it would evict records while it runs.
     Refused,
 }
 
 /// One thing that is not as it should be.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finding {
-    /// How bad it is.
+    /// Its severity.
     pub gravity: Gravity,
-    /// The server, secrets taken out.
+    /// The server, without secrets.
     pub server: String,
-    /// What was found, as a sentence without the server's name in front: "keeps no append-only file …".
+    /// The finding, as a sentence without the server's name in front: "keeps no append-only file …".
     pub text: String,
     /// What to do about it.
     pub advice: String,
@@ -33,7 +34,7 @@ impl Finding {
     }
 }
 
-/// Looks at the vault at `url` as it is set up now; the embedded one has nothing to find.
+/// Examines the present configuration of the vault at `url`; the embedded one has no findings.
 ///
 /// # Errors
 /// [`StoreError::VaultUrl`], [`StoreError::Unreachable`], [`StoreError::VaultRefused`].
@@ -41,7 +42,7 @@ pub fn examine(url: Option<&str>) -> Result<Vec<Finding>, StoreError> {
     url.map_or_else(|| Ok(Vec::new()), RedisVault::examine)
 }
 
-/// What one server says of itself; `None` where it does not say.
+/// What one server reports about itself; `None` if it does not say.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) struct Setup {
     /// `maxmemory-policy`.
@@ -50,12 +51,12 @@ pub(super) struct Setup {
     pub appends: Option<String>,
     /// `appendfsync`.
     pub syncs: Option<String>,
-    /// `cluster-require-full-coverage`, in a cluster alone.
+    /// `cluster-require-full-coverage`, in a cluster only.
     pub coverage: Option<String>,
 }
 
 impl Setup {
-    /// What is wrong with it.
+    /// Its problems.
     pub(super) fn findings(&self, server: &str) -> Vec<Finding> {
         let found = |gravity, text: &str, advice: &str| Finding {
             gravity,

@@ -1,5 +1,5 @@
-//! The vault on Redis: a cache and sharing point, never the truth. One server, the master that sentinels name, or a
-//! cluster. Keys are digests, so that the nodes of a cluster share the records evenly.
+//! The vault on Redis: a cache and sharing point, never the authoritative copy. One server, the master named by
+//! sentinels, or a cluster. Keys are digests, so the nodes of a cluster share the records evenly.
 
 mod address;
 mod cluster;
@@ -19,7 +19,7 @@ use super::{Stored, Usage, Vault};
 use crate::model::Digest;
 use crate::store::StoreError;
 
-/// The most bytes sent in one pipeline; a larger record goes alone.
+/// The most bytes sent in one pipeline; a larger record is sent alone.
 const LARGEST_PIPELINE: usize = 8 << 20;
 const PREFIX: &str = "authros:";
 const KEYS_PER_SCAN: usize = 500;
@@ -39,7 +39,7 @@ enum Servers {
 /// Entries for one node of a cluster.
 type Group<'a> = (Arc<Member>, Vec<(Digest, &'a [u8])>);
 
-/// One server, for what is done on each.
+/// One server, for operations on each.
 enum Server {
     One,
     Of(Arc<Member>),
@@ -52,8 +52,8 @@ impl RedisVault {
     /// `redis+cluster://[USER:PASSWORD@]HOST:PORT,HOST:PORT`.
     ///
     /// # Errors
-    /// [`StoreError::VaultUrl`], [`StoreError::Unreachable`], [`StoreError::VaultRefused`], and
-    /// [`StoreError::Policy`] where a server may throw keys away.
+    /// [`StoreError::VaultUrl`], [`StoreError::Unreachable`], [`StoreError::VaultRefused`], and [`StoreError::Policy`]
+    /// if a server may evict keys.
     pub fn open(url: &str) -> Result<Self, StoreError> {
         let address = Address::parse(url)?;
         let shown = address.shown.clone();
@@ -68,10 +68,10 @@ impl RedisVault {
         Ok(Self { shown, servers })
     }
 
-    /// What is wrong with how the servers at a URL are set up.
+    /// Problems with the configuration of the servers at a URL.
     ///
     /// # Errors
-    /// As [`Self::open`], but for [`StoreError::Policy`], which is among the findings.
+    /// See [`Self::open`], except for [`StoreError::Policy`], which is among the findings.
     pub(super) fn examine(url: &str) -> Result<Vec<Finding>, StoreError> {
         match Self::open(url) {
             Ok(vault) => Ok(vault.findings()),
@@ -89,7 +89,7 @@ impl RedisVault {
         }
     }
 
-    /// Does idempotent `work` where a record lies.
+    /// Does idempotent `work` on the server that holds a record.
     fn with<T>(&self, digest: Digest, work: impl Fn(&mut Connection) -> RedisResult<T>) -> Result<T, StoreError> {
         match &self.servers {
             Servers::One(node) => node.with(work).map_err(|failure| failure.error),
@@ -115,7 +115,7 @@ impl RedisVault {
         }
     }
 
-    /// Puts entries in that lie on one server; in how many pieces, their sizes tell.
+    /// Stores entries that belong to one server; their sizes decide the number of pieces.
     fn put_there(&self, server: &Server, entries: &[(Digest, &[u8])]) -> Result<(), Failure> {
         let mut rest = entries;
         while !rest.is_empty() {
@@ -132,7 +132,7 @@ impl RedisVault {
         Ok(())
     }
 
-    /// Each node takes its own; what slots have moved to is put there one by one.
+    /// Each node takes its own; entries whose slots have moved are stored one by one.
     fn put_apart(&self, cluster: &Cluster, entries: &[(Digest, &[u8])]) -> Stored {
         let mut stored = Stored::default();
         let mut groups: BTreeMap<usize, Group<'_>> = BTreeMap::new();
@@ -172,7 +172,7 @@ impl RedisVault {
         }
     }
 
-    /// Walks all records; `each` gets keys a few hundred at a time.
+    /// Walks all records; `each` receives a few hundred keys at a time.
     fn scan(&self, mut each: impl FnMut(&Server, Vec<String>) -> Result<(), StoreError>) -> Result<(), StoreError> {
         for server in self.servers() {
             let mut cursor = 0;
@@ -260,7 +260,7 @@ impl Vault for RedisVault {
 
     fn fronts(&self, digests: &[Digest], length: usize) -> Result<Vec<Option<Vec<u8>>>, StoreError> {
         let last = length.saturating_sub(1);
-        // Nothing under a key is an empty text here.
+        // A missing key is an empty text here.
         let some = |bytes: Vec<u8>| (!bytes.is_empty()).then_some(bytes);
         if !self.is_one() {
             let front = |digest: &Digest| {
@@ -357,8 +357,8 @@ impl Vault for RedisVault {
     }
 }
 
-/// What a node of a cluster holds now, as [`Node::run`] names it. One that does not answer counts as it was, until it
-/// does; one that may throw records away is told.
+/// The present contents of a cluster's node, as in [`Node::run`]. One that does not answer counts as unchanged until it
+/// does; one that may evict records is reported.
 fn run_of(cluster: &Cluster, member: &Member) -> Result<String, StoreError> {
     let found = match (member.rests(), cluster.mark_of(member)) {
         (None, Some(mark)) => match member.node.run(&mark) {
@@ -375,7 +375,7 @@ fn key(digest: Digest) -> String {
     format!("{PREFIX}{digest}")
 }
 
-/// How many of the entries fit one pipeline; at least one.
+/// How many of the entries fit into one pipeline; at least one.
 fn pipeline_length(entries: &[(Digest, &[u8])]) -> usize {
     let mut bytes = 0;
     let fitting = entries.iter().take_while(|(_, blob)| {

@@ -1,4 +1,5 @@
-//! The vault's tests: what both kinds must do, then what is Redis's own. A real server is started where there is one.
+//! The vault's tests: what both kinds must do, then what is specific to Redis. Starts a real server if one is
+//! installed.
 
 mod server;
 

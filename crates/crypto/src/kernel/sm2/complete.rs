@@ -1,5 +1,5 @@
 //! Points in homogeneous coordinates with the complete formulas of Renes, Costello and Batina (2015/1060, for a = -3):
-//! they hold for all points, so that nothing branches on a secret.
+//! they hold for all points, so nothing branches on a secret.
 
 use zeroize::Zeroize;
 
@@ -25,7 +25,7 @@ impl Zeroize for Point {
 impl Point {
     pub const INFINITY: Self = Self { x: Element::ZERO, y: Element::ONE, z: Element::ZERO };
 
-    /// `a` where all bits of `mask` are set, `b` where none is.
+    /// `a` if all bits of `mask` are set, `b` if none is.
     #[inline(always)]
     pub fn select(mask: u64, a: &Self, b: &Self) -> Self {
         Self {
@@ -64,7 +64,7 @@ impl Point {
         Self::combined(xx, yy, zz, xy, yz, xz)
     }
 
-    /// What both sums end with: from x1 x2, y1 y2, z1 z2, x1 y2 + x2 y1, y1 z2 + y2 z1 and x1 z2 + x2 z1.
+    /// The end of both sums: from x1 x2, y1 y2, z1 z2, x1 y2 + x2 y1, y1 z2 + y2 z1 and x1 z2 + x2 z1.
     #[inline(always)]
     fn combined(xx: Element, yy: Element, zz: Element, xy: Element, yz: Element, xz: Element) -> Self {
         let first = (xz - B * zz).triple();
@@ -77,7 +77,7 @@ impl Point {
     }
 }
 
-/// Both points by themselves, with one inversion. Neither may be infinity.
+/// Both points in affine coordinates, with one inversion. Neither may be infinity.
 pub(super) fn normalized(one: &Point, other: &Point) -> [Affine; 2] {
     let inverse = (one.z * other.z).invert();
     let by_itself = |point: &Point, inverse: Element| Affine { x: point.x * inverse, y: point.y * inverse };
@@ -85,7 +85,7 @@ pub(super) fn normalized(one: &Point, other: &Point) -> [Affine; 2] {
 }
 
 impl Point {
-    /// The point by itself; (0, 0) for infinity.
+    /// The point in affine coordinates; (0, 0) for infinity.
     pub fn normalized(&self) -> Affine {
         let inverse = self.z.invert();
         Affine { x: self.x * inverse, y: self.y * inverse }

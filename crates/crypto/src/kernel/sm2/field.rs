@@ -1,5 +1,5 @@
-//! The field of the SM2 prime p = 2^256 - 2^224 - 2^96 + 2^64 - 1 (GB/T 32918.5-2017, 4). Numbers are kept as
-//! Montgomery's: times 2^256, below p. As p is -1 modulo 2^64, reducing takes shifts and additions alone.
+//! The field of the SM2 prime p = 2^256 - 2^224 - 2^96 + 2^64 - 1 (GB/T 32918.5-2017, 4). Numbers are kept in
+//! Montgomery form: times 2^256, below p. As p is -1 modulo 2^64, reduction takes only shifts and additions.
 
 use std::fmt;
 use std::ops::{Add, Mul, Neg, Sub};
@@ -21,7 +21,7 @@ const SQUARE: Limbs = [0x2_0000_0003, 0x2_ffff_ffff, 0x1_0000_0001, 0x4_0000_000
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) struct Element(Limbs);
 
-/// Without the number, which may be of a secret point.
+/// Leaves out the number, which may belong to a secret point.
 impl fmt::Debug for Element {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str("Element")
@@ -38,29 +38,29 @@ impl Element {
     pub const ZERO: Self = Self([0; 4]);
     pub const ONE: Self = Self([1, 0xffff_ffff, 0, 0x1_0000_0000]);
 
-    /// As it is kept.
+    /// In Montgomery form.
     pub const fn from_montgomery(limbs: Limbs) -> Self {
         Self(limbs)
     }
 
-    /// As it is kept.
+    /// In Montgomery form.
     #[inline(always)]
     pub fn montgomery(&self) -> &Limbs {
         &self.0
     }
 
-    /// A number below p, else nothing.
+    /// A number below p, otherwise nothing.
     pub fn from_limbs(number: &Limbs) -> Option<Self> {
         let (_, below) = limbs::subtract(number, &MODULUS);
         below.then(|| Self(multiply(number, &SQUARE)))
     }
 
-    /// A number below p in 32 bytes, big endian, else nothing.
+    /// A number below p in 32 bytes, big endian, otherwise nothing.
     pub fn from_bytes(bytes: &[u8; 32]) -> Option<Self> {
         Self::from_limbs(&limbs::from_bytes(bytes))
     }
 
-    /// The number itself, below p.
+    /// The plain number, below p.
     pub fn to_limbs(self) -> Limbs {
         multiply(&self.0, &[1, 0, 0, 0])
     }
@@ -85,25 +85,25 @@ impl Element {
         self.double() + *self
     }
 
-    /// All ones where it is zero, else zero.
+    /// All ones if it is zero, otherwise zero.
     #[inline(always)]
     pub fn is_zero(&self) -> u64 {
         limbs::is_zero(&self.0)
     }
 
-    /// `a` where all bits of `mask` are set, `b` where none is.
+    /// `a` if all bits of `mask` are set, `b` if none is.
     #[inline(always)]
     pub fn select(mask: u64, a: &Self, b: &Self) -> Self {
         Self(limbs::select(mask, &a.0, &b.0))
     }
 
-    /// Negated where all bits of `mask` are set.
+    /// Negated if all bits of `mask` are set.
     #[inline(always)]
     pub fn negate_if(&self, mask: u64) -> Self {
         Self::select(mask, &-*self, self)
     }
 
-    /// Itself to the power of 2^times.
+    /// Raised to the power 2^times.
     #[inline(always)]
     fn squared(&self, times: u32) -> Self {
         let mut power = *self;
@@ -115,9 +115,9 @@ impl Element {
         power
     }
 
-    /// The inverse, and zero for zero: the power of p - 2 by a chain that is the same for all numbers.
+    /// The inverse, and zero for zero: the power p - 2, by a chain that is the same for all numbers.
     pub fn invert(&self) -> Self {
-        // onesN is the power of 2^N - 1.
+        // onesN is the power 2^N - 1.
         let ones2 = self.square() * *self;
         let ones4 = ones2.squared(2) * ones2;
         let ones8 = ones4.squared(4) * ones4;
@@ -213,7 +213,7 @@ fn reduced(product: &[u64; 8]) -> Limbs {
     limbs::reduce_once(&sum, carry, &MODULUS)
 }
 
-/// With its lowest limb m, the number plus m p, one limb down.
+/// With m its lowest limb: the number plus m p, shifted down one limb.
 #[inline]
 fn step_down(number: &Limbs) -> Limbs {
     let [factor, first, second, third] = *number;

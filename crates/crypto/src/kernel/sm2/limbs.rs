@@ -1,5 +1,5 @@
-//! Numbers of 256 bits in four limbs, the lowest first. Everything here takes the same time for all values: carries
-//! and masks, no branch and no index.
+//! Numbers of 256 bits in four limbs, lowest first. Everything here takes the same time for all values: carries and
+//! masks, no branches and no indexing.
 
 use std::hint::black_box;
 
@@ -26,38 +26,38 @@ pub(super) fn subtract(a: &Limbs, b: &Limbs) -> (Limbs, bool) {
     ([first, second, third, fourth], borrow)
 }
 
-/// All ones where `bit` is set, else zero. The compiler is not to know that it is one of the two, lest it branch.
+/// All ones if `bit` is set, otherwise zero. The compiler must not learn that it is one of the two, or it may branch.
 #[inline(always)]
 pub(super) fn mask(bit: bool) -> u64 {
     black_box(0u64.wrapping_sub(u64::from(bit)))
 }
 
-/// `a` where all bits of `mask` are set, `b` where none is.
+/// `a` if all bits of `mask` are set, `b` if none is.
 #[inline(always)]
 pub(super) fn select(mask: u64, a: &Limbs, b: &Limbs) -> Limbs {
     let one = |at: usize| b[at] ^ (mask & (a[at] ^ b[at]));
     [one(0), one(1), one(2), one(3)]
 }
 
-/// All ones where `number` is zero, else zero; as above.
+/// All ones if `number` is zero, otherwise zero; hidden from the compiler as above.
 #[inline(always)]
 pub(super) fn mask_of_zero(number: u64) -> u64 {
     let nonzero = (number | number.wrapping_neg()) >> 63;
     black_box(nonzero.wrapping_sub(1))
 }
 
-/// All ones where the number is zero, else zero.
+/// All ones if the number is zero, otherwise zero.
 #[inline(always)]
 pub(super) fn is_zero(number: &Limbs) -> u64 {
     mask_of_zero(number[0] | number[1] | number[2] | number[3])
 }
 
-/// `a - modulus` where that is not negative and `carry` counts as 2^256, else `a`: below the modulus where `a` with its
-/// carry was below twice the modulus.
+/// `a - modulus` if that is not negative, with `carry` counting as 2^256, otherwise `a`. The result is below the
+/// modulus if `a` with its carry was below twice the modulus.
 #[inline(always)]
 pub(super) fn reduce_once(a: &Limbs, carry: bool, modulus: &Limbs) -> Limbs {
     let (less, borrow) = subtract(a, modulus);
-    // Too small only where a was below the modulus and had no carry.
+    // Negative only if a was below the modulus and had no carry.
     select(mask(borrow) & !mask(carry), a, &less)
 }
 

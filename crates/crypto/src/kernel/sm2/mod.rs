@@ -1,5 +1,6 @@
-//! The arithmetic of SM2 (GB/T 32918-2016): its field, its numbers modulo the order, its points. What touches secrets
-//! (`secret`, and all below it) takes the same time for all of them; what verifies (`public`) need not.
+//! The arithmetic of SM2 (GB/T 32918-2016): its field, its numbers modulo the order, its points. Code that handles
+//! secrets (`secret`, and everything below it) takes the same time for all of them; code that verifies (`public`) need
+//! not.
 
 #![allow(clippy::inline_always, reason = "a call costs as much as what is called")]
 
@@ -24,7 +25,7 @@ pub(crate) use public::{Signer, SignerTable, verifies};
 pub(crate) use scalar::Scalar;
 pub(crate) use secret::{multiply, multiply_both, multiply_generator};
 
-/// Has the tables of the generator's multiples made, which the first signature or verification makes otherwise.
+/// Builds the tables of the generator's multiples, which otherwise the first signature or verification builds.
 pub(crate) fn warm_up() {
     secret::warm_up();
     public::warm_up();

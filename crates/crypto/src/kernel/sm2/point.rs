@@ -1,6 +1,5 @@
-//! Points of the SM2 curve y^2 = x^3 - 3 x + b by themselves and in Jacobian coordinates. What is added here may be
-//! seen in the time it takes: only public points and numbers come this way, except into `double`, which has no
-//! exceptions.
+//! Points of the SM2 curve y^2 = x^3 - 3 x + b in affine and in Jacobian coordinates. Additions here take a time that
+//! depends on their input: they get only public points and numbers, except `double`, which has no special cases.
 
 use zeroize::Zeroize;
 
@@ -48,7 +47,7 @@ impl Zeroize for Affine {
 impl Affine {
     pub(super) const ZERO: Self = Self { x: Element::ZERO, y: Element::ZERO };
 
-    /// x || y, each below p, of a point of the curve; else nothing.
+    /// x || y, each below p, of a point of the curve; otherwise nothing.
     pub fn from_bytes(bytes: &[u8; 64]) -> Option<Self> {
         let (halves, _) = bytes.as_chunks::<32>();
         let point = Self { x: Element::from_bytes(&halves[0])?, y: Element::from_bytes(&halves[1])? };
@@ -111,8 +110,8 @@ impl Jacobian {
         Self { y: -self.y, ..*self }
     }
 
-    /// Twice the point (dbl-2001-b, for a = -3). No exceptions: infinity stays infinity, and as the order of the group
-    /// is odd no other point has y = 0.
+    /// Twice the point (dbl-2001-b, for a = -3). No special cases: infinity stays infinity, and since the order of the
+    /// group is odd no other point has y = 0.
     #[inline(always)]
     pub fn double(&self) -> Self {
         let delta = self.z.square();
@@ -126,7 +125,7 @@ impl Jacobian {
         Self { x, y, z }
     }
 
-    /// The sum with a point that is not infinity (madd), all exceptions seen to.
+    /// The sum with a point that is not infinity (madd), all special cases handled.
     #[inline(always)]
     pub fn plus_affine(&self, other: &Affine) -> Self {
         if self.is_infinity() {
@@ -145,7 +144,7 @@ impl Jacobian {
         Self { x, y: slope * (middle - x) - self.y * cube, z: self.z * difference }
     }
 
-    /// The sum (add-1998-cmo), all exceptions seen to.
+    /// The sum (add-1998-cmo), all special cases handled.
     #[inline(always)]
     pub fn plus(&self, other: &Self) -> Self {
         if self.is_infinity() {
@@ -169,20 +168,20 @@ impl Jacobian {
         Self { x, y: slope * (middle - x) - own_y * cube, z: self.z * other.z * difference }
     }
 
-    /// The sum with a point of the same x: the same point where the ys do not differ, else its opposite.
+    /// The sum with a point of the same x: the same point if the ys are equal, otherwise its opposite.
     #[cold]
     #[inline(never)]
     fn meeting(&self, slope: Element) -> Self {
         if slope == Element::ZERO { self.double() } else { Self::INFINITY }
     }
 
-    /// Whether the point's x, taken modulo p, is the number.
+    /// Whether the point's x, taken modulo p, equals the number.
     pub fn has_x(&self, number: &Limbs) -> bool {
         Element::from_limbs(number).is_some_and(|x| x * self.z.square() == self.x)
     }
 }
 
-/// Points of which none is infinity by themselves, with one inversion for all.
+/// Several points, none of them infinity, in affine coordinates, with one inversion for all.
 pub(super) fn normalized(points: &[Jacobian]) -> Vec<Affine> {
     // before[i] is the product of all z before i.
     let mut before = Vec::with_capacity(points.len());
@@ -202,7 +201,7 @@ pub(super) fn normalized(points: &[Jacobian]) -> Vec<Affine> {
     out
 }
 
-/// Whether `number` is above `limit`; both are public.
+/// Whether `number` is greater than `limit`; both are public.
 pub(super) fn is_above(number: &Limbs, limit: &Limbs) -> bool {
     limbs::subtract(limit, number).1
 }

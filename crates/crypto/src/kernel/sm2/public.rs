@@ -1,5 +1,5 @@
-//! What verification needs: s G + t P for numbers and points that are no secrets, in a time that depends on them, and
-//! the table that makes it quicker for a signer met before.
+//! What verification needs: s G + t P for public numbers and points, in a time that depends on them, and the table that
+//! makes it faster for known signers.
 
 use std::sync::OnceLock;
 
@@ -8,18 +8,18 @@ use super::point::{Affine, GENERATOR, Jacobian, is_above};
 use super::rows::rows;
 use super::scalar::{HALF, ORDER, Scalar, digit, digits};
 
-/// Bits of a digit of the generator's factor.
+/// Bits per digit of the generator's factor.
 const COMB_WIDTH: usize = 8;
 const COMB_ROW: usize = 1 << (COMB_WIDTH - 1);
 const COMB_DIGITS: usize = digits(255, COMB_WIDTH);
-/// Bits of a digit of a known signer's factor.
+/// Bits per digit of a known signer's factor.
 const WIDTH: usize = 6;
 const ROW: usize = 1 << (WIDTH - 1);
 const DIGITS: usize = digits(255, WIDTH);
 /// A known signer's table has a row for every fourth digit.
 const APART: usize = 4;
 const ROWS: usize = DIGITS.div_ceil(APART);
-/// A stranger's factor has odd digits of so many bits, with zeros between.
+/// An unknown signer's factor has odd digits of this many bits, with zeros between.
 const NAF_WIDTH: u32 = 5;
 const NAF_ROW: usize = 1 << (NAF_WIDTH - 2);
 const NAF_DIGITS: usize = 257;
@@ -30,13 +30,13 @@ fn comb() -> &'static [Affine] {
     COMB.get_or_init(|| rows(&GENERATOR, COMB_DIGITS, COMB_WIDTH, COMB_ROW))
 }
 
-/// A signer's public key, checked, as verification takes it.
+/// A signer's public key, checked, in the form verification takes.
 pub(crate) trait Signer {
     /// t times the public key.
     fn times(&self, t: &Scalar) -> Multiple;
 }
 
-/// A point on the way to a sum.
+/// An intermediate point of a sum.
 pub(crate) struct Multiple(pub(super) Jacobian);
 
 /// A number below n as one of at most 255 bits, and whether it is the negative of that.
@@ -48,7 +48,7 @@ fn halved(number: &Scalar) -> (Limbs, bool) {
     }
 }
 
-/// `sum` with the multiple of a row that a digit asks for, the other way round where `turned`.
+/// Adds to `sum` the multiple in a row that a digit selects, negated if `turned`.
 #[inline(always)]
 fn plus_digit<const BITS: usize>(
     sum: &Jacobian,
@@ -95,7 +95,7 @@ fn odd_multiples(point: &Affine) -> [Jacobian; NAF_ROW] {
     row
 }
 
-/// The digits, lowest first: zero or odd, from -15 to 15, and never two that are not zero within five.
+/// The digits, lowest first: zero or odd, from -15 to 15, and at most one non-zero in any five.
 pub(super) fn sparse_digits(number: &Limbs) -> [i8; NAF_DIGITS] {
     let mut digits = [0; NAF_DIGITS];
     let (mut place, mut carry) = (0, 0);
@@ -114,7 +114,7 @@ pub(super) fn sparse_digits(number: &Limbs) -> [i8; NAF_DIGITS] {
     digits
 }
 
-/// 64 bits of a number from a place on.
+/// 64 bits of a number, starting at a given bit.
 fn bits_from(number: &Limbs, place: usize) -> u64 {
     let (limb, shift) = (place / 64, place % 64);
     let low = number.get(limb).map_or(0, |limb| limb >> shift);
@@ -122,7 +122,7 @@ fn bits_from(number: &Limbs, place: usize) -> u64 {
     low | high
 }
 
-/// A signer met before: 11 rows of 32 multiples, 22 KiB.
+/// A known signer: 11 rows of 32 multiples, 22 KiB.
 pub(crate) struct SignerTable(Box<[Affine]>);
 
 impl SignerTable {
@@ -154,8 +154,8 @@ impl Signer for SignerTable {
     }
 }
 
-/// GB/T 32918.2-2016, 7.1, B5 to B7: whether (r, s) signs the hash e. Nothing is divided: of the sum's x only r - e is
-/// asked, or r - e + n where that is below p.
+/// GB/T 32918.2-2016, 7.1, B5 to B7: whether (r, s) signs the hash e. No division: the sum's x is compared with r - e,
+/// and with r - e + n if that is below p.
 pub(crate) fn verifies(signer: &impl Signer, e: &Scalar, r: &Scalar, s: &Scalar) -> bool {
     let t = r.plus(s);
     if t.is_zero() {
@@ -174,7 +174,7 @@ pub(crate) fn verifies(signer: &impl Signer, e: &Scalar, r: &Scalar, s: &Scalar)
     sum.has_x(wanted.limbs()) || (!carry && sum.has_x(&beyond))
 }
 
-/// Has the table of the generator's multiples made.
+/// Builds the table of the generator's multiples.
 pub(super) fn warm_up() {
     comb();
 }

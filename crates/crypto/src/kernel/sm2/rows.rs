@@ -1,4 +1,4 @@
-//! Rows of multiples of a point that is no secret.
+//! Rows of multiples of a public point.
 
 use super::point::{Affine, Jacobian, normalized};
 

@@ -1,5 +1,5 @@
-//! Numbers modulo the order n of the SM2 group (GB/T 32918.5-2017, 4), and the signed digits that multiples of points
-//! are made with. All of it takes the same time for all numbers.
+//! Numbers modulo the order n of the SM2 group (GB/T 32918.5-2017, 4), and the signed digits used to multiply points.
+//! Everything here takes the same time for all numbers.
 
 use std::fmt;
 
@@ -23,7 +23,7 @@ const FACTOR: u64 = 0x327f_9e88_7235_0975;
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Scalar(Limbs);
 
-/// Without the number, which may be a secret.
+/// Leaves out the number, which may be a secret.
 impl fmt::Debug for Scalar {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str("Scalar")
@@ -40,7 +40,7 @@ impl Scalar {
     /// 1.
     pub const ONE: Self = Self([1, 0, 0, 0]);
 
-    /// A number from 1 to n - 1 in 32 bytes, big endian, else nothing.
+    /// A number from 1 to n - 1 in 32 bytes, big endian, otherwise nothing.
     pub fn from_bytes(bytes: &[u8; 32]) -> Option<Self> {
         let number = limbs::from_bytes(bytes);
         let (_, below) = limbs::subtract(&number, &ORDER);
@@ -87,7 +87,7 @@ impl Scalar {
         Self(multiply(&multiply(&self.0, &SQUARE), &other.0))
     }
 
-    /// The inverse, and zero for zero: the power of n - 2 in steps of four bits, the same for all numbers.
+    /// The inverse, and zero for zero: the power n - 2 in steps of four bits, the same for all numbers.
     pub fn invert(&self) -> Self {
         let base = Zeroizing::new(multiply(&self.0, &SQUARE));
         let mut powers = Zeroizing::new([RADIX; 16]);
@@ -100,7 +100,7 @@ impl Scalar {
             for _ in 0..4 {
                 *power = multiply(&power, &power);
             }
-            // The exponent is no secret.
+            // The exponent is not secret.
             let digit = (exponent[at / 16] >> (4 * (at % 16))) & 15;
             *power = multiply(&power, &powers[digit as usize]);
         }
@@ -128,7 +128,7 @@ fn multiply(a: &Limbs, b: &Limbs) -> Limbs {
     limbs::reduce_once(&sum, carry, &ORDER)
 }
 
-/// A digit of a number written with digits from -2^(WIDTH - 1) to 2^(WIDTH - 1): its size, and all ones where it is
+/// A digit of a number written with digits from -2^(WIDTH - 1) to 2^(WIDTH - 1): its magnitude, and all ones if it is
 /// negative.
 #[derive(Clone, Copy)]
 pub(super) struct Digit {
@@ -138,22 +138,22 @@ pub(super) struct Digit {
 
 /// How many digits of `width` bits a number of `bits` bits has; the highest is never negative.
 pub(super) const fn digits(bits: usize, width: usize) -> usize {
-    // The highest must hold a zero above the number's bits, or a carry would be lost.
+    // The highest digit needs a zero above the number's bits, or a carry would be lost.
     bits / width + 1
 }
 
-/// The digit at `place` (Booth): from its bits and the one below them.
+/// The digit at `place` (Booth recoding), from its bits and the one below them.
 #[inline(always)]
 pub(super) fn digit<const WIDTH: usize>(number: &Limbs, place: usize) -> Digit {
     let bits = window(number, place * WIDTH, WIDTH);
-    // Of a secret it must stay a mask.
+    // For a secret it must stay a mask.
     let negative = limbs::mask(bits >> WIDTH != 0);
     let turned = (1u64 << (WIDTH + 1)) - 1 - bits;
     let size = (turned & negative) | (bits & !negative);
     Digit { size: (size >> 1) + (size & 1), negative }
 }
 
-/// The `width` bits from `start` on, and behind them the bit below `start`.
+/// The `width` bits from `start` on, followed by the bit below `start`.
 #[inline(always)]
 fn window(number: &Limbs, start: usize, width: usize) -> u64 {
     let mask = (1u64 << (width + 1)) - 1;

@@ -1,4 +1,4 @@
-//! Multiples of points by secret numbers. Every look-up reads its whole row, digits of zero are added and dropped, and
+//! Multiples of points by secret numbers. Every look-up reads its whole row, zero digits are added and discarded, and
 //! no branch and no address depends on the number.
 
 use std::sync::OnceLock;
@@ -12,12 +12,12 @@ use super::point::{Affine, GENERATOR, Jacobian};
 use super::rows::rows;
 use super::scalar::{Digit, Scalar, digit, digits};
 
-/// Bits of a digit of the generator's factor.
+/// Bits per digit of the generator's factor.
 const COMB_WIDTH: usize = 6;
 /// Multiples in a row of the comb.
 const COMB_ROW: usize = 1 << (COMB_WIDTH - 1);
 const COMB_DIGITS: usize = digits(256, COMB_WIDTH);
-/// Bits of a digit of any other point's factor.
+/// Bits per digit of any other point's factor.
 const WIDTH: usize = 5;
 const ROW: usize = 1 << (WIDTH - 1);
 const DIGITS: usize = digits(256, WIDTH);
@@ -28,7 +28,7 @@ fn comb() -> &'static [Affine] {
     COMB.get_or_init(|| rows(&GENERATOR, COMB_DIGITS, COMB_WIDTH, COMB_ROW))
 }
 
-/// k G, in the time that every k takes.
+/// k G, in the same time for every k.
 fn times_generator(k: &Scalar) -> Point {
     let mut sum = Point::INFINITY;
     for (place, row) in comb().chunks_exact(COMB_ROW).enumerate() {
@@ -40,7 +40,7 @@ fn times_generator(k: &Scalar) -> Point {
     sum
 }
 
-/// The multiple that a digit asks for; (0, 0) for zero.
+/// The multiple that a digit selects; (0, 0) for zero.
 #[inline(always)]
 fn pick(row: &[Affine], digit: Digit) -> Affine {
     let (mut x, mut y) = ([0; 4], [0; 4]);
@@ -64,7 +64,7 @@ fn gather(sum: &mut limbs::Limbs, element: &Element, mask: u64) {
     sum[3] |= limbs[3] & mask;
 }
 
-/// The multiple that a digit asks for, of any point; z is 0 for zero.
+/// The multiple of any point that a digit selects; z is 0 for zero.
 #[inline(always)]
 fn pick_jacobian(row: &[Jacobian; ROW], digit: Digit) -> Jacobian {
     let (mut x, mut y, mut z) = ([0; 4], [0; 4], [0; 4]);
@@ -88,7 +88,7 @@ fn select(mask: u64, a: &Jacobian, b: &Jacobian) -> Jacobian {
     }
 }
 
-/// The sum of two points, neither of which is infinity or the other or its opposite.
+/// The sum of two points, neither of which is infinity, nor are they equal or opposite.
 #[inline(always)]
 fn sum_of_different(one: &Jacobian, other: &Jacobian) -> Jacobian {
     let (z2, other_z2) = (one.z.square(), other.z.square());
@@ -103,12 +103,12 @@ fn sum_of_different(one: &Jacobian, other: &Jacobian) -> Jacobian {
     Jacobian { x, y: slope * (middle - x) - own_y * cube, z: one.z * other.z * difference }
 }
 
-/// k times a point, in the time that every k takes; k is 1 to n - 1.
+/// k times a point, in the same time for every k; k is 1 to n - 1.
 ///
 /// The digits of k are taken from the highest; before each the sum is 2^5 M times the point, where M is what the digits
-/// so far make, and not negative. Before the last, 2^5 M + 16 is below n: the sum is the digit's multiple or its
-/// opposite only where it is infinity (M = 0), and that is seen to by selection. Before the last digit that is not so
-/// (k = n - 2 has the digit -1 there, and doubles): it is added by a formula without exceptions.
+/// so far make, and not negative. Before the last digit, 2^5 M + 16 is below n: the sum is the digit's multiple or its
+/// opposite only if it is infinity (M = 0), and selection handles that. At the last digit this does not hold (k = n - 2
+/// has the digit -1 there, which doubles): it is added by a formula without special cases.
 fn times_point(k: &Scalar, point: &Affine) -> Point {
     let row = Zeroizing::new(first_multiples(point));
     let mut sum = Jacobian::INFINITY;
@@ -135,7 +135,7 @@ fn five_times_doubled(point: &Jacobian) -> Jacobian {
     point
 }
 
-/// 1 to 16 times a point: none of them is infinity, and no sum is of a point with itself.
+/// 1 to 16 times a point: none of them is infinity, and no point is added to itself.
 fn first_multiples(point: &Affine) -> [Jacobian; ROW] {
     let mut row = [Jacobian::from(*point); ROW];
     for at in 1..ROW {
@@ -169,7 +169,7 @@ pub(crate) fn multiply_both(k: &Scalar, point: &Affine) -> [Affine; 2] {
     out
 }
 
-/// Has the table of the generator's multiples made.
+/// Builds the table of the generator's multiples.
 pub(super) fn warm_up() {
     comb();
 }

@@ -1,4 +1,5 @@
-//! The arithmetic against num-bigint and the crate sm2, on random numbers and on those where carries and exceptions are.
+//! The arithmetic compared with num-bigint and the crate sm2, on random numbers and on those that cause carries and
+//! special cases.
 
 use num_bigint::{BigInt, BigUint};
 use sm2::elliptic_curve::sec1::{FromSec1Point as _, ToSec1Point as _};
@@ -82,12 +83,12 @@ fn the_field_is_that_of_num_bigint() {
     }
 }
 
-/// What the processor's own words make, and what is made without them.
+/// The results with and without the processor's own instructions.
 #[test]
 fn both_ways_of_the_field_agree() {
     let mut noise = Noise(22);
     for case in 0..cases(20_000, 10_000_000) {
-        // As they are kept, so that every pattern of limbs comes up.
+        // In internal form, so that every pattern of limbs comes up.
         let (one, other) = (below(&mut noise, &MODULUS), below(&mut noise, &MODULUS));
         let (a, b) = (Element::from_montgomery(one), Element::from_montgomery(other));
         assert_eq!(*(a * b).montgomery(), field::by_multiplying(&one, &other), "case {case}");
@@ -140,7 +141,7 @@ fn scalars_are_read_from_one_to_n_minus_one() {
     assert_eq!(Scalar::reduced(&near(1)), Scalar::ONE);
 }
 
-/// 0 to 40, n - 40 to n - 1, and powers of two with what is next to them.
+/// 0 to 40, n - 40 to n - 1, and powers of two with their neighbours.
 fn edges() -> Vec<Limbs> {
     let small = (0..=40u64).map(|number| [number, 0, 0, 0]);
     let large = (1..=40u64).map(|number| limbs::subtract(&ORDER, &[number, 0, 0, 0]).0);
@@ -189,7 +190,7 @@ fn of_crate(number: &Limbs) -> sm2::Scalar {
     Option::from(sm2::Scalar::from_repr(limbs::to_bytes(number).into())).expect("below n")
 }
 
-/// x || y of a point of the crate; nothing for infinity.
+/// x || y of one of the crate's points; nothing for infinity.
 fn bytes_of_crate(point: &ProjectivePoint) -> Option<[u8; 64]> {
     let encoded = point.to_affine().to_sec1_point(false);
     encoded.as_bytes().get(1..)?.try_into().ok()
@@ -250,7 +251,7 @@ fn sums_hold_where_formulas_have_exceptions() {
     assert_eq!(nothing.plus(&nothing).normalized().to_bytes(), [0; 64]);
 }
 
-/// An x with n <= x < p is rare (once in 2^128): here the key is made for one.
+/// An x with n <= x < p is rare (probability about 2^-128): here the key is constructed to give one.
 #[test]
 #[allow(clippy::many_single_char_names, reason = "the standard's symbols")]
 fn an_x_past_the_order_is_taken_modulo_the_order() {
@@ -306,7 +307,7 @@ fn points_off_the_curve_are_none() {
     }
 }
 
-/// Whole verdicts without the instructions that this processor may have.
+/// Whole verifications without the instructions that this processor may have.
 #[test]
 #[cfg(target_arch = "x86_64")]
 fn without_the_instructions_all_is_the_same() {

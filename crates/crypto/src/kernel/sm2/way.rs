@@ -1,4 +1,4 @@
-//! Which products modulo the SM2 prime are used: those by BMI2 and ADX where the processor has them. Decided once.
+//! Which products modulo the SM2 prime are used: those with BMI2 and ADX if the processor has them. Decided once.
 #![allow(unsafe_code, reason = "calls of functions that need features of the processor, which were asked for")]
 
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -32,7 +32,7 @@ fn decide() -> bool {
 #[inline(always)]
 pub(super) fn multiply(a: &Limbs, b: &Limbs) -> Limbs {
     if has_adx() {
-        // SAFETY: the features were found.
+        // SAFETY: the features were detected.
         unsafe { x86_64::multiply(a, b) }
     } else {
         field::by_multiplying(a, b)
@@ -42,14 +42,14 @@ pub(super) fn multiply(a: &Limbs, b: &Limbs) -> Limbs {
 #[inline(always)]
 pub(super) fn square(a: &Limbs) -> Limbs {
     if has_adx() {
-        // SAFETY: the features were found.
+        // SAFETY: the features were detected.
         unsafe { x86_64::square(a) }
     } else {
         field::by_squaring(a)
     }
 }
 
-/// Does something as on a processor without the features; others do so meanwhile, to the same results.
+/// Runs a closure as on a processor without the features; other threads may do so meanwhile, with the same results.
 #[cfg(test)]
 pub(super) fn portably<T>(work: impl FnOnce() -> T) -> T {
     let before = WAY.swap(PORTABLE, Ordering::Relaxed);

@@ -1,5 +1,5 @@
-//! Arithmetic modulo the SM2 prime in the processor's own words: sums by its carries, products by BMI2 and ADX. All of it
-//! runs straight through: no branch, no address that depends on a number.
+//! Arithmetic modulo the SM2 prime in assembly: sums by carries, products by BMI2 and ADX. All of it is straight-line
+//! code: no branches, no address that depends on a number.
 #![allow(unsafe_code, reason = "instructions that the compiler does not choose by itself")]
 
 use std::arch::asm;
@@ -7,8 +7,8 @@ use std::arch::asm;
 use super::field::MODULUS;
 use super::limbs::Limbs;
 
-/// One step of the reduction: `$low` is the lowest limb m, and (`$a`, `$b`, `$c`, `$low`) becomes the number with
-/// m p added, one limb down. As p is -1 modulo 2^64, m itself is the factor, and m p is made by shifts.
+/// One step of the reduction: `$low` is the lowest limb m, and (`$a`, `$b`, `$c`, `$low`) becomes the number with m p
+/// added, shifted down one limb. As p is -1 modulo 2^64, m itself is the factor, and m p is made by shifts.
 macro_rules! step {
     ($low:literal, $a:literal, $b:literal, $c:literal) => {
         concat!(
@@ -54,7 +54,7 @@ macro_rules! reduction {
             "mov {t4}, {t0}\n mov {t5}, {t1}\n mov {t6}, {t2}\n mov {t7}, {t3}\n",
             "mov {lo}, 0xffffffff00000000\n mov {hi}, 0xfffffffeffffffff\n",
             "sub {t4}, -1\n sbb {t5}, {lo}\n sbb {t6}, -1\n sbb {t7}, {hi}\n sbb rdx, 0\n",
-            // The carry is the borrow of all but the carry of the sum: rdx was -1 with one, and 0 without.
+            // The carry is the borrow out of everything but the carry of the sum: rdx was -1 with one, and 0 without.
             "cmovc {t4}, {t0}\n cmovc {t5}, {t1}\n cmovc {t6}, {t2}\n cmovc {t7}, {t3}\n",
         )
     };
@@ -105,7 +105,7 @@ macro_rules! row {
 #[inline]
 pub(super) unsafe fn multiply(a: &Limbs, b: &Limbs) -> Limbs {
     let mut out = [0; 4];
-    // SAFETY: the caller vouches for the instructions; only the eight limbs at a and b are read, nothing is written to
+    // SAFETY: the caller guarantees the instructions; only the eight limbs at a and b are read, nothing is written to
     // memory, and every register that changes is an output.
     unsafe {
         asm!(
@@ -233,7 +233,7 @@ pub(super) fn add(a: &Limbs, b: &Limbs) -> Limbs {
             "sbb {a2}, -1",
             "sbb {a3}, {fourth}",
             "sbb {carry}, 0",
-            // As in the reduction: below p and without a carry it stays as it was.
+            // As in the reduction: below p and without a carry it stays unchanged.
             "cmovc {a0}, {b0}",
             "cmovc {a1}, {b1}",
             "cmovc {a2}, {b2}",
@@ -266,7 +266,7 @@ pub(super) fn subtract(a: &Limbs, b: &Limbs) -> Limbs {
             "sbb {a1}, {b1}",
             "sbb {a2}, {b2}",
             "sbb {a3}, {b3}",
-            // p where that borrowed, else zero.
+            // p if that borrowed, otherwise zero.
             "sbb {first}, {first}",
             "mov {second}, {first}",
             "mov {fourth}, {first}",

@@ -1,7 +1,7 @@
-//! The sealed part of a keyring file: EOA (32), d_C (32), d_E (32), K_C (16), IK (32), then a counted
-//! list of networks (domain, current epoch, counted epochs of number, salt, K_C and state). Version 2 has further
-//! pairs after it: their count (4), then for each its use (1: former d_E, 2: next d_C, 3: next d_E, 4: gateway) and its
-//! secret (32), in the order of uses.
+//! The sealed part of a keyring file: EOA (32), d_C (32), d_E (32), K_C (16), IK (32), then a counted list of networks
+//! (domain, current epoch, counted epochs of number, salt, K_C and state). Version 2 adds further pairs: their count
+//! (4), then for each its use (1: former d_E, 2: next d_C, 3: next d_E, 4: gateway) and its secret (32), ordered by
+//! use.
 
 use std::collections::BTreeMap;
 
@@ -21,7 +21,7 @@ const GATEWAY: u8 = 4;
 
 pub(super) fn encode(keyring: &Keyring) -> Zeroizing<Vec<u8>> {
     let epochs: usize = keyring.networks.values().map(|network| network.epochs.len()).sum();
-    // Reserved in one piece, tag included: growing would leave unwiped copies behind.
+    // Reserved in one piece, tag included: growing the buffer would leave unwiped copies behind.
     let further = further(keyring);
     let length = 256 + keyring.networks.len() * 44 + epochs * 57 + further.len() * 33;
     let mut out = Zeroizing::new(Vec::with_capacity(length));
@@ -91,7 +91,7 @@ fn read_further(reader: &mut Reader<'_>) -> Result<FurtherPairs, WireError> {
     for _ in 0..count {
         let usage = reader.u8("use of a pair")?;
         let pair = read_pair(reader, "further pair")?;
-        // In the order of uses, all but the first once, so that what parses has one encoding.
+        // Ordered by use, each use but the first at most once, so that every value has exactly one encoding.
         if usage < before || (usage == before && usage != FORMER_ENVELOPE) {
             return Err(WireError::Value("use of a pair"));
         }

@@ -18,7 +18,7 @@ fn sample() -> Keyring {
     keyring
 }
 
-/// A key that was not stretched, so that hundreds of openings take no minutes.
+/// An unstretched key, so that hundreds of openings do not take minutes.
 fn quick_key() -> FileKey {
     FileKey { work: Work::WRITTEN, salt: [1; 32], key: Zeroizing::new([2; 32]) }
 }
@@ -147,7 +147,7 @@ proptest! {
     fn any_flipped_bit_any_cut_and_any_extension_is_refused(at in any::<prop::sample::Index>(), bit in 0u8..8) {
         let (keyring, bytes) = &*SAMPLE;
         let mut altered = bytes.clone();
-        // Work and scrypt salt choose the key itself, which this test gives.
+        // Work and scrypt salt would choose the key, which this test supplies itself.
         let at = at.index(bytes.len());
         altered[at] ^= 1 << bit;
         let refused = open(&altered, &quick_key()).is_err();

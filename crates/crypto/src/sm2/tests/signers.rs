@@ -1,4 +1,4 @@
-//! When a table is made, and who gives way to whom.
+//! When a table is built, and which one is evicted.
 
 use super::super::signers::{IDLE, SIGHTINGS, Signers};
 use super::*;
@@ -53,7 +53,7 @@ fn who_stays_away_for_long_gives_way() {
     assert!(signers.known(&other).is_none());
 }
 
-/// Only what is valid is a sighting: forgeries make no table.
+/// Only valid signatures count as sightings: forgeries build no table.
 #[test]
 fn forgeries_are_no_sightings() {
     let public = people(1, &mut Noise(44))[0];

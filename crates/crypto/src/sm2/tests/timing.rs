@@ -1,5 +1,6 @@
-//! Whether time tells of a secret, by the method of dudect: two classes in random order, Welch's t of their times, with
-//! the slowest cut off at several places. Under `AUTHROS_LONG`; nothing is judged, for a busy machine tells as well.
+//! Whether timing reveals a secret, by the method of dudect: two classes in random order, Welch's t of their times,
+//! with the slowest cut off at several thresholds. Under `AUTHROS_LONG`; reported, not judged, because a busy machine
+//! gives false alarms.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -7,7 +8,7 @@ use std::time::Instant;
 use super::*;
 use crate::crypto::kernel::sm2::Signer as _;
 
-/// Of two samples: the difference of their means over its standard error.
+/// For two samples: the difference of their means over its standard error.
 fn welch(samples: &[Vec<f64>; 2]) -> f64 {
     let [one, other] = samples.each_ref().map(|times| {
         let count = f64::from(u32::try_from(times.len()).expect("few"));
@@ -18,7 +19,7 @@ fn welch(samples: &[Vec<f64>; 2]) -> f64 {
     (one.0 - other.0) / (one.1 + other.1).sqrt()
 }
 
-/// The t of all times, and of those below some percentiles of all.
+/// The t of all times, and of those below some percentiles.
 fn report(name: &str, times: &[(usize, f64)]) {
     let mut sorted: Vec<f64> = times.iter().map(|(_, time)| *time).collect();
     sorted.sort_by(f64::total_cmp);
@@ -68,7 +69,7 @@ fn times_tell_nothing_of_secrets() {
     let other = point(key(&mut Noise(53)).1.public()).expect("a point");
     let number = |class: usize, noise: &mut Noise| {
         let random = Scalar::reduced(&noise.array());
-        // Both classes are made alike, so that only the number differs.
+        // Both classes are prepared the same way, so that only the number differs.
         [low, random][class]
     };
     measured("signing, nonce 3 or random", runs, |class, noise| {

@@ -1,4 +1,4 @@
-//! Notices of keys as a robot hears them: only the owner's, only its own, only newer ones.
+//! Key notices as received by a robot: only the owner's, only its own, only newer ones.
 
 use super::*;
 use crate::crypto::{
@@ -38,7 +38,7 @@ fn enrolment(scene: &Scene) -> Enrolment {
     }
 }
 
-/// A notice of keys to a device.
+/// A key notice to a device.
 fn notice(scene: &Scene, signer: &SmKeyPair, device: SignerId, seq: u64, epoch: u64) -> Upload {
     record(scene, signer, device, (seq, epoch), &Notice::Keys(issued(epoch)))
 }
@@ -99,7 +99,7 @@ async fn only_the_owners_newest_notice_to_this_device_is_obeyed() {
     let work = tokio::spawn(async move { forwarder.run(&stored).await });
     scene.until("the newest of the list", |_| epoch() == 3).await;
 
-    // While it is connected. A robot that was stolen from the same owner cannot speak for him.
+    // While it is connected. A robot stolen from the same owner cannot speak for the owner.
     owner.upload(vec![notice(&scene, &scene.device, own, 9, 9)]).await.expect("the gateway takes it");
     scene.until("passed over", |scene| scene.notes.with("was passed over") > 0).await;
     owner.upload(vec![notice(&scene, &scene.alice.signing, SignerId([1; 32]), 10, 10)]).await.expect("receipt");
@@ -137,7 +137,7 @@ async fn another_key_of_the_owner_needs_the_old_one_and_the_account() {
 
     let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
     let (own, old) = (signer_id(&scene.device.public), scene.alice.signing.clone());
-    // The gateway takes what they sign, so that it is the robot that refuses.
+    // The gateway accepts what they sign, so it is the robot that refuses.
     let (new, thief) = (pair(0x77), pair(0x78));
     for other in [&new, &thief] {
         scene.stage.desk.lend(&scene.alice, other);
@@ -149,7 +149,7 @@ async fn another_key_of_the_owner_needs_the_old_one_and_the_account() {
     };
     let work = tokio::spawn(async move { forwarder.run(&stored).await });
 
-    // Who stole d_C alone, and who stole the account alone.
+    // A thief who has only d_C, and one who has only the account.
     let stolen_key = record(&scene, &old, own, (2, 1), &change(&EoaSecret::generate().expect("an account"), &thief));
     let stolen_account = record(&scene, &thief, own, (3, 1), &change(&scene.alice.eoa, &thief));
     for (passed, forged) in [(1, stolen_key), (2, stolen_account)] {

@@ -1,4 +1,4 @@
-//! A line between a client and a gateway that can be silenced, shortened, cut and led elsewhere.
+//! A connection between a client and a gateway that can be silenced, truncated, cut and redirected.
 
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
@@ -13,7 +13,7 @@ use tokio::task::JoinHandle;
 struct Shared {
     upstream: Mutex<SocketAddr>,
     muted: AtomicBool,
-    /// Bytes that still pass from clients; then the line breaks.
+    /// Bytes still passed from clients; then the connection breaks.
     left: AtomicI64,
     cut: watch::Sender<u64>,
 }
@@ -39,29 +39,29 @@ impl Relay {
         Self { address, shared, task }
     }
 
-    /// What the gateway says is swallowed from now on.
+    /// From now on the gateway's answers are dropped.
     pub fn mute(&self) {
         self.shared.muted.store(true, Ordering::SeqCst);
     }
 
-    /// After so many more bytes of a client the line breaks, once.
+    /// After this many more bytes from a client the connection breaks, once.
     pub fn break_after(&self, bytes: i64) {
         self.shared.left.store(bytes, Ordering::SeqCst);
     }
 
-    /// Whether the line broke by itself.
+    /// Whether the connection broke as planned.
     pub fn broke(&self) -> bool {
         self.shared.left.load(Ordering::SeqCst) < 0
     }
 
-    /// Breaks all lines; new ones are as they should be.
+    /// Breaks all connections; new ones work normally.
     pub fn cut(&self) {
         self.shared.muted.store(false, Ordering::SeqCst);
         self.shared.left.store(i64::MAX, Ordering::SeqCst);
         self.shared.cut.send_modify(|number| *number += 1);
     }
 
-    /// New lines lead here.
+    /// New connections lead here.
     pub fn lead_to(&self, upstream: SocketAddr) {
         *self.shared.upstream.lock().unwrap_or_else(PoisonError::into_inner) = upstream;
     }

@@ -1,4 +1,4 @@
-//! Definitions that lie on this machine, as ROS 2 installs them: `share/PACKAGE/msg/TYPE.msg` below a prefix.
+//! Definitions installed on this machine, as ROS 2 does it: `share/PACKAGE/msg/TYPE.msg` below a prefix.
 
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
@@ -11,12 +11,12 @@ use super::line::{Line, parse_line, plain};
 use super::schema::full_name;
 use crate::ros::RosError;
 
-/// Folders in which definitions are looked for, in this order.
+/// Folders searched for definitions, in this order.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Folders(Vec<PathBuf>);
 
 impl Folders {
-    /// The prefixes of a list as `AMENT_PREFIX_PATH` holds it.
+    /// The prefixes from a list like `AMENT_PREFIX_PATH`.
     pub fn of_prefixes(list: &OsStr) -> Self {
         Self(std::env::split_paths(list).filter(|prefix| prefix.is_absolute()).collect())
     }
@@ -26,10 +26,10 @@ impl Folders {
         self.0.is_empty()
     }
 
-    /// The text of a type with all the types it is made of, as MCAP would carry it.
+    /// The text of a type with all the types it consists of, as in MCAP.
     ///
     /// # Errors
-    /// [`RosError::NoFields`] where a file is missing, cannot be read or is broken.
+    /// [`RosError::NoFields`] if a file is missing, cannot be read or is broken.
     pub fn text_of(&self, type_name: &str) -> Result<String, RosError> {
         let failed = |reason: String| RosError::no_fields(type_name, &reason);
         let root = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;
@@ -55,7 +55,7 @@ impl Folders {
         Ok(whole)
     }
 
-    /// The text of a `.msg` file; `None` where no folder has a readable one of bounded length.
+    /// The text of a `.msg` file; `None` if no folder has a readable one of bounded length.
     fn file_of(&self, name: &str) -> Option<String> {
         let mut parts = name.split('/');
         let (package, kind, name) = (parts.next()?, parts.next()?, parts.next()?);

@@ -1,5 +1,5 @@
-//! The hash of an interface (RIHS01): SHA-256 over its description and those of the types it is made of, as the JSON
-//! text that ROS 2 makes of them. Only names and types count, not comments, constants or default values.
+//! The hash of an interface (RIHS01): SHA-256 over its description and those of the types it consists of, as ROS 2's
+//! JSON text of them. Only names and types count, not comments, constants or default values.
 
 use std::fmt::Write as _;
 
@@ -9,14 +9,14 @@ use super::line::Many;
 use super::schema::{Interface, Member, Of, Schema};
 use crate::model::bytes::hex;
 
-/// What stands in an interface without members.
+/// The member of an interface that has none.
 const FILLER: &str = "structure_needs_at_least_one_member";
 
-/// The number of an interface's type, and of the one of [`FILLER`].
+/// The type number of an interface, and of [`FILLER`].
 const INTERFACE: u8 = 1;
 const UINT8: u8 = 3;
 
-/// Texts with a bound have other numbers.
+/// Bounded texts have other numbers.
 const BOUNDED_TEXTS: u8 = 4;
 
 /// The hash of a type.
@@ -24,7 +24,7 @@ pub(super) fn of(schema: &Schema) -> String {
     let Some((root, others)) = schema.interfaces.split_last() else { return String::new() };
     let mut others: Vec<&Interface> = others.iter().collect();
     others.sort_by(|one, other| one.name.cmp(&other.name));
-    // Hashed as it is written: a definition of a megabyte has a description of hundreds.
+    // Hashed as it is written: a definition of a megabyte has a description of hundreds of megabytes.
     let mut hash = Sha256::new();
     hash.update("{\"type_description\": ");
     describe(schema, root, &mut hash);

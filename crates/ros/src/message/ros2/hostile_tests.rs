@@ -1,4 +1,4 @@
-//! Definitions and bodies of ROS 2 that lie.
+//! Hostile ROS 2 definitions and bodies.
 
 use proptest::prelude::*;
 
@@ -11,7 +11,7 @@ fn parse(text: &str) -> Result<Definition, RosError> {
     Definition::parse_ros2("a/msg/Root", text)
 }
 
-/// Types T1 .. Tn, each holding the next.
+/// Types T1 .. Tn, each containing the next.
 fn chain(length: usize) -> String {
     let section = |level: usize| {
         let below = if level == length { "uint8 end".to_owned() } else { format!("T{} below", level + 1) };

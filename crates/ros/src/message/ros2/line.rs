@@ -1,28 +1,28 @@
-//! One line of a `.msg` text of ROS 2: a field with its bounds, a constant, or nothing.
+//! One line of a ROS 2 `.msg` text: a field with its bounds, a constant, or nothing.
 
 use super::super::line::Primitive;
 
-/// The most digits of a number, zeros in front included: what is written is kept, and shown with every array.
+/// The most digits of a number, including leading zeros: the text is kept, and shown with every array.
 const LONGEST_NUMBER: usize = 20;
 
-/// How many of a field's type there are.
+/// How many of its type a field holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Many {
     One,
     Fixed(usize),
-    /// At most so many.
+    /// At most this many.
     Bounded(usize),
     Any,
 }
 
-/// A meaningful line. Default values and the values of constants are no part of a message.
+/// A meaningful line. Default values and the values of constants are not part of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Line<'a> {
     Field {
         /// The type as written, with its bounds.
         written: &'a str,
         base: &'a str,
-        /// The most characters of a text; 0 where it has no bound.
+        /// The most characters of a text; 0 if unbounded.
         bound: usize,
         many: Many,
         name: &'a str,
@@ -30,11 +30,11 @@ pub(super) enum Line<'a> {
     Constant,
 }
 
-/// A type that needs no definition: how it lies in a body, and its number in type descriptions.
+/// A type that needs no definition: its layout in a body, and its number in type descriptions.
 pub(super) fn plain(base: &str) -> Option<(Primitive, u8)> {
     Some(match base {
         "int8" => (Primitive::Int8, 2),
-        // In ROS 2 a char is a number of eight bits.
+        // In ROS 2 a char is an eight-bit number.
         "uint8" | "char" => (Primitive::Uint8, 3),
         "int16" => (Primitive::Int16, 4),
         "uint16" => (Primitive::Uint16, 5),
@@ -52,7 +52,7 @@ pub(super) fn plain(base: &str) -> Option<(Primitive, u8)> {
     })
 }
 
-/// Reads one line; `None` where it is blank or a comment.
+/// Parses one line; `None` if it is blank or a comment.
 pub(super) fn parse_line(line: &str) -> Result<Option<Line<'_>>, &'static str> {
     let line = without_comment(line).trim();
     if line.is_empty() {
@@ -67,12 +67,12 @@ pub(super) fn parse_line(line: &str) -> Result<Option<Line<'_>>, &'static str> {
             Err("a constant is broken")
         };
     }
-    // What follows the name is the default value.
+    // The default value follows the name.
     let name = rest.split(char::is_whitespace).next().unwrap_or_default();
     field(written, name).map(Some)
 }
 
-/// The line up to its comment; a `#` between quotes begins none.
+/// The line up to its comment; a `#` between quotes does not begin one.
 fn without_comment(line: &str) -> &str {
     let mut quote = None;
     let mut escaped = false;
@@ -86,7 +86,7 @@ fn without_comment(line: &str) -> &str {
             _ => {}
         }
     }
-    // A quote that is never closed is a character like any other.
+    // An unclosed quote is an ordinary character.
     if quote.is_some() { line.split('#').next().unwrap_or_default() } else { line }
 }
 
@@ -121,7 +121,7 @@ fn written_base(written: &str) -> &str {
     written.split_once("<=").map_or(written, |(base, _)| base)
 }
 
-/// Whether it can be the name of a field, a package or a type.
+/// Whether it is valid as the name of a field, a package or a type.
 pub(super) fn is_name(name: &str) -> bool {
     let mut bytes = name.bytes();
     name.len() <= 255

@@ -1,4 +1,5 @@
-//! A definition of ROS 2 with every nested type resolved. What parses has no cycles and bounded depth and size.
+//! A ROS 2 definition with every nested type resolved. A definition that parses has no cycles and bounded depth and
+//! size.
 
 use super::super::definition::{LONGEST_DEFINITION, MOST_TYPES};
 use super::super::line::Primitive;
@@ -7,7 +8,7 @@ use super::line::{Line, Many, is_name, parse_line, plain};
 use crate::model::topic::LONGEST_NAME;
 use crate::ros::RosError;
 
-/// What a member holds.
+/// The type of a member.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Of {
     Plain {
@@ -25,7 +26,7 @@ pub(super) struct Member {
     pub name: String,
     pub of: Of,
     pub many: Many,
-    /// The most characters of a text; 0 where it has no bound.
+    /// The most characters of a text; 0 if unbounded.
     pub bound: usize,
     /// The type as written, with its brackets.
     pub written: String,
@@ -39,15 +40,15 @@ pub(super) struct Interface {
     pub members: Vec<Member>,
 }
 
-/// A type with all the types it is made of.
+/// A type with all the types it consists of.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Schema {
-    /// The type itself is last; every one comes after those it is made of.
+    /// The type itself is last; each comes after those it consists of.
     pub interfaces: Vec<Interface>,
 }
 
 impl Schema {
-    /// Parses the type's own lines and the sections behind them.
+    /// Parses the type's own lines and the sections after them.
     pub fn parse(type_name: &str, text: &str) -> Result<Self, RosError> {
         let failed = |reason: String| RosError::definition(type_name, reason);
         let name = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;
@@ -86,7 +87,7 @@ fn sections<'a>(type_name: &str, text: &'a str) -> Result<Texts<'a>, String> {
     Ok(texts)
 }
 
-/// `package/msg/Type` of a name as it may be written; a name alone is of the package it stands in.
+/// `package/msg/Type` from any way of writing the name; a bare name belongs to the package it occurs in.
 pub(super) fn full_name(name: &str, package: Option<&str>) -> Option<String> {
     let parts: Vec<&str> = name.split('/').collect();
     let full = match (parts.as_slice(), package) {
@@ -100,7 +101,7 @@ pub(super) fn full_name(name: &str, package: Option<&str>) -> Option<String> {
     (full.len() <= LONGEST_NAME && parts.iter().all(|part| is_name(part))).then_some(full)
 }
 
-/// The interface of a type and how many levels it has.
+/// The interface of a type and its number of levels.
 fn interface(nesting: &mut Nesting<'_, Interface>, name: &str, lines: &[&str]) -> Result<(Interface, usize), String> {
     let mut members = Vec::new();
     let mut height = 1;

@@ -1,5 +1,5 @@
-//! Every type of ROS 2 Jazzy against rosbags, CDR of both versions against Cyclone DDS; `tests/peers/ros2_messages.py`
-//! made what is compared with.
+//! Every type of ROS 2 Jazzy compared with rosbags, CDR of both versions with Cyclone DDS;
+//! `tests/peers/ros2_messages.py` generated the reference.
 
 use std::collections::BTreeMap;
 
@@ -53,7 +53,7 @@ fn bytes(text: &str) -> Vec<u8> {
     STANDARD.decode(text).expect("base64")
 }
 
-/// A type's text with all texts it needs, in an order that says nothing.
+/// A type's text with all texts it needs, in no particular order.
 fn closure(name: &str, texts: &BTreeMap<&str, &str>) -> String {
     let (mut known, mut waiting, mut whole) = (vec![name.to_owned()], vec![name.to_owned()], String::new());
     while let Some(next) = waiting.pop() {
@@ -148,7 +148,7 @@ fn a_newer_definition_may_have_added_members_at_the_end() {
     assert!(definition.decode(&lying, Limits::default()).is_err());
 }
 
-/// As Fast CDR 2, Cyclone DDS and Fast CDR 1 lay wide texts out.
+/// Wide texts as laid out by Fast CDR 2, Cyclone DDS and Fast CDR 1.
 #[test]
 fn wide_texts_of_every_middleware() {
     let definition = Definition::parse_ros2("a/msg/T", "wstring<=9 text\nuint8 after").expect("a definition");

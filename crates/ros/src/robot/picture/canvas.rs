@@ -1,4 +1,4 @@
-//! A small RGB raster and the strokes the scene is made of. Whatever lies outside is not drawn.
+//! A small RGB raster and the shapes the scene is made of. Anything outside is clipped.
 
 use super::super::letters::{ADVANCE, rows};
 
@@ -15,13 +15,13 @@ pub(super) struct Canvas {
     pixels: Vec<u8>,
 }
 
-/// The whole part, at the ends of the range where it is beyond.
+/// The integer part, saturating.
 #[expect(clippy::cast_possible_truncation, reason = "`as` saturates, and off-screen is off-screen")]
 pub(super) fn whole(number: f64) -> i32 {
     number as i32
 }
 
-/// A brightness, cut to its range.
+/// A brightness, clamped to its range.
 fn shade(level: i32) -> u8 {
     u8::try_from(level.clamp(0, 255)).unwrap_or(255)
 }

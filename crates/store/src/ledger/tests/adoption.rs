@@ -1,4 +1,4 @@
-//! Ledgers of earlier versions are brought up to date and lose nothing.
+//! Ledgers of earlier versions are upgraded and lose nothing.
 
 use super::*;
 

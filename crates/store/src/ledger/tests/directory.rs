@@ -1,4 +1,4 @@
-//! A contract's events in the ledger: what each costs, and a ledger from before they had a place of their own.
+//! A contract's events in the ledger: the cost of each, and a ledger from before they had their own table.
 
 use super::*;
 use crate::model::{Domain, Token};
@@ -32,7 +32,7 @@ fn a_grant_and_its_revocation_cost_the_same_after_six_thousand_of_them() {
         });
         let before = changes();
         ledger.keep_rights(DOMAIN, both.collect()).expect("kept");
-        // Of the first hundred, one epoch fewer is replaced and one contract more is noted.
+        // Of the first hundred, one epoch fewer is superseded and one contract more is noted.
         costs.insert(changes() - before);
     }
     assert_eq!(costs.len(), 1, "{costs:?}");

@@ -1,4 +1,4 @@
-//! Losses: counted once, told of once, and what is lost between the reading and the telling is told of next.
+//! Losses: counted once, reported once, and those between reading and reporting are reported next.
 
 use super::*;
 

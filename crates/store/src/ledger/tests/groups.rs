@@ -1,4 +1,4 @@
-//! Many pieces of work in one transaction: whatever fails among them takes nothing else with it and leaves nothing.
+//! Several pieces of work in one transaction: one that fails takes no other with it and leaves nothing behind.
 
 use std::sync::mpsc::{self, Receiver};
 
@@ -8,16 +8,16 @@ use super::*;
 
 type Answer = Receiver<Result<(), StoreError>>;
 
-/// What is asked of the ledger.
+/// A piece of work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Ask {
-    /// So many records.
+    /// This many records.
     Append(u64),
-    /// So many, and one whose number is taken: none may stay.
+    /// This many, and one whose number is taken: none may stay.
     Clash(u64),
-    /// So many, then a panic: none may stay.
+    /// This many, then a panic: none may stay.
     Panic(u64),
-    /// So many, and the transaction is taken back, as SQLite does where the disk fails.
+    /// This many, and the transaction is rolled back, as SQLite does if the disk fails.
     Lose(u64),
 }
 
@@ -36,7 +36,7 @@ fn own(topic: u8, count: u64) -> Vec<NewRecord> {
     (1..=count).map(|seq| record(2, topic, seq)).collect()
 }
 
-/// Puts work into the queue; `large` says that it is on very many records.
+/// Queues work; `large` says that it covers a great many records.
 fn put(ledger: &Ledger, topic: u8, ask: Ask, large: bool) -> Answer {
     let (Ask::Append(count) | Ask::Clash(count) | Ask::Panic(count) | Ask::Lose(count)) = ask;
     let clash = NewRecord { digest: Digest([topic; 32]), ..record(1, 1, 1) };
@@ -55,7 +55,8 @@ fn put(ledger: &Ledger, topic: u8, ask: Ask, large: bool) -> Answer {
     ledger.shared.writer.ask(size, work).expect("open")
 }
 
-/// Which of these stay, done in one group. A large one begins a transaction; a lost one takes the transaction so far with it.
+/// Which of these stay when done in one group. A large one starts a new transaction; a lost one takes the transaction
+/// so far with it.
 fn kept(asks: &[(Ask, bool)]) -> Vec<bool> {
     let (mut kept, mut begun) = (Vec::new(), 0);
     for (place, (ask, large)) in asks.iter().enumerate() {
@@ -81,7 +82,7 @@ proptest! {
         let (home, ledger) = open();
         ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
         let ((begin, begun), (go, wait)) = (mpsc::channel(), mpsc::channel::<()>());
-        // The writing thread stands still until all is asked, so that it is done in one group.
+        // The writer thread is blocked until everything is queued, so that it is done in one group.
         let holder = ledger.shared.writer.ask(1, move |_| Ok(begin.send(()).is_ok() && wait.recv().is_ok()));
         let holder = holder.expect("open");
         begun.recv().expect("begun");

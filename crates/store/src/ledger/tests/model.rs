@@ -1,4 +1,4 @@
-//! Random operations on the ledger and on a plain model of it; both must agree in every answer and row.
+//! Random operations on the ledger and on a simple model of it; both must agree in every answer and row.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -139,7 +139,7 @@ impl Model {
         NewTransaction { nonce: nonce.unwrap_or(new.nonce), anchors, ..new }
     }
 
-    /// Whether the ledger may keep it; notes it where it may.
+    /// Whether the ledger may accept it; if so, records it.
     fn submit(&mut self, new: &NewTransaction) -> bool {
         match &new.anchors {
             Anchors::Nothing => {}

@@ -13,7 +13,8 @@ fn tag(number: u64) -> FilterId {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
 
-    /// Any filter, direction and page size gives, of few topics or of many (which are read another way), what filtering and sorting all rows gives.
+    /// Any filter, direction and page size, with few topics or with many (which are read differently), gives the same
+    /// as filtering and sorting all rows.
     #[test]
     fn pages_are_complete_and_in_order(
         times in prop::collection::vec((1u8..3, 1u8..40, 0u64..20, any::<bool>()), 1..80),
@@ -30,7 +31,7 @@ proptest! {
         let records: Vec<NewRecord> = (1u64..).zip(&times).map(|(seq, (owner, topic, time, stored))| NewRecord {
             captured_at: Timestamp(*time),
             state: if *stored { Stored } else { Sealed },
-            // Some topics never, some now and then.
+            // Some topics never, some occasionally.
             filters: (1..5).filter(|tag| (u64::from(*topic) + seq / 7).is_multiple_of(*tag)).map(tag).collect(),
             ..record(*owner, *topic, seq)
         }).collect();
@@ -112,7 +113,7 @@ fn a_ledger_of_version_7_is_brought_up_and_finds_its_tags() {
 fn a_choice_finds_the_id_of_all_topics_and_that_of_its_own() {
     let (_home, ledger) = open();
     let with = |topic: u8, number: u64, seq: u64| NewRecord { filters: vec![tag(number)], ..record(1, topic, seq) };
-    // Tag 1 is IK's; 2 and 3 are what the filter keys of topics 1 and 2 make of the same words.
+    // Tag 1 is from IK; 2 and 3 are what the filter keys of topics 1 and 2 make of the same words.
     let rows = [with(1, 1, 1), with(1, 2, 2), with(2, 3, 1), with(2, 2, 2), with(3, 4, 1)];
     ledger.append(rows.to_vec()).expect("acknowledged");
     let by_topic = [(TopicId([1; 16]), tag(2)), (TopicId([2; 16]), tag(3))].into();

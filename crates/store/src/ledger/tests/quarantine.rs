@@ -1,4 +1,4 @@
-//! Held records: on no way to the chain until they are released, and counted all the time.
+//! Quarantined records: kept from the chain until they are released, and always counted.
 
 use super::*;
 use RecordState::{Dropped, Mined, Quarantined, Sealed, Tampered};
@@ -34,7 +34,7 @@ fn held_records_are_neither_batched_nor_submitted_nor_moved_by_a_worker() {
     let counts = ledger.counts(None).expect("counts");
     let topic = &counts.topics[0];
     assert_eq!((topic.captured, topic.quarantined, topic.pending), (2, 1, 1));
-    // Found damaged and right again, it is still held back.
+    // Found damaged and intact again, it is still quarantined.
     assert_eq!(ledger.advance(&[bad.digest], Quarantined, Tampered), Ok(1));
     assert_eq!((ledger.heal(&[bad.digest]), state_of(&ledger, &bad)), (Ok(1), Quarantined));
     assert_eq!(ledger.release(&[bad.digest]), Ok(1));
@@ -67,7 +67,7 @@ fn released_ones_go_on_and_discarded_ones_never() {
     let count = |query: &HeldQuery| ledger.held(Address([1; 20]), query).expect("held").len();
     assert_eq!((count(&messages), count(&undecided), ledger.release(&[definition.digest])), (1, 2, Ok(1)));
     assert!(ledger.held(Address([2; 20]), &all()).expect("held").is_empty());
-    // It outlives the process.
+    // It survives the process.
     ledger.close().expect("closed");
     let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
     let decisions: Vec<_> =

@@ -47,7 +47,7 @@ fn a_signer_without_the_right_is_held_out_of_batches_and_let_go_again() {
     let counts = ledger.counts(Some(OWNER)).expect("counts");
     assert_eq!((counts.pending(), counts.data_in(RightEnded), counts.captured()), (1, 3, 4));
     assert_eq!(ledger.newest_stored(9).map(|found| found.len()), Ok(4), "kept like all others");
-    // An end of the program changes nothing of it, nor does a root of ours that comes late.
+    // A restart does not change it, nor does a late root of ours.
     ledger.close().expect("closed");
     let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
     assert_eq!(anchored(&ledger, 50, 3, 7), 0);
@@ -78,7 +78,7 @@ fn a_batch_that_all_its_records_left_waits_anew_when_it_is_closed_again() {
     assert_eq!(anchored(&ledger, 60, 2, 8), 2);
     assert_eq!(states(&ledger, &records), [Mined, Mined]);
     assert_eq!(ledger.batch_place(records[1].digest).map(|place| place.and_then(|place| place.block)), Ok(Some(8)));
-    // The blocks are replaced: nothing is left to be passed over.
+    // The blocks are replaced: nothing is left to be ignored.
     ledger.unmine(5).expect("taken back");
     assert_eq!(ledger.was_passed_over(records[0].digest), Ok(false));
     assert_eq!(states(&ledger, &records), [Batched, Batched]);

@@ -1,32 +1,32 @@
-//! Where a Redis is: one server, the master that sentinels name, or the nodes of a cluster.
+//! The address of a Redis: one server, the master named by sentinels, or the nodes of a cluster.
 
 use crate::model::clean;
 use crate::store::StoreError;
 
-/// A vault's URL, understood.
+/// A vault's URL, parsed.
 #[derive(Clone, PartialEq, Eq)]
 pub(super) struct Address {
-    /// What to call it, secrets taken out.
+    /// Its name, without secrets.
     pub shown: String,
-    /// `USER:PASSWORD@`, as it was written; empty where there is none.
+    /// `USER:PASSWORD@` as written; empty if there is none.
     credentials: String,
-    /// What is there.
+    /// What it leads to.
     pub place: Place,
 }
 
-/// What is at an address.
+/// The kind of address.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Place {
-    /// One server at a URL that the client understands.
+    /// One server, at a URL that the client understands.
     Server(String),
-    /// Sentinels as HOST:PORT, the name they know the master by, its database.
+    /// Sentinels as HOST:PORT, their name for the master, its database.
     Sentinels(Vec<String>, String, String),
-    /// Nodes of a cluster as HOST:PORT; others are learned from them.
+    /// Nodes of a cluster as HOST:PORT; the rest are learnt from them.
     Cluster(Vec<String>),
 }
 
 impl Address {
-    /// Reads `redis://[USER:PASSWORD@]HOST:PORT/DB`, `redis+unix:///PATH[?db=N]`,
+    /// Parses `redis://[USER:PASSWORD@]HOST:PORT/DB`, `redis+unix:///PATH[?db=N]`,
     /// `redis+sentinel://[USER:PASSWORD@]HOST:PORT,HOST:PORT/MASTER[/DB]` or
     /// `redis+cluster://[USER:PASSWORD@]HOST:PORT,HOST:PORT`.
     ///

@@ -1,6 +1,6 @@
-//! A Redis cluster: which node has which slots, learned from any node that answers and again when it has changed.
+//! A Redis cluster: which node has which slots, learnt from any node that answers, and again after changes.
 //!
-//! A node that is gone fails only what lies in its slots, and is left alone for a moment before it is tried again.
+//! A node that is down affects only what is in its slots, and is left alone for a moment before it is tried again.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::{Duration, Instant};
@@ -13,14 +13,14 @@ use super::slots::{SLOTS, slot};
 use crate::model::clean;
 use crate::store::StoreError;
 
-/// How long a node that did not answer is left alone.
+/// How long an unresponsive node is left alone.
 const REST: Duration = Duration::from_secs(1);
-/// The shortest time between two questions for the map of slots that no node asked for.
+/// The shortest time between requests for the map of slots that no node asked for.
 const ASKED_EVERY: Duration = Duration::from_secs(1);
-/// Names tried for the mark of a node.
+/// Names tried for a node's mark.
 const MARKS_TRIED: u32 = 4096;
 
-/// One node with when it may be tried again.
+/// One node, and when it may be tried again.
 pub(super) struct Member {
     pub(super) host: String,
     pub(super) node: Node,
@@ -57,7 +57,7 @@ impl Member {
 /// Which node has which slots.
 #[derive(Default)]
 struct Map {
-    /// Index among the members by slot.
+    /// Index among the members, by slot.
     slots: Vec<Option<u16>>,
     members: Vec<Arc<Member>>,
 }
@@ -70,10 +70,10 @@ pub(super) struct Cluster {
 }
 
 impl Cluster {
-    /// Learns the map of slots and looks at every node; one that does not answer is looked at when it does.
+    /// Learns the map of slots and examines every node; one that does not answer is examined when it does.
     ///
     /// # Errors
-    /// [`StoreError::Unreachable`] where none answers, [`StoreError::Policy`] where one may throw records away.
+    /// [`StoreError::Unreachable`] if none answers, [`StoreError::Policy`] if one may evict records.
     pub(super) fn open(address: Address) -> Result<Self, StoreError> {
         let cluster = Self { address, map: RwLock::default(), asked: Mutex::default() };
         cluster.learn()?;
@@ -91,10 +91,10 @@ impl Cluster {
         self.map.read().unwrap_or_else(PoisonError::into_inner).members.clone()
     }
 
-    /// The node that has a slot, as far as is known.
+    /// The node that has a slot, as far as known.
     ///
     /// # Errors
-    /// [`StoreError::Unreachable`] where none has it.
+    /// [`StoreError::Unreachable`] if none has it.
     pub(super) fn of(&self, slot: u16) -> Result<Arc<Member>, StoreError> {
         let map = self.map.read().unwrap_or_else(PoisonError::into_inner);
         let index = map.slots.get(usize::from(slot)).copied().flatten();
@@ -102,7 +102,7 @@ impl Cluster {
         member.cloned().ok_or_else(|| self.unreachable(&format!("no node has slot {slot}")))
     }
 
-    /// A name for the mark of a node, in one of its own slots; `None` where it has too few of them to find one.
+    /// A name for a node's mark, in one of its own slots; `None` if it has too few of them to find one.
     pub(super) fn mark_of(&self, member: &Member) -> Option<String> {
         let is_there = |name: &String| self.of(slot(name)).is_ok_and(|other| other.host == member.host);
         (0..MARKS_TRIED).map(|number| format!("{MARK}:{number}")).find(is_there)
@@ -112,10 +112,10 @@ impl Cluster {
         StoreError::Unreachable { url: self.address.shown.clone(), detail: detail.to_owned() }
     }
 
-    /// Does idempotent `work` where the slot is, also where it has moved to.
+    /// Does idempotent `work` on the node with the slot, following it if it has moved.
     ///
     /// # Errors
-    /// Of the node, or where the slot has none.
+    /// Errors of the node, or if the slot has none.
     pub(super) fn with<T>(&self, slot: u16, work: impl Fn(&mut Connection) -> RedisResult<T>) -> Result<T, StoreError> {
         let member = self.of(slot)?;
         let failure = match member.with(&work) {
@@ -135,7 +135,7 @@ impl Cluster {
                 self.learn()?;
                 self.of(slot)?.with(work).map_err(|failure| failure.error)
             }
-            // Another one may have taken its slots over.
+            // Another one may have taken over its slots.
             None if matches!(failure.error, StoreError::Unreachable { .. }) && self.may_ask() => {
                 drop(self.learn());
                 let other = self.of(slot)?;
@@ -158,7 +158,7 @@ impl Cluster {
         known.map_or_else(|| Member::new(&self.address, host).map(Arc::new), Ok)
     }
 
-    /// Asks the nodes, known ones first, until one tells who has which slots.
+    /// Asks the nodes, known ones first, until one says who has which slots.
     pub(super) fn learn(&self) -> Result<(), StoreError> {
         *self.asked.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
         let Place::Cluster(seeds) = &self.address.place else { return Err(self.unreachable("it is no cluster")) };
@@ -198,8 +198,8 @@ impl Cluster {
     }
 }
 
-/// First and last slot, and HOST:PORT of the master: of `[first, last, [host, port, …], …]`. A node that does not
-/// know its own name leaves it out: it is the one that was asked.
+/// First and last slot, and HOST:PORT of the master, from `[first, last, [host, port, …], …]`. A node that does not
+/// know its own name leaves it out: then it is the node that was asked.
 fn range_of(asked: &str, range: Value) -> Option<(u16, u16, String)> {
     let Value::Array(parts) = range else { return None };
     let mut parts = parts.into_iter();

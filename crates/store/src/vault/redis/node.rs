@@ -1,7 +1,6 @@
-//! One Redis server and the connection to it, made anew on the next call after a failure.
+//! One Redis server and its connection, reopened by the next call after a failure.
 //!
-//! Every new connection first looks at how the server is set up, because a restart may have brought another
-//! configuration.
+//! Every new connection first checks the server's configuration, because a restart may have changed it.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -14,20 +13,20 @@ use crate::store::StoreError;
 use crate::store::vault::policy::{Finding, Gravity, Setup};
 
 const TIMEOUT: Duration = Duration::from_secs(3);
-/// How long a server that did not answer is left alone: whoever asks meanwhile is told at once what was found, and
-/// nobody waits a second time for the same silence.
+/// How long an unresponsive server is left alone: callers meanwhile get the previous error at once, so nobody waits a
+/// second time for the same silence.
 const REST: Duration = Duration::from_secs(1);
-/// An answer that takes longer than this is waited for.
+/// A failure that took longer than this counts as silence.
 const SILENCE: Duration = Duration::from_secs(1);
-/// How often it is looked at how the server is set up, and whether it takes what is written.
+/// How often the server's configuration is checked, and whether it accepts writes.
 const LOOK: Duration = Duration::from_secs(2);
-/// The mark's name; no record's key begins so.
+/// The mark's name; no record's key begins like this.
 pub(super) const MARK: &str = "authros:mark";
 
-/// Why a node did not do what was asked.
+/// Why a node did not do as asked.
 #[derive(Debug)]
 pub(super) struct Failure {
-    /// What to tell.
+    /// An error to report.
     pub error: StoreError,
     /// Another node of the cluster has the slot, for good (`true`) or while it moves.
     pub redirect: Option<(String, bool)>,
@@ -39,10 +38,10 @@ impl From<StoreError> for Failure {
     }
 }
 
-/// Where a node is found.
+/// How a node is found.
 enum Source {
     Fixed(Client),
-    /// The sentinels, the name they know the master by, its database.
+    /// The sentinels, their name for the master, its database.
     Sentinels(Vec<Client>, String, String),
 }
 
@@ -50,10 +49,10 @@ enum Source {
 pub(super) struct Node {
     address: Address,
     source: Source,
-    /// The server without secrets.
+    /// The server, without secrets.
     shown: String,
     link: Mutex<Link>,
-    /// Apart from the link, so that asking for them never waits for the network.
+    /// Separate from the link, so that reading it never waits for the network.
     findings: Mutex<Vec<Finding>>,
 }
 
@@ -64,7 +63,7 @@ struct Link {
     run_id: Option<String>,
     /// Until when it is left alone, and why.
     resting: Option<(Instant, StoreError)>,
-    /// When its set-up was last looked at.
+    /// When its configuration was last checked.
     looked: Option<Instant>,
 }
 
@@ -73,8 +72,8 @@ impl Link {
         self.resting.as_ref().filter(|(until, _)| Instant::now() < *until).map(|(_, why)| why.clone())
     }
 
-    /// Notes that the server does not answer. It is left alone where that was waited for since `begun`; one that
-    /// refuses at once may be tried again at once.
+    /// Notes that the server does not answer. It is left alone if that took long since `begun`; one that refuses at
+    /// once may be tried again at once.
     fn rest(&mut self, why: &StoreError, begun: Instant) {
         self.connection = None;
         if matches!(why, StoreError::Unreachable { .. }) {
@@ -86,7 +85,7 @@ impl Link {
 }
 
 impl Node {
-    /// The server of an address, or the master that its sentinels name; not connected yet.
+    /// The server at an address, or the master named by its sentinels; not connected yet.
     ///
     /// # Errors
     /// [`StoreError::VaultUrl`].
@@ -124,7 +123,7 @@ impl Node {
         self.link.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Connects where there is no connection.
+    /// Connects if there is no connection.
     ///
     /// # Errors
     /// [`StoreError::Unreachable`], [`StoreError::VaultRefused`], [`StoreError::Policy`].
@@ -158,10 +157,10 @@ impl Node {
         Ok(connection)
     }
 
-    /// Looks at how the server is set up.
+    /// Checks the server's configuration.
     ///
     /// # Errors
-    /// [`StoreError::Policy`] where it may throw records away.
+    /// [`StoreError::Policy`] if it may evict records.
     fn examine(&self, connection: &mut Connection) -> Result<(), StoreError> {
         let findings = self.look(connection)?;
         let refused = findings.iter().find(|finding| finding.gravity == Gravity::Refused).cloned();
@@ -189,7 +188,7 @@ impl Node {
         }
     }
 
-    /// HOST:PORT of the master that the first sentinel that answers names.
+    /// HOST:PORT of the master, from the first sentinel that answers.
     fn master(&self, sentinels: &[Client], name: &str) -> Result<String, StoreError> {
         let mut failure = self.gone("there are no sentinels");
         for sentinel in sentinels {
@@ -208,7 +207,7 @@ impl Node {
         Err(failure)
     }
 
-    /// How the server is set up.
+    /// The server's configuration.
     fn look(&self, connection: &mut Connection) -> Result<Vec<Finding>, StoreError> {
         let mut ask = |name: &str| match configuration(connection, name) {
             Err(error) if is_lost(&error) => Err(self.error(&error)),
@@ -226,12 +225,12 @@ impl Node {
         Ok(setup.findings(&self.shown))
     }
 
-    /// What is wrong with its set-up, as it was when it was last connected to.
+    /// Problems with its configuration, as of the last connection.
     pub(super) fn findings(&self) -> Vec<Finding> {
         self.findings.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Does idempotent `work`; where an old connection turns out to be dead, once more on a new one.
+    /// Does idempotent `work`; if an old connection turns out to be dead, once more on a new one.
     pub(super) fn with<T>(&self, work: impl Fn(&mut Connection) -> RedisResult<T>) -> Result<T, Failure> {
         let mut link = self.link();
         let begun = Instant::now();
@@ -262,9 +261,9 @@ impl Node {
         })
     }
 
-    /// Names what the server holds now: the id of its run, how often it threw a key away, and the mark under `mark`,
-    /// which is gone after a FLUSHALL and is then set anew. Where this is another text than before, records may be
-    /// gone. Every two seconds the set-up is looked at too, and whether the server takes what is written.
+    /// Identifies the server's present contents: the id of its run, its number of evictions, and the mark under `mark`,
+    /// which a FLUSHALL deletes and which is then set anew. If the text changes, records may be gone. Every two seconds
+    /// it also checks the configuration, and whether the server accepts writes.
     ///
     /// # Errors
     /// [`StoreError::Unreachable`], [`StoreError::Policy`], [`StoreError::VaultFull`] and the like.
@@ -278,12 +277,12 @@ impl Node {
         Ok(found)
     }
 
-    /// Why it was not reached the last time.
+    /// Why it was not reachable the last time.
     pub(super) fn ailing(&self) -> Option<StoreError> {
         self.link().resting.as_ref().map(|(_, why)| why.clone())
     }
 
-    /// Looks at the set-up of a server that is connected to; one that may throw records away is not used any more.
+    /// Checks the configuration of a connected server; one that may evict records is no longer used.
     fn look_again(&self) -> Result<(), StoreError> {
         let mut link = self.link();
         link.looked = Some(Instant::now());
@@ -292,7 +291,7 @@ impl Node {
         self.examine(connection).inspect_err(|error| link.rest(error, begun))
     }
 
-    /// The id of the last run that it told of.
+    /// The id of the last run it reported.
     pub(super) fn known_run(&self) -> Option<String> {
         self.link().run_id.clone()
     }
@@ -339,7 +338,7 @@ fn open(client: &Client) -> RedisResult<Connection> {
     Ok(connection)
 }
 
-/// The server's error code with its words; of a pipeline, that of its first failed command.
+/// The server's error code with its words; for a pipeline, that of its first failed command.
 fn first_error(error: &RedisError) -> Option<(String, Option<String>)> {
     if let Some(code) = error.code() {
         return Some((code.to_owned(), error.detail().map(str::to_owned)));
@@ -348,7 +347,7 @@ fn first_error(error: &RedisError) -> Option<(String, Option<String>)> {
     all.first().map(|(_, error)| (error.code().to_owned(), error.details().map(str::to_owned)))
 }
 
-/// Whether the connection is of no more use. A master that became a replica takes no more writes.
+/// Whether the connection is no longer usable. A master that became a replica accepts no more writes.
 fn is_lost(error: &RedisError) -> bool {
     let demoted = error.kind() == ErrorKind::Server(ServerErrorKind::ReadOnly);
     demoted || error.is_io_error() || error.is_unrecoverable_error()
@@ -359,14 +358,14 @@ fn configuration(connection: &mut Connection, name: &str) -> RedisResult<Option<
     Ok(found.into_iter().nth(1))
 }
 
-/// Run, evictions and mark in one text. `write`: the mark is written again, which a server that is full refuses.
+/// Run, evictions and mark in one text. `write`: the mark is written again, which a full server refuses.
 fn held(connection: &mut Connection, mark: &str, write: bool) -> RedisResult<String> {
     let run = figure(connection, "server", "run_id:")?;
     let evicted = figure(connection, "stats", "evicted_keys:")?;
     let found: Option<String> = cmd("GET").arg(mark).query(connection)?;
     let token = match found {
         Some(token) if write => {
-            // Only where it is still there: one that is gone by now is to be missed the next time.
+            // Only if it is still there: a missing one must be noticed the next time.
             cmd("SET").arg(mark).arg(&token).arg("XX").exec(connection)?;
             token
         }
@@ -379,7 +378,7 @@ fn held(connection: &mut Connection, mark: &str, write: bool) -> RedisResult<Str
     Ok(format!("{run}/{evicted}/{}", clean(&token, 40)))
 }
 
-/// A figure of the server; empty where it does not say.
+/// One of the server's figures; empty if it does not say.
 fn figure(connection: &mut Connection, section: &str, name: &str) -> RedisResult<String> {
     match cmd("INFO").arg(section).query::<String>(connection) {
         Ok(text) => Ok(text.lines().find_map(|line| line.strip_prefix(name)).unwrap_or_default().trim().to_owned()),
@@ -388,7 +387,7 @@ fn figure(connection: &mut Connection, section: &str, name: &str) -> RedisResult
     }
 }
 
-/// A mark that was never set before. Without random numbers the time must do.
+/// A mark that was never set before. If there are no random numbers, the time must do.
 fn fresh_token() -> String {
     let mut token = [0; 8];
     if getrandom::fill(&mut token).is_err() {

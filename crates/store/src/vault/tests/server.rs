@@ -1,4 +1,4 @@
-//! A real redis-server of one test: free port, own directory, stopped when dropped.
+//! A real redis-server for one test: free port, its own directory, stopped on drop.
 
 use std::net::TcpListener;
 use std::process::{Child, Command, Stdio};
@@ -12,7 +12,7 @@ pub(super) struct Server {
 }
 
 impl Server {
-    /// Starts a server; `None` (and says so) where none is installed.
+    /// Starts a server; `None` (and a message) if none is installed.
     pub(super) fn start(arguments: &[&str]) -> Option<Self> {
         let installed = Command::new("redis-server").arg("--version").stdout(Stdio::null()).status();
         if installed.is_err() {
@@ -21,7 +21,7 @@ impl Server {
         }
         let directory = tempfile::tempdir().expect("temporary directory");
         let arguments: Vec<String> = arguments.iter().map(|argument| (*argument).to_owned()).collect();
-        // Another process may take the free port first: then try the next one.
+        // Another process may take the free port first: then tries the next one.
         for _ in 0..5 {
             let port = TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).expect("a free port").port();
             let mut child = spawn(port, directory.path(), &arguments);

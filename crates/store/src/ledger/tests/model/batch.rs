@@ -1,4 +1,4 @@
-//! The model's batches, and the steps that are theirs.
+//! The model's batches, and their steps.
 
 use super::*;
 use crate::chain::merkle::{Leaf, Tree};
