@@ -469,7 +469,7 @@ def packed(members):
 
 class Bundle:
     FORMS = re.compile(r"mimetype|manifest\.(json|der)|trust\.toml|VERIFY\.txt|report\.html|chain/(nodes|[0-9]+)\.rlp|"
-                       r"heights\.json|stamps/[0-9a-f]{64}/(roots\.json|[0-9a-f]{64}\.der)|keys/[0-9a-f]{64}\.pem|identities/[0-9a-f]{64}\.bin|definitions/[0-9a-f]{64}\.txt|"
+                       r"heights\.json|stamps/[0-9a-f]{64}/(roots\.json|[0-9a-f]{32}\.der)|keys/[0-9a-f]{64}\.pem|identities/[0-9a-f]{64}\.bin|definitions/[0-9a-f]{64}\.txt|"
                        r"records/[0-9a-f]{64}/(record\.bin|signature\.der|anchor\.json|reveal\.(bin|der))")
 
     def __init__(self, path):
@@ -525,7 +525,7 @@ class Bundle:
             named = hashlib.sha256(b"AuthROS/stamp/1" + top + struct.pack(">Q", count)).hexdigest() == folder
             if listed["format"] != "authros-stamp/1" or not named or len(top) != 32 or not 1 <= len(tokens) <= 4 or count > 16_384:
                 raise Refused("a time stamp is not of its form")
-            if any(hashlib.sha256(self.members[n]).hexdigest() != n.split("/")[2][:-4] for n in tokens):
+            if any(hashlib.sha256(self.members[n]).hexdigest()[:32] != n.split("/")[2][:-4] for n in tokens):
                 raise Refused("a token is filed under another's name")
             if any(unhex(one["root"]) >= unhex(next_["root"]) for one, next_ in zip(roots, roots[1:])):
                 raise Refused("roots of a time stamp are not in their order")

@@ -20,6 +20,7 @@ pub const MOST_TOKENS: usize = 4;
 const FORMAT: &str = "authros-stamp/1";
 const LABEL: &[u8] = b"AuthROS/stamp/1";
 const ROOTS: &str = "roots.json";
+const TOKEN_DIGITS: usize = 32;
 
 /// SHA-256(`AuthROS/stamp/1` || top || count, 8 bytes big endian): what an authority stamps.
 fn imprint_of(top: &Hash, count: u64) -> [u8; 32] {
@@ -91,9 +92,10 @@ fn places_text(listed: &Listed) -> Result<Vec<u8>, BundleError> {
     serde_json::to_vec_pretty(listed).map_err(|error| BundleError::of(ROOTS, &error.to_string()))
 }
 
-/// The name of a token's file.
+/// The name of a token's file: half of its SHA-256, since names of members are no longer than 120 bytes.
 fn token_name(token: &[u8]) -> String {
-    format!("{}.der", Hash(Sha256::digest(token).into()).to_hex())
+    let digits = Hash(Sha256::digest(token).into()).to_hex();
+    format!("{}.der", digits.get(..TOKEN_DIGITS).unwrap_or_default())
 }
 
 /// The members of one stamp.
