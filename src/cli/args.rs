@@ -312,6 +312,25 @@ mod tests {
     }
 
     #[test]
+    fn no_verb_has_an_option_of_its_own_under_the_name_of_one_of_every_command() {
+        fn look(command: &clap::Command, taken: &[&str], path: &str) {
+            for verb in command.get_subcommands() {
+                let path = format!("{path} {}", verb.get_name());
+                let own = verb.get_arguments().filter(|argument| !argument.is_global_set());
+                let twice: Vec<&str> =
+                    own.map(|argument| argument.get_id().as_str()).filter(|id| taken.contains(id)).collect();
+                assert!(twice.is_empty(), "{path}: {twice:?}");
+                look(verb, taken, &path);
+            }
+        }
+        let command = Arguments::command();
+        let every = command.get_arguments().filter(|argument| argument.is_global_set());
+        let taken: Vec<&str> = every.map(|argument| argument.get_id().as_str()).collect();
+        assert!(taken.contains(&"robots") && taken.contains(&"home"), "{taken:?}");
+        look(&command, &taken, "authros");
+    }
+
+    #[test]
     fn a_commands_own_options_come_before_those_of_every_command() {
         let mut command = Arguments::command();
         command.build();

@@ -217,7 +217,7 @@ fn a_gateway_keeps_every_record_it_is_measured_with() {
 fn memory_is_told_for_each_of_many() {
     let _alone = heavy();
     let home = Home::new();
-    let arguments = ["bench", "memory", "--robots", "20", "--topics", "20", "--records", "10000"];
+    let arguments = ["bench", "memory", "--idle-robots", "20", "--topics", "20", "--records", "10000"];
     let report = bare(&home).json_within(LIMIT, &arguments);
     assert_eq!(text(&report, "name"), "memory");
     let rows = list(&report, "results");

@@ -221,7 +221,7 @@ pub struct PipelineArguments {
 pub struct MemoryArguments {
     /// Idle robots at a gateway; as many as open files allow
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=50_000))]
-    pub robots: u32,
+    pub idle_robots: u32,
     /// Watched topics that nobody publishes
     #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u16).range(2..=10_000))]
     pub topics: u16,

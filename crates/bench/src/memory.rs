@@ -77,7 +77,7 @@ pub async fn run(
     outlet: &Outlet,
 ) -> Result<Judgement, Failure> {
     // First, while the allocator holds nothing that was freed.
-    let (robots, limited_by) = idle_robots(provider, arguments.robots).await?;
+    let (robots, limited_by) = idle_robots(provider, arguments.idle_robots).await?;
     let mut results = vec![robots];
     results.extend(topics(global, u64::from(arguments.topics), outlet).await?);
     // Dropped here even where the bench is ended while its thread still works.
