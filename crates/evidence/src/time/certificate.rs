@@ -36,8 +36,8 @@ pub struct Certificate {
 /// What its extensions say.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Uses {
-    /// It may issue others, with so many between it and the last at most.
-    pub issuer: Option<Option<u64>>,
+    /// It may issue others, with so many between it and the last at most; without a limit, that is `u64::MAX`.
+    pub issuer: Option<u64>,
     /// The first byte of keyUsage.
     pub key: Option<u8>,
     /// A critical extended key usage that names timeStamping and nothing else.
@@ -160,7 +160,7 @@ impl Uses {
             names::BASIC_CONSTRAINTS => {
                 let mut inner = Der::only(PART, value.content, SEQUENCE)?;
                 let issues = inner.next_tag() == Some(super::der::BOOLEAN) && inner.boolean()?;
-                let most = if inner.is_empty() { None } else { Some(inner.small()?) };
+                let most = if inner.is_empty() { u64::MAX } else { inner.small()? };
                 inner.end()?;
                 self.issuer = issues.then_some(most);
             }

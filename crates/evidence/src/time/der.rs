@@ -272,7 +272,7 @@ mod tests {
         ] {
             assert!(read(bad).is_err(), "{bad:02x?}");
         }
-        assert!(Der::new("test", &[0; LARGEST_DER + 1]).is_err());
+        assert!(Der::new("test", &vec![0; LARGEST_DER + 1]).is_err());
     }
 
     #[test]

@@ -40,8 +40,7 @@ pub(super) fn check(
 
 /// Whether one certificate issued the other, with so many between that one and the first.
 fn issued(above: &Certificate, below: &Certificate, between: usize) -> Result<(), TimeError> {
-    let most = above.uses.issuer.flatten();
-    if !above.uses.may_issue() || most.is_some_and(|most| most < between as u64) {
+    if !above.uses.may_issue() || above.uses.issuer.is_some_and(|most| most < between as u64) {
         return Err(TimeError::NotAnIssuer(above.name()));
     }
     above.key.verify(below.scheme.clone()?, &below.signed, &below.signature).map_err(|error| match error {

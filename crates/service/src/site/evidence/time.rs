@@ -102,12 +102,11 @@ impl TimeStamps {
         let newest = self.plant.ledger.stamp_counts()?.newest;
         let due = newest.is_none_or(|newest| Timestamp::now().0.saturating_sub(newest.0) >= nanoseconds(PERIOD));
         let mut roots = 0;
-        while at_once || due {
-            let more = self.plant.ledger.begin_stamp(MOST_ROOTS)?;
-            roots += more;
-            if more < MOST_ROOTS as u64 {
-                break;
-            }
+        let mut more = at_once || due;
+        while more {
+            let put = self.plant.ledger.begin_stamp(MOST_ROOTS)?;
+            roots += put;
+            more = put == MOST_ROOTS as u64;
         }
         Ok(roots)
     }
