@@ -162,7 +162,7 @@ impl Uses {
             names::BASIC_CONSTRAINTS => {
                 let mut inner = Der::only(PART, value.content, SEQUENCE)?;
                 let issues = inner.next_tag() == Some(super::der::BOOLEAN) && inner.boolean()?;
-                let most = if inner.is_empty() { None } else { Some(inner.small()?) };
+                let most = if inner.is_empty() { u64::MAX } else { inner.small()? };
                 inner.end()?;
                 (self.issuer, self.most) = (issues, most.filter(|_| issues));
             }
