@@ -1,4 +1,4 @@
-//! What the features of a site share; each takes from here what it needs.
+//! What the features of a site share; each takes what it needs.
 
 use std::sync::Arc;
 
@@ -38,7 +38,7 @@ pub(super) struct Parts {
     pub sender: Arc<Sender>,
 }
 
-/// Hears of each owner as it is opened.
+/// Receives each owner as it is opened.
 pub(super) type Opened = mpsc::UnboundedReceiver<Arc<Owner>>;
 
 impl Parts {
@@ -72,7 +72,7 @@ impl Parts {
     }
 }
 
-/// An older program on a newer home changes nothing of it: all files are looked at before the first is opened.
+/// An older program changes nothing in a newer home: all files are checked before the first is opened.
 fn check_versions(home: &Home) -> Result<(), Failure> {
     Ledger::check_version(&home.ledger())?;
     check_vault_version(&home.vault())?;

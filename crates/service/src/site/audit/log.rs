@@ -97,8 +97,8 @@ impl Log {
         self.counted.forget_query(name, query);
     }
 
-    /// Counts a refusal; a line per peer, code and minute tells how many there were. `peer` is a profile's name, or
-    /// what is known of a remote peer (no port: each connection has another); `code` is one of the program's. Returns
+    /// Counts a refusal; a line per peer, code and minute says how many there were. `peer` is a profile's name, or what
+    /// is known of a remote peer (no port: each connection has another); `code` is a constant of the program. Returns
     /// whether it is the first of its minute.
     pub(crate) fn refused(&self, peer: &str, code: &str) -> bool {
         self.counted.add(Timestamp::now(), peer, code)
@@ -111,7 +111,7 @@ impl Log {
         }
     }
 
-    /// Writes the counters of ended minutes; all of them where `now` is `None`.
+    /// Writes the counters of past minutes; all of them if `now` is `None`.
     pub(in crate::site) async fn write_counted(self: &Arc<Self>, now: Option<Timestamp>) {
         let mut refusals = self.counted.take(now).into_iter();
         while let Some(((minute, peer, code), count)) = refusals.next() {

@@ -123,7 +123,7 @@ impl Stage {
         Ok(capturing.map(|node| format!("{topic} is captured by {} there; give a --prefix", clean(node, 120))))
     }
 
-    /// Shows a topic that is no record's, `/clock`.
+    /// Publishes a topic that is not a record's, `/clock`.
     ///
     /// # Errors
     /// As [`Self::show`].
