@@ -91,7 +91,7 @@ fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a Ancho
     }
 }
 
-/// An anchor with how many leaves the state says it is over; `None` where it is a digest by itself.
+/// An anchor with how many leaves the state says it is over; `None` if it is a digest by itself.
 type Counted<'a> = (Anchored<'a>, Option<u64>);
 
 fn in_state<'a>(

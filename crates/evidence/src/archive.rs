@@ -38,7 +38,7 @@ pub fn is_name(name: &str) -> bool {
 /// The archive of these members.
 ///
 /// # Errors
-/// [`BundleError`] where they are too many or too long, or a name is none.
+/// [`BundleError`] if they are too many or too long, or a name is none.
 pub fn write(members: &Members) -> Result<Vec<u8>, BundleError> {
     if members.len() > MOST_MEMBERS {
         return Err(BundleError::whole(&format!(
@@ -79,7 +79,7 @@ pub fn write(members: &Members) -> Result<Vec<u8>, BundleError> {
 /// The members of an archive of this form.
 ///
 /// # Errors
-/// [`BundleError`] where it is of any other form.
+/// [`BundleError`] if it is of any other form.
 pub fn read(bytes: &[u8]) -> Result<Members, BundleError> {
     number(bytes.len())?;
     let (mut members, mut rest) = (Members::new(), bytes);

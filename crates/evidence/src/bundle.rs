@@ -139,7 +139,7 @@ pub struct BundledRecord {
     pub record: Vec<u8>,
     /// Its signature.
     pub signature: Signature,
-    /// Where it is anchored; `None` where it was on no chain.
+    /// Where it is anchored; `None` if it was on no chain.
     pub anchor: Option<AnchorClaim>,
     /// Its disclosure.
     pub disclosure: Option<Disclosure>,
@@ -194,7 +194,7 @@ impl Bundle {
     /// From a file's bytes.
     ///
     /// # Errors
-    /// As [`Bundle::read`].
+    /// See [`Bundle::read`].
     pub fn parse(bytes: &[u8], provider: &dyn Provider) -> Result<Self, BundleError> {
         Self::of_members(&archive::read(bytes)?, provider)
     }
@@ -202,7 +202,7 @@ impl Bundle {
     /// From its members.
     ///
     /// # Errors
-    /// As [`Bundle::read`].
+    /// See [`Bundle::read`].
     pub fn of_members(members: &Members, provider: &dyn Provider) -> Result<Self, BundleError> {
         let manifest = Manifest::read(members, provider)?;
         let (mut drafts, mut bundle) = (Drafts::default(), Self::empty(manifest));

@@ -31,7 +31,7 @@ pub struct BlockHeader {
     /// Its time, seconds, by its sealer's clock.
     pub timestamp: u64,
     extra: Vec<u8>,
-    /// What a Clique signer signs of it; `None` where it is of another consensus.
+    /// What a Clique signer signs of it; `None` if it is of another consensus.
     seal_hash: Option<[u8; 32]>,
 }
 
@@ -57,7 +57,7 @@ impl BlockHeader {
         })
     }
 
-    /// Who sealed it, under proof of authority as in Clique (EIP-225); `None` where it has no such seal.
+    /// Who sealed it, under proof of authority as in Clique (EIP-225); `None` if it has no such seal.
     pub fn sealer(&self) -> Option<Address> {
         let mut seal: [u8; SEAL] = self.extra.get(self.extra.len().checked_sub(SEAL)?..)?.try_into().ok()?;
         let parity = seal.last_mut()?;

@@ -70,7 +70,7 @@ fn statement<'a>(record: &'a RecordReport, messages: &'a Messages, type_name: &s
 pub(crate) struct Claim<'a> {
     /// Its record.
     pub record: &'a RecordReport,
-    /// The number; `None` where the path does not lead to the head's root.
+    /// The number; `None` if the path does not lead to the head's root.
     pub number: Option<u64>,
 }
 

@@ -64,7 +64,7 @@ impl Packing {
     /// Adds a signer's key.
     ///
     /// # Errors
-    /// Where it is no point.
+    /// If it is no point.
     pub fn key(&mut self, key: &PublicKey) -> Result<(), PackingError> {
         let pem = keyfile::sm2_public_pem(key)?;
         self.members.insert(format!("keys/{}.pem", signer_id(key).to_hex()), pem.into_bytes());
@@ -97,7 +97,7 @@ impl Packing {
     /// Adds where heads of recorders have the highest numbers of topics.
     ///
     /// # Errors
-    /// Where it cannot be written.
+    /// If it cannot be written.
     pub fn heights(&mut self, heights: Vec<Height>) -> Result<(), PackingError> {
         self.members.insert(HEIGHTS.to_owned(), heights::to_text(heights)?);
         Ok(())
@@ -106,7 +106,7 @@ impl Packing {
     /// Adds an authority's stamps over these roots, of all that were stamped together.
     ///
     /// # Errors
-    /// Where it cannot be written.
+    /// If it cannot be written.
     pub fn stamps(&mut self, tree: &StampTree, wanted: &[Hash], tokens: &[Vec<u8>]) -> Result<(), PackingError> {
         if !tokens.is_empty() {
             self.members.extend(time::members(tree, wanted, tokens)?);
@@ -122,7 +122,7 @@ impl Packing {
     /// Suggests what to pin.
     ///
     /// # Errors
-    /// Where it cannot be written.
+    /// If it cannot be written.
     pub fn suggest(&mut self, trust: &Trust) -> Result<(), PackingError> {
         let text = trust.to_text().map_err(|error| BundleError::of(SUGGESTED, &error.to_string()))?;
         let note = "# What the exporter says. Compare each line with what you know by another way, then keep a copy of \
@@ -134,7 +134,7 @@ impl Packing {
     /// The members with the manifest, signed by its exporter.
     ///
     /// # Errors
-    /// Where the key cannot sign.
+    /// If the key cannot sign.
     pub fn sign(
         mut self,
         chain: ClaimedChain,
@@ -160,7 +160,7 @@ impl Packing {
 /// The file of these members.
 ///
 /// # Errors
-/// Where it would be too large.
+/// If it would be too large.
 pub fn pack(members: &Members) -> Result<Vec<u8>, PackingError> {
     Ok(archive::write(members)?)
 }
@@ -168,7 +168,7 @@ pub fn pack(members: &Members) -> Result<Vec<u8>, PackingError> {
 /// An owner's signature under the disclosure of a record.
 ///
 /// # Errors
-/// Where the key cannot sign.
+/// If the key cannot sign.
 pub fn disclose(
     secret: authros_crypto::record::RecordSecret,
     (domain, digest): (&Domain, &Digest),

@@ -154,7 +154,7 @@ pub struct Stretch {
     pub topic_id: TopicId,
     /// How far it goes: no further than the signers of its records are shown.
     pub standing: Standing,
-    /// The first number in the bundle; `None` where no record's signer is proven.
+    /// The first number in the bundle; `None` if no record's signer is proven.
     pub first: Option<u64>,
     /// The last.
     pub last: Option<u64>,

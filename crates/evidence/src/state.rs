@@ -60,7 +60,7 @@ impl Nodes {
         list.out().to_vec()
     }
 
-    /// From those bytes; `None` where they are not exactly such a list.
+    /// From those bytes; `None` if they are not exactly such a list.
     pub fn parse(bytes: &[u8]) -> Option<Self> {
         let list = Rlp::new(bytes);
         if !list.is_list() || list.item_count().ok()? > MOST_NODES {
@@ -74,7 +74,7 @@ impl Nodes {
     /// The value of a key below a root; `Ok(None)` where the trie proves that there is none.
     ///
     /// # Errors
-    /// [`Unproven`] where the nodes do not show it.
+    /// [`Unproven`] if the nodes do not show it.
     pub fn look_up(&self, root: Hash, key: &[u8]) -> Result<Option<Vec<u8>>, Unproven> {
         if root == EMPTY_ROOT {
             return Ok(None);
@@ -210,7 +210,7 @@ impl<'a> Storage<'a> {
     /// The contract's, in the state with this root.
     ///
     /// # Errors
-    /// [`Unproven`] where the nodes do not show its account.
+    /// [`Unproven`] if the nodes do not show its account.
     pub fn of(nodes: &'a Nodes, state: Hash, contract: Address) -> Result<Self, Unproven> {
         let account = nodes.look_up(state, &contract.0)?.ok_or(Unproven::NoContract)?;
         let fields = Rlp::new(&account);
@@ -225,7 +225,7 @@ impl<'a> Storage<'a> {
     /// What lies in a slot; zero where the state proves that nothing does.
     ///
     /// # Errors
-    /// [`Unproven`] where the nodes do not show it.
+    /// [`Unproven`] if the nodes do not show it.
     pub fn word(&self, slot: Slot) -> Result<Word, Unproven> {
         let Some(value) = self.nodes.look_up(self.root, &slot.0)? else { return Ok(Word([0; 32])) };
         let value = Rlp::new(&value);
@@ -253,7 +253,7 @@ impl<'a> Storage<'a> {
         Ok((block != 0).then_some(block))
     }
 
-    /// A version of an account's keys; `None` where there is none yet.
+    /// A version of an account's keys; `None` if there is none yet.
     ///
     /// # Errors
     /// [`Unproven`].
@@ -275,7 +275,7 @@ impl<'a> Storage<'a> {
         Ok(word.get(7).is_some_and(|flag| *flag != 0))
     }
 
-    /// A device's loan; `None` where it was never lent.
+    /// A device's loan; `None` if it was never lent.
     ///
     /// # Errors
     /// [`Unproven`].

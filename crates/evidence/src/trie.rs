@@ -18,7 +18,7 @@ pub enum Step {
     Down(Hash, usize),
 }
 
-/// Follows `path` within one stored node; `None` where it is no node.
+/// Follows `path` within one stored node; `None` if it is no node.
 pub fn follow(node: &Rlp<'_>, path: &[u8]) -> Option<Step> {
     let (child, rest) = match node.item_count().ok()? {
         2 => {

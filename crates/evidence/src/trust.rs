@@ -80,7 +80,7 @@ impl Trust {
     /// From the text of a trust file.
     ///
     /// # Errors
-    /// [`TrustError`] where it is none, or demands what no chain can give.
+    /// [`TrustError`] if it is not one, or demands what no chain can give.
     pub fn parse(text: &[u8]) -> Result<Self, TrustError> {
         let text = std::str::from_utf8(text).ok().filter(|text| text.len() <= LONGEST_TRUST);
         let text = text.ok_or_else(|| TrustError("it is no text, or too long".into()))?;
@@ -110,7 +110,7 @@ impl Trust {
     /// As text.
     ///
     /// # Errors
-    /// [`TrustError`] where it cannot be written.
+    /// [`TrustError`] if it cannot be written.
     pub fn to_text(&self) -> Result<String, TrustError> {
         toml::to_string(self).map_err(|error| TrustError(clean(&error.to_string(), 300)))
     }

@@ -18,7 +18,7 @@ const LENGTHS: u32 = 8;
 /// Writes one frame; the caller flushes.
 ///
 /// # Errors
-/// [`PipeError::TooLong`] before anything is written, [`PipeError::Broken`] where the other side is gone.
+/// [`PipeError::TooLong`] before anything is written, [`PipeError::Broken`] if the other side is gone.
 pub fn send<T: Serialize>(to: &mut impl Write, head: &T, payload: &[u8]) -> Result<(), PipeError> {
     let head = serde_json::to_vec(head).map_err(|error| PipeError::Head(error.to_string()))?;
     let mut lengths = [0; LENGTHS as usize];
@@ -30,7 +30,7 @@ pub fn send<T: Serialize>(to: &mut impl Write, head: &T, payload: &[u8]) -> Resu
     Ok(())
 }
 
-/// Reads one frame; `None` where the pipe ended between two.
+/// Reads one frame; `None` if the pipe ended between two.
 ///
 /// # Errors
 /// [`PipeError::TooLong`] before memory is taken, [`PipeError::Cut`] within a frame, [`PipeError::Head`] for a head that

@@ -26,7 +26,7 @@ const FIRST: usize = 2;
 
 /// The longest wait.
 const BEAT: Duration = Duration::from_millis(100);
-/// Between two looks at the graph where nothing told of a change.
+/// Interval between looks at the graph where nothing told of a change.
 const LOOK: Duration = Duration::from_secs(1);
 /// Between two signs of life, and two looks at the threads.
 const ALIVE: Duration = Duration::from_millis(500);
@@ -40,7 +40,7 @@ const MOST_TOPICS: usize = 4096;
 /// Reads `domain` until the wishes end or `stop` is set. Leaves the domain on every way out.
 ///
 /// # Errors
-/// [`Ros2Error`] where the domain cannot be joined, the pipe breaks or the network threads are gone.
+/// [`Ros2Error`] if the domain cannot be joined, the pipe breaks or the network threads are gone.
 pub fn run(domain: u16, from: impl Read + Send + 'static, to: impl Write, stop: &AtomicBool) -> Result<(), Ros2Error> {
     let mut out = BufWriter::with_capacity(256 << 10, to);
     send(&mut out, &Told::Hello { version: VERSION, domain }, &[])?;
@@ -177,7 +177,7 @@ impl<'a, W: Write> Child<'a, W> {
         changed
     }
 
-    /// New wishes; whether there were any, `None` where there will be no more.
+    /// New wishes; whether there were any, `None` if there will be no more.
     fn take_wishes(&mut self) -> Option<bool> {
         let mut changed = false;
         while let Ok(wish) = self.wishes.try_recv() {

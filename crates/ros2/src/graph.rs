@@ -26,7 +26,7 @@ pub struct Found {
     pub dds_type: String,
     /// What it offers.
     pub quality: Quality,
-    /// As the site is told of it; `None` where it is not of ROS 2.
+    /// As the site is told of it; `None` if it is not of ROS 2.
     pub told: Option<Writer>,
 }
 

@@ -13,7 +13,7 @@ use crate::pipe::receive;
 /// Begins to read. `None` arrives when the pipe has ended; every arrival wakes.
 ///
 /// # Errors
-/// [`Ros2Error::System`] where there is no thread to be had.
+/// [`Ros2Error::System`] if there is no thread to be had.
 pub fn listen(mut from: impl Read + Send + 'static, waker: Arc<Waker>) -> Result<Receiver<Option<Wish>>, Ros2Error> {
     let (sender, receiver) = channel();
     let read = move || {

@@ -63,7 +63,7 @@ fn reachable(path: &Path) -> std::io::Result<(PathBuf, Option<std::fs::File>)> {
 /// Accepts joiners until the site ends.
 ///
 /// # Errors
-/// Where the socket cannot be made.
+/// If the socket cannot be made.
 pub fn listen(site: &Arc<Site>) -> Result<(), Failure> {
     let path = site.home().socket();
     let unusable = |error: std::io::Error| {

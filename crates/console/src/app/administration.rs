@@ -178,7 +178,7 @@ fn form(act: Act) -> Form {
 /// The question after a filled form.
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read(act: Act, form: &Form) -> Result<Confirm, (usize, String)> {
     let party = |line: usize| -> Result<Party, (usize, String)> {
         form.text(line).trim().parse().map_err(|error| (line, format!("{error}")))

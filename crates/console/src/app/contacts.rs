@@ -87,7 +87,7 @@ pub fn form() -> Form {
 /// The command of a filled [`form`].
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read(form: &Form) -> Result<Errand, (usize, String)> {
     let name: ContactName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     let address: Address = form.text(1).trim().parse().map_err(|error| (1, format!("{error}")))?;

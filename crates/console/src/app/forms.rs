@@ -29,7 +29,7 @@ pub fn create_identity(profile: &str, notes: Vec<String>) -> Form {
 /// The command of a filled [`create_identity`].
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read_create(form: &Form) -> Result<Errand, (usize, String)> {
     if form.text(0).chars().count() < SHORTEST_PASSPHRASE {
         return Err((0, format!("use at least {SHORTEST_PASSPHRASE} characters")));
@@ -49,7 +49,7 @@ pub fn unlock(profile: &str, notes: Vec<String>) -> Form {
 /// The command of a filled [`unlock`].
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read_unlock(form: &Form) -> Result<Errand, (usize, String)> {
     if form.text(0).is_empty() {
         return Err((0, "type the passphrase, or leave with esc".to_owned()));
@@ -109,7 +109,7 @@ impl GrantWish {
 /// The terms of a filled [`grant`].
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<GrantWish, (usize, String)> {
     let grantee: Party = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     if grantee.address().is_some_and(|address| Some(address) == own) {
@@ -145,7 +145,7 @@ pub fn unpin(topic: &str, publisher: &str) -> Form {
 /// The command of a filled [`unpin`].
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read_unpin(form: &Form) -> Result<Errand, (usize, String)> {
     let topic: TopicName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     let caller_id = form.text(1).trim().to_owned();
@@ -180,7 +180,7 @@ pub struct KeyWish {
 /// The key file of a filled [`load_key`]; `~` is `home`, relative paths begin at `directory`.
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read_load(form: &Form, directory: &Path, home: Option<&Path>) -> Result<KeyWish, (usize, String)> {
     let path = form.text(1).trim();
     if path.is_empty() {
@@ -208,7 +208,7 @@ pub fn export_key() -> Form {
 /// The command of a filled [`export_key`].
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read_export(form: &Form) -> Result<Errand, (usize, String)> {
     let kind = kind(form);
     if kind == KeyKind::Eoa && form.text(1).chars().count() < SHORTEST_PASSPHRASE {

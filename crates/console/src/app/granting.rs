@@ -181,7 +181,7 @@ pub fn begin_extension(state: &mut State) {
 /// The command of a filled form of [`begin_extension`].
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read_extension(state: &State, form: &Form) -> Result<Extension, (usize, String)> {
     let row = state.grants.selected().filter(|row| is_given(row) && is_active(row));
     let row = row.ok_or((0, "this grant is not active any more".to_owned()))?;

@@ -198,7 +198,7 @@ fn find<'a>(state: &'a mut State, id: &str) -> Option<&'a mut Opening> {
     })
 }
 
-/// What `W` writes of an opened record: its picture, else its bytes, else its fields; `None` where it is too long.
+/// What `W` writes of an opened record: its picture, else its bytes, else its fields; `None` if it is too long.
 fn writable(view: &OpenedView) -> Option<Contents> {
     let stem: String = view.record.topic.trim_matches('/').chars().map(file_character).collect();
     let named = |extension: &str, bytes: &[u8]| Contents {

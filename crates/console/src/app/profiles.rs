@@ -24,7 +24,7 @@ pub fn open(state: &mut State) {
 /// The profile of a filled form.
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read(form: &Form) -> Result<ProfileName, (usize, String)> {
     form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))
 }

@@ -20,11 +20,11 @@ impl Drop for Kept<'_> {
     }
 }
 
-/// Asks for a secret at the terminal that controls this process; `None` where standard input is none, or the answer is Ctrl-C,
-/// Ctrl-D or nothing.
+/// Asks for a secret at the terminal that controls this process; `None` if standard input is none, or the answer is
+/// Ctrl-C, Ctrl-D or nothing.
 ///
 /// # Errors
-/// Of the terminal.
+/// Errors of the terminal.
 pub fn secret(question: &str) -> io::Result<Option<Zeroizing<String>>> {
     if !io::stdin().is_terminal() {
         return Ok(None);

@@ -38,7 +38,7 @@ impl Guard {
     /// more. A panic of any other thread is given to `fault` and leaves the terminal alone.
     ///
     /// # Errors
-    /// Where the terminal refuses.
+    /// If the terminal refuses.
     pub fn enter(
         take_pictures: &'static str,
         fault: impl Fn(String) + Send + Sync + 'static,
@@ -75,7 +75,7 @@ impl Drop for Guard {
 /// Takes the terminal, at the beginning or after a suspension.
 ///
 /// # Errors
-/// Where the terminal refuses.
+/// If the terminal refuses.
 pub fn take() -> io::Result<()> {
     if ENTERED.load(Ordering::SeqCst) {
         // The shell may have changed the modes behind our back; a second enabling alone does nothing.
@@ -118,7 +118,7 @@ pub fn abandon() {
 /// Writes to the terminal, past any buffer of ours.
 ///
 /// # Errors
-/// Where the terminal is gone.
+/// If the terminal is gone.
 pub fn write(bytes: &str) -> io::Result<()> {
     let mut out = io::stdout().lock();
     out.write_all(bytes.as_bytes())?;

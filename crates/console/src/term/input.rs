@@ -21,7 +21,7 @@ const REST: Duration = Duration::from_millis(200);
 /// Gives what is typed to `typed` until `stop` is set.
 ///
 /// # Errors
-/// Where the thread cannot be started.
+/// If the thread cannot be started.
 pub fn start(stop: Arc<AtomicBool>, typed: impl Fn(Action) + Send + 'static) -> io::Result<()> {
     let read = move || {
         while !stop.load(Ordering::Relaxed) {

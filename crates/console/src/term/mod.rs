@@ -160,7 +160,7 @@ pub fn is_interactive() -> bool {
 /// the process soon.
 ///
 /// # Errors
-/// [`TermError`] where there is no terminal, or it fails.
+/// [`TermError`] if there is no terminal, or it fails.
 pub fn run(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<ExitReason, TermError> {
     if !is_interactive() {
         return Err(TermError::NotATerminal);

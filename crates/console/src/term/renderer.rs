@@ -86,7 +86,7 @@ fn cells((columns, rows): (u16, u16)) -> Size {
 /// Starts the thread; `failed` hears when the terminal takes no more bytes.
 ///
 /// # Errors
-/// Where the thread cannot be started.
+/// If the thread cannot be started.
 pub fn start(
     stage: Arc<Stage>,
     mut painter: Painter,

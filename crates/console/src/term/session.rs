@@ -261,7 +261,7 @@ impl Session {
     }
 }
 
-/// Waits for the frame being written; `None` where the terminal takes no bytes.
+/// Waits for the frame being written; `None` if the terminal takes no bytes.
 fn finished(stage: &Stage) -> Option<MutexGuard<'_, ()>> {
     let patience = Instant::now() + STUCK_AFTER;
     loop {

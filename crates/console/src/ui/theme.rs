@@ -138,7 +138,7 @@ impl Theme {
     /// The embedded theme of that name.
     ///
     /// # Errors
-    /// [`ThemeError::Unknown`] where there is none.
+    /// [`ThemeError::Unknown`] if there is none.
     pub fn named(name: &str) -> Result<Self, ThemeError> {
         let text = embedded_text(name).ok_or_else(|| unknown(name, EMBEDDED.map(|(known, _)| known).join(", ")))?;
         file::read(name, text, &[])
@@ -211,7 +211,7 @@ impl Themes {
     /// The theme of that name.
     ///
     /// # Errors
-    /// [`ThemeError::Unknown`] where there is none.
+    /// [`ThemeError::Unknown`] if there is none.
     pub fn named(&self, name: &str) -> Result<Theme, ThemeError> {
         let found = self.0.iter().find(|theme| theme.name == name).cloned();
         found.ok_or_else(|| unknown(name, self.names().join(", ")))

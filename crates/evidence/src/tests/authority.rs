@@ -30,7 +30,7 @@ pub struct Authority {
 }
 
 impl Authority {
-    /// With a root named `root`; `None` where there is no openssl.
+    /// With a root named `root`; `None` if there is no openssl.
     pub fn new() -> Option<Self> {
         let known = Command::new("openssl").arg("version").stdout(Stdio::null()).status();
         if !known.is_ok_and(|status| status.success()) {

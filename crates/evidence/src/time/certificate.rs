@@ -62,7 +62,7 @@ impl Certificate {
     /// From DER.
     ///
     /// # Errors
-    /// [`TimeError`] where it is none, or signed in an unknown way.
+    /// [`TimeError`] if it is not one, or signed in an unknown way.
     pub fn parse(der: &[u8]) -> Result<Self, TimeError> {
         let mut outer = Der::only(PART, der, SEQUENCE)?;
         let signed = outer.element(SEQUENCE)?;
@@ -104,7 +104,7 @@ impl Certificate {
     /// From PEM: the first certificate of it.
     ///
     /// # Errors
-    /// [`TimeError`] where there is none.
+    /// [`TimeError`] if there is none.
     pub fn from_pem(text: &str) -> Result<Self, TimeError> {
         let after = text.split_once(BEGIN).map(|(_, after)| after);
         let body = after.and_then(|after| after.split_once(END)).map(|(body, _)| body);

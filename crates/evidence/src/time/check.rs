@@ -19,7 +19,7 @@ pub struct Stamped {
     pub before: Timestamp,
     /// Who signed it, as the certificate names him, cleaned.
     pub signer: String,
-    /// Which of the pinned certificates it leads to; `None` where it leads to none, and then this all is its own word.
+    /// Which of the pinned certificates it leads to; `None` if it leads to none, and then this all is its own word.
     pub pinned: Option<usize>,
 }
 
@@ -27,7 +27,7 @@ impl Stamped {
     /// Which of the pinned certificates it leads to.
     ///
     /// # Errors
-    /// [`TimeError::NotPinned`] where it leads to none.
+    /// [`TimeError::NotPinned`] if it leads to none.
     pub fn by_pinned(&self) -> Result<usize, TimeError> {
         self.pinned.ok_or_else(|| TimeError::NotPinned(self.signer.clone()))
     }

@@ -39,7 +39,7 @@ impl Request {
 /// The token in an authority's answer.
 ///
 /// # Errors
-/// [`TimeError::NotGranted`] with what it said, [`TimeError::Form`] where it is no answer.
+/// [`TimeError::NotGranted`] with what it said, [`TimeError::Form`] if it is no answer.
 pub fn token_of(answer: &[u8]) -> Result<&[u8], TimeError> {
     let mut outer = Der::only("answer", answer, SEQUENCE)?;
     let mut about = outer.inside(SEQUENCE)?;

@@ -98,7 +98,7 @@ impl Scheme {
         found.ok_or(TimeError::Algorithm("another algorithm than RSA or ECDSA with SHA-256, -384 or -512"))
     }
 
-    /// With the hash that the signer names for what he signs; `None` where the two contradict each other.
+    /// With the hash that the signer names for what he signs; `None` if the two contradict each other.
     pub fn with_hash(self, hash: HashKind) -> Option<Self> {
         match self {
             Self::Rsa => Some(Self::Pkcs1(hash)),

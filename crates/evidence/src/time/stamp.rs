@@ -34,7 +34,7 @@ pub struct StampTree {
 }
 
 impl StampTree {
-    /// Over these roots in this order; `None` where there are none, or more than [`MOST_ROOTS`].
+    /// Over these roots in this order; `None` if there are none, or more than [`MOST_ROOTS`].
     pub fn new(roots: Vec<Hash>) -> Option<Self> {
         Some(Self { tree: Tree::new(roots.iter().map(stamp_hash).collect())?, roots })
     }
@@ -52,7 +52,7 @@ impl StampTree {
     /// left out.
     ///
     /// # Errors
-    /// Where it cannot be written.
+    /// If it cannot be written.
     pub(crate) fn listed(&self, wanted: &[Hash]) -> Result<(Hash, Vec<u8>), BundleError> {
         let places: BTreeMap<&Hash, usize> = self.roots.iter().enumerate().map(|(at, root)| (root, at)).collect();
         let wanted: std::collections::BTreeSet<&Hash> = wanted.iter().collect();

@@ -111,7 +111,7 @@ fn one_of<T: Copy>(
 /// A tag, `key=value`.
 ///
 /// # Errors
-/// Of kind `Input`: how to write it.
+/// Kind `Input`: how to write it.
 pub fn tag(text: &str) -> Result<(String, String), Failure> {
     let usable = |key: &str| {
         !key.is_empty() && key.len() <= 64 && key.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b'-')
@@ -128,7 +128,7 @@ pub fn tag(text: &str) -> Result<(String, String), Failure> {
 /// A moment in RFC 3339.
 ///
 /// # Errors
-/// Of kind `Input`: how to write it.
+/// Kind `Input`: how to write it.
 pub fn moment(text: &str) -> Result<Timestamp, Failure> {
     serde_json::from_value(serde_json::Value::String(text.to_owned()))
         .map_err(|_| input(format!("'{}' is not a time; write it as 2026-11-21T08:30:00Z", clean(text, 40))))
@@ -137,7 +137,7 @@ pub fn moment(text: &str) -> Result<Timestamp, Failure> {
 /// A moment in the past: a time, the beginning of a day (UTC), or a duration before `now`.
 ///
 /// # Errors
-/// Of kind `Input`: how to write it.
+/// Kind `Input`: how to write it.
 pub fn past(text: &str, now: Timestamp) -> Result<Timestamp, Failure> {
     if let Ok(moment) = moment(text).or_else(|_| moment(&format!("{text}T00:00:00Z"))) {
         return Ok(moment);

@@ -156,7 +156,7 @@ impl Agent {
     /// changed, once a second.
     ///
     /// # Errors
-    /// Of the outbox.
+    /// Errors of the outbox.
     pub async fn run(
         &mut self,
         told: impl Future,
@@ -259,7 +259,7 @@ impl Agent {
     /// Its present state.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn figures(&self) -> Result<AgentFigures, Failure> {
         Ok(self.figures_of(&block_in_place(|| self.site.plant.ledger.counts(None))?))
     }
@@ -291,7 +291,7 @@ impl Agent {
     /// Figures by topic.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn topics(&self) -> Result<Vec<TopicCounts>, Failure> {
         Ok(block_in_place(|| self.site.plant.ledger.counts(None))?.topics)
     }

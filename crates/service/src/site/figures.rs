@@ -115,7 +115,7 @@ impl Site {
     /// The figures of this moment.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub(super) fn figures(&self) -> Result<Figures, Failure> {
         let (audit_lines, audit_unanchored) = self.audit_figures()?;
         let ledger = &self.plant.ledger;

@@ -45,7 +45,7 @@ impl Parts {
     /// Opens ledger and vault of a home; the last value says whether the home is a copy of another one.
     ///
     /// # Errors
-    /// Where ledger or vault cannot be opened.
+    /// If ledger or vault cannot be opened.
     pub fn open(home: Home, config: Config, needs_chain: bool) -> Result<(Self, Opened, bool), Failure> {
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));

@@ -162,7 +162,7 @@ fn cell_size() -> (usize, usize) {
     window_size().ok().and_then(|window| cell_of(&window)).unwrap_or(ASSUMED)
 }
 
-/// `None` where the terminal told the kernel nothing, or nothing to be believed.
+/// `None` if the terminal told the kernel nothing, or nothing to be believed.
 fn cell_of(window: &WindowSize) -> Option<(usize, usize)> {
     let part = |pixels: u16, cells: u16| {
         let size = usize::from(pixels).checked_div(usize::from(cells))?;

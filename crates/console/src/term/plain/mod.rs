@@ -58,7 +58,7 @@ struct Said {
 /// Runs the line mode until it is left.
 ///
 /// # Errors
-/// [`TermError`] where signals or threads cannot be had.
+/// [`TermError`] if signals or threads cannot be had.
 pub fn run(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<ExitReason, TermError> {
     let (mouth, ears) = channel();
     let directory = super::directory(options)?;

@@ -118,7 +118,7 @@ fn text_of(buffer: &Buffer, width: u16, row: u16) -> String {
     text
 }
 
-/// A row as it is read aloud; `None` where nothing is left of it.
+/// A row as it is read aloud; `None` if nothing is left of it.
 fn spoken(row: &str) -> Option<String> {
     let plain: String = row.chars().map(|character| if is_ornament(character) { ' ' } else { character }).collect();
     let parts: Vec<&str> = plain.split("  ").map(str::trim).filter(|part| !part.is_empty()).collect();

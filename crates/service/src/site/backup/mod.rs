@@ -36,7 +36,7 @@ const CHAIN: &str = "chain/chain.db";
 /// Files that belong to the running process, or are recreated: by the beginning of the name.
 const LEFT_OUT: [&str; 5] = ["backup.lock", "backup.sock", "reserve", ".new-", ".back-up-"];
 
-/// Back-ups of a running home.
+/// Backups of a running home.
 pub(in crate::site) struct Backup {
     home: Home,
     config: Arc<Config>,

@@ -126,7 +126,7 @@ impl Stage {
     /// Publishes a topic that is not a record's, `/clock`.
     ///
     /// # Errors
-    /// As [`Self::show`].
+    /// See [`Self::show`].
     pub fn show_plain(&mut self, about: &Advertised) -> Result<Result<(), String>, Failure> {
         self.show(about, Address([0; 20]), 0)
     }

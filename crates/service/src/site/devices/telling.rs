@@ -17,7 +17,7 @@ impl Enrolments {
     /// keyring: called again, it does what is left.
     ///
     /// # Errors
-    /// Of ledger and vault.
+    /// Errors of ledger and vault.
     pub(in crate::site) fn tell_devices(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         let sealing = owner.sealing().is_some_and(|keys| keys.domain == network.domain);
         for device in self.of(owner)?.iter().filter(|_| sealing) {
@@ -45,7 +45,7 @@ impl Enrolments {
     /// and within it by the account. Called again, it does what is left.
     ///
     /// # Errors
-    /// Of ledger and vault.
+    /// Errors of ledger and vault.
     pub(in crate::site) fn tell_owner_key(
         &self,
         owner: &Owner,

@@ -155,8 +155,8 @@ impl GatewayDesk {
     }
 }
 
-/// Whether a device signed a record: the one that asks, or another one of the same owner, for a robot that is enrolled
-/// anew has another key. Whoever does not have a record does not know its digest.
+/// Whether a device signed a record: the asking one, or another one of the same owner, because a robot that is enrolled
+/// again has another key. Somebody who does not have a record does not know its digest.
 fn is_of_a_device(network: &Network, row: &RecordRow, asking: &SignerId) -> bool {
     let account = network.directory.account(row.owner);
     row.signer == *asking || account.is_some_and(|account| account.devices.iter().any(|loan| loan.device == row.signer))

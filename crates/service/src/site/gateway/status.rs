@@ -65,7 +65,7 @@ impl Gateway {
     }
 }
 
-/// Every bound name with the sum of its sessions; those connected first.
+/// Every bound name with the sum of its sessions; connected ones first.
 fn sender_rows(bound: Vec<(String, Address)>, connected: Vec<Sender>) -> Vec<SenderView> {
     let unknown = |name: ProfileName, account| SenderView {
         name,

@@ -135,8 +135,8 @@ impl Profiles {
         Ok(())
     }
 
-    /// The chain has the new pairs, or there is no chain: they take their place in the keyring, and what they encrypt
-    /// follows.
+    /// The chain has the new pairs, or the owner is on no chain: they take their place in the keyring, and what they
+    /// encrypt follows.
     fn take_over_pairs(&self, owner: &Owner, network: Option<&Network>) -> Result<(), Failure> {
         let founded = block_in_place(|| Cabinet::founded_in(&self.home.gateway()));
         {

@@ -245,7 +245,7 @@ pub(in crate::site) fn narrowed(
 /// One incident of the owner, for the page of a bundle.
 ///
 /// # Errors
-/// As [`narrowed`].
+/// See [`narrowed`].
 pub(in crate::site) fn view(ledger: &Ledger, owner: Address, name: &IncidentName) -> Result<IncidentView, Failure> {
     covered(ledger, owner, known(ledger, owner, name)?)
 }

@@ -22,8 +22,8 @@ const MOST_FOR_STATES: u64 = 4 << 20;
 /// With less free space than this, what is set aside is released.
 const LAST: u64 = 512 << 10;
 
-/// The ledger of a home; on a full disk what was set aside for the states of its records is given up for it.
-/// Whether it is a copy says the second part.
+/// The ledger of a home; on a full disk the space set aside for the states of its records is released for it. The
+/// second value says whether the home is a copy.
 pub(in crate::site) fn open_ledger(home: &Home) -> Result<(Ledger, bool), StoreError> {
     match Ledger::open_in_place(&home.ledger()) {
         Err(StoreError::DiskFull { .. }) if std::fs::remove_file(home.working_reserve()).is_ok() => {
