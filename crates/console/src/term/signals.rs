@@ -1,4 +1,4 @@
-//! Signals become events; afterwards they end the process again as they always did.
+//! Signals become events; afterwards they end the process again as usual.
 
 use std::io;
 use std::sync::Arc;
@@ -41,7 +41,7 @@ pub struct Listener {
 }
 
 impl Listener {
-    /// Gives every signal to `heard`, from a thread of its own.
+    /// Passes every signal to `heard`, from a thread of its own.
     ///
     /// # Errors
     /// If the handlers cannot be installed.
