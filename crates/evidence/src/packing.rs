@@ -1,4 +1,4 @@
-//! The exporter's side: parts put together into a bundle's members, and those into its file.
+//! The exporter's side: parts are collected into a bundle's members, and those into its file.
 
 use authros_crypto::record::reveal_bytes;
 use authros_crypto::{CryptoError, Provider, SmKeyPair, keyfile, signature_der, signer_id};
@@ -12,10 +12,10 @@ use crate::state::Nodes;
 use crate::time::{self, StampTree};
 use crate::trust::Trust;
 
-/// What `VERIFY.txt` says, for whoever finds the file without the program.
+/// The text of `VERIFY.txt`, for somebody who finds the file without the program.
 pub const READ_ME_TEXT: &str = include_str!("VERIFY.txt");
 
-/// A bundle that is being put together.
+/// A bundle being assembled.
 #[derive(Debug, Default)]
 pub struct Packing {
     members: Members,
@@ -28,7 +28,7 @@ impl From<Members> for Packing {
     }
 }
 
-/// Why a bundle cannot be put together.
+/// Why a bundle cannot be assembled.
 #[derive(Debug, thiserror::Error)]
 pub enum PackingError {
     /// It would be too large.
@@ -43,7 +43,7 @@ impl Packing {
     /// Adds a record.
     ///
     /// # Errors
-    /// None that is not a fault of this program.
+    /// None, except for a fault of this program.
     pub fn record(&mut self, digest: Digest, record: BundledRecord) -> Result<(), PackingError> {
         let mut put = |part: &str, bytes: Vec<u8>| {
             self.members.insert(format!("records/{}/{part}", digest.to_hex()), bytes);
@@ -64,14 +64,14 @@ impl Packing {
     /// Adds a signer's key.
     ///
     /// # Errors
-    /// If it is no point.
+    /// If it is not a point on the curve.
     pub fn key(&mut self, key: &PublicKey) -> Result<(), PackingError> {
         let pem = keyfile::sm2_public_pem(key)?;
         self.members.insert(format!("keys/{}.pem", signer_id(key).to_hex()), pem.into_bytes());
         Ok(())
     }
 
-    /// Adds an identity as the chain has it.
+    /// Adds an identity as on the chain.
     pub fn identity(&mut self, identity: &Identity) {
         let bytes = identity.encode();
         let hash = Hash(authros_crypto::keccak256(&[&bytes]));
@@ -94,7 +94,7 @@ impl Packing {
         self.members.insert(format!("definitions/{}.txt", digest.to_hex()), text.as_bytes().to_vec());
     }
 
-    /// Adds where heads of recorders have the highest numbers of topics.
+    /// Adds the paths from heads of recorders to the highest numbers of topics.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -103,7 +103,7 @@ impl Packing {
         Ok(())
     }
 
-    /// Adds an authority's stamps over these roots, of all that were stamped together.
+    /// Adds an authority's stamps over these roots; all of them were stamped together.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -114,7 +114,7 @@ impl Packing {
         Ok(())
     }
 
-    /// Adds the page for eyes, which proves nothing.
+    /// Adds the page for people, which proves nothing.
     pub fn report(&mut self, page: String) {
         self.members.insert(REPORT.to_owned(), page.into_bytes());
     }
