@@ -1,8 +1,7 @@
-// Compiles each contract of this folder into its artefact, or checks that the committed artefacts are what the sources
-// give.
+// Compiles each contract of this folder into its artefact, or checks that the committed artefacts match the sources.
 //   node compile.mjs [--check] SOLC [MORE_SOLC ...]
 // SOLC is the folder of the npm module solc 0.7.6, whose output is the artefact; each further one (the newest 0.8) must
-// compile the source too. No compiler may give an error or a warning (advice against old EVM versions aside: private
+// also compile the source. No compiler may give an error or a warning (except advice against old EVM versions: private
 // networks are old) or an opcode that Istanbul lacks, and each function and event needs its NatSpec.
 import { createHash } from "node:crypto";
 import { readFileSync, writeFileSync } from "node:fs";

@@ -1,6 +1,6 @@
-// Checks what forge made with solc 0.7.6: the code it tested is the artefact's, and the gas it measured is gas.txt's.
+// Checks forge's results with solc 0.7.6: it tested the artefact's code, and measured the gas in gas.txt.
 //   node forged.mjs [--write] OUT GAS
-// OUT is forge's folder of compiled contracts, GAS its folder of gas snapshots; --write writes gas.txt anew.
+// OUT is forge's folder of compiled contracts, GAS its folder of gas snapshots; --write rewrites gas.txt.
 import { existsSync, readFileSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";

@@ -1,7 +1,7 @@
 #!/usr/bin/env node
-// An npm module of solc behind the face of a native solc, as forge and slither want one.
+// Makes an npm module of solc look like the native solc that forge and slither require.
 //   AUTHROS_FORGE_SOLC=FOLDER solc.mjs --version | --standard-json
-// FOLDER is that of the module. Sources come in the JSON; nothing is read from disk.
+// FOLDER is the module's. Sources come in the JSON; nothing is read from disk.
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { resolve } from "node:path";

@@ -69,7 +69,7 @@ def expand(prk, info, length):  # RFC 5869
     return out[:length]
 
 
-def keccak(data):  # Keccak-256, as Ethereum has it
+def keccak(data):  # Keccak-256, in Ethereum's variant
     rotation, constants, state = {}, [], [0] * 25
     x, y, bits = 1, 0, 1
     for t in range(24):
@@ -214,7 +214,7 @@ def sm2_verify(public, message, der):
     return sum_ is not None and (e + sum_[0]) % N == r
 
 
-def der_numbers(der):  # SEQUENCE of two INTEGERs, in the one form there is
+def der_numbers(der):  # SEQUENCE of two INTEGERs, in DER's only form
     if der[0] != 0x30 or der[1] != len(der) - 2:
         raise ValueError("no signature")
     numbers, rest = [], der[2:]
@@ -246,7 +246,7 @@ def recover(hash_, seal):  # secp256k1: the account whose key made a seal
     return None if key is None else keccak(key[0].to_bytes(32, "big") + key[1].to_bytes(32, "big"))[12:]
 
 
-def rlp(data):  # one item: bytes or a list; what it is of is hashed elsewhere
+def rlp(data):  # one item: bytes or a list; its source is hashed elsewhere
     def item(at):
         first = data[at]
         if first < 0x80:
@@ -330,7 +330,7 @@ class Storage:
         value = look_up(self.nodes, self.root, slot)
         return pad(rlp(value)) if value is not None else bytes(32)
 
-    def numbers(self, slot):  # four numbers of eight bytes, from the low end
+    def numbers(self, slot):  # four eight-byte numbers, from the low end
         return struct.unpack(">4Q", self.word(slot))[::-1]
 
     def keys(self, owner, version):
@@ -348,7 +348,7 @@ def lz4(packed, plain_length):  # the block format of LZ4
         raise Refused("the message has another length")
     out, at = bytearray(), 0
 
-    def more(length):  # 15 in the token goes on in bytes, 255 in a byte goes on in the next
+    def more(length):  # 15 in the token continues in bytes, 255 in a byte continues in the next
         nonlocal at
         goes_on = length == 15
         while goes_on:
@@ -661,7 +661,7 @@ class Record:
             if raw is None or (parent and fields_[0] != parent):
                 break
             sealer = None
-            # Another consensus has another mix hash, or no whole addresses between vanity and seal.
+            # Another consensus has a different mix hash, or no whole addresses between vanity and seal.
             if len(fields_[12]) >= 97 and (len(fields_[12]) - 97) % 20 == 0 and fields_[13] == bytes(32):
                 bare = fields_[:12] + [fields_[12][:-65]] + fields_[13:]
                 sealer = recover(keccak(encode(bare)), fields_[12][-65:])
@@ -743,7 +743,7 @@ class Record:
     def leaf(self):
         return sm3(b"\0" + b"".join(self.header[n] for n in ("owner", "recorder", "topic_id", "seq")) + self.digest)
 
-    def existed(self):  # (d), but for the tokens
+    def existed(self):  # (d), except for the tokens
         anchor = json.loads(self.member("anchor.json") or b"{}").get("anchor", {})
         places = self.bundle.stamped.get(unhex(anchor["root"]), []) if anchor.get("mode") == "batch" else []
         if not places:
@@ -770,7 +770,7 @@ class Record:
                 found[name], notes[name] = "refused", str(why)
             except Exception as why:  # a stranger's file: whatever it breaks, it is no evidence
                 found[name], notes[name] = "refused", f"not of its form: {why!r}"
-        # What a state says is worth as much as the seals on it.
+        # A state is worth as much as the seals on it.
         for name in ("key", "opened"):
             if found[name] == "proven":
                 found[name] = found["anchor"] if found["anchor"] in ("proven", "own_chain") else "unproven"

@@ -5,9 +5,9 @@ pragma abicoder v2;
 import {AuthROS} from "../AuthROS.sol";
 import {Mirror} from "./Mirror.sol";
 
-/// @dev Reads all of the contract's state about a few people and words, and asserts that it is what the mirror holds.
+/// @dev Reads all of the contract's state about a few people and words, and asserts that it equals the mirror's.
 abstract contract Compared is Mirror {
-    /// @dev Tokens, digests, roots and devices are the words from 0 on; so epochs stay below this number.
+    /// @dev Tokens, digests, roots and devices are the words from 0; so epochs stay below this number.
     uint256 public constant WORDS = 10;
 
     AuthROS public authros;
@@ -92,7 +92,7 @@ abstract contract Compared is Mirror {
         if (keccak256(left) != keccak256(right)) vm.assertEq(left, right, message);
     }
 
-    /// @dev As assertEq, but without the cost of a call where it holds.
+    /// @dev Like assertEq, but without the cost of a call if it holds.
     function same(uint256 left, uint256 right, string memory message) private pure {
         if (left != right) vm.assertEq(left, right, message);
     }

@@ -6,8 +6,8 @@ import {AuthROS} from "../AuthROS.sol";
 import {Compared} from "./Compared.sol";
 import {Vm} from "./Vm.sol";
 
-/// @dev Six people, the administrator among them, who do all that the contract offers, in any order, rightly and
-///      wrongly. Of each act is foretold whether it must succeed; what it emits goes into the mirror.
+/// @dev Six people, including the administrator, who do everything that the contract offers, in any order, rightly and
+///      wrongly. For each act it is predicted whether it must succeed; its events go into the mirror.
 contract Crowd is Compared {
     /// @dev How often an act (by its selector) was done, and refused.
     mapping(bytes4 => uint256) public doneOf;
@@ -188,7 +188,7 @@ contract Crowd is Compared {
         act(chief(who), abi.encodeWithSelector(authros.restore.selector, chosen), due);
     }
 
-    /// @dev Seldom: a lost account is out of the game.
+    /// @dev Rarely: a lost account is out of the game.
     function proposeSuccession(uint256 who, uint256 lost, uint256 successor, uint256 seldom) external {
         if (seldom % 3 != 0) return;
         (address from, address to) = (person(lost), person(successor));
@@ -308,7 +308,7 @@ contract Crowd is Compared {
                 || (given.second != 0 && given.first == grantOf[owner][reader].revokes);
     }
 
-    /// @dev Somebody for whom a succession waits, where there is one, most of the time.
+    /// @dev Most of the time somebody with a pending succession, if there is one.
     function proposed(uint256 seed) private view returns (address) {
         for (uint256 index = 0; seed % 8 != 0 && index < people.length; index++) {
             address candidate = person(seed % 8 + index);
@@ -317,7 +317,7 @@ contract Crowd is Compared {
         return person(seed);
     }
 
-    /// @dev Somebody who holds an owner's grant with an end, where there is one, most of the time.
+    /// @dev Most of the time somebody with an owner's grant that has an end, if there is one.
     function reading(address owner, uint256 seed) private view returns (address) {
         for (uint256 index = 0; seed % 8 != 0 && index < people.length; index++) {
             address candidate = person(seed % 8 + index);

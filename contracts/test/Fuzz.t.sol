@@ -4,7 +4,7 @@ pragma abicoder v2;
 
 import {World} from "./World.sol";
 
-/// @dev What holds for any input. Names begin with testFuzz, so that forge tells them from the fixed ones.
+/// @dev What holds for any input. Names begin with testFuzz, so that forge can tell them from the fixed ones.
 contract FuzzTest is World {
     function testFuzz_an_identity_is_taken_where_it_has_224_bytes_and_a_token(bytes memory text, bool whole) public {
         if (whole) text = abi.encodePacked(keccak256(text), filled(192, uint8(text.length)));
@@ -199,7 +199,7 @@ contract FuzzTest is World {
         ];
     }
 
-    /// @dev Half of the time 32, else up to 63.
+    /// @dev Half of the time 32, otherwise up to 63.
     function near(uint8 seed) private pure returns (uint256) {
         return seed % 2 == 0 ? 32 : (seed / 2) % 64;
     }

@@ -7,7 +7,7 @@ import {Prototype} from "../bench/Prototype.sol";
 import {World} from "./World.sol";
 
 /// @dev What calls cost as transactions of their own (forge test --isolate), for gas.txt; and that the cost of anchoring
-///      grows with nothing. No random input, so the figures only change with the contract.
+///      does not grow with anything. No random input, so the figures change only with the contract.
 abstract contract Gas is World {
     uint256 private constant DEVICE = type(uint256).max;
     uint64 private constant COUNTS = 5;

@@ -5,8 +5,8 @@ pragma abicoder v2;
 import {AuthROS} from "../AuthROS.sol";
 import {Cheats, Vm} from "./Vm.sol";
 
-/// @dev The contract's whole state, rebuilt from nothing but its events and the blocks they came in. Taking an event
-///      also asserts what must be true of it: who sent the transaction may cause it, and it follows from what was before.
+/// @dev The contract's whole state, rebuilt only from its events and the blocks they came in. Taking an event
+///      also asserts what must be true of it: the sender may cause it, and it follows from the state before.
 abstract contract Mirror is Cheats {
     struct Account {
         bytes identity;
@@ -83,12 +83,12 @@ abstract contract Mirror is Cheats {
     mapping(address => Proposal) internal proposalOf;
     mapping(address => Recovery) internal recoveries;
 
-    /// @dev Takes an event of a transaction that `sender` sent in this block.
+    /// @dev Takes an event of a transaction sent by `sender` in this block.
     function take(address sender, Vm.Log memory log) internal {
         if (!takeOwners(sender, log)) takeAdministrators(sender, log);
     }
 
-    /// @dev Events of accounts: their subject is who sent the transaction.
+    /// @dev Events of accounts: their subject is the sender of the transaction.
     function takeOwners(address sender, Vm.Log memory log) private returns (bool taken) {
         function(address, Vm.Log memory) internal apply_;
         bytes32 kind = log.topics[0];

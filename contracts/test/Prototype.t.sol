@@ -5,7 +5,7 @@ pragma abicoder v2;
 import {Prototype} from "../bench/Prototype.sol";
 import {Cheats} from "./Vm.sol";
 
-/// @dev The bench-only contract does what the paper says, so that its gas can be compared with.
+/// @dev The bench-only contract does what the paper says, so that its gas is a fair comparison.
 contract PrototypeTest is Cheats {
     address private constant A = address(0xa0000);
     address private constant B = address(0xb0000);

@@ -5,7 +5,7 @@ pragma abicoder v2;
 import {AuthROS} from "../AuthROS.sol";
 import {World} from "./World.sol";
 
-/// @dev What bounds the administrator: successions wait and can be stopped, pauses end.
+/// @dev The administrator's limits: successions wait and can be stopped, pauses end.
 contract SuccessionTest is World {
     address private constant FRIEND = address(0xee0000);
     address private constant THIEF = address(0xdd0000);

@@ -40,7 +40,7 @@ interface Vm {
     function assertLe(uint256 left, uint256 right, string calldata message) external pure;
 }
 
-/// @dev Where forge answers.
+/// @dev The address at which forge answers.
 abstract contract Cheats {
     Vm internal constant vm = Vm(address(uint160(uint256(keccak256("hevm cheat code")))));
 }

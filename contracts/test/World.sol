@@ -5,7 +5,7 @@ pragma abicoder v2;
 import {AuthROS} from "../AuthROS.sol";
 import {Cheats, Vm} from "./Vm.sol";
 
-/// @dev A contract that stands open at time 1,000, with A, B and C registered under tokens 0xa1, 0xb1 and 0xc1.
+/// @dev A contract open to registration at time 1,000, with A, B and C registered under tokens 0xa1, 0xb1 and 0xc1.
 abstract contract World is Cheats {
     struct Account {
         bytes identity;
@@ -46,7 +46,7 @@ abstract contract World is Cheats {
         authros.register(identity(token, 1));
     }
 
-    /// @dev 224 bytes: the token, then keys and proof made of `fill`; the contract does not look into them.
+    /// @dev 224 bytes: the token, then keys and proof made of `fill`; the contract does not check them.
     function identity(uint256 token, uint8 fill) internal pure returns (bytes memory text) {
         text = abi.encodePacked(token, filled(192, fill));
     }

@@ -23,8 +23,8 @@ ROOT = Path(__file__).resolve().parents[2]
 MESSAGES = ROOT / "src/ros/message/ros2/jazzy.json"
 RECORDING = ROOT / "tests/support/ros2.mcap"
 STORE = get_typestore(Stores.ROS2_JAZZY)
-# rosbags hashes a char as a type of its own; ROS 2 itself as a uint8, as the hash shows that every node announces for
-# rmw_dds_common/msg/ParticipantEntitiesInfo (RIHS01_91a0593b...).
+# rosbags hashes a char as a type of its own; ROS 2 itself as a uint8, as shown by the hash that every node announces
+# for rmw_dds_common/msg/ParticipantEntitiesInfo (RIHS01_91a0593b...).
 store.TIDMAP["char"] = store.TIDMAP["uint8"]
 BITS = {"int8": 8, "int16": 16, "int32": 32, "int64": 64, "uint8": 8, "uint16": 16, "uint32": 32, "uint64": 64}
 TEXTS = ["", "a", "base_link", "é机器人", "quote\" and \\ back", "x" * 13]
@@ -40,7 +40,7 @@ def plain(name, limit, dice):
     if name == "float64":
         return dice.choice([dice.randrange(-4096, 4096) / 64, 0.1, float("inf")])
     if name in ("byte", "char"):
-        return dice.randrange(128)  # rosbags takes a byte for a signed number
+        return dice.randrange(128)  # rosbags treats a byte as a signed number
     width, low = BITS[name], -(1 << BITS[name] - 1) if name.startswith("int") else 0
     return dice.choice([low, low + (1 << width) - 1, dice.randrange(100)])
 

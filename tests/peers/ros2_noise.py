@@ -17,7 +17,7 @@ def datagram(random):
         return header[: random.randrange(len(header))]
     body = b""
     for _ in range(random.randrange(1, 6)):
-        # Kinds of submessages: DATA, DATA_FRAG, HEARTBEAT, GAP, INFO_TS, ACKNACK and what is none.
+        # Kinds of submessages: DATA, DATA_FRAG, HEARTBEAT, GAP, INFO_TS, ACKNACK and an invalid one.
         which = random.choice([0x15, 0x16, 0x07, 0x08, 0x09, 0x06, 0x0E, random.randrange(256)])
         content = random.randbytes(random.randrange(0, 200))
         claim = len(content) if kind == 2 else random.choice([0, 1, 0xFFFF, len(content) + 4])
@@ -37,7 +37,7 @@ def main():
         try:
             out.sendto(datagram(numbers), ("127.0.0.1", numbers.choice(PORTS)))
         except OSError:
-            # Nobody has this port.
+            # Nobody listens on this port.
             pass
     print(count)
 

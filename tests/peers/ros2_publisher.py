@@ -53,7 +53,7 @@ def text(number, size):
 
 
 def picture(number, size):
-    # Of every number another picture, which nothing compresses.
+    # A different, incompressible picture for every number.
     block = hashlib.sha256(str(number).encode()).digest() * 64
     return (block * (size // len(block) + 1))[:size]
 
@@ -95,7 +95,7 @@ def main():
         writer.write(message)
     seconds = round(time.monotonic() - begin, 3)
     print(json.dumps({"sent": count, "seconds": seconds, "sha256": digest.hexdigest()}), flush=True)
-    # Its last messages are repeated to whoever missed them for as long as it is there.
+    # As long as it runs, its last messages are repeated to subscribers that missed them.
     time.sleep(3600)
 
 

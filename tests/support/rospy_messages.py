@@ -153,7 +153,7 @@ def image(width, height, path):
         base = [40 + (x * 120 // width) + (y * 60 // height) for x in range(width)]
         rows.append(bytes(base[i // 3] + 10 * (i % 3) + (noise[i] & 3) for i in range(width * 3)))
     picture = Image(height=height, width=width, encoding="rgb8", step=width * 3, data=b"".join(rows))
-    # An empty one would be filled in by rospy.
+    # rospy would fill in an empty one.
     picture.header.frame_id = "camera"
     with open(path, "wb") as out:
         out.write(serialised(picture))

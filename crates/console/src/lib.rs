@@ -1,4 +1,4 @@
-//! The console: its state and the pure update, what draws it, and the one room that knows the terminal.
+//! The console: its state and the pure update, the drawing, and the one module that knows the terminal.
 
 pub mod app;
 pub mod term;

@@ -1,4 +1,5 @@
-//! Level (c): the state after a block holds the record's digest or its batch's root, and those who were pinned sealed it.
+//! Level (c): the state after a block contains the record's digest or its batch's root, and the pinned signers sealed
+//! that block.
 
 use authros_crypto::merkle::Leaf;
 use authros_model::{Address, Digest, Header, Timestamp};
@@ -9,7 +10,7 @@ use crate::report::{Level, Standing};
 use crate::state::{Storage, Unproven};
 use crate::verify::Check;
 
-/// An anchor that the state shows.
+/// An anchor shown by the state.
 pub(crate) struct Anchored<'a> {
     /// The contract's storage that shows it.
     pub storage: Storage<'a>,
@@ -17,23 +18,23 @@ pub(crate) struct Anchored<'a> {
     pub shown_at: u64,
     /// The anchoring block.
     pub block: u64,
-    /// Its time, seconds, where that is shown.
+    /// Its time, seconds, if shown.
     pub time: Option<u64>,
     /// Who anchored it.
     pub account: Address,
-    /// The version of that account's keys then, where the contract keeps it.
+    /// The version of that account's keys then, if the contract stores it.
     pub keys: Option<u64>,
-    /// The version of the owner's keys that the exporter names.
+    /// The version of the owner's keys named by the exporter.
     pub claimed_keys: u64,
 }
 
-/// What the state says of a record's anchor.
+/// What the state says about a record's anchor.
 enum Found<'a> {
     Shown(Anchored<'a>, &'a BlockHeader),
     Not(Level),
 }
 
-/// Level (c), and the anchor where the state shows it.
+/// Level (c), and the anchor if the state shows it.
 pub(crate) fn anchored<'a>(
     check: &Check<'a>,
     digest: Digest,
@@ -91,7 +92,7 @@ fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a Ancho
     }
 }
 
-/// An anchor with how many leaves the state says it is over; `None` where it is a digest by itself.
+/// An anchor with the number of leaves given by the state; `None` if it is a digest by itself.
 type Counted<'a> = (Anchored<'a>, Option<u64>);
 
 fn in_state<'a>(
@@ -101,7 +102,7 @@ fn in_state<'a>(
     claim: &AnchorClaim,
     shown_at: &BlockHeader,
 ) -> Result<Option<Counted<'a>>, Unproven> {
-    // Revision 1, and digests by themselves, keep no time: it is known where the block is the one whose state this is.
+    // Revision 1, and digests by themselves, store no time: it is known if the block is the one whose state this is.
     let own_time = |block: u64| (block == shown_at.number).then_some(shown_at.timestamp);
     let (storage, shown_at, claimed_keys) = (*storage, shown_at.number, claim.keys);
     let anchored =
@@ -130,7 +131,7 @@ fn compare<'a>((anchored, counted): Counted<'a>, claim: &AnchorClaim, shown_at: 
     }
     let (found, said) = (anchored.block, claim.block);
     if found < said && claimed == Some(1) {
-        // The contract keeps a root's first block alone. A batch of one whose block was passed over has no other root.
+        // The contract stores only a root's first block. A batch of one whose block was skipped has no other root.
         return unproven(format!(
             "the state has it in block {found}; that it was anchored again in block {said} no state shows"
         ));

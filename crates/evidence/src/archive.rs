@@ -1,12 +1,12 @@
-//! A ZIP archive in one form alone: members stored as they are, `mimetype` first and the others by name, no dates, no
-//! extra fields, no gaps. What is read is written again and compared, so that two archives with the same members are the
-//! same bytes, and nothing hides between them.
+//! A ZIP archive in one form only: members stored uncompressed, `mimetype` first and the others by name, no dates, no
+//! extra fields, no gaps. What is read is written again and compared, so that two archives with the same members are
+//! the same bytes, and nothing hides between them.
 
 use std::collections::BTreeMap;
 
 use crate::BundleError;
 
-/// The member that comes first.
+/// The first member.
 pub const MIMETYPE: &str = "mimetype";
 /// The most members.
 pub const MOST_MEMBERS: usize = 60_000;
@@ -18,7 +18,7 @@ pub const LARGEST: u64 = 256 * 1024 * 1024;
 const LOCAL: [u8; 4] = *b"PK\x03\x04";
 const CENTRAL: [u8; 4] = *b"PK\x01\x02";
 const END: [u8; 4] = *b"PK\x05\x06";
-/// 1 January 1980: the first day that the format can write.
+/// 1 January 1980: the earliest date in the format.
 const FIRST_DAY: u16 = 0x21;
 /// Version 1.0 of the format: a stored member needs no more.
 const VERSION: u16 = 10;
@@ -26,7 +26,7 @@ const VERSION: u16 = 10;
 /// Members by name.
 pub type Members = BTreeMap<String, Vec<u8>>;
 
-/// Whether a name may be a member's: plain ASCII, no way out of the folder that it is unpacked into.
+/// Whether a name may be a member's: plain ASCII, and no way out of the folder that it is unpacked into.
 pub fn is_name(name: &str) -> bool {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'_' | b'-' | b'/');
     !name.is_empty()
@@ -38,7 +38,7 @@ pub fn is_name(name: &str) -> bool {
 /// The archive of these members.
 ///
 /// # Errors
-/// [`BundleError`] where they are too many or too long, or a name is none.
+/// [`BundleError`] if they are too many or too long, or a name is not valid.
 pub fn write(members: &Members) -> Result<Vec<u8>, BundleError> {
     if members.len() > MOST_MEMBERS {
         return Err(BundleError::whole(&format!(
@@ -79,7 +79,7 @@ pub fn write(members: &Members) -> Result<Vec<u8>, BundleError> {
 /// The members of an archive of this form.
 ///
 /// # Errors
-/// [`BundleError`] where it is of any other form.
+/// [`BundleError`] if it has any other form.
 pub fn read(bytes: &[u8]) -> Result<Members, BundleError> {
     number(bytes.len())?;
     let (mut members, mut rest) = (Members::new(), bytes);
@@ -110,14 +110,14 @@ pub fn read(bytes: &[u8]) -> Result<Members, BundleError> {
     }
 }
 
-/// `mimetype` first, by which programs that look at a file's first bytes know it.
+/// `mimetype` first: programs that look at a file's first bytes recognise it by that.
 fn ordered(members: &Members) -> impl Iterator<Item = (&String, &Vec<u8>)> {
     let is_first = |name: &&String| name.as_str() == MIMETYPE;
     let first = members.iter().filter(move |(name, _)| is_first(name));
     first.chain(members.iter().filter(move |(name, _)| !is_first(name)))
 }
 
-/// What local and central header have in common: needed version to length of the extra field.
+/// The fields common to local and central headers: needed version to length of the extra field.
 fn fields(name: &str, bytes: &[u8]) -> Result<Vec<u8>, BundleError> {
     let length = number(bytes.len())?;
     let mut out = Vec::with_capacity(26);
@@ -134,7 +134,7 @@ fn put(out: &mut Vec<u8>, words: &[u16]) {
     words.iter().for_each(|word| out.extend_from_slice(&word.to_le_bytes()));
 }
 
-/// A length or place within the bounds.
+/// A length or offset within the bounds.
 fn number(length: usize) -> Result<u32, BundleError> {
     u32::try_from(length).ok().filter(|length| u64::from(*length) <= LARGEST).ok_or_else(|| {
         BundleError::whole(&format!("it is longer than {} MiB; choose fewer records", LARGEST / (1024 * 1024)))

@@ -1,5 +1,5 @@
 //! A bundle in its parts: records with their signatures and anchors, keys, identities, headers of blocks, nodes of the
-//! state. Every part is within its bounds and of its form, or the bundle is refused with the part's name.
+//! state. Every part is within its bounds and well-formed, or the bundle is refused with the part's name.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read as _;
@@ -19,24 +19,24 @@ use crate::manifest::{MANIFEST, Manifest, SIGNATURE};
 use crate::state::Nodes;
 use crate::time::{BundledStamp, DraftStamp};
 
-/// The trust file that a bundle may suggest, and that is never believed.
+/// The trust file that a bundle may suggest, and that is never trusted.
 pub const SUGGESTED: &str = "trust.toml";
 /// Nodes of the state.
 pub const NODES: &str = "chain/nodes.rlp";
-/// What to do with the file, for whoever finds it without us.
+/// Instructions for somebody who finds the file without us.
 pub const READ_ME: &str = "VERIFY.txt";
-/// The page for eyes; never read by a verifier.
+/// The page for people; never read by a verifier.
 pub const REPORT: &str = "report.html";
 /// The most records in a bundle.
 pub const MOST_RECORDS: usize = 10_000;
-/// What an anchor's file begins with.
+/// The format name of an anchor's file.
 const ANCHOR_FORMAT: &str = "authros-anchor/1";
-/// The longest page for eyes, bytes.
+/// The longest page for people, bytes.
 const LONGEST_REPORT: usize = 16 << 20;
 /// The longest of the small members, bytes.
 const LONGEST_SMALL: usize = 64 * 1024;
 
-/// Why a bundle cannot be looked at.
+/// Why a bundle cannot be checked.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{member}: {why}")]
 pub struct BundleError {
@@ -79,18 +79,18 @@ pub enum Anchoring {
     },
 }
 
-/// Where the exporter says that a record is anchored, and after which block the state shows that.
+/// The exporter's claim of where a record is anchored, and after which block the state shows that.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AnchorClaim {
     /// Names this format.
     pub format: String,
     /// The anchoring block.
     pub block: u64,
-    /// The block whose state shows it; the same one, or a later.
+    /// The block whose state shows it; the same one, or a later one.
     pub shown_at: u64,
     /// Which version of the owner's keys was in force.
     pub keys: u64,
-    /// How.
+    /// How it was anchored.
     pub anchor: Anchoring,
 }
 
@@ -100,7 +100,7 @@ impl AnchorClaim {
         Self { format: ANCHOR_FORMAT.to_owned(), block, shown_at, keys, anchor }
     }
 
-    /// The path, where the record is in a batch.
+    /// The path, if the record is in a batch.
     pub fn inclusion(&self) -> Option<Inclusion> {
         match &self.anchor {
             Anchoring::Each => None,
@@ -126,7 +126,7 @@ impl AnchorClaim {
 /// A disclosure: the record's secret, and its owner's signature.
 #[derive(Debug, Clone)]
 pub struct Disclosure {
-    /// What the record's keys follow from.
+    /// The secret from which the record's keys are derived.
     pub secret: RecordSecret,
     /// SM2 by the owner.
     pub signature: Signature,
@@ -135,17 +135,17 @@ pub struct Disclosure {
 /// One record of a bundle.
 #[derive(Debug, Clone)]
 pub struct BundledRecord {
-    /// The record as it is stored.
+    /// The record as stored.
     pub record: Vec<u8>,
     /// Its signature.
     pub signature: Signature,
-    /// Where it is anchored; `None` where it was on no chain.
+    /// Where it is anchored; `None` if it was on no chain.
     pub anchor: Option<AnchorClaim>,
     /// Its disclosure.
     pub disclosure: Option<Disclosure>,
 }
 
-/// A bundle whose members are what its manifest says, each of its form.
+/// A bundle whose members match its manifest, each well-formed.
 #[derive(Debug, Clone)]
 pub struct Bundle {
     /// The manifest.
@@ -164,7 +164,7 @@ pub struct Bundle {
     pub nodes: Nodes,
     /// Texts of message definitions by their SM3.
     pub definitions: BTreeMap<Digest, String>,
-    /// Where heads of recorders have the highest numbers of topics.
+    /// Paths from heads of recorders to the highest numbers of topics.
     pub heights: Vec<Height>,
     /// Stamps of authorities by their imprints.
     pub stamps: BTreeMap<Hash, BundledStamp>,
@@ -172,7 +172,7 @@ pub struct Bundle {
     pub suggested: Option<String>,
 }
 
-/// Records and stamps whose files come one by one.
+/// Records and stamps, whose files are read one by one.
 #[derive(Default)]
 struct Drafts {
     records: BTreeMap<Digest, Draft>,
@@ -194,7 +194,7 @@ impl Bundle {
     /// From a file's bytes.
     ///
     /// # Errors
-    /// As [`Bundle::read`].
+    /// See [`Bundle::read`].
     pub fn parse(bytes: &[u8], provider: &dyn Provider) -> Result<Self, BundleError> {
         Self::of_members(&archive::read(bytes)?, provider)
     }
@@ -202,7 +202,7 @@ impl Bundle {
     /// From its members.
     ///
     /// # Errors
-    /// As [`Bundle::read`].
+    /// See [`Bundle::read`].
     pub fn of_members(members: &Members, provider: &dyn Provider) -> Result<Self, BundleError> {
         let manifest = Manifest::read(members, provider)?;
         let (mut drafts, mut bundle) = (Drafts::default(), Self::empty(manifest));
@@ -240,7 +240,7 @@ impl Bundle {
         }
     }
 
-    /// Takes one member in, by its name.
+    /// Adds one member, by its name.
     fn take(
         &mut self,
         name: &str,
@@ -317,7 +317,7 @@ impl Bundle {
     }
 }
 
-/// A record whose files come one by one.
+/// A record whose files are read one by one.
 #[derive(Default)]
 struct Draft {
     record: Option<Vec<u8>>,
@@ -382,7 +382,7 @@ fn text(name: &str, bytes: &[u8]) -> Result<String, BundleError> {
 /// A plain file within the bounds of a bundle.
 fn file(path: &Path, name: &str) -> Result<Vec<u8>, BundleError> {
     let failed = |error: std::io::Error| BundleError::of(name, &format!("cannot be read: {error}"));
-    // Looked at before it is opened, since opening a pipe would wait for its writer.
+    // Checked before it is opened, since opening a pipe would wait for its writer.
     if !path.metadata().map_err(failed)?.is_file() {
         return Err(BundleError::of(name, "is no plain file"));
     }

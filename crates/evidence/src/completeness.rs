@@ -1,6 +1,6 @@
-//! Level (f): which numbers of a topic are there, and which are not. A head of the recorder says how high they were at a
-//! time; nothing is claimed after that, and nothing before the first. Only records count whose signer is shown: anybody can
-//! seal a record in another's name.
+//! Level (f): which numbers of a topic are present, and which are not. A head of the recorder says how high they were
+//! at a time; nothing is claimed after that, and nothing before the first. Only records whose signer is proven count:
+//! anybody can seal a record in another's name.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,7 +18,7 @@ type Topic = (Address, RecorderId, TopicId);
 /// Its records by their numbers.
 type Numbered<'a> = BTreeMap<u64, Vec<&'a RecordReport>>;
 
-/// The stretches of all records whose bytes hold.
+/// The stretches of all records whose bytes are intact.
 pub(crate) fn stretches(heights: &[Height], records: &[RecordReport], messages: &Messages) -> Vec<Stretch> {
     let mut topics: BTreeMap<Topic, Numbered<'_>> = BTreeMap::new();
     for record in records.iter().filter(|record| record.bytes.standing == Standing::Proven) {
@@ -36,7 +36,7 @@ pub(crate) fn stretches(heights: &[Height], records: &[RecordReport], messages: 
         }
         let own = are_statements(&numbered);
         if own {
-            // They were put in to speak of other topics: nobody claims that these are all.
+            // They were included for the sake of other topics: nobody claims that these are all.
             (stretch.gaps, stretch.missing, stretch.heads) = (Vec::new(), 0, None);
         }
         stretch.text = told(&stretch, own);
@@ -45,14 +45,14 @@ pub(crate) fn stretches(heights: &[Height], records: &[RecordReport], messages: 
     topics.into_iter().map(stretch).collect()
 }
 
-/// Whether all that count, and there are some, opened as what the recorder states of itself.
+/// Whether there are counted records, and all of them opened as the recorder's own statements.
 fn are_statements(numbered: &Numbered<'_>) -> bool {
     let mut believed = numbered.values().flatten().filter(|record| record.is_believed()).peekable();
     believed.peek().is_some() && believed.all(|record| record.is_statement())
 }
 
-/// Whether these records of one number are two histories of one signer: both are believed, or both have the key that is
-/// shown to be the owner's for one of them.
+/// Whether these records of one number are two histories of one signer: either both are proven, or both have the key
+/// that is proven to be the owner's for one of them.
 fn is_twice(records: &[&RecordReport]) -> bool {
     let mut believed = records.iter().filter(|record| record.is_believed());
     let Some(one) = believed.next() else { return false };
@@ -60,7 +60,7 @@ fn is_twice(records: &[&RecordReport]) -> bool {
     believed.next().is_some() || records.iter().any(|record| same(&record))
 }
 
-/// Whether heads contradict themselves or each other: a path that leads nowhere, a number that went down.
+/// Whether heads contradict themselves or each other: a path that does not lead to the root, a number that decreased.
 fn contradict(claims: &[Claim<'_>]) -> bool {
     let numbers = || claims.iter().map(|claim| claim.number);
     numbers().any(|number| number.is_none()) || numbers().zip(numbers().skip(1)).any(|(one, next)| next < one)
@@ -87,7 +87,7 @@ fn stretch((owner, recorder, topic_id): Topic, numbered: &Numbered<'_>, claims: 
     let (first, last) = (numbers.first().copied(), numbers.last().copied());
     let between = numbers.iter().zip(numbers.iter().skip(1)).filter(|(one, next)| **next - **one > 1);
     let mut gaps: Vec<(u64, u64)> = between.map(|(one, next)| (one + 1, next - 1)).collect();
-    // What the head names and the file does not have: its end was left out.
+    // Named by the head and missing in the file: the end was left out.
     let tail = last.zip(heads).filter(|(last, heads)| heads.number > *last);
     gaps.extend(tail.map(|(last, heads)| (last + 1, heads.number)));
     let missing = gaps.iter().map(|(from, to)| (to - from).saturating_add(1)).fold(0, u64::saturating_add);
@@ -147,7 +147,7 @@ fn told(stretch: &Stretch, own_statements: bool) -> String {
     }
 }
 
-/// Up to where the recorder's own head goes, and from where on nothing is claimed.
+/// How far the recorder's own head goes, and from where nothing is claimed.
 fn until(stretch: &Stretch, first: u64, last: u64) -> String {
     let before = if first == 1 { String::new() } else { format!(" before {first} or") };
     let Some(HeadsClaim { number, at, .. }) = stretch.heads else {

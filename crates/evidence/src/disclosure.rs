@@ -7,13 +7,13 @@ use crate::bundle::{BundledRecord, Disclosure};
 use crate::report::{Level, Standing};
 use crate::verify::Check;
 
-/// The most bytes of messages that are made of one file.
+/// The most bytes of messages produced from one file.
 pub(crate) const MOST_PLAIN: u64 = 256 * 1024 * 1024;
-/// The most identities that are tried for one owner.
+/// The most identities tried for one owner.
 const MOST_IDENTITIES: usize = 16;
 
-/// Level (e), as far as the state itself is to be believed, and the message where it was opened. Who signed is looked at
-/// first: nothing is made of what nobody stands for.
+/// Level (e), as far as the state itself is trusted, and the message if it was opened. The signer is checked first:
+/// nothing is produced that nobody vouches for.
 pub(crate) fn opened(
     check: &Check<'_>,
     digest: Digest,
@@ -41,8 +41,8 @@ pub(crate) fn opened(
     }
 }
 
-/// Who signed a disclosure. An identity proves that its key made it, and not whose account it is: only the state or a pin
-/// ties the key to the owner.
+/// The signer of a disclosure. An identity proves that its key made it, and not whose account it is: only the state or
+/// a pin ties the key to the owner.
 fn signed(
     check: &Check<'_>,
     digest: Digest,

@@ -1,4 +1,4 @@
-//! Headers of blocks, as the chain has them: their hash, and who sealed them.
+//! Headers of blocks, as on the chain: their hash, and who sealed them.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,9 +6,9 @@ use authros_crypto::{AccountSignature, keccak256, recover_account};
 use authros_model::{Address, Hash};
 use rlp::{Rlp, RlpStream};
 
-/// The longest header, bytes; with a list of a hundred signers in it.
+/// The longest header, bytes; including a list of a hundred signers.
 pub const LONGEST_HEADER: usize = 4096;
-/// What stands before the seal in the extra data.
+/// The part of the extra data before the seal.
 const VANITY: usize = 32;
 /// Length of a seal: r, s, parity.
 const SEAL: usize = 65;
@@ -17,7 +17,7 @@ const ADDRESS: usize = 20;
 /// The vanity of a block of AuthROS's own chain.
 const OURS: &[u8] = b"AuthROS chain file version ";
 
-/// A header, taken apart as far as evidence needs it.
+/// A header, parsed as far as evidence needs it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BlockHeader {
     /// Its hash: the block's.
@@ -28,10 +28,10 @@ pub struct BlockHeader {
     pub state_root: Hash,
     /// Its number.
     pub number: u64,
-    /// Its time, seconds, by its sealer's clock.
+    /// The data signed by a Clique signer; `None` if it is of another consensus.
     pub timestamp: u64,
     extra: Vec<u8>,
-    /// What a Clique signer signs of it; `None` where it is of another consensus.
+    /// What a Clique signer signs of it; `None` if it is of another consensus.
     seal_hash: Option<[u8; 32]>,
 }
 
@@ -57,7 +57,7 @@ impl BlockHeader {
         })
     }
 
-    /// Who sealed it, under proof of authority as in Clique (EIP-225); `None` where it has no such seal.
+    /// Who sealed it, under proof of authority as in Clique (EIP-225); `None` if it has no such seal.
     pub fn sealer(&self) -> Option<Address> {
         let mut seal: [u8; SEAL] = self.extra.get(self.extra.len().checked_sub(SEAL)?..)?.try_into().ok()?;
         let parity = seal.last_mut()?;
@@ -65,14 +65,14 @@ impl BlockHeader {
         recover_account(&self.seal_hash?, &AccountSignature(seal)).ok()
     }
 
-    /// Whether it calls itself one of AuthROS's own chain, which one program seals with the keys of one home.
+    /// Whether it says that it is from one of AuthROS's own chains, which one program seals with the keys of one home.
     pub fn is_ours(&self) -> bool {
         self.extra.starts_with(OURS)
     }
 }
 
-/// What a Clique signer signs: all of it but the seal. Its mix hash is zero, and between vanity and seal there are whole
-/// addresses or nothing; QBFT and IBFT write other things there.
+/// The data signed by a Clique signer: everything except the seal. Its mix hash is zero, and between vanity and seal
+/// there are whole addresses or nothing; QBFT and IBFT have other contents there.
 fn seal_hash(list: &Rlp<'_>, fields: usize, extra: &[u8]) -> Option<[u8; 32]> {
     let between = extra.len().checked_sub(VANITY + SEAL)?;
     if between % ADDRESS != 0 || list.at(13).ok()?.data().ok()? != [0; 32] {
@@ -89,19 +89,19 @@ fn seal_hash(list: &Rlp<'_>, fields: usize, extra: &[u8]) -> Option<[u8; 32]> {
     Some(keccak256(&[&out.out()]))
 }
 
-/// Who of the pinned signers sealed a block or built on it.
+/// The pinned signers who sealed a block or built on it.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Seals {
-    /// Those who were pinned.
+    /// The pinned ones.
     pub pinned: BTreeSet<Address>,
-    /// The first who was not.
+    /// The first one not pinned.
     pub stranger: Option<Address>,
-    /// Whether the block itself has no seal that can be checked.
+    /// Whether the block itself has no verifiable seal.
     pub unsigned: bool,
 }
 
-/// The seals on a block and on those that follow it in the bundle, each naming the one before as its parent; until all who
-/// were pinned are met, over four headers for each of them and sixteen more at the most.
+/// The seals on a block and on those that follow it in the bundle, each naming the previous one as its parent; until
+/// all pinned signers are found, over at most four headers for each of them and sixteen more.
 pub fn seals(headers: &BTreeMap<u64, BlockHeader>, first: u64, pinned: &[Address]) -> Seals {
     let mut found = Seals::default();
     let mut parent = None;

@@ -1,4 +1,4 @@
-//! `heights.json`: where a recorder's head, a disclosed record, has the highest number of a topic.
+//! `heights.json`: the place of a topic's highest number in a recorder's head, which is a disclosed record.
 
 use authros_crypto::merkle::{LONGEST_PATH, height_hash, root_of};
 use authros_model::{Address, Birth, Digest, Hash, Heads, RecorderId, TopicId};
@@ -12,12 +12,12 @@ use crate::verify::Messages;
 pub(crate) const HEIGHTS: &str = "heights.json";
 /// The most entries.
 pub const MOST_HEIGHTS: usize = crate::MOST_RECORDS;
-/// What the member begins with.
+/// The format name of the member.
 const FORMAT: &str = "authros-heights/1";
-/// The name that recorders' own statements are filed under.
+/// The name under which recorders' own statements are filed.
 pub(crate) const TOPIC: &str = "authros/recorder";
 
-/// That a head has this highest number of a topic, with the path to its root.
+/// The statement that a head has this highest number of a topic, with the path to its root.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Height {
@@ -60,21 +60,21 @@ pub(crate) fn to_text(heights: Vec<Height>) -> Result<Vec<u8>, BundleError> {
     serde_json::to_vec_pretty(&listed).map_err(|error| BundleError::of(HEIGHTS, &error.to_string()))
 }
 
-/// A statement of a recorder that is believed: its signer is shown, and the message opens.
+/// A recorder's trusted statement: its signer is proven, and the message opens.
 fn statement<'a>(record: &'a RecordReport, messages: &'a Messages, type_name: &str) -> Option<&'a [u8]> {
     let message = messages.get(&record.digest).filter(|_| record.is_believed())?;
     (message.head.topic == TOPIC && message.head.type_name == type_name).then_some(&message.body[..])
 }
 
-/// A believed head that names a topic.
+/// A trusted head that names a topic.
 pub(crate) struct Claim<'a> {
     /// Its record.
     pub record: &'a RecordReport,
-    /// The number; `None` where the path does not lead to the head's root.
+    /// The number; `None` if the path does not lead to the head's root.
     pub number: Option<u64>,
 }
 
-/// What believed heads of this recorder say of a topic, in their own order.
+/// What trusted heads of this recorder say about a topic, in their own order.
 pub(crate) fn claims<'a>(
     heights: &[Height],
     records: &'a [RecordReport],
@@ -95,7 +95,7 @@ pub(crate) fn claims<'a>(
     claims
 }
 
-/// The believed birth of a recorder, the first one.
+/// The trusted birth of a recorder, the first one.
 pub(crate) fn birth<'a>(
     records: &'a [RecordReport],
     messages: &'a Messages,

@@ -1,4 +1,4 @@
-//! What is found out once and asked for by many records, so that a stranger's file costs no more than its length.
+//! Results computed once and used for many records, so that a stranger's file costs no more than its length.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -10,12 +10,12 @@ use crate::header::{BlockHeader, Seals, seals};
 use crate::state::{Storage, Unproven};
 use crate::verify::Check;
 
-/// What one check has found out so far.
+/// The results of one check so far.
 pub(crate) struct Known<'a> {
     storages: RefCell<BTreeMap<u64, Result<Storage<'a>, Unproven>>>,
     seals: RefCell<BTreeMap<u64, Seals>>,
     identities: RefCell<BTreeMap<(Hash, Address), bool>>,
-    /// How many bytes of messages may still be made.
+    /// How many bytes of messages may still be produced.
     pub plain_left: Cell<u64>,
 }
 

@@ -1,4 +1,4 @@
-//! `manifest.json`: every member with its length and hashes, and which chain the bundle says it is of; and the
+//! `manifest.json`: every member with its length and hashes, and the chain that the bundle claims to be of; and the
 //! exporter's signature over it.
 
 use authros_crypto::{Provider, signature_from_der, signer_id};
@@ -11,13 +11,13 @@ use crate::archive::{MIMETYPE, Members};
 
 /// The form of a bundle.
 pub const FORMAT: &str = "authros-evidence/1";
-/// What `mimetype` holds, and the type that the exporter's signature is for.
+/// The content of `mimetype`, and the type that the exporter's signature is for.
 pub const MEDIA_TYPE: &str = "application/vnd.authros.evidence+zip";
 /// The manifest's name.
 pub const MANIFEST: &str = "manifest.json";
 /// The name of its signature, DER.
 pub const SIGNATURE: &str = "manifest.der";
-/// What the manifest does not list: itself, its signature, and what each bundle has alike.
+/// Members not in the manifest: itself, its signature, and those that are the same in each bundle.
 const UNLISTED: [&str; 3] = [MIMETYPE, MANIFEST, SIGNATURE];
 
 /// The manifest.
@@ -26,9 +26,9 @@ const UNLISTED: [&str; 3] = [MIMETYPE, MANIFEST, SIGNATURE];
 pub struct Manifest {
     /// [`FORMAT`].
     pub format: String,
-    /// Which chain it says it is of.
+    /// The chain that it claims to be of.
     pub chain: ClaimedChain,
-    /// Who says it.
+    /// Its exporter.
     pub exporter: Exporter,
     /// Every other member, by name.
     pub members: Vec<Member>,
@@ -85,7 +85,7 @@ impl Manifest {
         Self { format: FORMAT.to_owned(), chain, exporter, members }
     }
 
-    /// Out of a bundle's members, each of which it names as it is, and no other.
+    /// From a bundle's members: it names each of them as it is, and no other.
     ///
     /// # Errors
     /// [`BundleError`] for the first that differs.
@@ -126,7 +126,8 @@ impl Manifest {
     }
 }
 
-/// What the exporter signs: DSSE's pre-authentication encoding of the manifest's bytes, so that no other text has the same.
+/// The data signed by the exporter: DSSE's pre-authentication encoding of the manifest's bytes, so that no other text
+/// has the same.
 pub fn signed_bytes(manifest: &[u8]) -> Vec<u8> {
     let head = format!("DSSEv1 {} {MEDIA_TYPE} {} ", MEDIA_TYPE.len(), manifest.len());
     [head.as_bytes(), manifest].concat()

@@ -1,4 +1,4 @@
-//! The exporter's side: parts put together into a bundle's members, and those into its file.
+//! The exporter's side: parts are collected into a bundle's members, and those into its file.
 
 use authros_crypto::record::reveal_bytes;
 use authros_crypto::{CryptoError, Provider, SmKeyPair, keyfile, signature_der, signer_id};
@@ -12,10 +12,10 @@ use crate::state::Nodes;
 use crate::time::{self, StampTree};
 use crate::trust::Trust;
 
-/// What `VERIFY.txt` says, for whoever finds the file without the program.
+/// The text of `VERIFY.txt`, for somebody who finds the file without the program.
 pub const READ_ME_TEXT: &str = include_str!("VERIFY.txt");
 
-/// A bundle that is being put together.
+/// A bundle being assembled.
 #[derive(Debug, Default)]
 pub struct Packing {
     members: Members,
@@ -28,7 +28,7 @@ impl From<Members> for Packing {
     }
 }
 
-/// Why a bundle cannot be put together.
+/// Why a bundle cannot be assembled.
 #[derive(Debug, thiserror::Error)]
 pub enum PackingError {
     /// It would be too large.
@@ -43,7 +43,7 @@ impl Packing {
     /// Adds a record.
     ///
     /// # Errors
-    /// None that is not a fault of this program.
+    /// None, except for a fault of this program.
     pub fn record(&mut self, digest: Digest, record: BundledRecord) -> Result<(), PackingError> {
         let mut put = |part: &str, bytes: Vec<u8>| {
             self.members.insert(format!("records/{}/{part}", digest.to_hex()), bytes);
@@ -64,14 +64,14 @@ impl Packing {
     /// Adds a signer's key.
     ///
     /// # Errors
-    /// Where it is no point.
+    /// If it is not a point on the curve.
     pub fn key(&mut self, key: &PublicKey) -> Result<(), PackingError> {
         let pem = keyfile::sm2_public_pem(key)?;
         self.members.insert(format!("keys/{}.pem", signer_id(key).to_hex()), pem.into_bytes());
         Ok(())
     }
 
-    /// Adds an identity as the chain has it.
+    /// Adds an identity as on the chain.
     pub fn identity(&mut self, identity: &Identity) {
         let bytes = identity.encode();
         let hash = Hash(authros_crypto::keccak256(&[&bytes]));
@@ -94,19 +94,19 @@ impl Packing {
         self.members.insert(format!("definitions/{}.txt", digest.to_hex()), text.as_bytes().to_vec());
     }
 
-    /// Adds where heads of recorders have the highest numbers of topics.
+    /// Adds the paths from heads of recorders to the highest numbers of topics.
     ///
     /// # Errors
-    /// Where it cannot be written.
+    /// If it cannot be written.
     pub fn heights(&mut self, heights: Vec<Height>) -> Result<(), PackingError> {
         self.members.insert(HEIGHTS.to_owned(), heights::to_text(heights)?);
         Ok(())
     }
 
-    /// Adds an authority's stamps over these roots, of all that were stamped together.
+    /// Adds an authority's stamps over these roots; all of them were stamped together.
     ///
     /// # Errors
-    /// Where it cannot be written.
+    /// If it cannot be written.
     pub fn stamps(&mut self, tree: &StampTree, wanted: &[Hash], tokens: &[Vec<u8>]) -> Result<(), PackingError> {
         if !tokens.is_empty() {
             self.members.extend(time::members(tree, wanted, tokens)?);
@@ -114,7 +114,7 @@ impl Packing {
         Ok(())
     }
 
-    /// Adds the page for eyes, which proves nothing.
+    /// Adds the page for people, which proves nothing.
     pub fn report(&mut self, page: String) {
         self.members.insert(REPORT.to_owned(), page.into_bytes());
     }
@@ -122,7 +122,7 @@ impl Packing {
     /// Suggests what to pin.
     ///
     /// # Errors
-    /// Where it cannot be written.
+    /// If it cannot be written.
     pub fn suggest(&mut self, trust: &Trust) -> Result<(), PackingError> {
         let text = trust.to_text().map_err(|error| BundleError::of(SUGGESTED, &error.to_string()))?;
         let note = "# What the exporter says. Compare each line with what you know by another way, then keep a copy of \
@@ -134,7 +134,7 @@ impl Packing {
     /// The members with the manifest, signed by its exporter.
     ///
     /// # Errors
-    /// Where the key cannot sign.
+    /// If the key cannot sign.
     pub fn sign(
         mut self,
         chain: ClaimedChain,
@@ -160,7 +160,7 @@ impl Packing {
 /// The file of these members.
 ///
 /// # Errors
-/// Where it would be too large.
+/// If it would be too large.
 pub fn pack(members: &Members) -> Result<Vec<u8>, PackingError> {
     Ok(archive::write(members)?)
 }
@@ -168,7 +168,7 @@ pub fn pack(members: &Members) -> Result<Vec<u8>, PackingError> {
 /// An owner's signature under the disclosure of a record.
 ///
 /// # Errors
-/// Where the key cannot sign.
+/// If the key cannot sign.
 pub fn disclose(
     secret: authros_crypto::record::RecordSecret,
     (domain, digest): (&Domain, &Digest),

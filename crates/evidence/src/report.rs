@@ -8,15 +8,15 @@ use serde::Serialize;
 
 use crate::heights::TOPIC;
 
-/// How far a level goes.
+/// The result of a level.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Standing {
     /// It follows from the bytes and from what was pinned.
     Proven,
-    /// It holds by the word of the exporter's own chain: it proves nothing against him.
+    /// It is true by the word of the exporter's own chain: it proves nothing against the exporter.
     OwnChain,
-    /// Nothing contradicts it, and something that would prove it is missing.
+    /// Nothing contradicts it, but something that would prove it is missing.
     Unproven,
     /// Nobody claims it.
     Absent,
@@ -25,7 +25,7 @@ pub enum Standing {
 }
 
 impl Standing {
-    /// As told to people.
+    /// In words for people.
     pub fn word(self) -> &'static str {
         match self {
             Self::Proven => "proven",
@@ -40,9 +40,9 @@ impl Standing {
 /// One level of one record.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Level {
-    /// How far it goes.
+    /// Its result.
     pub standing: Standing,
-    /// Why, in words.
+    /// The reason, in words.
     pub text: String,
 }
 
@@ -53,18 +53,18 @@ impl Level {
     }
 }
 
-/// What is said of one record.
+/// The findings about one record.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct RecordReport {
     /// SM3 of it.
     pub digest: Digest,
     /// Its owner, as its header says.
     pub owner: Option<Address>,
-    /// Who that is, as it was pinned, where the key is shown to be his.
+    /// The owner's pinned name, if the key is shown to be the owner's.
     pub person: Option<String>,
     /// SM3 of the key that signed it.
     pub signer: Option<SignerId>,
-    /// SM3 of the key that its owner had registered, where a state that is believed shows it.
+    /// SM3 of the key that its owner had registered, if a trusted state shows it.
     pub owner_key: Option<SignerId>,
     /// The ledger that numbered it.
     pub recorder: Option<RecorderId>,
@@ -74,17 +74,17 @@ pub struct RecordReport {
     pub seq: Option<u64>,
     /// When it was captured, by its owner's word alone.
     pub captured_at: Option<Timestamp>,
-    /// The anchoring block's time, by the clock of whoever sealed it.
+    /// The anchoring block's time, by its sealer's clock.
     pub anchored_at: Option<Timestamp>,
     /// The anchoring block.
     pub block: Option<u64>,
-    /// Seconds from the claimed capture to the anchor; less than zero where the claim is later.
+    /// Seconds from the claimed capture to the anchor; negative if the claim is later.
     pub seconds_to_anchor: Option<i64>,
-    /// Before when it existed, by an authority that was pinned.
+    /// It existed before this time, according to a pinned authority.
     pub existed_before: Option<Timestamp>,
     /// (a) The bytes are intact and signed.
     pub bytes: Level,
-    /// (b) The key was the owner's to sign with.
+    /// (b) The owner was entitled to sign with the key.
     pub key: Level,
     /// (c) It is anchored.
     pub anchor: Level,
@@ -92,7 +92,7 @@ pub struct RecordReport {
     pub time: Level,
     /// (e) It is opened by its owner's disclosure.
     pub opened: Level,
-    /// What was disclosed.
+    /// The disclosed content.
     pub disclosed: Option<Disclosed>,
 }
 
@@ -102,18 +102,18 @@ impl RecordReport {
         matches!(self.key.standing, Standing::Proven | Standing::OwnChain)
     }
 
-    /// Whether it opened as what a recorder states of itself for completeness; bundles add these to what was chosen.
+    /// Whether it opened as a recorder's statement about completeness; bundles add these to what was chosen.
     pub fn is_statement(&self) -> bool {
         let types = [Birth::TYPE, Heads::TYPE];
         self.disclosed.as_ref().is_some_and(|facts| facts.topic == TOPIC && types.contains(&facts.type_name.as_str()))
     }
 
-    /// The standings that a bundle needs of it.
+    /// The results that a bundle needs of it.
     fn needed(&self) -> [Standing; 3] {
         [&self.bytes, &self.key, &self.anchor].map(|level| level.standing)
     }
 
-    /// Whether it is a statement of which something is merely not proven: it says nothing then, and denies nothing.
+    /// Whether it is a statement of which something is merely not proven: it then says nothing, and denies nothing.
     pub(crate) fn is_mute(&self) -> bool {
         let needed = self.needed();
         self.is_statement() && needed.contains(&Standing::Unproven) && !needed.contains(&Standing::Refused)
@@ -125,7 +125,7 @@ impl RecordReport {
     }
 }
 
-/// What a disclosed record says of itself.
+/// The content of a disclosed record.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Disclosed {
     /// Its topic.
@@ -146,54 +146,54 @@ pub struct Disclosed {
 /// (f) The records of one topic by one recorder.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Stretch {
-    /// Whose.
+    /// Their owner.
     pub owner: Address,
     /// The ledger.
     pub recorder: RecorderId,
     /// The topic.
     pub topic_id: TopicId,
-    /// How far it goes: no further than the signers of its records are shown.
+    /// Its result: no better than what is proven about the signers of its records.
     pub standing: Standing,
-    /// The first number in the bundle; `None` where no record's signer is proven.
+    /// The first number in the bundle; `None` if no record's signer is proven.
     pub first: Option<u64>,
     /// The last.
     pub last: Option<u64>,
-    /// Numbers between them that are not there, from and to.
+    /// Numbers missing between them, from and to.
     pub gaps: Vec<(u64, u64)>,
     /// How many numbers are missing.
     pub missing: u64,
-    /// Records that are not counted, because nothing proves whose key signed them.
+    /// Records not counted, because nothing proves whose key signed them.
     pub uncounted: u64,
     /// Numbers that two different records have: their signer told two histories.
     pub twice: Vec<u64>,
-    /// What the newest believed head of its recorder says of it.
+    /// The statement of its recorder's newest trusted head.
     pub heads: Option<HeadsClaim>,
-    /// When the recorder's birth was anchored, where that is in the bundle.
+    /// When the recorder's birth was anchored, if that is in the bundle.
     pub born_at: Option<Timestamp>,
-    /// The recorder that it follows, after a restore, as its birth says.
+    /// The recorder that it follows, after a restore, according to its birth.
     pub predecessor: Option<RecorderId>,
     /// In words.
     pub text: String,
 }
 
-/// What a recorder said of a topic at a time.
+/// A recorder's statement about a topic at a time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct HeadsClaim {
     /// The record of the head.
     pub record: Digest,
     /// The highest number of the topic.
     pub number: u64,
-    /// When the head was anchored, by the clock of whoever sealed the block.
+    /// When the head was anchored, by the block sealer's clock.
     pub at: Option<Timestamp>,
 }
 
-/// What it all comes to.
+/// The overall result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
-    /// Levels (a) to (c) are proven for every record, by what was pinned.
+    /// Levels (a) to (c) are proven for every record, using what was pinned.
     Holds,
-    /// Something is not proven, or holds by the exporter's own chain alone.
+    /// Something is not proven, or true only by the word of the exporter's own chain.
     Incomplete,
     /// Something is contradicted.
     Refused,
@@ -202,13 +202,13 @@ pub enum Outcome {
 /// The verdict.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Report {
-    /// What it all comes to.
+    /// The overall result.
     pub outcome: Outcome,
     /// Whether a trust file was given.
     pub pinned: bool,
-    /// Who made the bundle.
+    /// The exporter.
     pub exporter: Level,
-    /// What has to be known beside the levels.
+    /// What has to be known besides the levels.
     pub warnings: Vec<String>,
     /// Each record.
     pub records: Vec<RecordReport>,
@@ -220,7 +220,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// The standings of (a) to (c) of all records; a statement that says nothing counts only where nothing else is there.
+    /// The results of (a) to (c) of all records; a statement that says nothing counts only if there is nothing else.
     pub(crate) fn needed(&self) -> impl Iterator<Item = Standing> {
         let nothing_else = self.records.iter().all(RecordReport::is_mute);
         let counted = self.records.iter().filter(move |record| nothing_else || !record.is_mute());

@@ -1,4 +1,4 @@
-//! Level (b): whether a key was its owner's to sign with when the record was anchored.
+//! Level (b): whether the owner was entitled to sign with the key when the record was anchored.
 
 use authros_crypto::signer_id;
 use authros_model::{Header, PublicKey, Timestamp};
@@ -8,15 +8,15 @@ use crate::report::{Level, Standing};
 use crate::state::Unproven;
 use crate::verify::Check;
 
-/// What the state shows of who signed a record.
+/// What the state shows about the signer of a record.
 pub(crate) struct Signed {
-    /// Level (b), as far as the state itself is to be believed.
+    /// Level (b), as far as the state itself is trusted.
     pub level: Level,
     /// The key that the owner had registered at the anchoring block.
     pub owner_key: Option<PublicKey>,
 }
 
-/// Level (b) of a record whose anchor the state shows.
+/// Level (b) of a record whose anchor is shown by the state.
 pub(crate) fn signing_right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Signed {
     match owner_key(check, header, anchored) {
         Ok(Own::Unknown(why)) => Signed { level: Level::new(Standing::Unproven, why), owner_key: None },
@@ -52,9 +52,9 @@ fn judged(header: &Header, anchored: &Anchored<'_>, registered: &PublicKey) -> R
             Err(level) => return Ok(level),
         },
     };
-    // The contract lets no suspended account anchor, which holds for the moment of anchoring. A right is the state after the
-    // block, so the block's own state is asked where it is there: the owner may have been suspended behind the anchor.
-    // A later state in which the owner is suspended does not show that this came after the block.
+    // The contract lets no suspended account anchor, which holds for the moment of anchoring. A right is the state
+    // after the block, so the block's own state is used if present: the owner may have been suspended later in that
+    // block. A later state in which the owner is suspended does not show that this came after the block.
     let suspended = anchored.storage.is_suspended(owner)?;
     Ok(match (suspended, at == block) {
         (true, true) => refused(format!("{owner} was suspended at block {block}")),
@@ -77,7 +77,7 @@ fn judged(header: &Header, anchored: &Anchored<'_>, registered: &PublicKey) -> R
 enum Own {
     /// This one.
     Registered(PublicKey),
-    /// The state does not show which it was.
+    /// The state does not show which key it was.
     Unknown(String),
 }
 
@@ -93,7 +93,7 @@ fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Res
     let Some(keys) = storage.keys(owner, version)? else {
         return Ok(Own::Unknown(format!("{owner} has no version {version} of its keys on this chain")));
     };
-    // The contract notes the version with the owner's own anchor, but the keys may have changed behind it in that block.
+    // The contract notes the version with the owner's own anchor, but the keys may have changed later in that block.
     let after = version.checked_add(1).map(|next| storage.keys(owner, next)).transpose()?.flatten();
     if keys.block > block || after.is_some_and(|after| after.block <= block) {
         return Ok(Own::Unknown(format!(

@@ -1,4 +1,4 @@
-//! Level (d): an authority that was pinned stamped the root of the record's batch.
+//! Level (d): a pinned authority stamped the root of the record's batch.
 
 use std::collections::BTreeMap;
 
@@ -10,12 +10,12 @@ use crate::report::{Level, Standing};
 use crate::time::{BundledStamp, Certificate, StampedRoot, TimeError, check_token};
 use crate::trust::{PinnedAuthority, Trust};
 
-/// What the tokens over the same roots come to.
+/// The combined result of the tokens over the same roots.
 #[derive(Default)]
 struct Finding {
     /// The earliest by a pinned authority: before when, and who.
     proven: Option<(Timestamp, String)>,
-    /// The earliest by its own word.
+    /// The earliest by the authority's own word.
     claimed: Option<(Timestamp, String)>,
     /// What contradicts one of them.
     refused: Option<TimeError>,
@@ -24,13 +24,13 @@ struct Finding {
 /// The stamps of a bundle, checked once for all records.
 #[derive(Default)]
 pub(crate) struct Stamps<'a> {
-    /// By the roots that they are over.
+    /// By the roots that they cover.
     roots: BTreeMap<Hash, Vec<(usize, &'a BundledStamp, &'a StampedRoot)>>,
     findings: Vec<Finding>,
 }
 
 impl<'a> Stamps<'a> {
-    /// Of a bundle, by the authorities that were pinned.
+    /// Those of a bundle, by the pinned authorities.
     pub fn new(bundle: &'a Bundle, trust: Option<&Trust>) -> Self {
         let pinned = trust.map(|trust| trust.authorities.as_slice()).unwrap_or_default();
         let read = |authority: &PinnedAuthority| Certificate::from_pem(&authority.certificate).ok();
@@ -46,7 +46,7 @@ impl<'a> Stamps<'a> {
         stamps
     }
 
-    /// Level (d) of a record, and before when it existed, where that is proven.
+    /// Level (d) of a record, and before when it existed, if that is proven.
     pub fn level(&self, digest: Digest, header: &Header, record: &BundledRecord) -> (Level, Option<Timestamp>) {
         let absent = |text: &str| (Level::new(Standing::Absent, text), None);
         let Some(inclusion) = record.anchor.as_ref().and_then(|claim| claim.inclusion()) else {

@@ -10,19 +10,19 @@ use crate::trie::{EMPTY_ROOT, Step, follow, nibbles};
 
 /// The most nodes in a bundle.
 pub const MOST_NODES: usize = 1_000_000;
-/// The longest node, bytes: one with all sixteen ways and a value has less than 700.
+/// The longest node, bytes: one with all sixteen branches and a value has less than 700.
 pub const LONGEST_NODE: usize = 1024;
 
-/// Why the state does not show what was asked.
+/// Why the state does not show the requested value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Unproven {
-    /// A node on the way is not in the bundle.
+    /// A node on the path is not in the bundle.
     #[error("the node {0} on the way to it is not in the bundle")]
     Missing(Hash),
-    /// It is, and is no node.
+    /// It is in the bundle, but is not a node.
     #[error("the node {0} on the way to it is no node of a trie")]
     Malformed(Hash),
-    /// What the trie holds has another form.
+    /// The value in the trie has another form.
     #[error("what the state holds there is no {0}")]
     Value(&'static str),
     /// There is no such account.
@@ -41,7 +41,7 @@ impl FromIterator<Vec<u8>> for Nodes {
 }
 
 impl Nodes {
-    /// How many.
+    /// Their number.
     pub fn len(&self) -> usize {
         self.0.len()
     }
@@ -51,7 +51,7 @@ impl Nodes {
         self.0.is_empty()
     }
 
-    /// As a bundle holds them: the RLP list of the nodes, by their hashes.
+    /// In the bundle's form: the RLP list of the nodes, by their hashes.
     pub fn encode(&self) -> Vec<u8> {
         let mut list = RlpStream::new_list(self.0.len());
         self.0.values().for_each(|node| {
@@ -60,7 +60,7 @@ impl Nodes {
         list.out().to_vec()
     }
 
-    /// From those bytes; `None` where they are not exactly such a list.
+    /// From those bytes; `None` if they are not exactly such a list.
     pub fn parse(bytes: &[u8]) -> Option<Self> {
         let list = Rlp::new(bytes);
         if !list.is_list() || list.item_count().ok()? > MOST_NODES {
@@ -71,10 +71,10 @@ impl Nodes {
         (nodes.encode() == bytes).then_some(nodes)
     }
 
-    /// The value of a key below a root; `Ok(None)` where the trie proves that there is none.
+    /// The value of a key below a root; `Ok(None)` if the trie proves that there is none.
     ///
     /// # Errors
-    /// [`Unproven`] where the nodes do not show it.
+    /// [`Unproven`] if the nodes do not show it.
     pub fn look_up(&self, root: Hash, key: &[u8]) -> Result<Option<Vec<u8>>, Unproven> {
         if root == EMPTY_ROOT {
             return Ok(None);
@@ -87,7 +87,7 @@ impl Nodes {
             let rest = path.get(path.len() - left.min(path.len())..).unwrap_or_default();
             match follow(&Rlp::new(node), rest).ok_or(Unproven::Malformed(hash))? {
                 Step::End(value) => return Ok(value),
-                // Only the root may be reached without a step.
+                // Only the root may be reached without consuming a step.
                 Step::Down(_, length) if length >= left => return Err(Unproven::Malformed(hash)),
                 Step::Down(next, length) => (hash, left) = (next, length),
             }
@@ -100,7 +100,7 @@ impl Nodes {
 pub struct Word(pub [u8; 32]);
 
 impl Word {
-    /// The number of eight bytes that begins so many bytes from the low end.
+    /// The eight-byte number that begins this many bytes from the low end.
     fn number(self, offset: usize) -> u64 {
         let end = 32 - offset;
         let bytes = self.0.get(end - 8..end).and_then(|bytes| bytes.try_into().ok());
@@ -113,7 +113,7 @@ impl Word {
 pub struct AnchorWord {
     /// The block of its first anchoring.
     pub block: u64,
-    /// How many leaves.
+    /// The number of leaves.
     pub count: u64,
     /// That block's time, seconds; 0 under revision 1.
     pub time: u64,
@@ -126,22 +126,22 @@ pub struct AnchorWord {
 pub struct KeysWord {
     /// Keccak-256 of the identity.
     pub identity: Hash,
-    /// Since which block.
+    /// The block from which it applies.
     pub block: u64,
 }
 
 /// A device's loan: `loanOf`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LoanWord {
-    /// Until when, seconds; 0 = no end.
+    /// Its end, seconds; 0 = no end.
     pub until: u64,
-    /// Since which block.
+    /// The block from which it applies.
     pub lent: u64,
-    /// In which block it was recalled; 0 = it was not.
+    /// The block in which it was recalled; 0 = it was not.
     pub recalled: u64,
 }
 
-/// Where in the contract's storage a thing lies (contracts/README.md, Storage).
+/// The storage slot of a value in the contract (contracts/README.md, Storage).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Slot(pub [u8; 32]);
 
@@ -154,7 +154,7 @@ impl Slot {
         Self::mapped(&padded(&account.0), &padded(&[mapping]))
     }
 
-    /// So many slots on.
+    /// This many slots further.
     #[must_use]
     pub fn next(mut self, by: u8) -> Self {
         let mut carry = by;
@@ -210,7 +210,7 @@ impl<'a> Storage<'a> {
     /// The contract's, in the state with this root.
     ///
     /// # Errors
-    /// [`Unproven`] where the nodes do not show its account.
+    /// [`Unproven`] if the nodes do not show its account.
     pub fn of(nodes: &'a Nodes, state: Hash, contract: Address) -> Result<Self, Unproven> {
         let account = nodes.look_up(state, &contract.0)?.ok_or(Unproven::NoContract)?;
         let fields = Rlp::new(&account);
@@ -222,10 +222,10 @@ impl<'a> Storage<'a> {
         Ok(Self { nodes, root, code_hash })
     }
 
-    /// What lies in a slot; zero where the state proves that nothing does.
+    /// The content of a slot; zero if the state proves that it is empty.
     ///
     /// # Errors
-    /// [`Unproven`] where the nodes do not show it.
+    /// [`Unproven`] if the nodes do not show it.
     pub fn word(&self, slot: Slot) -> Result<Word, Unproven> {
         let Some(value) = self.nodes.look_up(self.root, &slot.0)? else { return Ok(Word([0; 32])) };
         let value = Rlp::new(&value);
@@ -253,7 +253,7 @@ impl<'a> Storage<'a> {
         Ok((block != 0).then_some(block))
     }
 
-    /// A version of an account's keys; `None` where there is none yet.
+    /// A version of an account's keys; `None` if there is none yet.
     ///
     /// # Errors
     /// [`Unproven`].
@@ -275,7 +275,7 @@ impl<'a> Storage<'a> {
         Ok(word.get(7).is_some_and(|flag| *flag != 0))
     }
 
-    /// A device's loan; `None` where it was never lent.
+    /// A device's loan; `None` if it was never lent.
     ///
     /// # Errors
     /// [`Unproven`].

@@ -136,7 +136,7 @@ fn what_came_behind_an_owners_own_anchor_in_its_block_counts() {
     flags[7] = 1;
     suspended.put(Slot::account(suspended.owner), flags);
     suspended.expect('b', Refused, "was suspended at block 40");
-    // A later state does not say since when: it never shows more than the block's own.
+    // A later state does not say since when: it never shows more than the block's own state.
     suspended.shown_at = BLOCK + 9;
     suspended.expect('b', Unproven, "is suspended at block 49, and since when is not shown");
     let mut free = World::new();
@@ -254,7 +254,7 @@ fn two_records_with_one_number_are_two_histories() {
     assert_eq!(report.outcome, Outcome::Refused);
 }
 
-/// Each byte of each small member, and what its exporter would have to do to have it pass: sign the manifest anew.
+/// Each byte of each small member, and what its exporter would have to do for it to pass: sign the manifest again.
 #[test]
 fn every_flipped_byte_of_every_member_is_noticed() {
     let mut world = World::new();

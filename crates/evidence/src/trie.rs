@@ -1,4 +1,4 @@
-//! The way down a Merkle-Patricia trie (Yellow Paper, appendices C and D), one stored node at a time.
+//! The path down a Merkle-Patricia trie (Yellow Paper, appendices C and D), one stored node at a time.
 
 use authros_model::Hash;
 use rlp::Rlp;
@@ -12,13 +12,13 @@ pub const EMPTY_ROOT: Hash = Hash([
 /// Where a path leads within one stored node.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Step {
-    /// To a value, or to where it would be.
+    /// To a value, or to its empty place.
     End(Option<Vec<u8>>),
-    /// To another stored node, with so many nibbles left.
+    /// To another stored node, with this many nibbles left.
     Down(Hash, usize),
 }
 
-/// Follows `path` within one stored node; `None` where it is no node.
+/// Follows `path` within one stored node; `None` if it is not a node.
 pub fn follow(node: &Rlp<'_>, path: &[u8]) -> Option<Step> {
     let (child, rest) = match node.item_count().ok()? {
         2 => {
@@ -28,7 +28,7 @@ pub fn follow(node: &Rlp<'_>, path: &[u8]) -> Option<Step> {
                 let value = node.at(1).ok()?.data().ok()?.to_vec();
                 return Some(Step::End(rest.is_empty().then_some(value)));
             }
-            // An extension goes somewhere: one without a way would lead round in itself.
+            // An extension must consume at least one nibble: an empty one could form a loop.
             if own.is_empty() {
                 return None;
             }
@@ -54,7 +54,7 @@ pub fn nibbles(key: &[u8]) -> Vec<u8> {
     key.iter().flat_map(|byte| [byte >> 4, byte & 15]).collect()
 }
 
-/// Nibbles out of the hex-prefix encoding, and whether they end in a leaf.
+/// Nibbles from the hex-prefix encoding, and whether they end in a leaf.
 pub fn unpacked(bytes: &[u8]) -> Option<(Vec<u8>, bool)> {
     let all = nibbles(bytes);
     let mark = *all.first()?;

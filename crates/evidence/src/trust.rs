@@ -1,4 +1,4 @@
-//! What the reader of a bundle knows by another way than from the bundle: pinned in `trust.toml`.
+//! What the reader of a bundle knows from another source than the bundle: pinned in `trust.toml`.
 
 use std::collections::BTreeSet;
 
@@ -13,21 +13,21 @@ pub const LONGEST_TRUST: usize = 64 * 1024;
 /// The most authorities.
 const MOST_AUTHORITIES: usize = 16;
 
-/// A file of pins that cannot be used.
+/// A trust file that cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("the trust file cannot be used: {0}; docs/evidence.md shows one")]
 pub struct TrustError(String);
 
-/// What is pinned.
+/// The pins.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Trust {
     /// The chain.
     pub chain: PinnedChain,
-    /// Who is behind accounts and keys.
+    /// The owners of accounts and keys.
     #[serde(default, rename = "person", skip_serializing_if = "Vec::is_empty")]
     pub persons: Vec<Person>,
-    /// Whose time stamps count.
+    /// The authorities whose time stamps count.
     #[serde(default, rename = "authority", skip_serializing_if = "Vec::is_empty")]
     pub authorities: Vec<PinnedAuthority>,
 }
@@ -36,9 +36,9 @@ pub struct Trust {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PinnedAuthority {
-    /// Who that is.
+    /// Its name.
     pub name: String,
-    /// Its certificate, or that of whoever issued it, PEM.
+    /// Its certificate, or that of its issuer, PEM.
     pub certificate: String,
 }
 
@@ -56,22 +56,23 @@ pub struct PinnedChain {
     pub code_hash: Hash,
     /// Who may seal blocks.
     pub signers: Vec<Address>,
-    /// How many of them have to have sealed a block or built on it; more than half unless it is set.
+    /// How many of them must have sealed a block or built on it; by default more than half.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quorum: Option<usize>,
-    /// Whether whoever exports seals this chain himself: its word then proves nothing against him. It has to be said.
+    /// Whether the exporter also seals this chain: its word then proves nothing against the exporter. It has to be
+    /// stated.
     pub sealed_by_exporter: bool,
 }
 
-/// Somebody by name.
+/// A party by name.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Person {
     /// The account.
     pub account: Address,
-    /// Who that is.
+    /// Its name.
     pub name: String,
-    /// The key, SM3 of it, where it was compared too.
+    /// The key's SM3, if the key was compared, too.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub key: Option<SignerId>,
 }
@@ -80,7 +81,7 @@ impl Trust {
     /// From the text of a trust file.
     ///
     /// # Errors
-    /// [`TrustError`] where it is none, or demands what no chain can give.
+    /// [`TrustError`] if it is not one, or demands what no chain can give.
     pub fn parse(text: &[u8]) -> Result<Self, TrustError> {
         let text = std::str::from_utf8(text).ok().filter(|text| text.len() <= LONGEST_TRUST);
         let text = text.ok_or_else(|| TrustError("it is no text, or too long".into()))?;
@@ -110,22 +111,22 @@ impl Trust {
     /// As text.
     ///
     /// # Errors
-    /// [`TrustError`] where it cannot be written.
+    /// [`TrustError`] if it cannot be written.
     pub fn to_text(&self) -> Result<String, TrustError> {
         toml::to_string(self).map_err(|error| TrustError(clean(&error.to_string(), 300)))
     }
 
-    /// How many signers are enough.
+    /// The required number of signers.
     pub fn quorum(&self) -> usize {
         self.chain.quorum.unwrap_or(self.chain.signers.len() / 2 + 1)
     }
 
-    /// What records of this chain and contract are bound to.
+    /// The domain of records of this chain and contract.
     pub fn domain(&self) -> Domain {
         domain(self.chain.id, &self.chain.genesis, &self.chain.contract)
     }
 
-    /// Who an account is, as far as that is pinned.
+    /// The name of an account, if it is pinned.
     pub fn person(&self, account: Address) -> Option<&Person> {
         self.persons.iter().find(|person| person.account == account)
     }

@@ -1,4 +1,4 @@
-//! The check of a bundle against what its reader pinned, record by record and level by level.
+//! The check of a bundle against its reader's pins, record by record and level by level.
 
 use std::collections::BTreeMap;
 
@@ -19,17 +19,17 @@ use crate::trust::Trust;
 /// The messages that were opened, by their records.
 pub(crate) type Messages = BTreeMap<Digest, Revealed>;
 
-/// What a whole check is made with.
+/// What a whole check uses.
 pub(crate) struct Check<'a> {
     pub bundle: &'a Bundle,
     pub trust: Option<&'a Trust>,
     pub provider: &'a dyn Provider,
-    /// What records are bound to: by the pins, else by the bundle's own word.
+    /// The domain of the records: from the pins, or else the bundle's own word.
     pub domain: Domain,
     pub contract: Address,
-    /// Time stamps, by the authorities that were pinned.
+    /// Time stamps, by the pinned authorities.
     pub stamps: Stamps<'a>,
-    /// What is found out on the way.
+    /// Results found on the way.
     pub known: Known<'a>,
 }
 
@@ -228,18 +228,18 @@ impl<'a> Check<'a> {
         warnings
     }
 
-    /// The identity with this hash, where it is in the bundle and proves to be this account's.
+    /// The identity with this hash, if it is in the bundle and proves to be this account's.
     pub fn identity(&self, hash: Hash, account: Address) -> Option<&Identity> {
         self.bundle.identities.get(&hash).filter(|identity| self.known.is_of(self, (hash, identity), account))
     }
 }
 
-/// Whether the state that shows an anchor is one that pinned signers sealed.
+/// Whether the state that shows an anchor was sealed by pinned signers.
 fn is_believed(anchor: &Level) -> bool {
     matches!(anchor.standing, Standing::Proven | Standing::OwnChain)
 }
 
-/// What a state says is worth as much as the seals on it.
+/// A state is worth as much as the seals on it.
 fn capped(level: Level, anchor: &Level) -> Level {
     match (level.standing, anchor.standing) {
         (Standing::Proven, Standing::OwnChain) => Level { standing: Standing::OwnChain, ..level },

@@ -1,6 +1,6 @@
 //! What can go wrong with a pipe.
 
-/// An error of the pipe. Where it is met, the child is ended and started anew.
+/// An error of the pipe. The side that meets it ends the child and starts it again.
 #[derive(Debug, thiserror::Error)]
 pub enum PipeError {
     /// The other side is gone or the pipe does not work.
@@ -21,7 +21,7 @@ pub enum PipeError {
     /// The pipe ended within a frame.
     #[error("the pipe ended in the middle of a frame; the other process was killed or crashed")]
     Cut,
-    /// A head that says nothing known.
+    /// A head with an unknown content.
     #[error("a frame on the pipe cannot be understood ({0}); both programs must be of one release")]
     Head(String),
 }

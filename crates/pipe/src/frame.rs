@@ -18,7 +18,7 @@ const LENGTHS: u32 = 8;
 /// Writes one frame; the caller flushes.
 ///
 /// # Errors
-/// [`PipeError::TooLong`] before anything is written, [`PipeError::Broken`] where the other side is gone.
+/// [`PipeError::TooLong`] before anything is written, [`PipeError::Broken`] if the other side is gone.
 pub fn send<T: Serialize>(to: &mut impl Write, head: &T, payload: &[u8]) -> Result<(), PipeError> {
     let head = serde_json::to_vec(head).map_err(|error| PipeError::Head(error.to_string()))?;
     let mut lengths = [0; LENGTHS as usize];
@@ -30,7 +30,7 @@ pub fn send<T: Serialize>(to: &mut impl Write, head: &T, payload: &[u8]) -> Resu
     Ok(())
 }
 
-/// Reads one frame; `None` where the pipe ended between two.
+/// Reads one frame; `None` if the pipe ended between two.
 ///
 /// # Errors
 /// [`PipeError::TooLong`] before memory is taken, [`PipeError::Cut`] within a frame, [`PipeError::Head`] for a head that
@@ -61,7 +61,7 @@ fn whole(from: &mut impl Read, length: u32) -> Result<Vec<u8>, PipeError> {
     if found.len() as u64 == u64::from(length) { Ok(found) } else { Err(PipeError::Cut) }
 }
 
-/// So many bytes, or fewer where the pipe ends. Memory grows with what arrives, not with what was claimed.
+/// This many bytes, or fewer if the pipe ends. Memory grows with what arrives, not with what was claimed.
 fn exactly(from: &mut impl Read, length: u32) -> Result<Vec<u8>, PipeError> {
     let mut found = Vec::with_capacity(length.min(64 << 10) as usize);
     from.take(u64::from(length)).read_to_end(&mut found)?;
@@ -84,7 +84,7 @@ mod tests {
         let mut sent = Vec::new();
         let refused = send(&mut sent, &"x".repeat(LONGEST_HEAD as usize), &[]);
         assert!(matches!(refused, Err(PipeError::TooLong { part: "head", .. })) && sent.is_empty());
-        // The largest claim that is allowed, with nothing behind it.
+        // The largest allowed claim, with nothing after it.
         let bytes = [LONGEST_HEAD.to_le_bytes(), LONGEST_PAYLOAD.to_le_bytes()].concat();
         assert!(matches!(receive::<String>(&mut Cursor::new(bytes)), Err(PipeError::Cut)));
     }

@@ -1,7 +1,7 @@
-//! The pipe between a site and a child process that speaks with the outside in its stead.
+//! The pipe between a site and a child process that talks to the outside in its place.
 //!
 //! A frame is a head as JSON and a payload as raw bytes. Both lengths are checked before memory is taken, and memory
-//! grows only with what has arrived: neither side trusts the other. [`read`] carries what a child of ROS 2 says.
+//! grows only with what has arrived: neither side trusts the other. [`read`] contains what a ROS 2 child says.
 
 mod error;
 mod frame;
@@ -10,5 +10,5 @@ pub mod read;
 pub use error::PipeError;
 pub use frame::{LONGEST_HEAD, LONGEST_PAYLOAD, receive, send};
 
-/// The version of what is said; child and site of different versions part at once.
+/// The version of the protocol; a child and a site of different versions part at once.
 pub const VERSION: u32 = 1;

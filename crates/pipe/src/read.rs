@@ -1,47 +1,47 @@
-//! What a child that reads topics for a site tells it, and what it is told. Names and types are as the site uses them.
+//! Messages between a child that reads topics and its site. Names and types are as the site uses them.
 
 use serde::{Deserialize, Serialize};
 
-/// What a publisher offers, as far as it was told; missing parts are the defaults of DDS.
+/// What a publisher offers, as far as it was announced; missing parts are the defaults of DDS.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 pub struct Quality {
     /// Lost messages are repeated.
     pub reliable: bool,
     /// Messages are kept for those who subscribe later.
     pub latched: bool,
-    /// A message is promised so often, in nanoseconds; `None` = no promise.
+    /// The promised interval between messages, nanoseconds; `None` = no promise.
     pub deadline: Option<u64>,
-    /// A message holds so long, in nanoseconds; `None` = for ever.
+    /// How long a message stays valid, nanoseconds; `None` = forever.
     pub lifespan: Option<u64>,
 }
 
 /// One publisher of one topic.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Writer {
-    /// Its own in its domain: 16 bytes as hex.
+    /// Its unique id in its domain: 16 bytes as hex.
     pub id: String,
     /// Topic name, `/robot1/odom`.
     pub topic: String,
     /// Type, `package/msg/Type`.
     pub type_name: String,
-    /// `RIHS01_` and 64 hex characters, where it was told.
+    /// `RIHS01_` and 64 hex characters, if announced.
     pub type_hash: Option<String>,
-    /// What it offers.
+    /// Its offer.
     pub quality: Quality,
-    /// Node name, where one was told.
+    /// Node name, if announced.
     pub node: Option<String>,
-    /// Who made its middleware, a small word as `cyclonedds`.
+    /// The maker of its middleware, a short word such as `cyclonedds`.
     pub vendor: String,
 }
 
-/// How many there are.
+/// Counts in the domain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Counts {
     /// Other participants in the domain.
     pub participants: u32,
     /// Writers of ROS 2 topics.
     pub writers: u32,
-    /// Writers whose topic or type is no ROS 2 one.
+    /// Writers whose topic or type is not a ROS 2 one.
     pub foreign: u32,
 }
 
@@ -53,10 +53,10 @@ pub enum Told {
     Hello {
         /// [`crate::VERSION`].
         version: u32,
-        /// The domain that is read.
+        /// The domain being read.
         domain: u16,
     },
-    /// A publisher is there, or offers something else than before.
+    /// A publisher appeared, or changed its offer.
     WriterHere(Writer),
     /// A publisher is gone.
     WriterGone {
@@ -65,41 +65,41 @@ pub enum Told {
     },
     /// A message; its bytes with their encapsulation header are the payload.
     Sample {
-        /// The publisher's id; it was told of before.
+        /// The publisher's id; announced before.
         writer: String,
-        /// The publisher's number of the message; each is one more than the one before.
+        /// The publisher's number for the message; each is one more than the previous one.
         number: i64,
-        /// When it was published, nanoseconds since 1970, where that was told.
+        /// When it was published, nanoseconds since 1970, if announced.
         sent: Option<u64>,
-        /// When it had arrived, nanoseconds since 1970.
+        /// When it arrived, nanoseconds since 1970.
         arrived: u64,
     },
     /// A topic cannot be read.
     Refused {
         /// Topic name.
         topic: String,
-        /// Why.
+        /// The reason.
         reason: String,
     },
-    /// Once a half second, and whenever it changes.
+    /// Every half second, and at each change.
     Alive(Counts),
-    /// It ends by itself.
+    /// The child is ending on its own.
     Failed {
-        /// Why.
+        /// The reason.
         reason: String,
     },
 }
 
-/// From the site to the child. The end of the pipe means that the child is to end.
+/// From the site to the child. The end of the pipe tells the child to end.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "wish", rename_all = "snake_case")]
 pub enum Wish {
-    /// A topic is to be read.
+    /// Start reading a topic.
     Watch {
         /// Its name.
         topic: String,
     },
-    /// A topic is no longer to be read.
+    /// Stop reading a topic.
     Unwatch {
         /// Its name.
         topic: String,

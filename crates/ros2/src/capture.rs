@@ -1,4 +1,4 @@
-//! The loop: graph, wishes and samples, in one thread. The two threads of the network code are its own.
+//! The loop: graph, wishes and samples, in one thread. The two threads of the network code are separate.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufWriter, ErrorKind, Read, Write};
@@ -26,11 +26,11 @@ const FIRST: usize = 2;
 
 /// The longest wait.
 const BEAT: Duration = Duration::from_millis(100);
-/// Between two looks at the graph where nothing told of a change.
+/// Interval between looks at the graph if no change was reported.
 const LOOK: Duration = Duration::from_secs(1);
-/// Between two signs of life, and two looks at the threads.
+/// Interval between signs of life, and between looks at the threads.
 const ALIVE: Duration = Duration::from_millis(500);
-/// How long a reader that was replaced goes on beside the new one, until writers have found that.
+/// How long a replaced reader continues beside the new one, until writers have found the new one.
 const OVERLAP: Duration = Duration::from_secs(2);
 /// How long leaving the domain may take before the process ends anyway.
 const LEAVING: Duration = Duration::from_secs(2);
@@ -40,7 +40,7 @@ const MOST_TOPICS: usize = 4096;
 /// Reads `domain` until the wishes end or `stop` is set. Leaves the domain on every way out.
 ///
 /// # Errors
-/// [`Ros2Error`] where the domain cannot be joined, the pipe breaks or the network threads are gone.
+/// [`Ros2Error`] if the domain cannot be joined, the pipe breaks or the network threads are gone.
 pub fn run(domain: u16, from: impl Read + Send + 'static, to: impl Write, stop: &AtomicBool) -> Result<(), Ros2Error> {
     let mut out = BufWriter::with_capacity(256 << 10, to);
     send(&mut out, &Told::Hello { version: VERSION, domain }, &[])?;
@@ -51,14 +51,14 @@ pub fn run(domain: u16, from: impl Read + Send + 'static, to: impl Write, stop: 
         result
     });
     if let Err(error) = &result {
-        // Where the pipe itself broke nobody hears it.
+        // If the pipe itself broke, nobody hears it.
         drop(send(&mut out, &Told::Failed { reason: error.to_string() }, &[]));
     }
     drop(out.flush());
     result
 }
 
-/// Leaving waits for threads that may be gone: the process ends at last without it.
+/// Leaving waits for threads that may be gone: in the end the process ends without it.
 fn leave_soon() {
     let end = || {
         std::thread::sleep(LEAVING);
@@ -68,7 +68,7 @@ fn leave_soon() {
 }
 
 struct Child<'a, W: Write> {
-    // In the order in which they are to be dropped.
+    // In drop order.
     readings: BTreeMap<usize, Reading>,
     subscriber: Subscriber,
     listener: DomainParticipantStatusListener,
@@ -129,7 +129,7 @@ impl<'a, W: Write> Child<'a, W> {
                 Some(new) => changed |= new,
             }
             if changed || due(looked, LOOK) {
-                // A notification that got lost costs no more than this.
+                // A lost notification costs no more than this.
                 self.readings.values_mut().for_each(|reading| reading.ready = true);
                 self.look()?;
                 looked = Some(Instant::now());
@@ -177,7 +177,7 @@ impl<'a, W: Write> Child<'a, W> {
         changed
     }
 
-    /// New wishes; whether there were any, `None` where there will be no more.
+    /// New wishes; whether there were any, `None` if there will be no more.
     fn take_wishes(&mut self) -> Option<bool> {
         let mut changed = false;
         while let Ok(wish) = self.wishes.try_recv() {
@@ -196,7 +196,7 @@ impl<'a, W: Write> Child<'a, W> {
         Some(changed)
     }
 
-    /// Looks at the graph, tells what changed, and fits the readers to it.
+    /// Looks at the graph, reports changes, and adapts the readers to it.
     fn look(&mut self) -> Result<(), Ros2Error> {
         let writers = self.participant.discovered_writers();
         for told in self.graph.look(&writers, &self.nodes) {
@@ -207,7 +207,7 @@ impl<'a, W: Write> Child<'a, W> {
         self.fit()
     }
 
-    /// One reader for each wanted topic and type, asking for what every writer gives.
+    /// One reader for each wanted topic and type, requesting what every writer offers.
     fn fit(&mut self) -> Result<(), Ros2Error> {
         let wanted: BTreeSet<String> =
             self.wanted.iter().map(|topic| names::dds_topic(topic)).chain([names::NODES.to_owned()]).collect();
@@ -266,7 +266,7 @@ impl<'a, W: Write> Child<'a, W> {
         Ok(())
     }
 
-    /// Takes one turn of every topic that has something.
+    /// Gives one turn to every topic that has something.
     fn take(&mut self) -> Result<(), Ros2Error> {
         let ready: Vec<usize> =
             self.readings.iter().filter(|(_, reading)| reading.ready).map(|(key, _)| *key).collect();

@@ -1,8 +1,8 @@
-//! Why the program ends by itself.
+//! Why the program ends on its own.
 
 use crate::pipe::PipeError;
 
-/// An error that ends the program; the site starts it anew.
+/// An error that ends the program; the site restarts it.
 #[derive(Debug, thiserror::Error)]
 pub enum Ros2Error {
     /// The pipe to the site.
@@ -13,20 +13,20 @@ pub enum Ros2Error {
     Join {
         /// The domain.
         domain: u16,
-        /// What was said.
+        /// The message.
         reason: String,
         /// The first port of the domain.
         port: u32,
     },
-    /// The network threads are gone, as after the process was stopped.
+    /// The network threads are gone, as happens after the process was stopped.
     #[error("the threads that read the network ended, as they do after the process was stopped; they are started anew")]
     Threads,
-    /// The operating system did not give what was needed.
+    /// The operating system refused a resource.
     #[error("cannot {action} ({reason}); free some memory and sockets")]
     System {
-        /// What was tried.
+        /// The attempt.
         action: &'static str,
-        /// What the system said.
+        /// The system's message.
         reason: String,
     },
 }

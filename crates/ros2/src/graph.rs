@@ -1,4 +1,4 @@
-//! Who is in the domain and writes what; what changed is told to the site.
+//! The participants and writers of the domain; changes are reported to the site.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
@@ -9,12 +9,12 @@ use crate::nodes::Nodes;
 use crate::pipe::read::{Counts, Quality, Told, Writer};
 use crate::quality;
 
-/// The most writers that are told of.
+/// The most writers reported.
 const MOST_WRITERS: usize = 20_000;
 
 /// An id of DDS.
 pub type Id = [u8; 16];
-/// What the ids of one participant begin with.
+/// The common prefix of one participant's ids.
 pub type Prefix = [u8; 12];
 
 /// A writer as DDS names it.
@@ -24,19 +24,19 @@ pub struct Found {
     pub dds_topic: String,
     /// Its type.
     pub dds_type: String,
-    /// What it offers.
+    /// Its offer.
     pub quality: Quality,
-    /// As the site is told of it; `None` where it is not of ROS 2.
+    /// In the site's form; `None` if it is not of ROS 2.
     pub told: Option<Writer>,
 }
 
-/// Writers and participants that are there.
+/// The present writers and participants.
 #[derive(Default)]
 pub struct Graph {
     own: Prefix,
     participants: BTreeSet<Prefix>,
     writers: BTreeMap<Id, Found>,
-    /// Ids that the site knows, also of writers that are gone.
+    /// Ids known to the site, including those of writers that are gone.
     known: HashSet<Id>,
 }
 
@@ -52,7 +52,7 @@ impl Graph {
         Self { own: prefix(own), ..Self::default() }
     }
 
-    /// A participant is there.
+    /// A participant appeared.
     pub fn came(&mut self, participant: &[u8]) {
         if let Ok(found) = Prefix::try_from(participant)
             && found != self.own
@@ -67,22 +67,22 @@ impl Graph {
         self.participants.retain(|known| known[..] != *participant);
     }
 
-    /// Whether a participant is there, by what its ids begin with.
+    /// Whether a participant is present, by the prefix of its ids.
     pub fn is_there(&self, participant: &[u8]) -> bool {
         self.participants.iter().any(|known| known[..] == *participant)
     }
 
-    /// Writers of a topic, by the name DDS has for it.
+    /// Writers of a topic, by its DDS name.
     pub fn of_topic<'a>(&'a self, dds_topic: &'a str) -> impl Iterator<Item = &'a Found> {
         self.writers.values().filter(move |found| found.dds_topic == dds_topic)
     }
 
-    /// Whether the site was told of this writer.
+    /// Whether this writer was reported to the site.
     pub fn knows(&self, id: &Id) -> bool {
         self.known.contains(id)
     }
 
-    /// Takes the writers that are there now; what is to be told of it.
+    /// Takes the present writers; returns what to report.
     pub fn look(&mut self, now: &[DiscoveredWriterData], nodes: &Nodes) -> Vec<Told> {
         let mut told = Vec::new();
         let mut there = BTreeMap::new();
@@ -108,7 +108,7 @@ impl Graph {
         told
     }
 
-    /// The site is told of a writer that is seen by its samples alone.
+    /// Reports a writer that is known only from its samples.
     pub fn by_sample(&mut self, id: Id, dds_topic: &str, dds_type: &str) -> Option<Told> {
         let quality = Quality::default();
         let writer = writer(id, dds_topic, dds_type, (None, quality), None)?;
@@ -124,7 +124,7 @@ impl Graph {
         self.known.insert(id);
     }
 
-    /// How many there are.
+    /// Their counts.
     pub fn counts(&self) -> Counts {
         let count = |number: usize| u32::try_from(number).unwrap_or(u32::MAX);
         let own = self.writers.values().filter(|found| found.told.is_some()).count();
@@ -134,7 +134,7 @@ impl Graph {
     }
 }
 
-/// Services, and what ROS 2 itself tells, belong to it though they are no topics.
+/// Services, and ROS 2's own topics, belong to ROS 2 although they are not topics that a user names.
 fn is_foreign(dds_topic: &str) -> bool {
     !["rt/", "rq/", "rr/", "rs/", "ra/"].iter().any(|own| dds_topic.starts_with(own)) && dds_topic != names::NODES
 }

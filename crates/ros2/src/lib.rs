@@ -1,7 +1,7 @@
 //! Reads ROS 2 topics for a site of AuthROS, in a process without keys.
 //!
-//! The network code is `rustdds`; what it hands out leaves through a pipe ([`authros_pipe`]). The site starts the program,
-//! watches over it and counts what is lost.
+//! The network code is `rustdds`; its output leaves through a pipe ([`authros_pipe`]). The site starts the program,
+//! supervises it and counts losses.
 
 use authros_pipe as pipe;
 

@@ -1,5 +1,5 @@
-//! `authros-ros2 --domain N`: started by a site of AuthROS, with a pipe as its input and output. It has no keys, and no
-//! use by itself.
+//! `authros-ros2 --domain N`: started by a site of AuthROS, with a pipe as its input and output. It has no keys, and is
+//! of no use alone.
 
 use std::fs::File;
 use std::os::fd::AsFd;
@@ -9,10 +9,10 @@ use std::sync::atomic::AtomicBool;
 
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
-/// The most address space: what the network makes this process take ends here, and the site starts it anew.
+/// The largest address space: memory that the network makes this process take is bounded here; the site restarts it.
 const MOST_MEMORY: u64 = 2 << 30;
 
-/// The highest domain whose ports exist.
+/// The highest domain with valid ports.
 const HIGHEST_DOMAIN: u16 = 232;
 
 fn main() -> ExitCode {

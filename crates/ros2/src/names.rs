@@ -1,12 +1,12 @@
 //! Names as ROS 2 writes them into DDS, and as people know them.
 
-/// The longest name taken.
+/// The longest name accepted.
 const LONGEST: usize = 255;
 
-/// The topic of ROS 2 that carries which node has which writers.
+/// The ROS 2 topic that says which node has which writers.
 pub const NODES: &str = "ros_discovery_info";
 
-/// `/robot1/odom` for `rt/robot1/odom`; `None` for what is no topic of ROS 2 (services have other prefixes).
+/// `/robot1/odom` for `rt/robot1/odom`; `None` for what is not a ROS 2 topic (services have other prefixes).
 pub fn topic(dds: &str) -> Option<String> {
     let name = dds.strip_prefix("rt").filter(|name| name.len() <= LONGEST)?;
     let is_part = |part: &str| {
@@ -16,7 +16,7 @@ pub fn topic(dds: &str) -> Option<String> {
     name.strip_prefix('/')?.split('/').all(is_part).then(|| name.to_owned())
 }
 
-/// What DDS calls a topic.
+/// The DDS name of a topic.
 pub fn dds_topic(topic: &str) -> String {
     format!("rt{topic}")
 }
@@ -32,7 +32,7 @@ pub fn type_name(dds: &str) -> Option<String> {
     known.then(|| format!("{package}/{kind}/{name}"))
 }
 
-/// The type's hash out of a writer's user data, which is `key=value;` after a length, padded.
+/// The type's hash from a writer's user data, which is `key=value;` after a length, padded.
 pub fn type_hash(user_data: &[u8]) -> Option<String> {
     const KEY: &[u8] = b"typehash=";
     let begin = user_data.windows(KEY.len()).position(|window| window == KEY)? + KEY.len();
@@ -42,7 +42,7 @@ pub fn type_hash(user_data: &[u8]) -> Option<String> {
     (digits.len() == 64 && digits.bytes().all(|byte| byte.is_ascii_hexdigit())).then(|| text.to_owned())
 }
 
-/// Who made a participant's middleware, by the first bytes of its id.
+/// The maker of a participant's middleware, from the first bytes of its id.
 pub fn vendor(id: [u8; 16]) -> String {
     match id[..2] {
         [1, 1] => "connext".to_owned(),

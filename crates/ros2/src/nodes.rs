@@ -1,14 +1,14 @@
-//! Which node a writer belongs to, as ROS 2 tells it on a topic of its own. The message is `rmw_dds_common`'s
+//! The node of each writer, as published by ROS 2 on a topic of its own. The message is `rmw_dds_common`'s
 //! `ParticipantEntitiesInfo`; up to Humble an id takes 24 bytes, later 16.
 
 use std::collections::HashMap;
 
-/// The most writers whose node is kept.
+/// The most writers whose node is remembered.
 const MOST: usize = 20_000;
-/// The longest name of a node taken, with its namespace.
+/// The longest accepted node name, with its namespace.
 const LONGEST: usize = 255;
 
-/// An id without the kind of length it came in.
+/// An id, independent of the length in which it came.
 type Id = [u8; 16];
 
 /// Nodes by the ids of their writers.
@@ -19,7 +19,7 @@ pub struct Nodes {
 }
 
 impl Nodes {
-    /// Takes in a message, with its header; what cannot be read is left out.
+    /// Takes a message, with its header; what cannot be read is left out.
     pub fn take(&mut self, message: &[u8]) {
         let Some((participant, writers)) = [16, 24].into_iter().find_map(|length| parse(message, length)) else {
             return;
@@ -35,7 +35,7 @@ impl Nodes {
         self.kept -= self.by_participant.remove(participant).map_or(0, |writers| writers.len());
     }
 
-    /// Only participants that are still there are kept; an id's first twelve bytes are its participant's.
+    /// Keeps only participants that are still present; an id's first twelve bytes are its participant's.
     pub fn keep(&mut self, is_there: impl Fn(&[u8]) -> bool) {
         let gone: Vec<Id> = self.by_participant.keys().filter(|id| !is_there(&id[..12])).copied().collect();
         gone.iter().for_each(|id| self.forget(id));
@@ -48,7 +48,7 @@ impl Nodes {
     }
 }
 
-/// The participant and its writers, where the message is read to its end with ids of this length.
+/// The participant and its writers, if the message can be read to its end with ids of this length.
 fn parse(message: &[u8], id: usize) -> Option<(Id, Vec<(Id, String)>)> {
     let (header, body) = message.split_at_checked(4)?;
     let mut reader = Reader { body, at: 0, little: header[1] & 1 == 1 };
@@ -114,7 +114,7 @@ impl<'a> Reader<'a> {
 mod tests {
     use super::*;
 
-    /// As a node of Jazzy (16) or Humble (24) writes it.
+    /// As written by a node of Jazzy (16) or Humble (24).
     fn message(id: usize, namespace: &str, name: &str) -> Vec<u8> {
         let mut bytes = vec![0, 1, 0, 0];
         let put_text = |bytes: &mut Vec<u8>, text: &str| {

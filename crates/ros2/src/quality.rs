@@ -1,4 +1,4 @@
-//! What is offered, what is asked for, and how much is kept.
+//! What is offered, what is requested, and how much is kept.
 
 use rustdds::discovery::PublicationBuiltinTopicData;
 use rustdds::policy::{DataRepresentation, Durability, History, Reliability, ResourceLimits};
@@ -7,7 +7,7 @@ use rustdds::{Duration, QosPolicies, QosPolicyBuilder};
 
 use crate::pipe::read::Quality;
 
-/// Samples kept of a topic before the size of one is known.
+/// Samples of a topic kept before the size of one is known.
 pub const FIRST_DEPTH: usize = 16;
 /// The most samples kept of a topic.
 const MOST_DEPTH: usize = 1000;
@@ -17,7 +17,7 @@ const LEAST_DEPTH: usize = 4;
 const TOPIC_BYTES: usize = 32 << 20;
 const ALL_BYTES: usize = 256 << 20;
 
-/// What a writer offers.
+/// A writer's offer.
 pub fn offered(told: &PublicationBuiltinTopicData) -> Quality {
     let nanoseconds = |duration: Duration| {
         let endless = duration >= Duration::INFINITE;
@@ -32,21 +32,21 @@ pub fn offered(told: &PublicationBuiltinTopicData) -> Quality {
     }
 }
 
-/// What all writers of a topic can give.
+/// What all writers of a topic can provide.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Request {
-    /// Lost samples are asked for again.
+    /// Lost samples are requested again.
     pub reliable: bool,
-    /// What was published before is asked for.
+    /// Samples published before are requested.
     pub latched: bool,
 }
 
-/// As much as every one of the offers gives: more would exclude a writer.
+/// As much as every one of the offers provides: more would exclude a writer.
 pub fn request(offers: impl Iterator<Item = Quality> + Clone) -> Request {
     Request { reliable: offers.clone().all(|offer| offer.reliable), latched: offers.clone().all(|offer| offer.latched) }
 }
 
-/// The request in the words of DDS, with so many samples kept.
+/// The request in terms of DDS, keeping this many samples.
 pub fn policies(request: Request, depth: usize) -> QosPolicies {
     let depth = i32::try_from(depth).unwrap_or(i32::MAX);
     let builder = QosPolicyBuilder::new()

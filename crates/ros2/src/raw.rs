@@ -5,12 +5,12 @@ use std::convert::Infallible;
 use rustdds::RepresentationIdentifier;
 use rustdds::no_key::{Decode, DeserializerAdapter};
 
-/// A serialised sample: four bytes of header, then the body. The options in the header's last two bytes are not handed
-/// out by the network code and are 0 here.
+/// A serialised sample: four bytes of header, then the body. The network code does not provide the options in the
+/// header's last two bytes, which are 0 here.
 #[derive(Debug, Clone)]
 pub struct Raw(pub Vec<u8>);
 
-/// Takes samples as they are.
+/// Accepts samples as they are.
 pub struct RawAdapter;
 
 impl DeserializerAdapter<Raw> for RawAdapter {

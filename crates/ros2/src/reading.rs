@@ -1,4 +1,4 @@
-//! One reader of one topic and type, and what is taken out of it at once.
+//! One reader for one topic and type, and the samples taken from it at a time.
 
 use std::time::Instant;
 
@@ -15,7 +15,7 @@ use crate::raw::{Raw, RawAdapter, RawDecoder};
 const TURN: usize = 256;
 const TURN_BYTES: usize = 4 << 20;
 
-/// A sample as it leaves.
+/// A sample on its way to the site.
 pub struct Taken {
     /// Its writer.
     pub writer: Id,
@@ -23,7 +23,7 @@ pub struct Taken {
     pub number: i64,
     /// When it was published, nanoseconds.
     pub sent: Option<u64>,
-    /// When it had arrived, nanoseconds.
+    /// When it arrived, nanoseconds.
     pub arrived: u64,
     /// Header and body.
     pub bytes: Vec<u8>,
@@ -31,17 +31,17 @@ pub struct Taken {
 
 /// A reader.
 pub struct Reading {
-    /// The topic, as DDS names it.
+    /// The topic's DDS name.
     pub dds_topic: String,
-    /// The type, as DDS names it.
+    /// The type's DDS name.
     pub dds_type: String,
-    /// What was asked for.
+    /// The request.
     pub request: Request,
     /// Whether there may be something to take.
     pub ready: bool,
-    /// When it is to be dropped, where another has taken its place.
+    /// When it is to be dropped, if another has replaced it.
     pub retires: Option<Instant>,
-    /// When it began: what the topic's cache holds of before is another reader's, unless it is latched.
+    /// When it began: older samples in the topic's cache belong to another reader, unless it is latched.
     begun: Timestamp,
     /// Bytes of the largest sample.
     largest: usize,
@@ -54,7 +54,7 @@ fn refused(error: impl std::fmt::Debug) -> Ros2Error {
 }
 
 impl Reading {
-    /// Begins to read.
+    /// Starts reading.
     ///
     /// # Errors
     /// [`Ros2Error::System`] with the words of the network code.
@@ -83,7 +83,7 @@ impl Reading {
         self.depth * self.largest
     }
 
-    /// As many samples are kept from now on as bytes allow. What is kept of a topic only ever grows.
+    /// From now on as many samples are kept as the bytes allow. The number kept of a topic only ever grows.
     pub fn deepen(&mut self, participant: &DomainParticipant, others: usize) {
         let depth = quality::depth(self.largest, others);
         if self.largest == 0 || depth < self.depth.saturating_mul(2) {
@@ -91,13 +91,13 @@ impl Reading {
         }
         let policies = quality::policies(self.request, depth);
         let (topic, type_name) = (self.dds_topic.clone(), self.dds_type.clone());
-        // The cache of a topic takes the greater depth over when the topic is named again.
+        // The topic's cache takes over the greater depth when the topic is created again.
         if participant.create_topic(topic, type_name, &policies, TopicKind::NoKey).is_ok() {
             self.depth = depth;
         }
     }
 
-    /// Takes what is there, but no more than one turn's worth.
+    /// Takes what is available, but no more than one turn's worth.
     pub fn take(&mut self, into: &mut Vec<Taken>) {
         self.reader.drain_read_notifications();
         let (mut bytes, before) = (0, into.len());
@@ -118,7 +118,7 @@ impl Reading {
                     self.ready = false;
                     return;
                 }
-                // One that cannot be taken is passed over; its number is missing then, and counted.
+                // A sample that cannot be taken is skipped; its number is then missing, and counted.
                 Err(_) => bytes += TURN_BYTES / TURN,
             }
         }
@@ -130,7 +130,7 @@ impl Reading {
     }
 }
 
-/// Nanoseconds since 1970; `None` for a time that is none.
+/// Nanoseconds since 1970; `None` for an invalid time.
 fn nanoseconds(time: Timestamp) -> Option<u64> {
     if time == Timestamp::INVALID || time == Timestamp::ZERO || time == Timestamp::INFINITE {
         return None;

@@ -1,14 +1,14 @@
-//! Whether the threads that read the network are there. They end for good when a wait of theirs is interrupted, as it is
-//! after the process was stopped or the machine slept, and nothing else tells of it.
+//! Whether the threads that read the network are running. They end for good when one of their waits is interrupted, as
+//! happens after the process was stopped or the machine slept, and nothing else reports it.
 
 use std::fs;
 
-/// How the threads of one participant are called, cut to what the system keeps.
+/// The names of one participant's threads, cut to the length that the system keeps.
 const NAME: &str = "RustDDS";
-/// How many one participant has.
+/// Their number for one participant.
 const EXPECTED: usize = 2;
 
-/// Whether they run. Where the system does not list threads, `true`.
+/// Whether they run. If the system does not list threads, `true`.
 pub fn run() -> bool {
     let Ok(tasks) = fs::read_dir("/proc/self/task") else { return true };
     let named = tasks

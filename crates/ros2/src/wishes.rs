@@ -1,4 +1,4 @@
-//! What the site wants, read from the pipe by a thread of its own; the pipe's end is the last wish.
+//! The site's wishes, read from the pipe by a thread of its own; the pipe's end is the last wish.
 
 use std::io::Read;
 use std::sync::Arc;
@@ -10,10 +10,10 @@ use crate::Ros2Error;
 use crate::pipe::read::Wish;
 use crate::pipe::receive;
 
-/// Begins to read. `None` arrives when the pipe has ended; every arrival wakes.
+/// Starts reading. `None` arrives when the pipe has ended; every arrival wakes.
 ///
 /// # Errors
-/// [`Ros2Error::System`] where there is no thread to be had.
+/// [`Ros2Error::System`] if no thread can be started.
 pub fn listen(mut from: impl Read + Send + 'static, waker: Arc<Waker>) -> Result<Receiver<Option<Wish>>, Ros2Error> {
     let (sender, receiver) = channel();
     let read = move || {

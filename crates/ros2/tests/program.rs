@@ -1,5 +1,5 @@
-//! The program by itself. What it reads is tested with real peers in `tests/it/ros2_capture.rs`; joining a domain here would
-//! reach the tester's network.
+//! The program by itself. Its reading is tested with real peers in `tests/it/ros2_capture.rs`; joining a domain here
+//! would reach the tester's network.
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
 use std::process::Command;

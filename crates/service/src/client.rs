@@ -1,4 +1,4 @@
-//! The handle through which console and command line speak with a site, near or far.
+//! The handle through which console and command line talk to a site, local or remote.
 
 use tokio::sync::{broadcast, mpsc, oneshot};
 
@@ -7,16 +7,16 @@ use super::event::Event;
 use super::reply::{Failure, Reply};
 use crate::model::{ErrorKind, ProfileName};
 
-/// One request with the place its answer goes.
+/// One request, with the channel for its answer.
 #[derive(Debug)]
 pub struct Call {
-    /// What is asked.
+    /// The request.
     pub request: Request,
-    /// Where the answer goes.
+    /// The channel for the answer.
     pub answer: oneshot::Sender<Result<Reply, Failure>>,
 }
 
-/// Speaks with a site for one profile. Cheap to clone.
+/// Talks to a site on behalf of one profile. Cheap to clone.
 #[derive(Debug, Clone)]
 pub struct Client {
     profile: ProfileName,
@@ -25,12 +25,12 @@ pub struct Client {
 }
 
 impl Client {
-    /// A client whose calls are taken from the other end of `calls`.
+    /// A client whose calls are received at the other end of `calls`.
     pub fn new(profile: ProfileName, calls: mpsc::UnboundedSender<Call>, events: broadcast::Sender<Event>) -> Self {
         Self { profile, calls, events }
     }
 
-    /// The profile it speaks for.
+    /// Its profile.
     pub fn profile(&self) -> &ProfileName {
         &self.profile
     }
@@ -44,28 +44,28 @@ impl Client {
     pub fn send(&self, command: Command) -> oneshot::Receiver<Result<Reply, Failure>> {
         let (answer, receiver) = oneshot::channel();
         let call = Call { request: Request { profile: self.profile.clone(), command }, answer };
-        // A site that is gone drops the sender, and the receiver reports it.
+        // A site that has ended drops the sender, which the receiver reports.
         drop(self.calls.send(call));
         receiver
     }
 
-    /// Sends a command that was chosen as the program runs, and waits for its answer.
+    /// Sends a command chosen at run time, and waits for its answer.
     ///
     /// # Errors
-    /// The site's [`Failure`], or one of kind `Unreachable` where the site is gone.
+    /// The site's [`Failure`], or one of kind `Unreachable` if the site has ended.
     pub async fn request(&self, command: Command) -> Result<Reply, Failure> {
         self.send(command).await.unwrap_or_else(|_| Err(site_gone()))
     }
 
-    /// Sends a request and waits for the answer that it names.
+    /// Sends a request and waits for its answer.
     ///
     /// # Errors
-    /// The site's [`Failure`], or one of kind `Unreachable` where the site is gone.
+    /// The site's [`Failure`], or one of kind `Unreachable` if the site has ended.
     pub async fn ask<A: Ask>(&self, ask: A) -> Result<A::Answer, Failure> {
         A::heard(self.request(ask.into()).await)
     }
 
-    /// From now on, everything the site tells.
+    /// All events of the site from now on.
     pub fn events(&self) -> broadcast::Receiver<Event> {
         self.events.subscribe()
     }

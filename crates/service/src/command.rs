@@ -1,4 +1,4 @@
-//! What can be asked of a site.
+//! The requests to a site.
 
 #[macro_use]
 mod ask;
@@ -44,10 +44,10 @@ use crate::service::reply::{
 pub use crate::store::AuditQuery;
 
 requests! {
-    /// One thing asked of the site, for one profile.
+    /// One request to the site, for one profile.
     #[serde(rename_all = "snake_case", tag = "command")]
     enum Command by std::convert::identity;
-    /// Make a profile's keys and keyring.
+    /// Create a profile's keys and keyring.
     CreateIdentity {
         /// Protects the keyring.
         passphrase: SecretText,
@@ -56,59 +56,59 @@ requests! {
     ShowIdentity => IdentityView;
     /// Open the keyring for this session of the site.
     Unlock {
-        /// The keyring's.
+        /// The keyring's passphrase.
         passphrase: SecretText,
     } => IdentityView;
-    /// Put the identity on the chain.
+    /// Register the identity on the chain.
     Register => IdentityView;
     /// Keys with fingerprints and epochs.
     ListKeys => KeysView;
-    /// Replace one key by a loaded one.
+    /// Replace one key with one from a file.
     LoadKey {
         /// Which key.
         kind: KeyKind,
-        /// The file, absolute; 0600. Read by the site, which is of the same user.
+        /// The file, absolute; 0600. Read by the site, which runs as the same user.
         path: std::path::PathBuf,
         /// Passphrase of a V3 keystore file.
         passphrase: Option<SecretText>,
     } => KeysView;
     /// Begin a new epoch.
     RotateKeys => TransactionView;
-    /// Replace the envelope pair by a new one.
+    /// Replace the envelope pair with a new one.
     RotateEnvelope => KeysView;
-    /// Whom another SM2 pair touches; changes nothing.
+    /// Who is affected by another SM2 pair; changes nothing.
     ForeseeKeyChange {
         /// Which pair.
         kind: PairKind,
     } => KeyChangeView;
-    /// Protect the keyring by another passphrase.
+    /// Protect the keyring with another passphrase.
     ChangePassphrase {
-        /// The present one.
+        /// The current one.
         old: SecretText,
-        /// The one from then on.
+        /// The new one.
         new: SecretText,
     } => ();
-    /// Hand one key out.
+    /// Export one key.
     ExportKey {
         /// Which key.
         kind: KeyKind,
-        /// Passphrase for the V3 keystore written (EOA only).
+        /// Passphrase for the V3 keystore to be written (EOA only).
         passphrase: Option<SecretText>,
     } => SecretBytes;
     /// All topics of the ROS graph.
     ListTopics => Vec<TopicRow>;
-    /// When there are own records of a topic, where something is missing, and what was held back; needs no passphrase.
+    /// When there are own records of a topic, where some are missing, and what was quarantined; needs no passphrase.
     TopicCoverage {
         /// The topic.
         topic: TopicName,
-        /// From then on; `None` = from its first record on.
+        /// From this time; `None` = from its first record.
         since: Option<Timestamp>,
-        /// Before then; `None` = until now.
+        /// Before this time; `None` = until now.
         until: Option<Timestamp>,
-        /// Into so many parts, 1 to 1,000.
+        /// Divided into this many parts, 1 to 1,000.
         parts: usize,
     } => CoverageView;
-    /// Capture a topic until it is unwatched, over restarts.
+    /// Capture a topic until it is unwatched, across restarts.
     WatchTopic {
         /// The topic.
         topic: TopicName,
@@ -122,14 +122,14 @@ requests! {
     } => ();
     /// Pinned publishers, and alarms about others.
     ListPins {
-        /// Only of this topic.
+        /// Only for this topic.
         topic: Option<TopicName>,
     } => PinsView;
     /// Accept publishers of a topic.
     PinTopic {
         /// The topic.
         topic: TopicName,
-        /// Who; empty = those that are being read now.
+        /// Their publishers; empty = those being read now.
         publishers: Vec<Publisher>,
     } => PinsView;
     /// No longer accept a caller id on a topic.
@@ -139,39 +139,39 @@ requests! {
         /// The node name.
         caller_id: String,
     } => PinsView;
-    /// No longer accept one publisher of a topic; others of its caller id stay.
+    /// No longer accept one publisher of a topic; others with its caller id stay.
     UnpinPublisher {
         /// The topic.
         topic: TopicName,
-        /// Who.
+        /// The publisher.
         publisher: Publisher,
     } => PinsView;
-    /// Messages that are held back, oldest first.
+    /// Quarantined messages, oldest first.
     ListQuarantine {
         /// Only of this topic.
         topic: Option<TopicName>,
-        /// At most so many, 1 to 1,000.
+        /// At most this many, 1 to 1,000.
         limit: usize,
     } => QuarantineView;
-    /// Let quarantined messages go on.
+    /// Release quarantined messages.
     ReleaseHeld {
-        /// Which.
+        /// Which ones.
         held: Held,
     } => DecidedView;
     /// Delete quarantined messages.
     DiscardHeld {
-        /// Which.
+        /// Which ones.
         held: Held,
     } => DecidedView;
-    /// Capture topics until a count or time is reached; answers when all captured is verified.
+    /// Capture topics until a count or time is reached; answered when everything captured is verified.
     Capture {
         /// The topics.
         topics: Vec<TopicName>,
         /// Refuse other types.
         type_name: Option<TypeName>,
-        /// So many messages of each topic.
+        /// This many messages of each topic.
         count: Option<u64>,
-        /// So many milliseconds.
+        /// For this many milliseconds.
         milliseconds: Option<u64>,
         /// Tags for the sealed head.
         tags: Vec<(String, String)>,
@@ -180,7 +180,7 @@ requests! {
     StopCapture => ();
     /// Rules for topics.
     Policy {
-        /// What with them.
+        /// The action.
         with: PolicyCommand,
     } => PolicyView;
     /// Own records.
@@ -190,21 +190,21 @@ requests! {
         /// Its id, or the beginning of its digest.
         id: String,
     } => Provenance;
-    /// One own record's files for others to check.
+    /// One own record's files for third parties to check.
     ExportUpload {
         /// Its id.
         id: String,
-        /// With addresses in full.
+        /// With full addresses.
         #[serde(default)]
         addresses: bool,
     } => Vec<ExportedFile>;
-    /// Own records with all that proves them, in one file.
+    /// Own records with all their proofs, in one file.
     ExportEvidence(wishes: EvidenceWishes) => EvidenceView;
-    /// What is not stamped by the time stamp authorities yet, now.
+    /// Get time stamps now for what the authorities have not stamped yet.
     StampEvidence => StampView;
     /// Share with another account.
     Grant {
-        /// Who may read.
+        /// The reader.
         grantee: Party,
         /// Only these topics; empty = all.
         topics: Vec<TopicName>,
@@ -213,23 +213,23 @@ requests! {
         /// When the grant ends.
         expires: Option<Timestamp>,
     } => TransactionView;
-    /// Let an active grant end later.
+    /// Extend an active grant.
     ExtendGrant {
-        /// Whose.
+        /// The reader.
         grantee: Party,
         /// Its new end; `None` = no end.
         expires: Option<Timestamp>,
     } => TransactionView;
     /// Stop sharing with an account; begins a new epoch.
     Revoke {
-        /// Who may no longer read.
+        /// The reader to revoke.
         grantee: Party,
     } => TransactionView;
     /// Grants given and received.
     ListGrants => Vec<GrantRow>;
     /// Records others share with this profile.
     ListShared(query: UploadQuery) => RecordPage;
-    /// The paper's Data_Check of one record: digest against the chain, signature.
+    /// The paper's Data_Check of one record: digest against the chain, and signature.
     CheckShared {
         /// Its id.
         id: String,
@@ -239,9 +239,10 @@ requests! {
         /// Its id.
         id: String,
     } => Box<OpenedView>;
-    /// Publish shared records in a ROS graph, each checked first; ends with the connection that asks for it at the latest.
+    /// Publish shared records in a ROS graph, each checked first; ends at the latest with the connection that requested
+    /// it.
     Play(wishes: PlayWishes) => PlayedView;
-    /// End what this profile plays (its answers follow).
+    /// End this profile's playback (the answers follow).
     StopPlay => ();
     /// Let a device sign for the profile.
     LendDevice {
@@ -250,12 +251,12 @@ requests! {
         /// When the loan ends, whole seconds.
         until: Option<Timestamp>,
     } => TransactionView;
-    /// Take a loan back.
+    /// Recall a device.
     RecallDevice {
         /// The device's id, or the beginning of it.
         device: String,
     } => TransactionView;
-    /// Give an enrolled robot the keys of more topics.
+    /// Give an enrolled robot the keys for more topics.
     AddDeviceTopics {
         /// Its name, the device's id, or the beginning of it.
         device: String,
@@ -266,110 +267,110 @@ requests! {
     EnrolDevice(wishes: super::site::EnrolWishes) => EnrolledView;
     /// Devices lent and recalled.
     ListDevices => Vec<DeviceRow>;
-    /// A fingerprint beside that of an account's registered key.
+    /// Compare a fingerprint with that of an account's registered key.
     CompareFingerprint {
-        /// As a person was told it.
+        /// As a person passed it on.
         fingerprint: String,
-        /// Whose; `None` = this profile's own.
+        /// The account; `None` = this profile's own.
         account: Option<Party>,
     } => CompareView;
     /// The address book of this home.
     ListContacts => Vec<ContactRow>;
-    /// Enter an account.
+    /// Add an account.
     AddContact {
         /// Its name here.
         name: ContactName,
         /// Its address.
         address: Address,
-        /// Of its SM2 key, as a person was told it.
+        /// Of its SM2 key, as a person passed it on.
         fingerprint: Option<String>,
     } => Vec<ContactRow>;
-    /// Take an account out.
+    /// Remove an account.
     RemoveContact {
         /// Its name.
         name: ContactName,
     } => Vec<ContactRow>;
-    /// Take the key that an account has registered now for the right one.
+    /// Accept the key that an account has registered now as the right one.
     ConfirmContact {
         /// Its name.
         name: ContactName,
-        /// Only where it has this fingerprint.
+        /// Only if it has this fingerprint.
         fingerprint: Option<String>,
     } => Vec<ContactRow>;
     /// An act of the contract's administrator.
     Administer(act: Administration) => TransactionView;
     /// Name who may stop a succession of the profile's account; `None` = nobody.
     NameRecovery {
-        /// Who.
+        /// The account.
         recovery: Option<Party>,
     } => TransactionView;
     /// The chain as seen by this profile.
     ChainStatus => Box<ChainView>;
-    /// Successions that wait and that came about, and the profile's recovery account.
+    /// Pending and completed successions, and the profile's recovery account.
     ListSuccessions => Box<AdministrationView>;
-    /// Go on with the chain that is there now instead of the pinned one.
+    /// Continue with the chain that answers now instead of the pinned one.
     AdoptChain => TransactionView;
-    /// Put the contract on the chain and pin it; refused where one is pinned already.
+    /// Deploy the contract and pin it; refused if one is pinned already.
     DeployContract {
-        /// How long a succession waits, seconds [default: a week].
+        /// The delay before a succession, seconds [default: a week].
         #[serde(default)]
         delay: Option<u64>,
-        /// Which revision [default: the newest].
+        /// The revision [default: the newest].
         #[serde(default)]
         revision: Option<Revision>,
     } => DeployedView;
-    /// Answer other tools' JSON-RPC over the embedded chain, until the connection that asks for it ends.
+    /// Answer other tools' JSON-RPC for the embedded chain, until the connection that requested it ends.
     ServeChain {
-        /// Where, on loopback.
+        /// The address, on loopback.
         address: std::net::SocketAddr,
     } => ServedView;
-    /// Serve robots and operators that run no chain client, until the connection that asks for it ends. The
-    /// profile's account anchors what they send.
+    /// Serve robots and operators that run no chain client, until the connection that requested it ends. The profile's
+    /// account anchors what they send.
     ServeGateway {
-        /// Where.
+        /// The address.
         address: std::net::SocketAddr,
-        /// Also for owners whom nobody admitted, whatever the settings say.
+        /// Also for owners who were not admitted, whatever the settings say.
         #[serde(default)]
         open: bool,
     } => GatewayView;
     /// Health, counts and alerts of the whole site.
     SiteStatus => SiteView;
-    /// The newest audit lines that match.
+    /// The newest matching audit lines.
     ListAudit(query: AuditQuery) => Vec<AuditView>;
-    /// Recompute the whole audit log; compare it with the heads that this profile anchored.
+    /// Recompute the whole audit log and compare it with the heads anchored by this profile.
     VerifyAudit {
         /// Also the anchored heads: needs the keyring open.
         heads: bool,
     } => AuditCheck;
-    /// The whole audit log as a file for others.
+    /// The whole audit log as a file for third parties.
     ExportAudit {
-        /// With addresses in full.
+        /// With full addresses.
         addresses: bool,
     } => Vec<ExportedFile>;
-    /// Claims the profile for a console, until the connection ends; refused where one is open already.
+    /// Claims the profile for a console until the connection ends; refused if one is open already.
     OpenConsole => ();
     groups {
         /// Recordings: bags and MCAP.
         Recording {
-            /// What with them.
+            /// The action.
             with: RecordingCommand,
         },
-        /// Look at opened records: as files, as a path.
+        /// View opened records: as files, as a path.
         View(Viewing),
         /// About the whole store.
         OfStore(StoreCommand),
-        /// What an operator asks of the site itself.
+        /// Operations on the site itself.
         Operate(Operation),
         /// Incidents: spans of own records, kept together.
         OfIncident(IncidentCommand),
     }
 }
 
-/// A command with the profile it is for.
+/// A command with its profile.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Request {
-    /// Whose keys and records.
+    /// The profile whose keys and records are used.
     pub profile: ProfileName,
-    /// What to do.
+    /// The command.
     pub command: Command,
 }

@@ -1,5 +1,5 @@
-//! What a word of a command line can go on as, read from a home without a site: names of topics, contacts and
-//! profiles, ids of records. Bounded, cleaned, and silent where something is amiss.
+//! Completions for a word of a command line, read from a home without a site: names of topics, contacts and profiles,
+//! ids of records. Bounded, cleaned, and silent if something is wrong.
 
 use serde::Deserialize;
 
@@ -8,15 +8,15 @@ use crate::paths::Home;
 use crate::site::BOOK;
 use crate::store::Glance;
 
-/// The most words given.
+/// The most words returned.
 const MOST: usize = 200;
 /// The longest word, characters.
 const LONGEST: usize = 255;
 
-/// What kind of word is completed.
+/// The kind of word to complete.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Completed {
-    /// A topic that there are records of.
+    /// A topic with records.
     Topic,
     /// A name of the address book.
     Contact,
@@ -31,7 +31,7 @@ struct Named {
     name: String,
 }
 
-/// Words of a kind that begin so; none where the home is not there or cannot be read.
+/// Words of a kind with this prefix; none if the home does not exist or cannot be read.
 pub fn words(home: &Home, kind: Completed, begun: &str) -> Vec<String> {
     let glance = || Glance::at(&home.ledger()).ok();
     let found = match kind {
@@ -41,7 +41,7 @@ pub fn words(home: &Home, kind: Completed, begun: &str) -> Vec<String> {
         Completed::Profile => Some(home.profiles().iter().map(ProfileName::to_string).collect()),
     };
     let fits = |word: &String| word.starts_with(begun) && !word.is_empty();
-    // A word of more than one piece would be two words to the shell.
+    // A word with a space would be two words to the shell.
     let one = |word: &String| !word.chars().any(|character| character.is_whitespace() || character.is_control());
     let words = found.unwrap_or_default().into_iter().map(|word| clean(&word, LONGEST));
     let lower = |word: &String| kind == Completed::Record && word.starts_with(&begun.to_ascii_lowercase());

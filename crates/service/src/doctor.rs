@@ -1,5 +1,5 @@
-//! The doctor: looks at everything a home depends on and says how it is and what to do. Needs no passphrase, changes
-//! nothing, starts no robots; a part that is embedded and not running is as it should be.
+//! The doctor: checks everything a home depends on, says how it is and what to do. Needs no passphrase, changes
+//! nothing, starts no robots; a part that is embedded and not running is fine.
 
 mod chain;
 mod files;
@@ -12,12 +12,12 @@ use crate::paths::Home;
 use crate::service::reply::{CheckStatus, DoctorCheck, DoctorView, HealthLevel, PartHealth, SiteView};
 use crate::store::SiteLock;
 
-/// Looks at all of it. `site` is what a running site of this home says of its parts, or why it says nothing; `None`
-/// where none runs.
+/// Checks all of it. `site` is what a running site of this home says about its parts, or why it says nothing; `None` if
+/// none runs.
 pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView, String>>) -> DoctorView {
     let mut sheet = Sheet::default();
     let runs = site.is_some();
-    // Held so that no site begins while its files are looked at.
+    // Held so that no site starts while its files are checked.
     let lock = if runs { None } else { SiteLock::acquire(&home.site_lock()).ok().flatten() };
     tokio::task::block_in_place(|| {
         files::home(home, &mut sheet);
@@ -45,7 +45,7 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
     sheet.view()
 }
 
-/// How the peers of a home are where no site of it runs: master and chain, asked now.
+/// The state of a home's peers if no site of it runs: master and chain are asked now.
 pub async fn peers(home: &Home, config: &Config) -> Vec<PartHealth> {
     let (mut ros, mut chain) = (Sheet::default(), Sheet::default());
     tokio::task::block_in_place(|| peers::ros(config, &mut ros));
@@ -78,7 +78,7 @@ fn of_site(site: &SiteView, sheet: &mut Sheet) {
     }
 }
 
-/// What was found so far.
+/// The findings so far.
 #[derive(Debug, Default)]
 struct Sheet {
     checks: Vec<DoctorCheck>,
@@ -103,7 +103,7 @@ impl Sheet {
         self.add(name, CheckStatus::Fail, detail, advice);
     }
 
-    /// All of it as the health of one part: what failed first, or what was seen first and `well`.
+    /// All findings as the health of one part: the first failure, or the first finding and `well`.
     fn health(&self, name: &str, well: HealthLevel) -> PartHealth {
         let failed = self.checks.iter().find(|check| check.status == CheckStatus::Fail);
         match failed {

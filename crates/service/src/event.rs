@@ -1,4 +1,4 @@
-//! What a site tells without being asked: small notes; the data is then pulled by a command.
+//! What a site reports without being asked: small notes; the data is then pulled with a command.
 
 use serde::{Deserialize, Serialize};
 
@@ -28,13 +28,13 @@ pub enum Part {
 pub enum NoticeLevel {
     /// Shown for 3 s.
     Info,
-    /// Something waits or was counted.
+    /// Something is waiting or was counted.
     Warning,
     /// Stays until seen.
     Error,
 }
 
-/// Told to every console and follower of the site.
+/// Sent to every console and follower of the site.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "event")]
 pub enum Event {
@@ -43,16 +43,16 @@ pub enum Event {
         /// What changed.
         part: Part,
     },
-    /// Something an operator should know; the text is already cleaned.
+    /// Something an operator should know; the text is cleaned.
     Notice {
         /// When.
         at: Timestamp,
-        /// How urgent.
+        /// The urgency.
         level: NoticeLevel,
         /// What happened, to what, what to do.
         text: String,
-        /// What it is about, where a later notice about the same takes its place (`vault`); one that is only
-        /// information closes it.
+        /// The subject, if a later notice about the same replaces this one (`vault`); one that is only information
+        /// clears it.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         about: Option<String>,
     },

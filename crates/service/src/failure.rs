@@ -1,4 +1,4 @@
-//! The one place where the rooms' errors become what a person reads.
+//! The one place where the crates' errors become text for people.
 
 use super::reply::Failure;
 use crate::chain::ChainError;
@@ -22,7 +22,7 @@ macro_rules! failure_from {
 failure_from!(ChainError, ConfigError, CryptoError, GatewayError, RosError);
 
 impl From<StoreError> for Failure {
-    /// What a command was refused does not go on by itself when there is room: it is asked for again.
+    /// A refused command does not continue when there is space again: it has to be repeated.
     fn from(error: StoreError) -> Self {
         let again = if matches!(error, StoreError::DiskFull { .. }) { ", then do it again" } else { "" };
         Self::new(error.kind(), clean_lines(&format!("{error}{again}"), 600))
@@ -48,7 +48,7 @@ pub fn input(message: impl Into<String>) -> Failure {
     Failure::new(ErrorKind::Input, message)
 }
 
-/// A failure of kind `Internal`, for what cannot happen by an operator's doing.
+/// A failure of kind `Internal`, for what no act of an operator can cause.
 pub fn internal(message: impl Into<String>) -> Failure {
     Failure::new(ErrorKind::Internal, message)
 }

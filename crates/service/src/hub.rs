@@ -1,5 +1,5 @@
-//! Gathers what the workers tell and passes it on at a pace people can follow: small notes,
-//! at most four a second per part.
+//! Collects the workers' news and passes it on at a pace people can follow: small notes, at most four a second per
+//! part.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,32 +18,32 @@ use crate::pipeline::watcher::foreign::ForeignAnchors;
 
 /// Shortest time between two notes about the same part.
 const PACE: Duration = Duration::from_millis(250);
-/// The same alert is told again only after this time.
+/// The same alert is repeated only after this time.
 const REPEAT: Duration = Duration::from_secs(30);
-/// Rounds of verified records that a subscription may be behind.
+/// Rounds of verified records that a subscription may lag behind.
 const SETTLED_AHEAD: usize = 256;
-/// Alerts remembered at most.
+/// The most alerts remembered.
 const MOST_ALERTS: usize = 200;
 
-/// What notices of the vault's health are about.
+/// The subject of notices about the vault's health.
 const VAULT: &str = "vault";
-/// What notices of anchors that were not sent from here are about.
+/// The subject of notices about anchors that were not sent from here.
 const ACCOUNT: &str = "account";
 
-/// The words for verified records that are gone from the vault.
+/// The text for verified records that are missing in the vault.
 pub fn lacking(count: u64) -> String {
     format!("{count} verified records are MISSING from the vault and have no local copy; restore it from a back-up")
 }
 
 const PARTS: [Part; 6] = [Part::Topics, Part::Uploads, Part::Grants, Part::Chain, Part::Health, Part::Identity];
 
-/// The place where all news of a site come together.
+/// The place where all news of a site comes together.
 pub struct Hub {
     events: broadcast::Sender<Event>,
     dirty: [AtomicBool; PARTS.len()],
     wake: Notify,
     told: Mutex<HashMap<String, Instant>>,
-    /// How the vault is, and since when where it is not well.
+    /// The state of the vault, and since when if it is not well.
     vault: Mutex<(Condition, Option<Timestamp>)>,
     /// Which captures wait for which records.
     pub sessions: Arc<Sessions>,
@@ -55,12 +55,12 @@ pub struct Hub {
     pub settled: broadcast::Sender<Arc<[Digest]>>,
     /// Times of the line.
     pub stages: Stages,
-    /// Counts changes of who may read what, those that are only announced included.
+    /// Counts changes of who may read what, including those only announced.
     pub authority: watch::Sender<u64>,
 }
 
 impl Hub {
-    /// A hub that tells its news through `events`.
+    /// A hub that sends its news through `events`.
     pub fn new(events: broadcast::Sender<Event>) -> Self {
         Self {
             events,
@@ -90,7 +90,7 @@ impl Hub {
         }
     }
 
-    /// Tells a notice, unless the same text was told a moment ago.
+    /// Sends a notice, unless the same text was sent a moment ago.
     pub fn notice(&self, level: NoticeLevel, text: &str) {
         let text = clean(text, 400);
         let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
@@ -105,18 +105,18 @@ impl Hub {
         self.tell(level, text, None);
     }
 
-    /// Tells a notice about something that lasts: it takes the place of the one before about the same, and one that is
-    /// only information closes it.
+    /// Sends a notice about something that lasts: it replaces the previous one about the same, and one that is only
+    /// information clears it.
     pub fn notice_about(&self, about: &str, level: NoticeLevel, text: &str) {
         self.tell(level, clean(text, 400), Some(about.to_owned()));
     }
 
     fn tell(&self, level: NoticeLevel, text: String, about: Option<String>) {
-        // Nobody listening is no fault.
+        // Having no listeners is not an error.
         drop(self.events.send(Event::Notice { at: Timestamp::now(), level, text, about }));
     }
 
-    /// How the vault is, and since when.
+    /// The state of the vault, and since when.
     pub fn vault_condition(&self) -> (Condition, Option<Timestamp>) {
         self.vault.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -144,7 +144,7 @@ impl Observer for Hub {
 
     fn verified(&self, digests: &[Digest]) {
         self.sessions.settle(digests, true);
-        // Nobody subscribed is no fault.
+        // Having no subscribers is not an error.
         drop(self.settled.send(digests.into()));
     }
 
@@ -170,13 +170,13 @@ impl Observer for Hub {
 
     fn foreign_anchors(&self, found: &ForeignAnchors) {
         self.changed(Part::Health);
-        // The first, and then a word now and then: the health of the account counts on.
+        // The first at once, then one now and then: the account's health keeps the count.
         if found.count.is_power_of_two() {
             self.notice_about(ACCOUNT, NoticeLevel::Error, &found.text());
         }
     }
 
-    /// One alert while it lasts, whatever happens meanwhile, and a word when it is over.
+    /// One alert while it lasts, whatever happens meanwhile, and a notice when it is over.
     fn vault(&self, condition: Condition) {
         let mut known = self.vault.lock().unwrap_or_else(PoisonError::into_inner);
         if known.0 == condition {

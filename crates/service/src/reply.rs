@@ -1,4 +1,4 @@
-//! What a site answers: the very structures that `--json` prints.
+//! A site's answers: the very structures that `--json` prints.
 
 mod alerts;
 mod audit;
@@ -49,7 +49,7 @@ pub use self::viewing::PathView;
 use super::command::SecretBytes;
 use crate::model::ErrorKind;
 
-/// Why a command failed, as a person reads it.
+/// Why a command failed, in words for people.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[error("{message}")]
 pub struct Failure {
@@ -65,29 +65,29 @@ impl Failure {
         Self { kind, message: message.into() }
     }
 
-    /// A site that answers what was not asked.
+    /// The failure of a site that gave the answer to another question.
     pub fn of_another_version() -> Self {
         Self::new(ErrorKind::Internal, "the site answered something else than was asked; it may be of another version")
     }
 }
 
-/// What a request can be answered with: it goes over the wire as one variant of [`Reply`].
+/// A possible answer to a request: it goes over the wire as one variant of [`Reply`].
 pub trait Answer: Sized {
-    /// As it goes over the wire.
+    /// Its form on the wire.
     fn into_reply(self) -> Reply;
 
-    /// Out of what came over the wire; `None` where that is another answer.
+    /// The answer from what came over the wire; `None` if that is another answer.
     fn from_reply(reply: Reply) -> Option<Self>;
 }
 
-/// Makes the enum of answers, and each variant's type an [`Answer`].
+/// Generates the enum of answers, and makes each variant's type an [`Answer`].
 macro_rules! replies {
     ($($(#[$doc:meta])+ $name:ident($view:ty);)+) => {
         /// The answer to a command.
         #[derive(Debug, Clone, Serialize, Deserialize)]
         #[serde(rename_all = "snake_case", tag = "reply", content = "with")]
         pub enum Reply {
-            /// Done, nothing to tell.
+            /// Done, nothing to report.
             Done,
             $($(#[$doc])+ $name($view),)+
         }
@@ -181,7 +181,7 @@ replies! {
     Deployed(DeployedView);
     /// To `ServeChain`.
     Served(ServedView);
-    /// A gateway is served.
+    /// To `ServeGateway`.
     Gateway(GatewayView);
     /// To `Operation::GatewayStatus`.
     GatewayStatus(GatewayStatusView);

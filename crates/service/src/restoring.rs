@@ -1,4 +1,4 @@
-//! A home out of a back-up: only where none is, whole or not at all, and with a recorder of its own.
+//! Restores a home from a backup: only where there is none, completely or not at all, and with a recorder of its own.
 
 use std::fs::{self, File};
 use std::io;
@@ -14,12 +14,12 @@ use crate::model::{ErrorKind, clean};
 use crate::paths::Home;
 use crate::store::{archive, snapshot};
 
-/// Restores a back-up as the home, which must be empty or not there; so must the places of settings beside it that the
-/// back-up holds.
+/// Restores a backup as the home, which must be empty or absent; so must the places beside it for which the backup has
+/// settings.
 ///
 /// # Errors
-/// `Refused` where the home is not empty or the passphrase is another one, `Tampered` where the file is damaged,
-/// `Input` and `Home` where a file cannot be read or made. The home is then as it was.
+/// `Refused` if the home is not empty or the passphrase is wrong, `Tampered` if the file is damaged, `Input` and `Home`
+/// if a file cannot be read or created. The home is then unchanged.
 pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupView, Failure> {
     let passphrase = Passphrase::new(secret.expose().to_owned())?;
     let root = std::path::absolute(home.root()).map_err(|error| unmade(home.root(), &error))?;
@@ -43,7 +43,7 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
     let profiles = copied.profiles().iter().map(ToString::to_string).collect();
     is_free(&root)?;
     let apart = settings_apart(home, folder.path())?;
-    // Over an empty directory or nothing; anything else makes this fail.
+    // Over an empty directory or nothing; otherwise it fails.
     fs::rename(folder.path(), &root).map_err(|error| unmade(&root, &error))?;
     File::open(parent).and_then(|parent| parent.sync_all()).map_err(|error| unmade(parent, &error))?;
     let files = u64::try_from(unpacked.names.len()).unwrap_or(u64::MAX);
@@ -51,7 +51,7 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
         "new records are numbered anew under a new recorder; nonces are read from the chain".to_owned(),
         "do not run this home and the one it was copied from side by side on one chain".to_owned(),
     ];
-    // The home is whole by now: what cannot be moved is used where it is.
+    // The home is complete by now: what cannot be moved is used where it is.
     notes.extend(apart.into_iter().filter_map(|(name, place)| put_back(&root.join(name), place)));
     Ok(BackupView { file: shown(file), files, bytes: unpacked.bytes, profiles, notes })
 }
@@ -65,7 +65,7 @@ fn is_free(root: &Path) -> Result<(), Failure> {
     if is_empty { Ok(()) } else { Err(occupied(root, "is not empty")) }
 }
 
-/// What was unpacked and has its place outside of the home, by name and place; none of them may be taken.
+/// Unpacked files that belong outside of the home, by name and place; none of these places may be taken.
 fn settings_apart<'a>(home: &'a Home, unpacked: &Path) -> Result<Vec<(&'static str, &'a Path)>, Failure> {
     let apart: Vec<_> = home.outside().into_iter().filter(|(name, _)| unpacked.join(name).exists()).collect();
     match apart.iter().find(|(_, place)| place.symlink_metadata().is_ok()) {
@@ -79,13 +79,13 @@ fn occupied(place: &Path, how: &str) -> Failure {
     refused(format!("{} {how}, and nothing is restored over it; {advice}", shown(place)))
 }
 
-/// Moves a file or folder to its place, where nothing is yet; what to say where that fails.
+/// Moves a file or folder to its place, where nothing exists yet; returns what to say if that fails.
 fn put_back(from: &Path, place: &Path) -> Option<String> {
     let error = move_to(from, place).err()?;
     Some(format!("{} could not be moved to {}: {error}; it is used where it is", shown(from), shown(place)))
 }
 
-/// Onto other disks too.
+/// Also across disks.
 fn move_to(from: &Path, place: &Path) -> io::Result<()> {
     let parent = place.parent().ok_or(io::ErrorKind::InvalidInput)?;
     fs::DirBuilder::new().recursive(true).mode(0o700).create(parent)?;

@@ -1,7 +1,7 @@
 //! The home's Unix socket: further processes of the same user join the running site through it.
 //!
-//! One JSON line a message. The site speaks first (`Greeting`), so that a joiner can compare
-//! settings; then requests with a number, answers with that number, and events.
+//! One JSON line per message. The site speaks first (`Greeting`), so that a joiner can compare settings; then requests
+//! with a number, answers with that number, and events.
 
 use std::collections::HashMap;
 use std::os::fd::AsRawFd;
@@ -26,7 +26,7 @@ use crate::paths::Home;
 /// The longest line accepted, bytes: an opened record of 64 MiB written as JSON.
 const LONGEST_LINE: usize = 512 * 1024 * 1024;
 
-/// What the site says first.
+/// The site's first line.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Greeting {
     /// Version of the program.
@@ -50,7 +50,7 @@ enum FromSite {
     Event(Event),
 }
 
-/// A path to the socket that is short enough for the kernel, however deep the home lies.
+/// A path to the socket that is short enough for the kernel, however deep the home is.
 fn reachable(path: &Path) -> std::io::Result<(PathBuf, Option<std::fs::File>)> {
     if path.as_os_str().len() < 100 {
         return Ok((path.to_owned(), None));
@@ -60,10 +60,10 @@ fn reachable(path: &Path) -> std::io::Result<(PathBuf, Option<std::fs::File>)> {
     Ok((Path::new("/proc/self/fd").join(directory.as_raw_fd().to_string()).join(name), Some(directory)))
 }
 
-/// Takes joiners until the site ends.
+/// Accepts joiners until the site ends.
 ///
 /// # Errors
-/// Where the socket cannot be made.
+/// If the socket cannot be made.
 pub fn listen(site: &Arc<Site>) -> Result<(), Failure> {
     let path = site.home().socket();
     let unusable = |error: std::io::Error| {
@@ -126,7 +126,7 @@ async fn serve_joiner(site: Arc<Site>, stream: UnixStream) {
     }
 }
 
-/// Settings that a joiner cannot have otherwise.
+/// Settings that must be the same for a joiner.
 pub fn greeting(site: &Site) -> Greeting {
     let binding = [
         "ros.master",
@@ -198,7 +198,7 @@ async fn read_line(reader: &mut (impl AsyncBufReadExt + Unpin), line: &mut Vec<u
 /// Joins the site of a home, if one answers on its socket.
 ///
 /// # Errors
-/// Where the socket is there but what answers is no site of this version.
+/// If the socket exists but is not answered by a site of this version.
 pub async fn join(home: &Home, profile: ProfileName) -> Result<Option<(Client, Greeting)>, Failure> {
     let Ok((path, _directory)) = reachable(&home.socket()) else { return Ok(None) };
     let Ok(stream) = UnixStream::connect(path).await else { return Ok(None) };
@@ -253,7 +253,7 @@ async fn speak(
             message = messages.recv() => match message {
                 Some(FromSite::Answer { number, with }) => {
                     if let Some(answer) = waiting.remove(&number) {
-                        // Nobody waiting for the answer any more is no fault.
+                        // It is not an error if nobody waits for the answer any more.
                         drop(answer.send(*with));
                     }
                 }

@@ -1,5 +1,5 @@
-//! The words of a check by `verify`: from when on a record existed at the latest, by whose clock, and what is no more than
-//! its owner's claim.
+//! The words of a check by `verify`: from when on a record existed at the latest, by whose clock, and what is only its
+//! owner's claim.
 
 use std::time::Duration;
 
@@ -8,12 +8,12 @@ use crate::model::{ErrorKind, Timestamp};
 
 use super::verification::{AnchoredAt, FolderCheck};
 
-/// Seconds between the claimed capture and the anchor that need no word.
+/// Seconds between the claimed capture and the anchor that need no comment.
 const USUAL: u64 = 10 * 60;
-/// Seconds that a capture may claim to be after its anchor: clocks differ, and blocks are timed to the second.
+/// Seconds that a capture may claim to be after its anchor: clocks differ, and block times are whole seconds.
 const AFTER: u64 = 15;
 
-/// What whoever reads the verdict has to know beside it.
+/// What the reader of the verdict has to know besides.
 pub(super) fn warnings(
     captured_at: Timestamp,
     anchored: Option<AnchoredAt>,
@@ -52,7 +52,7 @@ pub(super) fn warnings(
     warnings
 }
 
-/// The verdict in words; a record is never called verified without the time that its anchor shows.
+/// The verdict in words; a record is never called verified without the time shown by its anchor.
 pub fn verdict(check: &FolderCheck) -> String {
     let first = match (check.worst, check.anchored) {
         (None, Some(anchored)) => format!(
@@ -69,7 +69,7 @@ pub fn verdict(check: &FolderCheck) -> String {
     std::iter::once(first).chain(sealed).chain(warnings).collect::<Vec<_>>().join("\n")
 }
 
-/// A span of seconds as people say it, in its two largest units.
+/// A span of seconds for people, in its two largest units.
 fn span(seconds: u64) -> String {
     let units = [(86_400, "d"), (3_600, "h"), (60, "min"), (1, "s")];
     let mut rest = Duration::from_secs(seconds).as_secs();

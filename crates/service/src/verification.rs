@@ -1,4 +1,4 @@
-//! The check of an export folder by somebody without home or keys, against a chain that they trust.
+//! The check of an export folder by somebody without a home or keys, against a chain that they trust.
 
 use std::path::Path;
 
@@ -15,30 +15,30 @@ use crate::service::reply::Failure;
 use crate::service::verdict;
 pub use crate::service::verdict::verdict;
 
-/// What a check of a folder found.
+/// The result of checking a folder.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FolderCheck {
-    /// Whether every step was done and holds.
+    /// Whether every step was done and passed.
     pub ok: bool,
     /// SM3 of the record.
     pub digest: Digest,
-    /// Whose it is.
+    /// Its owner.
     pub owner: Address,
-    /// When it was captured, as its owner says.
+    /// When it was captured, according to its owner.
     pub captured_at: Timestamp,
-    /// The anchor that counts, as the chain has it: the earliest at which its signer had the right. Where there is
-    /// none such, the one that proof.json names; `None` where the chain does not have that either.
+    /// The anchor that counts, according to the chain: the earliest at which its signer had the right. If there is
+    /// none, the one named in proof.json; `None` if the chain does not have that either.
     #[serde(default)]
     pub anchored: Option<AnchoredAt>,
-    /// Who seals that chain, as its node tells.
+    /// Who seals that chain, according to its node.
     #[serde(default)]
     pub sealed_by: Option<SealedBy>,
-    /// What whoever reads the verdict has to know beside it.
+    /// What the reader of the verdict has to know besides.
     #[serde(default)]
     pub warnings: Vec<String>,
     /// Step by step.
     pub steps: Vec<VerifyStep>,
-    /// The kind of error that the exit code follows from; `None` where all holds.
+    /// The kind of error that determines the exit code; `None` if every check passes.
     pub worst: Option<ErrorKind>,
 }
 
@@ -60,7 +60,7 @@ impl From<BlockRef> for AnchoredAt {
     }
 }
 
-/// What is known of the chain by another way than from the folder; it goes before what the folder names.
+/// What is known of the chain from another source than the folder; it takes precedence over the folder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Known {
     /// Hash of block 0.
@@ -70,7 +70,7 @@ pub struct Known {
 }
 
 impl Known {
-    /// What the folder's word is taken for, where nothing of the chain is known by another way.
+    /// How far the folder is trusted if nothing of the chain is known from another source.
     fn missing(self) -> &'static [&'static str] {
         if self.genesis.is_some() || self.contract.is_some() { &[] } else { &["genesis", "contract"] }
     }
@@ -79,7 +79,7 @@ impl Known {
 /// Checks a folder; `url` is the chain's.
 ///
 /// # Errors
-/// `Input` where the folder is none. That the chain does not answer is told in the steps.
+/// `Input` if the folder does not exist. That the chain does not answer is reported in the steps.
 pub async fn verify(folder: &Path, url: Option<&str>, known: Known) -> Result<FolderCheck, Failure> {
     let folder =
         tokio::task::block_in_place(|| ExportFolder::read(folder)).map_err(|error| input(error.to_string()))?;
@@ -159,7 +159,7 @@ async fn ask(
     judge_signer(folder, &chain, &pin, &anchors, claimed, steps).await.map(Some)
 }
 
-/// Whether proof.json tells the time that its block has.
+/// Whether the time in proof.json is that of its block.
 fn timed(folder: &ExportFolder, claimed: AnchoredAt) -> VerifyStep {
     let AnchoredAt { block, time, .. } = claimed;
     match folder.proof.anchor.block_time {
@@ -172,8 +172,8 @@ fn timed(folder: &ExportFolder, claimed: AnchoredAt) -> VerifyStep {
     }
 }
 
-/// Every block that anchors the record, in the chain's order: by its own digest, or by the root of its batch over as
-/// many leaves as its path was made for, whoever put it there.
+/// Every block that anchors the record, in the chain's order: by its own digest, or by the root of its batch over the
+/// number of leaves that its path was made for, whoever put it there.
 async fn anchors(folder: &ExportFolder, chain: &Chain, pin: &Pin) -> Result<Vec<u64>, ChainError> {
     if folder.proof.anchor.mode == AnchorWord::Each {
         let uploaded = chain.uploaded_at(folder.header.owner, folder.proof.digest).await?;
@@ -184,7 +184,7 @@ async fn anchors(folder: &ExportFolder, chain: &Chain, pin: &Pin) -> Result<Vec<
     let mut blocks = Vec::new();
     for at in chain.anchors_of(inclusion.root, pin.deployed_at, head).await? {
         let Event::Anchored { account, root, count, .. } = at.event else { continue };
-        // The contract's own state, so that nobody's word about events is enough.
+        // The contract's own state, so that events need not be trusted.
         let stands = count == inclusion.count && chain.root_anchored(account, root).await?.is_some();
         if stands && !blocks.contains(&at.block) {
             blocks.push(at.block);
@@ -193,7 +193,7 @@ async fn anchors(folder: &ExportFolder, chain: &Chain, pin: &Pin) -> Result<Vec<
     Ok(blocks)
 }
 
-/// Whether the chain has the record in the block that proof.json names.
+/// Whether the chain has the record in the block named in proof.json.
 async fn check_anchor(
     folder: &ExportFolder,
     chain: &Chain,
@@ -223,7 +223,7 @@ async fn check_anchor(
 }
 
 /// Whether the signer could sign for the owner: at the earliest of the anchors at which it had the right. Others are
-/// passed over, so that an anchor made while the owner was suspended neither proves nor spoils anything.
+/// skipped, so that an anchor made while the owner was suspended neither proves nor spoils anything.
 async fn judge_signer(
     folder: &ExportFolder,
     chain: &Chain,

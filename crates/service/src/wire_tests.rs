@@ -1,5 +1,5 @@
 //! The lines of site.sock, to the letter: a process of another build joins the same site. Each is read and written
-//! again, so a request or an answer that changes its form is noticed here.
+//! again, so a request or an answer whose form changes is noticed here.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;

@@ -1,4 +1,4 @@
-//! What comes into `update` and what goes out of it.
+//! The input of `update` and its output.
 
 use zeroize::Zeroizing;
 
@@ -26,7 +26,7 @@ pub enum Action {
         /// Rows.
         rows: u16,
     },
-    /// What time it is.
+    /// The current time.
     Tick(Timestamp),
     /// The site answered.
     Answered {
@@ -35,9 +35,9 @@ pub enum Action {
         /// Its answer.
         result: Box<Result<Reply, Failure>>,
     },
-    /// The site tells something.
+    /// The site sent an event.
     Told(Event),
-    /// Events were missed; everything is asked for again.
+    /// Events were missed; everything is requested again.
     Missed,
     /// Files were written (where), or why not.
     FilesWritten(Result<String, String>),
@@ -55,13 +55,13 @@ pub enum Action {
         /// Row.
         row: u16,
     },
-    /// The process was suspended and runs again.
+    /// The process was suspended and is running again.
     Resumed,
     /// A background task of this process failed.
     Fault(String),
 }
 
-/// What the outside must do next. None of it may block `update`.
+/// What the caller of `update` must do next. None of it may block `update`.
 #[derive(Debug)]
 #[allow(clippy::large_enum_variant, reason = "a handful at a time, and gone at once")]
 pub enum Effect {
@@ -73,21 +73,21 @@ pub enum Effect {
     Leave(Failure),
     /// Stop the process as Ctrl-Z does.
     Suspend,
-    /// Draw everything anew.
+    /// Redraw everything.
     Redraw,
-    /// Show the theme of that name.
+    /// Show the theme with this name.
     ShowTheme(String),
-    /// Change between ASCII characters only and all.
+    /// Toggle between ASCII characters only and all.
     ToggleAscii,
     /// Take the mouse, or leave it to the terminal.
     Mouse(bool),
     /// Give a text to the terminal's clipboard (OSC 52).
     CopyText(String),
-    /// Ask for this profile from now on.
+    /// Speak for this profile from now on.
     SpeakFor(ProfileName),
-    /// Write files into a new place below the working directory, 0600, never over others.
+    /// Write files into a new place below the working directory, 0600, never overwriting others.
     WriteFiles {
-        /// Directory to make, if any.
+        /// Directory to create, if any.
         directory: Option<String>,
         /// The files.
         files: Vec<Contents>,
@@ -114,23 +114,23 @@ impl From<ExportedFile> for Contents {
     }
 }
 
-/// A command on its way, with the tag of its answer.
+/// A command to send, with the tag for its answer.
 #[derive(Debug, Clone)]
 pub struct Errand {
-    /// What is asked.
+    /// The command.
     pub command: Command,
-    /// How its answer is known.
+    /// The tag of its answer.
     pub tag: Tag,
 }
 
-/// Which question an answer belongs to.
+/// The request that an answer belongs to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Tag {
     /// A feed's pull, with its generation.
     Feed(Feed, u64),
     /// The claim of the profile for this console.
     OpenConsole,
-    /// Making of an identity.
+    /// Creation of an identity.
     CreateIdentity,
     /// Opening of the keyring.
     Unlock,
@@ -142,41 +142,41 @@ pub enum Tag {
     Unwatch(String),
     /// A grant.
     Grant(Party),
-    /// A later end of a grant.
+    /// Extension of a grant.
     Extend(Address),
     /// A revoke.
     Revoke(Address),
     /// Loading of a key.
     LoadKey(KeyKind),
-    /// Handing out of a key.
+    /// Export of a key.
     ExportKey(KeyKind),
     /// A new epoch.
     Rotate,
-    /// Holding of the capture before leaving, or letting it go on.
+    /// Pausing the capture before leaving, or resuming it.
     HoldCapture,
-    /// Wiping of the keys from memory.
+    /// Wiping the keys from memory.
     Lock,
     /// A copy of the keyring.
     BackUp,
-    /// An act of the administrator, in a word.
+    /// An administrator's act, in a word.
     Administer(&'static str),
-    /// The contract put on the chain.
+    /// Deployment of the contract.
     Deploy,
-    /// Another chain in place of the pinned one.
+    /// Adoption of another chain.
     Adopt,
     /// Accepting of a topic's publishers.
     Pin(String),
     /// A publisher of a topic is no longer accepted.
     Unpin(String),
-    /// Held messages of a topic go on.
+    /// Release of a topic's quarantined messages.
     Release(String),
-    /// Held messages of a topic are deleted.
+    /// Deletion of a topic's quarantined messages.
     Discard(String),
     /// Publishers of a topic.
     Publishers(String),
     /// Provenance of a record.
     Show(String),
-    /// What the pane beside a list tells of a record.
+    /// Details of a record in the pane beside a list.
     Beside(Screen, String),
     /// Opening of a record.
     Open(String),
@@ -186,16 +186,16 @@ pub enum Tag {
     Check(String),
     /// Export of a record.
     Export(String),
-    /// A contact entered, confirmed or removed.
+    /// A contact added, confirmed or removed.
     Contact(String),
-    /// Playing of a topic into ROS, under this name.
+    /// Playing a topic into ROS, under this name.
     Play(String),
-    /// End of what is played.
+    /// End of a playback.
     StopPlay,
 }
 
 impl Tag {
-    /// Whether the work behind it changes something, so that quitting should wait or ask.
+    /// Whether the command changes something, so that quitting should wait or ask.
     pub fn is_work(&self) -> bool {
         let looks = matches!(
             self,
@@ -204,7 +204,7 @@ impl Tag {
         !looks && !matches!(self, Self::Feed(..) | Self::OpenConsole)
     }
 
-    /// What is under way, in words.
+    /// The running command, in words.
     pub fn words(&self) -> String {
         match self {
             Self::Feed(..) => "asking the site".to_owned(),
@@ -244,7 +244,7 @@ impl Tag {
     }
 }
 
-/// A kind of key as written on screen.
+/// A kind of key as shown on screen.
 pub fn kind_word(kind: KeyKind) -> &'static str {
     match kind {
         KeyKind::Sm4 => "SM4",

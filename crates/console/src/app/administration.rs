@@ -1,4 +1,4 @@
-//! What the contract's administrator does from the console: a form or a question for each act, and its command.
+//! The contract administrator's acts in the console: a form or a question for each act, and its command.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
@@ -12,22 +12,22 @@ use crate::model::Party;
 use crate::service::Command;
 use crate::service::command::Administration;
 
-/// An act of the administrator, before its account is named.
+/// An administrator's act, before its account is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Act {
     /// Lets an account register.
     Admit,
-    /// Stops an account's changes.
+    /// Blocks an account's changes.
     Suspend,
     /// Frees a suspended account.
     Restore,
     /// Lets anyone register.
     Open,
-    /// Lets only those register who are admitted.
+    /// Lets only admitted accounts register.
     Close,
-    /// Stops all changes but revokes.
+    /// Blocks all changes except revokes.
     Pause,
-    /// Lets changes go on.
+    /// Allows changes again.
     Continue,
     /// Names who continues for a lost account, at once.
     Succeed,
@@ -39,9 +39,9 @@ pub enum Act {
     HandOver,
     /// Takes over, having been named.
     Accept,
-    /// Puts the contract on the chain.
+    /// Deploys the contract.
     Deploy,
-    /// Goes on with another chain than the pinned one.
+    /// Continues with another chain than the pinned one.
     Adopt,
 }
 
@@ -97,7 +97,7 @@ impl Act {
         }
     }
 
-    /// Whether it needs an account to be named.
+    /// Whether it needs an account.
     fn names(self) -> bool {
         matches!(self, Self::Admit | Self::Dismiss | Self::Suspend | Self::Restore | Self::HandOver)
             || self.is_succession()
@@ -108,7 +108,7 @@ impl Act {
         matches!(self, Self::Succeed | Self::Propose)
     }
 
-    /// Whether its name must be typed, for it cannot simply be undone.
+    /// Whether its name must be typed, because it cannot simply be undone.
     fn is_grave(self) -> bool {
         matches!(self, Self::Suspend | Self::HandOver | Self::Adopt | Self::Pause) || self.is_succession()
     }
@@ -135,7 +135,7 @@ impl Act {
 
 /// Opens the form or the question of an act.
 pub fn begin(state: &mut State, act: Act) {
-    // On a contract of the newest revision a succession is proposed and waits.
+    // On a contract of the newest revision a succession is proposed and has a delay.
     let waits = state.chain.as_ref().is_some_and(|chain| chain.administration.delay.is_some());
     let act = if act == Act::Succeed && waits { Act::Propose } else { act };
     if act.names() {
@@ -147,7 +147,7 @@ pub fn begin(state: &mut State, act: Act) {
     }
 }
 
-/// What an act sends for which no account is named; `None` for the others.
+/// The command of an act that needs no account; `None` for the others.
 fn nameless(act: Act) -> Option<Errand> {
     Some(match act {
         Act::Deploy => Errand { command: Command::DeployContract { delay: None, revision: None }, tag: Tag::Deploy },
@@ -175,10 +175,10 @@ fn form(act: Act) -> Form {
     Form::new(act.title(), act.meaning().iter().map(|line| (*line).to_owned()).collect(), lines)
 }
 
-/// The question after a filled form.
+/// The question after a completed form.
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read(act: Act, form: &Form) -> Result<Confirm, (usize, String)> {
     let party = |line: usize| -> Result<Party, (usize, String)> {
         form.text(line).trim().parse().map_err(|error| (line, format!("{error}")))

@@ -1,4 +1,4 @@
-//! What an operator should look at, from the data on hand: since when, how often, and what was over lately.
+//! What an operator should look at, from the data received: since when, how often, and what ended recently.
 
 use super::screens::grants::{is_active, is_given};
 use super::standing::not_captured;
@@ -9,17 +9,17 @@ use crate::service::reply::{AlertView, GrantRow, HealthLevel, LifeLine, PartHeal
 
 /// The most notices repeated as alerts.
 const MOST_NOTICES: usize = 3;
-/// How long what is over stays in the book, nanoseconds.
+/// How long ended ones are kept, nanoseconds.
 const KEPT: u64 = 15 * 60 * 1_000_000_000;
-/// What needs no operator and is over within this is not kept, nanoseconds.
+/// What needs no operator and ends within this time is not kept, nanoseconds.
 const BRIEF: u64 = 5_000_000_000;
-/// The most of what is over that is kept.
+/// The most ended ones kept.
 const MOST_OVER: usize = 20;
 
 /// Something that needs attention, or did.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Alert {
-    /// What it is about; the text may change while this stays.
+    /// Its subject; the text may change while this stays.
     pub about: String,
     /// How urgent.
     pub level: NoticeLevel,
@@ -27,29 +27,29 @@ pub struct Alert {
     pub text: String,
     /// Since when.
     pub since: Timestamp,
-    /// How often it was so, this time included.
+    /// How often it occurred, including this time.
     pub count: usize,
-    /// When it was over.
+    /// When it ended.
     pub resolved: Option<Timestamp>,
-    /// Whether its end is worth knowing.
+    /// Whether its end is worth reporting.
     pub lasts: bool,
 }
 
 impl Alert {
-    /// What began and ended by itself within seconds, as at every start, is no news.
+    /// What began and ended on its own within seconds, as at every start, is not news.
     fn is_worth_knowing(&self) -> bool {
         let lasted = self.resolved.map_or(0, |at| at.0.saturating_sub(self.since.0));
         self.lasts && (lasted >= BRIEF || self.level == NoticeLevel::Error)
     }
 }
 
-/// All that needs attention, and what was over lately.
+/// All that needs attention, and what ended recently.
 #[derive(Debug, Default)]
 pub struct AlertBook(Vec<Alert>);
 
 impl AlertBook {
-    /// Takes over what is found now: the new is noted with its moment, what is gone is over. Some of what is found may be
-    /// over already, by the site's word.
+    /// Takes over the present findings: new ones are noted with their time, missing ones have ended. Some of the
+    /// findings may have ended already, according to the site.
     pub fn refresh(&mut self, found: Vec<Alert>, now: Timestamp) {
         let (over, found): (Vec<Alert>, Vec<Alert>) = found.into_iter().partition(|alert| alert.resolved.is_some());
         for alert in &mut self.0 {
@@ -87,28 +87,28 @@ impl AlertBook {
         known.count = alert.count.max(known.count + usize::from(again));
     }
 
-    /// What is so now, the worst first, then what was over lately, the newest first.
+    /// The active ones, worst first, then those that ended recently, newest first.
     pub fn shown(&self) -> Vec<&Alert> {
         let mut shown: Vec<&Alert> = self.0.iter().collect();
         shown.sort_by_key(|alert| (alert.resolved.map(std::cmp::Reverse), std::cmp::Reverse(alert.level)));
         shown
     }
 
-    /// When the oldest of what is over leaves the book.
+    /// When the oldest ended one is dropped.
     pub fn forgotten_at(&self) -> Option<Timestamp> {
         let over = self.0.iter().filter_map(|alert| alert.resolved).min()?;
         Some(Timestamp(over.0.saturating_add(KEPT)))
     }
 }
 
-/// Brings the book up to date with the data on hand.
+/// Updates the book from the data received.
 pub fn refresh(state: &mut State) {
     let found = standing(state);
     let now = state.now;
     state.alerts.refresh(found, now);
 }
 
-/// All that is so now.
+/// All active ones.
 fn standing(state: &State) -> Vec<Alert> {
     let alert = |about: &str, level, text| Alert {
         about: about.to_owned(),
@@ -138,7 +138,7 @@ fn standing(state: &State) -> Vec<Alert> {
         Some(alert(&format!("grant {} {}", row.grantee, row.epoch), NoticeLevel::Info, text))
     }));
     for line in state.log.urgent(MOST_NOTICES) {
-        // The same said again is one alert, since it was first said.
+        // The same text repeated is one alert, active since the first time.
         match found.iter_mut().find(|alert| alert.about == line.text) {
             Some(alert) => (alert.count, alert.since) = (alert.count + 1, alert.since.min(line.at)),
             None => found.push(Alert { since: line.at, ..alert(&line.text, line.level, line.text.clone()) }),
@@ -147,7 +147,8 @@ fn standing(state: &State) -> Vec<Alert> {
     found
 }
 
-/// What the site found by its own rules, and what of it was over lately: since its own moments, whoever looked.
+/// What the site found by its own rules, and what of it ended recently: with the site's own times, regardless of
+/// consoles.
 fn judged(state: &State, site: &SiteView) -> Vec<Alert> {
     let shown = |alert: &AlertView, resolved| Alert {
         about: format!("alert {}", alert.key),
@@ -167,7 +168,7 @@ fn judged(state: &State, site: &SiteView) -> Vec<Alert> {
     standing.chain(over.map(|over| shown(&over.alert, Some(over.ended)))).collect()
 }
 
-/// Whether health, life line or grants say the same already, with words that lead further.
+/// Whether health, record counts or grants say the same already, with words that are more helpful.
 fn is_told_otherwise(key: &str, state: &State, site: &SiteView) -> bool {
     let own = state.identity.as_ref().and_then(|identity| identity.address);
     let (rule, subject) = key.split_once('/').unwrap_or((key, ""));
@@ -180,17 +181,17 @@ fn is_told_otherwise(key: &str, state: &State, site: &SiteView) -> bool {
             let mut subjects = ending.map(|row| format!("{}-{}", begins(own), begins(row.grantee)));
             subjects.any(|other| other.eq_ignore_ascii_case(subject))
         }),
-        // Rules of a later version too.
+        // Including rules of a later version.
         _ => false,
     }
 }
 
-/// As the site names an account in its alerts.
+/// The form in which the site names an account in its alerts.
 fn begins(account: Address) -> String {
     account.to_string().trim_start_matches("0x").chars().take(8).collect()
 }
 
-/// What the profile lacks: the worst alone.
+/// What the profile lacks: only the worst.
 fn identity(state: &State) -> Option<(&'static str, String)> {
     let identity = state.identity.as_ref().filter(|identity| identity.exists)?;
     if !identity.unlocked {

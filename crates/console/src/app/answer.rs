@@ -1,4 +1,4 @@
-//! Answers of the site: data into the state, results of commands into words.
+//! Answers from the site: data into the state, results of commands into words.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
@@ -22,12 +22,12 @@ use crate::service::{Failure, KeyKind, NoticeLevel, Reply};
 
 type Answer = Result<Reply, Failure>;
 
-/// Takes an answer. Each tag names the request that it was put on, and with it what can come back.
+/// Handles an answer. Each tag names its request, and with it the possible answers.
 pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
     if let Tag::Feed(feed, generation) = tag {
         return fed(state, *feed, *generation, result);
     }
-    // What was asked for another profile, before this console spoke for the present one, is nobody's any more.
+    // A request for another profile, made before this console spoke for the current one, belongs to nobody any more.
     let Some(place) = state.work.iter().position(|other| other == tag) else { return Vec::new() };
     state.work.remove(place);
     match tag {
@@ -44,7 +44,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Show(id) => looked_up(state, id, ask::ShowUpload::heard(result)),
         Tag::Publishers(topic) => publishers(state, topic, ask::ListPins::heard(result)),
         Tag::HoldCapture => done(state, tag, ask::HoldCapture::heard(result), |state, ()| {
-            // What the site knew before says nothing about what is still on its way now.
+            // What the site knew before says nothing about what is still in flight now.
             state.feeds.renew(Feed::Site);
         }),
         Tag::Lock => locked(state, ask::Lock::heard(result)),
@@ -99,7 +99,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
     follow_up(state, tag)
 }
 
-/// What one question asked for besides the act that is done now; nothing where that failed.
+/// What one question requested besides the act that is now done; nothing if that failed.
 fn follow_up(state: &mut State, tag: &Tag) -> Vec<Effect> {
     let Some((_, errand)) = state.follow_up.take_if(|(after, _)| after == tag) else { return Vec::new() };
     vec![state.send(errand)]
@@ -204,15 +204,15 @@ fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
     }
 }
 
-/// What an act answers: taken, noted for undoing, and what it made out of date is asked for again.
+/// An act's answer: reported, noted for undoing, and what it made out of date is requested again.
 fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl FnOnce(&mut State, T)) {
     match result {
         Ok(answer) => {
-            // What failed before at the same is no longer so.
+            // An earlier failure of the same act no longer holds.
             state.toasts.supersede(&tag.words());
             state.log.notice(state.now, NoticeLevel::Info, &format!("{}: done", tag.words()));
             take(state, answer);
-            // The form leads back to itself where what follows fails.
+            // The form returns if what follows fails.
             let next = state.follow_up.as_ref().filter(|(after, _)| after == tag).map(|(_, errand)| errand.tag.clone());
             if let Some((kept, ..)) = state.filled.as_mut().filter(|(kept, ..)| kept == tag) {
                 match next {
@@ -229,7 +229,7 @@ fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl 
     }
 }
 
-/// A failed act leads back to its form, filled as it was; the log keeps what was said.
+/// A failed act returns to its form, filled in as before; the log keeps the message.
 fn failed(state: &mut State, tag: &Tag, failure: &Failure) {
     drop(state.follow_up.take_if(|(after, _)| after == tag));
     match state.filled.take_if(|(kept, ..)| kept == tag) {
@@ -257,7 +257,7 @@ fn say_done(state: &mut State, tag: &Tag) {
     state.inform(format!("{}: done", tag.words()));
 }
 
-/// What is answered with files is written.
+/// Answers that contain files are written.
 fn written<T>(
     state: &mut State,
     tag: &Tag,

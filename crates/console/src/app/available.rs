@@ -106,7 +106,7 @@ fn register(state: &State) -> Result<(), &'static str> {
     given(!state.work.contains(&Tag::Register), "under way")
 }
 
-/// What is done to one topic is not done to a robot's row.
+/// What applies to one topic does not apply to a robot's row.
 fn one_topic(state: &State) -> Result<(), &'static str> {
     let row = state.topics.selected().ok_or("nothing selected")?;
     given(state.topics.robot(&row.topic).is_none(), "a robot, not a topic: h unfolds it")

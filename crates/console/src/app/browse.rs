@@ -1,4 +1,4 @@
-//! Browsing records: of others by who shares, own ones by topic and state, both by type and time; choosing writes the
+//! Browsing records: those of others by owner, own ones by topic and state, both by type and time; a choice sets the
 //! filter of the list.
 
 use super::action::Effect;
@@ -14,22 +14,22 @@ use crate::service::reply::RecordView;
 /// One thing to choose.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Choice {
-    /// What is shown.
+    /// The text shown.
     pub text: String,
-    /// What is told beside it.
+    /// The text beside it.
     pub note: String,
-    /// The filter that it writes.
+    /// The filter that it sets.
     pub filter: String,
 }
 
 /// A list to choose from.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Browse {
-    /// Which line.
+    /// The selected line.
     pub selected: usize,
 }
 
-/// All that can be chosen now: everything, each owner who shares, topics, types, times.
+/// All present choices: everything, each owner who shares, topics, types, times.
 pub fn choices(state: &State) -> Vec<Choice> {
     let mut all = vec![choice("All records", String::new(), String::new())];
     if state.screen == Screen::Uploads {
@@ -67,7 +67,7 @@ fn shared(state: &State) -> Vec<Choice> {
     all
 }
 
-/// Topics and types of the page in view that are not among the choices yet.
+/// Topics and types of the visible page that are not among the choices yet.
 fn seen(rows: &[RecordView], known: &[Choice]) -> Vec<Choice> {
     let mut seen: Vec<Choice> = Vec::new();
     for row in rows {

@@ -1,4 +1,4 @@
-//! The questions before what cannot be taken back, with honest words.
+//! The questions before irreversible acts, in honest words.
 
 use super::action::{Errand, Tag, kind_word};
 use super::field::Field;
@@ -26,13 +26,13 @@ impl Typed {
         Self { wanted: wanted.to_owned(), field: Field::default() }
     }
 
-    /// Whether the word is there.
+    /// Whether the word is complete.
     pub fn is_done(&self) -> bool {
         self.field.text().trim() == self.wanted
     }
 }
 
-/// Before the publishers that are read now are accepted.
+/// Before accepting the publishers being read now.
 pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
     let lines = vec![
         format!("Topic       {topic}"),
@@ -48,7 +48,7 @@ pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
     Confirm { title: "Accept these publishers?".to_owned(), lines, yes: "pin", typed: None, errand }
 }
 
-/// Before held messages go on, or are deleted.
+/// Before releasing or deleting quarantined messages.
 pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
     let held = Held { topic: Some(topic.clone()), ids: Vec::new() };
     let mut lines = vec![format!("Topic  {topic}"), format!("Held   {} messages", row.quarantined)];
@@ -102,7 +102,7 @@ pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
     Confirm { title: format!("Revoke {}?", row.grantee.short()), lines, yes: "revoke", typed: None, errand }
 }
 
-/// Before a key takes another's place.
+/// Before one key replaces another.
 pub fn load_key(wish: KeyWish) -> Confirm {
     let KeyWish { kind, path, passphrase } = wish;
     let what = match kind {
@@ -127,7 +127,7 @@ pub fn rotate() -> Confirm {
     Confirm { title: "Begin a new epoch?".to_owned(), lines, yes: "rotate", typed: None, errand }
 }
 
-/// Who can read now, one line each, under a title; `without` is left out.
+/// The present readers, one line each, under a title; `without` is left out.
 pub fn readers(state: &State, title: &str, without: Option<&GrantRow>) -> Vec<String> {
     let readers = state.grants.readers(without.map(|row| row.grantee));
     let mut lines = vec![title.to_owned()];

@@ -1,4 +1,4 @@
-//! The address book on screen: names for accounts and the keys they are known by; entering, confirming, removing.
+//! The address book on screen: names for accounts and their known keys; adding, confirming, removing.
 
 use super::action::{Effect, Errand, Tag};
 use super::feed::Feed;
@@ -16,7 +16,7 @@ use crate::service::reply::ContactRow;
 /// The list, with its cursor.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Book {
-    /// Which line.
+    /// The selected line.
     pub selected: usize,
 }
 
@@ -33,7 +33,7 @@ pub fn open(state: &mut State) {
     state.popups.push(Popup::Contacts(Book::default()));
 }
 
-/// What can be done here, by key.
+/// The actions here, by key.
 pub fn hints(state: &State) -> Vec<(&'static str, &'static str)> {
     let changes = [("n", "new"), ("g", "grant"), ("c", "confirm key"), ("x", "remove")];
     let changes = changes.into_iter().filter(|(key, _)| !state.settings.read_only && (*key == "n" || any(state)));
@@ -84,10 +84,10 @@ pub fn form() -> Form {
     Form::new("New contact", notes, lines)
 }
 
-/// The command of a filled [`form`].
+/// The command of a completed [`form`].
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read(form: &Form) -> Result<Errand, (usize, String)> {
     let name: ContactName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     let address: Address = form.text(1).trim().parse().map_err(|error| (1, format!("{error}")))?;

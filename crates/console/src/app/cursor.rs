@@ -21,7 +21,7 @@ impl State {
         }
     }
 
-    /// The table on screen, to change.
+    /// The table on screen, mutable.
     pub fn table_mut(&mut self) -> Option<&mut Table> {
         match self.screen {
             Screen::Topics => Some(&mut self.topics.table),
@@ -78,7 +78,7 @@ impl State {
     }
 }
 
-/// Moves the cursor; at the edge of a page of records the next or previous page is asked for.
+/// Moves the cursor; at the edge of a page of records the next or previous page is requested.
 pub fn step(state: &mut State, by: isize) {
     let keys = state.row_keys();
     let moved = state.table_mut().is_some_and(|table| table.step(&keys, by));
@@ -94,7 +94,7 @@ pub fn stand(state: &mut State) {
     }
 }
 
-/// Puts the cursor on the row of that number.
+/// Moves the cursor to the row with that number.
 pub fn select(state: &mut State, position: usize) {
     let keys = state.row_keys();
     if let Some(table) = state.table_mut() {
@@ -103,7 +103,7 @@ pub fn select(state: &mut State, position: usize) {
     stand(state);
 }
 
-/// The order of the table on screen turned round; of records that is the other of their two orders.
+/// Reverses the order of the table on screen; for records this is the other of their two orders.
 pub fn reverse(state: &mut State) {
     if state.records_feed().is_some() {
         return sort(state);
@@ -113,7 +113,7 @@ pub fn reverse(state: &mut State) {
     }
 }
 
-/// To the first row of all, or to the last of the page.
+/// To the very first row, or to the last of the page.
 pub fn jump(state: &mut State, last: bool) {
     if let (false, Some(feed)) = (last, state.records_feed()) {
         records(state, feed).restart();
@@ -168,7 +168,7 @@ pub fn filter_paste(state: &mut State, text: &str) {
     }
 }
 
-/// The question changed, so the page in view begins anew.
+/// The request changed, so the visible page begins anew.
 pub fn restart_records(state: &mut State) {
     if let Some(feed) = state.records_feed() {
         records(state, feed).restart();
@@ -176,7 +176,7 @@ pub fn restart_records(state: &mut State) {
     }
 }
 
-/// Marks every row shown, or takes all marks away.
+/// Marks every row shown, or clears all marks.
 pub fn mark_all(state: &mut State) {
     let keys = state.row_keys();
     if let Some(table) = state.table_mut() {

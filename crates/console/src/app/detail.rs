@@ -1,5 +1,5 @@
-//! The pane beside a list on a wide terminal. What it tells of a record is asked for when the cursor rests on it: a
-//! record of others is opened then, as by enter, and the audit log says so.
+//! The pane beside a list on a wide terminal. A record's details are requested when the cursor rests on it: another
+//! owner's record is then opened, as with enter, and the audit log says so.
 
 use super::action::{Effect, Errand, Tag};
 use super::opening::Opening;
@@ -10,25 +10,25 @@ use crate::model::{Timestamp, TopicName};
 use crate::service::reply::{CoverageView, OpenedView, Provenance};
 use crate::service::{Command, Failure};
 
-/// From so many columns on there is a pane.
+/// Terminal width from which there is a pane, columns.
 pub const WIDE_FROM: u16 = 140;
-/// How long the cursor rests before a record is asked for, nanoseconds.
+/// How long the cursor rests before a record is requested, nanoseconds.
 const REST: u64 = 300_000_000;
-/// How often a topic's coverage in the pane is asked for, nanoseconds.
+/// How often a topic's coverage in the pane is requested, nanoseconds.
 const COVERAGE_EVERY: u64 = 30_000_000_000;
 /// Parts of a topic's coverage.
 const PARTS: usize = 60;
 
-/// What the pane knows of a record.
+/// The pane's data about a record.
 #[derive(Debug, Default)]
 pub struct Detail {
     /// The record under the cursor, and its list.
     about: Option<(Screen, String)>,
-    /// When it is asked for.
+    /// When it is requested.
     due: Option<Timestamp>,
-    /// Where an own record comes from and where it stands.
+    /// An own record's provenance and state.
     pub steps: Option<Lookup<Provenance>>,
-    /// A record of others.
+    /// Another owner's record.
     pub opening: Option<Opening>,
     /// When there are records of a topic.
     pub coverage: Option<(String, Result<Box<CoverageView>, Failure>)>,
@@ -41,18 +41,18 @@ impl Detail {
     }
 }
 
-/// What is asked about when there are records of a topic.
+/// The topic whose coverage is requested.
 pub fn coverage_of(topic: &TopicName) -> Errand {
     let command = Command::TopicCoverage { topic: topic.clone(), since: None, until: None, parts: PARTS };
     Errand { command, tag: Tag::Beside(Screen::Topics, topic.to_string()) }
 }
 
-/// When the record under the cursor is asked for. While an answer is awaited, it is that answer that goes on.
+/// When the record under the cursor is requested. While an answer is awaited, that answer comes first.
 pub fn due(state: &State) -> Option<Timestamp> {
     state.detail.due.filter(|_| may_ask(state))
 }
 
-/// One record is asked for at a time, none behind a popup, and none while the keys are being wiped.
+/// One record is requested at a time, none behind a popup, and none while the keys are being wiped.
 fn may_ask(state: &State) -> bool {
     state.popups.is_empty() && !state.work.iter().any(|tag| matches!(tag, Tag::Beside(..) | Tag::Lock))
 }
@@ -62,7 +62,7 @@ pub fn is_shown(state: &State) -> bool {
     state.size.0 >= WIDE_FROM && state.screen.has_table()
 }
 
-/// The record that the pane is to tell of: one that the cursor was put on, not whichever is the newest.
+/// The record to show in the pane: one that the cursor was moved to, not just the newest.
 fn wanted(state: &State) -> Option<(Screen, String)> {
     let open = state.identity.as_ref().is_some_and(|identity| identity.unlocked);
     let tells = match state.screen {
@@ -78,13 +78,13 @@ fn wanted(state: &State) -> Option<(Screen, String)> {
     Some((state.screen, state.row_key()?))
 }
 
-/// Follows the cursor; asks when it has come to rest.
+/// Follows the cursor; sends a request when it has come to rest.
 pub fn follow(state: &mut State) -> Vec<Effect> {
     if state.popups.is_empty() {
         let wanted = wanted(state);
         if wanted != state.detail.about {
             let due = wanted.as_ref().map(|_| Timestamp(state.now.0.saturating_add(REST)));
-            // Coverage is told of the topic that it names, and stays until another's comes.
+            // Coverage belongs to the topic that it names, and stays until another topic's arrives.
             let coverage = state.detail.coverage.take();
             state.detail = Detail { about: wanted, due, coverage, ..Detail::default() };
         }
@@ -98,7 +98,7 @@ pub fn follow(state: &mut State) -> Vec<Effect> {
         return topic.map(|topic| coverage_of(&topic)).map(|errand| state.send(errand)).into_iter().collect();
     }
     let command = if screen == Screen::Uploads {
-        // What was told of it before stays until the new answer comes.
+        // The previous details stay until the new answer arrives.
         state.detail.steps =
             state.detail.steps.take().filter(|steps| steps.id == id).or_else(|| Some(Lookup::new(&id)));
         Command::ShowUpload { id: id.clone() }
@@ -109,7 +109,7 @@ pub fn follow(state: &mut State) -> Vec<Effect> {
     vec![state.send(Errand { command, tag: Tag::Beside(screen, id) })]
 }
 
-/// Records went on: where the one in the pane is not at its end, it is asked for again.
+/// Records changed state: if the one in the pane is not in its final state, it is requested again.
 pub fn touch(state: &mut State) {
     let found = state.detail.steps.as_ref().and_then(Lookup::found);
     let goes_on = found.is_some_and(|found| !super::update::is_settled(found.record.state));
@@ -125,7 +125,7 @@ pub fn looked_up(state: &mut State, id: &str, answer: Result<Provenance, Failure
     }
 }
 
-/// Takes the answer about a topic; in the pane it is asked again after a while, for nothing tells of it.
+/// Takes the answer about a topic; in the pane it is requested again after a while, because no event reports it.
 pub fn covered(state: &mut State, topic: &str, answer: Result<CoverageView, Failure>) {
     state.detail.coverage = Some((topic.to_owned(), answer.map(Box::new)));
     let beside = state.detail.about.as_ref().is_some_and(|(screen, id)| *screen == Screen::Topics && id == topic);
@@ -134,7 +134,7 @@ pub fn covered(state: &mut State, topic: &str, answer: Result<CoverageView, Fail
     }
 }
 
-/// Takes the answer about a record of others.
+/// Takes the answer about another owner's record.
 pub fn opened(state: &mut State, id: &str, answer: Result<Box<OpenedView>, Failure>) {
     if let Some(opening) = state.detail.opening.as_mut().filter(|opening| opening.lookup.id == id) {
         opening.lookup.answer = Some(answer);

@@ -1,13 +1,13 @@
-//! Data by pull: a note says that a part changed, then the lists on screen are asked for
-//! again, at most one question per list under way.
+//! Data by pull: a note says that a part changed, then the lists on screen are requested again, with at most one
+//! request per list in flight.
 
 use crate::model::Timestamp;
 use crate::service::{Failure, Part};
 
-/// Nanoseconds before a failed question is asked again.
+/// Nanoseconds before a failed request is repeated.
 const RETRY_AFTER: u64 = 5_000_000_000;
 
-/// One list or view the site can be asked for.
+/// One list or view that the site can be asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Feed {
     /// `SiteStatus`.
@@ -66,25 +66,25 @@ impl Feed {
     }
 }
 
-/// How one feed stands.
+/// The state of one feed.
 #[expect(clippy::struct_excessive_bools, reason = "each is a fact of its own")]
 #[derive(Debug, Clone, Default)]
 pub struct Slot {
-    /// Raised when the question itself changes, so that older answers are dropped.
+    /// Increased when the request itself changes, so that older answers are dropped.
     pub generation: u64,
-    /// A question is under way.
+    /// A request is in flight.
     pub outstanding: bool,
-    /// The data on hand is older than the site's.
+    /// The data here is older than the site's.
     pub stale: bool,
     /// Data arrived at least once.
     pub loaded: bool,
-    /// The data on hand is from an earlier look at its screen.
+    /// The data here is from an earlier visit to its screen.
     pub left: bool,
-    /// The question that the data on hand answers.
+    /// The request answered by the data here.
     pub told: u64,
-    /// Why the last question failed.
+    /// Why the last request failed.
     pub failure: Option<Failure>,
-    /// When a failed question is asked again.
+    /// When a failed request is repeated.
     pub retry_at: Option<Timestamp>,
 }
 
@@ -104,7 +104,7 @@ impl Feeds {
         &self.0[feed as usize]
     }
 
-    /// One feed's slot, to change.
+    /// One feed's slot, mutable.
     pub fn slot_mut(&mut self, feed: Feed) -> &mut Slot {
         &mut self.0[feed as usize]
     }
@@ -123,13 +123,13 @@ impl Feeds {
         }
     }
 
-    /// The screen of a feed comes into view: what is not up to date is from the last time.
+    /// The screen of a feed becomes visible: data that is not up to date is from the last visit.
     pub fn look(&mut self, feed: Feed) {
         let slot = self.slot_mut(feed);
         slot.left |= slot.stale && slot.loaded;
     }
 
-    /// The question itself changed (page, filter): ask anew and drop an answer under way.
+    /// The request itself changed (page, filter): send it anew and drop the answer in flight.
     pub fn renew(&mut self, feed: Feed) {
         let slot = self.slot_mut(feed);
         slot.generation += 1;
@@ -137,19 +137,19 @@ impl Feeds {
         slot.stale = true;
     }
 
-    /// No answer to what `former` asked is one to these.
+    /// No answer to a request of `former` answers one of these.
     pub fn follow(&mut self, former: &Self) {
         for (slot, before) in self.0.iter_mut().zip(&former.0) {
             slot.generation = before.generation + 1;
         }
     }
 
-    /// All are asked anew, once, though the view stands still from now on.
+    /// All are requested anew, once, even though the view is frozen from now on.
     pub fn gather(&mut self) {
         Feed::ALL.into_iter().for_each(|feed| self.renew(feed));
     }
 
-    /// Takes note of an answer; false where it answers an older question.
+    /// Handles an answer; false if it answers an older request.
     pub fn answered(&mut self, feed: Feed, generation: u64, failure: Option<Failure>, now: Timestamp) -> bool {
         let slot = self.slot_mut(feed);
         if slot.generation != generation {
@@ -164,7 +164,7 @@ impl Feeds {
         true
     }
 
-    /// Marks failed feeds whose time has come as out of date.
+    /// Marks failed feeds whose pause is over as out of date.
     pub fn retry(&mut self, now: Timestamp) {
         for slot in self.0.iter_mut().filter(|slot| slot.retry_at.is_some_and(|at| at <= now)) {
             slot.retry_at = None;
@@ -172,7 +172,7 @@ impl Feeds {
         }
     }
 
-    /// The next moment at which a failed question is asked again.
+    /// The next moment at which a failed request is repeated.
     pub fn next_retry(&self) -> Option<Timestamp> {
         self.0.iter().filter_map(|slot| slot.retry_at).min()
     }

@@ -1,12 +1,12 @@
-//! One line of typed text with a cursor; masked and wiped where it is a secret.
+//! One line of typed text with a cursor; masked and wiped if it is a secret.
 
 use zeroize::Zeroizing;
 
 use super::key::Key;
 
-/// The most characters a field takes.
+/// The most characters of a field.
 const LONGEST: usize = 200;
-/// Room enough for [`LONGEST`] characters, so that a secret's buffer is never moved.
+/// Space for [`LONGEST`] characters, so that a secret's buffer is never moved.
 const CAPACITY: usize = LONGEST * 4;
 
 /// A line of text being typed.
@@ -29,14 +29,14 @@ impl Field {
         Self { masked: true, ..Self::default() }
     }
 
-    /// A field with a text to begin with.
+    /// A field with an initial text.
     pub fn with(text: &str) -> Self {
         let mut field = Self::default();
         field.insert(text);
         field
     }
 
-    /// A field with a text that the first character typed takes the place of.
+    /// A field with an initial text that the first character typed replaces.
     pub fn offering(text: &str) -> Self {
         Self { offered: !text.is_empty(), ..Self::with(text) }
     }
@@ -56,12 +56,12 @@ impl Field {
         self.masked
     }
 
-    /// Where the cursor stands, in characters.
+    /// The position of the cursor, in characters.
     pub fn cursor(&self) -> usize {
         self.cursor
     }
 
-    /// Puts text in at the cursor; control characters and what is too long are left out.
+    /// Inserts text at the cursor; control characters and excess text are dropped.
     pub fn insert(&mut self, text: &str) {
         if std::mem::take(&mut self.offered) {
             self.clear();
@@ -74,7 +74,7 @@ impl Field {
         }
     }
 
-    /// Takes a key; false where it means nothing here.
+    /// Handles a key; false if it has no meaning here.
     pub fn key(&mut self, key: Key) -> bool {
         self.offered &= matches!(key, Key::Char(_));
         match key {

@@ -11,11 +11,11 @@ pub struct FirstStep {
     pub name: &'static str,
     /// The key to press.
     pub key: &'static str,
-    /// What it brings.
+    /// Its benefit.
     pub text: &'static str,
 }
 
-/// The steps while one that matters is open; empty when the profile is set up.
+/// The steps while one that matters is open; empty once the profile is set up.
 pub fn first_steps(state: &State) -> Vec<FirstStep> {
     let Some(identity) = &state.identity else { return Vec::new() };
     let set_up = identity.exists && identity.registered;

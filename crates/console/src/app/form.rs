@@ -3,7 +3,7 @@
 use super::field::Field;
 use super::key::Key;
 
-/// What a line takes.
+/// The input of a line.
 #[derive(Debug)]
 pub enum Input {
     /// Typed text.
@@ -12,7 +12,7 @@ pub enum Input {
     Choice {
         /// The words.
         options: &'static [&'static str],
-        /// Which one.
+        /// The chosen one.
         chosen: usize,
     },
 }
@@ -20,11 +20,11 @@ pub enum Input {
 /// One line of a form.
 #[derive(Debug)]
 pub struct Line {
-    /// What it asks.
+    /// Its label.
     pub label: &'static str,
-    /// What an empty field means, or an example.
+    /// The meaning of an empty field, or an example.
     pub hint: &'static str,
-    /// What it takes.
+    /// Its input.
     pub input: Input,
 }
 
@@ -49,20 +49,20 @@ pub struct Form {
     pub notes: Vec<String>,
     /// The fields.
     pub lines: Vec<Line>,
-    /// Which field has the keys.
+    /// Which field has the focus.
     pub focus: usize,
-    /// What is wrong with what was submitted.
+    /// What is wrong with the submitted input.
     pub error: Option<String>,
 }
 
-/// What a key did to a form.
+/// The effect of a key on a form.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FormStep {
-    /// Nothing that concerns others.
+    /// Nothing outside the form.
     Stay,
     /// The operator is done.
     Submit,
-    /// The operator gave up.
+    /// The operator cancelled.
     Cancel,
 }
 
@@ -77,7 +77,7 @@ impl Form {
         self.field(line).map_or("", Field::text)
     }
 
-    /// The field of a line, where it is one.
+    /// The field of a line, if it is one.
     pub fn field(&self, line: usize) -> Option<&Field> {
         match self.lines.get(line).map(|line| &line.input) {
             Some(Input::Text(field)) => Some(field),
@@ -85,7 +85,7 @@ impl Form {
         }
     }
 
-    /// Puts another text into a line of text.
+    /// Replaces the text of a line.
     pub fn set(&mut self, line: usize, field: Field) {
         if let Some(Line { input: Input::Text(text), .. }) = self.lines.get_mut(line) {
             *text = field;
@@ -100,7 +100,7 @@ impl Form {
         }
     }
 
-    /// Says what is wrong, with the focus where it is.
+    /// Sets the error, leaving the focus where it is.
     pub fn refuse(&mut self, line: usize, error: impl Into<String>) {
         self.focus = line;
         self.error = Some(error.into());

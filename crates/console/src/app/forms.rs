@@ -1,4 +1,4 @@
-//! The forms the console opens, and what becomes of what was typed.
+//! The console's forms, and the commands made from their input.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use super::when;
 use crate::model::{Address, Party, Timestamp, TopicName, grant::MOST_TOPICS};
 use crate::service::{Command, Epochs, KeyKind, SecretText};
 
-/// The shortest passphrase taken for a new keyring, characters.
+/// The shortest passphrase accepted for a new keyring, characters.
 pub const SHORTEST_PASSPHRASE: usize = 8;
 
 /// The kinds of key, in the order of the choice.
@@ -26,10 +26,10 @@ pub fn create_identity(profile: &str, notes: Vec<String>) -> Form {
     Form::new(format!("New identity for profile {profile}"), notes, lines)
 }
 
-/// The command of a filled [`create_identity`].
+/// The command of a completed [`create_identity`].
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read_create(form: &Form) -> Result<Errand, (usize, String)> {
     if form.text(0).chars().count() < SHORTEST_PASSPHRASE {
         return Err((0, format!("use at least {SHORTEST_PASSPHRASE} characters")));
@@ -46,10 +46,10 @@ pub fn unlock(profile: &str, notes: Vec<String>) -> Form {
     Form::new(format!("Unlock the keyring of profile {profile}"), notes, lines)
 }
 
-/// The command of a filled [`unlock`].
+/// The command of a completed [`unlock`].
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read_unlock(form: &Form) -> Result<Errand, (usize, String)> {
     if form.text(0).is_empty() {
         return Err((0, "type the passphrase, or leave with esc".to_owned()));
@@ -57,10 +57,10 @@ pub fn read_unlock(form: &Form) -> Result<Errand, (usize, String)> {
     Ok(Errand { command: Command::Unlock { passphrase: secret(form, 0) }, tag: Tag::Unlock })
 }
 
-/// The word for every topic, which must be written.
+/// The word for every topic, which must be typed.
 pub const ALL_TOPICS: &str = "all";
 
-/// Asks whom to grant what; what is known is filled in, and the first line that is empty has the keys.
+/// Asks whom to grant what; known values are filled in, and the first empty line has the focus.
 pub fn grant(grantee: &str, topics: &[String], ends: &str) -> Form {
     let lines = vec![
         Line::text("Address", "0x and 40 hex, or a contact's name", Field::offering(grantee)),
@@ -74,7 +74,7 @@ pub fn grant(grantee: &str, topics: &[String], ends: &str) -> Form {
     form
 }
 
-/// Asks until when a grant is to last.
+/// Asks for the new end of a grant.
 pub fn extend(grantee: &str, ends: &str) -> Form {
     let lines = vec![Line::text("Ends", "empty = never; 45m, 12h, 30d, 2036-12-31", Field::default())];
     let notes = vec![
@@ -87,7 +87,7 @@ pub fn extend(grantee: &str, ends: &str) -> Form {
 /// The terms of a grant, as typed.
 #[derive(Debug, Clone)]
 pub struct GrantWish {
-    /// Who may read.
+    /// The reader.
     pub grantee: Party,
     /// Only these; empty = all.
     pub topics: Vec<TopicName>,
@@ -106,10 +106,10 @@ impl GrantWish {
     }
 }
 
-/// The terms of a filled [`grant`].
+/// The terms of a completed [`grant`].
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<GrantWish, (usize, String)> {
     let grantee: Party = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     if grantee.address().is_some_and(|address| Some(address) == own) {
@@ -142,10 +142,10 @@ pub fn unpin(topic: &str, publisher: &str) -> Form {
     Form::new("Unpin a publisher", vec!["Its messages are held back from then on.".to_owned()], lines)
 }
 
-/// The command of a filled [`unpin`].
+/// The command of a completed [`unpin`].
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read_unpin(form: &Form) -> Result<Errand, (usize, String)> {
     let topic: TopicName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     let caller_id = form.text(1).trim().to_owned();
@@ -171,16 +171,16 @@ pub fn load_key() -> Form {
 pub struct KeyWish {
     /// Which key it holds.
     pub kind: KeyKind,
-    /// Where it lies, absolute.
+    /// Its path, absolute.
     pub path: PathBuf,
     /// Passphrase of a V3 keystore, if one was given.
     pub passphrase: Option<SecretText>,
 }
 
-/// The key file of a filled [`load_key`]; `~` is `home`, relative paths begin at `directory`.
+/// The key file of a completed [`load_key`]; `~` is `home`, relative paths start at `directory`.
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read_load(form: &Form, directory: &Path, home: Option<&Path>) -> Result<KeyWish, (usize, String)> {
     let path = form.text(1).trim();
     if path.is_empty() {
@@ -194,7 +194,7 @@ pub fn read_load(form: &Form, directory: &Path, home: Option<&Path>) -> Result<K
     Ok(KeyWish { kind: kind(form), path, passphrase })
 }
 
-/// Asks which key to hand out.
+/// Asks which key to export.
 pub fn export_key() -> Form {
     let lines = vec![
         Line::choice("Key", KIND_WORDS),
@@ -205,10 +205,10 @@ pub fn export_key() -> Form {
     Form::new("Export a key", notes, lines)
 }
 
-/// The command of a filled [`export_key`].
+/// The command of a completed [`export_key`].
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read_export(form: &Form) -> Result<Errand, (usize, String)> {
     let kind = kind(form);
     if kind == KeyKind::Eoa && form.text(1).chars().count() < SHORTEST_PASSPHRASE {

@@ -7,8 +7,8 @@ pub fn score(needle: &str, text: &str) -> Option<usize> {
     needle.split_whitespace().map(|word| word_score(word, &text)).sum()
 }
 
-/// The rows that match: those that hold every word as it is, or where there are none, those
-/// that hold its letters in their order.
+/// The matching rows: those that contain every word as it is, or if there are none, those that contain its letters in
+/// order.
 pub fn narrow<T>(needle: &str, rows: Vec<T>, text: impl Fn(&T) -> String) -> Vec<T> {
     if needle.trim().is_empty() {
         return rows;
@@ -21,19 +21,19 @@ pub fn narrow<T>(needle: &str, rows: Vec<T>, text: impl Fn(&T) -> String) -> Vec
     kept.filter(|(row, whole)| *whole || !any && score(&needle, &text(row)).is_some()).map(|(row, _)| row).collect()
 }
 
-/// Whether all words, in lower case, stand in `text`.
+/// Whether `text` contains all words, which are in lower case.
 fn holds_all(words: &[&str], text: &str) -> bool {
     let text = text.to_lowercase();
     words.iter().all(|word| text.contains(word))
 }
 
-/// Whether every word of `needle` stands in `text` as it is.
+/// Whether `text` contains every word of `needle` as it is.
 pub fn whole_words(needle: &str, text: &str) -> bool {
     let text = text.to_lowercase();
     needle.split_whitespace().all(|word| text.contains(&word.to_lowercase()))
 }
 
-/// The distance of the letters from each other, and of the first from the beginning.
+/// The distance of the letters from each other, and of the first one from the beginning.
 fn word_score(word: &str, text: &[char]) -> Option<usize> {
     let word: Vec<char> = word.chars().flat_map(char::to_lowercase).collect();
     let whole = text.windows(word.len().max(1)).position(|part| part == word.as_slice());

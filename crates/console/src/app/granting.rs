@@ -1,4 +1,4 @@
-//! Sharing without detours: the form filled from the row under the cursor, names completed, everything that can be
+//! Sharing without detours: the form filled in from the row under the cursor, names completed, everything that can be
 //! checked checked before the question, the terms of a grant changed.
 
 use super::action::{Effect, Errand, Tag};
@@ -16,11 +16,11 @@ use crate::model::{Address, Party, Timestamp, TopicName};
 use crate::service::reply::GrantRow;
 use crate::service::{Command, Epochs};
 
-/// Lines of the form of a grant: whom, and what.
+/// Lines of the grant form: reader and topics.
 const GRANTEE: usize = 0;
 const TOPICS: usize = 1;
 
-/// Opens the form, filled with what the cursor is on; marked topics go before the selected one.
+/// Opens the form, filled in from the cursor; marked topics take precedence over the selected one.
 pub fn begin(state: &mut State) {
     let (grantee, topics) = match state.screen {
         Screen::Topics => (String::new(), state.topics.targets().into_iter().map(|row| row.topic.clone()).collect()),
@@ -51,7 +51,7 @@ fn open(state: &mut State, grantee: &str, topics: &[String], ends: &str) {
     state.popups.push(Popup::Form(Purpose::Grant, forms::grant(grantee, topics, ends)));
 }
 
-/// `grant bob /robot1/odom 30d` of the palette: the form with these terms, sent on to its question where they do.
+/// `grant bob /robot1/odom 30d` of the palette: the form with these terms, sent on to its question if they are valid.
 pub fn spoken(state: &mut State, words: &[&str]) -> Vec<Effect> {
     let Some((grantee, rest)) = words.split_first() else { return Vec::new() };
     let is_topic = |word: &&str| word.starts_with('/') || *word == forms::ALL_TOPICS;
@@ -59,13 +59,13 @@ pub fn spoken(state: &mut State, words: &[&str]) -> Vec<Effect> {
     let topics: Vec<String> = topics.into_iter().map(str::to_owned).collect();
     open(state, grantee, &topics, &ends.join(" "));
     if let Some(Popup::Form(Purpose::Grant, form)) = state.popups.last_mut().filter(|_| !topics.is_empty()) {
-        // All that is left is which records, and its usual answer is chosen: enter goes on to the question.
+        // The only line left is which records, and its usual answer is chosen: enter goes on to the question.
         form.focus = form.lines.len().saturating_sub(1);
     }
     Vec::new()
 }
 
-/// What is wrong with terms that are written well, as far as it is known here: the line, and why.
+/// What is wrong with well-formed terms, as far as is known here: the line, and why.
 ///
 /// # Errors
 /// A name that nobody has, or an account that has an active grant already.
@@ -91,7 +91,8 @@ fn same_terms(row: &GrantRow, wish: &GrantWish) -> bool {
     wanted == given && wish.expires == row.expires
 }
 
-/// The question before a grant. Where the account has an active one, that is revoked first: said so, asked once.
+/// The question before a grant. If the account has an active one, that is revoked first: the question says so and is
+/// asked once.
 pub fn question(state: &mut State, wish: GrantWish) -> Confirm {
     let name = wish.grantee.to_string();
     let contact = state.contacts.iter().find(|row| row.name.to_string() == name).map(|row| row.address);
@@ -119,7 +120,7 @@ fn active<'a>(state: &'a State, address: Option<Address>, name: &str) -> Option<
     state.grants.rows.iter().filter(|row| is_given(row) && is_active(row)).find(is_it)
 }
 
-/// What should be looked at twice before the grant: everything is shared, or a topic that nobody knows.
+/// What deserves a second look before the grant: everything is shared, or a topic that nobody knows.
 pub fn caution(state: &State, command: &Command) -> Option<String> {
     if let (Command::Revoke { .. }, Some((_, after))) = (command, &state.follow_up) {
         return caution(state, &after.command);
@@ -134,7 +135,7 @@ pub fn caution(state: &State, command: &Command) -> Option<String> {
     (loaded && !unknown.is_empty()).then(|| format!("No topic of this name is known here: {}", unknown.join(" ")))
 }
 
-/// Completes the name at the end of a line of the form; false where there is nothing to complete.
+/// Completes the name at the end of a form line; false if there is nothing to complete.
 pub fn complete(state: &State, form: &mut Form) -> bool {
     let names: Vec<String> = match form.focus {
         GRANTEE => state.contacts.iter().map(|row| row.name.to_string()).collect(),
@@ -151,7 +152,7 @@ pub fn complete(state: &State, form: &mut Form) -> bool {
     true
 }
 
-/// What all names that begin so have in common.
+/// The longest common beginning of all names with this prefix.
 fn common_beginning(begun: &str, names: &[String]) -> Option<String> {
     let mut fitting = names.iter().filter(|name| name.starts_with(begun));
     let first = fitting.next()?.clone();
@@ -161,7 +162,7 @@ fn common_beginning(begun: &str, names: &[String]) -> Option<String> {
     }))
 }
 
-/// Another end for a grant.
+/// A new end for a grant.
 #[derive(Debug)]
 pub enum Extension {
     /// Later: the contract does that.
@@ -170,7 +171,7 @@ pub enum Extension {
     Sooner(GrantWish),
 }
 
-/// Asks until when the selected grant is to last.
+/// Asks for the new end of the selected grant.
 pub fn begin_extension(state: &mut State) {
     let Some(row) = state.grants.selected() else { return };
     let who = row.name.clone().unwrap_or_else(|| row.grantee.short());
@@ -178,10 +179,10 @@ pub fn begin_extension(state: &mut State) {
     state.popups.push(Popup::Form(Purpose::Extend, forms::extend(&who, &ends)));
 }
 
-/// The command of a filled form of [`begin_extension`].
+/// The command of a completed form of [`begin_extension`].
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read_extension(state: &State, form: &Form) -> Result<Extension, (usize, String)> {
     let row = state.grants.selected().filter(|row| is_given(row) && is_active(row));
     let row = row.ok_or((0, "this grant is not active any more".to_owned()))?;

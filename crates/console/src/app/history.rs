@@ -1,24 +1,24 @@
-//! What flowed over the last hour, as far as this console has seen it: the ring behind the graphs of the Overview.
+//! The flow of records over the last hour, as far as this console has seen it: the ring behind the Overview's graphs.
 
 use std::collections::VecDeque;
 
 use crate::model::Timestamp;
 use crate::service::reply::SiteView;
 
-/// Nanoseconds of a second.
+/// Nanoseconds per second.
 const SECOND: u64 = 1_000_000_000;
-/// Points of the newest minute are so far apart at least, nanoseconds.
+/// Minimum distance between points of the newest minute, nanoseconds.
 const FINE: u64 = SECOND;
-/// Points before it.
+/// Minimum distance between older points.
 const COARSE: u64 = 10 * SECOND;
-/// How long the newest points stay fine, nanoseconds; a little more than the minute that is shown.
+/// How long the newest points stay fine, nanoseconds; slightly more than the minute that is shown.
 const FINE_FOR: u64 = 65 * SECOND;
-/// How long points are kept, nanoseconds; a little more than the hour that is shown.
+/// How long points are kept, nanoseconds; slightly more than the hour that is shown.
 const KEPT: u64 = 3_640 * SECOND;
-/// After so long without news nothing happened until just before the next, nanoseconds.
+/// After this long without news, nothing is assumed to have happened until just before the next news, nanoseconds.
 const QUIET: u64 = 3 * SECOND;
 
-/// Over how long the graphs look back.
+/// The period of the graphs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Period {
     /// One minute.
@@ -31,7 +31,7 @@ pub enum Period {
 }
 
 impl Period {
-    /// The next, around the corner.
+    /// The next, wrapping around.
     pub fn next(self) -> Self {
         match self {
             Self::Minute => Self::Quarter,
@@ -54,7 +54,7 @@ impl Period {
     }
 }
 
-/// What the site said at a moment. Counts only grow.
+/// The site's figures at a moment. Counts only grow.
 #[derive(Debug, Clone, Default, PartialEq)]
 struct Point {
     at: Timestamp,
@@ -71,18 +71,18 @@ pub struct History {
     points: VecDeque<Point>,
 }
 
-/// Figures over a period, a value for each of its equal parts; `None` = not known.
+/// Figures over a period, a value for each of its equal parts; `None` = unknown.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Flow {
-    /// Records captured a second.
+    /// Records captured per second.
     pub captured: Vec<Option<f64>>,
-    /// Records verified a second.
+    /// Records verified per second.
     pub verified: Vec<Option<f64>>,
     /// Records not yet verified at the end of the part.
     pub pending: Vec<Option<f64>>,
     /// Seconds within which 99 of 100 records of the part were verified.
     pub slowest: Vec<Option<f64>>,
-    /// Seconds within which half, and 99 of 100, were verified over all of the period.
+    /// Seconds within which half, and 99 of 100, were verified over the whole period.
     pub after: Option<(f64, f64)>,
 }
 
@@ -92,7 +92,7 @@ impl Flow {
         [&self.captured, &self.verified, &self.pending].into_iter().any(|values| highest(values) > 0.0)
     }
 
-    /// Whether it looks other when time goes on and nothing comes.
+    /// Whether it changes as time passes without news.
     fn moves(&self) -> bool {
         let flows = highest(&self.captured) > 0.0 || highest(&self.verified) > 0.0;
         let pending = || self.pending.iter().map(|count| count.unwrap_or(0.0));
@@ -100,13 +100,13 @@ impl Flow {
     }
 }
 
-/// The highest of the values that are known.
+/// The highest known value.
 pub fn highest(values: &[Option<f64>]) -> f64 {
     values.iter().flatten().copied().fold(0.0, f64::max)
 }
 
 impl History {
-    /// Takes note of what the site says now.
+    /// Records the site's present figures.
     pub fn observe(&mut self, site: &SiteView, now: Timestamp) {
         let life = &site.life;
         let point = Point {
@@ -117,7 +117,7 @@ impl History {
             spread: site.verified_after.clone(),
         };
         if let Some(last) = self.points.back() {
-            // Another site, or another chain: what was counted before says nothing.
+            // Another site, or another chain: earlier counts say nothing.
             if last.captured > point.captured || last.verified > point.verified || last.at > now {
                 self.points.clear();
             } else if now.0 - last.at.0 > QUIET {
@@ -143,8 +143,8 @@ impl History {
         });
     }
 
-    /// Figures of the period that ends now, in so many parts. Parts lie on a grid of time, so that they move on in
-    /// whole parts only.
+    /// Figures of the period that ends now, in this many parts. Parts lie on a grid of time, so that they move in whole
+    /// parts only.
     pub fn flow(&self, period: Period, parts: usize, now: Timestamp) -> Flow {
         let part = part(period, parts);
         let end = now.0 / part * part;
@@ -161,7 +161,7 @@ impl History {
         }
     }
 
-    /// When the graph moves on though nothing is told; `None` = it shows nothing that could move.
+    /// When the graph moves on without news; `None` = it shows nothing that could move.
     pub fn moves_at(&self, period: Period, parts: usize, now: Timestamp) -> Option<Timestamp> {
         let part = part(period, parts);
         let moves = self.flow(period, parts, now).moves();
@@ -179,7 +179,7 @@ impl History {
         self.points.get(behind.checked_sub(1)?)
     }
 
-    /// What a count was at a moment: between two points as if it had grown evenly.
+    /// The value of a count at a moment: interpolated between two points as if it had grown evenly.
     fn count(&self, at: Timestamp, of: fn(&Point) -> u64) -> Option<f64> {
         let behind = self.points.partition_point(|point| point.at <= at);
         let before = self.points.get(behind.checked_sub(1)?)?;
@@ -193,7 +193,7 @@ impl History {
         Some((self.count(to, of)? - self.count(from, of)?) / seconds)
     }
 
-    /// Seconds within which `percent` of a hundred records were verified, of those that were between two moments.
+    /// Seconds within which `percent` of a hundred records were verified, of those between two moments.
     fn within(&self, from: Timestamp, to: Timestamp, percent: u64) -> Option<f64> {
         let (first, last) = (&self.before(from)?.spread, &self.before(to)?.spread);
         let counted = |end: u64| first.iter().find(|(other, _)| *other == end).map_or(0, |(_, count)| *count);

@@ -1,5 +1,5 @@
-//! Commands that need an identity: they wait while the operator is led through making,
-//! unlocking and registering one, and then go on their way.
+//! Commands that need an identity: they wait while the operator is led through creating, unlocking and registering one,
+//! and are then sent.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
@@ -28,7 +28,7 @@ pub struct IdentityPath {
     errands: Vec<Errand>,
 }
 
-/// Sends the errands as soon as the identity they need is there.
+/// Sends the waiting commands as soon as the identity they need is there.
 pub fn run(state: &mut State, need: Need, errands: Vec<Errand>) -> Vec<Effect> {
     match &mut state.identity_path {
         Some(path) => {
@@ -40,7 +40,7 @@ pub fn run(state: &mut State, need: Need, errands: Vec<Errand>) -> Vec<Effect> {
     advance(state)
 }
 
-/// Takes the next step of the path that waits, if any.
+/// Takes the next step of the waiting path, if any.
 pub fn advance(state: &mut State) -> Vec<Effect> {
     let under_way = state.work.iter().any(|tag| matches!(tag, Tag::CreateIdentity | Tag::Unlock | Tag::Register));
     let asking = state.popups.iter().any(is_identity_form);
@@ -60,8 +60,8 @@ pub fn advance(state: &mut State) -> Vec<Effect> {
     Vec::new()
 }
 
-/// Asks once, at the start, for the passphrase of a locked keyring, unless a key was pressed before: until then
-/// nothing that is watched is captured. Where the keyring was opened in another way, nothing is asked any more.
+/// Asks once, at the start, for the passphrase of a locked keyring, unless a key was pressed before: until then watched
+/// topics are not captured. If the keyring is opened in another way, nothing is asked any more.
 pub fn greet(state: &mut State) {
     if state.identity.as_ref().is_some_and(|identity| identity.unlocked) {
         return state.popups.retain(|popup| !matches!(popup, Popup::Form(Purpose::Unlock, _)));
@@ -72,7 +72,7 @@ pub fn greet(state: &mut State) {
     }
 }
 
-/// The operator gave up; what waited is dropped and named.
+/// The operator cancelled; what waited is dropped and named.
 pub fn abandon(state: &mut State) {
     if let Some(path) = state.identity_path.take() {
         let dropped: Vec<String> = path.errands.iter().map(|errand| errand.tag.words()).collect();
@@ -82,7 +82,7 @@ pub fn abandon(state: &mut State) {
     }
 }
 
-/// The keys were made, or not.
+/// The keys were created, or not.
 pub fn made(state: &mut State, result: Result<IdentityView, Failure>) -> Vec<Effect> {
     opened(state, result, Purpose::CreateIdentity, "identity created")
 }

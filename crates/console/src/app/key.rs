@@ -1,4 +1,4 @@
-//! Keys as the console knows them, and as `keymap.toml` writes them, free of any terminal library.
+//! Keys as the console knows them, and as `keymap.toml` writes them, independent of any terminal library.
 
 /// One key press. Alt, function keys and terminal-specific ones do not exist here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -61,7 +61,7 @@ impl Key {
         }
     }
 
-    /// From the way [`Key::label`] writes it; `None` = no key that every terminal can send.
+    /// Parses what [`Key::label`] writes; `None` = not a key that every terminal can send.
     pub fn from_label(label: &str) -> Option<Self> {
         let named = NAMED.iter().find(|key| key.label() == label).copied();
         named.or_else(|| Self::letter(label))
@@ -101,7 +101,7 @@ const NAMED: [Key; 15] = [
     Key::End,
 ];
 
-/// Several keys one after the other, as written in help and bottom bar: `z t`.
+/// Several keys in sequence, as written in help and bottom bar: `z t`.
 pub fn chord_label(keys: &[Key]) -> String {
     keys.iter().map(|key| key.label()).collect::<Vec<_>>().join(" ")
 }

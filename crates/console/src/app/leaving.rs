@@ -1,5 +1,5 @@
-//! Leaving: what stops with this console and what goes on without it; at once, when all is verified, or after
-//! the capture was held so that it can be.
+//! Leaving: what stops with this console and what goes on without it; at once, when all is verified, or after the
+//! capture was paused so that it can be.
 
 use super::action::{Effect, Errand, Tag};
 use super::feed::Feed;
@@ -12,11 +12,11 @@ use crate::service::{Command, Operation};
 /// How far leaving has come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Leaving {
-    /// It is asked about.
+    /// The question is on screen.
     Asked,
     /// When everything is verified.
     WhenVerified,
-    /// The capture is held; when everything is verified.
+    /// The capture is paused; when everything is verified.
     Held,
 }
 
@@ -35,7 +35,7 @@ impl Behind {
         Self { captured: captured(state), ends, pending: state.pending_records() }
     }
 
-    /// What becomes of the capture.
+    /// The fate of the capture.
     fn capture(&self, state: &State) -> Vec<String> {
         let site = match Standing::of(state) {
             Some(Standing::Joined(0)) | None => "in the site".to_owned(),
@@ -101,7 +101,7 @@ impl Leaving {
 }
 
 impl Behind {
-    /// Whether the records end only once the capture is held.
+    /// Whether all records can be verified only once the capture is paused.
     fn can_drain(&self) -> bool {
         self.ends && self.captured.is_some()
     }
@@ -112,7 +112,7 @@ pub fn asks(state: &State) -> bool {
     state.has_pending_work() || Behind::of(state).can_drain()
 }
 
-/// A key while it is asked about.
+/// A key while the question is on screen.
 pub fn key(state: &mut State, leaving: Leaving, key: Key) -> Vec<Effect> {
     match key {
         Key::Char('y') | Key::Control('c') => return vec![Effect::Quit],
@@ -146,7 +146,7 @@ pub fn is_over(state: &State) -> bool {
     }
 }
 
-/// Messages in memory that are no records yet; those of other profiles do not keep this one.
+/// Messages in memory that are not records yet; those of other profiles do not keep this one.
 fn waiting(state: &State) -> u64 {
     state.site.as_ref().filter(|site| site.profiles.len() <= 1).map_or(0, |site| site.queue.messages)
 }

@@ -1,4 +1,4 @@
-//! Locking: at the operator's word, or when nobody has touched a key for a while. What was decrypted leaves the
+//! Locking: on the operator's command, or when nobody has touched a key for a while. What was decrypted leaves the
 //! screen at once; the site wipes the keys and answers when that is done.
 
 use super::action::{Effect, Errand, Tag};
@@ -22,7 +22,7 @@ pub fn lock(state: &mut State) -> Vec<Effect> {
     vec![state.send(Errand { command: Command::Operate(Operation::Lock), tag: Tag::Lock })]
 }
 
-/// When the keyring locks by itself unless a key is pressed before.
+/// When the keyring locks unless a key is pressed first.
 pub fn due(state: &State) -> Option<Timestamp> {
     let after = state.settings.lock_after?;
     let open = state.identity.as_ref().is_some_and(|identity| identity.unlocked);
@@ -30,7 +30,7 @@ pub fn due(state: &State) -> Option<Timestamp> {
     (open && !begun && state.touched.0 > 0).then(|| Timestamp(state.touched.0.saturating_add(after)))
 }
 
-/// Locks when the time has come.
+/// Locks when it is time.
 pub fn tick(state: &mut State) -> Vec<Effect> {
     if due(state).is_none_or(|at| at > state.now) {
         return Vec::new();

@@ -1,5 +1,5 @@
-//! The mouse, where the operator wants it: the wheel moves the cursor, a click chooses a screen
-//! or a row. It is off by default, so that the terminal's own selection works.
+//! The mouse, if the operator wants it: the wheel moves the cursor, a click chooses a screen or a row. It is off by
+//! default, so that the terminal's own selection works.
 
 use super::action::Effect;
 use super::key::Key;
@@ -55,7 +55,7 @@ pub fn click(state: &mut State, column: u16, row: u16) {
     }
 }
 
-/// The screen whose name stands there; where names have no room, nothing can be clicked.
+/// The screen whose name is there; if names do not fit, nothing can be clicked.
 fn named_at(columns: u16, column: u16) -> Option<Screen> {
     let gap = Screen::ALL.iter().map(|screen| screen.title().len() + 3).sum::<usize>() < usize::from(columns);
     let mut left = 0;

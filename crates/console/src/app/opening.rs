@@ -13,7 +13,7 @@ use crate::service::Failure;
 use crate::service::command::ViewPath;
 use crate::service::reply::{OpenedView, PathView};
 
-/// Records of a path that the console asks for.
+/// Records of a path that the console requests.
 const PATH: usize = 200;
 
 /// Bytes on a line in hex.
@@ -26,7 +26,7 @@ pub enum Face {
     Readable,
     /// Points of a plane, or the path over the topic's records.
     Plot,
-    /// A small form of a picture.
+    /// A small version of a picture.
     Picture,
     /// Every field.
     Fields,
@@ -66,9 +66,9 @@ impl Face {
 pub struct Opening {
     /// The record, when it came.
     pub lookup: Lookup<OpenedView>,
-    /// Which of its faces.
+    /// The face in view.
     pub face: usize,
-    /// The path over its topic, once asked for.
+    /// The path over its topic, once requested.
     pub path: Option<Lookup<PathView>>,
 }
 
@@ -101,7 +101,7 @@ impl Opening {
         self.lookup.scroll = 0;
     }
 
-    /// The path is asked for when it is to be seen, once.
+    /// The path is requested when it is to be shown, once.
     fn wants_path(&mut self) -> Option<Errand> {
         let plot = self.lookup.found()?.readable.as_ref()?.plot.as_ref()?;
         if self.shown() != Face::Plot || !plot.path || plot.points.len() > 1 || self.path.is_some() {
@@ -158,7 +158,7 @@ pub fn key(state: &mut State, mut opening: Opening, key: Key) -> Vec<Effect> {
     effects
 }
 
-/// The record above or below in the list takes the place of the one in view.
+/// The record above or below in the list replaces the one in view.
 pub fn neighbour(state: &mut State, popup: Popup, by: isize) -> Vec<Effect> {
     let before = state.row_key();
     let keys = state.row_keys();
@@ -198,7 +198,7 @@ fn find<'a>(state: &'a mut State, id: &str) -> Option<&'a mut Opening> {
     })
 }
 
-/// What `W` writes of an opened record: its picture, else its bytes, else its fields; `None` where it is too long.
+/// What `W` writes for an opened record: its picture, or else its bytes, or else its fields; `None` if it is too long.
 fn writable(view: &OpenedView) -> Option<Contents> {
     let stem: String = view.record.topic.trim_matches('/').chars().map(file_character).collect();
     let named = |extension: &str, bytes: &[u8]| Contents {

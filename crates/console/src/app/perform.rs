@@ -31,7 +31,7 @@ use crate::model::TopicName;
 use crate::service::reply::TopicRow;
 use crate::service::{Command, Operation};
 
-/// Does `verb`, or says why it cannot be done now.
+/// Performs `verb`, or says why that is not possible now.
 pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
     if let Err(reason) = available(state, verb) {
         let name = super::verb::entry_of(verb, state.screen).map_or("", |entry| entry.name);
@@ -119,7 +119,7 @@ fn go(state: &mut State, screen: Screen) {
     state.screen = screen;
 }
 
-/// All screens stand still at this moment, or live on.
+/// All screens freeze at this moment, or follow again.
 fn freeze(state: &mut State) {
     state.frozen = if state.is_frozen() { None } else { Some(state.now) };
     state.feeds.gather();
@@ -200,7 +200,7 @@ fn record(state: &mut State, tag: fn(String) -> Tag, command: fn(String) -> Comm
     identity_path::run(state, need, vec![Errand { command: command(id.clone()), tag: tag(id) }])
 }
 
-/// For the marked rows, else for the one of the cursor.
+/// For the marked rows, or else for the one under the cursor.
 fn send_for_rows(state: &mut State, tag: fn(String) -> Tag, command: fn(String) -> Command) -> Vec<Effect> {
     let marked: Vec<String> = state.table().map(|table| table.marks.iter().cloned().collect()).unwrap_or_default();
     let ids = if marked.is_empty() { state.row_key().into_iter().collect() } else { marked };
@@ -209,7 +209,7 @@ fn send_for_rows(state: &mut State, tag: fn(String) -> Tag, command: fn(String) 
     fresh.into_iter().map(|errand| state.send(errand)).collect()
 }
 
-/// The topic under the cursor, where its name is one.
+/// The topic under the cursor, if its name is one.
 fn selected_topic(state: &mut State) -> Option<(TopicRow, TopicName)> {
     let row = state.topics.selected()?.clone();
     match row.topic.parse() {
@@ -284,13 +284,13 @@ fn quit(state: &mut State) -> Vec<Effect> {
     Vec::new()
 }
 
-/// Gives a text to the terminal, which alone knows whether it took it.
+/// Gives a text to the terminal; only the terminal knows whether it took it.
 pub fn copy(state: &mut State, text: String) -> Effect {
     state.inform(format!("sent to the terminal's clipboard: {text}"));
     Effect::CopyText(text)
 }
 
-/// The same as a file, for terminals that take nothing from a program.
+/// The same as a file, for terminals that accept nothing from a program.
 fn write_file(state: &State, text: &str) -> Effect {
     let name = format!("{}.txt", state.screen.title().to_lowercase());
     let file = Contents { name, bytes: format!("{text}\n").into_bytes().into() };
@@ -316,7 +316,7 @@ pub fn copied(state: &State) -> Option<String> {
     }
 }
 
-/// The data a screen needs besides its own: grants are asked for before a confirmation.
+/// The data a screen needs besides its own: grants are requested before a confirmation.
 pub fn wants_grants(state: &State) -> Option<Feed> {
     let asks = state
         .popups

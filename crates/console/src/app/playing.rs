@@ -1,4 +1,4 @@
-//! Shared records into the reader's own ROS: one key begins it for the topic under the cursor, live, and ends it.
+//! Shared records into the reader's own ROS: one key starts it for the topic under the cursor, live, and ends it.
 
 use super::action::{Effect, Errand, Tag};
 use super::identity_path::{self, Need};
@@ -8,7 +8,7 @@ use crate::service::Command;
 use crate::service::command::{Pace, PlayWishes};
 use crate::service::reply::{PlayEnd, PlayedView};
 
-/// Plays the selected record's topic under `/shared/NAME`, or ends what is played.
+/// Plays the selected record's topic under `/shared/NAME`, or ends the playback.
 pub fn toggle(state: &mut State) -> Vec<Effect> {
     if state.work.iter().any(|tag| matches!(tag, Tag::Play(_))) {
         return vec![state.send(Errand { command: Command::StopPlay, tag: Tag::StopPlay })];
@@ -32,7 +32,7 @@ pub fn toggle(state: &mut State) -> Vec<Effect> {
     identity_path::run(state, Need::Unlocked, vec![Errand { command: Command::Play(wishes), tag: Tag::Play(played) }])
 }
 
-/// `/shared/` and the owner's name as a graph can have it, else the beginning of the address.
+/// `/shared/` and the owner's name in a form that a graph allows, or else the beginning of the address.
 fn prefix(owner: Address, name: Option<&str>) -> Option<TopicName> {
     let plain = |name: &str| name.replace(|letter: char| !letter.is_ascii_alphanumeric(), "_");
     let of_name = name.and_then(|name| format!("/shared/{}", plain(name)).parse().ok());
@@ -42,7 +42,7 @@ fn prefix(owner: Address, name: Option<&str>) -> Option<TopicName> {
     })
 }
 
-/// What is said when it has ended.
+/// The message when it has ended.
 pub fn ended(state: &mut State, view: &PlayedView) {
     let published = view.published;
     let not = view.refused + view.missing;

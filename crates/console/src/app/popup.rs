@@ -1,4 +1,4 @@
-//! What can lie over a screen. The topmost popup has the keys; `q` or Esc closes it.
+//! The popups over a screen. The topmost popup has the keys; `q` or Esc closes it.
 
 use super::action::Errand;
 use super::administration::Act;
@@ -19,7 +19,7 @@ use super::verb::{Entry, VERBS};
 use crate::service::Failure;
 use crate::service::reply::{PinsView, Provenance};
 
-/// Something over the screen.
+/// A popup over the screen.
 #[derive(Debug)]
 #[allow(clippy::large_enum_variant, reason = "a handful at a time, and rarely moved")]
 pub enum Popup {
@@ -31,19 +31,19 @@ pub enum Popup {
     Confirm(Confirm),
     /// A form.
     Form(Purpose, Form),
-    /// Where a record comes from and where it stands.
+    /// A record's provenance and state.
     Provenance(Lookup<Provenance>),
     /// An opened record.
     Record(Opening),
-    /// The first keys of a chord; what may follow is shown.
+    /// The first keys of a chord; the possible next keys are shown.
     Chord(Vec<Key>),
     /// Choosing of a theme.
     Themes(ThemeChoice),
-    /// Publishers of a topic: pinned, doubted, held back.
+    /// Publishers of a topic: pinned, suspect, quarantined.
     Publishers(Lookup<PinsView>),
     /// Who can read these topics now; empty = all.
     Readers(Vec<String>),
-    /// What is under way and what waits.
+    /// Running commands and what waits.
     Tasks,
     /// A line of the log, whole.
     Line(LogLine),
@@ -55,7 +55,7 @@ pub enum Popup {
     Quit(Leaving),
 }
 
-/// What a form is for.
+/// The purpose of a form.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Purpose {
     /// Passphrase of a new identity.
@@ -64,11 +64,11 @@ pub enum Purpose {
     Unlock,
     /// Terms of a grant.
     Grant,
-    /// A later end of a grant.
+    /// A new end for a grant.
     Extend,
     /// A key file.
     LoadKey,
-    /// Which key to hand out.
+    /// Which key to export.
     ExportKey,
     /// The account of an administrator's act.
     Administer(Act),
@@ -80,7 +80,7 @@ pub enum Purpose {
     Unpin,
 }
 
-/// A question answered by `y`; anything else is no.
+/// A question answered by `y`; anything else means no.
 #[derive(Debug)]
 pub struct Confirm {
     /// The question.
@@ -89,30 +89,30 @@ pub struct Confirm {
     pub lines: Vec<String>,
     /// The word beside `y`.
     pub yes: &'static str,
-    /// What is to be typed instead of `y`, where the act is grave.
+    /// What must be typed instead of `y`, if the act is grave.
     pub typed: Option<Typed>,
     /// What `y` sends.
     pub errand: Errand,
 }
 
-/// Something asked for by id, shown when it comes.
+/// Something requested by id, shown when it arrives.
 #[derive(Debug)]
 pub struct Lookup<T> {
-    /// What was asked for.
+    /// The request.
     pub id: String,
-    /// The answer, when it came.
+    /// The answer, once it has arrived.
     pub answer: Option<Result<Box<T>, Failure>>,
     /// First line shown.
     pub scroll: usize,
 }
 
 impl<T> Lookup<T> {
-    /// Asked for, not yet here.
+    /// Requested, not here yet.
     pub fn new(id: &str) -> Self {
         Self { id: id.to_owned(), answer: None, scroll: 0 }
     }
 
-    /// The answer, where it came and is good.
+    /// The answer, if it has arrived and is not a failure.
     pub fn found(&self) -> Option<&T> {
         self.answer.as_ref()?.as_ref().ok().map(Box::as_ref)
     }
@@ -123,7 +123,7 @@ impl<T> Lookup<T> {
 pub struct Help {
     /// First line shown.
     pub scroll: usize,
-    /// What is typed behind `/`.
+    /// What is typed after `/`.
     pub filter: Field,
     /// Whether it is being typed.
     pub filtering: bool,
@@ -136,12 +136,12 @@ pub struct Help {
 pub struct Palette {
     /// What is typed.
     pub field: Field,
-    /// Which of the matches.
+    /// The selected match.
     pub selected: usize,
 }
 
 impl Palette {
-    /// The commands that match: what can be done first, best match first.
+    /// The matching commands: available ones first, best match first.
     pub fn matches(&self, state: &State) -> Vec<&'static Entry> {
         let score = |entry: &'static Entry| {
             let name = fuzzy::score(self.field.text(), entry.name);

@@ -96,7 +96,7 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
     }
 }
 
-/// Whether a `?` is a part of what is typed into the topmost popup, or its own to answer.
+/// Whether a `?` is part of what is typed into the topmost popup, or the popup handles it itself.
 fn takes_text(state: &State) -> bool {
     match state.popups.last() {
         Some(Popup::Form(_, form)) => {
@@ -180,7 +180,7 @@ fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect>
     Vec::new()
 }
 
-/// A command's name and the terms behind it, where there are any.
+/// A command's name and the terms after it, if there are any.
 fn with_terms<'a>(words: &'a [&'a str]) -> Option<(&'a str, &'a [&'a str])> {
     words.split_first().filter(|(_, terms)| !terms.is_empty()).map(|(name, terms)| (*name, terms))
 }
@@ -248,13 +248,13 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
     }
 }
 
-/// A no: neither the act nor what was to follow it.
+/// A no: neither the act nor what was to follow it happens.
 fn unasked(state: &mut State) -> Vec<Effect> {
     state.follow_up = None;
     Vec::new()
 }
 
-/// How much of an identity the act needs; pins need none that is open.
+/// How much of an identity the act needs; pins do not need an open one.
 #[deny(clippy::wildcard_enum_match_arm)]
 fn need_of(confirm: &Confirm) -> Option<Need> {
     match confirm.errand.tag {
@@ -284,13 +284,13 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
         }
         FormStep::Cancel => {}
         FormStep::Submit => match submit(state, purpose, &form) {
-            // The form stays below its question, for a "no" to come back to.
+            // The form stays below its question, so that a "no" returns to it.
             Ok(effects) if matches!(state.popups.last(), Some(Popup::Confirm(_))) => {
                 state.popups.insert(state.popups.len() - 1, Popup::Form(purpose, form));
                 return effects;
             }
             Ok(effects) => {
-                // A contact that is refused is asked for again.
+                // A refused contact is asked for again.
                 if let Some(tag) = state.work.last().filter(|_| purpose == Purpose::AddContact).cloned() {
                     state.filled = Some((tag, purpose, form));
                 }

@@ -21,15 +21,15 @@ pub fn open(state: &mut State) {
     state.popups.push(Popup::Form(Purpose::Profile, Form::new("Speak for another profile", notes, lines)));
 }
 
-/// The profile of a filled form.
+/// The profile of a completed form.
 ///
 /// # Errors
-/// The line that is wrong, and why.
+/// The field in error, and why.
 pub fn read(form: &Form) -> Result<ProfileName, (usize, String)> {
     form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))
 }
 
-/// Goes over to another profile: everything that was known is of the former one and is asked for anew.
+/// Switches to another profile: everything known belongs to the previous one and is requested anew.
 pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
     if profile == state.settings.profile {
         state.inform(format!("this console speaks for {profile} already"));
@@ -50,7 +50,7 @@ pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
     next.log = std::mem::take(&mut state.log);
     next.screen = Screen::Overview;
     next.former = Some(state.settings.profile.clone());
-    // What the former profile asked for is still answered, and is not for this one.
+    // Requests of the previous profile are still answered, but not for this one.
     next.feeds.follow(&state.feeds);
     *state = next;
     state.inform(format!("this console now speaks for {profile}"));

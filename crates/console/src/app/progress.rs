@@ -1,25 +1,25 @@
-//! How far imports and exports are, and how long they take at the pace so far.
+//! The progress of imports and exports, and how long they will take at the pace so far.
 
 use crate::model::Timestamp;
 use crate::service::reply::ProgressView;
 
-/// Less of a run says nothing of its pace, nanoseconds.
+/// A shorter run says nothing about its pace, nanoseconds.
 const LEAST: u64 = 2_000_000_000;
 
 /// One import or export.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Run {
     view: ProgressView,
-    /// When its present step was first seen, and how far it was then.
+    /// When its present step was first seen, and its progress then.
     seen: (Timestamp, u64),
 }
 
-/// All that run.
+/// All current runs.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Progress(Vec<Run>);
 
 impl Progress {
-    /// Takes over how far they are now.
+    /// Takes over their present progress.
     pub fn set(&mut self, views: Vec<ProgressView>, now: Timestamp) {
         let before = std::mem::take(&mut self.0);
         let same = |view: &ProgressView, run: &&Run| run.view.file == view.file && run.view.step == view.step;
@@ -61,7 +61,7 @@ impl Run {
     }
 }
 
-/// Coarse, so that it is not another figure at each look.
+/// Coarse, so that it does not change at each look.
 fn length(seconds: u64) -> String {
     match seconds {
         0..10 => "10 s".to_owned(),

@@ -1,21 +1,21 @@
-//! How fast records pass the life line, from the counts of successive answers.
+//! How fast records pass each stage, from the counts of successive answers.
 
 use crate::model::Timestamp;
 use crate::service::reply::LifeLine;
 
-/// The shortest time over which a rate is taken, nanoseconds.
+/// The shortest time over which a rate is computed, nanoseconds.
 const WINDOW: u64 = 2_000_000_000;
-/// Without news for so long nothing flows any more, nanoseconds.
+/// After this long without news, the rates are zero, nanoseconds.
 const STILL_AFTER: u64 = 6_000_000_000;
 
-/// Stations of the life line: captured, sealed, stored, anchored, confirmed, verified.
+/// Stages of a record: captured, sealed, stored, anchored, confirmed, verified.
 pub const STATIONS: usize = 6;
 
-/// Records a second at each station of the life line.
+/// Records per second at each stage.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Rates {
     base: Option<(Timestamp, [u64; STATIONS])>,
-    /// Records a second, by station.
+    /// Records per second, by stage.
     pub stations: [f64; STATIONS],
 }
 
@@ -24,7 +24,7 @@ fn counts(life: &LifeLine) -> [u64; STATIONS] {
 }
 
 impl Rates {
-    /// Takes note of the counts at a moment.
+    /// Takes in the counts at a moment.
     pub fn observe(&mut self, life: &LifeLine, now: Timestamp) {
         let counts = counts(life);
         let Some((since, before)) = self.base else {
@@ -40,23 +40,23 @@ impl Rates {
         self.base = Some((now, counts));
     }
 
-    /// Captured a second.
+    /// Captured per second.
     pub fn captured(&self) -> f64 {
         self.stations[0]
     }
 
-    /// Verified a second.
+    /// Verified per second.
     pub fn verified(&self) -> f64 {
         self.stations[STATIONS - 1]
     }
 
-    /// When the rates fall to nothing unless something arrives before.
+    /// When the rates become zero unless something arrives before.
     pub fn still_at(&self) -> Option<Timestamp> {
         let flows = self.stations.iter().any(|rate| *rate > 0.0);
         self.base.filter(|_| flows).map(|(since, ..)| Timestamp(since.0.saturating_add(STILL_AFTER)))
     }
 
-    /// Lets the rates fall to nothing when their time has come.
+    /// Sets the rates to zero when it is time.
     pub fn settle(&mut self, now: Timestamp) {
         if self.still_at().is_some_and(|at| at <= now) {
             *self = Self::default();

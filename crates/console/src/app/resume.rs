@@ -1,4 +1,4 @@
-//! What a console remembers of its last run: screen, filters, orders. Kept in a file, read back at the next start.
+//! What a console remembers of its last run: screen, filters, orders. Kept in a file, read at the next start.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,16 +12,16 @@ use crate::service::NoticeLevel;
 /// One table's filter and order.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KeptTable {
-    /// Text of the filter.
+    /// The text of the filter.
     pub filter: String,
     /// Which column sorts.
     pub sort: usize,
-    /// Whether the order is turned round.
+    /// Whether the order is reversed.
     #[serde(default)]
     pub reversed: bool,
 }
 
-/// What is remembered.
+/// The remembered state.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Kept {
@@ -31,7 +31,7 @@ pub struct Kept {
     pub tables: Vec<KeptTable>,
     /// The least urgent level of the log: 0 to 2.
     pub level: u8,
-    /// Whether local times stand beside UTC.
+    /// Whether local times are shown beside UTC.
     pub local_time: bool,
 }
 
@@ -61,7 +61,7 @@ pub fn kept(state: &State) -> Kept {
     }
 }
 
-/// Takes up where the last run was left; what makes no sense here is left as it is.
+/// Restores the state of the last run; what makes no sense here is left as it is.
 pub fn recall(state: &mut State, kept: &Kept) {
     if let Some(screen) = Screen::ALL.into_iter().find(|screen| screen.title() == kept.screen) {
         state.screen = screen;

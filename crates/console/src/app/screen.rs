@@ -5,7 +5,7 @@ use super::feed::Feed;
 /// A screen; number keys 1 to 9 switch in this order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Screen {
-    /// Health, life line, alerts, busiest topics, first steps.
+    /// Health, record counts, alerts, busiest topics, first steps.
     Overview,
     /// Topics of the ROS graph.
     Topics,
@@ -59,7 +59,7 @@ impl Screen {
         self as usize
     }
 
-    /// The screen so many places on, around the corner.
+    /// The screen this many places further, wrapping around.
     pub fn shifted(self, by: isize) -> Self {
         let count = Self::ALL.len().cast_signed();
         let place = (self.index().cast_signed() + by).rem_euclid(count);
@@ -86,7 +86,7 @@ impl Screen {
         matches!(self, Self::Topics | Self::Uploads | Self::Shared | Self::Grants | Self::Gateway | Self::Log)
     }
 
-    /// Whether the lines of its table can be sorted by `s`.
+    /// Whether `s` can sort the lines of its table.
     pub fn sorts(self) -> bool {
         matches!(self, Self::Topics | Self::Uploads | Self::Shared | Self::Grants | Self::Gateway)
     }

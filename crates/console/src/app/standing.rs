@@ -1,4 +1,4 @@
-//! Where the site runs, and whether what is watched is captured: what must never be off without being seen.
+//! Where the site runs, and whether watched topics are captured: what must never be off unnoticed.
 
 use super::state::State;
 use crate::service::reply::{HeldUp, TopicRow};
@@ -8,7 +8,7 @@ use crate::service::reply::{HeldUp, TopicRow};
 pub enum Standing {
     /// In this process: it ends with the console.
     Host,
-    /// In another process, which goes on; 0 = one that does not tell its number.
+    /// In another process, which continues; 0 = one that does not report its number.
     Joined(u32),
 }
 
@@ -19,7 +19,7 @@ impl Standing {
         Some(if process == state.settings.process { Self::Host } else { Self::Joined(process) })
     }
 
-    /// As the header says it.
+    /// The header's text for it.
     pub fn badge(self) -> String {
         match self {
             Self::Host => "HOST".to_owned(),
@@ -32,20 +32,20 @@ impl Standing {
 /// Whether a topic is captured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Capture {
-    /// Nobody asked for it.
+    /// Not watched.
     Unwatched,
-    /// It is.
+    /// Captured.
     Watched,
-    /// Not before the keyring was unlocked.
+    /// Not until the keyring is unlocked.
     WaitsForKey,
-    /// Held back for a while.
+    /// Paused.
     Paused,
-    /// It would be, but nobody publishes it.
+    /// Waiting for somebody to publish it.
     NoPublisher,
 }
 
 impl Capture {
-    /// How it stands with a topic; the worst word wins.
+    /// The state of a topic; the worst one wins.
     pub fn of(row: &TopicRow) -> Self {
         match row {
             TopicRow { watched: false, .. } => Self::Unwatched,
@@ -68,7 +68,7 @@ impl Capture {
     }
 }
 
-/// How many topics stand so.
+/// How many topics are in this state.
 pub fn count(state: &State, capture: Capture) -> usize {
     state.topics.rows.iter().filter(|row| Capture::of(row) == capture).count()
 }
@@ -83,7 +83,7 @@ pub fn captured(state: &State) -> Option<String> {
     })
 }
 
-/// What is not captured though it is watched, and why; `None` = there is none.
+/// What is watched but not captured, and why; `None` = there is none.
 pub fn not_captured(state: &State) -> Option<String> {
     let topics = |count: usize| if count == 1 { "1 topic".to_owned() } else { format!("{count} topics") };
     match (count(state, Capture::WaitsForKey), count(state, Capture::Paused)) {

@@ -1,4 +1,4 @@
-//! All the console knows and shows.
+//! Everything the console knows and shows.
 
 use std::path::PathBuf;
 
@@ -28,10 +28,10 @@ use crate::model::{Address, ProfileName, Timestamp};
 use crate::service::reply::{ChainView, ContactRow, IdentityView, KeysView, SiteView};
 use crate::service::{Failure, NoticeLevel};
 
-/// Rows of the screen that are no table rows: header, tabs, title, columns, message, bar.
+/// Rows of the screen that are not table rows: header, tabs, title, columns, message, bar.
 pub const FRAME_ROWS: u16 = 6;
 
-/// Time between two questions for how far what runs is, nanoseconds.
+/// Interval between requests for the progress of running imports and exports, nanoseconds.
 const PROGRESS_EVERY: u64 = 1_000_000_000;
 /// Parts of a period that a graph shows, each a column.
 pub const GRAPH_PARTS: usize = 45;
@@ -43,9 +43,9 @@ pub struct Settings {
     pub profile: ProfileName,
     /// Hide what changes keys, grants or records.
     pub read_only: bool,
-    /// Where relative paths begin.
+    /// Where relative paths start.
     pub directory: PathBuf,
-    /// What `~` means.
+    /// The meaning of `~`.
     pub home: Option<PathBuf>,
     /// Which keys do what.
     pub keymap: Keymap,
@@ -61,30 +61,30 @@ pub struct Settings {
     pub asks_passphrase: bool,
     /// The profiles of the home, as they were at the start.
     pub profiles: Vec<ProfileName>,
-    /// Who is who in the tour that begins with the console.
+    /// Who is who in the tour, if the console starts with it.
     pub tour: Option<Cast>,
 }
 
-/// All the console knows and shows.
+/// Everything the console knows and shows.
 #[derive(Debug)]
 pub struct State {
     /// What does not change.
     pub settings: Settings,
-    /// The last moment heard of.
+    /// The latest known time.
     pub now: Timestamp,
     /// Columns and rows of the terminal.
     pub size: (u16, u16),
     /// The screen in view.
     pub screen: Screen,
-    /// The moment at which the view stands still, if it does.
+    /// The moment at which the view is frozen, if it is.
     pub frozen: Option<Timestamp>,
     /// Whether any key was pressed, or the passphrase was asked for, since the start.
     pub greeted: bool,
     /// Name of the theme in use.
     pub theme: String,
-    /// Whether the mouse is the console's.
+    /// Whether the console has the mouse.
     pub mouse: bool,
-    /// How the questions to the site stand.
+    /// The state of the requests to the site.
     pub feeds: Feeds,
     /// The profile's public side.
     pub identity: Option<IdentityView>,
@@ -92,19 +92,19 @@ pub struct State {
     pub keys: Option<KeysView>,
     /// The site at a glance.
     pub site: Option<SiteView>,
-    /// How fast records flow.
+    /// Their flow over the last hour.
     pub rates: Rates,
-    /// How they flowed over the last hour.
+    /// Their flow over the last hour.
     pub history: History,
-    /// Over how long the graphs look back.
+    /// The period of the graphs.
     pub period: Period,
-    /// Imports and exports that run.
+    /// Current imports and exports.
     pub progress: Progress,
-    /// When that was heard.
+    /// When they were reported.
     pub progress_at: Timestamp,
     /// The pane beside a list.
     pub detail: Detail,
-    /// What needs attention, or did lately.
+    /// What needs attention, or did recently.
     pub alerts: AlertBook,
     /// The chain.
     pub chain: Option<ChainView>,
@@ -118,11 +118,11 @@ pub struct State {
     pub grants: Grants,
     /// Notices and audit.
     pub log: Log,
-    /// What lies over the screen, topmost last.
+    /// The popups over the screen, topmost last.
     pub popups: Vec<Popup>,
     /// Messages.
     pub toasts: Toasts,
-    /// What was asked and not yet answered, besides the feeds.
+    /// Requests not yet answered, besides the feeds.
     pub work: Vec<Tag>,
     /// Commands that wait for an identity.
     pub identity_path: Option<IdentityPath>,
@@ -130,19 +130,19 @@ pub struct State {
     pub gateway: Gateway,
     /// The address book.
     pub contacts: Vec<ContactRow>,
-    /// The form behind the act that is under way, to come back to where it fails.
+    /// The form behind the running act, to return to if it fails.
     pub filled: Option<(Tag, Purpose, Form)>,
-    /// What is sent when the act of the tag is done, as one question asked for both.
+    /// What is sent when the act of the tag is done, because one question asked for both.
     pub follow_up: Option<(Tag, Errand)>,
     /// What undoing would do.
     pub undo: Option<Undo>,
     /// When a key was last pressed.
     pub touched: Timestamp,
-    /// Whether local times stand beside UTC.
+    /// Whether local times are shown beside UTC.
     pub local_time: bool,
-    /// The profile that this console spoke for before, until the present one is claimed.
+    /// The profile that this console spoke for before, until the current one is claimed.
     pub former: Option<ProfileName>,
-    /// The tour, while it goes on.
+    /// The tour, while it runs.
     pub tour: Option<Tour>,
 }
 
@@ -192,7 +192,7 @@ impl State {
         }
     }
 
-    /// Whether the view stands still.
+    /// Whether the view is frozen.
     pub fn is_frozen(&self) -> bool {
         self.frozen.is_some()
     }
@@ -230,20 +230,20 @@ impl State {
         moments.into_iter().flatten().min()
     }
 
-    /// When it is asked again how far what runs is: nothing tells of it.
+    /// When the progress of imports and exports is requested again: no event reports it.
     fn progress_asked_at(&self) -> Option<Timestamp> {
         let seen = matches!(self.popups.last(), Some(Popup::Tasks)) && !self.is_frozen();
         (seen && self.progress.any()).then(|| Timestamp(self.progress_at.0.saturating_add(PROGRESS_EVERY)))
     }
 
-    /// Asks again when it is time.
+    /// Sends the request again when it is time.
     pub fn ask_for_progress(&mut self) {
         if self.progress_asked_at().is_some_and(|at| at <= self.now) {
             self.feeds.slot_mut(Feed::Progress).stale = true;
         }
     }
 
-    /// When the graphs move on, where they are on screen.
+    /// When the graphs move on, if they are on screen.
     fn graphs_move_at(&self) -> Option<Timestamp> {
         let seen = self.screen == Screen::Overview && !self.is_frozen() && self.popups.is_empty();
         if seen { self.history.moves_at(self.period, GRAPH_PARTS, self.now) } else { None }
@@ -269,55 +269,55 @@ impl State {
         self.topics.rows.iter().any(|row| row.watched)
     }
 
-    /// Whether a feed's data is being asked for the first time.
+    /// Whether a feed's data is being requested for the first time.
     pub fn awaits(&self, feed: Feed) -> bool {
         !self.feeds.slot(feed).loaded && self.feeds.slot(feed).failure.is_none()
     }
 
-    /// Whether a feed stands still with the view. The identity never does, for commands wait
-    /// for it; nor do the counts while the console waits for them to be able to leave.
+    /// Whether a feed is frozen with the view. The identity never is, because commands wait for it; nor are the counts
+    /// while the console waits for them to be able to leave.
     pub fn holds(&self, feed: Feed) -> bool {
         let leaving = matches!(self.popups.last(), Some(Popup::Quit(_)));
         let needed = feed == Feed::Identity || feed == Feed::Site && leaving;
         let slot = self.feeds.slot(feed);
-        // Pages of the past may be turned; the question itself keeps out what came later.
+        // Pages of the past can still be turned; the request itself excludes what came later.
         let answered = slot.loaded && slot.told == slot.generation;
         self.is_frozen() && answered && !needed
     }
 
-    /// Tells the operator something for 3 s.
+    /// Shows the operator a message for 3 s.
     pub fn inform(&mut self, text: impl Into<String>) {
         self.toasts.push(NoticeLevel::Info, text.into(), self.now);
     }
 
-    /// Tells the operator something that waits to be seen.
+    /// Shows the operator a message until it is seen.
     pub fn warn(&mut self, text: impl Into<String>) {
         let text = text.into();
         self.log.notice(self.now, NoticeLevel::Warning, &text);
         self.toasts.push(NoticeLevel::Warning, text, self.now);
     }
 
-    /// `22:13:20`, with the local time beside it where that is wanted.
+    /// `22:13:20`, with the local time beside it if that is wanted.
     pub fn clock(&self, moment: Timestamp) -> String {
         let local = if self.local_time { self.settings.zone.clock(moment) } else { None };
         local.map_or_else(|| moment.clock(), |local| format!("{} {local}", moment.clock()))
     }
 
-    /// Tells the operator that something failed, until seen, and in the log.
+    /// Reports a failure to the operator, until seen, and in the log.
     pub fn complain(&mut self, text: impl Into<String>) {
         let text = text.into();
         self.log.notice(self.now, NoticeLevel::Error, &text);
         self.toasts.push(NoticeLevel::Error, text, self.now);
     }
 
-    /// Tells of a failed command.
+    /// Reports a failed command.
     pub fn complain_of(&mut self, tag: &Tag, failure: &Failure) {
         let text = format!("{}: {}", tag.words(), failure.message);
         self.log.notice(self.now, NoticeLevel::Error, &text);
         self.toasts.push_about(NoticeLevel::Error, text, self.now, Some(tag.words()));
     }
 
-    /// Sends a command on its way; an opened record gets its popup at once.
+    /// Sends a command; an opened record gets its popup at once.
     pub fn send(&mut self, errand: Errand) -> Effect {
         if let Tag::Open(id) = &errand.tag {
             self.popups.push(Popup::Record(Opening::new(id)));

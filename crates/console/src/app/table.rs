@@ -1,5 +1,5 @@
-//! A table's cursor, filter, sort order and marks. Rows are known by their keys, so that the
-//! cursor stays on its row while the list lives.
+//! A table's cursor, filter, sort order and marks. Rows are identified by their keys, so that the cursor stays on its
+//! row while the list changes.
 
 use std::collections::BTreeSet;
 
@@ -21,13 +21,13 @@ pub struct Table {
     pub filtering: bool,
     /// Which column sorts.
     pub sort: usize,
-    /// Whether the order is turned round.
+    /// Whether the order is reversed.
     pub reversed: bool,
     /// Keys of the marked rows.
     pub marks: BTreeSet<String>,
     /// Filters that were applied, the newest last.
     history: Vec<String>,
-    /// Which of them stands in the filter now, from the newest.
+    /// Which of them is in the filter now, counted from the newest.
     recalled: Option<usize>,
 }
 
@@ -50,7 +50,7 @@ impl Table {
         self.selected = keys.get(self.index).filter(|_| bound).map(|key| key.as_ref().to_owned());
     }
 
-    /// Whether the cursor is bound to a row, and not to the place of the first one.
+    /// Whether the cursor is bound to a row, rather than to the first place.
     pub fn is_bound(&self) -> bool {
         self.selected.is_some()
     }
@@ -62,7 +62,7 @@ impl Table {
         }
     }
 
-    /// Moves the cursor by so many rows; false where it could not move.
+    /// Moves the cursor by this many rows; false if it could not move.
     pub fn step<K: AsRef<str>>(&mut self, keys: &[K], by: isize) -> bool {
         let from = self.position(keys);
         let wanted = from.saturating_add_signed(by).min(keys.len().saturating_sub(1));
@@ -70,15 +70,15 @@ impl Table {
         wanted != from
     }
 
-    /// Marks the row of the cursor, or takes its mark away.
+    /// Marks the row of the cursor, or unmarks it.
     pub fn toggle_mark(&mut self, key: &str) {
         if !self.marks.remove(key) {
             self.marks.insert(key.to_owned());
         }
     }
 
-    /// Puts an earlier filter in place of the one that is typed, or a later one; false where something new is typed, or
-    /// there is none.
+    /// Replaces the filter being typed with an earlier one, or a later one; false if something new is typed, or there
+    /// is none.
     pub fn recall(&mut self, earlier: bool) -> bool {
         let untouched = match self.recalled {
             None => self.filter.text().is_empty() && earlier,
@@ -116,7 +116,7 @@ impl Table {
         }
     }
 
-    /// A key while the filter is typed; true where the filter's text may have changed.
+    /// A key while the filter is typed; true if the filter's text may have changed.
     pub fn filter_key(&mut self, key: Key) -> bool {
         match key {
             Key::Enter => {
@@ -129,7 +129,7 @@ impl Table {
                 return true;
             }
             _ => {
-                // What is typed looks for something new: the best match is the first row.
+                // Typing starts a new search: the best match is the first row.
                 (self.selected, self.index) = (None, 0);
                 return self.filter.key(key);
             }

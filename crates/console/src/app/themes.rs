@@ -1,4 +1,4 @@
-//! Choosing a theme: each is shown as the cursor comes to it, and Esc brings the old one back.
+//! Choosing a theme: each is shown as the cursor reaches it, and Esc restores the old one.
 
 use super::action::Effect;
 use super::key::Key;
@@ -8,9 +8,9 @@ use super::state::State;
 /// A theme being chosen.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ThemeChoice {
-    /// Which of the names.
+    /// The selected name.
     pub selected: usize,
-    /// The theme before, which Esc brings back.
+    /// The previous theme, which Esc restores.
     pub before: String,
 }
 

@@ -17,9 +17,9 @@ pub struct Toast {
     pub level: NoticeLevel,
     /// What happened.
     pub text: String,
-    /// When it goes by itself.
+    /// When it disappears.
     pub until: Option<Timestamp>,
-    /// What it is about, where a later one about the same takes its place.
+    /// Its subject, if a later message about the same replaces it.
     pub about: Option<String>,
 }
 
@@ -43,12 +43,12 @@ impl Toasts {
         }
     }
 
-    /// What was said about it before holds no longer.
+    /// What was said about it before no longer holds.
     pub fn supersede(&mut self, about: &str) {
         self.0.retain(|toast| toast.about.as_deref() != Some(about));
     }
 
-    /// What to show now: the newest result of what was asked, else the newest of the worst that nobody has seen.
+    /// What to show now: the newest result of a command, or else the newest of the worst that nobody has seen.
     pub fn shown(&self) -> Option<&Toast> {
         let newest = self.0.back().filter(|toast| toast.until.is_some());
         newest.or_else(|| self.0.iter().max_by_key(|toast| toast.level))
@@ -71,7 +71,7 @@ impl Toasts {
         self.0.retain(|toast| toast.until.is_none_or(|until| until > now));
     }
 
-    /// When the next one goes by itself.
+    /// When the next one disappears.
     pub fn next_expiry(&self) -> Option<Timestamp> {
         self.0.iter().filter_map(|toast| toast.until).min()
     }

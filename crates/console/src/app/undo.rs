@@ -1,5 +1,5 @@
-//! Taking the last act back, where that is true; where it would be another transaction, or where nothing can bring
-//! it back, that is said instead.
+//! Undoing the last act, if that is possible; if it would be another transaction, or nothing can undo it, that is said
+//! instead.
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
@@ -10,19 +10,19 @@ use super::state::State;
 use crate::model::TopicName;
 use crate::service::Command;
 
-/// What was done last, as far as undoing goes.
+/// The last act, as far as undoing is concerned.
 #[expect(clippy::large_enum_variant, reason = "there is one at a time")]
 #[derive(Debug, Clone)]
 pub enum Undo {
-    /// This takes it back, wholly.
+    /// This undoes it completely.
     By(Errand),
-    /// A grant: revoking it is another transaction, and nothing that was read meanwhile comes back.
+    /// A grant: revoking it is another transaction, and does not undo what was read meanwhile.
     Granted(String),
-    /// Nothing takes it back: why.
+    /// Nothing undoes it: why.
     Never(&'static str),
 }
 
-/// Notes what a command did that was asked for under `tag`.
+/// Notes the effect of the command with `tag`.
 pub fn note(state: &mut State, tag: &Tag) {
     let topic = |name: &String| name.parse::<TopicName>().ok();
     let undo = match tag {
@@ -61,7 +61,7 @@ pub fn note(state: &mut State, tag: &Tag) {
     }
 }
 
-/// Takes the last act back, or says why that cannot be.
+/// Undoes the last act, or says why that is not possible.
 pub fn undo(state: &mut State) -> Vec<Effect> {
     match state.undo.take() {
         Some(Undo::By(errand)) => return vec![state.send(errand)],

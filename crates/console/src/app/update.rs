@@ -23,7 +23,7 @@ use crate::service::command::{AuditQuery, RecordingProgress};
 use crate::service::reply::{Caveat, ShownState};
 use crate::service::{Command, Event, NoticeLevel, Operation, Part};
 
-/// The first effects of a console: claim the profile, ask for what is on screen.
+/// The first effects of a console: claim the profile, request what is on screen.
 pub fn start(state: &mut State) -> Vec<Effect> {
     let claim = Errand { command: Command::OpenConsole, tag: Tag::OpenConsole };
     let mut effects = vec![state.send(claim)];
@@ -31,7 +31,7 @@ pub fn start(state: &mut State) -> Vec<Effect> {
     effects
 }
 
-/// Takes one action.
+/// Handles one action.
 pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
     if matches!(action, Action::Key(_) | Action::Paste(_) | Action::Click { .. } | Action::Do(_)) {
         state.touched = state.now;
@@ -78,7 +78,7 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
 
 fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
     state.greeted = true;
-    // These two go before whatever lies over the screen.
+    // These two take precedence over any popup.
     for verb in [Verb::Suspend, Verb::Redraw] {
         if state.settings.keymap.is(key, verb, state.screen) {
             return perform(state, verb);
@@ -100,7 +100,7 @@ fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
 
 fn filter_or_move(state: &mut State, key: Key) -> Vec<Effect> {
     match key {
-        // In an empty filter the arrows go through earlier ones, else through the rows.
+        // In an empty filter the arrows go through earlier ones, otherwise through the rows.
         Key::Up | Key::Down if state.table_mut().is_some_and(|table| table.recall(key == Key::Up)) => {
             cursor::restart_records(state);
         }
@@ -143,7 +143,7 @@ fn refresh_provenance(state: &mut State) -> Vec<Effect> {
     vec![state.send(Errand { command: Command::ShowUpload { id }, tag })]
 }
 
-/// Whether nothing more is to come of a record.
+/// Whether a record is in its final state.
 pub fn is_settled(state: ShownState) -> bool {
     matches!(state, ShownState::Kept(RecordState::Verified) | ShownState::Verified(Caveat::NamesUnchecked))
 }
@@ -169,7 +169,7 @@ fn tick(state: &mut State, now: Timestamp) -> Vec<Effect> {
     lock::tick(state)
 }
 
-/// The tasks popup tells of the lanes, of imports and exports.
+/// The tasks popup shows the lanes, imports and exports.
 fn wants_tasks(state: &State) -> impl Iterator<Item = Feed> + use<> {
     let asked = matches!(state.popups.last(), Some(Popup::Tasks));
     [Feed::Chain, Feed::Progress].into_iter().filter(move |_| asked)
@@ -182,7 +182,7 @@ fn wants_contacts(state: &State) -> impl Iterator<Item = Feed> + use<> {
     [Feed::Contacts, Feed::Topics].into_iter().filter(move |_| asked)
 }
 
-/// Asks for what is on screen and out of date, one question per feed at a time.
+/// Requests what is on screen and out of date, with one request per feed at a time.
 fn pull(state: &mut State) -> Vec<Effect> {
     let always = [Feed::Site, Feed::Identity];
     let wanted = always
@@ -194,7 +194,7 @@ fn pull(state: &mut State) -> Vec<Effect> {
         .chain(wants_tasks(state));
     let mut wanted: Vec<Feed> = wanted.collect();
     if state.is_frozen() {
-        // All screens stand at one moment; what holds already is not asked again.
+        // All screens are frozen at one moment; data that is valid for it is not requested again.
         wanted.extend(Feed::ALL);
     }
     wanted.into_iter().filter_map(|feed| ask(state, feed)).collect()
@@ -213,7 +213,7 @@ fn ask(state: &mut State, feed: Feed) -> Option<Effect> {
     Some(Effect::Send(command, Tag::Feed(feed, slot.generation)))
 }
 
-/// The command of a feed; `None` while there is nothing to ask about.
+/// The command of a feed; `None` while there is nothing to request.
 fn question(state: &State, feed: Feed) -> Option<Command> {
     let exists = state.identity.as_ref().is_some_and(|identity| identity.exists);
     let rows = state.page_rows();
@@ -237,7 +237,7 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
     }
 }
 
-/// Information for the message line that is no toast: what is under way.
+/// Information for the message line that is not a toast: the running commands.
 pub fn under_way(state: &State) -> Option<String> {
     let mut work = state.work.iter().filter(|tag| tag.is_work());
     let first = work.next()?;

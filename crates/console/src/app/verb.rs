@@ -12,7 +12,7 @@ pub enum Verb {
     Go(Screen),
     /// To the next screen.
     NextScreen,
-    /// To the screen before.
+    /// To the previous screen.
     PreviousScreen,
     /// Cursor up.
     Up,
@@ -32,13 +32,13 @@ pub enum Verb {
     MarkAll,
     /// Type a filter.
     Filter,
-    /// To the next row that the filter lets through.
+    /// To the next row that matches the filter.
     NextMatch,
-    /// To the one before.
+    /// To the previous one.
     PreviousMatch,
     /// Sort by the next column.
     Sort,
-    /// Turn the order round.
+    /// Reverse the order.
     Reverse,
     /// Watch or unwatch the marked topics, or the selected one.
     Watch,
@@ -48,13 +48,13 @@ pub enum Verb {
     Open,
     /// Check the record against the chain.
     Check,
-    /// Write the record's files for others to check.
+    /// Export the record's files for third parties to check.
     Export,
-    /// Make an identity.
+    /// Create an identity.
     CreateIdentity,
     /// Open the keyring.
     Unlock,
-    /// Put the identity on the chain.
+    /// Register the identity on the chain.
     Register,
     /// Load a key file.
     LoadKey,
@@ -64,19 +64,19 @@ pub enum Verb {
     Rotate,
     /// Share.
     Grant,
-    /// Let a grant end later.
+    /// Extend a grant.
     Extend,
     /// Stop sharing.
     Revoke,
-    /// Publishers of the topic, pinned and doubted.
+    /// Publishers of the topic, pinned and suspect.
     Publishers,
-    /// Accept the publishers that are read now.
+    /// Accept the publishers being read now.
     Pin,
     /// No longer accept a publisher.
     Unpin,
-    /// Let held messages go on.
+    /// Release quarantined messages.
     Release,
-    /// Delete held messages.
+    /// Delete quarantined messages.
     Discard,
     /// Who can read this now.
     Readers,
@@ -84,9 +84,9 @@ pub enum Verb {
     Contacts,
     /// Speak for another profile.
     Profile,
-    /// Take the tour's strip away.
+    /// Remove the tour's strip.
     EndTour,
-    /// Choose among what others share.
+    /// Browse what others share.
     Browse,
     /// Play what is shared into ROS, or end that.
     Play,
@@ -94,13 +94,13 @@ pub enum Verb {
     BackUp,
     /// Wipe the keys from memory.
     Lock,
-    /// What is under way.
+    /// Running commands.
     Tasks,
-    /// Take the last act back.
+    /// Undo the last act.
     Undo,
     /// Local times beside UTC.
     LocalTime,
-    /// An act of the administrator, or of whoever sets up the chain.
+    /// An act of the administrator, or of the account that sets up the chain.
     Administer(Act),
     /// Copy what the cursor is on.
     Copy,
@@ -122,9 +122,9 @@ pub enum Verb {
     FoldAll,
     /// Every command by name.
     Palette,
-    /// What the keys do.
+    /// The meaning of the keys.
     Help,
-    /// The message was seen.
+    /// Dismiss the message.
     Dismiss,
     /// Choose a theme.
     ChooseTheme,
@@ -132,9 +132,9 @@ pub enum Verb {
     Ascii,
     /// The mouse for the console, or for the terminal's own selection.
     Mouse,
-    /// Draw anew.
+    /// Redraw.
     Redraw,
-    /// Back to the shell for a while.
+    /// Suspend, back to the shell.
     Suspend,
     /// Leave.
     Quit,
@@ -143,7 +143,7 @@ pub enum Verb {
 /// One entry of the list.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Entry {
-    /// What is done.
+    /// The verb.
     pub verb: Verb,
     /// Its name in the palette.
     pub name: &'static str,
@@ -153,9 +153,9 @@ pub struct Entry {
     pub help: &'static str,
     /// The preset keys.
     pub keys: &'static [Key],
-    /// Preset keys that are pressed one after the other.
+    /// Preset keys that are pressed in sequence.
     pub chord: &'static [Key],
-    /// Where the keys work; empty = on every screen.
+    /// The screens where the keys work; empty = all.
     pub on: &'static [Screen],
     /// Whether it changes keys, grants or records; hidden when read-only.
     pub changes: bool,
@@ -209,7 +209,7 @@ impl Entry {
         self
     }
 
-    /// All that is pressed for it in the preset.
+    /// All keys for it in the preset.
     pub fn chords(&self) -> impl Iterator<Item = Vec<Key>> {
         let chord = Some(self.chord.to_vec()).filter(|chord| !chord.is_empty());
         self.keys.iter().map(|key| vec![*key]).chain(chord)
@@ -221,7 +221,7 @@ impl Entry {
     }
 }
 
-/// Everything an operator can do; what belongs to one screen comes first.
+/// Everything an operator can do; entries of a single screen come first.
 pub static VERBS: &[Entry] = &[
     entry(Verb::Mark, "mark", "mark", &[Key::Char(' ')], "Mark the row; commands then act on the marked rows")
         .on(MARKED),

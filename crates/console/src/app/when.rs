@@ -1,4 +1,4 @@
-//! Reading of a grant's end as a person writes it: `30d`, `12h`, `2036-12-31`.
+//! Parsing a grant's end as a person writes it: `30d`, `12h`, `2036-12-31`.
 
 use crate::model::{Timestamp, positive_span};
 

@@ -1,4 +1,4 @@
-//! Small matters of language, for whatever is said in sentences.
+//! Small matters of language, for everything said in sentences.
 
 /// With its first letter in upper case.
 pub fn sentence(text: &str) -> String {

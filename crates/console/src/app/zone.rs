@@ -1,4 +1,4 @@
-//! The operator's own time beside UTC: which zone that is comes from outside.
+//! The operator's own time beside UTC: which zone that is comes from the caller.
 
 use jiff::tz::TimeZone;
 

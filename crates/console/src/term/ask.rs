@@ -1,4 +1,4 @@
-//! A secret asked at the terminal, not shown while it is typed.
+//! A secret requested at the terminal, not shown while it is typed.
 
 use std::fs::OpenOptions;
 use std::io::{self, BufRead as _, BufReader, IsTerminal as _, Write as _};
@@ -6,12 +6,12 @@ use std::io::{self, BufRead as _, BufReader, IsTerminal as _, Write as _};
 use rustix::termios::{LocalModes, OptionalActions, Termios, tcgetattr, tcsetattr};
 use zeroize::Zeroizing;
 
-/// Room enough for a line, so that a secret's buffer is never moved.
+/// Space for a line, so that a secret's buffer is never moved.
 const CAPACITY: usize = 4096;
-/// What Ctrl-C types where it sends no signal.
+/// The character Ctrl-C types when it sends no signal.
 const CANCEL: char = '\u{3}';
 
-/// Brings the terminal back to how it was.
+/// Restores the terminal's previous modes.
 struct Kept<'a>(&'a std::fs::File, Termios);
 
 impl Drop for Kept<'_> {
@@ -20,11 +20,11 @@ impl Drop for Kept<'_> {
     }
 }
 
-/// Asks for a secret at the terminal that controls this process; `None` where standard input is none, or the answer is Ctrl-C,
-/// Ctrl-D or nothing.
+/// Asks for a secret at the terminal that controls this process; `None` if standard input is not a terminal, or the
+/// answer is Ctrl-C, Ctrl-D or nothing.
 ///
 /// # Errors
-/// Of the terminal.
+/// Errors of the terminal.
 pub fn secret(question: &str) -> io::Result<Option<Zeroizing<String>>> {
     if !io::stdin().is_terminal() {
         return Ok(None);
@@ -32,7 +32,7 @@ pub fn secret(question: &str) -> io::Result<Option<Zeroizing<String>>> {
     let Ok(mut terminal) = OpenOptions::new().read(true).write(true).open("/dev/tty") else { return Ok(None) };
     let before = tcgetattr(&terminal)?;
     let mut modes = before.clone();
-    // Ctrl-C is read, not a signal: the terminal would be left without its echo.
+    // Ctrl-C is read, rather than being a signal: the terminal would be left without its echo.
     modes.local_modes.remove(LocalModes::ECHO | LocalModes::ISIG);
     modes.local_modes.insert(LocalModes::ECHONL);
     tcsetattr(&terminal, OptionalActions::Flush, &modes)?;

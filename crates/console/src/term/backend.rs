@@ -17,9 +17,9 @@ pub struct FrameBackend {
     size: Size,
     shown: bool,
     position: Position,
-    /// Changed cells that a frame of few bytes had no room for, by row and column.
+    /// Changed cells that did not fit into a small frame, by row and column.
     waiting: BTreeMap<(u16, u16), Cell>,
-    /// The most bytes of a frame, as far as whole rows go.
+    /// The most bytes of a frame, not counting whole rows that exceed it.
     most: Option<usize>,
 }
 
@@ -36,13 +36,13 @@ impl FrameBackend {
         }
     }
 
-    /// The terminal has a new size; the next frame is drawn whole.
+    /// The terminal has a new size; the next frame is drawn completely.
     pub fn resize(&mut self, size: Size) {
         self.waiting.clear();
         self.size = size;
     }
 
-    /// The bytes of the frame drawn last; empty where it equals the one before.
+    /// The bytes of the last frame; empty if it equals the previous one.
     pub fn take_frame(&mut self) -> String {
         self.encoder.cursor(self.shown.then_some(self.position));
         self.encoder.take_frame()
@@ -59,12 +59,12 @@ impl FrameBackend {
         !self.waiting.is_empty()
     }
 
-    /// What stands in `area` was covered by a picture.
+    /// The cells in `area` were covered by a picture.
     pub fn cover(&mut self, area: Rect) {
         self.encoder.cover(area);
     }
 
-    /// The real terminal was used by others.
+    /// The terminal was used by other programs.
     pub fn forget(&mut self) {
         self.waiting.clear();
         self.encoder.forget();

@@ -1,4 +1,4 @@
-//! When a frame that only data asks for may be drawn: not too often, not too many bytes.
+//! When a frame drawn only because of data may be sent: not too often, not too many bytes.
 
 use std::time::{Duration, Instant};
 
@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 pub const OVER_SSH: u32 = 4_000;
 /// The shortest time between two frames for data.
 const LEAST_GAP: Duration = Duration::from_millis(50);
-/// A frame for data takes the line for one part of a second in so many.
+/// A frame for data takes the line for one part of a second in this many.
 const IN_FLIGHT: u32 = 10;
 
 /// Bytes sent and still to be paid for by waiting.
@@ -17,7 +17,7 @@ pub struct Budget {
 }
 
 impl Budget {
-    /// So many bytes a second; `None` = only the gap counts.
+    /// This many bytes a second; `None` = only the gap counts.
     pub fn new(bytes_per_second: Option<u32>, now: Instant) -> Self {
         Self { bytes_per_second: bytes_per_second.filter(|bytes| *bytes > 0), next: now }
     }
@@ -34,13 +34,13 @@ impl Budget {
         self.next.saturating_duration_since(now)
     }
 
-    /// So many bytes were sent, for a key or for data.
+    /// This many bytes were sent, for a key or for data.
     pub fn spend(&mut self, bytes: usize, now: Instant) {
         let bytes = u32::try_from(bytes).unwrap_or(u32::MAX);
         let cost = self
             .bytes_per_second
             .map_or(Duration::ZERO, |rate| Duration::from_secs_f64(f64::from(bytes) / f64::from(rate)));
-        // A debt of earlier frames is kept: keys draw at once, data pays for them.
+        // The debt of earlier frames is kept: keys draw at once, data pays for them.
         self.next = self.next.max(now) + cost;
         self.next = self.next.max(now + LEAST_GAP);
     }

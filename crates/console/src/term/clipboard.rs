@@ -1,9 +1,9 @@
-//! Copying by OSC 52: the text is sent to the terminal, which may or may not take it.
+//! Copying with OSC 52: the text is sent to the terminal, which may or may not accept it.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-/// The most bytes sent; longer texts belong into files.
+/// The most bytes sent; longer texts should be written to files.
 const MOST: usize = 4_096;
 
 /// The sequence that offers `text` to the terminal's clipboard.

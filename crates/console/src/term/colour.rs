@@ -1,4 +1,4 @@
-//! The one place where colours meet the terminal's abilities: truecolor, 256, 16, none.
+//! The one place that maps colours to the terminal's abilities: truecolor, 256, 16, none.
 
 use ratatui::style::Color;
 
@@ -42,7 +42,7 @@ impl Depth {
         }
     }
 
-    /// What is sent for a colour of the theme; `None` = the terminal's own.
+    /// The colour sent for a colour of the theme; `None` = the terminal's own.
     pub fn map(self, colour: Color) -> Option<Sent> {
         let Color::Rgb(red, green, blue) = colour else { return None };
         match self {
@@ -72,7 +72,7 @@ fn basic(colour: Rgb) -> u8 {
     nearest.unwrap_or(7)
 }
 
-/// The nearest of the 6x6x6 cube and the 24 greys.
+/// The nearest colour of the 6x6x6 cube and the 24 greys.
 fn indexed(colour: Rgb) -> u8 {
     let cube = (0u8..216).map(|place| {
         let part = |step: u8| CUBE[usize::from(place / step % 6)];

@@ -1,4 +1,4 @@
-//! Cells to bytes: as few as the change needs, colours as the terminal has them.
+//! Cells to bytes: as few as the change needs, in the colours that the terminal has.
 
 use ratatui::buffer::Cell;
 use ratatui::layout::{Position, Rect};
@@ -19,10 +19,10 @@ struct Look {
     modifier: Modifier,
 }
 
-/// The longest gap between changed cells that is written again instead of stepped over; a step takes as many bytes.
+/// The longest gap between changed cells that is rewritten rather than skipped; a skip takes as many bytes.
 const SHORT_GAP: u16 = 3;
 
-/// Turns cells into bytes and remembers where the terminal's pen stands, and what it shows.
+/// Turns cells into bytes, and remembers the terminal's pen position and content.
 #[derive(Debug)]
 pub struct Encoder {
     depth: Depth,
@@ -50,12 +50,12 @@ impl Encoder {
         self.set_look(look);
         self.out.push_str(cell.symbol());
         self.remember(x, y, cell.symbol(), look);
-        // Terminals differ on the width of what is not one column wide.
+        // Terminals disagree on the width of characters that are not one column wide.
         let narrow = cell.symbol().width() == 1;
         self.pen = narrow.then_some(Position { x: x + 1, y });
     }
 
-    /// Empties the screen.
+    /// Clears the screen.
     pub fn clear(&mut self) {
         self.begin();
         self.set_look(Look::default());
@@ -64,7 +64,7 @@ impl Encoder {
         self.pen = None;
     }
 
-    /// What stands in `area` was covered by what are no cells.
+    /// The cells in `area` were covered by a picture.
     pub fn cover(&mut self, area: Rect) {
         for place in area.positions() {
             let row = self.shown.get_mut(usize::from(place.y));
@@ -74,7 +74,7 @@ impl Encoder {
         }
     }
 
-    /// Shows the cursor at a place, or hides it; nothing is written if it is so already.
+    /// Shows the cursor at a place, or hides it; nothing is written if it is there already.
     pub fn cursor(&mut self, wanted: Option<Position>) {
         match wanted {
             Some(position) if self.cursor != wanted || !self.out.is_empty() => {
@@ -98,7 +98,7 @@ impl Encoder {
         self.out.len()
     }
 
-    /// The bytes of the frame, wrapped for showing at once; empty where nothing changed.
+    /// The bytes of the frame, wrapped so that it is shown at once; empty if nothing changed.
     pub fn take_frame(&mut self) -> String {
         if !self.out.is_empty() {
             if self.look != Look::default() {
@@ -109,7 +109,7 @@ impl Encoder {
         std::mem::take(&mut self.out)
     }
 
-    /// The terminal was used by others: nothing about it is known any more.
+    /// The terminal was used by other programs: nothing about it is known any more.
     pub fn forget(&mut self) {
         *self = Self::new(self.depth);
     }
@@ -118,7 +118,7 @@ impl Encoder {
         *self.shown.get(usize::from(y))?.get(usize::from(x))?
     }
 
-    /// Only what is surely one column wide is written again.
+    /// Only characters that are certainly one column wide are rewritten.
     fn remember(&mut self, x: u16, y: u16, symbol: &str, look: Look) {
         let (x, y) = (usize::from(x), usize::from(y));
         if self.shown.len() <= y {
@@ -136,8 +136,8 @@ impl Encoder {
         }
     }
 
-    /// Reaches a cell a little further right by writing what stands in between once more; only where all of that is
-    /// plain, known, and looks as the pen does.
+    /// Reaches a cell a little further right by rewriting what is in between; only if all of that is plain, known, and
+    /// in the pen's style.
     fn bridge(&mut self, x: u16, y: u16) -> bool {
         let Some(pen) = self.pen.filter(|pen| pen.y == y && pen.x < x && x - pen.x <= SHORT_GAP) else { return false };
         let between = (pen.x..x).map(|column| self.known(column, y).filter(|(_, look)| *look == self.look));

@@ -1,4 +1,4 @@
-//! Writing of what the operator asked for: never over an existing file, for the owner alone.
+//! Writing files for the operator: never overwriting an existing file, readable by the owner alone.
 
 use std::fs::{DirBuilder, OpenOptions};
 use std::io::{self, ErrorKind, Write};
@@ -36,7 +36,7 @@ fn write_one(place: &Path, file: &Contents) -> Result<PathBuf, String> {
     Ok(path)
 }
 
-/// Makes the first of `name`, `name-2`, `name-3` … that is not there yet.
+/// Creates the first of `name`, `name-2`, `name-3` … that does not exist yet.
 fn fresh<T>(wanted: &Path, make: impl Fn(&Path) -> io::Result<T>) -> Result<(PathBuf, T), String> {
     for number in 1..TRIES {
         let path = if number == 1 { wanted.to_owned() } else { numbered(wanted, number) };

@@ -10,17 +10,17 @@ use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
 
 /// Alternate screen, no cursor, bracketed paste.
 const ENTER: &str = "\x1b[?1049h\x1b[?25l\x1b[?2004h\x1b[2J";
-/// The way back, also out of a half-drawn frame and with the mouse taken.
+/// The way back, also from a half-drawn frame and with the mouse taken.
 const LEAVE: &str = "\x1b[?2026l\x1b[m\x1b[?1006l\x1b[?1000l\x1b[?2004l\x1b[?25h\x1b[?1049l";
-/// Buttons and wheel come to the console, in cells.
+/// Buttons and wheel are sent to the console, in cells.
 pub const TAKE_MOUSE: &str = "\x1b[?1000h\x1b[?1006h";
 /// The terminal has the mouse for itself again.
 pub const LEAVE_MOUSE: &str = "\x1b[?1006l\x1b[?1000l";
-/// Threads of the console begin with this.
+/// The prefix of the console's thread names.
 pub const THREAD_PREFIX: &str = "console-";
 
 static ENTERED: AtomicBool = AtomicBool::new(false);
-/// Takes pictures of ours away, before the screen is given back.
+/// Removes our pictures before the screen is given back.
 static TAKE_PICTURES: OnceLock<&'static str> = OnceLock::new();
 
 type Hook = Box<dyn Fn(&PanicHookInfo<'_>) + Send + Sync + 'static>;
@@ -32,19 +32,18 @@ pub struct Guard {
 }
 
 impl Guard {
-    /// Takes the terminal; when it is given back, `take_pictures` is written first.
-    /// A panic of the console restores it before anything is printed, and where
-    /// it was in a thread beside the caller's, `broken` hears of it, for nothing draws or reads any
-    /// more. A panic of any other thread is given to `fault` and leaves the terminal alone.
+    /// Takes the terminal; when it is given back, `take_pictures` is written first. A panic of the console restores it
+    /// before anything is printed; if the panic was not in the caller's thread, `broken` is called, because nothing
+    /// draws or reads any more. A panic of any other thread is passed to `fault` and leaves the terminal alone.
     ///
     /// # Errors
-    /// Where the terminal refuses.
+    /// If the terminal refuses.
     pub fn enter(
         take_pictures: &'static str,
         fault: impl Fn(String) + Send + Sync + 'static,
         broken: impl Fn(String) + Send + Sync + 'static,
     ) -> io::Result<Self> {
-        // One console a process: the first word holds.
+        // One console per process: the first one counts.
         TAKE_PICTURES.get_or_init(|| take_pictures);
         take()?;
         let previous: Arc<Hook> = Arc::new(panic::take_hook());
@@ -75,10 +74,10 @@ impl Drop for Guard {
 /// Takes the terminal, at the beginning or after a suspension.
 ///
 /// # Errors
-/// Where the terminal refuses.
+/// If the terminal refuses.
 pub fn take() -> io::Result<()> {
     if ENTERED.load(Ordering::SeqCst) {
-        // The shell may have changed the modes behind our back; a second enabling alone does nothing.
+        // The shell may have changed the modes behind our back; enabling them twice has no effect.
         patiently(disable_raw_mode)?;
     }
     patiently(enable_raw_mode)?;
@@ -86,7 +85,7 @@ pub fn take() -> io::Result<()> {
     write(ENTER)
 }
 
-/// In the background a change of modes stops the process, and is interrupted when it goes on.
+/// In the background, changing modes stops the process, and is interrupted when it continues.
 fn patiently(change: impl Fn() -> io::Result<()>) -> io::Result<()> {
     loop {
         match change() {
@@ -102,7 +101,7 @@ pub fn restore() {
         return;
     }
     if io::stdin().is_terminal() {
-        // Nothing can be done for a terminal that fails now.
+        // Nothing can be done about a terminal that fails now.
         drop(write(&[TAKE_PICTURES.get().copied().unwrap_or_default(), LEAVE].concat()));
         drop(disable_raw_mode());
     }
@@ -115,10 +114,10 @@ pub fn abandon() {
     }
 }
 
-/// Writes to the terminal, past any buffer of ours.
+/// Writes to the terminal, bypassing our buffers.
 ///
 /// # Errors
-/// Where the terminal is gone.
+/// If the terminal is gone.
 pub fn write(bytes: &str) -> io::Result<()> {
     let mut out = io::stdout().lock();
     out.write_all(bytes.as_bytes())?;

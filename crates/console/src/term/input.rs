@@ -12,16 +12,16 @@ use zeroize::Zeroizing;
 use super::guard::THREAD_PREFIX;
 use crate::app::{Action, Key};
 
-/// How long the thread waits for a key before it looks whether it should end. Each look costs CPU on an idle
-/// console, and nobody waits for this thread.
+/// How long the thread waits for a key before it checks whether it should end. Each check costs CPU on an idle console,
+/// and nobody waits for this thread.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// How long it rests where reading fails.
+/// How long it pauses when reading fails.
 const REST: Duration = Duration::from_millis(200);
 
 /// Gives what is typed to `typed` until `stop` is set.
 ///
 /// # Errors
-/// Where the thread cannot be started.
+/// If the thread cannot be started.
 pub fn start(stop: Arc<AtomicBool>, typed: impl Fn(Action) + Send + 'static) -> io::Result<()> {
     let read = move || {
         while !stop.load(Ordering::Relaxed) {
@@ -39,7 +39,7 @@ pub fn start(stop: Arc<AtomicBool>, typed: impl Fn(Action) + Send + 'static) -> 
     thread::Builder::new().name(format!("{THREAD_PREFIX}input")).spawn(read).map(drop)
 }
 
-/// What was typed next; nothing where nothing was for a while.
+/// The next input; nothing if there was none for a while.
 fn next() -> io::Result<Vec<Action>> {
     if event::poll(PATIENCE)? { event::read().map(actions) } else { Ok(Vec::new()) }
 }

@@ -1,5 +1,5 @@
-//! The file in which a console remembers its screen, filters and orders for the next start. What cannot be read or
-//! written is no reason to fail: it only remembers.
+//! The file in which a console remembers its screen, filters and orders for the next start. A failure to read or write
+//! it is ignored: it is only a memory aid.
 
 use std::io::Read as _;
 use std::path::Path;
@@ -10,18 +10,18 @@ use crate::store::files;
 /// The longest file read, bytes.
 const LONGEST: u64 = 64 * 1024;
 
-/// What the last run left.
+/// The state left by the last run.
 pub(super) fn read(path: &Path) -> Option<Kept> {
     let mut text = String::new();
     std::fs::File::open(path).ok()?.take(LONGEST).read_to_string(&mut text).ok()?;
     serde_json::from_str(&text).ok()
 }
 
-/// Leaves it for the next run.
+/// Saves it for the next run.
 pub(super) fn write(path: &Path, kept: &Kept) {
     let Some(directory) = path.parent() else { return };
     let Ok(text) = serde_json::to_vec_pretty(kept) else { return };
-    // A home that cannot be written has said so before.
+    // A home that cannot be written has been reported before.
     if files::private_directory(directory).is_ok() {
         drop(files::atomic_write(path, &text));
     }

@@ -1,8 +1,8 @@
-//! The only room that knows the terminal: guard, signals, keys, renderer, colours, clipboard.
+//! The only module that knows the terminal: guard, signals, keys, renderer, colours, clipboard.
 //!
-//! [`run`] is the console: one thread reads keys, one waits for signals, one owns the screen
-//! and draws the newest frame only, and the caller's thread feeds `app::update`. It restores
-//! the terminal however it ends. What is shown is decided in `app` and `ui`.
+//! [`run`] is the console: one thread reads keys, one waits for signals, one owns the screen and draws only the newest
+//! frame, and the caller's thread feeds `app::update`. It restores the terminal however it ends. What is shown is
+//! decided in `app` and `ui`.
 
 pub mod ask;
 pub mod backend;
@@ -36,19 +36,19 @@ use crate::model::{ErrorKind, ProfileName, Timestamp};
 use crate::service::{Client, Failure};
 use crate::ui::{ThemeError, Themes};
 
-/// How the console is to look and what it may do.
+/// The console's appearance and permissions.
 #[expect(clippy::struct_excessive_bools, reason = "each is a setting of its own")]
 #[derive(Debug, Clone)]
 pub struct ConsoleOptions {
     /// A theme's name; `None` = chosen by the terminal's colours.
     pub theme: Option<String>,
-    /// The themes there are.
+    /// The available themes.
     pub themes: Themes,
     /// Which keys do what.
     pub keymap: Keymap,
     /// Draw with ASCII characters only.
     pub ascii: bool,
-    /// Take the mouse from the beginning on.
+    /// Take the mouse from the beginning.
     pub mouse: bool,
     /// Hide what changes keys, grants or records.
     pub read_only: bool,
@@ -56,17 +56,17 @@ pub struct ConsoleOptions {
     pub bytes_per_second: Option<u32>,
     /// How pictures are shown.
     pub pictures: Pictures,
-    /// Where relative paths begin and files are written; `None` = the working directory.
+    /// Where relative paths start and files are written; `None` = the working directory.
     pub directory: Option<PathBuf>,
     /// Where screen, filters and orders are kept for the next start; `None` = nowhere.
     pub kept: Option<PathBuf>,
     /// Nanoseconds without a key after which the keyring locks; `None` = never.
     pub lock_after: Option<u64>,
-    /// Ask for the passphrase of a locked keyring at the start; not where it is given in another way.
+    /// Ask for the passphrase of a locked keyring at the start; not if it is given in another way.
     pub asks_passphrase: bool,
     /// The profiles of the home.
     pub profiles: Vec<ProfileName>,
-    /// Who is who in the tour, where the console begins with it.
+    /// Who is who in the tour, if the console starts with it.
     pub tour: Option<Cast>,
 }
 
@@ -104,7 +104,7 @@ pub enum TermError {
     /// The theme cannot be used.
     #[error(transparent)]
     Theme(#[from] ThemeError),
-    /// The terminal does not do what was asked of it.
+    /// The terminal failed at a request.
     #[error("the terminal cannot be used: {0}; try another terminal or TERM")]
     Terminal(#[from] io::Error),
     /// A part of the console itself failed.
@@ -123,7 +123,7 @@ impl TermError {
     }
 }
 
-/// Where relative paths begin.
+/// Where relative paths start.
 fn directory(options: &ConsoleOptions) -> io::Result<PathBuf> {
     options.directory.clone().map_or_else(std::env::current_dir, Ok)
 }
@@ -155,12 +155,11 @@ pub fn is_interactive() -> bool {
 
 /// Runs the console until it ends; the first frame is drawn before `client` is asked anything.
 ///
-/// It claims the profile itself (`OpenConsole`). The thread that reads keys may linger for
-/// some seconds afterwards, and for good when the terminal is gone: the caller should end
-/// the process soon.
+/// It claims the profile itself (`OpenConsole`). The thread that reads keys may linger for some seconds afterwards, and
+/// forever if the terminal is gone: the caller should end the process soon.
 ///
 /// # Errors
-/// [`TermError`] where there is no terminal, or it fails.
+/// [`TermError`] if there is no terminal, or it fails.
 pub fn run(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<ExitReason, TermError> {
     if !is_interactive() {
         return Err(TermError::NotATerminal);

@@ -1,5 +1,5 @@
-//! What full screen and line mode have in common: asking the site, hearing it, writing files,
-//! and the one channel on which everything reaches the updating thread.
+//! Common to full screen and line mode: requests to the site, its events, writing files, and the one channel on which
+//! everything reaches the updating thread.
 
 use std::path::PathBuf;
 use std::sync::mpsc::Sender;
@@ -14,9 +14,9 @@ use crate::model::ProfileName;
 use crate::service::client::site_gone;
 use crate::service::{Client, Command};
 
-/// What reaches the updating thread.
+/// Messages to the updating thread.
 pub enum Heard {
-    /// Something for `app::update`.
+    /// An action for `app::update`.
     Act(Action),
     /// A signal.
     Signal(i32),
@@ -32,7 +32,7 @@ pub enum Heard {
 
 /// The site and the files.
 pub struct Outside {
-    /// Speaks with the site.
+    /// Talks to the site.
     pub client: Client,
     /// Runs what waits.
     pub handle: Handle,
@@ -43,7 +43,7 @@ pub struct Outside {
 }
 
 impl Outside {
-    /// Forwards what the site tells.
+    /// Forwards the site's events.
     pub fn listen(&self) {
         let mut events = self.client.events();
         let say = sender(&self.mouth, Heard::Act);
@@ -58,7 +58,7 @@ impl Outside {
         });
     }
 
-    /// Asks for this profile from now on.
+    /// Speaks for this profile from now on.
     pub fn speak_for(&mut self, profile: ProfileName) {
         self.client = self.client.for_profile(profile);
     }
@@ -73,7 +73,7 @@ impl Outside {
         });
     }
 
-    /// Writes files; where they are now comes as an action.
+    /// Writes files; their paths come as an action.
     pub fn write(&self, directory: Option<String>, contents: Vec<Contents>) {
         let (base, say) = (self.directory.clone(), sender(&self.mouth, Heard::Act));
         self.handle.spawn_blocking(move || {
@@ -85,6 +85,6 @@ impl Outside {
 /// Sends things to the updating thread, each wrapped.
 pub fn sender<T, W: Fn(T) -> Heard>(mouth: &Sender<Heard>, wrap: W) -> impl Fn(T) + use<T, W> {
     let mouth = mouth.clone();
-    // After the end nobody listens, and nothing is lost by it.
+    // After the end nobody listens, and nothing is lost by that.
     move |thing| drop(mouth.send(wrap(thing)))
 }

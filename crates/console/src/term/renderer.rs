@@ -1,4 +1,4 @@
-//! The thread that owns the screen: draws the newest frame only, and only when something changed.
+//! The thread that owns the screen: draws only the newest frame, and only when something changed.
 
 use std::io;
 use std::sync::{Arc, MutexGuard, PoisonError};
@@ -26,7 +26,7 @@ pub struct Painter {
 }
 
 impl Painter {
-    /// For a terminal of that depth and size.
+    /// For a terminal with that depth and size.
     pub fn new(depth: Depth, size: (u16, u16)) -> Self {
         let backend = FrameBackend::new(depth, cells(size));
         let Ok(terminal) = Terminal::new(backend);
@@ -38,7 +38,7 @@ impl Painter {
         Self { pixels, ..self }
     }
 
-    /// The bytes that bring the terminal to the scene as it is now; empty where it is so.
+    /// The bytes that update the terminal to the present scene; empty if nothing changed.
     pub fn paint(&mut self, scene: &mut Scene) -> String {
         self.paint_at_most(scene, None)
     }
@@ -83,10 +83,10 @@ fn cells((columns, rows): (u16, u16)) -> Size {
     Size { width: columns.max(1), height: rows.max(1) }
 }
 
-/// Starts the thread; `failed` hears when the terminal takes no more bytes.
+/// Starts the thread; `failed` is called when the terminal takes no more bytes.
 ///
 /// # Errors
-/// Where the thread cannot be started.
+/// If the thread cannot be started.
 pub fn start(
     stage: Arc<Stage>,
     mut painter: Painter,
@@ -104,7 +104,7 @@ pub fn start(
     thread::Builder::new().name(format!("{THREAD_PREFIX}renderer")).spawn(render)
 }
 
-/// Waits until a frame is due and differs from the one before; `None` = the end.
+/// Waits until a frame is due and differs from the previous one; `None` = the end.
 fn next_frame(stage: &Stage, painter: &mut Painter, budget: &Budget) -> Option<String> {
     let mut scene = stage.scene();
     loop {
@@ -123,7 +123,7 @@ fn next_frame(stage: &Stage, painter: &mut Painter, budget: &Budget) -> Option<S
     }
 }
 
-/// A panic in the thread that draws, to prove that the terminal comes back: on the screen Log.
+/// A panic in the thread that draws, to prove that the terminal is restored: on the screen Log.
 #[cfg(feature = "fault")]
 #[expect(clippy::panic, reason = "never in the product's build")]
 fn fail_for_the_test(scene: &Scene) {
@@ -193,7 +193,7 @@ mod tests {
         let first = painter.paint_at_most(&mut scene, Some(200));
         assert!(painter.is_behind() && first.len() < 500, "{}", first.len());
         screen.process(first.as_bytes());
-        // A key in between that changes nothing is answered by nothing: its frame has what is new, not what waits.
+        // A key in between that changes nothing is answered with nothing: its frame has what is new, not what waits.
         drop(update(&mut scene.state, Action::Key(Key::Up)));
         assert_eq!(painter.paint(&mut scene), "");
         assert!(painter.is_behind());

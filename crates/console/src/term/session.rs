@@ -25,9 +25,9 @@ use crate::model::{ProfileName, Timestamp};
 use crate::service::Client;
 use crate::ui::{Theme, Themes};
 
-/// How often the terminal is looked for.
+/// How often the terminal is checked.
 const WATCH_EVERY: Duration = Duration::from_secs(1);
-/// How long sizes are let settle.
+/// How long to wait for a size to settle.
 const SETTLE: Duration = Duration::from_millis(40);
 /// How long a frame being written is waited for before the terminal counts as stuck.
 const STUCK_AFTER: Duration = Duration::from_millis(1500);
@@ -43,7 +43,7 @@ pub struct Session {
     themes: Themes,
     mouse: bool,
     kept: Option<PathBuf>,
-    /// Whose screens are kept.
+    /// The profile whose screens are remembered.
     profile: ProfileName,
     _guard: guard::Guard,
     _signals: Listener,
@@ -113,7 +113,7 @@ impl Session {
         ended.unwrap_or(Ok(ExitReason::Quit))
     }
 
-    /// How long nothing has to happen before the next look around.
+    /// How long until the next check is due.
     fn patience(&self) -> Duration {
         let deadline = self.stage.scene().state.deadline();
         let now = Timestamp::now();
@@ -151,7 +151,7 @@ impl Session {
             }
         }
         if let Some((columns, rows, _)) = self.resized.take_if(|(_, _, at)| *at <= Instant::now()) {
-            // Even where the size is the old one again: the terminal may have cut off what it showed.
+            // Even if the size is the old one again: the terminal may have cut off its content.
             self.stage.change(Wish::None, |scene| scene.anew = true);
             return self.act(Action::Resize { columns, rows });
         }
@@ -227,7 +227,7 @@ impl Session {
         self.retake().or_else(|| self.act(Action::Resumed))
     }
 
-    /// Takes the terminal again after others had it.
+    /// Takes the terminal again after other programs had it.
     fn retake(&mut self) -> Option<Result<ExitReason, TermError>> {
         let taken = {
             let _writing = self.stage.output.lock().unwrap_or_else(PoisonError::into_inner);
@@ -261,7 +261,7 @@ impl Session {
     }
 }
 
-/// Waits for the frame being written; `None` where the terminal takes no bytes.
+/// Waits for the frame being written; `None` if the terminal takes no bytes.
 fn finished(stage: &Stage) -> Option<MutexGuard<'_, ()>> {
     let patience = Instant::now() + STUCK_AFTER;
     loop {

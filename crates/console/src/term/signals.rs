@@ -1,4 +1,4 @@
-//! Signals become events; afterwards they end the process again as they always did.
+//! Signals become events; afterwards they end the process again as usual.
 
 use std::io;
 use std::sync::Arc;
@@ -41,10 +41,10 @@ pub struct Listener {
 }
 
 impl Listener {
-    /// Gives every signal to `heard`, from a thread of its own.
+    /// Passes every signal to `heard`, from a thread of its own.
     ///
     /// # Errors
-    /// Where the handlers cannot be installed.
+    /// If the handlers cannot be installed.
     pub fn start(heard: impl Fn(i32) + Send + 'static) -> io::Result<Self> {
         let mut signals = Signals::new(ENDING.into_iter().chain([SIGTSTP, SIGCONT]))?;
         let handle = signals.handle();
@@ -67,7 +67,7 @@ impl Drop for Listener {
 /// Stops this process until it is continued.
 ///
 /// # Errors
-/// Where the signal cannot be raised.
+/// If the signal cannot be raised.
 pub fn stop_here() -> io::Result<()> {
     low_level::emulate_default_handler(SIGTSTP)
 }

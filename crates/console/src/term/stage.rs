@@ -1,4 +1,4 @@
-//! What the updating thread and the renderer share: the state, and what is to be drawn.
+//! Shared by the updating thread and the renderer: the state, and what is to be drawn.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -18,26 +18,26 @@ pub enum Wish {
     Now,
 }
 
-/// The play as it stands.
+/// The current scene.
 #[derive(Debug)]
 pub struct Scene {
-    /// All the console knows.
+    /// Everything the console knows.
     pub state: State,
-    /// How it looks.
+    /// Its appearance.
     pub theme: Theme,
     /// Whether and how urgently a frame is wanted.
     pub wish: Wish,
-    /// Draw everything anew, not only what changed.
+    /// Redraw everything, not only what changed.
     pub anew: bool,
     /// Bytes to send besides the frame.
     pub extra: String,
-    /// The terminal belongs to the shell for a while.
+    /// The terminal belongs to the shell for now.
     pub suspended: bool,
     /// The renderer is to end.
     pub over: bool,
 }
 
-/// A scene, and a bell to say that it changed.
+/// A scene, and a bell that rings when it changed.
 #[derive(Debug)]
 pub struct Stage {
     scene: Mutex<Scene>,
@@ -54,7 +54,7 @@ impl Stage {
         Self { scene: Mutex::new(scene), bell: Condvar::new(), output: Mutex::new(()) }
     }
 
-    /// The scene, to look at or to change. It is never held while anything waits.
+    /// The scene, to read or to change. It is never held while anything waits.
     pub fn scene(&self) -> MutexGuard<'_, Scene> {
         self.scene.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -75,7 +75,7 @@ impl Stage {
         result
     }
 
-    /// Waits for the bell, at most so long.
+    /// Waits for the bell, at most this long.
     pub fn wait<'a>(&self, scene: MutexGuard<'a, Scene>, longest: Option<Duration>) -> MutexGuard<'a, Scene> {
         match longest {
             Some(longest) => self.bell.wait_timeout(scene, longest).unwrap_or_else(PoisonError::into_inner).0,

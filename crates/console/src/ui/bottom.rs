@@ -1,4 +1,4 @@
-//! The last two lines: the message, and what can be done here.
+//! The last two lines: the message, and the available actions.
 
 use ratatui::layout::Rect;
 
@@ -17,7 +17,7 @@ const TAIL_NAMES: [&str; 3] = ["palette", "help", "quit"];
 /// The most lines a message takes.
 const MOST_LINES: usize = 3;
 
-/// The part of a screen where neither bar nor message ever is.
+/// The part of a screen that bar and message never cover.
 pub fn above(screen: Rect) -> Rect {
     let taken = u16::try_from(MOST_LINES + 1).unwrap_or(u16::MAX);
     Rect { height: screen.height.saturating_sub(taken), ..screen }
@@ -79,7 +79,7 @@ fn draw_bar(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_tail(canvas, tail, state);
     let mut rest = Rect { width: area.width - tail.width, ..area };
     let mut shown: Vec<&Entry> = entries(state).collect();
-    // What is used most has its place where there is little room, and what cannot be done now comes last.
+    // The most used verbs keep their place when there is little room, and unavailable ones come last.
     shown.sort_by_key(|entry| (available(state, entry.verb).is_err(), use_of(entry.verb)));
     for entry in shown {
         rest = draw_entry(canvas, rest, state, entry);
@@ -103,7 +103,7 @@ fn draw_hints(canvas: &mut Canvas, area: Rect, hints: &[(&str, &str)]) {
     });
 }
 
-/// The verbs of the bar, the most used first.
+/// The verbs of the bar, most used first.
 const BY_USE: [Verb; 14] = [
     Verb::Watch,
     Verb::Details,
@@ -125,7 +125,7 @@ fn use_of(verb: Verb) -> usize {
     BY_USE.iter().position(|other| *other == verb).unwrap_or(BY_USE.len())
 }
 
-/// What the bar shows of a screen: its own verbs first.
+/// The verbs shown for a screen: its own first.
 fn entries(state: &State) -> impl Iterator<Item = &'static Entry> + use<'_> {
     let (screen, read_only) = (state.screen, state.settings.read_only);
     let shown = move |entry: &&Entry| {
@@ -133,7 +133,7 @@ fn entries(state: &State) -> impl Iterator<Item = &'static Entry> + use<'_> {
         let keys = state.settings.keymap.of(entry, screen).next().is_some();
         !entry.label.is_empty() && keys && !hidden && !TAIL_NAMES.contains(&entry.name)
     };
-    // What works everywhere, or is done once, is named only where it can be done.
+    // What works everywhere, or is done once, is named only if it is available.
     let once = |entry: &Entry| entry.on.is_empty() || matches!(entry.verb, Verb::CreateIdentity | Verb::Register);
     let named = move |entry: &&Entry| !once(entry) || available(state, entry.verb).is_ok();
     VERBS.iter().filter(shown).filter(named)

@@ -1,4 +1,4 @@
-//! The one place where text becomes cells: everything is cleaned here, whatever it was before.
+//! The one place where text becomes cells: everything is cleaned here, whatever happened to it before.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::{Position, Rect};
@@ -10,7 +10,7 @@ use super::raster::Placement;
 use super::theme::{Role, Shades, Theme};
 use crate::model::clean;
 
-/// A buffer to draw on, with the theme's looks.
+/// A buffer to draw on, with the theme's styles.
 pub struct Canvas<'a> {
     buffer: &'a mut Buffer,
     theme: &'a Theme,
@@ -29,7 +29,7 @@ pub fn below(area: Rect, rows: u16) -> Rect {
     Rect { y: area.y + rows, height: area.height - rows, ..area }
 }
 
-/// One row of `area`; empty where it has no such row.
+/// One row of `area`; empty if it has no such row.
 pub fn row(area: Rect, number: u16) -> Rect {
     Rect { height: area.height.saturating_sub(number).min(1), ..below(area, number) }
 }
@@ -51,7 +51,7 @@ impl<'a> Canvas<'a> {
         if self.theme.ascii { Shades::None } else { self.theme.shades }
     }
 
-    /// Puts one character into a cell with a look of its own: for pictures alone.
+    /// Puts one character into a cell with a style of its own: only for pictures.
     pub fn paint(&mut self, place: Rect, character: char, style: Style) {
         if self.buffer.area().contains(Position { x: place.x, y: place.y }) {
             self.buffer[(place.x, place.y)].set_char(character).set_style(style);
@@ -63,7 +63,7 @@ impl<'a> Canvas<'a> {
         self.theme.draws_pixels()
     }
 
-    /// The whole of what is drawn on.
+    /// The whole area.
     pub fn screen(&self) -> Rect {
         *self.buffer.area()
     }
@@ -74,7 +74,7 @@ impl<'a> Canvas<'a> {
         self.placement = Some(placement);
     }
 
-    /// The picture left to the terminal; none where anything was written over its place since.
+    /// The picture left to the terminal; none if anything was written over its place since.
     pub fn placement(&mut self) -> Option<Placement> {
         let buffer = &*self.buffer;
         let free =
@@ -82,23 +82,23 @@ impl<'a> Canvas<'a> {
         self.placement.take().filter(|placement| free(placement.area))
     }
 
-    /// Where the terminal's cursor is to stand.
+    /// Where the terminal's cursor should be.
     pub fn cursor(&self) -> Option<Position> {
         self.cursor
     }
 
-    /// Puts the terminal's cursor at a place.
+    /// Moves the terminal's cursor.
     pub fn set_cursor(&mut self, x: u16, y: u16) {
         self.cursor = Some(Position { x, y });
     }
 
-    /// Writes `text` into the first row of `area`, cut at its edge; the columns it took.
+    /// Writes `text` into the first row of `area`, cut at its edge; returns the columns it took.
     pub fn put(&mut self, area: Rect, text: &str, role: Role) -> u16 {
         let area = area.intersection(*self.buffer.area());
         if area.is_empty() || text.is_empty() {
             return 0;
         }
-        // A gap that does not fit is no text that was cut.
+        // A gap that does not fit is not a text that was cut.
         let text = if text.trim().is_empty() { text.get(..usize::from(area.width)).unwrap_or(text) } else { text };
         let mut shown = clean(text, usize::from(area.width));
         if shown.width() > usize::from(area.width) {
@@ -112,7 +112,7 @@ impl<'a> Canvas<'a> {
         end - area.x
     }
 
-    /// Writes pieces one behind the other; what is left of `area`.
+    /// Writes pieces one after the other; returns what is left of `area`.
     pub fn puts(&mut self, area: Rect, pieces: &[(&str, Role)]) -> Rect {
         pieces.iter().fold(area, |rest, (text, role)| {
             let taken = self.put(rest, text, *role);
@@ -126,7 +126,7 @@ impl<'a> Canvas<'a> {
         self.put(right_of(area, area.width - width), text, role)
     }
 
-    /// Empties `area` and draws a frame with a title around it; the room inside.
+    /// Clears `area` and draws a frame with a title around it; returns the space inside.
     pub fn frame(&mut self, area: Rect, title: &str) -> Rect {
         Clear.render(area, self.buffer);
         let block = Block::bordered().border_style(self.theme.style(Role::Border));
@@ -137,7 +137,7 @@ impl<'a> Canvas<'a> {
         Rect { x: inner.x + 1, width: inner.width.saturating_sub(2), ..inner }
     }
 
-    /// Empties `area`.
+    /// Clears `area`.
     pub fn wipe(&mut self, area: Rect) {
         Clear.render(area.intersection(*self.buffer.area()), self.buffer);
     }

@@ -53,7 +53,7 @@ fn draw_chain(canvas: &mut Canvas, area: Rect, state: &State, chain: &ChainView)
     }
 }
 
-/// What the administrator decided that is out of the ordinary; returns how many lines that took.
+/// The administrator's unusual decisions; returns how many lines that took.
 fn draw_administration(canvas: &mut Canvas, area: Rect, decided: &AdministrationView) -> u16 {
     let shown = |account: Address, name: &Option<String>| name.clone().unwrap_or_else(|| account.to_string());
     let mut lines: Vec<(&str, String)> = Vec::new();
@@ -75,7 +75,7 @@ fn draw_administration(canvas: &mut Canvas, area: Rect, decided: &Administration
     u16::try_from(lines.len()).unwrap_or(u16::MAX)
 }
 
-/// The accounts that anchor, and what holds them up; returns how many lines that took.
+/// The accounts that anchor, and what delays them; returns how many lines that took.
 fn draw_lanes(canvas: &mut Canvas, area: Rect, lanes: &[LaneState]) -> u16 {
     let mut place = 0;
     for (number, lane) in (1..).zip(lanes) {
@@ -90,7 +90,7 @@ fn draw_lanes(canvas: &mut Canvas, area: Rect, lanes: &[LaneState]) -> u16 {
     place
 }
 
-/// What anchoring a record costs, over the newest transactions.
+/// The cost of anchoring a record, over the newest transactions.
 fn gas(view: &GasView) -> String {
     if view.records == 0 {
         return "nothing anchored yet".to_owned();
@@ -107,7 +107,7 @@ fn administrator(state: &State, decided: &AdministrationView) -> String {
     format!("{} ({whose}), {registration}", administrator.short())
 }
 
-/// Period, difficulty and signers, as far as the chain tells.
+/// Period, difficulty and signers, as far as the chain reports them.
 fn sealing(chain: &ChainView) -> String {
     let sealing = &chain.sealing;
     let mut parts = Vec::new();
@@ -120,7 +120,7 @@ fn sealing(chain: &ChainView) -> String {
     if parts.is_empty() { String::new() } else { format!(", {}", parts.join(", ")) }
 }
 
-/// Wei as ether where it is a round number of at least a millionth.
+/// Wei as ether, if it is a round number of at least a millionth.
 fn ether(wei: &str) -> String {
     const DIGITS: usize = 18;
     if wei.len() + 6 <= DIGITS || !wei.bytes().all(|digit| digit.is_ascii_digit()) {

@@ -1,4 +1,4 @@
-//! The pane beside a list on a wide terminal: what its columns have no room for.
+//! The pane beside a list on a wide terminal: what does not fit into its columns.
 
 use ratatui::layout::Rect;
 
@@ -17,16 +17,16 @@ use crate::app::{Screen, State, detail};
 use crate::model::{Timestamp, clean};
 use crate::service::reply::{GrantRow, TopicRow};
 
-/// Columns that the list keeps at least.
+/// The fewest columns that the list keeps.
 const LIST: u16 = 84;
-/// The widest a pane grows.
+/// The greatest width of a pane.
 const WIDEST: u16 = 84;
 /// Columns of the names of facts.
 const LABEL: u16 = 12;
 /// Rows of a topic's graph.
 const GRAPH: u16 = 8;
 
-/// Draws the pane where there is one; the room that the list has.
+/// Draws the pane if there is one; returns the space left for the list.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) -> Rect {
     if !detail::is_shown(state) {
         return area;
@@ -53,7 +53,7 @@ fn draw_row(canvas: &mut Canvas, area: Rect, state: &State) {
     }
 }
 
-/// Names and what they are, broken where needed; the rows taken.
+/// Names and values, wrapped if needed; returns the rows taken.
 fn facts(canvas: &mut Canvas, area: Rect, title: &str, facts: &[(&str, String)]) -> u16 {
     canvas.put(area, title, Role::Title);
     if facts.is_empty() {
@@ -104,7 +104,7 @@ fn about(topic: &TopicRow) -> Vec<(&'static str, String)> {
     ]
 }
 
-/// What the list knows of the record under the cursor, and that more comes when the cursor is put on one.
+/// What the list knows of the record under the cursor, and a hint that more appears when the cursor is moved to one.
 fn draw_record(canvas: &mut Canvas, area: Rect, state: &State, records: &Records, hint: &str) {
     let key = state.row_key();
     let Some(record) = records.rows.iter().find(|row| Some(&row.id) == key.as_ref()) else { return };

@@ -7,7 +7,7 @@ use super::theme::Role;
 use crate::app::State;
 use crate::app::first_run::{FirstStep, first_steps};
 
-/// Draws the card, or its next step where there is little room; what is left of `area`.
+/// Draws the card, or its next step if there is little room; returns what is left of `area`.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, roomy: bool) -> Rect {
     let steps = first_steps(state);
     if steps.is_empty() || state.settings.read_only {

@@ -12,7 +12,7 @@ use crate::app::state::GRAPH_PARTS;
 
 /// Columns of the names of the graphs.
 const NAMES: u16 = 10;
-/// From so many columns and rows on the graphs are high, two beside each other.
+/// Terminal size from which the graphs are high, two side by side.
 const HIGH_FROM: (u16, u16) = (110, 26);
 /// Rows of a high graph.
 const HIGH: u16 = 5;
@@ -30,7 +30,7 @@ struct Panel {
     role: Role,
 }
 
-/// Draws what there is room for; what is left of `area`.
+/// Draws as much as fits; returns what is left of `area`.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) -> Rect {
     if state.site.is_none() || area.height < ROWS + KEPT {
         return area;
@@ -99,7 +99,7 @@ fn low(canvas: &mut Canvas, area: Rect, panels: &[Panel]) -> Rect {
     below(area, ROWS - 1)
 }
 
-/// Two beside each other, with their figures above.
+/// Two side by side, with their figures above.
 fn high(canvas: &mut Canvas, area: Rect, panels: &[Panel]) -> Rect {
     let width = area.width / 2;
     for (place, panel) in (0u16..).zip(panels) {

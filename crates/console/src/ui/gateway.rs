@@ -1,4 +1,4 @@
-//! The Gateway screen: what is served, system keys and their dates, what was refused, and who sends.
+//! The Gateway screen: what is served, system keys and their dates, refusals, and the senders.
 
 use ratatui::layout::Rect;
 
@@ -43,7 +43,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     }
 }
 
-/// What is served, its keys, what it refused; the rows that took.
+/// What is served, its keys, its refusals; returns the rows that took.
 fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 {
     canvas.put(area, "Gateway", Role::Title);
     let Some(served) = &view.served else {

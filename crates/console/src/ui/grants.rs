@@ -46,7 +46,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_table(canvas, area, &sheet);
 }
 
-/// When it ends: what ends soon by the time left, and the clock beside it.
+/// When it ends: if soon, by the time left, with the clock beside it.
 fn ends(state: &State, row: &GrantRow) -> (String, Role) {
     let Some(end) = row.expires else { return ("no end".to_owned(), Role::Dim) };
     match soon(row.expires, state.shown_at()).filter(|_| is_active(row)) {

@@ -1,5 +1,5 @@
 //! Graphs in block characters: a column for each part of time. A part in which nothing came is a dot on the ground, so
-//! that a stop is seen without colour; what is not known is empty.
+//! that a stop is visible without colour; unknown parts are empty.
 
 use ratatui::layout::Rect;
 
@@ -9,7 +9,7 @@ use super::theme::Role;
 /// Bars in eighths of a cell.
 const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
-/// One row of bars against a scale that is given, so that rows beside each other can be compared.
+/// One row of bars against a given scale, so that adjacent rows can be compared.
 pub fn sparkline(samples: &[f64], scale: f64) -> String {
     samples.iter().map(|sample| bar(Some(*sample), scale, 0, 1)).collect()
 }
@@ -30,7 +30,7 @@ fn bar(value: Option<f64>, scale: f64, level: u16, rows: u16) -> char {
         return if level == 0 { '.' } else { ' ' };
     }
     let eighths = (value / scale).min(1.0) * f64::from(rows) * 8.0;
-    // Whatever is there at all has its eighth on the ground.
+    // Any value above zero has at least an eighth.
     let eighths = eighths.max(1.0) - f64::from(level) * 8.0;
     let filled = (1u8..=8).take_while(|eighth| eighths + 0.5 > f64::from(*eighth)).count();
     filled.checked_sub(1).and_then(|place| BARS.get(place)).copied().unwrap_or(' ')

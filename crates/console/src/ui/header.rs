@@ -1,4 +1,4 @@
-//! The two lines on top: who, how the parts are, badges; and the screens.
+//! The two lines on top: the profile, the state of the parts, badges; and the screens.
 
 use ratatui::layout::Rect;
 
@@ -9,9 +9,9 @@ use crate::app::standing::Standing;
 use crate::app::{Screen, State};
 use crate::service::reply::{HealthLevel, PartHealth};
 
-/// Below so many columns only the screen in view is named.
+/// Below this many columns only the screen in view is named.
 const NAMED_FROM: u16 = 80;
-/// From so many columns on the address is shown.
+/// Columns from which the address is shown.
 const ADDRESS_FROM: u16 = 100;
 
 /// Columns that one short badge takes.
@@ -44,14 +44,14 @@ fn draw_first(canvas: &mut Canvas, area: Rect, state: &State) {
     }
 }
 
-/// What is not as it usually is, from the right; and where the site runs, as far as there is room.
+/// What is unusual, from the right; and where the site runs, as far as there is room.
 fn badges(state: &State) -> Vec<(String, Role)> {
     let frozen = state.frozen.map(|at| format!(" FROZEN {} ", at.clock()));
     let locked = state.is_locked().then(|| " LOCKED ".to_owned());
     let read_only = state.settings.read_only.then(|| " READ-ONLY ".to_owned());
     let mut badges: Vec<(String, Role)> =
         [frozen, locked, read_only].into_iter().flatten().map(|badge| (badge, Role::Badge)).collect();
-    // What is unusual goes before where the site runs, and the health of its parts before both.
+    // What is unusual takes precedence over where the site runs, and the health of its parts over both.
     let room = if badges.is_empty() { NAMED_FROM } else { ADDRESS_FROM };
     if state.size.0 >= room {
         badges.extend(Standing::of(state).map(|standing| (standing.badge(), Role::Dim)));
@@ -59,7 +59,7 @@ fn badges(state: &State) -> Vec<(String, Role)> {
     badges
 }
 
-/// Parts that are well are told by their dot alone where there is no room for more, and then the others in one word.
+/// If there is no room, parts that are well are only a dot, and then the others one word.
 fn draw_health(canvas: &mut Canvas, area: Rect, health: &[PartHealth]) {
     let fits = |word: fn(&PartHealth) -> &str| {
         let whole: u16 = health.iter().map(|part| columns(&part.part) + columns(word(part)) + 5).sum();

@@ -11,7 +11,7 @@ use crate::service::reply::{EpochView, IdentityView, KeysView};
 /// Columns of the labels.
 const LABEL: u16 = 12;
 
-/// What a locked keyring can and cannot do, for what is watched goes on all the same.
+/// What a locked keyring can and cannot do, because watched topics are still captured.
 const LOCKED: &str = "locked (u unlocks it)";
 const LOCKED_AT_WORK: &str = "locked (u unlocks it); capture and anchoring go on";
 
@@ -85,7 +85,7 @@ fn draw_keys(canvas: &mut Canvas, area: Rect, keys: &KeysView) {
     }
 }
 
-/// What goes on is said only where it is known to.
+/// What goes on is said only if it is known.
 fn locked(state: &State) -> &'static str {
     if standing::captured(state).is_some() { LOCKED_AT_WORK } else { LOCKED }
 }

@@ -40,7 +40,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_table(canvas, area, &sheet);
 }
 
-/// Audit lines are told by their number, too.
+/// Audit lines also show their number.
 fn from(line: &LogLine) -> String {
     match line.source {
         Source::Audit => line.key.clone(),

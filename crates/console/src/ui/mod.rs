@@ -54,7 +54,7 @@ pub const LEAST_COLUMNS: u16 = 60;
 /// The smallest terminal the screens are made for, rows.
 pub const LEAST_ROWS: u16 = 18;
 
-/// Draws the state, whole; what is left to the terminal to draw itself is given back.
+/// Draws the whole state; returns what is left to the terminal to draw.
 pub fn draw(frame: &mut Frame, state: &State, theme: &Theme) -> Option<Placement> {
     let area = frame.area();
     let mut canvas = Canvas::new(frame.buffer_mut(), theme);
@@ -85,7 +85,7 @@ fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
     if let Some(tour) = &state.tour {
         tour::draw(canvas, Rect { y: content.bottom(), height: strip, ..area }, tour);
     }
-    // A message of several lines goes before the strip.
+    // A message of several lines takes precedence over the strip.
     bottom::draw(canvas, area, state);
 }
 

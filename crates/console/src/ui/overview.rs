@@ -1,4 +1,4 @@
-//! The Overview: health, life line, alerts, first steps, busiest topics.
+//! The Overview: health, record counts, alerts, first steps, busiest topics.
 
 use ratatui::layout::Rect;
 
@@ -12,12 +12,12 @@ use crate::app::feed::Feed;
 use crate::model::clean;
 use crate::service::reply::{LifeLine, SiteView};
 
-/// Below so many rows blank lines are left out and only the next step is shown.
+/// Below this many rows blank lines are left out and only the next step is shown.
 const ROOMY_FROM: u16 = 18;
 /// The most alerts shown on a roomy screen.
 const MOST_ALERTS: usize = 4;
 
-/// Below so many columns the clock beside an alert stands without its word.
+/// Below this many columns the clock beside an alert has no word.
 const SAID_FROM: u16 = 100;
 
 const COLUMNS: &[Column] = &[
@@ -61,7 +61,7 @@ fn draw_health(canvas: &mut Canvas, area: Rect, site: &SiteView) -> Rect {
         canvas.put(place, &part.part, Role::Body);
         let mut rest = right_of(place, 9);
         if part.part == "ros" && site.robots > 0 {
-            // What is simulated must be said, whatever else has to be cut.
+            // What is simulated must be said, whatever else is cut.
             let badge = canvas.put_right(rest, "SIMULATED", Role::Badge);
             rest.width -= badge;
             let robots = canvas.put_right(rest, &format!(" {} robots ", site.robots), Role::Body);
@@ -103,7 +103,7 @@ fn draw_life(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) ->
     below(area, 4 + u16::from(lost))
 }
 
-/// Captured = verified + pending + right ended + quarantined + dropped + tampered, in figures, and whether it holds.
+/// Captured = verified + pending + right ended + quarantined + dropped + tampered, in figures, and whether it balances.
 fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
     let parts = [
         (life.verified, "verified", Role::Good),
@@ -121,7 +121,7 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
     };
     let mut rest =
         canvas.puts(area, &[(verdict, role), (&words::count(life.captured), Role::Accent), (" = ", Role::Dim)]);
-    // What is out of the ordinary is named where there is any; figures grow, and the line is short.
+    // Unusual states are named if there are any; figures grow, and the line is short.
     let named = parts.into_iter().enumerate().filter(|(place, (count, ..))| *place < 2 || *count > 0);
     for (place, (count, name, role)) in named {
         let plus = if place == 0 { "" } else { " + " };
@@ -142,7 +142,7 @@ fn draw_alerts(canvas: &mut Canvas, area: Rect, state: &State, most: usize) -> R
     below(area, u16::try_from(shown).unwrap_or(0) + gap)
 }
 
-/// One alert with since when and how often, or that it is over.
+/// One alert with its start and count, or that it has ended.
 fn draw_alert(canvas: &mut Canvas, area: Rect, state: &State, alert: &Alert) {
     let often = if alert.count > 1 { format!(", {} times", alert.count) } else { String::new() };
     let since = if area.width < SAID_FROM { "" } else { "since " };

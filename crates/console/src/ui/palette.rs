@@ -1,4 +1,4 @@
-//! The sixteen ANSI colours as terminals have them, and which of two colours is nearer to a third.
+//! The sixteen ANSI colours as terminals show them, and which of two colours is nearer to a third.
 
 /// Red, green, blue.
 pub type Rgb = (u8, u8, u8);
@@ -23,7 +23,7 @@ pub const SIXTEEN: [Rgb; 16] = [
     (255, 255, 255),
 ];
 
-/// How far two colours are apart for the eye.
+/// The perceived distance of two colours.
 pub fn distance(one: Rgb, other: Rgb) -> u32 {
     let part = |one: u8, other: u8, weight: u32| u32::from(one.abs_diff(other)).pow(2) * weight;
     part(one.0, other.0, 3) + part(one.1, other.1, 6) + part(one.2, other.2, 2)

@@ -6,13 +6,13 @@ use super::canvas::{Canvas, below, row};
 use super::theme::Role;
 use crate::ros::readable::Plot;
 
-/// The least width that is plotted, metres or whatever the axes are in.
+/// The smallest width that is plotted, metres or the unit of the axes.
 const LEAST: f64 = 0.1;
 
 /// Which dot of a Braille pattern is at a column and row of the cell.
 const DOTS: [[u8; 4]; 2] = [[0x01, 0x02, 0x04, 0x40], [0x08, 0x10, 0x20, 0x80]];
 
-/// What part of the plane is seen.
+/// The visible part of the plane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Window {
     left: f64,
@@ -24,7 +24,7 @@ struct Window {
 }
 
 impl Window {
-    /// The smallest that shows all points.
+    /// The smallest one that shows all points.
     fn around(points: &[(f64, f64)], cells: (u16, u16)) -> Option<Self> {
         let dots = (cells.0.checked_mul(2)?, cells.1.checked_mul(4)?);
         if dots.0 < 4 || dots.1 < 4 {

@@ -1,5 +1,5 @@
-//! Small pictures in cells: half-blocks where there are colours (dithered where there are sixteen), characters by
-//! their brightness where there are none. Where the terminal draws pictures itself, only their place is decided here.
+//! Small pictures in cells: half-blocks if there are colours (dithered if there are sixteen), characters by their
+//! brightness if there are none. If the terminal draws pictures itself, only their place is decided here.
 
 use ratatui::layout::Rect;
 use ratatui::style::{Color, Style};
@@ -25,7 +25,7 @@ pub struct Placement {
     pub raster: Raster,
 }
 
-/// Draws a picture into the upper left of `area`, as large as it fits with its shape kept.
+/// Draws a picture into the upper left of `area`, as large as fits while keeping its shape.
 pub fn draw(canvas: &mut Canvas, area: Rect, raster: &Raster) {
     let cells = (usize::from(area.width), usize::from(area.height));
     if canvas.draws_pixels() {
@@ -78,13 +78,13 @@ fn brightness(pixel: [u8; 3]) -> usize {
 fn coloured(pixel: [u8; 3], place: (usize, usize), shades: Shades) -> Color {
     let (red, green, blue) = match shades {
         Shades::Sixteen => dithered(pixel, place),
-        // Fewer steps make more neighbours alike, and what is alike is not sent again.
+        // Fewer steps make more neighbours equal, and equal cells are not sent again.
         _ => (pixel[0] & 0xf8, pixel[1] & 0xf8, pixel[2] & 0xf8),
     };
     Color::Rgb(red, green, blue)
 }
 
-/// One of the sixteen colours, which one by the place: an area of them comes near to the colour.
+/// One of the sixteen colours, depending on the place: an area of them approximates the colour.
 fn dithered(pixel: [u8; 3], place: (usize, usize)) -> Rgb {
     let shift = (i16::from(BAYER[place.1 % 4][place.0 % 4]) - 8) * 6;
     let part = |part: u8| u8::try_from((i16::from(part) + shift).clamp(0, 255)).unwrap_or(part);

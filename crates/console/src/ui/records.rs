@@ -144,7 +144,7 @@ fn cells(state: &State, row: &RecordView, with_owner: bool) -> Vec<(String, Role
     cells
 }
 
-/// A record's state as it fits into its column.
+/// A record's state, to fit into its column.
 fn short_state(state: &str) -> &str {
     state.strip_prefix("waits: ").unwrap_or(state)
 }

@@ -1,4 +1,4 @@
-//! Tables: a title line, column heads, and the page of rows in which the cursor is.
+//! Tables: a title line, column heads, and the page of rows that contains the cursor.
 
 use ratatui::layout::Rect;
 
@@ -7,7 +7,7 @@ use super::theme::Role;
 use crate::app::State;
 use crate::app::table::Table;
 
-/// The widest a column of names grows.
+/// The greatest width of a column of names.
 const WIDEST_NAME: u16 = 56;
 
 /// One column.
@@ -17,13 +17,13 @@ pub struct Column {
     pub title: &'static str,
     /// Its width; 0 = what is left (one column of a table).
     pub width: u16,
-    /// The most it takes.
+    /// Its greatest width.
     pub most: u16,
-    /// Whether it stands at the right edge of its column.
+    /// Whether it is right-aligned.
     pub right: bool,
-    /// Shown from so many columns of the terminal on.
+    /// The terminal width from which it is shown, columns.
     pub from: u16,
-    /// Shown only below so many columns of the terminal.
+    /// Shown only below this terminal width, columns.
     pub below: u16,
 }
 
@@ -54,14 +54,14 @@ impl Column {
         self
     }
 
-    /// The same, only on terminals of so many columns.
+    /// The same, only on terminals with at least this many columns.
     pub const fn from(mut self, columns: u16) -> Self {
         self.from = columns;
         self
     }
 }
 
-/// The same columns, those of times wide enough for the local time beside where that is shown.
+/// The same columns, with times wide enough for the local time if that is shown.
 pub fn with_local_time(columns: &[Column], state: &State) -> Vec<Column> {
     let wide = |column: &Column| match column.title {
         "UTC" if state.local_time => Column { title: "UTC      local", width: 17, most: 17, ..*column },
@@ -70,7 +70,7 @@ pub fn with_local_time(columns: &[Column], state: &State) -> Vec<Column> {
     columns.iter().map(wide).collect()
 }
 
-/// What a table is sorted by, with an arrow where its order is turned round.
+/// The sort column of a table, with an arrow if its order is reversed.
 pub fn order(sorts: &[&str], table: &Table) -> String {
     let name = sorts.get(table.sort).or(sorts.first()).copied().unwrap_or_default();
     if table.reversed { format!("{name} ↑") } else { format!("{name} ↓") }
@@ -90,7 +90,7 @@ pub struct Sheet<'a> {
     pub cells: &'a dyn Fn(usize) -> Vec<(String, Role)>,
     /// Cursor, marks, filter.
     pub table: &'a Table,
-    /// Said when there is no row.
+    /// Shown if there are no rows.
     pub empty: &'a str,
     /// Whether the rows are older than the heading says.
     pub old: bool,

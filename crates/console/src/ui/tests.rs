@@ -1,4 +1,4 @@
-//! Every screen and popup as text at the sizes operators have, and hostile text on all of them.
+//! Every screen and popup as text at operators' usual sizes, and hostile text on all of them.
 
 mod hostile;
 
@@ -28,7 +28,7 @@ fn night() -> Theme {
     Theme::named("night").expect("embedded")
 }
 
-/// A console at work, of that size, on that screen.
+/// A console at work, with that size, on that screen.
 fn at(screen: Screen, (columns, rows): (u16, u16)) -> Robot {
     let mut robot = Robot::at_work(true);
     robot.act(Action::Resize { columns, rows });
@@ -45,8 +45,8 @@ fn compare(name: &str, text: &str) {
     settings.bind(|| insta::assert_snapshot!(name, text));
 }
 
-/// Who can read, who publishes, what is under way, what is shared, and a question that wants a word.
-/// Takes the name of a situation, its screen, and what brings it about.
+/// Who can read, who publishes, what is running, what is shared, and a question that requires a word. Takes the name of
+/// a situation, its screen, and what brings it about.
 type Situations<'a> = dyn FnMut(&'static str, Screen, &dyn Fn(&mut Robot)) + 'a;
 
 fn situations(add: &mut Situations<'_>) {
@@ -270,7 +270,7 @@ fn every_theme_shows_the_same_words_and_ascii_only_ascii() {
     }
 }
 
-/// Where a theme's roles lie on a screen: a letter for each cell that is not plain.
+/// Where a theme's roles are on a screen: a letter for each cell that is not plain.
 fn looks(state: &State, theme: &Theme) -> String {
     let (columns, rows) = state.size;
     let mut terminal = Terminal::new(TestBackend::new(columns, rows)).expect("a terminal");

@@ -1,4 +1,4 @@
-//! Roles to colours. Code speaks of roles only; the colours are in `themes/*.toml`.
+//! Roles to colours. Code names only roles; the colours are in `themes/*.toml`.
 
 mod file;
 
@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use crate::model::clean;
 
-/// What a piece of text is.
+/// The role of a piece of text.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
@@ -18,11 +18,11 @@ pub enum Role {
     Title,
     /// Less important text.
     Dim,
-    /// What stands out: names, numbers looked for.
+    /// What stands out: names, important numbers.
     Accent,
     /// Well.
     Good,
-    /// Waits or was counted.
+    /// Waiting or counted.
     Warning,
     /// Wrong.
     Bad,
@@ -76,9 +76,9 @@ pub enum ThemeError {
     /// There is no theme of that name.
     #[error("there is no theme '{name}'; choose {known}")]
     Unknown {
-        /// The name asked for.
+        /// The requested name.
         name: String,
-        /// The names there are.
+        /// The existing names.
         known: String,
     },
     /// A theme file is wrong.
@@ -101,7 +101,7 @@ const EMBEDDED: [(&str, &str); 4] = [
     ("mono", include_str!("../../../../themes/mono.toml")),
 ];
 
-/// The text of the embedded theme of that name, to write one's own from.
+/// The text of the embedded theme of that name, as a template for one's own.
 pub fn embedded_text(name: &str) -> Option<&'static str> {
     EMBEDDED.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
@@ -118,7 +118,7 @@ pub enum Shades {
     None,
 }
 
-/// How each role looks.
+/// The style of each role.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Theme {
     /// Its name.
@@ -138,7 +138,7 @@ impl Theme {
     /// The embedded theme of that name.
     ///
     /// # Errors
-    /// [`ThemeError::Unknown`] where there is none.
+    /// [`ThemeError::Unknown`] if there is none.
     pub fn named(name: &str) -> Result<Self, ThemeError> {
         let text = embedded_text(name).ok_or_else(|| unknown(name, EMBEDDED.map(|(known, _)| known).join(", ")))?;
         file::read(name, text, &[])
@@ -149,7 +149,7 @@ impl Theme {
         Self { ascii, ..self }
     }
 
-    /// The same theme on a terminal of so many colours.
+    /// The same theme on a terminal with this many colours.
     pub fn with_shades(self, shades: Shades) -> Self {
         Self { shades, ..self }
     }
@@ -159,25 +159,25 @@ impl Theme {
         Self { pixels, ..self }
     }
 
-    /// Whether pictures are left to the terminal: never in ASCII, nor where there are no colours.
+    /// Whether pictures are left to the terminal: never in ASCII, nor without colours.
     pub fn draws_pixels(&self) -> bool {
         let colours = || self.styles.iter().any(|style| style.fg.is_some() || style.bg.is_some());
         self.pixels && !self.ascii && self.shades != Shades::None && colours()
     }
 
-    /// How a role looks.
+    /// The style of a role.
     pub fn style(&self, role: Role) -> Style {
         self.styles[role as usize]
     }
 }
 
-/// The themes that can be chosen: the embedded ones, then the operator's own.
+/// The available themes: the embedded ones, then the operator's own.
 #[derive(Debug, Clone)]
 pub struct Themes(Vec<Theme>);
 
 impl Themes {
-    /// The embedded ones and those of the operator's files (name and text). A file says only what
-    /// differs from its `base`; one with the name of an embedded theme takes its place.
+    /// The embedded ones and those in the operator's files (name and text). A file contains only what differs from its
+    /// `base`; one with the name of an embedded theme replaces it.
     ///
     /// # Errors
     /// [`ThemeError`] naming file and line.
@@ -211,7 +211,7 @@ impl Themes {
     /// The theme of that name.
     ///
     /// # Errors
-    /// [`ThemeError::Unknown`] where there is none.
+    /// [`ThemeError::Unknown`] if there is none.
     pub fn named(&self, name: &str) -> Result<Theme, ThemeError> {
         let found = self.0.iter().find(|theme| theme.name == name).cloned();
         found.ok_or_else(|| unknown(name, self.names().join(", ")))

@@ -28,10 +28,10 @@ const COLUMNS: &[Column] = &[
     Column::text("", 9).from(100),
 ];
 
-/// From so many columns on everything about a topic has its column.
+/// Terminal width from which all topic columns fit.
 const ALL_FROM: u16 = 170;
 
-/// From so many columns on rates of the last seconds are drawn.
+/// Terminal width from which the rates of the last seconds are drawn.
 const BARS_FROM: u16 = 110;
 
 /// Draws the screen.
@@ -66,8 +66,8 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     }
 }
 
-/// What the columns of a narrow screen leave out of the selected topic; it changes with every
-/// move of the cursor, so it is kept cheap: no colours.
+/// The selected topic's data that the columns of a narrow screen leave out; it changes with every move of the cursor,
+/// so it is kept cheap: no colours.
 fn draw_detail(canvas: &mut Canvas, area: Rect, topic: &TopicRow) {
     let publishers = match topic.publishers.as_slice() {
         [] => "nobody".to_owned(),
@@ -89,7 +89,7 @@ fn draw_detail(canvas: &mut Canvas, area: Rect, topic: &TopicRow) {
     canvas.put(area, &detail, Role::Body);
 }
 
-/// What to say of a feed without rows.
+/// The text for a feed without rows.
 pub fn empty<'a>(state: &'a State, feed: Feed, nothing: &'a str) -> &'a str {
     match &state.feeds.slot(feed).failure {
         Some(failure) => &failure.message,
@@ -128,7 +128,7 @@ pub fn pinned(row: &TopicRow) -> (String, Role) {
     }
 }
 
-/// The same of a folded robot: how many of its topics.
+/// The same for a folded robot: how many of its topics.
 fn watched_of(state: &State, row: &TopicRow) -> (String, Role) {
     let Some(robot) = state.topics.robot(&row.topic) else { return watched(row) };
     let (count, all) = state.topics.watched_of(robot);
@@ -136,7 +136,7 @@ fn watched_of(state: &State, row: &TopicRow) -> (String, Role) {
     if row.watched && !row.alarm && row.held_up.is_none() { (format!("{count} of {all}"), role) } else { (word, role) }
 }
 
-/// The cell that says whether a topic is watched, or that one of its publishers is doubted.
+/// The cell that says whether a topic is watched, or that one of its publishers is suspect.
 pub fn watched(row: &TopicRow) -> (String, Role) {
     match row {
         TopicRow { alarm: true, .. } => ("ALARM".to_owned(), Role::Bad),

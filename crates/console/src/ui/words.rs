@@ -1,4 +1,4 @@
-//! Numbers and sizes as written on screen, and the breaking of long lines.
+//! Numbers and sizes as shown on screen, and wrapping of long lines.
 
 use unicode_width::UnicodeWidthStr;
 
@@ -17,12 +17,12 @@ pub fn count(number: u64) -> String {
     text
 }
 
-/// `20.0`, or `-` where it is not measured.
+/// `20.0`, or `-` if it is not measured.
 pub fn rate(rate: Option<f64>) -> String {
     rate.map_or_else(|| "-".to_owned(), |rate| format!("{rate:.1}"))
 }
 
-/// Bytes a second as kB/s, or `-` where it is not measured.
+/// Bytes a second as kB/s, or `-` if it is not measured.
 pub fn kilobytes(bytes: Option<f64>) -> String {
     rate(bytes.map(|bytes| bytes / 1000.0))
 }
@@ -57,7 +57,7 @@ pub fn seconds(seconds: f64) -> String {
     }
 }
 
-/// Lines of at most `width` columns, broken at spaces where there are some.
+/// Lines of at most `width` columns, wrapped at spaces if there are any.
 pub fn wrap(text: &str, width: u16) -> Vec<String> {
     let width = usize::from(width.max(1));
     let indent = text.len() - text.trim_start_matches(' ').len();

@@ -1,4 +1,4 @@
-//! A time stamp authority of openssl's: keys, certificates and answers are made by it alone.
+//! A time stamp authority made with openssl alone: keys, certificates and answers.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -17,7 +17,7 @@ const SETTINGS: &str = "[req]\ndistinguished_name = dn\nprompt = no\n[dn]\nCN = 
     [sha384]\nserial = ./serial\ndefault_policy = 1.2.3.4.1\ndigests = sha256\nsigner_digest = sha384\ness_cert_id_alg = sha384\n\
     [sha1]\nserial = ./serial\ndefault_policy = 1.2.3.4.1\ndigests = sha256\nsigner_digest = sha512\ness_cert_id_alg = sha1\n";
 
-/// Signs any content as CMS, with the certificate named.
+/// Signs any content as CMS, with the named certificate.
 const SIGN: &str = "cms -sign -binary -nodetach -econtent_type 1.2.840.113549.1.9.16.1.4 -nosmimecap -outform DER";
 
 pub const RSA: &str = "-algorithm RSA -pkeyopt rsa_keygen_bits:2048";
@@ -30,7 +30,7 @@ pub struct Authority {
 }
 
 impl Authority {
-    /// With a root named `root`; `None` where there is no openssl.
+    /// With a root named `root`; `None` if there is no openssl.
     pub fn new() -> Option<Self> {
         let known = Command::new("openssl").arg("version").stdout(Stdio::null()).status();
         if !known.is_ok_and(|status| status.success()) {
@@ -78,7 +78,7 @@ impl Authority {
         self.with_subject(&line, subject);
     }
 
-    /// A certificate by another one's key, with these extensions; `more` goes to whoever signs it.
+    /// A certificate issued by another one's key, with these extensions; `more` is passed to the issuer.
     pub fn issue(&self, (name, key): (&str, &str), by: &str, extensions: &str, more: &str) {
         self.openssl(&format!("genpkey {key} -out {name}.key"));
         self.with_subject(&format!("req -new -key {name}.key -config settings -out {name}.csr"), name);
@@ -114,7 +114,7 @@ impl Authority {
         token_of(&answer).expect("granted").to_vec()
     }
 
-    /// A token over this content, by whoever is named, in whatever way.
+    /// A token over this content, by the named certificate, in the given way.
     pub fn signed(&self, content: &[u8], signer: &str, more: &str) -> Vec<u8> {
         self.write("content", content);
         self.openssl(&format!("{SIGN} -signer {signer}.pem -inkey {signer}.key {more} -in content -out signed"));

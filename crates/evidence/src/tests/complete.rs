@@ -1,4 +1,4 @@
-//! Level (f) with heads of the recorder: ends that were cut off before and after them, heads held back, heads that lie.
+//! Level (f) with heads of the recorder: ends cut off before and after them, heads held back, heads that lie.
 
 use std::collections::BTreeMap;
 
@@ -50,7 +50,7 @@ fn statement(world: &World, seq: u64, type_name: &str, body: &[u8]) -> SealedRec
     seal(ours(), &request).expect("seals")
 }
 
-/// A world with these numbers of the topic, 3 among them in any case, and these heads: their number and what they say.
+/// A world with these numbers of the topic, always including 3, and these heads: their number and their statement.
 struct Case {
     world: World,
     records: Vec<(SealedRecord, bool)>,
@@ -104,7 +104,7 @@ impl Case {
         self.packing().sign(genesis(), self.world.owner, &self.world.keys, ours()).expect("signs")
     }
 
-    /// What is said of the topic, by both verifiers.
+    /// What both verifiers say about the topic.
     fn told(&self, outcome: Outcome) -> Stretch {
         let members = self.members();
         agree(&members, &World::trust(), outcome);
@@ -138,7 +138,7 @@ fn a_topic_is_complete_to_the_number_that_the_head_names_and_not_beyond() {
         ),
     );
     assert_eq!((whole.missing, whole.heads.map(|heads| heads.number), whole.standing), (0, Some(5), Standing::Proven));
-    // Cut off before the head: told, with what is missing.
+    // Cut off before the head: reported, with what is missing.
     let cut = Case::of(&[1, 2, 3], &[(3, 5)]).expect(
         Outcome::Holds,
         &format!(
@@ -147,7 +147,7 @@ fn a_topic_is_complete_to_the_number_that_the_head_names_and_not_beyond() {
         ),
     );
     assert_eq!((cut.gaps, cut.missing), (vec![(4, 5)], 2));
-    // Cut off after it: whether there was a sixth nobody says, and nothing is claimed.
+    // Cut off after it: nobody says whether there was a sixth, and nothing is claimed.
     let claim = format!("complete to number 3 as of the heads record at {at}; nothing is claimed after that");
     Case::of(&[1, 2, 3, 4], &[(3, 3)]).expect(Outcome::Holds, &format!("every number from 1 to 4; {claim}"));
     Case::of(&[1, 2, 3], &[(3, 3)]).expect(Outcome::Holds, &format!("every number from 1 to 3; {claim}"));
@@ -182,7 +182,7 @@ fn a_statement_that_is_not_proven_spoils_nothing_and_one_that_is_refused_does() 
         packing.record(digest, one).expect("added");
         packing.sign(genesis(), case.world.owner, &case.world.keys, ours()).expect("signs")
     };
-    // Its state is gone: nothing is shown of it.
+    // Its state is missing: it shows nothing.
     let mute = with(None);
     agree(&mute, &World::trust(), Outcome::Holds);
     let report = verify(&Bundle::of_members(&mute, ours()).expect("reads"), Some(&World::trust()), ours());
@@ -215,7 +215,7 @@ fn with_a_head_held_back_an_older_one_counts_and_with_none_nothing_is_claimed() 
     held_back.expect(Outcome::Holds, &text);
     let none = Case::of(&[1, 2, 3], &[]);
     none.expect(Outcome::Holds, "every number from 1 to 3; no heads record is there: nothing is claimed after 3");
-    // A head that is there and not disclosed, not anchored, or of another key says nothing.
+    // A head that is present but not disclosed, not anchored, or of another key says nothing.
     let mut sealed_head = Case::of(&[1, 2, 3], &[(3, 3)]);
     sealed_head.records.last_mut().expect("the head").1 = false;
     assert_eq!(sealed_head.told(Outcome::Holds).heads, None);

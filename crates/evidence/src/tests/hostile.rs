@@ -1,4 +1,4 @@
-//! Bundles by a stranger who wants a reader's time, memory or belief.
+//! Bundles by a stranger who wants to exhaust a reader's time or memory, or to deceive.
 
 use std::collections::BTreeMap;
 
@@ -20,7 +20,7 @@ pub fn unanchored(one: authros_crypto::record::SealedRecord) -> BundledRecord {
     BundledRecord { record: one.blob, signature: one.signature, anchor: None, disclosure: None }
 }
 
-/// Five messages of 64 MiB of zeros, less than 300 KiB each as they are sealed.
+/// Five messages of 64 MiB of zeros, less than 300 KiB each when sealed.
 #[test]
 fn no_more_messages_are_opened_than_one_file_may_have() {
     let world = World::new();
@@ -43,7 +43,7 @@ fn no_more_messages_are_opened_than_one_file_may_have() {
     assert!(report.messages.values().all(|message| message.body == zeros));
 }
 
-/// Who signed comes first: a message that nobody stands for is not made.
+/// The signer is checked first: a message that nobody vouches for is not produced.
 #[test]
 fn what_its_owner_did_not_sign_is_not_opened() {
     let mut world = World::new();
@@ -60,7 +60,7 @@ fn a_node_is_no_longer_than_nodes_are() {
     assert!(Nodes::parse(&with(1024)).is_some() && Nodes::parse(&with(1025)).is_none());
 }
 
-/// 3 pinned signers: 28 headers are looked at, and none after the third has been met.
+/// 3 pinned signers: 28 headers are examined, and none after the third signer has been found.
 #[test]
 fn seals_are_counted_over_a_bounded_way() {
     let pinned = [1, 2, 3].map(|secret| account(secret).1);
@@ -80,7 +80,7 @@ fn seals_are_counted_over_a_bounded_way() {
     assert_eq!(chain(&[1, 2, 9, 3]).stranger, Some(account(9).1));
 }
 
-/// The mix hash of QBFT, and extra data in which there are no whole addresses.
+/// The mix hash of QBFT, and extra data without whole addresses.
 #[test]
 fn seals_of_another_consensus_are_none_that_are_checked() {
     let clique = header(BLOCK, Hash([8; 32]), Hash([2; 32]), [0; 32], 9);

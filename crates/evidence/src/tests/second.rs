@@ -23,7 +23,7 @@ fn python(arguments: &[&str]) -> Option<Output> {
     }
 }
 
-/// A script that has the second verifier as `verify`, and what it is given, in a file, by its name.
+/// A script that has the second verifier as `verify`, and its input, in a file, by name.
 fn script(text: &str, given: &str) -> Option<Output> {
     let tools = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tools");
     let whole =
@@ -37,7 +37,7 @@ fn expect_success(output: &Output) {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// Both say the same of each record and of the whole.
+/// Both say the same about each record and about the whole.
 pub fn agree(members: &Members, trust: &Trust, outcome: Outcome) {
     let folder = tempfile::tempdir().expect("directory");
     let (file, pins) = (folder.path().join("case.authros"), folder.path().join("trust.toml"));
@@ -72,7 +72,7 @@ pub fn agree(members: &Members, trust: &Trust, outcome: Outcome) {
     assert_eq!(serde_json::Value::Array(completeness), theirs["complete"]);
 }
 
-/// What both say of a topic.
+/// What both say about a topic.
 fn completeness(stretch: &Stretch) -> serde_json::Value {
     let Stretch { owner, recorder, topic_id, standing, first, last, missing, heads, gaps, .. } = stretch;
     let whole =
@@ -159,7 +159,7 @@ fn both_say_the_same_of_disclosures() {
     let mut packing = world.packing();
     packing.identity(&forged);
     agree(&signed(packing, &world), &World::trust(), Outcome::Holds);
-    // Packed, as it should be and with a length that it has not.
+    // Packed correctly, and with a wrong length.
     let body: Vec<u8> = (0..40u8).chain([7; 300]).collect();
     let packed = compression::pack(&body, None).expect("packs").bytes;
     for (length, outcome) in
@@ -179,7 +179,8 @@ fn both_say_the_same_of_disclosures() {
     }
 }
 
-/// Literal runs about each length whose spelling changes, as packed here and as written by hand out of the format.
+/// Literal runs around each length at which the encoding changes, as packed here and as written by hand from the
+/// format.
 #[test]
 fn the_second_verifier_unpacks_lz4() {
     let mut cases = Vec::new();
@@ -252,7 +253,7 @@ for one in wrong:
     }
 }
 
-/// What is no bundle, or breaks the reader, is refused in words.
+/// What is not a bundle, or breaks the reader, is refused in words.
 #[test]
 fn the_second_verifier_never_ends_in_a_traceback() {
     let folder = tempfile::tempdir().expect("directory");

@@ -27,7 +27,7 @@ fn check(token: &[u8], pinned: &Certificate) -> Result<Stamped, TimeError> {
     check_token(token, &IMPRINT, None, std::slice::from_ref(pinned))
 }
 
-/// What is signed in a token: the one octet string of its content, by openssl's own reading.
+/// The signed part of a token: the one octet string of its content, as openssl reads it.
 fn content(authority: &Authority, token: &[u8]) -> Vec<u8> {
     authority.write("token", token);
     authority.openssl("cms -verify -noverify -binary -inform DER -in token -out content");
@@ -43,7 +43,7 @@ fn stamps_of_each_kind_of_key_are_taken() {
         for section in ["sha256", "sha384", "sha1"] {
             let found = check(&authority.token(IMPRINT, name, section), &root);
             if (section, key == RSA) == ("sha1", false) {
-                // It signs by SHA-512 there.
+                // It signs with SHA-512 there.
                 assert_eq!(found, Err(TimeError::Algorithm("ECDSA with SHA-512")), "{name}");
                 continue;
             }
@@ -79,7 +79,7 @@ fn the_way_leads_to_whichever_certificate_of_it_is_pinned() {
     }
     let stranger = check(token, &authority.certificate("root")).expect("well made");
     assert_eq!((stranger.pinned, stranger.by_pinned()), (None, Err(TimeError::NotPinned("own".to_owned()))));
-    // Another root that took the name, and one on the way that may not issue.
+    // Another root that took the name, and an intermediate that may not issue.
     authority.root("liar", RSA, "another root");
     assert_eq!(check(token, &authority.certificate("liar")), Err(TimeError::Forged("middle".to_owned())));
     authority.issue(("nobody", P256), "root", "plain", "");
@@ -121,7 +121,7 @@ fn each_lie_about_a_stamp_is_refused_for_its_own_reason() {
     assert_eq!(check(&bare, &root), Err(TimeError::NoCertificate));
     assert_eq!(check(&bare, &authority.certificate("good")).map(|found| found.pinned), Ok(Some(0)), "pinned itself");
 
-    // Ten years on, by whoever holds the key.
+    // Ten years later, by somebody who holds the key.
     let year = signed.windows(3).position(|three| three == b"\x18\x0f2").expect("a time") + 4;
     let mut late = signed.clone();
     late[year + 1] += 1;
@@ -131,7 +131,7 @@ fn each_lie_about_a_stamp_is_refused_for_its_own_reason() {
     authority.openssl("ts -query -data settings -sha512 -cert -out other");
     let answer = authority.answer(&authority.read("other"), "good", "sha256", "");
     assert_eq!(check(token_of(&answer).expect("granted"), &root), Err(TimeError::ImprintHash));
-    // SHA-512 is none of this section's: a refusal in the authority's own words.
+    // This section does not accept SHA-512: a refusal in the authority's own words.
     let answer = authority.answer(&authority.read("other"), "good", "sha384", "");
     assert!(matches!(token_of(&answer), Err(TimeError::NotGranted { status: 2, .. })), "{:?}", token_of(&answer));
     assert!(matches!(check(b"no token", &root), Err(TimeError::Form { .. })));
@@ -156,7 +156,7 @@ fn every_flipped_byte_of_a_token_is_refused() {
     }
 }
 
-/// A token and what it is pinned by, made once.
+/// A token and its pin, made once.
 fn sample() -> Option<&'static (Vec<u8>, Certificate)> {
     static SAMPLE: OnceLock<Option<(Vec<u8>, Certificate)>> = OnceLock::new();
     let make = || {
@@ -222,7 +222,7 @@ fn a_record_existed_before_its_stamp() {
     let report = judged(&world, Packing::from(members), &trust);
     let record = &report.records[0];
     assert_eq!((record.time.standing, report.outcome), (Standing::Proven, Outcome::Holds), "{}", record.time.text);
-    // openssl's own reading of the time, with the second and a half that it gives itself.
+    // openssl's own reading of the time, with the second and a half of accuracy it gives.
     let text = String::from_utf8(authority.openssl("ts -reply -in answer -text")).expect("text");
     let time = text.lines().find_map(|line| line.strip_prefix("Time stamp: ")).expect("a time");
     let date = std::process::Command::new("date").args(["-u", "-d", time, "+%s"]).output().expect("date").stdout;
@@ -261,7 +261,7 @@ fn a_stamp_over_something_else_is_refused_and_an_absent_one_is_told() {
     let (standing, text, outcome) = told(world.packing());
     assert_eq!((standing, outcome), (Standing::Absent, Outcome::Holds), "{text}");
 
-    // A root that the stamp is not over, put in with the path of another.
+    // A root that the stamp does not cover, inserted with the path of another.
     let mut members = stamped(&world, |imprint| authority.token(imprint, "one", "sha256"))
         .sign(genesis(), world.owner, &world.keys, ours())
         .expect("packs");

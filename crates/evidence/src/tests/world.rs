@@ -1,4 +1,4 @@
-//! A chain with one record: its trie, its headers and its seals are written out of the Yellow Paper and EIP-225.
+//! A chain with one record: its trie, its headers and its seals are built from the Yellow Paper and EIP-225.
 
 use std::collections::BTreeMap;
 
@@ -40,7 +40,7 @@ pub fn bound() -> Domain {
     domain(7, &Hash([9; 32]), &CONTRACT)
 }
 
-/// A trie's root over these keys, and its nodes into `nodes` (Yellow Paper, appendix D).
+/// The root of a trie over these keys; its nodes go into `nodes` (Yellow Paper, appendix D).
 pub fn trie(pairs: &[(Vec<u8>, Vec<u8>)], nodes: &mut Vec<Vec<u8>>) -> Hash {
     let all: Vec<(Vec<u8>, &Vec<u8>)> = pairs
         .iter()
@@ -104,7 +104,7 @@ pub fn account(secret: u8) -> (EoaSecret, Address) {
     (secret, address)
 }
 
-/// A Clique header, sealed by nobody where `sealer` is 0.
+/// A Clique header, sealed by nobody if `sealer` is 0.
 pub fn header(number: u64, parent: Hash, state: Hash, vanity: [u8; 32], sealer: u8) -> Vec<u8> {
     let encode = |extra: &[u8]| {
         let mut list = RlpStream::new_list(15);
@@ -244,7 +244,7 @@ impl World {
         verify(&Bundle::parse(&file, ours()).expect("reads"), Some(trust), ours())
     }
 
-    /// The standings of (a), (b), (c), (e), and the text of the one that is asked for.
+    /// The results of (a), (b), (c), (e), and the text of the requested one.
     pub fn judged(&self, letter: char) -> (Vec<Standing>, String) {
         let report = self.report();
         let record = report.records.first().expect("a record");
@@ -272,7 +272,7 @@ pub fn sealed(owner: Address, signer: &SmKeyPair, topic_key: &TopicKey, seq: u64
     sealed_as(owner, signer, topic_key, seq, (body, body.len() as u64, Compression::None))
 }
 
-/// A record whose body is sealed as it is given, with what its head says of it.
+/// A record whose body is sealed as given, with what its head says about it.
 pub fn sealed_as(
     owner: Address,
     signer: &SmKeyPair,

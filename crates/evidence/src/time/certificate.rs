@@ -21,7 +21,7 @@ const MAY_SIGN: u8 = 0xc0;
 pub struct Certificate {
     pub(super) der: Vec<u8>,
     pub(super) signed: Vec<u8>,
-    /// How it is signed; not each way is one that is checked here.
+    /// How it is signed; not every way is supported here.
     pub(super) scheme: Result<Scheme, TimeError>,
     pub(super) signature: Vec<u8>,
     pub(super) serial: Vec<u8>,
@@ -33,18 +33,18 @@ pub struct Certificate {
     pub(super) uses: Uses,
 }
 
-/// What its extensions say.
+/// The content of its extensions.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Uses {
-    /// It may issue others.
+    /// Whether it may issue others.
     pub issuer: bool,
-    /// So many issuers may come between it and the last, where it says.
+    /// How many issuers may come between it and the last, if it says.
     pub most: Option<u64>,
     /// The first byte of keyUsage.
     pub key: Option<u8>,
-    /// A critical extended key usage that names timeStamping and nothing else.
+    /// It has a critical extended key usage that names timeStamping and nothing else.
     pub stamps: bool,
-    /// It has a critical extension that nothing here knows.
+    /// It has a critical extension unknown here.
     pub unknown: bool,
 }
 
@@ -62,7 +62,7 @@ impl Certificate {
     /// From DER.
     ///
     /// # Errors
-    /// [`TimeError`] where it is none, or signed in an unknown way.
+    /// [`TimeError`] if it is not one, or signed in an unknown way.
     pub fn parse(der: &[u8]) -> Result<Self, TimeError> {
         let mut outer = Der::only(PART, der, SEQUENCE)?;
         let signed = outer.element(SEQUENCE)?;
@@ -101,10 +101,10 @@ impl Certificate {
         Ok(Self { der, signed, scheme, signature, serial, issuer, subject, from, until, key, uses })
     }
 
-    /// From PEM: the first certificate of it.
+    /// From PEM: the first certificate in it.
     ///
     /// # Errors
-    /// [`TimeError`] where there is none.
+    /// [`TimeError`] if there is none.
     pub fn from_pem(text: &str) -> Result<Self, TimeError> {
         let after = text.split_once(BEGIN).map(|(_, after)| after);
         let body = after.and_then(|after| after.split_once(END)).map(|(body, _)| body);
@@ -119,7 +119,7 @@ impl Certificate {
         &self.der
     }
 
-    /// What names it: the common name of its subject, else its serial number, for people.
+    /// Its name: the common name of its subject, or else its serial number, for people.
     pub fn name(&self) -> String {
         common_name(&self.subject).unwrap_or_else(|| {
             let digits: String = self.serial.iter().take(20).map(|byte| format!("{byte:02x}")).collect();

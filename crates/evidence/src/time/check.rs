@@ -1,4 +1,4 @@
-//! A token checked from what it is over up to the certificate that is pinned, without a network.
+//! The check of a token from its imprint up to the pinned certificate, without a network.
 
 use authros_model::Timestamp;
 use ring::digest::{SHA1_FOR_LEGACY_USE_ONLY, digest};
@@ -10,16 +10,17 @@ use super::signature::HashKind;
 use super::token::{Signer, Token};
 use super::{TimeError, form, names, path};
 
-/// What a good token says.
+/// The content of a valid token.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Stamped {
-    /// When, by the authority's clock; a fraction of a second left off.
+    /// When, by the authority's clock; fractions of a second dropped.
     pub at: Timestamp,
-    /// Before which moment it certainly was, by the accuracy that the authority gives itself.
+    /// The time by which it certainly existed, by the accuracy that the authority states.
     pub before: Timestamp,
-    /// Who signed it, as the certificate names him, cleaned.
+    /// The signer's name in the certificate, cleaned.
     pub signer: String,
-    /// Which of the pinned certificates it leads to; `None` where it leads to none, and then this all is its own word.
+    /// Which of the pinned certificates it leads to; `None` if it leads to none, and then all this is only its own
+    /// word.
     pub pinned: Option<usize>,
 }
 
@@ -27,19 +28,19 @@ impl Stamped {
     /// Which of the pinned certificates it leads to.
     ///
     /// # Errors
-    /// [`TimeError::NotPinned`] where it leads to none.
+    /// [`TimeError::NotPinned`] if it leads to none.
     pub fn by_pinned(&self) -> Result<usize, TimeError> {
         self.pinned.ok_or_else(|| TimeError::NotPinned(self.signer.clone()))
     }
 }
 
-/// Checks a token (DER, at most [`super::LARGEST_DER`] bytes): form, imprint (SHA-256), nonce where the request is known,
-/// what was signed (RFC 5652, 5.6), that the signature names its certificate (RFC 5816), the signature itself, the
-/// certificate's purpose, validity at the stamped time, and the way to one of the pinned certificates. Whether a
+/// Checks a token (DER, at most [`super::LARGEST_DER`] bytes): form, imprint (SHA-256), nonce if the request is known,
+/// signed content (RFC 5652, 5.6), that the signature names its certificate (RFC 5816), the signature itself, the
+/// certificate's purpose, validity at the stamped time, and the path to one of the pinned certificates. Whether a
 /// certificate was revoked is not looked up.
 ///
 /// # Errors
-/// [`TimeError`] with the first thing that contradicts it.
+/// [`TimeError`] with the first contradiction.
 pub fn check_token(
     token: &[u8],
     imprint: &[u8; 32],
@@ -87,7 +88,7 @@ fn way(
     fault.map_or(Ok(None), Err)
 }
 
-/// What was signed is a stamp, and this one.
+/// The signed content is a stamp, and this one.
 fn content(signer: &Signer<'_>, content: &[u8]) -> Result<(), TimeError> {
     let missing = || form("signer's part", "an attribute that each stamp has is missing");
     let mut kind = signer.attribute(names::CONTENT_TYPE).ok_or_else(missing)?;
@@ -99,8 +100,8 @@ fn content(signer: &Signer<'_>, content: &[u8]) -> Result<(), TimeError> {
     if is_stamp && is_this { Ok(()) } else { Err(TimeError::OtherContent) }
 }
 
-/// The signature names the certificate that it is by, so that no other one of the same key takes its place. By SHA-1
-/// (RFC 2634) too: who would put another one there needs a second preimage, and many authorities still write that.
+/// The signature names its certificate, so that no other one with the same key can take its place. SHA-1 (RFC 2634) is
+/// accepted, too: substituting a certificate needs a second preimage, and many authorities still write that.
 fn named(signer: &Signer<'_>, certificate: &Certificate) -> Result<(), TimeError> {
     let (second, first) = (names::SIGNING_CERTIFICATE_2, names::SIGNING_CERTIFICATE);
     let mut found = false;

@@ -1,5 +1,5 @@
-//! DER (X.690, 10 and 11), as much of it as stamps and certificates need, read strictly: definite and shortest lengths
-//! alone, nothing left over. Nothing is copied, and nothing is longer than [`LARGEST_DER`].
+//! DER (X.690, 10 and 11), as much of it as stamps and certificates need, read strictly: only definite and shortest
+//! lengths, nothing left over. Nothing is copied, and nothing is longer than [`LARGEST_DER`].
 
 use super::{TimeError, form};
 
@@ -18,12 +18,12 @@ pub(super) const GENERALIZED_TIME: u8 = 0x18;
 pub(super) const SEQUENCE: u8 = 0x30;
 pub(super) const SET: u8 = 0x31;
 
-/// The tag of a constructed element that a structure numbers by itself.
+/// The tag of a constructed element numbered by its structure.
 pub(super) const fn context(number: u8) -> u8 {
     0xa0 | number
 }
 
-/// The tag of a primitive element that a structure numbers by itself.
+/// The tag of a primitive element numbered by its structure.
 pub(super) const fn primitive(number: u8) -> u8 {
     0x80 | number
 }
@@ -32,7 +32,7 @@ pub(super) const fn primitive(number: u8) -> u8 {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Element<'a> {
     pub tag: u8,
-    /// What is in it.
+    /// Its content.
     pub content: &'a [u8],
     /// All of it, with tag and length.
     pub whole: &'a [u8],
@@ -46,7 +46,7 @@ pub(super) struct Der<'a> {
 }
 
 impl<'a> Der<'a> {
-    /// Over the elements in `bytes`; `part` is what errors name.
+    /// Over the elements in `bytes`; `part` is the name used in errors.
     pub fn new(part: &'static str, bytes: &'a [u8]) -> Result<Self, TimeError> {
         if bytes.len() > LARGEST_DER {
             return Err(form(part, "it is too long"));
@@ -54,7 +54,7 @@ impl<'a> Der<'a> {
         Ok(Self { part, rest: bytes })
     }
 
-    /// Over the one element that `bytes` are, which has this tag.
+    /// Over the one element in `bytes`, which must have this tag.
     pub fn only(part: &'static str, bytes: &'a [u8], tag: u8) -> Result<Self, TimeError> {
         let mut outer = Self::new(part, bytes)?;
         let inner = outer.inside(tag)?;
@@ -75,7 +75,7 @@ impl<'a> Der<'a> {
         self.rest.first().copied()
     }
 
-    /// The next element, whatever it is.
+    /// The next element, whatever its tag.
     pub fn any(&mut self) -> Result<Element<'a>, TimeError> {
         let short = || self.wrong("it ends too early");
         let (tag, after) = self.rest.split_first().ok_or_else(short)?;
@@ -101,7 +101,7 @@ impl<'a> Der<'a> {
         Ok(Element { tag: *tag, content, whole })
     }
 
-    /// The next element, which has this tag.
+    /// The next element, which must have this tag.
     pub fn element(&mut self, tag: u8) -> Result<Element<'a>, TimeError> {
         match self.any()? {
             element if element.tag == tag => Ok(element),
@@ -109,23 +109,23 @@ impl<'a> Der<'a> {
         }
     }
 
-    /// The next element where it has this tag.
+    /// The next element if it has this tag.
     pub fn optional(&mut self, tag: u8) -> Result<Option<Element<'a>>, TimeError> {
         if self.next_tag() == Some(tag) { self.any().map(Some) } else { Ok(None) }
     }
 
-    /// What is in the next element, which has this tag.
+    /// The content of the next element, which must have this tag.
     pub fn inside(&mut self, tag: u8) -> Result<Self, TimeError> {
         let element = self.element(tag)?;
         Self::new(self.part, element.content)
     }
 
-    /// What is in the next element where it has this tag.
+    /// The content of the next element if it has this tag.
     pub fn inside_optional(&mut self, tag: u8) -> Result<Option<Self>, TimeError> {
         self.optional(tag)?.map(|element| Self::new(self.part, element.content)).transpose()
     }
 
-    /// An integer's bytes, two's complement, in the shortest way.
+    /// An integer's bytes, two's complement, in the shortest form.
     pub fn integer(&mut self) -> Result<&'a [u8], TimeError> {
         let bytes = self.element(INTEGER)?.content;
         match bytes {
@@ -164,7 +164,7 @@ impl<'a> Der<'a> {
         }
     }
 
-    /// Nothing is left.
+    /// Checks that nothing is left.
     pub fn end(&self) -> Result<(), TimeError> {
         if self.rest.is_empty() { Ok(()) } else { Err(self.wrong("something is left over")) }
     }
@@ -194,8 +194,8 @@ pub(super) fn put(tag: u8, parts: &[&[u8]]) -> Vec<u8> {
     out
 }
 
-/// Seconds since 1970 of a time as certificates (`UTCTime` or `GeneralizedTime`) and stamps write it, always UTC. A
-/// fraction of a second counts as a whole one where `up` says so, else as none.
+/// Seconds since 1970 of a time in the form of certificates (`UTCTime` or `GeneralizedTime`) and stamps, always UTC.
+/// Fractions of a second are rounded up if `up` is set, otherwise down.
 pub(super) fn seconds(element: Element<'_>, part: &'static str, up: bool) -> Result<u64, TimeError> {
     let wrong = || form(part, "a time is no time");
     let text = element.content.strip_suffix(b"Z").ok_or_else(wrong)?;

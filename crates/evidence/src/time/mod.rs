@@ -1,5 +1,5 @@
-//! Time from outside: an authority's stamp (RFC 3161) over the roots of batches, asked for and checked without a network.
-//! What is pinned is a certificate; whether one was revoked is not looked up.
+//! External time: an authority's stamp (RFC 3161) over the roots of batches, requested and checked without a network.
+//! The pin is a certificate; whether one was revoked is not looked up.
 
 mod certificate;
 mod check;
@@ -20,10 +20,10 @@ pub(crate) use stamp::{DraftStamp, members};
 
 use authros_model::{Timestamp, clean};
 
-/// Why a stamp is not taken.
+/// Why a stamp is not accepted.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum TimeError {
-    /// It is not of its form.
+    /// It is malformed.
     #[error("the {part} is not of its form: {why}")]
     Form {
         /// Which part.
@@ -36,19 +36,19 @@ pub enum TimeError {
     NotGranted {
         /// PKIStatus of RFC 3161.
         status: u64,
-        /// What it said, cleaned.
+        /// Its text, cleaned.
         text: Option<String>,
     },
-    /// It is over something else.
+    /// It covers something else.
     #[error("it stamps something else: its message imprint is another one")]
     OtherImprint,
-    /// The imprint is by another hash than was asked for.
+    /// The imprint uses another hash than requested.
     #[error("its message imprint is not by SHA-256")]
     ImprintHash,
     /// It answers another request.
     #[error("it answers another request: its nonce is another one")]
     OtherNonce,
-    /// The certificate that signed it is not there.
+    /// The certificate that signed it is missing.
     #[error("the certificate of whoever signed it is not in it")]
     NoCertificate,
     /// The signed attributes are not those of this content.
@@ -57,13 +57,13 @@ pub enum TimeError {
     /// The signature covers no name of the certificate, or another one's.
     #[error("its signature does not name the certificate that it is by (ESSCertID)")]
     OtherCertificate,
-    /// The signature is not right.
+    /// The signature is not valid.
     #[error("its signature is not right")]
     Signature,
-    /// Signed in a way that this program does not know.
+    /// Signed in a way unknown to this program.
     #[error("it is signed by {0}, which this program does not check")]
     Algorithm(&'static str),
-    /// The certificate is not one for time stamps alone.
+    /// The certificate is not for time stamps only.
     #[error("its certificate is not one for time stamps alone (a critical extended key usage, timeStamping)")]
     NotForStamps,
     /// A certificate was not valid then.
@@ -78,16 +78,16 @@ pub enum TimeError {
         /// When it ends.
         until: Timestamp,
     },
-    /// There is no way from the certificate to the pinned one.
+    /// There is no path from the certificate to the pinned one.
     #[error("no certificate in it leads from {0} to one that is pinned")]
     NotPinned(String),
-    /// A certificate on the way may not issue others.
+    /// A certificate on the path may not issue others.
     #[error("the certificate of {0}, on the way, may not issue others")]
     NotAnIssuer(String),
-    /// A certificate on the way is not signed by the one above.
+    /// A certificate on the path is not signed by the one above.
     #[error("the certificate of {0}, on the way, is not signed by the one above it")]
     Forged(String),
-    /// A certificate has a critical extension that this program does not know.
+    /// A certificate has a critical extension unknown to this program.
     #[error("the certificate of {0} has a critical extension that this program does not know")]
     Critical(String),
 }
@@ -98,7 +98,7 @@ impl TimeError {
     }
 }
 
-/// A part that is not of its form.
+/// A malformed part.
 fn form(part: &'static str, why: &'static str) -> TimeError {
     TimeError::Form { part, why }
 }

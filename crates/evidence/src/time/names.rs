@@ -1,4 +1,4 @@
-//! Object identifiers that stamps and certificates use, as DER writes what is in them.
+//! Object identifiers used in stamps and certificates, as DER content.
 
 /// id-signedData (RFC 5652).
 pub(super) const SIGNED_DATA: &[u8] = b"\x2a\x86\x48\x86\xf7\x0d\x01\x07\x02";

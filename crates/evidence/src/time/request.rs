@@ -1,4 +1,4 @@
-//! What an authority is asked, and what is taken out of its answer (RFC 3161, 2.4).
+//! The request to an authority, and the token in its answer (RFC 3161, 2.4).
 
 use super::TimeError;
 use super::der::{self, BOOLEAN, Der, INTEGER, NULL, OBJECT, OCTETS, SEQUENCE, UTF8};
@@ -12,14 +12,14 @@ pub const LONGEST_ANSWER: usize = der::LARGEST_DER;
 /// A request for a stamp.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Request {
-    /// SHA-256 of what is stamped.
+    /// SHA-256 of the stamped data.
     pub imprint: [u8; 32],
-    /// Chance, which the answer repeats.
+    /// Random, repeated by the answer.
     pub nonce: [u8; 16],
 }
 
 impl Request {
-    /// As DER: SHA-256, the nonce, and the authority's certificate asked for.
+    /// As DER: SHA-256, the nonce, and a request for the authority's certificate.
     pub fn encode(&self) -> Vec<u8> {
         let hash = der::put(SEQUENCE, &[&der::put(OBJECT, &[names::SHA_256]), &der::put(NULL, &[])]);
         let imprint = der::put(SEQUENCE, &[&hash, &der::put(OCTETS, &[&self.imprint])]);
@@ -27,7 +27,7 @@ impl Request {
         der::put(SEQUENCE, &[&version, &imprint, &nonce, &der::put(BOOLEAN, &[&[0xff]])])
     }
 
-    /// The nonce as a positive integer in the shortest way.
+    /// The nonce as a positive integer in the shortest form.
     pub(super) fn nonce_integer(&self) -> Vec<u8> {
         let mut bytes = self.nonce;
         // Positive, and never shorter.
@@ -39,7 +39,7 @@ impl Request {
 /// The token in an authority's answer.
 ///
 /// # Errors
-/// [`TimeError::NotGranted`] with what it said, [`TimeError::Form`] where it is no answer.
+/// [`TimeError::NotGranted`] with its text, [`TimeError::Form`] if it is not an answer.
 pub fn token_of(answer: &[u8]) -> Result<&[u8], TimeError> {
     let mut outer = Der::only("answer", answer, SEQUENCE)?;
     let mut about = outer.inside(SEQUENCE)?;

@@ -1,5 +1,5 @@
-//! Signatures of authorities: RSA (PKCS#1 v1.5 and PSS, from 2048 bits on), ECDSA over P-256 and P-384. Verified by `ring`,
-//! which comes with TLS; nothing is ever signed here.
+//! Signatures of authorities: RSA (PKCS#1 v1.5 and PSS, at least 2048 bits), ECDSA over P-256 and P-384. Verified by
+//! `ring`, which comes with TLS; nothing is ever signed here.
 
 use ring::digest::{self, SHA256, SHA384, SHA512};
 use ring::signature::{
@@ -20,7 +20,7 @@ pub(super) enum HashKind {
 }
 
 impl HashKind {
-    /// Of an AlgorithmIdentifier: nothing or NULL behind the name.
+    /// From an AlgorithmIdentifier: nothing or NULL after the name.
     pub fn read(der: &mut Der<'_>, tag: u8) -> Result<Self, TimeError> {
         let mut inner = der.inside(tag)?;
         let kind =
@@ -77,7 +77,7 @@ pub(super) enum Scheme {
 }
 
 impl Scheme {
-    /// Of an AlgorithmIdentifier.
+    /// From an AlgorithmIdentifier.
     pub fn read(der: &mut Der<'_>) -> Result<Self, TimeError> {
         let mut inner = der.inside(SEQUENCE)?;
         let name = inner.object()?;
@@ -98,7 +98,7 @@ impl Scheme {
         found.ok_or(TimeError::Algorithm("another algorithm than RSA or ECDSA with SHA-256, -384 or -512"))
     }
 
-    /// With the hash that the signer names for what he signs; `None` where the two contradict each other.
+    /// With the hash that the signer names for the signed data; `None` if the two contradict each other.
     pub fn with_hash(self, hash: HashKind) -> Option<Self> {
         match self {
             Self::Rsa => Some(Self::Pkcs1(hash)),
@@ -107,7 +107,7 @@ impl Scheme {
     }
 }
 
-/// RFC 4055, 3.1: the same hash twice, and salt as long as it.
+/// RFC 4055, 3.1: the same hash twice, and a salt of the same length.
 fn pss(der: &mut Der<'_>) -> Result<Scheme, TimeError> {
     let other = TimeError::Algorithm("RSA-PSS in another way than one hash throughout, and salt as long as it");
     let mut inner = der.inside(SEQUENCE)?;
@@ -144,12 +144,12 @@ pub(super) enum Key {
     P256(Vec<u8>),
     /// A point of P-384.
     P384(Vec<u8>),
-    /// Of a kind that nothing is checked by here.
+    /// Of a kind that is not supported here.
     Other,
 }
 
 impl Key {
-    /// Of a SubjectPublicKeyInfo.
+    /// From a SubjectPublicKeyInfo.
     pub fn read(der: &mut Der<'_>) -> Result<Self, TimeError> {
         let mut info = der.inside(SEQUENCE)?;
         let mut algorithm = info.inside(SEQUENCE)?;

@@ -14,15 +14,15 @@ use crate::BundleError;
 const STAMPS: &str = "stamps";
 /// The most roots under one stamp.
 pub const MOST_ROOTS: usize = MOST_LEAVES;
-/// The most tokens over the same roots: one of each authority.
+/// The most tokens over the same roots: one from each authority.
 pub const MOST_TOKENS: usize = 4;
-/// What `roots.json` begins with, and what separates the imprint from any other use of SHA-256.
+/// The format name in `roots.json`, which also separates the imprint from any other use of SHA-256.
 const FORMAT: &str = "authros-stamp/1";
 const LABEL: &[u8] = b"AuthROS/stamp/1";
 const ROOTS: &str = "roots.json";
 const TOKEN_DIGITS: usize = 32;
 
-/// SHA-256(`AuthROS/stamp/1` || top || count, 8 bytes big endian): what an authority stamps.
+/// SHA-256(`AuthROS/stamp/1` || top || count, 8 bytes big endian): the data that an authority stamps.
 fn imprint_of(top: &Hash, count: u64) -> [u8; 32] {
     Sha256::new().chain_update(LABEL).chain_update(top.0).chain_update(count.to_be_bytes()).finalize().into()
 }
@@ -35,12 +35,12 @@ pub struct StampTree {
 }
 
 impl StampTree {
-    /// Over these roots in this order; `None` where there are none, or more than [`MOST_ROOTS`].
+    /// Over these roots in this order; `None` if there are none, or more than [`MOST_ROOTS`].
     pub fn new(roots: Vec<Hash>) -> Option<Self> {
         Some(Self { tree: Tree::new(roots.iter().map(stamp_hash).collect())?, roots })
     }
 
-    /// What an authority stamps.
+    /// The data that an authority stamps.
     pub fn imprint(&self) -> [u8; 32] {
         imprint_of(&self.tree.root(), self.count())
     }
@@ -49,11 +49,11 @@ impl StampTree {
         self.roots.len() as u64
     }
 
-    /// The member `roots.json` of these roots, and the imprint that it is filed under; roots that are not in the tree are
-    /// left out.
+    /// The member `roots.json` of these roots, and the imprint under which it is filed; roots that are not in the tree
+    /// are left out.
     ///
     /// # Errors
-    /// Where it cannot be written.
+    /// If it cannot be written.
     pub(crate) fn listed(&self, wanted: &[Hash]) -> Result<(Hash, Vec<u8>), BundleError> {
         let places: BTreeMap<&Hash, usize> = self.roots.iter().enumerate().map(|(at, root)| (root, at)).collect();
         let wanted: std::collections::BTreeSet<&Hash> = wanted.iter().collect();
@@ -111,27 +111,27 @@ pub(crate) fn members(
     Ok(std::iter::once((format!("{folder}/{ROOTS}"), text)).chain(tokens).collect())
 }
 
-/// A stamp of a bundle: roots, each with its path to what was stamped, and the tokens over it.
+/// A stamp in a bundle: roots, each with its path to the stamped data, and the tokens over it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BundledStamp {
     /// The root of the tree over the roots.
     pub top: Hash,
-    /// Roots under it.
+    /// The number of roots under it.
     pub count: u64,
-    /// Those that the bundle shows, each once, in their order.
+    /// Those shown by the bundle, each once, in their order.
     pub roots: Vec<StampedRoot>,
     /// One or more, DER; none is checked yet.
     pub tokens: Vec<Vec<u8>>,
 }
 
 impl BundledStamp {
-    /// Whether a root's path leads to what was stamped.
+    /// Whether a root's path leads to the stamped data.
     pub(crate) fn leads(&self, place: &StampedRoot) -> bool {
         root_of(stamp_hash(&place.root), place.index, self.count, &place.path) == Some(self.top)
     }
 }
 
-/// A stamp whose files come one by one.
+/// A stamp whose files are read one by one.
 #[derive(Default)]
 pub(crate) struct DraftStamp {
     listed: Option<Listed>,

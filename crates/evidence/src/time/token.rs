@@ -1,4 +1,4 @@
-//! A token: CMS SignedData (RFC 5652) over TSTInfo (RFC 3161), by one signer, with his certificate.
+//! A token: CMS SignedData (RFC 5652) over TSTInfo (RFC 3161), by one signer, with the signer's certificate.
 
 use super::certificate::Certificate;
 use super::der::{
@@ -15,21 +15,21 @@ const MOST_CERTIFICATES: usize = 8;
 /// The most signed attributes.
 const MOST_ATTRIBUTES: usize = 16;
 
-/// A token in its parts; nothing of it is checked yet.
+/// A token in its parts; nothing has been checked yet.
 pub(super) struct Token<'a> {
     pub info: Info<'a>,
-    /// What is signed.
+    /// The signed content.
     pub content: &'a [u8],
     pub certificates: Vec<Certificate>,
     pub signer: Signer<'a>,
 }
 
-/// What the authority states.
+/// The authority's statement.
 pub(super) struct Info<'a> {
     pub imprint: &'a [u8],
-    /// When, seconds; a fraction left off.
+    /// When, seconds; fractions dropped.
     pub at: u64,
-    /// Before which second it certainly was, by its own accuracy.
+    /// The second by which it certainly existed, by its own accuracy.
     pub before: u64,
     pub nonce: Option<&'a [u8]>,
 }
@@ -41,13 +41,13 @@ pub(super) struct Signer<'a> {
     pub hash: HashKind,
     pub scheme: Scheme,
     pub signature: &'a [u8],
-    /// What the signature is over: the attributes as a SET.
+    /// The data that the signature covers: the attributes as a SET.
     pub signed: Vec<u8>,
     attributes: Vec<(&'a [u8], Der<'a>)>,
 }
 
 impl<'a> Signer<'a> {
-    /// The one value of an attribute.
+    /// The only value of an attribute.
     pub fn attribute(&self, name: &[u8]) -> Option<Der<'a>> {
         self.attributes.iter().find(|(known, _)| *known == name).map(|(_, values)| *values)
     }
@@ -63,7 +63,7 @@ impl<'a> Token<'a> {
         outer.end()?;
         let mut data = wrapped.inside(SEQUENCE)?;
         wrapped.end()?;
-        // RFC 5652, 5.1: another content than plain data.
+        // RFC 5652, 5.1: content other than plain data.
         if data.small()? != 3 {
             return Err(form(PART, "it is of another version than 3"));
         }
@@ -138,7 +138,7 @@ impl<'a> Info<'a> {
     }
 }
 
-/// Accuracy in whole seconds, up.
+/// Accuracy in whole seconds, rounded up.
 fn spread(mut accuracy: Der<'_>) -> Result<u64, TimeError> {
     let whole = if accuracy.next_tag() == Some(INTEGER) { accuracy.small()? } else { 0 };
     let mut part = 0;

@@ -1,4 +1,5 @@
-//! Deliveries to a program of this machine: its words as they are, JSON on its standard input, an end to its time.
+//! Deliveries to a program on this machine: its command line as configured, JSON on its standard input, and a time
+//! limit.
 
 use std::io::Write as _;
 use std::os::unix::process::CommandExt as _;
@@ -14,29 +15,29 @@ use crate::service::reply::Failure;
 
 /// How long it may run.
 pub const PATIENCE: Duration = Duration::from_secs(30);
-/// Between two looks whether it has ended.
+/// How often to check whether it has ended.
 const LOOK: Duration = Duration::from_millis(20);
-/// What it gets of this process's environment.
+/// The part of this process's environment that it gets.
 const ENVIRONMENT: [&str; 3] = ["PATH", "HOME", "LANG"];
 
-/// Whether somebody waits for a program. It is killed by who ends the waiting, for a process that ends may leave no time
-/// to the thread that looks after it.
+/// Whether somebody waits for a program. Whoever ends the waiting kills it, because a process that is ending may leave
+/// no time for the thread that supervises it.
 #[derive(Debug, Default)]
 pub struct Wanted(Mutex<State>);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 enum State {
-    /// It is not begun.
+    /// Not started.
     #[default]
     Waits,
-    /// It runs, in this group of its own.
+    /// Running, in a process group of its own.
     Runs(Pid),
     /// Nobody waits any more, or it has ended.
     Over,
 }
 
 impl Wanted {
-    /// Nobody waits any more: what runs is killed, and nothing is begun.
+    /// Nobody waits any more: a running program is killed, and none is started.
     pub fn end(&self) {
         end(&mut self.state());
     }
@@ -48,25 +49,25 @@ impl Wanted {
 
 fn end(state: &mut State) {
     if let State::Runs(group) = std::mem::replace(state, State::Over) {
-        // It may have ended in between; then there is nothing to kill.
+        // It may have ended in the meantime; then there is nothing to kill.
         let _ = kill_process_group(group, Signal::KILL);
     }
 }
 
-/// Runs it to its end, for `patience` at most and only while it is wanted, and says how it ended.
+/// Runs it to its end, for at most `patience` and only while it is wanted, and returns how it ended.
 ///
 /// # Errors
-/// Of kind `Unreachable` where it cannot be started, `Refused` where it failed, took too long or is wanted no more.
+/// Kind `Unreachable` if it cannot be started, `Refused` if it failed, took too long or is no longer wanted.
 pub fn run(words: &[String], body: &[u8], patience: Duration, wanted: &Wanted) -> Result<String, Failure> {
     let Some((program, arguments)) = words.split_first() else { return Err(refused("alerts.command is empty")) };
     let shown = clean(program, 100);
     let mut command = Command::new(program);
     command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null()).env_clear();
     command.envs(ENVIRONMENT.iter().filter_map(|name| Some((name, std::env::var_os(name)?))));
-    // A group of its own, so that what it started ends with it.
+    // A process group of its own, so that its children end with it.
     command.process_group(0).current_dir("/");
     let mut child = begun(&mut command, wanted, &shown)?;
-    // A pipe holds many such bodies; a program that does not read is no fault.
+    // A pipe holds many such bodies; a program that does not read its input is not an error.
     if let Some(mut stdin) = child.stdin.take() {
         drop(stdin.write_all(body));
     }
@@ -97,7 +98,7 @@ fn ended(child: &mut Child, patience: Duration, wanted: &Wanted) -> Option<ExitS
         let mut state = wanted.state();
         match child.try_wait() {
             Ok(Some(status)) => {
-                // Its number may be another's from now on.
+                // Its number may belong to another process from now on.
                 let killed = std::mem::replace(&mut *state, State::Over) == State::Over;
                 return Some(status).filter(|_| !killed);
             }
@@ -128,7 +129,7 @@ mod tests {
     fn words_reach_the_program_as_they_are_and_the_body_its_input() {
         let folder = tempfile::tempdir().expect("a folder");
         let out = folder.path().join("a b; $HOME");
-        // dd opens what it is told to by name, and copies its input there.
+        // dd opens the file named in its arguments, and copies its input there.
         let of = format!("of={}", out.display());
         ran(&["/bin/dd", &of], br#"{"authros_alert":1}"#, PATIENCE).expect("it runs");
         assert_eq!(std::fs::read(&out).expect("written"), br#"{"authros_alert":1}"#);

@@ -1,5 +1,5 @@
-//! Alerts: what is not well, told once when it begins and once when it ends, to a webhook or a command. What is judged
-//! is the figures; nothing here asks a site.
+//! Alerts: each problem is reported once when it begins and once when it ends, to a webhook or a command. The input is
+//! the figures; nothing here asks a site.
 
 mod command;
 mod queue;
@@ -23,32 +23,32 @@ use crate::model::{Timestamp, clean};
 use crate::service::failure::internal;
 use crate::service::reply::{AlertView, Failure};
 
-/// What a delivery tells of its alert.
+/// What a delivery says about its alert.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum News {
-    /// It stands from now on.
+    /// It begins.
     Begun,
     /// It is over.
     Resolved,
-    /// Nothing: somebody tries whether deliveries arrive.
+    /// Nothing: somebody is testing whether deliveries arrive.
     Test,
 }
 
-/// What is sent once it is accepted, at least once.
+/// A delivery; once accepted, it is sent at least once.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Delivery {
-    /// Counts up in a home: the same number is the same delivery.
+    /// Counts up within a home: the same number is the same delivery.
     pub number: u64,
-    /// What of it.
+    /// What happened to the alert.
     pub state: News,
     /// The alert.
     pub alert: AlertView,
-    /// When it was over.
+    /// When it ended.
     pub ended: Option<Timestamp>,
 }
 
-/// The JSON of a delivery in our own form.
+/// The JSON of a delivery in our own format.
 #[derive(Serialize)]
 struct Told<'a> {
     authros_alert: u8,
@@ -58,13 +58,13 @@ struct Told<'a> {
 }
 
 impl Delivery {
-    /// In our own form; `dropped` = deliveries before it that found no room.
+    /// In our own format; `dropped` = earlier deliveries for which there was no room.
     fn body(&self, dropped: u64) -> Vec<u8> {
         serde_json::to_vec(&Told { authros_alert: 1, delivery: self, dropped }).unwrap_or_default()
     }
 }
 
-/// Takes deliveries to where the settings say.
+/// Delivers to the destination in the settings.
 pub enum Carrier {
     /// To a server.
     Webhook(Webhook),
@@ -72,7 +72,7 @@ pub enum Carrier {
     Command(Vec<String>),
 }
 
-/// Ends the program when nobody waits for it any more.
+/// Kills the program when nobody waits for it any more.
 struct Waiting(Arc<command::Wanted>);
 
 impl Drop for Waiting {
@@ -82,7 +82,7 @@ impl Drop for Waiting {
 }
 
 impl Carrier {
-    /// To this place.
+    /// For this destination.
     ///
     /// # Errors
     /// An address or a secret that cannot be used.
@@ -95,10 +95,10 @@ impl Carrier {
         })
     }
 
-    /// Takes it there, and says what came back. `dropped` = deliveries before it that found no room.
+    /// Delivers it and returns the reply. `dropped` = earlier deliveries for which there was no room.
     ///
     /// # Errors
-    /// Why it was not taken; it may have arrived all the same.
+    /// Why it was not accepted; it may have arrived all the same.
     pub async fn carry(&self, delivery: &Delivery, dropped: u64) -> Result<String, Failure> {
         let words = match self {
             Self::Webhook(webhook) => return webhook.carry(delivery, dropped).await,
@@ -112,7 +112,7 @@ impl Carrier {
     }
 }
 
-/// Who is told, without passwords and paths of a URL.
+/// The destination, without a URL's passwords and paths.
 pub fn place_name(place: &AlertPlace) -> String {
     match place {
         AlertPlace::Webhook { url, .. } => {

@@ -1,5 +1,5 @@
-//! Alerts that stand and deliveries that wait, in one file of lines that only grows until it is written anew: what was
-//! noted survives a kill, and of a line that was cut nothing is believed.
+//! Active alerts and waiting deliveries, in one append-only file of lines that is rewritten now and then: what was
+//! noted survives a kill, and a truncated line is ignored.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fs::OpenOptions;
@@ -15,32 +15,32 @@ use crate::model::Timestamp;
 use crate::service::reply::AlertView;
 use crate::store::files::atomic_write;
 
-/// Deliveries that wait, at most; of more the oldest are given up and counted.
+/// The most deliveries that wait; beyond that the oldest are dropped and counted.
 const MOST_WAITING: usize = 200;
-/// Lines after which the file is written anew.
+/// Lines after which the file is rewritten.
 const MOST_LINES: usize = 500;
-/// The longest file that is read, bytes: many times what the lines above need.
+/// The longest file that is read, bytes: many times what the limits above need.
 const LONGEST: u64 = 16 << 20;
 
-/// What a line of the file says.
+/// The content of a line of the file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Line {
-    /// The last number that was given.
+    /// The last number assigned.
     Numbered(u64),
-    /// All that stand.
+    /// All active alerts.
     Stand(Vec<AlertView>),
-    /// A delivery that waits; its alert stands from then on, or no more.
+    /// A waiting delivery; its alert is active from then on, or no longer.
     Waits(Delivery),
-    /// This delivery is done, and it told of so many that were given up.
+    /// This delivery is done, and it reported this many dropped ones.
     Done { number: u64, told: u64 },
-    /// This one was given up: there was no room.
+    /// This one was dropped: there was no room.
     GivenUp(u64),
-    /// So many were given up before.
+    /// This many were dropped before.
     Dropped(u64),
 }
 
-/// What the lines come to.
+/// The state that the lines add up to.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 struct Kept {
     numbered: u64,
@@ -77,28 +77,28 @@ impl Kept {
         }
     }
 
-    /// The fewest lines that come to the same.
+    /// The fewest lines that give the same state.
     fn lines(&self) -> Vec<Line> {
         let mut lines = vec![Line::Numbered(self.numbered), Line::Dropped(self.dropped)];
         lines.extend(self.waiting.iter().cloned().map(Line::Waits));
-        // Behind those that wait: what they began or ended may have changed since.
+        // After the waiting ones: alerts that they began or ended may have changed since.
         lines.push(Line::Stand(self.standing.values().cloned().collect()));
         lines
     }
 }
 
-/// The file and what it holds.
+/// The file and its content.
 #[derive(Debug)]
 pub struct Queue {
     path: PathBuf,
     kept: Kept,
     lines: usize,
-    /// Whether the file ends within a line or could not be written: it is then written anew.
+    /// Whether the file ends within a line or could not be written: it is then rewritten.
     torn: bool,
 }
 
 impl Queue {
-    /// What the file holds; nothing where there is none. It is written with the first line that is noted.
+    /// The content of the file; empty if there is none. The file is created with the first line.
     pub fn open(path: &Path) -> Self {
         let too_long = std::fs::metadata(path).is_ok_and(|about| about.len() > LONGEST);
         let bytes = if too_long { Vec::new() } else { std::fs::read(path).unwrap_or_default() };
@@ -114,22 +114,22 @@ impl Queue {
         Self { path: path.to_owned(), kept, lines, torn }
     }
 
-    /// Alerts that stand.
+    /// Active alerts.
     pub fn standing(&self) -> Vec<AlertView> {
         self.kept.standing.values().cloned().collect()
     }
 
-    /// How many deliveries wait, and how many were given up that no delivery told of.
+    /// How many deliveries wait, and how many dropped ones no delivery has reported yet.
     pub fn counts(&self) -> (u64, u64) {
         (u64::try_from(self.kept.waiting.len()).unwrap_or(u64::MAX), self.kept.dropped)
     }
 
-    /// The delivery that is next, and how many were given up before it.
+    /// The next delivery, and how many were dropped before it.
     pub fn first(&self) -> Option<(Delivery, u64)> {
         Some((self.kept.waiting.front()?.clone(), self.kept.dropped))
     }
 
-    /// Adds what is to be delivered.
+    /// Adds deliveries.
     pub fn add(&mut self, change: Change) {
         let (state, alert, ended) = match change {
             Change::Begun(alert) => (News::Begun, alert, None),
@@ -138,7 +138,7 @@ impl Queue {
         self.wait(state, alert, ended);
     }
 
-    /// Adds all that stands once more, for a place that forgets what it is not reminded of.
+    /// Adds all active alerts again, for a destination that forgets alerts unless reminded.
     pub fn remind(&mut self) {
         for alert in self.standing() {
             self.wait(News::Begun, alert, None);
@@ -146,7 +146,7 @@ impl Queue {
     }
 
     fn wait(&mut self, state: News, alert: AlertView, ended: Option<Timestamp>) {
-        // The first may be on its way.
+        // The first may be in flight.
         if self.kept.waiting.len() >= MOST_WAITING
             && let Some(oldest) = self.kept.waiting.get(1).map(|delivery| delivery.number)
         {
@@ -156,7 +156,7 @@ impl Queue {
         self.note(Line::Waits(Delivery { number, state, alert, ended }));
     }
 
-    /// A delivery was taken, and with it the word of `told` that were given up.
+    /// A delivery was accepted, and with it the report of `told` dropped ones.
     pub fn done(&mut self, number: u64, told: u64) {
         self.note(Line::Done { number, told });
     }
@@ -167,7 +167,7 @@ impl Queue {
         !self.torn
     }
 
-    /// What cannot be written is still delivered by this process, and written as soon as that is possible.
+    /// What cannot be written is still delivered by this process, and written as soon as possible.
     fn note(&mut self, line: Line) {
         let text = serde_json::to_string(&line).unwrap_or_default();
         self.kept.apply(line);

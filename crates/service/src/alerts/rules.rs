@@ -1,5 +1,5 @@
-//! What counts as trouble: rules over the figures of a site. Their words name no topic, nobody of the address book and
-//! no key; accounts and robots are the eight digits of the figures.
+//! What counts as trouble: rules over the figures of a site. Their texts name no topic, nobody from the address book
+//! and no key; accounts and robots appear as the eight digits of the figures.
 
 use std::time::Duration;
 
@@ -8,17 +8,17 @@ use crate::model::Timestamp;
 use crate::service::figures::{Figures, GrantFigures, OwnerFigures, RobotFigures};
 use crate::service::reply::{AlertView, Severity};
 
-/// How long ages are not judged after a start: what waited while the site was down is worked off first.
+/// How long after a start ages are not judged: what waited while the site was down is worked off first.
 const SETTLING: Duration = Duration::from_secs(120);
-/// A robot that was not heard of for so long is away, not silent.
+/// A robot not heard of for this long is away, not silent.
 const AWAY: Duration = Duration::from_secs(86_400);
-/// How long losses count as going on after the last one.
+/// How long losses count as ongoing after the last one.
 const LOSING: Duration = Duration::from_secs(300);
 
-/// The rule for grants that end.
+/// The rule for grants about to end.
 const GRANT: &str = "grant_ends";
 
-/// Every rule: what its keys begin with.
+/// Every rule: the prefix of its keys.
 pub const RULES: [&str; 11] =
     ["audit", "chain", "clock", "disk", "gap", GRANT, "quarantine", "robot_silent", "tampered", "unanchored", "vault"];
 
@@ -27,42 +27,42 @@ pub fn rule_of(key: &str) -> &str {
     key.split('/').next().unwrap_or(key)
 }
 
-/// How a rule finds something.
+/// The result of a rule.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Level {
     /// It is an alert.
     Firing,
-    /// Too close to the limit to begin or to end one, or not known now.
+    /// Too close to the limit to begin or to end an alert, or unknown at present.
     Between,
-    /// It is well.
+    /// All is well.
     Clear,
 }
 
-/// What a rule found.
+/// A rule's finding.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Judged {
-    /// The rule, and what it is about.
+    /// The rule and its subject.
     pub key: String,
-    /// How bad it is where it is an alert.
+    /// The severity if it is an alert.
     pub severity: Severity,
-    /// How it is.
+    /// The result.
     pub level: Level,
     /// What happened and what to do.
     pub text: String,
 }
 
-/// Judges figures, and remembers of earlier ones what it needs.
+/// Judges figures, and remembers what it needs of earlier ones.
 #[derive(Debug)]
 pub struct Judge {
     limits: AlertLimits,
     /// When the first figures came.
     since: Option<Timestamp>,
     losses: Option<Losses>,
-    /// Grants that end, as they were known last.
+    /// Grants about to end, as last known.
     grants: Option<Vec<GrantFigures>>,
 }
 
-/// Messages that became no record.
+/// Messages that did not become records.
 #[derive(Debug, Clone, Copy)]
 struct Losses {
     first: u64,
@@ -76,7 +76,7 @@ impl Judge {
         Self { limits, since: None, losses: None, grants: None }
     }
 
-    /// What every rule finds.
+    /// The findings of every rule.
     pub fn judge(&mut self, figures: &Figures) -> Vec<Judged> {
         let since = *self.since.get_or_insert(figures.now);
         let settled = passed(figures.now, since) >= nanos(SETTLING);
@@ -214,7 +214,7 @@ impl Judge {
         going.map(judge).collect()
     }
 
-    /// What stands of a rule that cannot be judged yet: it neither goes on nor ends.
+    /// Active alerts of a rule that cannot be judged yet: they neither continue nor end.
     pub fn not_known(&self, standing: &[AlertView]) -> Vec<Judged> {
         let waits = self.limits.grant_ends.is_some() && self.grants.is_none();
         let of_grants = standing.iter().filter(|alert| rule_of(&alert.key) == GRANT && waits);
@@ -229,7 +229,7 @@ impl Judge {
 
     fn audit(&self, figures: &Figures, settled: bool) -> Option<Judged> {
         let limit = self.limits.audit?;
-        // Without a chain there is nothing to anchor a head on.
+        // Without a chain there is nowhere to anchor a head.
         figures.parts.iter().find(|part| part.part == "chain")?;
         let waited = figures.audit_unanchored.map_or(0, |oldest| passed(figures.now, oldest));
         Some(Judged {
@@ -244,7 +244,7 @@ impl Judge {
     }
 }
 
-/// What is held back, and what differs from the chain.
+/// What is in quarantine, and what differs from the chain.
 fn records(owner: &OwnerFigures) -> [Judged; 2] {
     let any = |count: u64| if count > 0 { Level::Firing } else { Level::Clear };
     let (held, tampered) = (owner.life.quarantined, owner.life.tampered);
@@ -264,7 +264,7 @@ fn records(owner: &OwnerFigures) -> [Judged; 2] {
     [held, Judged { key: format!("tampered/{}", owner.owner), severity, level, text }]
 }
 
-/// A part of the site; nothing where this run does not have it.
+/// A part of the site; nothing if this run does not have it.
 fn part(figures: &Figures, name: &str, text: &str) -> Option<Judged> {
     let part = figures.parts.iter().find(|part| part.part == name)?;
     let level = match (part.failed, part.well) {
@@ -275,7 +275,7 @@ fn part(figures: &Figures, name: &str, text: &str) -> Option<Judged> {
     Some(Judged { key: name.to_owned(), severity: Severity::Critical, level, text: text.to_owned() })
 }
 
-/// Over a limit, or a tenth below it at least.
+/// Over a limit, or at least a tenth below it.
 fn over(value: u64, limit: u64) -> Level {
     if value > limit {
         return Level::Firing;
@@ -300,7 +300,7 @@ fn nanos(length: Duration) -> u64 {
     u64::try_from(length.as_nanos()).unwrap_or(u64::MAX)
 }
 
-/// A length of time for people.
+/// A duration for people.
 fn words(nanos: u64) -> String {
     match nanos / 1_000_000_000 {
         seconds if seconds < 120 => format!("{seconds} s"),

@@ -1,4 +1,4 @@
-//! Which alerts stand: each begins once, may change its words, and ends once.
+//! The active alerts: each begins once, may change its text, and ends once.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,10 +6,10 @@ use super::rules::{Judged, Level};
 use crate::model::Timestamp;
 use crate::service::reply::AlertView;
 
-/// Looks in a row that must find nothing wrong until an alert is over.
+/// Consecutive looks that must find nothing wrong before an alert ends.
 const CALM_LOOKS: u8 = 2;
 
-/// The alerts that stand, by their keys.
+/// The active alerts, by their keys.
 #[derive(Debug, Default)]
 pub struct Standing {
     alerts: BTreeMap<String, Stands>,
@@ -18,21 +18,21 @@ pub struct Standing {
 #[derive(Debug)]
 struct Stands {
     alert: AlertView,
-    /// Looks in a row that found nothing wrong.
+    /// Consecutive looks that found nothing wrong.
     calm: u8,
 }
 
 /// What a look changed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Change {
-    /// It stands from now on.
+    /// It begins.
     Begun(AlertView),
-    /// It is over since then.
+    /// It ended at that time.
     Resolved(AlertView, Timestamp),
 }
 
 impl Standing {
-    /// Those that stood when the process before ended.
+    /// Those that were active when the previous process ended.
     pub fn of(alerts: impl IntoIterator<Item = AlertView>) -> Self {
         let stands = |alert: AlertView| (alert.key.clone(), Stands { alert, calm: 0 });
         Self { alerts: alerts.into_iter().map(stands).collect() }
@@ -43,7 +43,7 @@ impl Standing {
         self.alerts.values().map(|stands| stands.alert.clone()).collect()
     }
 
-    /// What changes by what was found at `now`. What is not among it any more is well.
+    /// The changes from what was found at `now`. What is no longer among it is well.
     pub fn look(&mut self, now: Timestamp, site: &str, judged: Vec<Judged>) -> Vec<Change> {
         let mut well: BTreeSet<String> = self.alerts.keys().cloned().collect();
         let mut changes = Vec::new();
@@ -69,7 +69,7 @@ impl Standing {
         changes
     }
 
-    /// Notes that a look found nothing wrong; the alert where it is over by that.
+    /// Notes that a look found nothing wrong; returns the alert if this ends it.
     fn calmed(&mut self, key: &str) -> Option<AlertView> {
         let stands = self.alerts.get_mut(key)?;
         stands.calm += 1;
@@ -112,7 +112,7 @@ pub(super) mod tests {
         assert!(matches!(&begun[..], [Change::Begun(alert)] if alert.begun.seconds() == 2 && alert.text == "2"));
         let (again, all) = look(3, Level::Firing);
         assert!(again.is_empty() && all[0].text == "3" && all[0].begun.seconds() == 2);
-        // Calm for a moment only, then hovering: it goes on.
+        // Calm for a moment, then close to the limit: the alert continues.
         for (second, level) in [(4, Level::Clear), (5, Level::Between), (6, Level::Clear), (7, Level::Firing)] {
             assert!(look(second, level).0.is_empty(), "{second}");
         }

@@ -1,4 +1,4 @@
-//! Figures of a site that is well, and what makes each rule find something wrong: for tests.
+//! Figures of a site that is well, and changes that make each rule find something wrong: for tests.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use crate::service::reply::LifeLine;
 /// When the tests begin, seconds.
 const BEGUN: u64 = 1_700_000_000;
 
-/// Limits as the settings have them, but for the disk.
+/// Limits as in the settings, except the disk's.
 pub fn limits() -> AlertLimits {
     AlertLimits {
         robot_silent: Some(Duration::from_secs(600)),
@@ -26,7 +26,7 @@ fn part_of(name: &str) -> PartFigures {
     PartFigures { part: name.to_owned(), well: true, failed: false, text: "redis://secret@host /topic".to_owned() }
 }
 
-/// A grant that ends so long after the beginning.
+/// A grant that ends this long after the beginning.
 pub fn grant(second: u64) -> GrantFigures {
     let ends = Timestamp::from_seconds(BEGUN + second);
     GrantFigures { owner: "0a0b0c0d".to_owned(), reader: "0e0f0a0b".to_owned(), given: true, ends }
@@ -47,7 +47,7 @@ pub fn well(second: u64) -> Figures {
     }
 }
 
-/// So many seconds before.
+/// This many seconds earlier.
 pub fn before(figures: &Figures, seconds: u64) -> Timestamp {
     Timestamp::from_seconds(figures.now.seconds() - seconds)
 }

@@ -1,4 +1,4 @@
-//! Deliveries over HTTP: JSON with a signature over time and body, or as an Alertmanager takes them.
+//! Deliveries over HTTP: JSON with a signature over time and body, or in Alertmanager's format.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -16,17 +16,17 @@ use crate::model::{ErrorKind, Timestamp, clean};
 use crate::service::failure::{input, refused};
 use crate::service::reply::Failure;
 
-/// How long a delivery may take from the connection to the answer.
+/// How long a delivery may take from connecting to the answer.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Bytes of an answer that are read.
+/// The most bytes of an answer that are read.
 const MOST_READ: usize = 512;
-/// Where distributions keep the authorities that they trust.
+/// Where distributions keep their trusted authorities.
 const TRUSTED: [&str; 3] =
     ["/etc/ssl/certs/ca-certificates.crt", "/etc/pki/tls/certs/ca-bundle.crt", "/etc/ssl/cert.pem"];
-/// The longest file with a secret, bytes.
+/// The longest secret file, bytes.
 const LONGEST_SECRET: usize = 4096;
 
-/// A server that takes deliveries.
+/// A server that accepts deliveries.
 pub struct Webhook {
     client: reqwest::Client,
     url: reqwest::Url,
@@ -35,7 +35,7 @@ pub struct Webhook {
 }
 
 impl Webhook {
-    /// At this URL; `secret` is the file with what signs.
+    /// At this URL; `secret` is the file with the signing secret.
     ///
     /// # Errors
     /// A URL or a secret that cannot be used.
@@ -45,7 +45,7 @@ impl Webhook {
         if form == AlertForm::Alertmanager && !url.path().ends_with("/api/v2/alerts") {
             url.path_segments_mut().map_err(|()| unusable())?.pop_if_empty().extend(["api", "v2", "alerts"]);
         }
-        // Only the server that was named is told.
+        // Redirects are not followed: only the named server gets the alert.
         let client = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
         let client = client.tls_built_in_root_certs(false);
         let trusted = if url.scheme() == "https" { authorities(roots, "see alerts.roots")? } else { Vec::new() };
@@ -56,10 +56,10 @@ impl Webhook {
         Ok(Self { client, url, form, secret })
     }
 
-    /// Delivers, and says what came back.
+    /// Delivers, and returns the reply.
     ///
     /// # Errors
-    /// Of kind `Unreachable` where nothing answered, `Refused` where the answer is no success.
+    /// Kind `Unreachable` if nothing answered, `Refused` if the answer is not a success.
     pub async fn carry(&self, delivery: &Delivery, dropped: u64) -> Result<String, Failure> {
         let body = match self.form {
             AlertForm::Authros => delivery.body(dropped),
@@ -93,12 +93,12 @@ impl Webhook {
     }
 }
 
-/// Whom a certificate may be of by what this machine trusts.
+/// The authorities that this machine trusts.
 pub(crate) fn trusted() -> Result<Vec<reqwest::Certificate>, Failure> {
     authorities(None, "see the machine's ca-certificates")
 }
 
-/// Whom a certificate may be of: what a file names, or else what this machine trusts.
+/// The trusted authorities: those in a file, or else those that this machine trusts.
 fn authorities(file: Option<&Path>, help: &str) -> Result<Vec<reqwest::Certificate>, Failure> {
     let named = std::env::var_os("SSL_CERT_FILE").map(PathBuf::from);
     let of_machine = || named.or_else(|| TRUSTED.iter().map(PathBuf::from).find(|path| path.is_file()));
@@ -112,7 +112,7 @@ fn authorities(file: Option<&Path>, help: &str) -> Result<Vec<reqwest::Certifica
     if found.is_empty() { Err(unusable("it holds no certificate in PEM".to_owned())) } else { Ok(found) }
 }
 
-/// The first cause; it knows no URL.
+/// The root cause; it does not contain the URL.
 pub(crate) fn innermost(error: &dyn std::error::Error) -> String {
     let mut cause = error;
     while let Some(deeper) = cause.source() {
@@ -121,7 +121,7 @@ pub(crate) fn innermost(error: &dyn std::error::Error) -> String {
     clean(&cause.to_string(), 160)
 }
 
-/// The beginning of an answer, for people; a server cannot keep us with a long one.
+/// The beginning of an answer, for people; a server cannot hold us up with a long one.
 async fn beginning(mut answer: reqwest::Response) -> String {
     let mut bytes = Vec::new();
     while bytes.len() < MOST_READ {
@@ -142,7 +142,7 @@ fn signature(secret: &[u8], time: &str, body: &[u8]) -> String {
     format!("sha256={}", digest.iter().map(|byte| format!("{byte:02x}")).collect::<String>())
 }
 
-/// What `POST /api/v2/alerts` takes: no end means that it goes on.
+/// The body of `POST /api/v2/alerts`: no end means that the alert is active.
 fn alertmanager(delivery: &Delivery, dropped: u64) -> Vec<u8> {
     let alert = &delivery.alert;
     let (rule, subject) = alert.key.split_once('/').unwrap_or((&alert.key, ""));
@@ -156,7 +156,7 @@ fn alertmanager(delivery: &Delivery, dropped: u64) -> Vec<u8> {
         "annotations": { "summary": alert.text, "dropped": dropped.to_string() },
         "startsAt": alert.begun,
     });
-    // One that was only tried ends at once.
+    // A test alert ends at once.
     let ended = delivery.ended.or((delivery.state == News::Test).then_some(alert.begun));
     if let (Some(ended), Some(fields)) = (ended, one.as_object_mut()) {
         fields.insert("endsAt".to_owned(), json!(ended));

@@ -10,22 +10,22 @@ use crate::model::Party;
 pub enum Administration {
     /// Lets an account register while registration is closed.
     Admit {
-        /// Who.
+        /// The account.
         account: Party,
     },
     /// Withdraws an admission.
     Dismiss {
-        /// Who.
+        /// The account.
         account: Party,
     },
-    /// Stops an account's changes but those that take rights away.
+    /// Blocks all changes by an account except those that take rights away.
     Suspend {
-        /// Who.
+        /// The account.
         account: Party,
     },
     /// Frees a suspended account.
     Restore {
-        /// Who.
+        /// The account.
         account: Party,
     },
     /// Opens registration to all, or closes it.
@@ -33,43 +33,43 @@ pub enum Administration {
         /// Whether anyone may register.
         open: bool,
     },
-    /// Stops all changes but those that take rights away, or lets them go on.
+    /// Blocks all changes except those that take rights away, or allows them again.
     Pause {
-        /// Whether they are stopped.
+        /// Whether they are blocked.
         paused: bool,
-        /// For how long, seconds; `None` = a day. On a contract of the first revision they are stopped without end.
+        /// For how long, seconds; `None` = a day. On a contract of the first revision the block has no end.
         #[serde(default)]
         seconds: Option<u64>,
     },
-    /// Proposes the account that is to continue for a lost one.
+    /// Proposes the account that continues for a lost one.
     Propose {
         /// The account whose key is lost.
         lost: Party,
-        /// Who is to continue.
+        /// The successor.
         successor: Party,
     },
-    /// Stops a succession that waits; the recovery account may, too.
+    /// Stops a pending succession; the recovery account may do so, too.
     Cancel {
-        /// Whose.
+        /// The lost account.
         lost: Party,
     },
-    /// Completes a succession whose time has come; anybody may.
+    /// Completes a succession whose delay is over; anybody may.
     Complete {
-        /// Whose.
+        /// The lost account.
         lost: Party,
     },
     /// Names the account that continues for a lost one, at once (first revision).
     Succeed {
         /// The account whose key is lost.
         lost: Party,
-        /// Who continues.
+        /// The successor.
         successor: Party,
     },
     /// Names the next administrator.
     HandOver {
-        /// Who.
+        /// The account.
         account: Party,
     },
-    /// Takes over, as the one that was named.
+    /// Takes over, as the account that was named.
     Accept,
 }

@@ -1,10 +1,10 @@
-//! Requests that name their answers. One list makes the enum that goes over the wire, a type for each request, and the
-//! tie between the request and its answer.
+//! Requests that name their answers. One list generates the enum that goes over the wire, a type for each request, and
+//! the link between the request and its answer.
 
 use super::Command;
 use crate::service::reply::{Answer, Failure, Reply};
 
-/// A request that names what it is answered with.
+/// A request with the type of its answer.
 pub trait Ask: Into<Command> {
     /// Its answer.
     type Answer: Answer;
@@ -14,17 +14,17 @@ pub trait Ask: Into<Command> {
         answer.into_reply()
     }
 
-    /// Its answer out of what came over the wire.
+    /// Its answer, from what came over the wire.
     ///
     /// # Errors
-    /// What the site failed with, or that it is of another version and answered something else.
+    /// The site's failure, or that it is of another version and answered something else.
     fn heard(reply: Result<Reply, Failure>) -> Result<Self::Answer, Failure> {
         Self::Answer::from_reply(reply?).ok_or_else(Failure::of_another_version)
     }
 }
 
-/// Makes `enum $wire` with a variant for each request, and a type of the same name and fields that implements [`Ask`].
-/// What stands under `groups` are further variants: lists of their own.
+/// Generates `enum $wire` with a variant for each request, and a type of the same name and fields that implements
+/// [`Ask`]. The entries under `groups` are further variants: lists of their own.
 macro_rules! requests {
     (
         $(#[$outer:meta])*
@@ -79,7 +79,7 @@ macro_rules! request {
         $(#[$doc])+
         #[derive(Debug, Clone)]
         pub struct $name(
-            /// What is asked for, in full.
+            /// The request, in full.
             pub $inner,
         );
     };

@@ -1,4 +1,4 @@
-//! Commands about the store as a whole: audit of records, back-up.
+//! Commands about the store as a whole: audit of records, backup.
 
 use std::path::PathBuf;
 
@@ -9,14 +9,14 @@ use crate::model::Timestamp;
 use crate::service::reply::{BackupView, RecordAudit, RecordPage};
 
 requests! {
-    /// What is done with the whole store; needs no keyring.
+    /// Work on the whole store; needs no keyring.
     #[serde(rename_all = "snake_case", tag = "of_store")]
     enum StoreCommand by Command::OfStore;
-    /// Compare all records with proofs and chain.
+    /// Compare all records with their proofs and the chain.
     AuditRecords {
         /// Also every stored byte and every signature.
         deep: bool,
-        /// Only records captured then or later.
+        /// Only records captured at this time or later.
         since: Option<Timestamp>,
     } => Box<RecordAudit>;
     /// Records of all profiles of the home.
@@ -26,7 +26,7 @@ requests! {
     BackUp {
         /// The file, absolute; must not exist.
         file: PathBuf,
-        /// Protects the back-up.
+        /// Protects the backup.
         passphrase: SecretText,
     } => BackupView;
 }

@@ -1,4 +1,4 @@
-//! What a command chooses among: a key, epochs, records, held messages.
+//! What a command chooses from: a key, epochs, records, quarantined messages.
 
 use serde::{Deserialize, Serialize};
 
@@ -39,7 +39,7 @@ pub struct UploadQuery {
     /// Only of this message type.
     #[serde(default)]
     pub type_name: Option<TypeName>,
-    /// Only where each of these stands in the topic's name or in the type's.
+    /// Only if the name of the topic or type contains each of these.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub words: Vec<String>,
     /// Only with all of these tags (name, value) in the sealed head.
@@ -54,9 +54,9 @@ pub struct UploadQuery {
     pub since: Option<Timestamp>,
     /// Captured before.
     pub until: Option<Timestamp>,
-    /// Continue behind this cursor (`next` of the page before).
+    /// Continue after this cursor (`next` of the previous page).
     pub after: Option<String>,
-    /// At most so many, 1 to 1,000.
+    /// At most this many, 1 to 1,000.
     pub limit: usize,
     /// Newest first (console) instead of oldest first.
     pub newest_first: bool,
@@ -67,7 +67,7 @@ pub struct UploadQuery {
 pub struct Held {
     /// All of this topic.
     pub topic: Option<TopicName>,
-    /// Ids; only where no topic is given.
+    /// Ids; only if no topic is given.
     pub ids: Vec<String>,
 }
 

@@ -1,4 +1,4 @@
-//! What a bundle of evidence is to hold.
+//! What a bundle of evidence is to contain.
 
 use std::path::PathBuf;
 
@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::model::{IncidentName, Timestamp, TopicName};
 
-/// Own records for a bundle; all where nothing narrows it.
+/// Own records for a bundle; all if nothing narrows it.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EvidenceWishes {
-    /// The file, absolute; must not exist. Written by the site, which is of the same user.
+    /// The file, absolute; must not exist. Written by the site, which runs as the same user.
     pub file: PathBuf,
     /// These records, by their ids.
     #[serde(default)]
@@ -26,7 +26,7 @@ pub struct EvidenceWishes {
     /// Captured before.
     #[serde(default)]
     pub until: Option<Timestamp>,
-    /// These are disclosed, by their ids.
+    /// The ids of records to disclose.
     #[serde(default)]
     pub reveal: Vec<String>,
 }

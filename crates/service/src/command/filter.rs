@@ -1,5 +1,5 @@
-//! The terms of a list of records, as flags of the command line (`--since 1h`) and words of the console's filter
-//! (`since:1h`) say them: one reading for both.
+//! The terms of a list of records, as flags of the command line (`--since 1h`) and as words of the console's filter
+//! (`since:1h`): one parser for both.
 
 use std::fmt::Display;
 use std::str::FromStr;
@@ -9,16 +9,16 @@ use crate::model::{RecordKind, RecordState, Timestamp, clean, positive_span};
 use crate::service::failure::input;
 use crate::service::reply::Failure;
 
-/// What a term is about.
+/// The subject of a term.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Term {
-    /// Whose records.
+    /// The records' owner.
     Owner,
     /// Of one topic.
     Topic,
     /// Of one message type.
     Type,
-    /// With a tag; several must all be there.
+    /// With a tag; if there are several, all must be present.
     Tag,
     /// In one state.
     State,
@@ -46,7 +46,7 @@ impl Term {
         Self::Incident,
     ];
 
-    /// Its word: behind `--`, or before `:`.
+    /// Its word: after `--`, or before `:`.
     pub fn word(self) -> &'static str {
         match self {
             Self::Owner => "owner",
@@ -68,10 +68,10 @@ impl Term {
 }
 
 impl UploadQuery {
-    /// Takes a term over. Lengths of time are counted back from `now`.
+    /// Adds a term. Durations are counted back from `now`.
     ///
     /// # Errors
-    /// Of kind `Input`: what the text should be. The query is then as it was.
+    /// Kind `Input`: what the text should be. The query is then unchanged.
     pub fn take(&mut self, term: Term, text: &str, now: Timestamp) -> Result<(), Failure> {
         match term {
             Term::Owner => self.owner = Some(parsed(text)?),
@@ -111,7 +111,7 @@ fn one_of<T: Copy>(
 /// A tag, `key=value`.
 ///
 /// # Errors
-/// Of kind `Input`: how to write it.
+/// Kind `Input`: how to write it.
 pub fn tag(text: &str) -> Result<(String, String), Failure> {
     let usable = |key: &str| {
         !key.is_empty() && key.len() <= 64 && key.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b'-')
@@ -125,19 +125,19 @@ pub fn tag(text: &str) -> Result<(String, String), Failure> {
     }
 }
 
-/// A moment as RFC 3339 has it.
+/// A moment in RFC 3339.
 ///
 /// # Errors
-/// Of kind `Input`: how to write it.
+/// Kind `Input`: how to write it.
 pub fn moment(text: &str) -> Result<Timestamp, Failure> {
     serde_json::from_value(serde_json::Value::String(text.to_owned()))
         .map_err(|_| input(format!("'{}' is not a time; write it as 2026-11-21T08:30:00Z", clean(text, 40))))
 }
 
-/// A moment that has passed: a time, the beginning of a day (UTC), or so long before `now`.
+/// A moment in the past: a time, the beginning of a day (UTC), or a duration before `now`.
 ///
 /// # Errors
-/// Of kind `Input`: how to write it.
+/// Kind `Input`: how to write it.
 pub fn past(text: &str, now: Timestamp) -> Result<Timestamp, Failure> {
     if let Ok(moment) = moment(text).or_else(|_| moment(&format!("{text}T00:00:00Z"))) {
         return Ok(moment);
@@ -158,7 +158,7 @@ mod tests {
     fn moments_are_times_days_and_lengths_of_time_ago() {
         let now = Timestamp::from_seconds(1_700_000_000);
         let read = |text| past(text, now).map(|moment| moment.seconds()).map_err(|failure| failure.kind);
-        // date -u -d 2023-11-14T22:13:20Z +%s, and of the day
+        // date -u -d 2023-11-14T22:13:20Z +%s, and for the day
         assert_eq!((read("2023-11-14T22:13:20Z"), read("2023-11-14")), (Ok(1_700_000_000), Ok(1_699_920_000)));
         assert_eq!((read("30s"), read("2w")), (Ok(1_699_999_970), Ok(1_698_790_400)));
         for bad in ["yesterday", "", "0s", "-1d", "2023-13-01"] {

@@ -10,23 +10,23 @@ requests! {
     /// One of these; needs no keyring.
     #[serde(rename_all = "snake_case", tag = "incident")]
     enum IncidentCommand by Command::OfIncident;
-    /// Keep a span together: retention leaves its records alone.
+    /// Keep a span together: retention does not delete its records.
     OpenIncident {
         /// Its name.
         name: IncidentName,
-        /// Records captured then or later.
+        /// Records captured at this time or later.
         since: Timestamp,
-        /// Records captured before then; `None` = until it is closed.
+        /// Records captured before this time; `None` = until it is closed.
         #[serde(default)]
         until: Option<Timestamp>,
         /// Of these topics; empty = of all.
         #[serde(default)]
         topics: Vec<TopicName>,
-        /// What it is about, in words.
+        /// A description.
         #[serde(default)]
         note: Option<String>,
     } => IncidentView;
-    /// All of the profile, each with what it holds.
+    /// All incidents of the profile, each with what it holds.
     ListIncidents => Vec<IncidentView>;
     /// One of them.
     ShowIncident {
@@ -40,12 +40,12 @@ requests! {
         /// The note.
         text: String,
     } => IncidentView;
-    /// End its span now; what is in it stays held.
+    /// End its span now; its records stay held.
     CloseIncident {
         /// Its name.
         name: IncidentName,
     } => IncidentView;
-    /// Forget it: what it held is retention's again.
+    /// Remove it: its records are subject to retention again.
     RemoveIncident {
         /// Its name.
         name: IncidentName,

@@ -1,4 +1,4 @@
-//! What an operator asks of a site besides its data: to lock it, to save keys, to look at its gateway.
+//! Requests of an operator about the site itself: lock it, save keys, inspect its gateway.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,34 +10,34 @@ requests! {
     /// One of these.
     #[serde(rename_all = "snake_case", tag = "operation")]
     enum Operation by Command::Operate;
-    /// Wipe the keys that decrypt, grant and revoke from memory, while capture and anchoring go on. `Unlock` brings
+    /// Wipe the keys for reading, granting and revoking from memory, while capture and anchoring go on. `Unlock` brings
     /// them back.
     Lock => IdentityView;
-    /// Hold the capture of all watched topics, or let it go on; what is watched stays watched.
+    /// Pause the capture of all watched topics, or resume it; watched topics stay watched.
     HoldCapture {
-        /// Whether it is held.
+        /// Whether it is paused.
         hold: bool,
     } => ();
-    /// The profile's keyring as it lies on disk, under its passphrase.
+    /// The profile's keyring as stored on disk, under its passphrase.
     BackUpKeys => SecretBytes;
     /// Topics that the profile watches, whether anybody publishes them or not.
     ListWatches => Vec<WatchView>;
-    /// Alerts that stand.
+    /// Active alerts.
     ListAlerts => AlertsView;
-    /// Send one that says that it is none, and tell what came back.
+    /// Send a test alert, marked as such, and return the reply.
     TestAlert => AlertTestView;
-    /// Who is connected to the gateway of this site, its system keys, and what it refused.
+    /// Who is connected to the gateway of this site, its system keys, and its refusals.
     GatewayStatus => GatewayStatusView;
     /// Let an owner use the gateway of this home.
     Admit {
-        /// Who.
+        /// The owner.
         owner: Party,
     } => Vec<AdmittedView>;
-    /// Let an owner use it no more.
+    /// No longer let an owner use it.
     Dismiss {
-        /// Who.
+        /// The owner.
         owner: Party,
     } => Vec<AdmittedView>;
-    /// Who may use it.
+    /// The admitted owners.
     ListAdmitted => Vec<AdmittedView>;
 }

@@ -1,4 +1,4 @@
-//! What can be asked about playing shared records into a ROS graph.
+//! Requests about playing shared records into a ROS graph.
 
 use std::str::FromStr;
 
@@ -6,22 +6,22 @@ use serde::{Deserialize, Serialize};
 
 use crate::model::{Party, Timestamp, TopicName, TopicPattern, clean};
 
-/// The slowest and the fastest playing, thousandths of the recorded pace.
+/// The slowest and the fastest playback, thousandths of the recorded pace.
 const RATES: std::ops::RangeInclusive<f64> = 0.001..=1000.0;
 
 /// When messages are played.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Pace {
-    /// What is there, one after the other, as fast as it is checked and read.
+    /// Stored records, one after the other, as fast as they are checked and read.
     #[default]
     AtOnce,
-    /// What is there, so many thousandths of the pace of its capture.
+    /// Stored records, at this multiple of the pace of their capture.
     Rated {
         /// Thousandths; 1000 = as captured.
         thousandths: u64,
     },
-    /// Whatever is verified from now on, as soon as it is.
+    /// Records verified from now on, as soon as they are.
     Follow,
 }
 
@@ -29,7 +29,7 @@ impl Pace {
     /// As captured.
     pub const AS_CAPTURED: Self = Self::Rated { thousandths: 1000 };
 
-    /// So many times the pace of the capture.
+    /// At this multiple of the pace of the capture.
     ///
     /// # Errors
     /// What to write instead.
@@ -47,9 +47,9 @@ impl Pace {
 /// Another name for a topic, `A:=B`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Remap {
-    /// As it was captured.
+    /// The name as captured.
     pub from: TopicName,
-    /// As it is played.
+    /// The name as played.
     pub to: TopicName,
 }
 
@@ -63,12 +63,12 @@ impl FromStr for Remap {
     }
 }
 
-/// Which shared records are played, when, where, and under which names.
+/// The shared records to be played, when, where, and under which names.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct PlayWishes {
     /// Only records of this owner.
     pub owner: Option<Party>,
-    /// Only topics of any of these patterns; empty = all.
+    /// Only topics that match any of these patterns; empty = all.
     pub topics: Vec<TopicPattern>,
     /// Captured at or after.
     pub since: Option<Timestamp>,
@@ -78,9 +78,9 @@ pub struct PlayWishes {
     pub pace: Pace,
     /// Also the captured time, as `/clock`.
     pub clock: bool,
-    /// Put before every name.
+    /// Prefix for every name.
     pub prefix: Option<TopicName>,
-    /// Names in place of others; the prefix is not put before these.
+    /// Replacements for names; the prefix is not applied to these.
     pub remaps: Vec<Remap>,
     /// The ROS master; `None` = this site's own.
     pub master: Option<String>,

@@ -1,4 +1,4 @@
-//! What can be asked about recordings and about the rules for topics.
+//! Requests about recordings and about the rules for topics.
 
 use std::path::PathBuf;
 
@@ -9,31 +9,31 @@ use crate::model::{Party, Timestamp, TopicPattern};
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
 use crate::service::reply::{ExportView, ImportView, ProgressView};
 
-/// A recording to take in.
+/// A recording to import.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ImportWishes {
-    /// The file, absolute; read by the site, which is of the same user.
+    /// The file, absolute; read by the site, which runs as the same user.
     pub path: PathBuf,
-    /// Only topics of any of these patterns; empty = all.
+    /// Only topics that match any of these patterns; empty = all.
     pub topics: Vec<TopicPattern>,
     /// Tags for the sealed heads.
     pub tags: Vec<(String, String)>,
-    /// Take in once more what was taken in before.
+    /// Import again what was imported before.
     pub again: bool,
 }
 
-/// A recording to write of records.
+/// A recording to write from records.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ExportWishes {
-    /// The file, absolute, which does not exist yet; written by the site, which is of the same user.
+    /// The file, absolute, which must not exist; written by the site, which runs as the same user.
     pub path: PathBuf,
-    /// In which format.
+    /// The format.
     pub format: RecordingFormat,
-    /// How chunks are compressed.
+    /// The compression of chunks.
     pub compression: ChunkCompression,
     /// Only records of this owner.
     pub owner: Option<Party>,
-    /// Only topics of any of these patterns; empty = all.
+    /// Only topics that match any of these patterns; empty = all.
     pub topics: Vec<TopicPattern>,
     /// Captured at or after.
     pub since: Option<Timestamp>,
@@ -47,15 +47,15 @@ pub struct ExportWishes {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordingCommand {
-    /// Seal the messages of a recording as records; answers when all are verified.
+    /// Seal the messages of a recording as records; answered when all are verified.
     Import(ImportWishes),
     /// Write records that this profile may read as a recording.
     Export(ExportWishes),
-    /// How far the profile's imports and exports are.
+    /// The progress of the profile's imports and exports.
     Progress,
 }
 
-/// How far the profile's imports and exports are.
+/// The progress of the profile's imports and exports.
 #[derive(Debug, Clone, Copy)]
 pub struct RecordingProgress;
 
@@ -95,9 +95,9 @@ impl Ask for RecordingProgress {
 pub enum PolicyCommand {
     /// The rule of each topic.
     Show,
-    /// What each topic of the graph does over so many milliseconds.
+    /// What each topic of the graph does over this many milliseconds.
     Learn {
-        /// How long to look.
+        /// How long to look, milliseconds.
         milliseconds: u64,
     },
 }

@@ -1,4 +1,4 @@
-//! Secrets on their way between two processes of the same user: never in Debug.
+//! Secrets passed between two processes of the same user: never in Debug.
 
 use std::fmt;
 
@@ -11,7 +11,7 @@ use zeroize::{Zeroize, ZeroizeOnDrop};
 pub struct SecretText(String);
 
 impl SecretText {
-    /// Takes the text over.
+    /// Wraps the text.
     pub fn new(text: String) -> Self {
         Self(text)
     }
@@ -34,7 +34,7 @@ impl fmt::Debug for SecretText {
 pub struct SecretBytes(Vec<u8>);
 
 impl SecretBytes {
-    /// Takes the bytes over.
+    /// Wraps the bytes.
     pub fn new(bytes: Vec<u8>) -> Self {
         Self(bytes)
     }

@@ -1,4 +1,4 @@
-//! Looking at opened records beyond their fields: as files, and as a path over many.
+//! Views of opened records beyond their fields: as files, and as a path over many.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,7 +10,7 @@ use crate::service::reply::{OpenedView, PathView};
 pub const LONGEST_PATH: usize = 1_000;
 
 requests! {
-    /// What is asked about opened records.
+    /// Requests about opened records.
     #[serde(rename_all = "snake_case", tag = "view")]
     enum Viewing by Command::View;
     /// One record, checked and opened, with its message as a file.
@@ -18,15 +18,15 @@ requests! {
     ViewFile {
         /// Its id.
         id: String,
-        /// Which kind; `None` = a picture's own bytes where it is one, else the message's.
+        /// The format; `None` = a picture's own bytes if it is one, else the message's.
         kind: Option<Exported>,
     } => Box<OpenedView>;
-    /// Where the robot was, over the records of a topic that lead to this one.
+    /// The robot's positions, from the records of a topic up to this one.
     #[serde(rename = "path")]
     ViewPath {
         /// Its id.
         id: String,
-        /// So many records at most, this one included; 2 to [`LONGEST_PATH`].
+        /// At most this many records, including this one; 2 to [`LONGEST_PATH`].
         records: usize,
     } => PathView;
 }

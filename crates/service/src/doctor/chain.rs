@@ -1,4 +1,4 @@
-//! The chain: does it answer, is it the pinned one, is the contract's code what was pinned, and do the clocks agree.
+//! The chain: does it answer, is it the pinned one, does the contract's code match the pin, and do the clocks agree.
 
 use super::Sheet;
 use crate::chain::{Chain, ChainOptions, Endpoint, Pin, SealedBy};
@@ -8,10 +8,10 @@ use crate::paths::Home;
 
 /// Seconds that a block may be ahead of this clock.
 const AHEAD: u64 = 15;
-/// Seconds that break things: grants begin and end by the chain's time.
+/// Seconds beyond which things break: grants begin and end by the chain's time.
 const FAR_AHEAD: u64 = 120;
 
-/// Looks at it.
+/// Checks it.
 pub(super) async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) {
     let pinned = match pin(home) {
         Ok(pinned) => pinned,
@@ -87,7 +87,7 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
     }
 }
 
-/// Records are anchored on it: whether that says anything against whoever runs it.
+/// Records are anchored on it: whether that holds against its operator, too.
 fn who_seals(sealed_by: &SealedBy, sheet: &mut Sheet) {
     if sealed_by.alone {
         let text = format!("records are anchored on a chain that one alone seals: {}", sealed_by.text);

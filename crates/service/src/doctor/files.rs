@@ -1,4 +1,4 @@
-//! The home itself: directories and modes, keyrings, the ledger, room on the disk.
+//! The home itself: directories and modes, keyrings, the ledger, free space on the disk.
 
 use std::path::Path;
 
@@ -7,9 +7,9 @@ use crate::crypto::read_public;
 use crate::paths::Home;
 use crate::store::{files, snapshot};
 
-/// Room below which a site stops acknowledging soon, bytes.
+/// Free space below which a site soon stops acknowledging, bytes.
 const TIGHT: u64 = 1 << 30;
-/// Room below which it cannot work, bytes.
+/// Free space below which it cannot work, bytes.
 const FULL: u64 = 32 << 20;
 
 /// Directory and modes.
@@ -35,7 +35,7 @@ pub(super) fn home(home: &Home, sheet: &mut Sheet) {
 fn look_at_modes(path: &Path, open: &mut Vec<String>, looked: &mut u64, depth: usize) {
     *looked += 1;
     match files::mode_advice(path) {
-        // Settings and themes hold no secrets.
+        // Settings and themes contain no secrets.
         Ok(Some(_)) if depth == 1 && !is_secret(path) => {}
         Ok(Some(advice)) => open.push(advice),
         Ok(None) | Err(_) => {}

@@ -1,4 +1,4 @@
-//! The peers of the settings: Redis, the ROS master and host names.
+//! The peers in the settings: Redis, the ROS master and host names.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -10,7 +10,7 @@ use crate::ros::ros2::{Reading, Ros2Capture};
 use crate::ros::{CaptureNotice, Graph, Message, MessageSink};
 use crate::store::vault::policy::{self, Gravity};
 
-/// The longest look at a domain of ROS 2.
+/// The longest look at a ROS 2 domain.
 const LOOK: Duration = Duration::from_secs(6);
 const TICK: Duration = Duration::from_millis(50);
 
@@ -41,7 +41,7 @@ pub(super) fn vault(home: &Home, config: &Config, sheet: &mut Sheet) {
     }
 }
 
-/// Takes nothing: the doctor only looks.
+/// Captures nothing: the doctor only looks.
 struct Nobody;
 
 impl MessageSink for Nobody {
@@ -49,7 +49,7 @@ impl MessageSink for Nobody {
     fn notice(&self, _: CaptureNotice) {}
 }
 
-/// Who is in the ROS 2 domain, where the settings name one; it is joined for a moment.
+/// The participants of the ROS 2 domain, if the settings name one; it is joined for a moment.
 pub(super) fn second(config: &Config, sheet: &mut Sheet) {
     let Some(domain) = config.ros_domain.filter(|_| config.site.is_none()) else { return };
     let capture = match Ros2Capture::start(domain, config.ros2_program.as_deref(), Arc::new(Nobody)) {
@@ -71,7 +71,7 @@ pub(super) fn second(config: &Config, sheet: &mut Sheet) {
     }
 }
 
-/// The master, this machine's name and the names that publishers gave.
+/// The master, this machine's name and the host names given by publishers.
 pub(super) fn ros(config: &Config, sheet: &mut Sheet) {
     if config.site.is_some() {
         return sheet.ok("ros", "is where the gateway is");

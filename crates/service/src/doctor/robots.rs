@@ -1,4 +1,4 @@
-//! Robots that were enrolled by an earlier version: they hold the index key, which a thief keeps.
+//! Robots enrolled by an earlier version: they hold the index key, which a thief could keep.
 
 use super::Sheet;
 use crate::crypto::SealedEnrolment;
@@ -7,7 +7,7 @@ use crate::paths::Home;
 use crate::service::site::Enrolled;
 use crate::store::snapshot;
 
-/// Those that this home's profiles have enrolled, and the one that works here.
+/// Robots enrolled by this home's profiles, and the one that works here.
 pub(super) fn look(home: &Home, sheet: &mut Sheet) {
     if home.ledger().exists() {
         enrolled(home, sheet);
@@ -21,7 +21,7 @@ pub(super) fn look(home: &Home, sheet: &mut Sheet) {
 }
 
 fn enrolled(home: &Home, sheet: &mut Sheet) {
-    // A ledger that cannot be read is told of elsewhere.
+    // An unreadable ledger is reported elsewhere.
     let Ok(lists) = snapshot::settings_beginning(&home.ledger(), "enrolled:") else { return };
     let robots: Vec<Enrolled> =
         lists.iter().filter_map(|text| serde_json::from_str::<Vec<_>>(text).ok()).flatten().collect();
@@ -70,7 +70,7 @@ mod tests {
         assert!(found.detail.contains("in their files: scout-1; they go on"), "{}", found.detail);
         assert!(found.advice.contains("agent enrol") && found.advice.contains("devices recall"), "{}", found.advice);
 
-        // On the robot itself: what it keeps says its version in clear.
+        // On the robot itself: its enrolment states its version in clear.
         for (version, told) in [(2, 0), (1, 1)] {
             let kept = [&b"\x89AuthEnr"[..], &[version], &[0; 200]].concat();
             atomic_write(&SealedEnrolment::kept_in(home.root()), &kept).expect("written");

@@ -1,14 +1,14 @@
-//! Figures as the text that Prometheus reads: names, units and types as its documentation asks, labels of a bounded set.
+//! Figures in Prometheus's text format: names, units and types as its documentation asks, labels from a bounded set.
 
 use super::{BOUNDS, Figures, Latency, LifeLine, OwnerFigures};
 use crate::model::Timestamp;
 
-/// What the text is to whoever reads it.
+/// The content type of the text.
 pub const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
 type Labels<'a> = &'a [(&'a str, &'a str)];
 
-/// Text of figures as it grows.
+/// The text of the figures as it grows.
 #[derive(Default)]
 struct Text(String);
 
@@ -32,7 +32,7 @@ impl Text {
         self.value(name, &[], value);
     }
 
-    /// A family with one value for each of `rows`; nothing where there are none.
+    /// A family with one value for each of `rows`; nothing if there are none.
     fn family<Row>(
         &mut self,
         (name, kind, help): (&str, &str, &str),
@@ -47,7 +47,7 @@ impl Text {
     }
 }
 
-/// A label's value between its quotes.
+/// A label's value, escaped for its quotes.
 fn escaped(text: &str) -> String {
     text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n")
 }
@@ -74,7 +74,7 @@ pub fn text(figures: &Figures) -> String {
     text.0
 }
 
-/// The terms of the law: captured = the sum of the states of `authros_records`.
+/// The terms of the balance: captured = the sum of the states of `authros_records`.
 fn terms(life: &LifeLine) -> [(&'static str, u64); 6] {
     [
         ("verified", life.verified),

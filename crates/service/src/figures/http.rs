@@ -1,5 +1,5 @@
-//! The one route of the figures, `GET /metrics`, for strangers on this machine as well: heads, times and connections are
-//! bounded, a connection has one answer, and no browser's page is served.
+//! The one route of the figures, `GET /metrics`, also for strangers on this machine: headers, times and connections are
+//! bounded, a connection gets one answer, and no browser's page is served.
 
 use std::net::IpAddr;
 use std::time::Duration;
@@ -8,22 +8,22 @@ use tokio::io::{AsyncRead, AsyncReadExt as _, AsyncWrite, AsyncWriteExt as _};
 
 /// The longest request line with all headers, bytes.
 const LONGEST_HEAD: usize = 8 * 1024;
-/// How long a request may take to arrive, and an answer to leave.
+/// How long a request may take to arrive, and an answer to be sent.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// Connections that are answered at the same time.
+/// Connections answered at the same time.
 pub const MOST: usize = 16;
 
-/// How a request is answered.
+/// The answer to a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Asked {
     /// The figures.
     Figures,
-    /// Nothing, for this reason: the status and what to do.
+    /// None, for this reason: the status and what to do.
     Refused(&'static str, &'static str),
 }
 
-/// Reads one request, answers it, and closes. `any_host` = whoever reaches this address may name it as he likes.
-/// `figures` = the text; `None` where it cannot be read now.
+/// Reads one request, answers it, and closes. `any_host` = a peer that reaches this address may use any name for it.
+/// `figures` = the text; `None` if it cannot be read now.
 pub async fn answer<S, Told>(mut stream: S, any_host: bool, figures: impl FnOnce() -> Told)
 where
     S: AsyncRead + AsyncWrite + Unpin,
@@ -41,11 +41,11 @@ where
         stream.write_all(message.as_bytes()).await?;
         stream.shutdown().await
     };
-    // A peer that does not wait for its answer is no fault.
+    // A peer that does not wait for its answer is not an error.
     drop(tokio::time::timeout(PATIENCE, sent).await);
 }
 
-/// Everything up to the empty line; `None` where the peer ends before.
+/// Everything up to the empty line; `None` if the peer ends before it.
 async fn head(stream: &mut (impl AsyncRead + Unpin)) -> Option<Vec<u8>> {
     let (mut head, mut part) = (Vec::new(), [0; 1024]);
     while !ends(&head) && head.len() <= LONGEST_HEAD {
@@ -61,7 +61,7 @@ fn ends(head: &[u8]) -> bool {
     head.windows(4).any(|four| four == b"\r\n\r\n") || head.windows(2).any(|two| two == b"\n\n")
 }
 
-/// What a head asks for.
+/// What the headers ask for.
 pub fn judge(head: &[u8], any_host: bool) -> Asked {
     use Asked::Refused;
     if head.len() > LONGEST_HEAD && !ends(head) {
@@ -89,7 +89,7 @@ pub fn judge(head: &[u8], any_host: bool) -> Asked {
     if !of("origin").is_empty() {
         return Refused("403 Forbidden", "pages in a browser are not served");
     }
-    // A name that an attacker's DNS suddenly resolves to this machine still is the attacker's in Host.
+    // A name that an attacker's DNS points at this machine is still the attacker's name in Host.
     if !any_host && !matches!(of("host")[..], [host] if is_this_machine(host)) {
         return Refused("403 Forbidden", "the Host header must name this machine: localhost or 127.0.0.1");
     }
@@ -158,7 +158,7 @@ mod tests {
     async fn asked(request: &[u8]) -> String {
         let (near, mut far) = tokio::io::duplex(64 * 1024);
         let answering = tokio::spawn(answer(near, false, || async { Some("a 1\n".into()) }));
-        // A peer that refuses the rest has answered already.
+        // A peer that refuses the rest has already answered.
         drop(far.write_all(request).await);
         let mut told = String::new();
         far.read_to_string(&mut told).await.expect("text");

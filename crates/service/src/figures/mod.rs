@@ -1,5 +1,5 @@
-//! The figures of a running site at one moment: what Prometheus reads and what alerts are judged by. Words alone, no I/O
-//! but in `http`; the site fills them in.
+//! The figures of a running site at one moment: what Prometheus reads and what alerts are judged by. Data only, no I/O
+//! except in `http`; the site fills them in.
 
 pub mod exposition;
 pub mod http;
@@ -12,39 +12,40 @@ use crate::service::reply::{LifeLine, QueueView, TaskState, TaskView};
 pub struct Figures {
     /// When they were read.
     pub now: Timestamp,
-    /// Accounts whose records are here.
+    /// Accounts with records here.
     pub owners: Vec<OwnerFigures>,
     /// Robots that were heard of, without this home's own keys.
     pub robots: Vec<RobotFigures>,
-    /// The parts of this run and whether they are well.
+    /// The parts of this run and their health.
     pub parts: Vec<PartFigures>,
     /// Background tasks.
     pub tasks: Vec<TaskView>,
-    /// The ring before the sealer.
+    /// The ring in front of the sealer.
     pub queue: QueueView,
     /// Lanes of transactions.
     pub lanes: Vec<LaneFigures>,
     /// The newest block: its height and its own time.
     pub block: Option<(u64, Timestamp)>,
-    /// Grants with an end, given by any profile or received from contacts, that ends first first; `None` = the chain is not known now.
+    /// Grants with an end, given by any profile or received from contacts, in the order of their ends; `None` = the
+    /// chain is unknown at present.
     pub grants: Option<Vec<GrantFigures>>,
-    /// Bytes free on the disk of the home, and how many of them records leave.
+    /// Free bytes on the home's disk, and how many of them records leave.
     pub disk: Option<(u64, u64)>,
-    /// Records that wait here for the vault, and their bytes.
+    /// Records waiting here for the vault, and their bytes.
     pub backlog: (u64, u64),
-    /// Losses that no gap record tells of yet.
+    /// Losses not yet reported by a gap record.
     pub untold_gaps: u64,
     /// Lines of the audit log.
     pub audit_lines: u64,
-    /// When its oldest line was written that no anchored head covers.
+    /// When its oldest line without an anchored head was written.
     pub audit_unanchored: Option<Timestamp>,
-    /// Seconds that the machine's clock is ahead of the one that rights go by; negative = behind.
+    /// How many seconds the machine's clock is ahead of the one used for rights; negative = behind.
     pub clock_ahead: i64,
-    /// The gateway that is served here.
+    /// The gateway served here.
     pub gateway: Option<GatewayFigures>,
-    /// How many alerts stand of each rule.
+    /// How many alerts of each rule are active.
     pub alerts: Vec<(&'static str, u64)>,
-    /// Deliveries of alerts that wait, and those that found no room and are not told of yet.
+    /// Deliveries of alerts that wait, and those dropped for want of room and not reported yet.
     pub deliveries: (u64, u64),
     /// Times of the line, by milestone.
     pub latencies: Vec<Latency>,
@@ -55,13 +56,13 @@ pub struct Figures {
 /// The records of one account.
 #[derive(Debug, Clone, Default)]
 pub struct OwnerFigures {
-    /// The beginning of the account.
+    /// The beginning of the account's address.
     pub owner: String,
-    /// Its life line.
+    /// The counts of its records by state.
     pub life: LifeLine,
-    /// When the oldest record was captured that is in no block.
+    /// When the oldest record that is in no block was captured.
     pub oldest_unanchored: Option<Timestamp>,
-    /// Topics by name, only where the settings ask for them.
+    /// Topics by name, only if the settings ask for them.
     pub topics: Vec<TopicFigures>,
 }
 
@@ -70,9 +71,9 @@ pub struct OwnerFigures {
 pub struct TopicFigures {
     /// Its name.
     pub topic: String,
-    /// Messages taken in.
+    /// Messages captured.
     pub captured: u64,
-    /// Of these verified.
+    /// Of these, verified.
     pub verified: u64,
     /// Not captured: lost in transport.
     pub missed: u64,
@@ -90,22 +91,22 @@ pub struct RobotFigures {
 /// A grant that will end.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GrantFigures {
-    /// The beginning of the account that shares.
+    /// The beginning of the sharing account's address.
     pub owner: String,
-    /// The beginning of the account that reads.
+    /// The beginning of the reading account's address.
     pub reader: String,
-    /// Whether an account of this home shares by it; else one of its contacts does.
+    /// Whether an account of this home shares by it; otherwise one of its contacts does.
     pub given: bool,
     /// When it ends.
     pub ends: Timestamp,
 }
 
-/// A gateway at work.
+/// A running gateway.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct GatewayFigures {
     /// Open connections.
     pub connections: u64,
-    /// What was refused since it was started, by the code of the protocol.
+    /// Refusals since it was started, by the protocol's code.
     pub refused: Vec<(u16, u64)>,
 }
 
@@ -116,7 +117,7 @@ pub struct PartFigures {
     pub part: String,
     /// Whether it works.
     pub well: bool,
-    /// Whether it has failed and is not merely starting.
+    /// Whether it has failed, rather than still being started.
     pub failed: bool,
     /// In words, cleaned; never shown in figures.
     pub text: String,
@@ -125,13 +126,13 @@ pub struct PartFigures {
 /// A lane of transactions.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LaneFigures {
-    /// The beginning of the account.
+    /// The beginning of the account's address.
     pub account: String,
-    /// Transactions in no block.
+    /// Transactions not in a block yet.
     pub open: u64,
     /// When the oldest was first signed.
     pub oldest: Option<Timestamp>,
-    /// Whether it stands still.
+    /// Whether it is stalled.
     pub paused: bool,
 }
 
@@ -142,16 +143,16 @@ pub struct Latency {
     pub milestone: &'static str,
     /// How many were within each bound of [`BOUNDS`].
     pub within: Vec<u64>,
-    /// How many in all.
+    /// How many in total.
     pub count: u64,
-    /// Seconds of all together.
+    /// Their sum, seconds.
     pub seconds: f64,
 }
 
 /// The bounds of latencies: powers of two, microseconds, from a millisecond to an hour.
 pub const BOUNDS: [u32; 12] = [10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30, 32];
 
-/// The beginning of an account or a fingerprint: enough to tell robots apart, and no key.
+/// The beginning of an account's address or a fingerprint: enough to tell robots apart, and not a key.
 pub fn short(text: &str) -> String {
     text.trim_start_matches("0x").chars().filter(char::is_ascii_hexdigit).take(8).collect()
 }
@@ -162,12 +163,12 @@ impl Figures {
         std::time::Duration::from_nanos(self.now.0.saturating_sub(moment.0)).as_secs_f64()
     }
 
-    /// Seconds until a moment; none behind it.
+    /// Seconds until a moment; none after it.
     pub fn until(&self, moment: Timestamp) -> f64 {
         std::time::Duration::from_nanos(moment.0.saturating_sub(self.now.0)).as_secs_f64()
     }
 
-    /// Tasks that failed and rest.
+    /// Tasks that failed and are pausing.
     pub fn resting(&self) -> usize {
         self.tasks.iter().filter(|task| task.state == TaskState::Resting).count()
     }

@@ -1,10 +1,10 @@
-//! What is told of alerts.
+//! Answers about alerts.
 
 use serde::{Deserialize, Serialize};
 
 use crate::model::Timestamp;
 
-/// How bad it is.
+/// The severity of an alert.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
@@ -24,52 +24,52 @@ impl Severity {
     }
 }
 
-/// An alert that stands, or stood.
+/// An alert, active or ended.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AlertView {
-    /// The rule, and what it is about where there can be several: `disk`, `robot_silent/1f2e3d4c`.
+    /// The rule, and its subject if there can be several: `disk`, `robot_silent/1f2e3d4c`.
     pub key: String,
-    /// How bad it is.
+    /// Its severity.
     pub severity: Severity,
     /// What happened and what to do, without topics, names and keys.
     pub text: String,
-    /// The beginning of an account of the site that tells it.
+    /// The beginning of the address of one of the site's accounts.
     pub site: String,
-    /// Since when it stands.
+    /// Active since.
     pub begun: Timestamp,
 }
 
-/// An alert that is over.
+/// An alert that has ended.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EndedAlert {
-    /// As it stood last.
+    /// Its last state.
     #[serde(flatten)]
     pub alert: AlertView,
-    /// When it was over.
+    /// When it ended.
     pub ended: Timestamp,
 }
 
-/// All that stand now, and what was over lately.
+/// All active alerts, and those that ended recently.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AlertsView {
-    /// By their keys.
+    /// The active ones, by their keys.
     pub alerts: Vec<AlertView>,
-    /// Those that were over in the last 15 minutes, the newest first; of one process, 20 at most.
+    /// Those that ended in the last 15 minutes, newest first; of one process, at most 20.
     #[serde(default)]
     pub over: Vec<EndedAlert>,
-    /// Who is told, or that nobody is.
+    /// The destination of alerts, or that there is none.
     pub told: String,
     /// Deliveries that wait.
     pub waiting: u64,
-    /// Deliveries that found no room; the next one tells how many.
+    /// Deliveries dropped for want of room; the next one reports how many.
     pub dropped: u64,
 }
 
-/// What came of an alert that was sent to try the way.
+/// The result of a test alert.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AlertTestView {
     /// Where it was sent.
     pub place: String,
-    /// What came back, cleaned.
+    /// The reply, cleaned.
     pub text: String,
 }

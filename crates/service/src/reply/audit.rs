@@ -1,4 +1,4 @@
-//! What is told of the audit log.
+//! Answers about the audit log.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,35 +9,35 @@ use crate::model::Timestamp;
 pub struct AuditView {
     /// Its number.
     pub line: u64,
-    /// When.
+    /// Its time.
     pub at: Timestamp,
-    /// Which profile.
+    /// The profile.
     pub profile: String,
-    /// What was done.
+    /// The deed.
     pub action: String,
-    /// To what, cleaned.
+    /// Its object, cleaned.
     pub subject: String,
-    /// How it ended.
+    /// Its outcome.
     pub outcome: String,
 }
 
-/// What a check of the audit log found.
+/// The result of a check of the audit log.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditCheck {
     /// Whether nothing is wrong.
     pub ok: bool,
-    /// Lines whose chain of hashes holds; 0 where it is broken.
+    /// Lines in the unbroken hash chain; 0 if it is broken.
     pub lines: u64,
     /// Heads of this profile that were compared.
     pub heads: u64,
-    /// Of these on the chain, confirmed.
+    /// Of these, confirmed on the chain.
     pub anchored: u64,
     /// Lines below the newest of these heads.
     pub covered: u64,
     /// The first line that is wrong.
     pub broken_line: Option<u64>,
-    /// What is wrong with it.
+    /// The reason.
     pub text: Option<String>,
-    /// Records of heads that fail their own checks, with the reason.
+    /// Records of heads that fail their own checks, with the reasons.
     pub unusable: Vec<String>,
 }

@@ -1,4 +1,4 @@
-//! What is told of the chain.
+//! Answers about the chain.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,7 +7,7 @@ use crate::chain::{Pin, Sealing};
 use crate::model::{Address, Domain, Hash, SignerId};
 use crate::pipeline::sender::LaneState;
 
-/// The chain as seen from here.
+/// The chain from this profile's point of view.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ChainView {
     /// `embedded`, `node` or `relay`.
@@ -30,16 +30,16 @@ pub struct ChainView {
     pub pending: u64,
     /// The node's own name, cleaned.
     pub client: String,
-    /// Whose word has to be taken for all this, where it is not the own node's.
+    /// Whose word has to be trusted for all this, if it does not come from the site's own node.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub through: Option<String>,
-    /// What its newest anchoring transactions cost.
+    /// The cost of its newest anchoring transactions.
     #[serde(default)]
     pub gas: GasView,
-    /// How this profile's lanes stand: its own account's first, then its witnesses'.
+    /// The state of this profile's lanes: first its own account's, then its witnesses'.
     #[serde(default)]
     pub lanes: Vec<LaneState>,
-    /// What the administrator of the contract decided.
+    /// The contract administrator's decisions.
     #[serde(default)]
     pub administration: AdministrationView,
     /// Who seals the blocks, and how often.
@@ -47,10 +47,10 @@ pub struct ChainView {
     pub sealing: Sealing,
 }
 
-/// What anchoring costs, over the newest transactions of one profile's lanes.
+/// The cost of anchoring, over the newest transactions of one profile's lanes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct GasView {
-    /// Transactions that were counted, at most 100.
+    /// Transactions counted, at most 100.
     pub transactions: u64,
     /// Their gas.
     pub gas: u64,
@@ -58,35 +58,35 @@ pub struct GasView {
     pub records: u64,
 }
 
-/// A contract that was put on the chain.
+/// A contract that was deployed.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DeployedView {
     /// Chain, contract, code and block.
     #[serde(flatten)]
     pub pin: Pin,
-    /// Who administers it: the account that deployed it.
+    /// Its administrator: the account that deployed it.
     pub administrator: Address,
 }
 
-/// A chain that other tools can read.
+/// A chain served to other tools.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ServedView {
-    /// Where.
+    /// The address.
     pub url: String,
     /// EIP-155 chain id.
     pub chain_id: u64,
-    /// The contract, where there is one.
+    /// The contract, if there is one.
     pub contract: Option<Address>,
 }
 
-/// A gateway at work.
+/// A running gateway.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GatewayView {
-    /// Where it listens.
+    /// The address it listens on.
     pub address: String,
-    /// SM3 of its identity key: what robots and operators pin.
+    /// SM3 of its identity key: the pin used by robots and operators.
     pub gateway: SignerId,
-    /// The same, to be compared by eye.
+    /// The same, for comparison by eye.
     pub fingerprint: String,
     /// The account that anchors.
     pub account: Address,

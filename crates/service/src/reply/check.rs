@@ -1,10 +1,10 @@
-//! What is told of the whole store: its audit, its back-up, the doctor's findings.
+//! Answers about the whole store: its audit, its backup, the doctor's findings.
 
 use serde::{Deserialize, Serialize};
 
 pub use crate::pipeline::record_audit::{FindingKind, RecordAudit, RecordFinding};
 
-/// What a back-up holds, or what was restored from one.
+/// The content of a backup, or of what was restored from one.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BackupView {
     /// The file.
@@ -15,40 +15,40 @@ pub struct BackupView {
     pub bytes: u64,
     /// Profiles whose keyrings are in it.
     pub profiles: Vec<String>,
-    /// What is not in it, in words.
+    /// What it does not contain, in words.
     pub notes: Vec<String>,
 }
 
-/// How one thing is that the doctor looked at.
+/// The state of one thing checked by the doctor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CheckStatus {
     /// As it should be.
     Ok,
-    /// Works, and something should be done.
+    /// Works, but something should be done.
     Warn,
     /// Does not work.
     Fail,
 }
 
-/// One thing that the doctor looked at.
+/// One thing checked by the doctor.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DoctorCheck {
-    /// What was looked at.
+    /// Its name.
     pub name: String,
-    /// How it is.
+    /// Its state.
     pub status: CheckStatus,
     /// What was found, cleaned.
     pub detail: String,
-    /// What to do; empty where nothing has to be done.
+    /// What to do; empty if nothing has to be done.
     pub advice: String,
 }
 
-/// All that the doctor looked at.
+/// All that the doctor checked.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DoctorView {
     /// Whether nothing fails.
     pub ok: bool,
-    /// One by one.
+    /// The findings.
     pub checks: Vec<DoctorCheck>,
 }

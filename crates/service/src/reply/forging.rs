@@ -1,4 +1,4 @@
-//! What is told of pinned publishers and of what is held back.
+//! Answers about pinned publishers and quarantined messages.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,12 +11,12 @@ use super::RecordView;
 pub struct PinView {
     /// The topic, cleaned.
     pub topic: String,
-    /// Who may publish it, cleaned.
+    /// The publisher, cleaned.
     #[serde(flatten)]
     pub publisher: Publisher,
     /// `first` (seen first), `operator`, or `settings`.
     pub source: String,
-    /// Since when; `None` for the settings.
+    /// Pinned since; `None` for the settings.
     pub at: Option<Timestamp>,
 }
 
@@ -25,7 +25,7 @@ pub struct PinView {
 pub struct AlarmView {
     /// The topic, cleaned.
     pub topic: String,
-    /// Whom it is about, cleaned: a publisher as `topics pin` takes it, or a URI.
+    /// Its subject, cleaned: a publisher as `topics pin` takes it, or a URI.
     pub publisher: String,
     /// `new`, `host`, `type`, `replaced`, `undecided` or `unconfirmed`.
     pub reason: String,
@@ -38,7 +38,7 @@ pub struct AlarmView {
 /// A profile's pins and alarms.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PinsView {
-    /// How topics come to their pins.
+    /// How topics get their pins.
     pub mode: PinMode,
     /// Pinned publishers.
     pub pins: Vec<PinView>,
@@ -46,37 +46,37 @@ pub struct PinsView {
     pub alarms: Vec<AlarmView>,
 }
 
-/// A message that is held back.
+/// A quarantined message.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeldView {
     /// The record.
     #[serde(flatten)]
     pub record: RecordView,
-    /// Why, in one word.
+    /// The reason, in one word.
     pub reason: String,
-    /// Who sent it, cleaned.
+    /// Its sender, cleaned.
     pub publisher: String,
     /// The quarantine record that counts it.
     pub report: Option<Digest>,
 }
 
-/// What is held back, oldest first.
+/// Quarantined messages, oldest first.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct QuarantineView {
-    /// Messages in quarantine in all.
+    /// The total of quarantined messages.
     pub messages: u64,
-    /// The oldest of them, of the topic asked for.
+    /// The oldest of them, for the requested topic.
     pub records: Vec<HeldView>,
 }
 
-/// What was decided about held messages.
+/// A decision about quarantined messages.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DecidedView {
     /// `released` or `discarded`.
     pub decision: String,
     /// Messages decided about.
     pub messages: u64,
-    /// Quarantine records that count what was discarded; they stand on the chain.
+    /// Quarantine records that count the discarded messages; they are on the chain.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub reports: Vec<Digest>,
     /// In words.

@@ -1,4 +1,4 @@
-//! Profiles, their keys, and what their transactions did.
+//! Answers about profiles, their keys, and their transactions.
 
 use serde::{Deserialize, Serialize};
 
@@ -22,7 +22,7 @@ pub struct IdentityView {
     pub epoch: Option<u64>,
     /// P_C.
     pub signing_key: Option<PublicKey>,
-    /// P_C for the eye.
+    /// P_C's fingerprint, for people.
     pub fingerprint: Option<String>,
     /// P_E.
     pub envelope_key: Option<PublicKey>,
@@ -46,37 +46,37 @@ pub struct KeysView {
     pub address: Address,
     /// P_C.
     pub signing_key: PublicKey,
-    /// P_C for the eye.
+    /// P_C's fingerprint, for people.
     pub signing_fingerprint: String,
     /// P_E.
     pub envelope_key: PublicKey,
-    /// P_E for the eye.
+    /// P_E's fingerprint, for people.
     pub envelope_fingerprint: String,
     /// Epochs on the chain in use.
     pub epochs: Vec<EpochView>,
 }
 
-/// Whom a change of an SM2 key touches, and how.
+/// Who is affected by a change of an SM2 key, and how.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KeyChangeView {
     /// Accounts with an active grant of this profile.
     pub readers: Vec<Address>,
     /// Accounts that share with this profile.
     pub sharers: Vec<Address>,
-    /// Names of robots that are lent.
+    /// Names of lent robots.
     pub robots: Vec<ProfileName>,
     /// Whether this profile keeps the gateway of this home.
     pub keeps_gateway: bool,
     /// The gateway that this home has joined.
     pub joined: Option<String>,
-    /// What happens, in words.
+    /// The effects, in words.
     pub lines: Vec<String>,
 }
 
 /// A robot that was enrolled.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct EnrolledView {
-    /// N.
+    /// N, its name at the gateway.
     pub name: ProfileName,
     /// SM3 of its public key.
     pub device: SignerId,
@@ -88,20 +88,20 @@ pub struct EnrolledView {
     pub file: SecretBytes,
 }
 
-/// What an enrolled robot covers by now.
+/// The current topics of an enrolled robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DeviceTopicsView {
-    /// N.
+    /// N, its name at the gateway.
     pub name: ProfileName,
     /// SM3 of its public key.
     pub device: SignerId,
     /// Topics that were added.
     pub added: Vec<String>,
-    /// All that it covers.
+    /// All its topics.
     pub topics: Vec<String>,
 }
 
-/// What a transaction of the profile did (register, grant, revoke, rotate).
+/// The result of a transaction of the profile (register, grant, revoke, rotate).
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TransactionView {
     /// Its hash; `None` = nothing had to be sent.
@@ -110,6 +110,6 @@ pub struct TransactionView {
     pub block: Option<u64>,
     /// The profile's epoch after it.
     pub epoch: u64,
-    /// What was done, in words.
+    /// The deed, in words.
     pub text: String,
 }

@@ -1,4 +1,4 @@
-//! What is told of incidents.
+//! Answers about incidents.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,12 +13,12 @@ pub struct IncidentNoteView {
     pub text: String,
 }
 
-/// What an incident holds of one topic.
+/// An incident's records of one topic.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SpanCoverageView {
     /// The topic. Cleaned.
     pub topic: String,
-    /// Captured messages that are records, without those held back.
+    /// Captured messages that are records, without quarantined ones.
     pub records: u64,
     /// Bytes of these messages.
     pub bytes: u64,
@@ -26,37 +26,37 @@ pub struct SpanCoverageView {
     pub first: Option<Timestamp>,
     /// When the last was.
     pub last: Option<Timestamp>,
-    /// How many of them retention had deleted before.
+    /// How many of them retention had already deleted.
     pub deleted: u64,
-    /// Messages that are held back in quarantine.
+    /// Messages in quarantine.
     pub quarantined: u64,
-    /// Messages that were lost in stretches of time that touch the span.
+    /// Messages lost in stretches of time that overlap the span.
     pub lost: u64,
 }
 
-/// An incident and what it holds.
+/// An incident and its records.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IncidentView {
     /// Its name.
     pub name: IncidentName,
-    /// Whether it was not closed yet.
+    /// Whether it is still open.
     pub open: bool,
-    /// Holds records captured then or later.
+    /// Holds records captured at this time or later.
     pub since: Timestamp,
-    /// And before then; `None` = it goes on.
+    /// And before this time; `None` = it is still open.
     pub until: Option<Timestamp>,
     /// When it was opened.
     pub opened_at: Timestamp,
     /// When it was closed.
     pub closed_at: Option<Timestamp>,
-    /// The topics it is about; empty = all. Cleaned.
+    /// Its topics; empty = all. Cleaned.
     pub topics: Vec<String>,
     /// Oldest first.
     pub notes: Vec<IncidentNoteView>,
-    /// Records in it, of all topics.
+    /// Its records, of all topics.
     pub records: u64,
     /// Bytes of their messages.
     pub bytes: u64,
-    /// What there is of each topic.
+    /// Its records by topic.
     pub coverage: Vec<SpanCoverageView>,
 }

@@ -1,24 +1,24 @@
-//! What is told of a gateway at work.
+//! Answers about a running gateway.
 
 use serde::{Deserialize, Serialize};
 
 use super::GatewayView;
 use crate::model::{Address, ProfileName, SignerId, Timestamp};
 
-/// A name that the gateway knows, and its session where it has one.
+/// A name known to the gateway, and its session if it has one.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SenderView {
-    /// N.
+    /// N, the name.
     pub name: ProfileName,
-    /// The account that it belongs to.
+    /// The account it belongs to.
     pub account: Address,
-    /// Sessions of it now.
+    /// Its current sessions.
     pub sessions: u64,
-    /// Where the newest comes from.
+    /// The remote address of the newest.
     pub peer: Option<String>,
-    /// Since when it is connected.
+    /// Connected since.
     pub since: Option<Timestamp>,
-    /// When its last frame came.
+    /// When its last frame arrived.
     pub last: Option<Timestamp>,
     /// Frames of its sessions.
     pub frames: u64,
@@ -31,15 +31,15 @@ pub struct SenderView {
 pub struct SystemKeyView {
     /// SM3 of P_S.
     pub id: SignerId,
-    /// In use from then on.
+    /// In use from this time.
     pub not_before: Timestamp,
-    /// In use until then.
+    /// In use until this time.
     pub not_after: Timestamp,
     /// Whether it is in use now.
     pub current: bool,
 }
 
-/// What was refused for one reason since the gateway was started.
+/// Refusals for one reason since the gateway was started.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RefusedView {
     /// The reason's number in the protocol.
@@ -53,33 +53,33 @@ pub struct RefusedView {
 /// An owner who may use the gateway of this home.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AdmittedView {
-    /// Who.
+    /// The owner.
     pub owner: Address,
     /// Its name in the address book.
     pub name: Option<String>,
-    /// Since when.
+    /// Admitted since.
     pub since: Timestamp,
-    /// Which profile admitted it, or why it is here.
+    /// The profile that admitted it, or why it is listed.
     pub by: String,
 }
 
 /// The gateway of this site at a glance.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GatewayStatusView {
-    /// What is served; `None` = no gateway runs here.
+    /// The gateway served here; `None` = no gateway runs here.
     pub served: Option<GatewayView>,
-    /// The gateway that this site joins a remote one through.
+    /// The gateway through which this site joins a remote one.
     pub through: Option<String>,
-    /// Connections, those in their handshake included.
+    /// Connections, including those in their handshake.
     pub connections: u64,
-    /// Names with a transport key: those connected first.
+    /// Names with a transport key, connected ones first.
     pub senders: Vec<SenderView>,
     /// The published list of system keys.
     pub keys: Vec<SystemKeyView>,
     /// Its version.
     pub list_version: u64,
-    /// When it is of no use any more.
+    /// When it expires.
     pub list_expires: Option<Timestamp>,
-    /// What was refused, the most frequent reason first.
+    /// Refusals, the most frequent reason first.
     pub refused: Vec<RefusedView>,
 }

@@ -1,4 +1,4 @@
-//! What is told of other accounts: grants, devices, the address book, fingerprints, the administrator's decisions.
+//! Answers about other accounts: grants, devices, the address book, fingerprints, the administrator's decisions.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,11 +13,11 @@ pub struct ContactRow {
     pub name: ContactName,
     /// Its address.
     pub address: Address,
-    /// The fingerprint of its SM2 key as it was noted.
+    /// The fingerprint of its SM2 key, as noted.
     pub fingerprint: Option<String>,
-    /// Whether that was given by a person, and not just found on the chain.
+    /// Whether a person gave it, rather than the chain.
     pub given: bool,
-    /// The fingerprint of the key that it has registered now.
+    /// The fingerprint of its registered key.
     pub registered: Option<String>,
     /// `same`, `differs`, `not registered` or `not noted`.
     pub state: String,
@@ -26,26 +26,26 @@ pub struct ContactRow {
 /// Two fingerprints side by side.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CompareView {
-    /// Whose.
+    /// The account.
     pub account: Address,
     /// Its name in the address book.
     pub name: Option<String>,
-    /// That of its SM2 key.
+    /// Its SM2 key's fingerprint.
     pub fingerprint: String,
-    /// The one that was given, in the same form.
+    /// The given one, in the same form.
     pub given: String,
-    /// Whether they are the same.
+    /// Whether they are equal.
     pub equal: bool,
 }
 
-/// A lost account and who continues its work.
+/// A lost account and its successor.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SuccessionView {
-    /// The lost one.
+    /// The lost account.
     pub lost: Address,
     /// Its name in the address book.
     pub lost_name: Option<String>,
-    /// Who continues.
+    /// The successor.
     pub successor: Address,
     /// Its name in the address book.
     pub successor_name: Option<String>,
@@ -53,69 +53,69 @@ pub struct SuccessionView {
     pub block: u64,
 }
 
-/// A succession that waits.
+/// A pending succession.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProposalView {
-    /// The account said to be lost.
+    /// The account reported lost.
     pub lost: Address,
     /// Its name in the address book.
     pub lost_name: Option<String>,
-    /// Who is to continue.
+    /// The successor to be.
     pub successor: Address,
     /// Its name in the address book.
     pub successor_name: Option<String>,
     /// Who may stop it, besides the administrator.
     pub recovery: Option<Address>,
-    /// It can be completed from then on.
+    /// The time from which it can be completed.
     pub due: Timestamp,
-    /// Since which block it waits.
+    /// The block from which it waits.
     pub block: u64,
 }
 
 /// Who may stop a succession of the profile's account.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RecoveryView {
-    /// Who may now.
+    /// The account that may now.
     pub account: Option<Address>,
-    /// Who was named last, where that is still to take effect.
+    /// The account named last, if that has not taken effect yet.
     pub next: Option<Address>,
-    /// When it does.
+    /// When it takes effect.
     pub from: Option<Timestamp>,
 }
 
-/// What the administrator of the contract decided.
+/// The contract administrator's decisions.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AdministrationView {
-    /// Who administers.
+    /// The administrator.
     pub administrator: Option<Address>,
-    /// Who is to, once it accepts.
+    /// The next administrator, once it accepts.
     pub nominee: Option<Address>,
     /// Whether anyone may register.
     pub open: bool,
-    /// Whether all changes are stopped now but those that take rights away.
+    /// Whether all changes are blocked now except those that take rights away.
     pub paused: bool,
-    /// When a pause ends by itself; `None` = there is none, or it has no end.
+    /// When a pause ends; `None` = there is none, or it has no end.
     #[serde(default)]
     pub paused_until: Option<Timestamp>,
     /// The contract's revision.
     #[serde(default)]
     pub revision: Option<Revision>,
-    /// How long a succession waits, seconds; `None` = not at all.
+    /// The delay of a succession, seconds; `None` = there are no successions.
     #[serde(default)]
     pub delay: Option<u64>,
-    /// Successions that wait.
+    /// Pending successions.
     #[serde(default)]
     pub proposals: Vec<ProposalView>,
     /// Who may stop a succession of the profile's account.
     #[serde(default)]
     pub recovery: RecoveryView,
-    /// Accounts whose changes are stopped.
+    /// Suspended accounts.
     pub suspended: Vec<Address>,
     /// Lost accounts with their successors.
     pub successions: Vec<SuccessionView>,
 }
 
-/// Which way a grant goes, as one of its sides sees it.
+/// The direction of a grant, as seen by one of its sides.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Direction {
@@ -140,17 +140,17 @@ impl Direction {
 pub struct GrantRow {
     /// Given or received.
     pub direction: Direction,
-    /// Who shares.
+    /// The owner.
     pub owner: Address,
-    /// Who reads.
+    /// The reader.
     pub grantee: Address,
-    /// From this epoch on (or the only epochs it opens, once revoked).
+    /// The first epoch it opens (or the only ones, once revoked).
     pub epoch: u64,
     /// When it ends.
     pub expires: Option<Timestamp>,
-    /// Topic names where known, else ids; empty = all topics.
+    /// Topic names if known, otherwise ids; empty = all topics.
     pub topics: Vec<String>,
-    /// How it stands.
+    /// Its state.
     pub state: GrantState,
     /// Block of the grant.
     pub block: u64,
@@ -159,12 +159,12 @@ pub struct GrantRow {
     /// The other side's name in the address book.
     #[serde(default)]
     pub name: Option<String>,
-    /// The fingerprint of the SM2 key that the other side has registered.
+    /// The fingerprint of the other side's registered SM2 key.
     #[serde(default)]
     pub fingerprint: Option<String>,
 }
 
-/// One device that was lent.
+/// One lent device.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DeviceRow {
     /// SM3 of its public key.

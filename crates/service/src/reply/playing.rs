@@ -1,14 +1,14 @@
-//! What playing shared records answers.
+//! Answers about playing shared records.
 
 use serde::{Deserialize, Serialize};
 
-/// What ended the playing.
+/// Why playing ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PlayEnd {
-    /// All there was has been played.
+    /// Everything there was has been played.
     Whole,
-    /// Somebody asked for the end, or the connection that played is gone.
+    /// Somebody ended it, or the connection that requested it is gone.
     Asked,
     /// No grant is left: the last was revoked.
     Revoked,
@@ -33,29 +33,29 @@ impl PlayEnd {
         }
     }
 
-    /// Whether a right to read ended it.
+    /// Whether it ended for want of a right to read.
     pub fn is_by_right(self) -> bool {
         matches!(self, Self::Revoked | Self::Expired | Self::Locked)
     }
 }
 
-/// What was played.
+/// The result of playing.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PlayedView {
     /// Messages published, each checked first.
     pub published: u64,
-    /// Records that a check refused, or that a ROS 1 graph cannot take; none of them was published.
+    /// Records refused by a check, or that a ROS 1 graph cannot take; none of them was published.
     pub refused: u64,
-    /// Records whose bytes are gone from the vault.
+    /// Records whose bytes are missing in the vault.
     pub missing: u64,
-    /// Times a subscriber did not get a message because it read too slowly.
+    /// Messages that a subscriber missed because it read too slowly.
     pub dropped: u64,
-    /// How long it took.
+    /// The time it took.
     pub seconds: f64,
-    /// What ended it.
+    /// Why it ended.
     pub ended_by: PlayEnd,
-    /// Why records were refused, with how many; the first 20 reasons.
+    /// The reasons for refusing records, with counts; the first 20.
     pub reasons: Vec<(String, u64)>,
-    /// The topics as they were played, with their messages.
+    /// The topics as played, with their messages.
     pub topics: Vec<(String, u64)>,
 }

@@ -1,4 +1,4 @@
-//! What imports, exports and rules for topics answer.
+//! Answers about imports, exports and rules for topics.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,9 +13,9 @@ pub struct ImportedTopic {
     pub topic: String,
     /// Messages sealed now.
     pub imported: u64,
-    /// Of these verified.
+    /// Of these, verified.
     pub verified: u64,
-    /// Messages that were taken in before.
+    /// Messages imported earlier.
     pub already: u64,
 }
 
@@ -30,7 +30,7 @@ pub struct LeftOut {
     pub messages: u64,
 }
 
-/// What an import did.
+/// The result of an import.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct ImportView {
     /// The file, cleaned.
@@ -39,25 +39,25 @@ pub struct ImportView {
     pub digest: Option<Digest>,
     /// Messages sealed now.
     pub imported: u64,
-    /// Of these verified: re-read from the vault, digest equal to the chain, signature valid.
+    /// Of these, verified: re-read from the vault, digest equal to the chain, signature valid.
     pub verified: u64,
-    /// Messages that an earlier import of the same file took in; they are not sealed twice.
+    /// Messages sealed by an earlier import of the same file; they are not sealed twice.
     pub already: u64,
-    /// Messages that were given up, their profile having no keys in force.
+    /// Messages given up because their profile has no keys in force.
     pub lost: u64,
-    /// Messages that cannot be used: those left out, of a channel that is described nowhere, or damaged.
+    /// Unusable messages: left out, of an undescribed channel, or damaged.
     pub skipped: u64,
-    /// Messages left out by their topic, with the reason.
+    /// Messages left out by topic, with the reason.
     #[serde(default)]
     pub left_out: Vec<LeftOut>,
-    /// Messages that no checksum of the file covers: whether they were altered cannot be told from it.
+    /// Messages without a checksum in the file: it cannot show whether they were altered.
     #[serde(default)]
     pub unguarded: u64,
     /// What could not be read, and why.
     pub damages: Vec<Damage>,
     /// Further places of damage.
     pub more_damages: u64,
-    /// Whether it was ended before the end of the file.
+    /// Whether it ended before the end of the file.
     pub ended_early: bool,
     /// Per topic.
     pub topics: Vec<ImportedTopic>,
@@ -78,15 +78,15 @@ pub struct ExportedTopic {
 /// Records that were not written, by reason.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Refused {
-    /// They differ from what was anchored, or their signature does not hold.
+    /// They differ from what was anchored, or their signature is not valid.
     pub tampered: u64,
-    /// Their ciphertext is gone from the vault.
+    /// Their ciphertext is missing in the vault.
     pub missing: u64,
     /// Not confirmed on the chain.
     pub unanchored: u64,
     /// No key of this profile opens them.
     pub no_key: u64,
-    /// Own ones in quarantine, or given up.
+    /// Own records in quarantine, or given up.
     pub held: u64,
     /// No readable record holds the definition of their type.
     pub no_definition: u64,
@@ -94,10 +94,10 @@ pub struct Refused {
     pub unsuitable: u64,
 }
 
-/// What an export did.
+/// The result of an export.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ExportView {
-    /// The file, cleaned; `None` where nothing was to be written.
+    /// The file, cleaned; `None` if there was nothing to write.
     pub file: Option<String>,
     /// Its format.
     pub format: RecordingFormat,
@@ -107,22 +107,22 @@ pub struct ExportView {
     pub bytes: u64,
     /// Records not written.
     pub refused: Refused,
-    /// Ids of those that are tampered with or missing; the first 100.
+    /// Ids of the tampered or missing ones; the first 100.
     pub suspicious: Vec<String>,
     /// Per topic.
     pub topics: Vec<ExportedTopic>,
 }
 
-/// How far an import or export is.
+/// The progress of an import or export.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProgressView {
-    /// What it does: `hashing`, `importing`, `verifying`, `exporting`.
+    /// Its stage: `hashing`, `importing`, `verifying`, `exporting`.
     pub step: String,
     /// The file, cleaned.
     pub file: String,
     /// Bytes (import) or records (export) done.
     pub done: u64,
-    /// Of so many; 0 where it is not known.
+    /// Their total; 0 if unknown.
     pub of: u64,
     /// Messages sealed or written.
     pub messages: u64,
@@ -176,19 +176,19 @@ impl Answer for Vec<ProgressView> {
     }
 }
 
-/// The rule of one topic, and what the topic does.
+/// The rule of one topic, and the topic's rates.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PolicyRow {
     /// Topic, cleaned.
     pub topic: String,
-    /// Its type, cleaned, where known.
+    /// Its type, cleaned, if known.
     #[serde(rename = "type")]
     pub type_name: Option<String>,
     /// Whether this profile watches it.
     pub watched: bool,
     /// The rule in force.
     pub rule: Option<TopicRule>,
-    /// Messages left out by it since the site began.
+    /// Messages left out by it since the site started.
     pub left_out: u64,
     /// Messages a second.
     pub hz: Option<f64>,
@@ -203,8 +203,8 @@ pub struct PolicyRow {
 pub struct PolicyView {
     /// Every topic of the graph and those watched.
     pub topics: Vec<PolicyRow>,
-    /// Rules that no topic follows now.
+    /// Rules that no topic uses now.
     pub idle: Vec<TopicRule>,
-    /// Whether the topics were looked at for a while.
+    /// Whether the topics' rates were measured.
     pub learned: bool,
 }

@@ -11,7 +11,7 @@ use crate::ros::readable::Readable;
 pub struct RecordView {
     /// Short stable id (beginning of the digest).
     pub id: String,
-    /// Whose it is (shared lists).
+    /// Its owner (shared lists).
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub owner: Option<Address>,
     /// The owner's name in the address book.
@@ -26,8 +26,8 @@ pub struct RecordView {
     pub type_name: String,
     /// Kind of record.
     pub kind: RecordKind,
-    /// State; `unread` for a verified one whose bytes are not here to be compared, `verified, names unchecked`
-    /// where what lies sealed is the ledger's word, for want of a key.
+    /// State; `unread` for a verified one whose bytes are not here for comparison, `verified, names unchecked` if only
+    /// the ledger vouches for the sealed names, for want of a key.
     pub state: ShownState,
     /// SM3 of the stored bytes.
     pub digest: Digest,
@@ -43,10 +43,10 @@ pub struct RecordView {
     pub transaction: Option<Hash>,
     /// Its block.
     pub block: Option<u64>,
-    /// How far the ledger's row was compared with the record.
+    /// The result of comparing the ledger's row with the record.
     #[serde(default)]
     pub compared: Compared,
-    /// The field in which they differ: then the record's own word is shown, and it is `tampered`.
+    /// The field in which they differ: the record's own value is then shown, and it is `tampered`.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub differs: Option<String>,
 }
@@ -60,7 +60,7 @@ pub struct RecordPage {
     pub next: Option<String>,
 }
 
-/// One record with where it came from and where it stands.
+/// One record with its provenance and its state.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Provenance {
     /// The record.
@@ -90,41 +90,41 @@ pub struct EvidenceView {
     pub records: u64,
     /// How many of them are disclosed.
     pub revealed: u64,
-    /// What could not be put into it, in words.
+    /// What could not be included, in words.
     pub notes: Vec<String>,
 }
 
-/// What time stamp authorities were asked for.
+/// The result of asking time stamp authorities.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StampView {
-    /// Batches that were put under a stamp by this.
+    /// Batches newly covered by a stamp.
     pub roots: u64,
-    /// What was given.
+    /// The stamps obtained.
     pub tokens: Vec<StampedView>,
-    /// Stamps that no authority gave yet.
+    /// Stamps that no authority has given yet.
     pub waiting: u64,
-    /// The first thing that went wrong.
+    /// The first failure.
     pub problem: Option<String>,
 }
 
-/// One stamp that an authority gave.
+/// One stamp from an authority.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StampedView {
-    /// Who, as the settings name it.
+    /// The authority's name in the settings.
     pub authority: String,
-    /// Before when all of it existed.
+    /// All of it existed before this time.
     pub before: Timestamp,
-    /// Over so many batches.
+    /// The number of batches it covers.
     pub roots: u64,
 }
 
-/// What the opening of a record showed.
+/// The result of opening a record.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OpenedView {
     /// The record.
     #[serde(flatten)]
     pub record: RecordView,
-    /// What the checks found; nothing below is filled unless it is `verified` or `unanchored`.
+    /// The result of the checks; nothing below is filled unless it is `verified` or `unanchored`.
     pub verdict: Verdict,
     /// The publisher's node name, cleaned.
     pub caller_id: String,
@@ -136,38 +136,38 @@ pub struct OpenedView {
     /// Length of its sealed body, bytes.
     #[serde(default)]
     pub stored: u64,
-    /// Why no fields are shown, or what speaks against them.
+    /// Why no fields are shown, or what casts doubt on them.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub note: Option<String>,
     /// Field paths and values in order, cleaned, for screens.
     pub fields: Vec<(String, String)>,
     /// The message as JSON; long arrays summarised.
     pub message: serde_json::Value,
-    /// Well-known types as people read them.
+    /// Well-known types in readable form.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub readable: Option<Readable>,
     /// The first bytes of the message.
     #[serde(with = "base64_text", skip_serializing_if = "Vec::is_empty", default)]
     pub beginning: Vec<u8>,
-    /// The message's bytes as captured, unless it is a long one.
+    /// The message's bytes as captured, unless it is long.
     #[serde(with = "base64_text::option", skip_serializing_if = "Option::is_none", default)]
     pub body: Option<Vec<u8>>,
-    /// A picture's own bytes (JPEG, PNG) where the message is one, unless it is a long one.
+    /// A picture's own bytes (JPEG, PNG) if the message is one, unless it is long.
     #[serde(with = "base64_text::option", skip_serializing_if = "Option::is_none", default)]
     pub picture: Option<Vec<u8>>,
-    /// The file that was asked for.
+    /// The requested file.
     #[serde(with = "base64_text::option", skip_serializing_if = "Option::is_none", default)]
     pub file: Option<Vec<u8>>,
 }
 
-/// What a check of one record found.
+/// The result of a check of one record.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CheckView {
     /// The record's id.
     pub id: String,
-    /// What was found.
+    /// The finding.
     pub verdict: Verdict,
-    /// SM3 of the vault's bytes.
+    /// SM3 of the bytes in the vault.
     pub digest: Digest,
     /// The anchoring transaction.
     pub transaction: Option<Hash>,

@@ -1,10 +1,10 @@
-//! The whole site at a glance: health of its parts, the life line of its records.
+//! The whole site at a glance: health of its parts, its records by state.
 
 use serde::{Deserialize, Serialize};
 
 use crate::model::{ProfileName, Timestamp};
 
-/// How a part of the site is.
+/// The state of a part of the site.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum HealthLevel {
@@ -23,20 +23,20 @@ pub enum HealthLevel {
 pub struct PartHealth {
     /// `ros`, `chain`, `vault` or `gateway`.
     pub part: String,
-    /// How it is.
+    /// Its state.
     pub level: HealthLevel,
     /// In words: `embedded master http://127.0.0.1:4711`, `retry in 4 s: …`.
     pub text: String,
-    /// Since when it has not been well, where that is known.
+    /// Since when it has not been well, if known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub since: Option<Timestamp>,
-    /// Seconds between two attempts, where it is tried again.
+    /// Seconds between attempts, if it is retried.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub retry: Option<u64>,
 }
 
-/// How many records passed each station of the life line (data records of one profile). At every moment
-/// captured = verified + pending + right ended + quarantined + dropped + tampered, where captured is counted by itself.
+/// How many records passed each stage (data records of one profile). At every moment captured = verified + pending +
+/// right ended + quarantined + dropped + tampered, where captured has a counter of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct LifeLine {
     /// Taken from the topic.
@@ -53,30 +53,30 @@ pub struct LifeLine {
     pub verified: u64,
     /// Not yet verified.
     pub pending: u64,
-    /// Their signer may not sign for their owner now; anchored when that right is back.
+    /// Their signer may not sign for their owner now; anchored when that right returns.
     #[serde(default)]
     pub right_ended: u64,
-    /// Held back.
+    /// Quarantined.
     pub quarantined: u64,
-    /// Dropped before acknowledgement, counted, or discarded out of quarantine.
+    /// Dropped before acknowledgement, counted, or discarded from quarantine.
     pub dropped: u64,
-    /// Of these never acknowledged: they came while memory or disk was full, or without a key.
+    /// Of these, never acknowledged: they came while memory or disk was full, or without a key.
     #[serde(default)]
     pub lost_in_recorder: u64,
-    /// Of these discarded by the operator out of quarantine.
+    /// Of these, discarded from quarantine by the operator.
     #[serde(default)]
     pub discarded: u64,
-    /// Differ from the chain.
+    /// Different from the chain.
     pub tampered: u64,
-    /// Never arrived here (header.seq gaps); no part of captured.
+    /// Never arrived here (header.seq gaps); not part of captured.
     pub lost_in_transport: u64,
-    /// Messages of all profiles in memory that are not acknowledged yet; no part of captured.
+    /// Messages of all profiles in memory that are not acknowledged yet; not part of captured.
     #[serde(default)]
     pub waiting: u64,
-    /// Of the verified ones those whose ciphertext retention has deleted; header, signature and proof are there.
+    /// Of the verified ones, those whose ciphertext retention has deleted; header, signature and proof remain.
     #[serde(default)]
     pub deleted: u64,
-    /// Whether the counts add up, in all and for each topic.
+    /// Whether the counts balance, in total and for each topic.
     #[serde(default)]
     pub conserved: bool,
 }
@@ -84,7 +84,7 @@ pub struct LifeLine {
 /// The whole site at a glance.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SiteView {
-    /// Parts and how they are.
+    /// The parts and their state.
     pub health: Vec<PartHealth>,
     /// This profile's records.
     pub life: LifeLine,
@@ -92,23 +92,23 @@ pub struct SiteView {
     pub robots: u16,
     /// Profiles open in this site.
     pub profiles: Vec<ProfileName>,
-    /// The process that the site runs in; 0 = one that does not tell.
+    /// The site's process; 0 = an older site, which does not report it.
     #[serde(default)]
     pub process: u32,
-    /// Background tasks and how they are.
+    /// Background tasks and their state.
     #[serde(default)]
     pub tasks: Vec<super::TaskView>,
     /// What waits to be sealed.
     #[serde(default)]
     pub queue: QueueView,
-    /// How long records of this site took from capture to verified: times of at most so many microseconds, and how many
-    /// records took one of these.
+    /// How long records of this site took from capture to verified: upper bounds, microseconds, and the number of
+    /// records within each.
     #[serde(default)]
     pub verified_after: Vec<(u64, u64)>,
-    /// Alerts that stand, of all accounts; none where no site runs that judges.
+    /// Active alerts, of all accounts; none if no site is running to judge them.
     #[serde(default)]
     pub alerts: Vec<super::AlertView>,
-    /// Those that were over lately, the newest first.
+    /// Those that ended recently, newest first.
     #[serde(default)]
     pub alerts_over: Vec<super::EndedAlert>,
 }
@@ -120,6 +120,6 @@ pub struct QueueView {
     pub messages: u64,
     /// Their bytes.
     pub bytes: u64,
-    /// The most bytes it takes; beyond, the newest message is dropped and counted.
+    /// Its capacity, bytes; beyond that, the newest message is dropped and counted.
     pub capacity: u64,
 }

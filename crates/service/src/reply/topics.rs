@@ -1,4 +1,4 @@
-//! Topics of the graph, and what captures of them did.
+//! Topics of the graph, and the results of capturing them.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,9 +8,9 @@ use crate::model::{Timestamp, TopicName, TypeName};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum HeldUp {
-    /// The profile's keys have not been opened in this site.
+    /// The profile's keys have not been unlocked in this site.
     WaitsForKey,
-    /// A console holds capture back, or the disk is full.
+    /// A console has paused capture, or the disk is full.
     Paused,
 }
 
@@ -19,23 +19,23 @@ pub enum HeldUp {
 pub struct TopicRow {
     /// Its name, cleaned.
     pub topic: String,
-    /// Its type, cleaned, where known.
+    /// Its type, cleaned, if known.
     #[serde(rename = "type")]
     pub type_name: Option<String>,
-    /// Which ROS it is of: 1 or 2.
+    /// Its version of ROS: 1 or 2.
     #[serde(default = "first")]
     pub ros: u8,
-    /// The type's hash (`RIHS01_…`), cleaned, where a publisher of ROS 2 told it.
+    /// The type's hash (`RIHS01_…`), cleaned, if a ROS 2 publisher gave it.
     #[serde(default)]
     pub type_hash: Option<String>,
-    /// What all publishers of ROS 2 offer, as `reliable volatile`; `None` in ROS 1.
+    /// What all ROS 2 publishers offer, such as `reliable volatile`; `None` in ROS 1.
     #[serde(default)]
     pub qos: Option<String>,
     /// Node names, cleaned.
     pub publishers: Vec<String>,
     /// Whether this profile watches it.
     pub watched: bool,
-    /// Why it is not captured though it is watched; `None` = it is, or it is not watched.
+    /// Why it is watched but not captured; `None` = it is captured, or not watched.
     #[serde(default)]
     pub held_up: Option<HeldUp>,
     /// Whether a simulated robot of this site publishes it.
@@ -55,10 +55,10 @@ pub struct TopicRow {
     pub left_out: u64,
     /// Arrival of the last message.
     pub last_message: Option<Timestamp>,
-    /// Publishers that are pinned to it; 0 = none yet.
+    /// Publishers pinned to it; 0 = none yet.
     #[serde(default)]
     pub pins: u64,
-    /// Of `publishers` those that are not pinned, where any is.
+    /// Of `publishers`, those that are not pinned, if any is.
     #[serde(default)]
     pub unpinned: Vec<String>,
     /// Messages of it that this profile holds in quarantine.
@@ -69,18 +69,18 @@ pub struct TopicRow {
     pub alarm: bool,
 }
 
-/// What there is of one part of a span of time.
+/// The records in one part of a span of time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CoveragePart {
     /// Its beginning.
     pub at: Timestamp,
-    /// Whether there are records that are neither held back nor altered.
+    /// Whether there are records that are neither quarantined nor altered.
     pub data: bool,
-    /// Whether there are records that are held back, or were and then discarded.
+    /// Whether there are records in quarantine, or discarded from it.
     pub quarantined: bool,
     /// Whether there are records whose stored bytes are wrong.
     pub tampered: bool,
-    /// Messages that were noticed to be lost in it.
+    /// Messages noticed as lost in it.
     pub lost: u64,
 }
 
@@ -97,12 +97,12 @@ pub struct CoverageView {
     pub first: Option<Timestamp>,
     /// Capture of the last.
     pub last: Option<Timestamp>,
-    /// The parts of the span, oldest first, of one length.
+    /// The parts of the span, oldest first, all of the same length.
     pub parts: Vec<CoveragePart>,
 }
 
 impl CoveragePart {
-    /// The sign of a part: the worst that there is of it.
+    /// The sign of a part: the worst of its findings.
     pub fn sign(&self) -> char {
         match self {
             Self { tampered: true, .. } => 'T',
@@ -120,7 +120,7 @@ impl CoverageView {
         self.parts.iter().map(CoveragePart::sign).collect()
     }
 
-    /// What the signs mean, of those that there are.
+    /// The meaning of the signs that occur.
     pub fn legend(&self) -> String {
         const MEANINGS: [(char, &str); 5] =
             [('█', "recorded"), ('·', "nothing"), ('L', "messages lost"), ('Q', "quarantined"), ('T', "tampered")];
@@ -130,17 +130,17 @@ impl CoverageView {
     }
 }
 
-/// Sites of before knew ROS 1 alone.
+/// Earlier sites knew only ROS 1.
 fn first() -> u8 {
     1
 }
 
-/// A topic that is watched.
+/// A watched topic.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WatchView {
     /// Its name.
     pub topic: TopicName,
-    /// The type that is asked of it.
+    /// The type it must have.
     #[serde(rename = "type")]
     pub type_name: Option<TypeName>,
 }
@@ -150,28 +150,28 @@ pub struct WatchView {
 pub struct TopicSummary {
     /// Topic.
     pub topic: String,
-    /// Type, where a message was seen.
+    /// Type, if a message was seen.
     #[serde(rename = "type")]
     pub type_name: Option<String>,
     /// Messages captured.
     pub captured: u64,
-    /// Of these verified.
+    /// Of these, verified.
     pub verified: u64,
-    /// Of these held back: their publisher is not a pinned one.
+    /// Of these, quarantined: their publisher is not a pinned one.
     #[serde(default)]
     pub quarantined: u64,
     /// Lost in transport or in the recorder.
     pub lost: u64,
 }
 
-/// What a capture did.
+/// The result of a capture.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct CaptureSummary {
     /// Messages captured.
     pub captured: u64,
-    /// Of these verified: re-read from the vault, digest equal to the chain, signature valid.
+    /// Of these, verified: re-read from the vault, digest equal to the chain, signature valid.
     pub verified: u64,
-    /// Of these held back: their publisher is not a pinned one.
+    /// Of these, quarantined: their publisher is not a pinned one.
     #[serde(default)]
     pub quarantined: u64,
     /// Lost in transport or in the recorder.

@@ -11,10 +11,10 @@ pub struct PathView {
     pub id: String,
     /// Its topic, cleaned.
     pub topic: String,
-    /// Records that told a place.
+    /// Records that contained a position.
     pub records: usize,
     /// Records that could not be opened or decoded.
     pub unread: usize,
-    /// The path; `None` where no record told a place.
+    /// The path; `None` if no record contained a position.
     pub plot: Option<Plot>,
 }

@@ -1,5 +1,5 @@
-//! The agent: a site without a chain, on a robot or its host. It captures in its owner's name, as its enrolment
-//! allows, and passes everything on to a gateway.
+//! The agent: a site without a chain, on a robot or its host. It captures in its owner's name, within its enrolment,
+//! and forwards everything to a gateway.
 
 use std::collections::HashSet;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -23,26 +23,26 @@ use crate::store::{StateCounts, TopicCounts};
 
 /// How long the gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Between two looks at the figures.
+/// Interval between looks at the figures.
 const LOOK: Duration = Duration::from_millis(200);
 
 /// What an agent is to capture.
 #[derive(Debug, Clone, Default)]
 pub struct AgentWishes {
-    /// The topics; empty = those that the enrolment is limited to.
+    /// The topics; empty = all those of the enrolment.
     pub topics: Vec<TopicName>,
     /// Tags for every record.
     pub tags: Vec<(String, String)>,
-    /// So many messages of each topic.
+    /// This many messages of each topic.
     pub count: Option<u64>,
-    /// So long.
+    /// For this long.
     pub length: Option<Duration>,
 }
 
-/// How an agent stands. Messages are those of its whole outbox, over all its runs.
+/// The state of an agent. Messages are those of its whole outbox, over all its runs.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct AgentFigures {
-    /// N.
+    /// N, its name at the gateway.
     pub name: ProfileName,
     /// Acknowledged: sealed and fsynced on this machine.
     pub captured: u64,
@@ -50,13 +50,14 @@ pub struct AgentFigures {
     pub accepted: u64,
     /// Of these, those that are verified at the gateway.
     pub verified: u64,
-    /// Messages of this run that were not captured: lost in transport, dropped at a full ring or without a key.
+    /// Messages of this run that were not captured: lost in transport, or dropped because the ring was full or there
+    /// was no key.
     pub lost: u64,
     /// Captured and not verified yet.
     pub pending: u64,
     /// Damaged here, or altered at the gateway after it signed for them.
     pub tampered: u64,
-    /// Verified by the gateway's word alone, which an earlier version does not sign: their ciphertext stays here. Looked
+    /// Verified only by the gateway's word, which an earlier version does not sign: their ciphertext stays here. Looked
     /// up every few seconds.
     pub unproven: u64,
     /// Whether the gateway answers, in words.
@@ -66,9 +67,9 @@ pub struct AgentFigures {
 /// Why an agent's work is over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AgentEnd {
-    /// All that was asked for is captured, and its fate is known.
+    /// Everything requested is captured, and its fate is known.
     Done,
-    /// All that was asked for is captured; the gateway does not take it from this robot.
+    /// Everything requested is captured; the gateway does not accept it from this robot.
     Refused,
     /// It was told to end.
     Told,
@@ -79,7 +80,7 @@ pub struct Agent {
     site: Arc<Site>,
     name: ProfileName,
     author: Arc<Author>,
-    /// The first is of all topics at the start; one more for each topic that the owner has added since.
+    /// The first covers all topics at the start; there is another for each topic that the owner has added since.
     sessions: Vec<Arc<CaptureSession>>,
     topics: Vec<String>,
     wishes: AgentWishes,
@@ -89,17 +90,17 @@ pub struct Agent {
     /// Messages in the outbox when this run began.
     before: u64,
     unproven: u64,
-    /// When the numbers of the topics were last looked at.
+    /// When the topics' numbers were last looked at.
     seen: Option<std::time::Instant>,
     forwarder: JoinHandle<()>,
 }
 
 impl Agent {
-    /// Begins to capture and to forward.
+    /// Starts to capture and to forward.
     ///
     /// # Errors
-    /// Where a topic is not covered, or a file of the home cannot be used; a gateway or master that does not
-    /// answer is waited for.
+    /// If a topic is not covered, or a file of the home cannot be used; a gateway or master that does not answer is
+    /// waited for.
     pub async fn start(site: &Arc<Site>, mut sealed: SealedEnrolment, wishes: AgentWishes) -> Result<Self, Failure> {
         if !site.plant.vault.durable() {
             return Err(input("an agent keeps its outbox itself; leave --vault and vault.url out"));
@@ -151,11 +152,11 @@ impl Agent {
         })
     }
 
-    /// Works until all that was asked for is verified, or until `told`. `progress` gets the figures whenever
-    /// they have changed, once a second.
+    /// Works until everything requested is verified, or until `told`. `progress` gets the figures when they have
+    /// changed, once a second.
     ///
     /// # Errors
-    /// Of the outbox.
+    /// Errors of the outbox.
     pub async fn run(
         &mut self,
         told: impl Future,
@@ -198,7 +199,7 @@ impl Agent {
         }
     }
 
-    /// States how high the numbers of this robot's recorder are, where its keys cover that and it is time.
+    /// States how far the numbers of this robot's recorder have come, if its keys cover that and it is time.
     fn state_heads(&mut self) {
         let Some(keys) = self.author.sealing() else { return };
         let (plant, every) = (&self.site.plant, self.site.parts.config.audit_every);
@@ -212,7 +213,7 @@ impl Agent {
         }
     }
 
-    /// Captures what the owner has added since, where it is the enrolment that says what is captured.
+    /// Captures what the owner has added since, if the enrolment decides what is captured.
     fn follow_topics(&mut self) {
         if !self.wishes.topics.is_empty() || self.sessions.iter().all(|session| session.is_closed()) {
             return;
@@ -255,10 +256,10 @@ impl Agent {
         matches!(&*self.link.borrow(), Link::Refused(_)).then_some(AgentEnd::Refused)
     }
 
-    /// How it stands now.
+    /// Its present state.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn figures(&self) -> Result<AgentFigures, Failure> {
         Ok(self.figures_of(&block_in_place(|| self.site.plant.ledger.counts(None))?))
     }
@@ -290,14 +291,14 @@ impl Agent {
     /// Figures by topic.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn topics(&self) -> Result<Vec<TopicCounts>, Failure> {
         Ok(block_in_place(|| self.site.plant.ledger.counts(None))?.topics)
     }
 
-    /// Ends: no further capture, all that was captured fsynced. Its figures can still be read.
+    /// Ends: capture stops, everything captured is fsynced. Its figures can still be read.
     pub async fn stop(&mut self) {
-        // Told in the last figures; where it cannot be read the last look counts.
+        // Included in the last figures; if it cannot be read, the last look counts.
         self.unproven = block_in_place(|| self.site.plant.ledger.unproven()).unwrap_or(self.unproven);
         for session in &self.sessions {
             session.close();
@@ -333,8 +334,8 @@ fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {
     Ok(forwarder)
 }
 
-/// What is captured: what was asked for, or all that there are keys for. Of what was asked for some may lack a key still:
-/// its messages are refused and counted until the owner sends it.
+/// The topics to capture: those requested, or all with keys. Some requested ones may lack a key as yet: their messages
+/// are refused and counted until the owner sends it.
 fn topics(enrolment: &Enrolment, asked: &[TopicName]) -> Result<Vec<String>, Failure> {
     let covered = enrolment.keys.now.key.topics();
     if let (Some(covered), Some(strange)) = (&covered, asked.first())

@@ -20,13 +20,14 @@ use crate::service::failure::input;
 use crate::service::figures::{Figures, short};
 use crate::service::reply::{AlertTestView, AlertView, AlertsView, EndedAlert, Failure, Severity};
 
-/// The first pause after a delivery that was not taken, and the longest.
+/// The first pause after a failed delivery, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(300));
-/// How often an Alertmanager is reminded of what stands; it takes for over what it does not hear of for five minutes.
+/// How often an Alertmanager is reminded of active alerts; it considers an alert over when it has not heard of it for
+/// five minutes.
 const REMIND: Duration = Duration::from_secs(60);
-/// What notices of deliveries are about.
+/// The subject of notices about deliveries.
 const DELIVERY: &str = "alert delivery";
-/// How long what is over is still shown, nanoseconds, and how many of it.
+/// How long alerts that ended are still shown, nanoseconds, and how many of them.
 const KEPT: u64 = 15 * 60 * 1_000_000_000;
 const MOST_OVER: usize = 20;
 
@@ -34,26 +35,26 @@ const MOST_OVER: usize = 20;
 pub(super) struct Alerts {
     settings: AlertSettings,
     path: PathBuf,
-    /// Opened when it is first asked for.
+    /// Opened on first use.
     known: Mutex<Option<Known>>,
-    /// As the last look left them. A lock of its own: whoever only asks never waits for a disk.
+    /// The result of the last look. A lock of its own: readers never wait for a disk.
     shown: Mutex<Shown>,
     /// Rings when there is something to deliver.
     added: Notify,
 }
 
-/// What is told of alerts to whoever asks.
+/// The alerts as reported to readers.
 #[derive(Default)]
 struct Shown {
     alerts: Vec<AlertView>,
-    /// The newest first.
+    /// Newest first.
     over: VecDeque<EndedAlert>,
-    /// Deliveries that wait, and that found no room.
+    /// Deliveries that wait, and those dropped for want of room.
     deliveries: (u64, u64),
 }
 
 impl Shown {
-    /// Takes over what a look at `now` came to.
+    /// Takes over the result of a look at `now`.
     fn refresh(&mut self, now: Timestamp, alerts: Vec<AlertView>, changes: &[Change]) {
         self.alerts = alerts;
         for change in changes {
@@ -69,7 +70,7 @@ impl Shown {
     }
 }
 
-/// What is known of them: what judges, what stands, what waits.
+/// The rules, the active alerts and the waiting deliveries.
 struct Known {
     judge: Judge,
     standing: Standing,
@@ -88,20 +89,20 @@ impl Alerts {
         self.shown.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Alerts that stand by the last look, and those that were over lately.
+    /// Active alerts at the last look, and those that ended recently.
     pub fn shown(&self) -> (Vec<AlertView>, Vec<EndedAlert>) {
         let shown = self.shown_now();
         (shown.alerts.clone(), shown.over.iter().cloned().collect())
     }
 
-    /// How many stand of each rule.
+    /// How many of each rule are active.
     pub fn by_rule(&self) -> Vec<(&'static str, u64)> {
         let shown = self.shown_now();
         let count = |rule: &str| shown.alerts.iter().filter(|alert| rule_of(&alert.key) == rule).count();
         RULES.iter().map(|rule| (*rule, u64::try_from(count(rule)).unwrap_or(u64::MAX))).collect()
     }
 
-    /// Deliveries that wait, and those that found no room.
+    /// Deliveries that wait, and those dropped for want of room.
     pub fn deliveries(&self) -> (u64, u64) {
         self.shown_now().deliveries
     }
@@ -120,7 +121,7 @@ impl Alerts {
         self.settings.place.as_ref().ok_or_else(|| input(nobody))
     }
 
-    /// What changes by these figures; it is on its way then.
+    /// The changes caused by these figures; their deliveries are then queued.
     fn look(&self, figures: &Figures) -> Vec<Change> {
         let site = figures.owners.first().map_or("", |owner| owner.owner.as_str());
         let forgets = matches!(self.settings.place, Some(AlertPlace::Webhook { form: AlertForm::Alertmanager, .. }));
@@ -129,7 +130,7 @@ impl Alerts {
             let mut judged = known.judge.judge(figures);
             judged.extend(known.judge.not_known(&known.standing.all()));
             let changes = known.standing.look(figures.now, site, judged);
-            // What nobody is told of is not kept either: where somebody is to be told later, it begins for him then.
+            // Without a destination nothing is stored either: if one is set later, the alerts begin for it then.
             for change in changes.iter().filter(|_| told) {
                 known.queue.add(change.clone());
             }
@@ -147,7 +148,7 @@ impl Alerts {
         changes
     }
 
-    /// A delivery was taken.
+    /// A delivery was accepted.
     fn done(&self, number: u64, told: u64) {
         let deliveries = self.with(|known| {
             known.queue.done(number, told);
@@ -156,7 +157,7 @@ impl Alerts {
         self.shown_now().deliveries = deliveries;
     }
 
-    /// All that stand, and what was over lately.
+    /// All active alerts, and those that ended recently.
     fn view(&self) -> AlertsView {
         let nobody = || "nobody; alerts.webhook or alerts.command names somebody".to_owned();
         let told = self.settings.place.as_ref().map_or_else(nobody, place_name);
@@ -166,7 +167,7 @@ impl Alerts {
 }
 
 impl Site {
-    /// Begins to judge, and to deliver where somebody is to be told.
+    /// Starts judging, and delivering if there is a destination.
     pub(super) fn watch_for_alerts(self: &Arc<Self>) {
         drop(self.parts.supervisor.keep("alerts", self, Self::judge_alerts));
         if self.alerts.settings.place.is_some() {
@@ -181,7 +182,7 @@ impl Site {
             if !looked.is_empty() {
                 self.parts.hub.changed(Part::Health);
             }
-            // Where nobody is to be told, the parts' own notices are enough: consoles and `status` show what stands.
+            // Without a destination the parts' own notices are enough: consoles and `status` show what is active.
             for change in looked.iter().filter(|_| self.alerts.settings.place.is_some()) {
                 self.tell_of(change);
             }
@@ -233,14 +234,14 @@ impl Site {
         }
     }
 
-    /// Waits for a delivery and takes it to its place.
+    /// Waits for a delivery and sends it.
     async fn deliver_next(self: &Arc<Self>) -> Result<(), Failure> {
         let first = blocking(self, |site| Ok(site.alerts.with(|known| known.queue.first()))).await?;
         let Some((delivery, dropped)) = first else {
             self.alerts.added.notified().await;
             return Ok(());
         };
-        // Made anew each time: a secret may have been replaced.
+        // Built anew each time: a secret may have been replaced.
         Carrier::of(self.alerts.place()?)?.carry(&delivery, dropped).await?;
         let number = delivery.number;
         let done = move |site: &Self| {
@@ -250,12 +251,12 @@ impl Site {
         blocking(self, done).await
     }
 
-    /// The alerts that stand.
+    /// The active alerts.
     pub(super) async fn alerts_view(self: &Arc<Self>) -> Result<AlertsView, Failure> {
         blocking(self, |site| Ok(site.alerts.view())).await
     }
 
-    /// Sends an alert that says that it is none.
+    /// Sends a test alert, marked as such.
     pub(super) async fn test_alert(self: &Arc<Self>) -> Result<AlertTestView, Failure> {
         let place = self.alerts.place()?;
         let owner = self.parts.owners.all().first().map(|owner| short(&owner.address.to_string()));
@@ -272,7 +273,8 @@ impl Site {
     }
 }
 
-/// How long after so many failures in a row: it doubles, and half of it is chance, so that sites do not come together.
+/// The pause after this many failures in a row: it doubles, and half of it is random, so that sites do not retry in
+/// step.
 fn pause(failures: u32, chance: u64) -> Duration {
     let doubled = PAUSES.0.saturating_mul(1 << failures.saturating_sub(1).min(16)).min(PAUSES.1);
     let half = doubled / 2;

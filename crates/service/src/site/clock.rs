@@ -1,5 +1,5 @@
-//! The machine's clock beside one that does not jump: a jump is told, written into the audit log, and part of the
-//! site's health until it is over or believed.
+//! The machine's clock, compared with one that does not jump: a jump is reported, written into the audit log, and part
+//! of the site's health until it is over or accepted.
 
 use crate::pipeline::Plant;
 use crate::service::hub::Hub;
@@ -17,18 +17,18 @@ use crate::model::steady_clock::{Reading, SETTLING, look};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::{Failure, HealthLevel, PartHealth};
 
-/// Between two looks.
+/// Interval between looks.
 const LOOK: Duration = Duration::from_secs(1);
-/// Seconds; less is no jump.
+/// Seconds; less is not a jump.
 const SHORTEST: i64 = 5;
 /// Seconds that the chain may be ahead of this machine.
 const CHAIN_AHEAD: u64 = 60;
-/// What its notices are about.
+/// The subject of its notices.
 const ABOUT: &str = "clock";
-/// The profile of the audit line where none is open.
+/// The profile of the audit line if none is open.
 const NOBODY: &str = "site";
 
-/// Seconds that the machine's clock has made more than have passed since `begun`.
+/// How many seconds more the machine's clock has advanced than have passed since `begun`.
 fn gained(reading: &Reading, begun: Instant) -> i64 {
     let machine = i64::try_from(reading.machine.seconds()).unwrap_or(i64::MAX);
     machine.saturating_sub(i64::try_from(begun.elapsed().as_secs()).unwrap_or(0))
@@ -132,7 +132,7 @@ impl Clock {
         }
     }
 
-    /// How the clock is, where there is something to say of it.
+    /// The state of the clock, if there is something to report.
     pub(super) fn health(&self) -> Option<PartHealth> {
         let reading = look();
         let head = self.link.newest_head();

@@ -1,5 +1,5 @@
-//! Consoles: one a profile at a time. A keyring that one opened is locked again when it leaves, once what the chain is
-//! owed of it was sent; one that `serve` or another command opened stays open.
+//! Consoles: one per profile at a time. A keyring opened by a console is locked again when it leaves, once what the
+//! chain is owed was sent; one opened by `serve` or another command stays open.
 
 use std::collections::HashSet;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,9 +12,9 @@ use crate::model::{ErrorKind, ProfileName};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
 
-/// How long what is owed of a profile is waited for before its keyring is locked.
+/// How long a profile's debts to the chain are waited for before its keyring is locked.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// How often that is looked at.
+/// How often to check that.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
 
 /// What a connection holds as long as it lasts.
@@ -34,7 +34,7 @@ pub type Claims = Arc<Mutex<Held>>;
 #[derive(Debug, Default)]
 pub(super) struct Consoles {
     open: HashSet<ProfileName>,
-    /// Profiles whose keyrings consoles opened that have left, or left them to the next one.
+    /// Profiles whose keyrings were opened by consoles that have left, or left them to the next one.
     to_lock: HashSet<ProfileName>,
 }
 
@@ -89,9 +89,9 @@ impl Site {
         }
     }
 
-    /// Locks a profile whose console left, unless the next one is there already: that one then leaves it locked.
+    /// Locks a profile whose console left, unless the next one is there already: that one then locks it when it leaves.
     async fn lock_behind(self: Arc<Self>, profile: ProfileName) {
-        // What it cannot wait for is taken up at the next unlock.
+        // What it cannot wait for is resumed at the next unlock.
         drop(tokio::time::timeout(PATIENCE, self.owes_nothing(&profile)).await);
         {
             let mut consoles = self.consoles.lock().unwrap_or_else(PoisonError::into_inner);
@@ -106,7 +106,7 @@ impl Site {
         }
     }
 
-    /// Waits until all that needs the profile's keys was sent.
+    /// Waits until everything that needs the profile's keys was sent.
     async fn owes_nothing(&self, profile: &ProfileName) {
         loop {
             let (owner, network) = (self.parts.owners.unlocked(profile).ok(), self.parts.link.network_now());
@@ -137,7 +137,7 @@ mod tests {
         Unlock { passphrase: SecretText::new(PASSPHRASE.to_owned()) }
     }
 
-    /// Everything about a console's leaving that is decided at once.
+    /// The decisions made at once when a console leaves.
     async fn left(site: &Arc<Site>, console: Client) {
         drop(console);
         loop {
@@ -184,7 +184,7 @@ mod tests {
     async fn the_next_console_takes_over_and_leaves_it_locked() {
         let (site, _folder) = site_with_chain();
         let owner = registered(&site, "alice").await;
-        // The first console's keyring waits to be locked, and the next one is there before that is done.
+        // The first console's keyring waits to be locked, and the next one arrives before that is done.
         site.consoles.lock().expect("whole").to_lock.insert(profile("alice"));
         let console = site.client(profile("alice"));
         console.ask(OpenConsole).await.expect("claimed");

@@ -1,5 +1,5 @@
-//! Fills in the figures of this site and lets them be read. Everything is counted anyway; a scrape only looks, and at
-//! most one look a second goes to the ledger, whoever asks how often.
+//! Fills in this site's figures and serves them. Everything is counted anyway; a scrape only looks, and at most one
+//! look a second goes to the ledger, however often anybody asks.
 
 use std::collections::BTreeSet;
 use std::os::unix::fs::{FileTypeExt as _, PermissionsExt as _};
@@ -27,22 +27,22 @@ use crate::service::reply::{Failure, GrantState, HealthLevel, PartHealth};
 use crate::store::StateCounts;
 use crate::store::files::free_bytes;
 
-/// How long figures that were read are given out again.
+/// How long figures are reused once read.
 const FRESH: Duration = Duration::from_secs(1);
-/// Between two attempts to listen.
+/// Interval between attempts to listen.
 const AGAIN: Duration = Duration::from_secs(5);
-/// Accounts, robots, topics and grants that have figures of their own, at most; of grants, those given and those received
-/// each so many.
+/// The most accounts, robots, topics and grants that have figures of their own; for grants, given and received ones
+/// each.
 const MOST_OWNERS: usize = 64;
 const MOST_ROBOTS: usize = 256;
 const MOST_TOPICS: usize = 200;
 const MOST_GRANTS: usize = 64;
 
-/// The text that was read last, and when.
+/// The text read last, and when.
 type Kept = Mutex<Option<(Instant, Arc<str>)>>;
 
 impl Site {
-    /// Begins what watches over a site that is to stay: its alerts and its figures.
+    /// Starts monitoring of a site that is to stay: its alerts and its figures.
     pub fn oversee(self: &Arc<Self>) {
         self.watch_for_alerts();
         if self.config().metrics.listen.is_some() {
@@ -75,7 +75,7 @@ impl Site {
         }
     }
 
-    /// Answers until accepting fails, and why, or until the site ends.
+    /// Answers until accepting fails, and returns why, or until the site ends.
     async fn answer_readers<S, Accepted>(self: &Arc<Self>, any_host: bool, accept: impl Fn() -> Accepted) -> String
     where
         S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
@@ -83,7 +83,7 @@ impl Site {
     {
         let (places, kept) = (Arc::new(Semaphore::new(http::MOST)), Arc::new(Kept::default()));
         loop {
-            // Whoever finds no place waits before he is accepted.
+            // A peer for whom there is no place waits before it is accepted.
             let Ok(place) = Arc::clone(&places).acquire_owned().await else { return String::new() };
             let stream = tokio::select! {
                 stream = accept() => stream,
@@ -102,7 +102,7 @@ impl Site {
     }
 
     async fn figures_text(self: Arc<Self>, kept: Arc<Kept>) -> Option<Arc<str>> {
-        // Held while they are read: many who ask at once wait for one look.
+        // Held while they are read: many simultaneous callers wait for one look.
         let mut kept = kept.lock().await;
         if let Some((_, text)) = kept.as_ref().filter(|(at, _)| at.elapsed() < FRESH) {
             return Some(Arc::clone(text));
@@ -115,7 +115,7 @@ impl Site {
     /// The figures of this moment.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub(super) fn figures(&self) -> Result<Figures, Failure> {
         let (audit_lines, audit_unanchored) = self.audit_figures()?;
         let ledger = &self.plant.ledger;
@@ -195,7 +195,7 @@ impl Site {
 
     fn grant_figures(&self) -> Option<Vec<GrantFigures>> {
         let network = self.parts.link.network_now()?;
-        // Of profiles that are not open yet as well: a grant ends whether or not somebody came to unlock them.
+        // Also of profiles that are not open yet: a grant ends whether or not somebody came to unlock them.
         let owners = &self.parts.owners;
         let open = owners.all().into_iter().map(|owner| owner.address);
         let own: BTreeSet<Address> = open.chain(owners.accounts()).collect();
@@ -215,7 +215,8 @@ impl Site {
         self.parts.link.newest_head().map(|head| (head.number, Timestamp::from_seconds(head.timestamp)))
     }
 
-    /// How many lines the audit log has, and when the oldest was written that no head of any open owner covers.
+    /// How many lines the audit log has, and when the oldest was written that is not covered by a head of any open
+    /// owner.
     fn audit_figures(&self) -> Result<(u64, Option<Timestamp>), Failure> {
         let (lines, _) = self.parts.log.lines().head()?;
         let mut oldest: Option<Timestamp> = None;
@@ -232,8 +233,8 @@ impl Site {
     }
 }
 
-/// The grants that are told of, those that end first first. Received ones are told of contacts alone: anybody can grant
-/// something unasked, and must not push out what counts.
+/// The grants to report, in the order of their ends. Received ones only from contacts: anybody can grant something
+/// unasked, and must not push out what counts.
 fn told_of(
     ending: BTreeSet<(Timestamp, Address, Address)>,
     own: &BTreeSet<Address>,
@@ -263,7 +264,7 @@ fn topics(counts: &StateCounts) -> Vec<TopicFigures> {
     counts.topics.iter().take(MOST_TOPICS).map(figures).collect()
 }
 
-/// A socket for this user alone, in place of one that a process before left behind.
+/// A socket for this user alone, replacing one left behind by an earlier process.
 fn listen_at(path: &Path) -> std::io::Result<UnixListener> {
     let is_socket = std::fs::symlink_metadata(path).is_ok_and(|about| about.file_type().is_socket());
     if is_socket && std::os::unix::net::UnixStream::connect(path).is_err() {

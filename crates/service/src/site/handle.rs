@@ -15,7 +15,7 @@ impl Site {
     /// Answers one request. Each variant has its arm here, so a request that nothing answers does not compile.
     ///
     /// # Errors
-    /// What the command's part says.
+    /// Errors of the command's part.
     #[allow(clippy::too_many_lines, reason = "an arm for each request")]
     pub async fn handle(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
         let Request { profile, command } = request;
@@ -223,7 +223,7 @@ impl Site {
         }
     }
 
-    /// The profile's owner, once what others share with it is known up to now.
+    /// The profile's owner, once the records shared with it are known up to now.
     async fn caught_up_owner(self: &Arc<Self>, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
         let owner = self.parts.owners.unlocked(profile)?;
         self.joined.caught_up(profile).await?;

@@ -1,5 +1,5 @@
 //! How long a site lives: told to end, ending, stopped; and when background tasks look around, at common moments, so
-//! that an idle site wakes the processor seldom.
+//! that an idle site seldom wakes the processor.
 
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -8,12 +8,12 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-/// What all beats are counted from.
+/// All beats are counted from this.
 static BEGUN: LazyLock<Instant> = LazyLock::new(Instant::now);
 
-/// The life of a site, which all its parts follow.
+/// The life of a site, followed by all its parts.
 pub(super) struct Lifetime {
-    /// Set as soon as the site was told to end; background tasks are not begun again from then on.
+    /// Set as soon as the site was told to end; background tasks are not restarted from then on.
     ending: AtomicBool,
     stopping: watch::Sender<bool>,
 }
@@ -28,7 +28,7 @@ impl Lifetime {
         self.ending.store(true, Ordering::Release);
     }
 
-    /// Everything that was captured is stored.
+    /// Everything captured is stored.
     pub fn stop(&self) {
         self.stopping.send_replace(true);
     }
@@ -59,8 +59,8 @@ impl Lifetime {
     }
 }
 
-/// The first moment after `now` that is whole periods after `begun`; at least half a period away, so that work that
-/// ends shortly before a beat does not begin again at once.
+/// The first moment after `now` that is a whole number of periods after `begun`; at least half a period away, so that
+/// work that ends shortly before a beat does not begin again at once.
 fn next(begun: Instant, now: Instant, period: Duration) -> Instant {
     let nanoseconds = period.as_nanos().max(1);
     let since = (now - begun).as_nanos() + nanoseconds / 2;

@@ -1,7 +1,7 @@
 //! The site: master, chain, vault and pipeline of one home, and the open profiles that use them.
 //!
-//! `start` brings the parts up in the background; requests wait for the parts they need. One
-//! process of a home is the site, further ones join it over the socket (`service::socket`).
+//! `start` brings the parts up in the background; requests wait for the parts they need. One process of a home is the
+//! site, further ones join it over the socket (`service::socket`).
 
 mod agent;
 mod alerts;
@@ -112,7 +112,7 @@ pub struct Needs {
 
 /// A running site: its parts and its features.
 pub struct Site {
-    /// Ledger, vault and provider, which all its workers share.
+    /// Ledger, vault and provider, shared by all its workers.
     pub plant: Plant,
     parts: Parts,
     rings: Arc<Rings<CapturedMessage>>,
@@ -151,7 +151,7 @@ pub struct Site {
     _lock: SiteLock,
 }
 
-/// What takes messages up, and what judges their publishers for it.
+/// The recorder that captures messages, and the guard that judges their publishers for it.
 fn recorder(parts: &Parts, rings: &Arc<Rings<CapturedMessage>>, losses: &Arc<Losses>) -> (Arc<Recorder>, Arc<Pins>) {
     let Parts { config, plant, hub, .. } = parts;
     let rules = PinRules { mode: config.pin_mode, listed: config.publishers.clone() };
@@ -173,7 +173,7 @@ impl Site {
     /// Opens ledger and vault and starts the parts needed.
     ///
     /// # Errors
-    /// Where ledger or vault cannot be opened; chain and master come up (or fail) later.
+    /// If ledger or vault cannot be opened; chain and master come up (or fail) later.
     pub fn start(home: Home, config: Config, lock: SiteLock, needs: Needs) -> Result<Arc<Self>, Failure> {
         // Robots are where the gateway is.
         let needs = Needs { ros: needs.ros && config.site.is_none(), ..needs };
@@ -192,7 +192,7 @@ impl Site {
         Ok(site)
     }
 
-    /// The features over the shared parts, each with the ones that it asks.
+    /// The features over the shared parts, each with the ones it uses.
     fn assemble(parts: Parts, reserve: Arc<Reserve>, lock: SiteLock, needs: Needs) -> Result<Self, Failure> {
         let (of, config, plant) = (&parts, Arc::clone(&parts.config), parts.plant.clone());
         let rings = Arc::new(Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX)));
@@ -295,25 +295,25 @@ impl Site {
         while let Some(Call { request, answer }) = calls.recv().await {
             let (site, claims) = (Arc::clone(&self), Arc::clone(&claims));
             tokio::spawn(async move {
-                // Nobody waiting for the answer any more is no fault.
+                // It is not an error if nobody waits for the answer any more.
                 drop(answer.send(site.handle(request, &claims).await));
             });
         }
         self.release(&claims);
     }
 
-    /// Everything the site tells.
+    /// All events of the site.
     pub fn events(&self) -> broadcast::Receiver<Event> {
         self.parts.hub.events().subscribe()
     }
 
-    /// A joined process asks something; counted until the guard is dropped.
+    /// A joined process sends a request; counted until the guard is dropped.
     pub(super) fn welcome(self: &Arc<Self>) -> Guest {
         self.guests.fetch_add(1, Ordering::AcqRel);
         Guest(Arc::clone(self))
     }
 
-    /// Requests of joined processes that are not answered yet.
+    /// Requests of joined processes not answered yet.
     pub fn guests(&self) -> usize {
         self.guests.load(Ordering::Acquire)
     }
@@ -342,7 +342,7 @@ impl Site {
     /// The owner behind a profile that is unlocked here.
     ///
     /// # Errors
-    /// That it is locked or not there.
+    /// It is locked or does not exist.
     pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
         self.parts.owners.unlocked(profile)
     }
@@ -350,7 +350,7 @@ impl Site {
     /// The master's URI, as soon as it is reached.
     ///
     /// # Errors
-    /// Why the master is not reached.
+    /// Why the master cannot be reached.
     pub async fn ros_uri(&self) -> Result<String, Failure> {
         self.ros.uri().await
     }
@@ -368,7 +368,7 @@ impl Site {
         &self.parts.hub.stages
     }
 
-    /// Keeps work for the whole site going until the site ends; aborting the handle ends it.
+    /// Keeps work for the whole site running until the site ends; aborting the handle ends it.
     pub(crate) fn supervise<Work, Run>(self: &Arc<Self>, name: &str, work: Work) -> tokio::task::JoinHandle<()>
     where
         Work: Fn(Arc<Self>) -> Run + Send + 'static,
@@ -377,7 +377,7 @@ impl Site {
         self.parts.supervisor.keep(name, self, work)
     }
 
-    /// Ends the site within five seconds: no further capture, all captured messages acknowledged, files closed.
+    /// Ends the site within five seconds: capture stops, all captured messages are acknowledged, files closed.
     pub async fn stop(self: Arc<Self>) {
         let begun = Instant::now();
         self.parts.life.end();
@@ -401,7 +401,7 @@ impl Site {
         drop(tokio::task::spawn_blocking(close).await);
     }
 
-    /// Ledger or vault take nothing, and the process must end all the same.
+    /// Ledger or vault cannot be written, and the process must still end.
     fn tell_unstored(&self) {
         let (messages, _) = self.rings.depth();
         let text = format!(

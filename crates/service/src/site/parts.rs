@@ -1,4 +1,4 @@
-//! What the features of a site share; each takes from here what it needs.
+//! What the features of a site share; each takes what it needs.
 
 use std::sync::Arc;
 
@@ -38,14 +38,14 @@ pub(super) struct Parts {
     pub sender: Arc<Sender>,
 }
 
-/// Hears of each owner as it is opened.
+/// Receives each owner as it is opened.
 pub(super) type Opened = mpsc::UnboundedReceiver<Arc<Owner>>;
 
 impl Parts {
     /// Opens ledger and vault of a home; the last value says whether the home is a copy of another one.
     ///
     /// # Errors
-    /// Where ledger or vault cannot be opened.
+    /// If ledger or vault cannot be opened.
     pub fn open(home: Home, config: Config, needs_chain: bool) -> Result<(Self, Opened, bool), Failure> {
         let (events, _) = broadcast::channel(1024);
         let hub = Arc::new(Hub::new(events));
@@ -72,7 +72,7 @@ impl Parts {
     }
 }
 
-/// An older program on a newer home changes nothing of it: all files are looked at before the first is opened.
+/// An older program changes nothing in a newer home: all files are checked before the first is opened.
 fn check_versions(home: &Home) -> Result<(), Failure> {
     Ledger::check_version(&home.ledger())?;
     check_vault_version(&home.vault())?;

@@ -1,4 +1,4 @@
-//! The site at a glance: health in words, the life line, the chain.
+//! The site at a glance: health in words, records by state, the chain.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ use crate::service::hub::lacking;
 use crate::service::reply::{ChainView, Failure, GasView, HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 use crate::store::StateCounts;
 
-/// The most transactions that the gas per record is taken over.
+/// The most transactions used for the gas per record.
 const GAS_OVER: u64 = 100;
 
 impl Site {
@@ -36,7 +36,7 @@ impl Site {
         Ok(SiteView { health, life, robots, profiles, process, tasks, queue, verified_after, alerts, alerts_over })
     }
 
-    /// What is not well now, and what is: the one place that status, figures and alerts ask.
+    /// What is not well now, and what is: the one place used by status, figures and alerts.
     pub(super) fn parts_health(&self) -> Result<Vec<PartHealth>, Failure> {
         let mut health = vec![self.ros_health(), self.chain_health(), self.vault_health(), self.gateway_health()];
         health.extend(self.ros.second.health().map(|(level, text)| part("ros 2", level, &text)));
@@ -109,7 +109,7 @@ impl Site {
         }
     }
 
-    /// How the home's accounts are, where there is something to say of them.
+    /// The state of the home's accounts, if there is something to report.
     fn account_health(&self) -> Result<Option<PartHealth>, Failure> {
         let found = foreign::recent(&self.plant)?;
         Ok(found.map(|found| PartHealth {
@@ -143,7 +143,7 @@ impl Site {
         self.life_line_of(owner, &self.losses.counts(&self.plant, owner)?)
     }
 
-    /// The life line of an account, out of its counts.
+    /// An account's records by state, from its counts.
     pub(super) fn life_line_of(&self, owner: Address, counts: &StateCounts) -> Result<LifeLine, Failure> {
         let (waiting, _) = self.rings.depth();
         let at_least = |least: RecordState| -> u64 {
@@ -175,7 +175,7 @@ impl Site {
         })
     }
 
-    /// The chain as this profile sees it.
+    /// The chain from this profile's point of view.
     pub(super) async fn chain_view(self: &Arc<Self>, profile: &ProfileName) -> Result<ChainView, Failure> {
         let chain = self.parts.link.chain().await?;
         let path = self.parts.home.keyring(profile);
@@ -220,7 +220,7 @@ impl Site {
 }
 
 impl Site {
-    /// What anchoring costs, over the newest transactions of these lanes.
+    /// The cost of anchoring, over the newest transactions of these lanes.
     fn gas_of(&self, lanes: &[LaneState]) -> Result<GasView, Failure> {
         let mut view = GasView::default();
         for lane in lanes {

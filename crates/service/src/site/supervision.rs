@@ -1,5 +1,5 @@
-//! Keeps the background tasks of a site at work: one that panics, or ends although it is still wanted, is begun again
-//! after a pause that doubles to eight seconds. The operator is told, and `SiteStatus` shows every task.
+//! Keeps the background tasks of a site running: one that panics, or ends although it is still wanted, is restarted
+//! after a pause that doubles up to eight seconds. The operator is told, and `SiteStatus` shows every task.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -15,18 +15,18 @@ use crate::service::failure::internal;
 use crate::service::hub::Hub;
 use crate::service::reply::{Failure, TaskState, TaskView};
 
-/// The first pause before a task is begun again, and the longest.
+/// The first pause before a task is restarted, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(8));
-/// A task that worked so long fails with the first pause again.
+/// After working this long, a task that fails gets the first pause again.
 const STEADY: Duration = Duration::from_secs(60);
-/// How often a resting thread looks whether the site ends.
+/// How often a pausing thread checks whether the site ends.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Keeps the tasks of a site at work.
+/// Keeps the tasks of a site running.
 pub(super) struct Supervisor {
     hub: Arc<Hub>,
     life: Arc<Lifetime>,
-    /// In the order in which they were begun.
+    /// In the order in which they were started.
     tasks: Mutex<Vec<Arc<Task>>>,
 }
 
@@ -60,7 +60,7 @@ impl Supervisor {
         self.tasks.lock().unwrap_or_else(PoisonError::into_inner).retain(|other| !Arc::ptr_eq(other, task));
     }
 
-    /// How they all are.
+    /// The state of all of them.
     pub fn views(&self) -> Vec<TaskView> {
         self.tasks.lock().unwrap_or_else(PoisonError::into_inner).iter().map(|task| task.view()).collect()
     }
@@ -78,7 +78,7 @@ impl Task {
         }
     }
 
-    /// Notes that it ended; how long it rests.
+    /// Notes that it ended; returns how long it pauses.
     fn ended(&self, reason: &str) -> Duration {
         let mut standing = self.standing.lock().unwrap_or_else(PoisonError::into_inner);
         let pause = if standing.begun.elapsed() >= STEADY { PAUSES.0 } else { standing.pause };
@@ -97,7 +97,7 @@ impl Task {
 }
 
 impl Supervisor {
-    /// Keeps the work of a part going until the site ends; aborting the handle ends it.
+    /// Keeps the work of a part running until the site ends; aborting the handle ends it.
     pub fn keep<Whose, Work, Run>(self: &Arc<Self>, name: &str, part: &Arc<Whose>, work: Work) -> JoinHandle<()>
     where
         Whose: Send + Sync + 'static,
@@ -107,7 +107,7 @@ impl Supervisor {
         self.keep_while(name, part, |_| true, work)
     }
 
-    /// Keeps the work of a part going for as long as it is wanted and the site does not end.
+    /// Keeps the work of a part running for as long as it is wanted and the site does not end.
     pub fn keep_while<Whose, Wanted, Work, Run>(
         self: &Arc<Self>,
         name: &str,
@@ -148,10 +148,10 @@ impl Supervisor {
         })
     }
 
-    /// Keeps the work of a thread going until it ends by itself: only a panic begins it again.
+    /// Keeps the work of a thread running until it ends by itself: only a panic restarts it.
     ///
     /// # Errors
-    /// Where the thread cannot be started.
+    /// If the thread cannot be started.
     pub fn keep_thread(
         self: &Arc<Self>,
         name: &'static str,
@@ -187,7 +187,7 @@ impl Supervisor {
     }
 }
 
-/// Ends a task where it is dropped.
+/// Ends a task when dropped.
 pub(super) struct Aborted(pub JoinHandle<()>);
 
 impl Drop for Aborted {
@@ -196,8 +196,8 @@ impl Drop for Aborted {
     }
 }
 
-/// Rests a thread that panicked; whether it is still wanted then. What it holds must be worked off even while the
-/// site ends, so an end only shortens the rest.
+/// Pauses a thread that panicked; returns whether it is still wanted then. What it holds must be worked off even while
+/// the site ends, so an end only shortens the pause.
 fn rest(supervisor: &Weak<Supervisor>, task: &Task, reason: &str) -> bool {
     let Some(pause) = supervisor.upgrade().map(|supervisor| supervisor.tell_ended(task, reason)) else { return false };
     let resumes = Instant::now() + pause;
@@ -218,7 +218,7 @@ fn reason_of(error: tokio::task::JoinError) -> String {
     }
 }
 
-/// What a panic said.
+/// The message of a panic.
 fn words(panic: &(dyn std::any::Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
     clean(text.unwrap_or("a fault of the program; please report it"), 200)

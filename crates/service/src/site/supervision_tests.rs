@@ -1,4 +1,4 @@
-//! Tasks that fail are begun again and shown; those that are not wanted any more are not.
+//! Tasks that fail are restarted and shown; those that are no longer wanted are not.
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
 use std::sync::Arc;

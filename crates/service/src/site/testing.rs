@@ -1,4 +1,4 @@
-//! What tests of the features stand on: the shared parts of a home in a temporary folder, and a whole site with the
+//! The basis of the features' tests: the shared parts of a home in a temporary folder, and a whole site with the
 //! embedded chain.
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
@@ -17,10 +17,10 @@ use crate::store::{AuditQuery, SiteLock};
 /// The passphrase of every keyring made here.
 pub const PASSPHRASE: &str = "correct horse battery";
 
-/// The shared parts of a home that lies in a temporary folder.
+/// The shared parts of a home in a temporary folder.
 pub struct Ground {
     pub parts: Parts,
-    /// Hears of opened owners.
+    /// Receives opened owners.
     _opened: Opened,
     pub folder: tempfile::TempDir,
 }
@@ -68,7 +68,7 @@ pub fn profile(name: &str) -> ProfileName {
     name.parse().expect("a name")
 }
 
-/// Settings that are given, and the defaults of all others.
+/// The given settings, and the defaults of all others.
 pub fn config(settings: &[(&str, &str)]) -> Config {
     let given = |name: &str| settings.iter().find(|(other, _)| *other == name).map(|(_, value)| (*value).to_owned());
     Config::resolve(&given, &|_| None, None).expect("settings")
@@ -78,7 +78,7 @@ fn home(folder: &Path) -> Home {
     Home::new(folder.join("home"))
 }
 
-/// A site without ROS on an embedded chain of its own. Its folder goes with the value.
+/// A site without ROS on an embedded chain of its own. Its folder is removed with the value.
 pub fn site_with_chain() -> (Arc<Site>, tempfile::TempDir) {
     site_of(&[], Needs { ros: false, chain: true })
 }

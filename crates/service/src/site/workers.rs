@@ -27,10 +27,11 @@ use crate::service::event::{NoticeLevel, Part};
 use crate::service::hub::Hub;
 use crate::service::reply::Failure;
 
-/// An owner's records are looked at no more often while they come: each look asks about all of the owner's topics.
+/// The shortest interval between looks at an owner's records while they come: each look asks about all of the owner's
+/// topics.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(25);
 
-/// Starts all tasks that the run needs.
+/// Starts all tasks needed by the run.
 pub(super) fn start(
     site: &Arc<Site>,
     needs: Needs,
@@ -67,7 +68,7 @@ pub(super) fn start(
     Ok(())
 }
 
-/// Begins what is done for each owner as it is opened.
+/// Starts the tasks of each owner as it is opened.
 fn begin_with_owners(site: &Arc<Site>, mut opened: mpsc::UnboundedReceiver<Arc<Owner>>) {
     let site = Arc::clone(site);
     tokio::spawn(async move {
@@ -148,7 +149,7 @@ async fn verify(site: Arc<Site>) {
                 Ok(Ok(0)) => break,
                 Ok(Ok(_)) => {}
                 Ok(Err(error)) => {
-                    // What a Redis does not do now its health says, and the one alert about it.
+                    // If Redis fails now, its health shows it, and the one alert about it.
                     let is_told = matches!(&error, PipelineError::Store(error) if error.is_of_redis());
                     if !is_told {
                         let text = format!("records cannot be verified now, they wait: {error}");
@@ -157,21 +158,21 @@ async fn verify(site: Arc<Site>) {
                     tokio::time::sleep(Duration::from_secs(1)).await;
                     break;
                 }
-                // A panic is the supervisor's to tell and to heal.
+                // A panic is for the supervisor to report and to recover from.
                 Err(error) => return pass_on(error),
             }
         }
     }
 }
 
-/// Lets a panic of a part be the panic of the whole task.
+/// Turns a panic of a part into a panic of the whole task.
 fn pass_on(error: tokio::task::JoinError) {
     if let Ok(panic) = error.try_into_panic() {
         std::panic::resume_unwind(panic);
     }
 }
 
-/// One round; on an adopted chain nothing goes before the owner's word about that. `spoken` is where it was given.
+/// One round; on an adopted chain nothing goes before the owner's statement about that. `spoken` is where it was given.
 async fn anchor_round(
     site: &Site,
     anchorer: &mut Anchorer,
@@ -190,7 +191,7 @@ async fn anchor_round(
 }
 
 impl Site {
-    /// Begins what is done for each open owner, until the owner is closed or the site ends.
+    /// Starts the tasks of each open owner, until the owner is closed or the site ends.
     pub(super) fn work_for(self: &Arc<Self>, owner: &Arc<Owner>) {
         let (name, given) = (&owner.profile, Arc::clone(owner));
         self.parts.supervisor.keep_while(&format!("anchorer {name}"), self, while_open(self, owner), move |site| {
@@ -215,7 +216,7 @@ fn while_open<Whose>(site: &Site, owner: &Arc<Owner>) -> impl Fn(&Arc<Whose>) ->
     move |_| owners.is_open(&owner)
 }
 
-/// Takes up where each open owner stands on the chain, whenever the network comes up.
+/// Resumes at each open owner's state on the chain, whenever the network comes up.
 async fn resume_owners(site: Arc<Site>) {
     let mut state = site.parts.link.follow();
     while !site.parts.life.is_stopping() {

@@ -1,5 +1,5 @@
-//! The operator's `keymap.toml`: only what differs. Whatever is unknown, doubled or can never be
-//! reached is refused with file and line, before the console opens.
+//! The operator's `keymap.toml`: only what differs. Anything unknown, duplicated or unreachable is refused with file
+//! and line, before the console opens.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -13,7 +13,7 @@ use crate::app::screen::Screen;
 use crate::app::verb::{VERBS, Verb};
 use crate::model::clean;
 
-/// The word that takes a preset's meaning away.
+/// The word that unbinds a preset.
 const NONE: &str = "none";
 /// The most characters of a description.
 const LONGEST_DESC: usize = 100;
@@ -51,7 +51,7 @@ enum On {
     Chord(Vec<String>),
 }
 
-/// A line as it was understood.
+/// A parsed line.
 struct Read {
     place: Place,
     change: Change,
@@ -70,7 +70,7 @@ impl Source<'_> {
     }
 }
 
-/// The preset with what the file says over it.
+/// The preset, overridden by the file.
 pub fn read(file: &str, text: &str) -> Result<Keymap, KeymapError> {
     let source = Source { file, text };
     let lines = lines(&source)?;

@@ -1,5 +1,5 @@
-//! Which keys do what on each screen: the preset of the verb list, and over it what the
-//! operator's own `keymap.toml` says. Key presses, help, bar and palette all ask here.
+//! Which keys do what on each screen: the preset of the verb list, overridden by the operator's own `keymap.toml`. Key
+//! presses, help, bar and palette all ask here.
 
 mod file;
 mod preset;
@@ -14,14 +14,14 @@ use super::verb::{Entry, VERBS, Verb};
 /// The most keys of one chord.
 pub const LONGEST_CHORD: usize = 3;
 
-/// Keys that, pressed one after the other, do something.
+/// Keys that do something when pressed in sequence.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Binding {
     /// The keys.
     pub on: Vec<Key>,
     /// What they do.
     pub entry: &'static Entry,
-    /// The operator's own words for it.
+    /// The operator's own description.
     pub desc: Option<String>,
 }
 
@@ -36,18 +36,18 @@ impl Binding {
     }
 }
 
-/// What keys mean that were pressed one after the other.
+/// The meaning of keys pressed in sequence.
 #[derive(Debug, PartialEq)]
 pub enum Meaning<'a> {
     /// They do this.
     Does(Verb),
-    /// More keys must follow: these chords begin so.
+    /// More keys must follow: these chords begin this way.
     Begins(Vec<&'a Binding>),
     /// Nothing.
     Nothing,
 }
 
-/// Where bindings hold; a more particular place goes before a more general one.
+/// Where bindings apply; a more specific place takes precedence over a more general one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Place {
     /// On every screen.
@@ -59,7 +59,7 @@ pub enum Place {
 }
 
 impl Place {
-    /// All, the most general first.
+    /// All, most general first.
     pub fn all() -> impl Iterator<Item = Self> {
         [Self::Everywhere, Self::Lists].into_iter().chain(Screen::ALL.map(Self::On))
     }
@@ -113,7 +113,7 @@ struct Change {
 }
 
 impl Keymap {
-    /// The preset with what an operator's file says over it.
+    /// The preset, overridden by an operator's file.
     ///
     /// # Errors
     /// [`KeymapError`] naming `file`, the line, and what is wrong with it.
@@ -132,12 +132,12 @@ impl Keymap {
         Self { screens: Screen::ALL.map(of_screen) }
     }
 
-    /// All that is bound on a screen.
+    /// All bindings of a screen.
     pub fn bindings(&self, screen: Screen) -> &[Binding] {
         &self.screens[screen.index()]
     }
 
-    /// What these keys mean on a screen.
+    /// The meaning of these keys on a screen.
     pub fn meaning(&self, pressed: &[Key], screen: Screen) -> Meaning<'_> {
         let bindings = self.bindings(screen);
         if let Some(found) = bindings.iter().find(|binding| binding.on == pressed) {
@@ -147,17 +147,17 @@ impl Keymap {
         if begun.is_empty() { Meaning::Nothing } else { Meaning::Begins(begun) }
     }
 
-    /// What is bound to an entry on a screen, the preset's keys first.
+    /// The bindings of an entry on a screen, the preset's keys first.
     pub fn of<'a>(&'a self, entry: &'a Entry, screen: Screen) -> impl Iterator<Item = &'a Binding> {
         self.bindings(screen).iter().filter(|binding| binding.entry.name == entry.name)
     }
 
-    /// The first keys of an entry on a screen, as written; empty where it has none there.
+    /// The first keys of an entry on a screen, as written; empty if it has none there.
     pub fn label(&self, entry: &Entry, screen: Screen) -> String {
         self.of(entry, screen).next().map(|binding| chord_label(&binding.on)).unwrap_or_default()
     }
 
-    /// Whether a key does `verb` and nothing else; never so for keys that type text.
+    /// Whether a key does `verb` and nothing else; never true for keys that type text.
     pub fn is(&self, key: Key, verb: Verb, screen: Screen) -> bool {
         !matches!(key, Key::Char(_)) && self.meaning(&[key], screen) == Meaning::Does(verb)
     }
@@ -168,7 +168,7 @@ fn preset(place: Place) -> impl Iterator<Item = Change> {
     here.flat_map(|entry| entry.chords().map(move |on| Change { on, entry: Some(entry), desc: None }))
 }
 
-/// A more particular binding takes the place of a more general one with the same keys.
+/// A more specific binding replaces a more general one with the same keys.
 fn apply(bindings: &mut Vec<Binding>, Change { on, entry, desc }: Change) {
     bindings.retain(|binding| binding.on != on);
     if let Some(entry) = entry {

@@ -1,4 +1,4 @@
-//! The preset as the text of a `keymap.toml`: what an operator copies lines from.
+//! The preset as the text of a `keymap.toml`: the operator copies lines from it.
 
 use std::fmt::Write as _;
 

@@ -4,20 +4,20 @@ use crate::app::fuzzy;
 use crate::app::table::Table;
 use crate::service::reply::{GatewayStatusView, SenderView};
 
-/// What sorts the table, in the order of `s`.
+/// The sort columns, in the order of `s`.
 pub const SORTS: [&str; 3] = ["connected", "name", "frames"];
 
 /// The gateway of this site.
 #[derive(Debug, Default)]
 pub struct Gateway {
-    /// What the site told of it.
+    /// The site's report.
     pub view: Option<GatewayStatusView>,
     /// Cursor, filter, order.
     pub table: Table,
 }
 
 impl Gateway {
-    /// Takes over what the site told.
+    /// Takes over the site's report.
     pub fn set(&mut self, view: GatewayStatusView) {
         self.view = Some(view);
         let keys = self.keys();

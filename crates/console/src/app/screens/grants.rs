@@ -5,7 +5,7 @@ use crate::app::table::Table;
 use crate::model::{Address, Timestamp, clean};
 use crate::service::reply::{Direction, GrantRow, GrantState};
 
-/// What sorts the table, in the order of `s`.
+/// The sort columns, in the order of `s`.
 pub const SORTS: [&str; 3] = ["newest", "account", "state"];
 /// The most grants kept.
 const MOST_GRANTS: usize = 2_000;
@@ -34,13 +34,13 @@ pub fn other_side(row: &GrantRow) -> Address {
     if is_given(row) { row.grantee } else { row.owner }
 }
 
-/// What a row is known by.
+/// The key of a row.
 pub fn key(row: &GrantRow) -> String {
     format!("{}{}{}{}", row.transaction, row.direction.word(), row.grantee, row.epoch)
 }
 
 impl Grants {
-    /// Takes new rows over.
+    /// Takes over new rows.
     pub fn set(&mut self, mut rows: Vec<GrantRow>) {
         rows.truncate(MOST_GRANTS);
         self.rows = rows;
@@ -78,7 +78,7 @@ impl Grants {
         rows.get(self.table.position(&keys)).copied()
     }
 
-    /// When the time left of a grant that ends soon is another one, though nothing is told; `None` = never.
+    /// When the displayed time left of a grant that ends soon changes without news; `None` = never.
     pub fn nearer_at(&self, now: Timestamp) -> Option<Timestamp> {
         let ends = self.rows.iter().filter(|row| is_active(row)).filter_map(|row| row.expires);
         let next = |end: Timestamp| {
@@ -115,12 +115,12 @@ pub fn end(expires: Option<Timestamp>) -> String {
     expires.map_or_else(|| "no end".to_owned(), |moment| format!("until {}", day(moment)))
 }
 
-/// Grants that end within this are told by the time left, nanoseconds.
+/// Grants that end within this time are shown with the time left, nanoseconds.
 const SOON: u64 = 48 * HOUR;
 const HOUR: u64 = 3_600_000_000_000;
 const MINUTE: u64 = 60_000_000_000;
 
-/// How much is left of what ends soon, in words; `None` = it does not, or has ended.
+/// The time left of what ends soon, in words; `None` = it does not, or has ended.
 pub fn soon(expires: Option<Timestamp>, now: Timestamp) -> Option<String> {
     let left = expires?.0.checked_sub(now.0).filter(|left| *left < SOON)?;
     Some(match left / MINUTE {

@@ -10,7 +10,7 @@ use crate::service::reply::AuditView;
 
 /// The most notices kept.
 const MOST_NOTICES: usize = 500;
-/// The most audit lines asked for.
+/// The most audit lines requested.
 pub const MOST_AUDIT: usize = 300;
 /// Columns kept of a text.
 const WIDEST: usize = 400;
@@ -22,13 +22,13 @@ pub struct LogLine {
     pub at: Timestamp,
     /// How urgent.
     pub level: NoticeLevel,
-    /// What it is known by.
+    /// Its key.
     pub key: String,
-    /// Where from.
+    /// Its source.
     pub source: Source,
-    /// What.
+    /// Its text.
     pub text: String,
-    /// What it is about, where a later notice about the same takes its place.
+    /// Its subject, if a later notice about the same replaces it.
     pub about: Option<String>,
     /// Whether the operator has seen it.
     pub seen: bool,
@@ -41,19 +41,19 @@ impl LogLine {
     }
 }
 
-/// Where a line comes from.
+/// The source of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Source {
-    /// This console: what the operator asked for and how it ended.
+    /// This console: the operator's commands and how they ended.
     Console,
-    /// The site, by itself.
+    /// The site, unasked.
     Site,
     /// The audit log.
     Audit,
 }
 
 impl Source {
-    /// All, in the order in which the filter offers them.
+    /// All, in the filter's order.
     pub const ALL: [Self; 3] = [Self::Console, Self::Site, Self::Audit];
 
     /// In a word.
@@ -75,7 +75,7 @@ pub struct Log {
     pub table: Table,
     /// The least urgent level shown.
     pub least: NoticeLevel,
-    /// Lines from there alone; `None` = from everywhere.
+    /// Lines from this source only; `None` = from all.
     pub source: Option<Source>,
     told: u64,
 }
@@ -88,12 +88,12 @@ impl Default for Log {
 }
 
 impl Log {
-    /// Keeps what this console did or refused.
+    /// Records what this console did or refused.
     pub fn notice(&mut self, at: Timestamp, level: NoticeLevel, text: &str) {
         self.keep(at, level, text, Source::Console, None);
     }
 
-    /// Keeps what the site tells, and what it is about where that lasts.
+    /// Records what the site reports, and its subject if it lasts.
     pub fn notice_about(&mut self, at: Timestamp, level: NoticeLevel, text: &str, about: Option<String>) {
         self.keep(at, level, text, Source::Site, about);
     }
@@ -105,13 +105,13 @@ impl Log {
         self.notices.truncate(MOST_NOTICES);
     }
 
-    /// The operator has seen what was said so.
+    /// The operator has seen this message.
     pub fn saw(&mut self, text: &str) {
         let text = clean(text, WIDEST);
         self.notices.iter_mut().filter(|line| line.text == text).for_each(|line| line.seen = true);
     }
 
-    /// Takes audit lines over.
+    /// Takes over audit lines.
     pub fn set_audit(&mut self, lines: Vec<AuditView>) {
         self.audit = lines.into_iter().take(MOST_AUDIT).map(audit_line).collect();
     }
@@ -142,15 +142,15 @@ impl Log {
         lines.get(self.table.position(&keys)).copied()
     }
 
-    /// The newest warnings and errors that the site told of by itself and nobody has seen.
+    /// The newest warnings and errors that the site reported unasked and nobody has seen.
     pub fn urgent(&self, limit: usize) -> Vec<&LogLine> {
-        // What lasts is told by the health of its part, as it is now; an operator's own mistake is no alert.
+        // What lasts is shown by the present health of its part; an operator's own mistake is not an alert.
         let is_news = |line: &LogLine| line.source == Source::Site && line.about.is_none() && !line.seen;
         let is_alert = |line: &&LogLine| line.level > NoticeLevel::Info && is_news(line);
         self.notices.iter().filter(is_alert).take(limit).collect()
     }
 
-    /// Shows lines of one source only, of the next, then all again.
+    /// Shows lines of only one source, then of the next, then all again.
     pub fn next_source(&mut self) {
         let place = self.source.map_or(0, |source| source as usize + 1);
         self.source = Source::ALL.get(place).copied();

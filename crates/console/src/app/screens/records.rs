@@ -12,13 +12,13 @@ use crate::service::reply::{RecordPage, RecordView, TopicRow};
 pub struct Records {
     /// The rows of the page.
     pub rows: Vec<RecordView>,
-    /// Cursor of the page behind this one.
+    /// Cursor of the page after this one.
     pub next: Option<String>,
     /// Cursors that led here; empty = first page.
     pub path: Vec<String>,
     /// Cursor in the table, filter; sort 0 = newest first, 1 = oldest first.
     pub table: Table,
-    /// Nothing captured after it is shown, so that the row of the cursor stays where it is; `None` = the newest.
+    /// Nothing captured after it is shown, so that the row of the cursor stays in place; `None` = the newest.
     pub anchor: Option<Timestamp>,
 }
 
@@ -28,10 +28,10 @@ impl Default for Records {
     }
 }
 
-/// What a filter asks of the site, and what is left for the page.
+/// The part of a filter that the site answers, and the part applied to the page.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Wanted {
-    /// What is asked for; its page is not said here.
+    /// The query; its page is not set here.
     pub asked: UploadQuery,
     /// Parts of ids, which only narrow the page on screen.
     pub rest: String,
@@ -41,10 +41,10 @@ pub struct Wanted {
 const MINUTE: u64 = 60_000_000_000;
 
 impl Wanted {
-    /// Reads a filter: state words, whole or unmistakable topic names, addresses, and the terms of the command line
-    /// with what they say: `owner:bob`, `tag:name=value`, `since:1h`, `until:2026-12-31`.
+    /// Parses a filter: state words, complete or unambiguous topic names, addresses, and the terms of the command line
+    /// with their values: `owner:bob`, `tag:name=value`, `since:1h`, `until:2026-12-31`.
     pub fn read(filter: &str, topics: &[TopicRow], now: Timestamp) -> Self {
-        // To the minute, so that the same filter asks the same for a while.
+        // To the minute, so that the same filter stays the same request for a while.
         let now = Timestamp(now.0 / MINUTE * MINUTE);
         let mut wanted = Self::default();
         for word in filter.split_whitespace() {
@@ -68,9 +68,9 @@ impl Wanted {
         wanted
     }
 
-    /// Takes `name:value` over; false where it says nothing that can be asked for.
+    /// Adds `name:value`; false if the site cannot be asked for it.
     fn takes(&mut self, name: &str, value: &str, now: Timestamp) -> bool {
-        // As the state's own word begins.
+        // A prefix of the state's word.
         if name == "waits" {
             self.asked.state = Some(RecordState::RightEnded);
             return true;
@@ -95,10 +95,10 @@ fn topic_named(word: &str, topics: &[TopicRow]) -> Option<TopicName> {
 }
 
 impl Records {
-    /// The question for the page in view, as of the moment at which the view stands still, if it does.
+    /// The request for the visible page, as of the moment of the freeze, if there is one.
     pub fn query(&self, topics: &[TopicRow], limit: usize, now: Timestamp, frozen: Option<Timestamp>) -> UploadQuery {
         let asked = Wanted::read(self.table.filter.text(), topics, frozen.unwrap_or(now)).asked;
-        // What is asked for is captured before; the record of that moment itself is still shown.
+        // The query's end is exclusive; the record of that very moment is still shown.
         let stands = [self.anchor, frozen].into_iter().flatten().map(|at| Timestamp(at.0.saturating_add(1)));
         UploadQuery {
             until: asked.until.into_iter().chain(stands).min(),
@@ -109,7 +109,7 @@ impl Records {
         }
     }
 
-    /// Takes a page over.
+    /// Takes over a page.
     pub fn set(&mut self, page: RecordPage, limit: usize) {
         self.rows = page.records;
         self.rows.truncate(limit.max(1));
@@ -137,14 +137,14 @@ impl Records {
         self.anchor.is_some()
     }
 
-    /// Where the cursor has left the newest record, nothing newer comes in above it.
+    /// If the cursor has left the newest record, nothing newer comes in above it.
     pub fn stand(&mut self) {
         if self.table.sort == 0 {
             self.anchor = self.anchor.or_else(|| self.rows.iter().map(|row| row.captured_at).max());
         }
     }
 
-    /// To the page behind; false where there is none.
+    /// To the next page; false if there is none.
     pub fn forward(&mut self) -> bool {
         let Some(next) = self.next.take() else { return false };
         self.stand();
@@ -153,7 +153,7 @@ impl Records {
         true
     }
 
-    /// To the page before; false on the first.
+    /// To the previous page; false on the first.
     pub fn back(&mut self) -> bool {
         self.table.select::<&str>(&[], 0);
         self.path.pop().is_some() || self.anchor.take().is_some()

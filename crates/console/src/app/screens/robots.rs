@@ -1,4 +1,4 @@
-//! Topics taken together by robot: the first part of their names, as ROS namespaces are. A folded robot is one row.
+//! Topics grouped by robot: the first part of their names, as ROS namespaces are. A folded robot is one row.
 
 use crate::service::reply::{HeldUp, TopicRow};
 
@@ -8,7 +8,7 @@ pub fn robot_of(topic: &str) -> Option<&str> {
     topic.get(..end)
 }
 
-/// The name of a folded robot's row. No topic ends so.
+/// The name of a folded robot's row. No topic name ends like this.
 pub fn name_of(robot: &str) -> String {
     format!("{robot}/")
 }
@@ -18,7 +18,7 @@ pub fn folded(name: &str) -> Option<&str> {
     name.strip_suffix('/')
 }
 
-/// A robot's topics in one row: rates and counts together, the worst that is to be said of any.
+/// A robot's topics in one row: the sum of rates and counts, and the worst state of any.
 pub fn together(robot: &str, rows: &[&TopicRow]) -> TopicRow {
     let sum = |of: fn(&TopicRow) -> u64| rows.iter().map(|row| of(row)).sum();
     let rate = |of: fn(&TopicRow) -> Option<f64>| {

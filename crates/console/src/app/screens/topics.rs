@@ -1,4 +1,4 @@
-//! The Topics screen: rows of the graph, their order and what was transferred lately.
+//! The Topics screen: rows of the graph, their order and recent transfer rates.
 
 use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
@@ -17,7 +17,7 @@ pub const SAMPLES: usize = 8;
 pub const KEPT_SAMPLES: usize = 60;
 /// Time between two samples, nanoseconds.
 const SAMPLE_EVERY: u64 = 1_000_000_000;
-/// What sorts the table, in the order of `s`.
+/// The sort columns, in the order of `s`.
 pub const SORTS: [&str; 4] = ["name", "Hz", "bytes/s", "watched"];
 
 /// Topics of the graph.
@@ -29,14 +29,14 @@ pub struct Topics {
     pub table: Table,
     history: HashMap<String, VecDeque<f64>>,
     sampled_at: Timestamp,
-    /// Robots whose topics are one row.
+    /// Robots whose topics are folded into one row.
     folded: BTreeSet<String>,
     /// The rows of folded robots.
     robots: BTreeMap<String, TopicRow>,
     shown: Shown,
 }
 
-/// Which rows a filter and an order show, found once for all questions until one of them changes.
+/// The rows shown for a filter and an order, computed once until one of them changes.
 #[derive(Debug, Default)]
 struct Shown {
     filter: String,
@@ -50,12 +50,12 @@ struct Shown {
 enum Place {
     /// The topic at that place among all rows.
     Topic(usize),
-    /// All topics of a robot that the filter lets through.
+    /// All topics of a robot that match the filter.
     Robot(String),
 }
 
 impl Topics {
-    /// Takes new rows over.
+    /// Takes over new rows.
     pub fn set(&mut self, mut rows: Vec<TopicRow>, now: Timestamp) {
         rows.truncate(MOST_TOPICS);
         rows.sort_by(|one, other| one.topic.cmp(&other.topic));
@@ -77,12 +77,12 @@ impl Topics {
         }
     }
 
-    /// Takes a sample of every topic; in the seconds without news its rate was the one before.
+    /// Takes a sample of every topic; in seconds without news its rate was the previous one.
     fn sample(&mut self, missed: usize) {
         let rows = &self.rows;
         self.history.retain(|topic, _| rows.binary_search_by(|row| row.topic.cmp(topic)).is_ok());
         for row in &self.rows {
-            // Most are there already, and need no name of their own.
+            // Most are there already, and need no new copy of the name.
             let samples = match self.history.get_mut(&row.topic) {
                 Some(samples) => samples,
                 None => self.history.entry(row.topic.clone()).or_default(),
@@ -95,8 +95,8 @@ impl Topics {
         }
     }
 
-    /// Bytes a second of a topic, or of a folded robot, over at most the last `most` seconds, oldest first. What was
-    /// last heard holds until something else is.
+    /// Bytes per second of a topic, or of a folded robot, over at most the last `most` seconds, oldest first. The last
+    /// known value holds until there is another.
     pub fn samples(&self, topic: &str, most: usize, now: Timestamp) -> Vec<f64> {
         let mut samples: Vec<f64> = match self.robot(topic) {
             None => self.history.get(topic).map(|samples| samples.iter().copied().collect()).unwrap_or_default(),
@@ -120,7 +120,7 @@ impl Topics {
         sums
     }
 
-    /// The highest sample of the rows shown: the one scale of all sparklines.
+    /// The highest sample of the rows shown: the common scale of all sparklines.
     pub fn scale(&self, now: Timestamp) -> f64 {
         let highest = |row: &TopicRow| self.samples(&row.topic, SAMPLES, now).into_iter().fold(0.0, f64::max);
         self.visible().into_iter().map(highest).fold(0.0, f64::max)
@@ -138,7 +138,7 @@ impl Topics {
         }
     }
 
-    /// The robot that a row of this name stands for; `None` = it is a topic, whatever its name.
+    /// The robot of the row with this name; `None` = it is a topic, whatever its name.
     pub fn robot<'a>(&self, name: &'a str) -> Option<&'a str> {
         robots::folded(name).filter(|robot| self.folded.contains(*robot))
     }
@@ -149,7 +149,7 @@ impl Topics {
         (rows().filter(|row| row.watched).count(), rows().count())
     }
 
-    /// Folds the robot of the row under the cursor into one row, or unfolds it; false where the topic is of none.
+    /// Folds the robot of the row under the cursor into one row, or unfolds it; false if the topic has none.
     pub fn fold(&mut self) -> bool {
         let Some(name) = self.selected().map(|row| row.topic.clone()) else { return false };
         let Some(robot) = robots::robot_of(&name).map(str::to_owned) else { return false };
@@ -168,14 +168,14 @@ impl Topics {
         true
     }
 
-    /// A mark on a robot that is unfolded now would be one on nothing.
+    /// A mark on a robot that is now unfolded would refer to nothing.
     fn unmark_robots(&mut self) {
         let folded = &self.folded;
         let stays = |name: &String| robots::folded(name).is_none_or(|robot| folded.contains(robot));
         self.table.marks.retain(stays);
     }
 
-    /// Folds all robots, or unfolds all where none is left to fold.
+    /// Folds all robots, or unfolds all if none is left to fold.
     pub fn fold_all(&mut self) {
         let all: BTreeSet<String> =
             self.rows.iter().filter_map(|row| robots::robot_of(&row.topic).map(str::to_owned)).collect();
@@ -195,7 +195,7 @@ impl Topics {
     fn found(&self) -> Vec<(usize, &TopicRow)> {
         let all = self.rows.iter().enumerate().collect();
         let mut rows = fuzzy::narrow(self.table.filter.text(), all, |(_, row)| haystack(row));
-        // A stable order: what is equal stays in the order of names.
+        // A stable order: equal rows stay in the order of names.
         rows.sort_by(|(_, one), (_, other)| order(self.table.sort, one, other));
         if self.table.reversed {
             rows.reverse();
@@ -203,7 +203,7 @@ impl Topics {
         rows
     }
 
-    /// Finds the rows to show anew where filter or order changed, or `rows_changed`.
+    /// Recomputes the rows to show if filter or order changed, or `rows_changed`.
     pub fn refresh(&mut self, rows_changed: bool) {
         if rows_changed || !self.is_fresh() {
             let (places, robots) = self.places();
@@ -217,7 +217,7 @@ impl Topics {
         }
     }
 
-    /// What passes the filter, in order; what of it belongs to a folded robot is one row, at the place of its first.
+    /// What matches the filter, in order; topics of a folded robot are one row, at the place of the first.
     fn places(&self) -> (Vec<Place>, BTreeMap<String, TopicRow>) {
         let (mut places, mut taken) = (Vec::new(), BTreeMap::<String, Vec<&TopicRow>>::new());
         for (place, row) in self.found() {
@@ -236,7 +236,7 @@ impl Topics {
         (places, robots)
     }
 
-    /// Whether any row passes the filter.
+    /// Whether any row matches the filter.
     pub fn any_visible(&self) -> bool {
         !self.shown.places.is_empty()
     }
@@ -254,7 +254,7 @@ impl Topics {
         rows
     }
 
-    /// When the youngest age shown changes, though nothing arrives; `None` = no age is shown.
+    /// When the youngest age shown changes without news; `None` = no age is shown.
     pub fn older_at(&self, now: Timestamp) -> Option<Timestamp> {
         const SECOND: u64 = 1_000_000_000;
         let youngest = self.rows.iter().filter_map(|row| row.last_message).max()?;
@@ -273,7 +273,8 @@ impl Topics {
         rows.get(self.table.position(&keys)).copied()
     }
 
-    /// The marked topics, else the one of the cursor; a robot's row stands for those of its topics that the filter shows.
+    /// The marked topics, or else the one under the cursor; a robot's row stands for those of its topics that match the
+    /// filter.
     pub fn targets(&self) -> Vec<&TopicRow> {
         let chosen: Vec<&str> = match self.table.marks.is_empty() {
             true => self.selected().map(|row| row.topic.as_str()).into_iter().collect(),
@@ -303,7 +304,7 @@ fn order(sort: usize, one: &TopicRow, other: &TopicRow) -> Ordering {
     }
 }
 
-/// Rates compared in steps of a fifth, so that rows do not swap places at every breath.
+/// Rates are compared in steps of a fifth, so that rows do not swap places at every small change.
 fn descending(one: Option<f64>, other: Option<f64>) -> Ordering {
     let step = |rate: Option<f64>| rate.map_or(f64::NEG_INFINITY, |rate| (rate.max(0.01).log2() * 4.0).round());
     step(other).total_cmp(&step(one))

@@ -1,4 +1,4 @@
-//! A list that lives: the record under the cursor stays where it is, the first row follows the newest.
+//! A live list: the record under the cursor stays in place, the first row follows the newest.
 
 use super::{Robot, fixtures};
 use crate::app::popup::Popup;
@@ -21,7 +21,7 @@ fn asked(robot: &Robot) -> UploadQuery {
     found.expect("records are asked for")
 }
 
-/// The site has taken so many further records, and answers as a ledger does.
+/// The site has received this many further records, and answers as a ledger does.
 fn records_come(robot: &mut Robot, further: u64) {
     robot.hears_of(Part::Uploads);
     let query = asked(robot);
@@ -97,7 +97,7 @@ fn words_search_all_of_the_ledger_and_ids_the_page() {
     robot.types("/camera compressed verified 00003e8");
     robot.presses(Key::Enter);
     let query = asked(&robot);
-    // One topic of that name is published, so that it is asked for as such.
+    // One topic of that name is published, so that the request can name it.
     assert_eq!(query.topic.map(|topic| topic.to_string()).as_deref(), Some("/robot1/camera/compressed"));
     assert!(query.state.is_some() && query.words.is_empty());
     robot.presses(Key::Escape);

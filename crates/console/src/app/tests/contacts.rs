@@ -1,4 +1,4 @@
-//! The address book: entered, confirmed and removed without leaving the console.
+//! The address book: added, confirmed and removed without leaving the console.
 
 use super::{Robot, fixtures};
 use crate::app::popup::{Popup, Purpose};

@@ -23,7 +23,7 @@ pub const OWN: Address = Address([0x11; 20]);
 /// The address of someone else.
 pub const OTHER: Address = Address([0x5a; 20]);
 
-/// The answer of the site to a question of a screen.
+/// The site's answer to a screen's request.
 pub fn reply(command: &Command, exists: bool) -> Reply {
     match command {
         Command::SiteStatus => Reply::Site(site()),
@@ -153,7 +153,7 @@ pub fn topic(name: &str, hz: f64) -> TopicRow {
     }
 }
 
-/// The topics of the graph, as a hostile one also sees to it.
+/// The topics of the graph, including one with a hostile name.
 pub fn topics() -> Vec<TopicRow> {
     let hostile = TopicRow { type_name: None, simulated: false, hz: None, ..topic("/evil\u{202e}\u{1b}[2J", 0.0) };
     let watched = TopicRow { watched: true, messages: 12_300, ..topic("/robot1/odom", 20.1) };
@@ -202,7 +202,7 @@ pub fn page(query: &UploadQuery, owner: Option<Address>) -> RecordPage {
     }
 }
 
-/// A contact, which reads nothing yet.
+/// A contact without a grant yet.
 pub fn contact(name: &str) -> ContactRow {
     ContactRow {
         name: name.parse().expect("a name"),
@@ -266,7 +266,7 @@ fn chain() -> ChainView {
     }
 }
 
-/// Publishers of a topic: one pinned, one doubted.
+/// Publishers of a topic: one pinned, one suspect.
 pub fn pins(topic: &str) -> PinsView {
     let publisher = Publisher {
         caller_id: "/driver".to_owned(),
@@ -337,7 +337,7 @@ fn audit() -> Vec<AuditView> {
     vec![line(1, "register", &OWN.to_string(), "ok"), line(2, "grant", &OTHER.to_string(), "refused: not registered")]
 }
 
-/// Where a record stands.
+/// A record's provenance and state.
 pub fn provenance(number: u64) -> Provenance {
     let step = |word: &str, evidence: &str| (word.to_owned(), evidence.to_owned());
     let steps = vec![

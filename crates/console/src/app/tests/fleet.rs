@@ -1,4 +1,4 @@
-//! Many robots: their topics fold into one row each, and what is done to that row is done to all of them.
+//! Many robots: their topics fold into one row each, and an action on that row applies to all of them.
 
 use super::{Robot, fixtures};
 use crate::app::feed::Feed;

@@ -1,4 +1,4 @@
-//! `f`: the view stands still while capture goes on.
+//! `f`: the view is frozen while capture goes on.
 
 use super::{Robot, fixtures};
 use crate::app::Tag;

@@ -1,4 +1,4 @@
-//! `?` helps wherever one is, and never leaves by accident.
+//! `?` helps everywhere, and never leaves by accident.
 
 use super::Robot;
 use crate::app::Key;

@@ -1,4 +1,4 @@
-//! Keys: loading from a file is asked about, exporting writes a file.
+//! Keys: loading from a file needs a confirmation, exporting writes a file.
 
 use super::{Robot, fixtures};
 use crate::app::popup::Popup;

@@ -1,4 +1,4 @@
-//! Leaving: at once where nothing stops and nothing is pending; else what stops and what goes on is said first.
+//! Leaving: at once if nothing stops and nothing is pending; otherwise what stops and what goes on is said first.
 
 use super::{Robot, fixtures};
 use crate::app::feed::Feed;
@@ -13,7 +13,7 @@ fn with_pending(pending: u64) -> SiteView {
     SiteView { life, queue: QueueView::default(), ..fixtures::site() }
 }
 
-/// A console on a site of that process with so many records on their way.
+/// A console on a site of that process with this many records in flight.
 fn busy(process: u32, pending: u64) -> Robot {
     let mut robot = Robot::at_work(true);
     robot.hears_of(Part::Health);
@@ -34,7 +34,7 @@ fn answers(robot: &mut Robot, site: SiteView) {
     robot.is_answered(&tag, Ok(Reply::Site(site)));
 }
 
-/// What the question says.
+/// The text of the question.
 fn question(robot: &Robot) -> String {
     match robot.state.popups.last() {
         Some(Popup::Quit(leaving)) => leaving.lines(&robot.state).join("\n"),

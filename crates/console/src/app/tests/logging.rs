@@ -1,4 +1,4 @@
-//! The log: whole lines, by source, and that an operator's own mistake is no alert.
+//! The log: complete lines, by source, and that an operator's own mistake is not an alert.
 
 use super::{Robot, fixtures};
 use crate::app::popup::Popup;

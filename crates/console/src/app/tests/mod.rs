@@ -1,4 +1,4 @@
-//! Robot users: each file is one behaviour, as an operator would tell it.
+//! Robot users: each file is one behaviour, as an operator would describe it.
 
 pub mod fixtures;
 
@@ -34,7 +34,7 @@ use crate::service::{Command, Event, Failure, Part, Reply};
 pub struct Robot {
     /// The console.
     pub state: State,
-    /// What was sent and not yet answered.
+    /// Commands sent and not yet answered.
     pub sent: Vec<(Command, Tag)>,
     /// Other effects so far.
     pub effects: Vec<Effect>,
@@ -58,7 +58,7 @@ impl Robot {
         robot
     }
 
-    /// Whatever the console asked for its screens is answered from the fixtures, until it is content.
+    /// Everything the console requests for its screens is answered from the fixtures, until it requests no more.
     pub fn site_answers(&mut self, exists: bool) {
         while let Some(place) = self.sent.iter().position(|(_, tag)| matches!(tag, Tag::Feed(..) | Tag::OpenConsole)) {
             let (command, tag) = self.sent.remove(place);
@@ -101,19 +101,19 @@ impl Robot {
         self.act(Action::Tick(Timestamp(self.state.now.0 + seconds * 1_000_000_000)));
     }
 
-    /// The site tells of a change.
+    /// The site reports a change.
     pub fn hears_of(&mut self, part: Part) {
         self.act(Action::Told(Event::Changed { part }));
     }
 
-    /// The site answers the question with that tag.
+    /// The site answers the request with that tag.
     pub fn is_answered(&mut self, tag: &Tag, result: Result<Reply, Failure>) {
         let place = self.sent.iter().position(|(_, sent)| sent == tag).expect("it was asked");
         let (_, tag) = self.sent.remove(place);
         self.act(Action::Answered { tag, result: Box::new(result) });
     }
 
-    /// The commands under way that are no pulls, by tag.
+    /// The commands in flight that are not pulls, by tag.
     pub fn work(&self) -> Vec<Tag> {
         let tags = self.sent.iter().map(|(_, tag)| tag.clone());
         tags.filter(|tag| !matches!(tag, Tag::Feed(..) | Tag::OpenConsole)).collect()
@@ -133,7 +133,7 @@ impl Robot {
     }
 }
 
-/// The answer in a lookup popup, where it is the topmost.
+/// The answer in a lookup popup, if it is the topmost.
 pub fn record_shown(state: &State) -> Option<&Lookup<crate::service::reply::OpenedView>> {
     match state.popups.last() {
         Some(Popup::Record(opening)) => Some(&opening.lookup),

@@ -1,4 +1,4 @@
-//! Locking, undoing, deciding about what is held, browsing, acting on marked rows, coming back to where one left.
+//! Locking, undoing, deciding about the quarantine, browsing, acting on marked rows, resuming where one left.
 
 use super::*;
 use crate::app::confirm::Typed;
@@ -16,7 +16,7 @@ fn guarded() -> Robot {
     robot
 }
 
-/// Answers pulls with the fixtures, but the identity as one that is locked.
+/// Answers pulls with the fixtures, except that the identity is locked.
 fn answers_locked(robot: &mut Robot) {
     robot.is_answered(&Tag::Lock, Ok(Reply::Identity(fixtures::identity(true, false, true))));
     let tag = robot.sent.iter().find(|(_, tag)| matches!(tag, Tag::Feed(super::super::feed::Feed::Identity, _)));
@@ -92,7 +92,7 @@ fn a_watch_is_undone_truly_and_a_grant_only_by_another_transaction() {
     robot.site_answers(true);
     robot.types("U");
     assert!(robot.message().contains("nothing to undo"));
-    // The first row is a hostile name, which nothing can be done with.
+    // The first row is a hostile name, to which nothing applies.
     robot.presses(Key::Down);
     robot.types("w");
     let tag = robot.work().first().cloned().expect("something is watched or not");

@@ -1,5 +1,5 @@
-//! Every form takes what its own placeholders say: each text that a line suggests goes through form, question and
-//! the site's own reading of it.
+//! Every form accepts its own placeholders: each suggested text goes through the form, the question and the site's own
+//! parser.
 
 use super::{Robot, fixtures};
 use crate::app::administration::Act;
@@ -12,7 +12,7 @@ use crate::model::{Scope, Timestamp};
 use crate::service::Command;
 use authros_chain::Call;
 
-/// Parts of placeholders that describe what to write, with something that fits; any other part is taken literally.
+/// Parts of placeholders that describe the input, with an example that fits; any other part is taken literally.
 const DESCRIBED: &[(&str, &[&str])] = &[
     ("0x and 40 hex", &["0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed"]),
     ("or a name of the address book", &["harbour-office"]),
@@ -26,10 +26,10 @@ const DESCRIBED: &[(&str, &[&str])] = &[
     ("at least 8 characters", &["eight ch"]),
 ];
 
-/// What has no placeholder.
+/// Lines without a placeholder.
 const UNTOLD: &str = "eight ch";
 
-/// What a placeholder suggests to write.
+/// The inputs that a placeholder suggests.
 fn suggested(hint: &str) -> Vec<String> {
     let mut texts = Vec::new();
     for part in hint.split([';', ',']).map(str::trim).filter(|part| !part.is_empty()) {
@@ -44,7 +44,7 @@ fn suggested(hint: &str) -> Vec<String> {
     if texts.is_empty() { vec![UNTOLD.to_owned()] } else { texts }
 }
 
-/// Every purpose that a form has; one that is added does not compile until it is here.
+/// Every purpose of a form; a new one does not compile until it is here.
 fn purposes() -> Vec<Purpose> {
     use Purpose as P;
     let follows = |purpose: P| match purpose {
@@ -78,7 +78,7 @@ fn purposes() -> Vec<Purpose> {
     std::iter::successors(Some(P::CreateIdentity), |purpose| follows(*purpose)).collect()
 }
 
-/// A console with the form of this purpose open, at a moment that is no whole second.
+/// A console with the form of this purpose open, at a moment that is not a whole second.
 fn asked(purpose: Purpose) -> Robot {
     let exists = purpose != Purpose::CreateIdentity;
     let mut robot = Robot::at_work(exists);
@@ -110,7 +110,7 @@ fn asked(purpose: Purpose) -> Robot {
     }
     if let (Purpose::Administer(_), Some(chain)) = (purpose, &mut robot.state.chain) {
         chain.administration.administrator = Some(fixtures::OWN);
-        // Where successions wait, the same verb proposes.
+        // Where successions have a delay, the same verb proposes.
         chain.administration.delay = (purpose == Purpose::Administer(Act::Propose)).then_some(604_800);
     }
     let effects = perform(&mut robot.state, verb);
@@ -130,7 +130,7 @@ fn form(robot: &Robot) -> &Form {
     }
 }
 
-/// Fills the form in and goes on; `odd` is the line that takes another of its suggestions than the first, and
+/// Fills in the form and submits it; `odd` is the line that gets another of its suggestions than the first, and
 /// `chosen` the word chosen in every choice.
 fn fills_in(robot: &mut Robot, odd: (usize, usize), chosen: usize) {
     while form(robot).focus > 0 {
@@ -148,7 +148,7 @@ fn fills_in(robot: &mut Robot, odd: (usize, usize), chosen: usize) {
     }
 }
 
-/// Says yes to the question, where there is one.
+/// Says yes to the question, if there is one.
 fn agrees(robot: &mut Robot) {
     let Some(Popup::Confirm(confirm)) = robot.state.popups.last() else { return };
     match confirm.typed.as_ref().map(|typed| typed.wanted.clone()) {
@@ -160,7 +160,7 @@ fn agrees(robot: &mut Robot) {
     }
 }
 
-/// What the site makes of it before anything is sent.
+/// How the site parses it before anything is sent.
 fn is_taken_by_the_site(command: &Command, what: &str) {
     if let Command::Grant { expires, .. } = command {
         let (grantee, scope) = (fixtures::OTHER, Scope::All);
@@ -193,7 +193,7 @@ fn no_form_and_no_site_refuses_what_a_placeholder_suggests() {
             assert_eq!(robot.form_error(), None, "{what}");
             agrees(&mut robot);
             let work = robot.work();
-            // Another profile is spoken for without a word to the site but the console's own.
+            // Another profile is spoken for without any request to the site but the console's own.
             assert!(
                 purpose == Purpose::Profile || !work.is_empty(),
                 "{what}: nothing was sent; {:?}",

@@ -1,4 +1,4 @@
-//! Going over to another profile: nothing of the former one is shown as the present one's.
+//! Switching to another profile: nothing of the previous one is shown as the current one's.
 
 use super::{Robot, fixtures};
 use crate::app::feed::Feed;

@@ -1,4 +1,4 @@
-//! Data by pull: only what is on screen, one question at a time, never an older answer.
+//! Data by pull: only what is on screen, one request at a time, never an older answer.
 
 use super::{Robot, fixtures};
 use crate::app::Tag;
@@ -73,7 +73,7 @@ fn nothing_is_due_when_nothing_happens() {
     robot.types("3y");
     assert!(robot.state.deadline().is_some(), "a toast goes by itself");
     robot.waits(3);
-    // The topics' ages go on by themselves, there alone.
+    // The topics' ages advance without news, only there.
     robot.types("1");
     assert_eq!(robot.state.deadline(), None);
 }

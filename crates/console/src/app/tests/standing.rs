@@ -1,4 +1,4 @@
-//! Nothing is off without being seen: the passphrase is asked for at the start, and each topic says how it stands.
+//! Nothing is off unnoticed: the passphrase is asked for at the start, and each topic shows its state.
 
 use super::{Robot, fixtures};
 use crate::app::feed::Feed;
@@ -74,13 +74,13 @@ fn each_topic_says_how_its_capture_stands_and_the_worst_is_said_first() {
     assert_eq!(alert.as_deref(), Some("locked: capture of 1 topic waits for the key; u unlocks"));
 }
 
-/// The site says how it is.
+/// The site reports its state.
 fn says(robot: &mut Robot, site: SiteView) {
     robot.hears_of(Part::Health);
     robot.is_answered(&Tag::Feed(Feed::Site, 0), Ok(Reply::Site(site)));
 }
 
-/// Of each alert that is shown: its text, since when, and when it was over.
+/// Of each alert shown: its text, since when, and when it ended.
 fn alerts(robot: &Robot) -> Vec<(String, u64, Option<u64>)> {
     let shown = robot.state.alerts.shown().into_iter();
     shown.map(|alert| (alert.text.clone(), alert.since.seconds(), alert.resolved.map(|at| at.seconds()))).collect()

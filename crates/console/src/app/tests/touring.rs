@@ -1,4 +1,4 @@
-//! The tour: it goes on when the thing is done and not before, and ends by its key.
+//! The tour: it continues when the thing is done and not before, and ends with its key.
 
 use super::{Robot, fixtures};
 use crate::app::tour::text::TEXT;
@@ -24,7 +24,7 @@ fn step(robot: &Robot) -> usize {
     robot.state.tour.as_ref().map_or(0, |tour| tour.count().0)
 }
 
-/// What the site says from now on of grants.
+/// What the site reports about grants from now on.
 fn no_grant_is_active(robot: &mut Robot) {
     robot.state.grants.rows.iter_mut().for_each(|row| row.state = GrantState::Revoked);
 }

@@ -1,4 +1,5 @@
-//! The pane beside a list on a wide terminal: it follows the cursor, asks when that rests, and forgets what is locked.
+//! The pane beside a list on a wide terminal: it follows the cursor, sends a request when that rests, and forgets what
+//! is locked.
 
 use super::{Robot, fixtures};
 use crate::app::{Action, Key, Screen, Tag};

@@ -1,5 +1,5 @@
-//! The tour: the paper's mission, step by step, on the operator's own screen. It looks at the state and goes on when
-//! what it asked for is so; what it says is in [`text`].
+//! The tour: the paper's mission, step by step, on the operator's own screen. It looks at the state and continues when
+//! its step is done; its words are in [`text`].
 
 pub mod text;
 
@@ -11,19 +11,19 @@ use super::verb::Verb;
 use crate::model::{ProfileName, Verdict};
 use text::{Step, TEXT};
 
-/// Rows that its strip takes at the bottom.
+/// Rows of its strip at the bottom.
 pub const ROWS: u16 = 4;
 
 /// Who is who in the tour.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cast {
-    /// Whose records are captured and shared.
+    /// The owner, whose records are captured and shared.
     pub owner: ProfileName,
-    /// With whom.
+    /// The reader.
     pub reader: ProfileName,
 }
 
-/// How far it has come.
+/// Its progress.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Tour {
     cast: Cast,
@@ -36,7 +36,7 @@ impl Tour {
         Self { cast, place: 0 }
     }
 
-    /// Number of the present step, from 1, and of how many.
+    /// Number of the current step, from 1, and of how many.
     pub fn count(&self) -> (usize, usize) {
         (self.place + 1, TEXT.len())
     }
@@ -55,7 +55,7 @@ pub fn rows(state: &State) -> u16 {
     if state.tour.is_some() { ROWS } else { 0 }
 }
 
-/// Whether a verb is of any use: the one that ends the tour is of none without it.
+/// Whether a verb is useful: the one that ends the tour is not, without a tour.
 pub fn knows(state: &State, verb: Verb) -> bool {
     verb != Verb::EndTour || state.tour.is_some()
 }
@@ -66,7 +66,7 @@ pub fn wants_grants(state: &State) -> bool {
     matches!(step, Some(Step::Grant | Step::Revoke))
 }
 
-/// Goes on as far as things are done.
+/// Advances as far as things are done.
 pub fn follow(state: &mut State) {
     let Some(mut tour) = state.tour.take() else { return };
     while TEXT.get(tour.place).is_some_and(|text| is_done(state, &tour.cast, text.step)) {
@@ -90,7 +90,7 @@ fn is_done(state: &State, cast: &Cast, step: Step) -> bool {
     }
 }
 
-/// A record's way is on screen, and it has come to its end.
+/// A record's provenance is on screen, and the record is verified.
 fn sees_verified(state: &State) -> bool {
     let shown = |popup: &Popup| match popup {
         Popup::Provenance(lookup) => lookup.found().is_some_and(|found| is_settled(found.record.state)),
@@ -100,7 +100,7 @@ fn sees_verified(state: &State) -> bool {
         || state.detail.steps.as_ref().and_then(Lookup::found).is_some_and(|found| is_settled(found.record.state))
 }
 
-/// A record of the owner's is on screen, checked and readable.
+/// A record of the owner is on screen, checked and readable.
 fn has_opened(state: &State) -> bool {
     let openings = state.popups.iter().filter_map(|popup| match popup {
         Popup::Record(opening) => Some(opening),

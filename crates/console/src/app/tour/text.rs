@@ -1,4 +1,4 @@
-//! All that the tour says. OWNER and READER stand for the names of the two profiles.
+//! All texts of the tour. OWNER and READER stand for the names of the two profiles.
 
 /// What a step waits for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -7,11 +7,11 @@ pub enum Step {
     Register,
     /// A topic is watched.
     Watch,
-    /// A record's way to verified is on screen.
+    /// A record's path to verified is on screen.
     Verified,
     /// A grant is active.
     Grant,
-    /// The reader sees a record of the owner's.
+    /// The reader sees a record of the owner.
     Open,
     /// No grant is active any more.
     Revoke,
@@ -19,7 +19,7 @@ pub enum Step {
     End,
 }
 
-/// What is said of a step: one line each.
+/// The texts of a step: one line each.
 #[derive(Debug, Clone, Copy)]
 pub struct StepText {
     /// What it waits for.

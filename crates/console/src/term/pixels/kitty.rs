@@ -1,4 +1,4 @@
-//! The graphics protocol of kitty: a picture's pixels as they are, scaled by the terminal into so many cells.
+//! The graphics protocol of kitty: a picture's pixels as they are, scaled by the terminal to a number of cells.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -6,18 +6,18 @@ use base64::engine::general_purpose::STANDARD;
 use super::coarser;
 use crate::ros::readable::Raster;
 
-/// The number of our picture at the terminal; there is one at a time.
+/// The id of our picture in the terminal; there is one at a time.
 const IMAGE: u32 = 0x4155_5448;
-/// Takes it away and frees what the terminal keeps of it; the terminal does not answer.
+/// Removes it and frees the terminal's copy; the terminal does not answer.
 pub const TAKE_AWAY: &str = "\x1b_Ga=d,d=I,i=1096111176,q=2\x1b\\";
 
-/// The longest piece of data, bytes.
+/// The longest chunk of data, bytes.
 const PIECE: usize = 4096;
-/// No piece has more bytes around its data.
+/// The most bytes a chunk has around its data.
 const AROUND: usize = 96;
 
-/// The picture in so many `cells`, its upper left where the cursor stands, in at most `most` bytes: coarser where it
-/// would take more. The cursor stays, and the terminal does not answer.
+/// The picture in this many `cells`, its upper left corner at the cursor, in at most `most` bytes: coarser if it would
+/// take more. The cursor stays, and the terminal does not answer.
 pub fn encode(raster: &Raster, cells: (usize, usize), most: usize) -> String {
     let mut grid = raster.clone();
     while length(&grid) > most && grid.rgb.len() > 3 {
@@ -42,7 +42,7 @@ pub fn encode(raster: &Raster, cells: (usize, usize), most: usize) -> String {
     text
 }
 
-/// Never less than the bytes of a picture as it is sent.
+/// At least the number of bytes of a picture as it is sent.
 fn length(grid: &Raster) -> usize {
     let data = grid.rgb.len().div_ceil(3) * 4;
     data + data.div_ceil(PIECE) * AROUND
@@ -54,7 +54,7 @@ pub(super) mod tests {
     use crate::term::pixels::tests::noise;
     use proptest::prelude::*;
 
-    /// What a terminal understands of a picture: its size, its cells, its pixels.
+    /// A picture as a terminal reads it: its size, its cells, its pixels.
     pub fn decode(text: &str) -> ((usize, usize), (usize, usize), Vec<u8>) {
         let mut data = String::new();
         let mut first = String::new();

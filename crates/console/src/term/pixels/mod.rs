@@ -1,5 +1,5 @@
-//! Pictures that the terminal draws itself, where that is configured: each is put once, over empty cells, and taken
-//! away when it goes. The terminal is never asked anything, and of a picture nothing but its pixels is sent.
+//! Pictures that the terminal draws itself, if configured: each is placed once, over empty cells, and removed when it
+//! goes. The terminal is never queried, and of a picture only its pixels are sent.
 
 mod kitty;
 mod sixel;
@@ -17,23 +17,23 @@ use crate::config::Pictures;
 use crate::ros::readable::Raster;
 use crate::ui::Placement;
 
-/// No picture is read in more pixels than these, whatever it claims to have.
+/// No picture is read with more pixels than these, whatever size it claims.
 const LARGEST: (usize, usize) = (512, 512);
 /// The most bytes of one picture.
 const MOST: usize = 256 * 1024;
-/// So many it may have on the slowest line too.
+/// This many are allowed on the slowest line too.
 const LEAST: usize = 16 * 1024;
-/// Seconds for which one picture may take a line of limited bytes a second.
+/// Seconds for which one picture may occupy a line of limited bytes a second.
 const SECONDS: usize = 8;
-/// A cell's width and height, pixels, where the terminal's are not known.
+/// A cell's width and height, pixels, if the terminal's are unknown.
 const ASSUMED: (usize, usize) = (8, 16);
-/// Other widths and heights of a cell are not believed.
+/// The plausible widths and heights of a cell.
 const BELIEVED: RangeInclusive<usize> = 4..=64;
 
-/// The widest and highest sixel, pixels: of larger ones xterm, as it comes, shows a part only.
+/// The widest and highest sixel, pixels: of larger ones xterm, with its defaults, shows only a part.
 const LARGEST_SIXEL: usize = 1000;
 
-/// Takes away whatever picture of ours is on the screen that is being left.
+/// Removes any picture of ours from the screen that is being left.
 pub fn taking_away(way: Pictures) -> &'static str {
     match way {
         Pictures::HalfBlocks => "",
@@ -42,10 +42,10 @@ pub fn taking_away(way: Pictures) -> &'static str {
     }
 }
 
-/// Says a cell's width and height, pixels.
+/// Returns a cell's width and height, pixels.
 type Measure = fn() -> (usize, usize);
 
-/// The picture that the terminal shows, and how others get there.
+/// The picture that the terminal shows, and how to replace it.
 #[derive(Debug)]
 pub struct Pixels {
     way: Pictures,
@@ -54,14 +54,14 @@ pub struct Pixels {
     shown: Option<Placement>,
 }
 
-/// What brings the terminal from one picture to the next.
+/// What takes the terminal from one picture to the next.
 #[derive(Debug, Default)]
 pub struct Change {
     /// To be written before the cells of the frame.
     pub away: &'static str,
     /// To be written after them.
     pub put: String,
-    /// The cells that are covered by now.
+    /// The cells that are now covered.
     pub covered: Option<Rect>,
 }
 
@@ -79,16 +79,16 @@ impl Pixels {
         Self { way, most, measure: cell_size, shown: None }
     }
 
-    /// The screen is about to be emptied, and what was shown has to be put again; the bytes that take it away.
+    /// The screen is about to be cleared, and what was shown has to be placed again; returns the bytes that remove it.
     pub fn forget(&mut self) -> &'static str {
         match (self.shown.take(), self.way) {
             (Some(_), Pictures::Kitty) => kitty::TAKE_AWAY,
-            // A sixel is part of its cells, and goes with them.
+            // A sixel is part of its cells, and disappears with them.
             _ => "",
         }
     }
 
-    /// The cells that have to be written again so that the picture shown makes room for `wanted`.
+    /// The cells that have to be rewritten so that the picture shown makes way for `wanted`.
     pub fn cells_below(&self, wanted: Option<&Placement>, buffer: &Buffer) -> Vec<(u16, u16, Cell)> {
         match &self.shown {
             Some(shown) if self.way == Pictures::Sixel && wanted != Some(shown) => cells(buffer, shown.area),
@@ -96,7 +96,7 @@ impl Pixels {
         }
     }
 
-    /// Shows a picture, or none; there is nothing to write where it is so already.
+    /// Shows a picture, or none; nothing is written if it is shown already.
     pub fn show(&mut self, wanted: Option<Placement>) -> Change {
         if wanted == self.shown {
             return Change::default();
@@ -128,7 +128,7 @@ impl Pixels {
     }
 }
 
-/// The cells of an area as they are to be written; the second column of a wide character belongs to its first.
+/// The cells of an area, to be written; the second column of a wide character belongs to its first.
 fn cells(buffer: &Buffer, area: Rect) -> Vec<(u16, u16, Cell)> {
     let mut found = Vec::new();
     let area = area.intersection(*buffer.area());
@@ -147,7 +147,7 @@ fn cells(buffer: &Buffer, area: Rect) -> Vec<(u16, u16, Cell)> {
     found
 }
 
-/// The size in which a picture fills a room of so many pixels with its shape kept.
+/// The size in which a picture fills this many pixels while keeping its shape.
 fn filled(raster: &Raster, room: (usize, usize)) -> (usize, usize) {
     let (width, height) = (raster.width.max(1), raster.height.max(1));
     if width.saturating_mul(room.1) >= height.saturating_mul(room.0) {
@@ -157,12 +157,12 @@ fn filled(raster: &Raster, room: (usize, usize)) -> (usize, usize) {
     }
 }
 
-/// A cell's width and height, pixels, as the kernel knows them of the terminal (TIOCGWINSZ).
+/// A cell's width and height, pixels, from the kernel's data about the terminal (TIOCGWINSZ).
 fn cell_size() -> (usize, usize) {
     window_size().ok().and_then(|window| cell_of(&window)).unwrap_or(ASSUMED)
 }
 
-/// `None` where the terminal told the kernel nothing, or nothing to be believed.
+/// `None` if the terminal told the kernel nothing, or nothing plausible.
 fn cell_of(window: &WindowSize) -> Option<(usize, usize)> {
     let part = |pixels: u16, cells: u16| {
         let size = usize::from(pixels).checked_div(usize::from(cells))?;
@@ -171,7 +171,7 @@ fn cell_of(window: &WindowSize) -> Option<(usize, usize)> {
     Some((part(window.width, window.columns)?, part(window.height, window.rows)?))
 }
 
-/// The picture in fewer pixels than `grid` has of it, down to one.
+/// The picture in fewer pixels than `grid` has, down to one.
 fn coarser(raster: &Raster, grid: &Raster) -> Raster {
     let less = |size: usize| (size - size.div_ceil(6)).max(1);
     raster.fit((less(grid.width), less(grid.height)))

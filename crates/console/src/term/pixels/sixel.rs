@@ -1,4 +1,4 @@
-//! Sixel graphics (DEC STD 070): a picture of 252 fixed colours, mixed by ordered dithering, its runs counted.
+//! Sixel graphics (DEC STD 070): a picture of 252 fixed colours, mixed by ordered dithering, with run lengths.
 
 use std::collections::BTreeMap;
 
@@ -13,8 +13,8 @@ const COLOURS: usize = 252;
 /// Rows of pixels in one band.
 const BAND: usize = 6;
 
-/// The picture in `size` pixels, its upper left where the cursor stands, in at most `most` bytes: coarser where it
-/// would take more.
+/// The picture in `size` pixels, its upper left corner at the cursor, in at most `most` bytes: coarser if it would take
+/// more.
 pub fn encode(raster: &Raster, size: (usize, usize), most: usize) -> String {
     let mut grid = raster.fit(size);
     loop {
@@ -56,12 +56,12 @@ fn dithered(grid: &Raster) -> Vec<u8> {
     places.map(colour).collect()
 }
 
-/// The step below or above, which one by the threshold: an area of them comes near to the value.
+/// The step below or above, depending on the threshold: an area of them approximates the value.
 fn step(value: u8, steps: u32, threshold: u32) -> u32 {
     (u32::from(value) * (steps - 1) * 32 + (2 * threshold + 1) * 255) / (255 * 32)
 }
 
-/// Says what the numbers of the colours used mean, in per cent of red, green and blue.
+/// Defines the numbers of the colours used, in per cent of red, green and blue.
 fn define(text: &mut String, colours: &[u8]) {
     let mut used = [false; COLOURS];
     for colour in colours {
@@ -77,7 +77,7 @@ fn define(text: &mut String, colours: &[u8]) {
 }
 
 /// One band: for each of its colours the pixels that have it, six of a column in one character. `rows` are those of the
-/// grid; column after column of the grid ends at the pixel that `ends` says.
+/// grid; each column of the grid ends at the pixel given by `ends`.
 fn band(text: &mut String, colours: &[u8], rows: &[usize], ends: &[usize]) {
     let width = ends.len();
     let mut planes: BTreeMap<u8, Vec<u8>> = BTreeMap::new();
@@ -117,7 +117,7 @@ pub(super) mod tests {
     use crate::term::pixels::tests::noise;
     use proptest::prelude::*;
 
-    /// A number at the front of `text`, taken off.
+    /// Removes a number from the front of `text` and returns it.
     fn number(text: &mut &str) -> usize {
         let end = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
         let value = text[..end].parse().expect("a number");
@@ -176,7 +176,7 @@ pub(super) mod tests {
         Raster { width, height, rgb: pixels.into_iter().flat_map(|pixel| pixel.expect("drawn")).collect() }
     }
 
-    /// Every pixel is within one step of what it is to be.
+    /// Every pixel is within one step of its intended value.
     fn assert_near(seen: &Raster, wanted: &Raster) {
         for y in 0..seen.height {
             for x in 0..seen.width {

@@ -1,4 +1,4 @@
-//! The life of a picture on the screen: put once, never again with the next frame, taken away when it goes.
+//! The life of a picture on the screen: placed once, never again with the next frame, removed when it goes.
 
 use std::num::NonZeroU16;
 
@@ -12,7 +12,7 @@ use crate::term::renderer::Painter;
 use crate::term::stage::{Scene, Stage};
 use crate::ui::Theme;
 
-/// A picture of every value, none like its neighbour.
+/// A picture of every value, each pixel different from its neighbours.
 pub(super) fn noise((width, height): (usize, usize), seed: u8) -> Raster {
     let part = |at: usize| u8::try_from(at * 7 % 251).unwrap_or(0) ^ seed;
     Raster { width, height, rgb: (0..width * height * 3).map(part).collect() }
@@ -41,7 +41,7 @@ fn press(scene: &mut Scene, key: Key) {
     drop(update(&mut scene.state, Action::Key(key)));
 }
 
-/// How many pictures are put and how many taken away, in this order, by kitty's commands.
+/// How many pictures are placed and how many removed, in this order, by kitty's commands.
 fn commands(bytes: &str) -> Vec<&'static str> {
     let mut found: Vec<(usize, &str)> = bytes.match_indices("\x1b_Ga=T").map(|(at, _)| (at, "put")).collect();
     found.extend(bytes.match_indices(kitty::TAKE_AWAY).map(|(at, _)| (at, "away")));
@@ -49,7 +49,7 @@ fn commands(bytes: &str) -> Vec<&'static str> {
     found.into_iter().map(|(_, what)| what).collect()
 }
 
-/// Where the one sixel in `bytes` is put (column and row from 0), itself, and what comes behind it.
+/// Where the one sixel in `bytes` is placed (column and row from 0), itself, and what comes after it.
 fn sixel_in(bytes: &str) -> Option<((u16, u16), &str, &str)> {
     let (before, rest) = bytes.split_once("\x1bP")?;
     let end = rest.find("\x1b\\").expect("an end") + 2;
@@ -126,7 +126,7 @@ fn a_sixel_stays_within_its_cells_and_is_written_over_when_it_goes() {
     assert_eq!(painter.paint(&mut scene), "");
 }
 
-/// A screen full of marks, and what `bytes` make of it.
+/// A screen full of marks, and the effect of `bytes` on it.
 fn over_marks(bytes: &str) -> vt100::Parser {
     let size = |cells| NonZeroU16::new(cells).expect("not zero");
     let mut terminal = vt100::Parser::new(size(30), size(100), 0);

@@ -1,5 +1,5 @@
-//! Whether the terminal shows what is typed: not while a passphrase is. Whatever ends the line
-//! mode, dropping this brings it back.
+//! Whether the terminal shows what is typed: not while a passphrase is. Dropping this restores it, however the line
+//! mode ends.
 
 use rustix::stdio::stdin;
 use rustix::termios::{LocalModes, OptionalActions, tcgetattr, tcsetattr};
@@ -11,7 +11,7 @@ pub struct Echo {
 }
 
 impl Echo {
-    /// As the terminal has it.
+    /// The terminal's present setting.
     pub fn new() -> Self {
         Self { shown: true }
     }
@@ -21,7 +21,7 @@ impl Echo {
         self.set(true);
     }
 
-    /// Shows what is typed, or not; a pipe has no echo, and a terminal that fails is watched elsewhere.
+    /// Shows what is typed, or not; a pipe has no echo, and a failing terminal is noticed elsewhere.
     pub fn set(&mut self, shown: bool) {
         if self.shown == shown {
             return;

@@ -28,7 +28,7 @@ use crate::model::{Timestamp, clean_lines};
 use crate::service::{Client, NoticeLevel};
 use crate::ui::Theme;
 
-/// How often the terminal is looked for.
+/// How often the terminal is checked.
 const WATCH_EVERY: Duration = Duration::from_secs(1);
 /// The widest line, characters.
 const WIDEST: usize = 2_000;
@@ -48,7 +48,7 @@ pub struct Plain {
     _signals: Listener,
 }
 
-/// What was said last, so that it is not said twice.
+/// What was said last, so that it is not repeated.
 #[derive(Default)]
 struct Said {
     work: Option<String>,
@@ -58,7 +58,7 @@ struct Said {
 /// Runs the line mode until it is left.
 ///
 /// # Errors
-/// [`TermError`] where signals or threads cannot be had.
+/// [`TermError`] if signals or threads cannot be had.
 pub fn run(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<ExitReason, TermError> {
     let (mouth, ears) = channel();
     let directory = super::directory(options)?;
@@ -183,7 +183,7 @@ impl Plain {
         None
     }
 
-    /// Typed lines are taken at once; those of a pipe wait until the one before is done and told.
+    /// Typed lines are handled at once; those of a pipe wait until the previous one is done and reported.
     fn speak_and_listen(&mut self) -> Ended {
         loop {
             self.speak();
@@ -207,7 +207,7 @@ impl Plain {
         self.state.work.is_empty() && identity && (feeds || !self.exists())
     }
 
-    /// Whether a first answer came, good or not.
+    /// Whether a first answer came, success or failure.
     fn is_answered(&self, feed: Feed) -> bool {
         !self.state.awaits(feed)
     }
@@ -248,7 +248,7 @@ impl Plain {
         }
     }
 
-    /// Says what is new: messages, work, what lies over the screen, the screen where it was asked for.
+    /// Says what is new: messages, running commands, popups, the screen if it was asked for.
     fn speak(&mut self) {
         self.echo.set(!words::is_secret(&self.state));
         while let Some(toast) = self.state.toasts.shown().cloned() {
@@ -311,13 +311,13 @@ impl Plain {
     fn put(&mut self, bytes: &str) {
         let mut out = io::stdout().lock();
         if out.write_all(bytes.as_bytes()).and_then(|()| out.flush()).is_err() {
-            // A reader that went away wants no more.
+            // A reader that has gone wants no more.
             drop(self.outside.mouth.send(Heard::TerminalFailed));
         }
     }
 
-    /// What makes a popup worth saying again: another one, another line of a form, an answer. What lives on by
-    /// itself is said once.
+    /// What makes a popup worth saying again: a new one, another line of a form, an answer. What changes continuously
+    /// is said once.
     fn mark(&self, popup: &Popup) -> String {
         let depth = self.state.popups.len();
         match popup {

@@ -1,5 +1,5 @@
-//! Screens and popups as lines to be read aloud: no frames, no marks without a word, columns
-//! apart by commas. They come from the same drawing as the full screen, so none is forgotten.
+//! Screens and popups as lines to be read aloud: no frames, no marks without a word, columns separated by commas. They
+//! come from the same drawing as the full screen, so none is forgotten.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -16,7 +16,7 @@ use crate::ui::{self, Theme};
 
 /// Columns that a screen is drawn in before it becomes lines.
 pub const COLUMNS: u16 = 120;
-/// Rows of it; lists are read in pages of so many less the frame's.
+/// Rows of it; lists are read in pages of this many, less the frame's.
 pub const ROWS: u16 = 46;
 /// Rows of title and column heads above a list.
 const HEAD: usize = 2;
@@ -41,7 +41,7 @@ pub fn screen(state: &State, theme: &Theme) -> Vec<String> {
     lines
 }
 
-/// Whom this console speaks for and how the parts are.
+/// Whom this console speaks for, and the state of the parts.
 pub fn status(state: &State) -> String {
     let health = state.site.as_ref().map(|site| {
         let part = |part: &crate::service::reply::PartHealth| {
@@ -60,14 +60,14 @@ pub fn status(state: &State) -> String {
     )
 }
 
-/// What lies over the screen, except forms, which ask line by line.
+/// The popup over the screen, except forms, which ask line by line.
 pub fn popup(state: &State, theme: &Theme, popup: &Popup) -> Vec<String> {
     let area = Rect::new(0, 0, COLUMNS, 200);
     let rows = drawn(area, theme, |canvas| ui::popups::draw(canvas, area, state, popup));
     rows.iter().filter_map(|row| spoken(row)).collect()
 }
 
-/// What the line of a form in focus asks for.
+/// The question of the form line in focus.
 pub fn question(form: &Form) -> String {
     let Some(line) = form.lines.get(form.focus) else { return String::new() };
     let hint = if line.hint.is_empty() { String::new() } else { format!(" ({})", line.hint) };
@@ -118,14 +118,14 @@ fn text_of(buffer: &Buffer, width: u16, row: u16) -> String {
     text
 }
 
-/// A row as it is read aloud; `None` where nothing is left of it.
+/// A row as read aloud; `None` if nothing is left of it.
 fn spoken(row: &str) -> Option<String> {
     let plain: String = row.chars().map(|character| if is_ornament(character) { ' ' } else { character }).collect();
     let parts: Vec<&str> = plain.split("  ").map(str::trim).filter(|part| !part.is_empty()).collect();
     if parts.is_empty() { None } else { Some(parts.join(", ").replace('✓', "marked")) }
 }
 
-/// Frames, bars and dots: what they say stands beside them in words.
+/// Frames, bars and dots: their meaning is beside them in words.
 fn is_ornament(character: char) -> bool {
     matches!(character, '\u{2500}'..='\u{25ff}' | '•' | '✖' | '›' | '\u{2800}'..='\u{28ff}')
 }

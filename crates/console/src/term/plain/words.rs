@@ -1,4 +1,4 @@
-//! What a typed line means: words for keys, first for what lies over the screen, then for the screen.
+//! The meaning of a typed line: words for keys, first for the popup over the screen, then for the screen.
 
 use zeroize::Zeroizing;
 
@@ -8,10 +8,10 @@ use crate::app::popup_keys::hints;
 use crate::app::verb::VERBS;
 use crate::app::{Action, Key, Screen, State, Verb};
 
-/// A line as it was understood.
+/// A parsed line.
 #[derive(Debug)]
 pub enum Meaning {
-    /// These happen, one after the other.
+    /// These actions, one after the other.
     Actions(Vec<Action>),
     /// The screen is read.
     Show,
@@ -19,13 +19,13 @@ pub enum Meaning {
     Status,
     /// The words are read.
     Help,
-    /// The row of that place is selected.
+    /// The row at that place is selected.
     Row(usize),
-    /// It means nothing; these words would.
+    /// It has no meaning; these words would.
     Unknown(String),
 }
 
-/// What `line` means now.
+/// The present meaning of `line`.
 pub fn meaning(state: &State, line: &str) -> Meaning {
     match state.popups.last() {
         Some(Popup::Form(_, form)) => Meaning::Actions(answer(form, line)),
@@ -76,7 +76,7 @@ fn answer(form: &Form, line: &str) -> Vec<Action> {
     actions
 }
 
-/// The word that a grave act asks for.
+/// The word required by a grave act.
 fn typed(line: &str) -> Vec<Action> {
     if matches!(line, "" | "no" | "esc") {
         return keys(&[Key::Escape]);
@@ -85,7 +85,7 @@ fn typed(line: &str) -> Vec<Action> {
     [Key::Control('u')].into_iter().chain(word).chain([Key::Enter]).map(Action::Key).collect()
 }
 
-/// A word for something over the screen: a key of its bar, or what that key does.
+/// A word for a popup: a key of its bar, or what that key does.
 fn over(state: &State, popup: &Popup, line: &str) -> Meaning {
     let hints = hints(state, popup);
     let said = line.to_lowercase();
@@ -101,7 +101,7 @@ fn over(state: &State, popup: &Popup, line: &str) -> Meaning {
     match key {
         Some(key) => Meaning::Actions(keys(&[key])),
         None if matches!(popup, Popup::Confirm(_) | Popup::Quit(_)) => Meaning::Unknown(words(state, popup)),
-        // What is only read gives way to the next command.
+        // A popup that is only read gives way to the next command.
         None => match command(state, line) {
             Meaning::Actions(mut actions) => {
                 actions.insert(0, Action::Key(Key::Escape));
@@ -112,7 +112,7 @@ fn over(state: &State, popup: &Popup, line: &str) -> Meaning {
     }
 }
 
-/// The words for what lies over the screen.
+/// The words for the popup over the screen.
 pub fn words(state: &State, popup: &Popup) -> String {
     let known: Vec<String> = hints(state, popup)
         .iter()
@@ -151,7 +151,7 @@ fn command(state: &State, line: &str) -> Meaning {
     verb(&word).map_or_else(Meaning::Unknown, |verb| Meaning::Actions(vec![Action::Do(verb)]))
 }
 
-/// A verb by its whole name, or by the beginning of just one name.
+/// A verb by its full name, or by an unambiguous prefix.
 fn verb(word: &str) -> Result<Verb, String> {
     if let Some(entry) = VERBS.iter().find(|entry| entry.name == word) {
         return Ok(entry.verb);

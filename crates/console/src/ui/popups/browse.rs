@@ -1,4 +1,4 @@
-//! Choosing among what others share.
+//! Browsing what others share.
 
 use ratatui::layout::Rect;
 
@@ -9,7 +9,7 @@ use crate::model::clean;
 use crate::ui::canvas::{Canvas, right_of, row};
 use crate::ui::theme::Role;
 
-/// Columns of what can be chosen.
+/// Columns of the choices.
 const TEXT: u16 = 34;
 
 /// Draws the list.

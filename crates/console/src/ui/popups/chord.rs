@@ -1,4 +1,4 @@
-//! Which key may come next: the rest of every chord that began with the keys pressed.
+//! The possible next keys: the rest of every chord that began with the keys pressed.
 
 use ratatui::layout::Rect;
 

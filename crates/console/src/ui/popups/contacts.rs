@@ -16,7 +16,7 @@ use crate::ui::topics::empty;
 const NAME: u16 = 15;
 /// Columns of an address, whole.
 const ADDRESS: u16 = 43;
-/// The widest the list grows.
+/// The greatest width of the list.
 const WIDEST: u16 = 124;
 
 /// Draws the list, and below it the keys of the contact under the cursor.

@@ -1,4 +1,4 @@
-//! A form: notes, fields, the error of the last try.
+//! A form: notes, fields, the error of the last attempt.
 
 use ratatui::layout::Rect;
 
@@ -45,7 +45,7 @@ fn draw_line(canvas: &mut Canvas, area: Rect, line: &Line, focused: bool) {
     match &line.input {
         Input::Text(field) => {
             let before: String = field.shown().chars().take(field.cursor()).collect();
-            // A long text is shown from where the cursor is in sight.
+            // A long text is scrolled so that the cursor is visible.
             let hidden = usize::from(columns(&before).saturating_sub(place.width.saturating_sub(1)));
             let shown: String = field.shown().chars().skip(hidden).collect();
             let empty = shown.is_empty();

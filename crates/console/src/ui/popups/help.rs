@@ -19,7 +19,7 @@ const KEYS: u16 = 14;
 /// Columns of the list.
 const WIDTH: u16 = 72;
 
-/// A line of the list: keys, words, and whether it can be done now.
+/// A line of the list: keys, words, and whether it is available now.
 struct Told {
     keys: String,
     words: String,
@@ -62,7 +62,7 @@ fn of_window(hints: &[(&str, &str)]) -> Vec<Told> {
     hints.iter().map(told).collect()
 }
 
-/// What belongs to the screen comes first.
+/// Verbs of the screen come first.
 fn of_screen(state: &State) -> Vec<Told> {
     let hidden =
         |entry: &&Entry| state.settings.read_only && entry.changes || !crate::app::tour::knows(state, entry.verb);

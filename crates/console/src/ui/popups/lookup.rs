@@ -1,4 +1,4 @@
-//! What was asked for by id: provenance of a record.
+//! The answer to a request by id: provenance of a record.
 
 use ratatui::layout::Rect;
 
@@ -13,19 +13,19 @@ use crate::ui::words::{size, wrap};
 
 /// Columns of the labels of provenance steps.
 const STEP: u16 = 14;
-/// The widest a view of a record grows.
+/// The greatest width of a record's view.
 const WIDEST: u16 = 110;
 
 pub(in crate::ui) type Piece = (String, Role);
 
-/// Draws where a record comes from and where it stands.
+/// Draws a record's provenance and state.
 pub fn draw_provenance(canvas: &mut Canvas, area: Rect, lookup: &Lookup<Provenance>) {
     draw(canvas, area, lookup, "Provenance of record", provenance_lines);
 }
 
 /// The steps of a record, in lines of that width.
 pub(in crate::ui) fn provenance_lines(view: &Provenance, width: u16) -> Vec<Vec<Piece>> {
-    // What the steps say themselves is not said before them: all of it should fit on a screen.
+    // What the steps say themselves is not repeated before them: all of it should fit on a screen.
     let mut lines: Vec<Vec<Piece>> = record_lines(&view.record).into_iter().take(2).collect();
     lines.push(Vec::new());
     let width = width.saturating_sub(STEP);
@@ -40,7 +40,8 @@ pub(in crate::ui) fn provenance_lines(view: &Provenance, width: u16) -> Vec<Vec<
     lines
 }
 
-/// Evidence in its width: where it does not fit, hashes are told by their ends (`authros uploads show` has all).
+/// Evidence in its width: if it does not fit, hashes are shortened to their ends (`authros uploads show` has them in
+/// full).
 fn fitted(evidence: &str, width: u16) -> String {
     const WHOLE: usize = 40;
     if columns(evidence) <= width {

@@ -1,4 +1,4 @@
-//! What lies over a screen: a frame in its middle, one file per popup.
+//! Popups over a screen: a frame in its middle, one file per popup.
 
 mod browse;
 mod chord;
@@ -46,7 +46,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
     }
 }
 
-/// A framed place of at most that size in the middle of `area`; the room inside.
+/// A framed area of at most that size in the middle of `area`; returns the space inside.
 fn framed(canvas: &mut Canvas, area: Rect, title: &str, width: u16, height: u16) -> Rect {
     let width = (width + 4).min(area.width.saturating_sub(2));
     let height = (height + 2).min(area.height);
@@ -55,7 +55,7 @@ fn framed(canvas: &mut Canvas, area: Rect, title: &str, width: u16, height: u16)
     canvas.frame(Rect { x, y, width, height }, title)
 }
 
-/// A framed text with lines broken where needed; the last line is the answer's.
+/// A framed text with wrapped lines; the last line is the answer's.
 fn draw_text(canvas: &mut Canvas, area: Rect, title: &str, lines: &[String], answer: &[(&str, Role)]) -> Rect {
     let widest = lines.iter().map(|line| columns(line)).max().unwrap_or(0);
     let width = widest.max(40).min(area.width.saturating_sub(6));
@@ -80,7 +80,7 @@ fn draw_confirm(canvas: &mut Canvas, area: Rect, state: &State, confirm: &Confir
         draw_text(canvas, area, &confirm.title, &lines, &[("› ", Role::Key), (&shown, Role::Warning)]);
         return;
     }
-    // What is to be looked at twice stands above the terms.
+    // What deserves a second look is above the terms.
     let room = caution_lines(&caution);
     let lines: Vec<String> = room.iter().map(|_| String::new()).chain(confirm.lines.iter().cloned()).collect();
     let answer =
@@ -91,7 +91,7 @@ fn draw_confirm(canvas: &mut Canvas, area: Rect, state: &State, confirm: &Confir
     }
 }
 
-/// The caution, marked so that it is read without colour too, in lines of a popup.
+/// The caution, marked so that it is visible without colour too, in lines of a popup.
 fn caution_lines(caution: &str) -> Vec<String> {
     if caution.is_empty() { Vec::new() } else { wrap(&format!("◐ {}", clean(caution, 500)), 60) }
 }

@@ -1,4 +1,4 @@
-//! An opened record: what it is above, below it one of its faces (values, plot, picture, fields, bytes).
+//! An opened record: its description, and below it one of its faces (values, plot, picture, fields, bytes).
 
 use ratatui::layout::Rect;
 
@@ -13,7 +13,7 @@ use crate::ui::theme::Role;
 use crate::ui::words::{size, wrap};
 use crate::ui::{plot, raster};
 
-/// The widest it grows.
+/// Its greatest width.
 const WIDEST: u16 = 120;
 
 /// Columns of the labels of values.
@@ -44,7 +44,7 @@ fn whole(canvas: &mut Canvas, area: Rect, title: &str, opening: &Opening, view: 
     inside(canvas, inner, opening, view);
 }
 
-/// An opened record: what it is, and below it the face in view.
+/// An opened record: its description, and below it the face in view.
 pub(in crate::ui) fn inside(canvas: &mut Canvas, inner: Rect, opening: &Opening, view: &OpenedView) {
     let head = head(view, inner.height);
     put_lines(canvas, inner, &head, 0);
@@ -67,7 +67,7 @@ pub(in crate::ui) fn inside(canvas: &mut Canvas, inner: Rect, opening: &Opening,
     }
 }
 
-/// What the record is; shorter where there is little room.
+/// The record's description; shorter if there is little room.
 fn head(view: &OpenedView, room: u16) -> Vec<Vec<Piece>> {
     let mut lines = vec![verdict_line(view.verdict)];
     let mut facts = record_lines(&view.record);
@@ -92,7 +92,7 @@ fn head(view: &OpenedView, room: u16) -> Vec<Vec<Piece>> {
     lines
 }
 
-/// The names of all faces; the one in view stands out.
+/// The names of all faces; the one in view is highlighted.
 fn faces(canvas: &mut Canvas, area: Rect, opening: &Opening, view: &OpenedView) {
     let shown = opening.shown();
     let mut rest = area;
@@ -155,7 +155,7 @@ fn fields(view: &OpenedView, width: u16) -> Vec<Vec<Piece>> {
     notes.chain(view.fields.iter().map(line)).collect()
 }
 
-/// As hex dumps are: place, sixteen bytes, what of them is ASCII.
+/// In the form of a hex dump: offset, sixteen bytes, their ASCII characters.
 fn bytes(view: &OpenedView) -> Vec<Vec<Piece>> {
     let line = |(at, chunk): (usize, &[u8])| {
         let hex: Vec<String> = chunk.iter().map(|byte| format!("{byte:02x}")).collect();

@@ -1,4 +1,4 @@
-//! What is so at this moment: who can read, who publishes a topic, what is under way.
+//! The present state: who can read, who publishes a topic, what is running.
 
 use ratatui::layout::Rect;
 
@@ -72,7 +72,7 @@ fn reader(row: &GrantRow) -> String {
     format!("  {name}, {}, {}", scope(&row.topics), end(row.expires))
 }
 
-/// Draws who publishes a topic: pinned, doubted.
+/// Draws who publishes a topic: pinned, suspect.
 pub fn draw_publishers(canvas: &mut Canvas, area: Rect, state: &State, lookup: &Lookup<PinsView>) {
     let lines = match &lookup.answer {
         None => vec![("Asking…".to_owned(), Role::Dim)],
@@ -99,7 +99,7 @@ fn publishers(state: &State, topic: &str, view: &PinsView) -> Vec<Line> {
     lines
 }
 
-/// When there are records of a topic: from when to when, a strip of signs, and what they mean.
+/// When there are records of a topic: from when to when, a strip of signs, and their meaning.
 pub fn coverage_lines(state: &State, topic: &str) -> Vec<Line> {
     let Some((of, answer)) = &state.detail.coverage else { return Vec::new() };
     match answer {
@@ -153,7 +153,7 @@ pub fn draw_line(canvas: &mut Canvas, area: Rect, line: &LogLine) {
     draw_lines(canvas, area, "Log line", &[(about, Role::Dim), (line.text.clone(), role)], 0);
 }
 
-/// Draws what is under way, what waits, and for how long.
+/// Draws what is running, what waits, and for how long.
 pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {
     let mut lines: Vec<Line> = state.work.iter().map(Tag::words).map(|words| (words, Role::Accent)).collect();
     lines.extend(state.progress.lines(state.shown_at()).into_iter().map(|line| (line, Role::Accent)));
@@ -177,7 +177,7 @@ pub fn draw_tasks(canvas: &mut Canvas, area: Rect, state: &State) {
     draw_lines(canvas, area, "Tasks", &lines, 0);
 }
 
-/// The site's background tasks: how many are at work, and each that is not or had to be begun again.
+/// The site's background tasks: how many are running, and each that is not or had to be restarted.
 fn workers(state: &State) -> Vec<Line> {
     let tasks: &[TaskView] = state.site.as_ref().map_or(&[], |site| &site.tasks);
     let running = tasks.iter().filter(|task| task.state == TaskState::Running).count();
@@ -219,7 +219,7 @@ fn records_on_their_way(state: &State) -> Vec<Line> {
     lines
 }
 
-/// How long what is pending takes at the present rates.
+/// How long what is pending will take at the present rates.
 fn left(pending: u64, captured: f64, verified: f64) -> String {
     if pending == 0 {
         return "all captured records are verified, held back or accounted for".to_owned();

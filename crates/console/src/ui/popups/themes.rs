@@ -9,7 +9,7 @@ use crate::model::clean;
 use crate::ui::canvas::{Canvas, right_of, row};
 use crate::ui::theme::Role;
 
-/// Draws the choice, with every role beside it as it looks.
+/// Draws the choice, with a sample of every role beside it.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, choice: &ThemeChoice) {
     let names = &state.settings.themes;
     let wanted = names.len().max(Role::ALL.len());

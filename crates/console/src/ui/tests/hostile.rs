@@ -1,4 +1,4 @@
-//! Hostile text in every place the site can put text: no foreign control reaches a cell.
+//! Hostile text in every place the site can put text: no foreign control character reaches a cell.
 
 use proptest::prelude::*;
 use ratatui::Terminal;

@@ -1,4 +1,4 @@
-//! A theme file: name, what it begins from, and the roles that look otherwise.
+//! A theme file: its name, its base, and the roles with another style.
 
 use std::collections::BTreeMap;
 
@@ -9,10 +9,10 @@ use toml::Spanned;
 use super::{Role, Shades, Theme, ThemeError};
 use crate::model::clean;
 
-/// What an operator's theme begins from unless it says otherwise.
+/// The default base of an operator's theme.
 const BASE: &str = "night";
 
-/// The look of one role, as written.
+/// The style of one role, as written.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(clippy::struct_excessive_bools, reason = "each is a key of the theme file")]
@@ -77,8 +77,8 @@ impl Source<'_> {
     }
 }
 
-/// A theme from the text of its file; what it does not name is as in its base among `known`.
-/// Where none is known, it must be whole.
+/// A theme from the text of its file; what it does not name is as in its base among `known`. If none is known, it must
+/// be complete.
 pub fn read(file: &str, text: &str, known: &[Theme]) -> Result<Theme, ThemeError> {
     let source = Source { file, text };
     let parsed: ThemeFile = toml::from_str(text).map_err(|error| {

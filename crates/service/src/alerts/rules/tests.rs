@@ -1,11 +1,11 @@
-//! Every rule begins one alert and ends it, by figures that are fed and a clock of the test's own.
+//! Every rule begins one alert and ends it, with given figures and the test's own clock.
 
 use super::*;
 use crate::service::alerts::Standing;
 use crate::service::alerts::state::Change;
 use crate::service::alerts::troubles::{before, grant, limits, troubles, well};
 
-/// A site that is well, then in trouble for three looks, then well again: the keys of what began and what ended.
+/// A site that is well, then in trouble for three looks, then well again: the keys of the alerts that began and ended.
 fn told(trouble: &dyn Fn(&mut Figures)) -> (Vec<String>, Vec<String>) {
     let (mut judge, mut standing) = (Judge::new(limits()), Standing::default());
     let (mut begun, mut ended) = (Vec::new(), Vec::new());

@@ -1,4 +1,4 @@
-//! Every rule at Debian's Alertmanager: it holds each alert from its beginning to its end.
+//! Every rule with Debian's Alertmanager: it holds each alert from its beginning to its end.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::collections::BTreeSet;
@@ -21,7 +21,7 @@ struct Alertmanager(Child);
 
 impl Drop for Alertmanager {
     fn drop(&mut self) {
-        // It may have ended by itself, which the test then says.
+        // It may have ended on its own, which the test then reports.
         drop(self.0.kill());
         drop(self.0.wait());
     }
@@ -38,7 +38,7 @@ fn start(folder: &std::path::Path, port: u16) -> Alertmanager {
     Alertmanager(child.expect("it starts"))
 }
 
-/// The keys of those that it holds and that are not over; `None` while it does not answer.
+/// The keys of the active alerts it holds; `None` while it does not answer.
 fn held(port: u16) -> Option<BTreeSet<String>> {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).ok()?;
     stream.write_all(b"GET /api/v2/alerts HTTP/1.0\r\n\r\n").ok()?;
@@ -59,7 +59,7 @@ fn held(port: u16) -> Option<BTreeSet<String>> {
 async fn every_rule_is_held_by_an_alertmanager_from_its_beginning_to_its_end() {
     if !std::path::Path::new(PROGRAM).exists() {
         let line = "\nSKIPPED site::alerts::at_alertmanager: no prometheus-alertmanager; tests/run installs it\n";
-        // Past the harness's capture, in one write.
+        // Bypasses the harness's capture, in one write.
         drop(std::io::stderr().write_all(line.as_bytes()));
         return;
     }

@@ -1,4 +1,4 @@
-//! The way from figures to a webhook: every rule, a webhook that refuses and hangs, and one that is dead for an hour.
+//! From figures to a webhook: every rule, a webhook that refuses and hangs, and one that is dead for an hour.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -14,7 +14,7 @@ use crate::service::figures::RobotFigures;
 use crate::site::Needs;
 use crate::site::testing::site_of;
 
-/// What a server took, and how many it refused or let wait before.
+/// What a server accepted, and how many it refused or stalled before.
 #[derive(Default)]
 struct Taken {
     bodies: Mutex<Vec<Value>>,
@@ -27,7 +27,7 @@ impl Taken {
     }
 }
 
-/// Answers whoever comes: the first `refusals` are refused, one more hangs where there were any, all others are taken.
+/// Answers every request: the first `refusals` are refused, one more hangs if there were any, all others are accepted.
 async fn serve(listener: TcpListener, refusals: usize, taken: Arc<Taken>) {
     let mut held = Vec::new();
     while let Ok((mut stream, _)) = listener.accept().await {
@@ -72,7 +72,7 @@ pub(super) async fn until(what: &str, done: impl Fn() -> bool) {
     panic!("{what}: not within two minutes");
 }
 
-/// A site that tells a webhook, and nothing else of it but the delivery at work.
+/// A site that alerts a webhook, with no other part than delivery running.
 fn telling(port: u16) -> (Arc<Site>, tempfile::TempDir) {
     let url = format!("http://127.0.0.1:{port}/");
     let settings = [("alerts.webhook", url.as_str()), ("alerts.grant_ends", "1h"), ("alerts.disk", "1000MiB")];
@@ -111,7 +111,7 @@ async fn every_rule_begins_once_and_ends_once_at_a_webhook_that_refuses_four_tim
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_hour_without_a_webhook_fills_a_bounded_queue_and_what_was_given_up_is_told_behind_it() {
-    // Nobody listens at this port until the hour is over.
+    // Nobody listens on this port until the hour is over.
     let port = TcpListener::bind("127.0.0.1:0").await.expect("a port").local_addr().expect("its address").port();
     let (site, folder) = telling(port);
     let mut changes = 0;
@@ -125,7 +125,7 @@ async fn an_hour_without_a_webhook_fills_a_bounded_queue_and_what_was_given_up_i
         changes += site.alerts.look(&figures).len();
     }
     let view = site.alerts.view();
-    // Robots are judged from the second minute on, and fall silent and come back every hundred seconds.
+    // Robots are judged from the second minute on, and fall silent and return every hundred seconds.
     assert!(changes > 250, "{changes}");
     let all = u64::try_from(changes).expect("few");
     assert_eq!((view.waiting, view.waiting + view.dropped), (200, all), "nothing went without being counted");

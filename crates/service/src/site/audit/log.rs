@@ -29,12 +29,12 @@ impl Log {
         Self { lines: AuditLog::new(ledger), counted: Refusals::default(), hub }
     }
 
-    /// The lines themselves, for checks of them all.
+    /// The lines themselves, for checks of all of them.
     pub fn lines(&self) -> &AuditLog {
         &self.lines
     }
 
-    /// Writes one line; it is durable when this returns.
+    /// Writes one line; durable when this returns.
     pub(crate) async fn write(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -46,12 +46,12 @@ impl Log {
         blocking(self, move |log| Ok(log.lines.append(entry)?)).await
     }
 
-    /// No durable line, no deed: written before what it tells of.
+    /// No durable line, no deed: written before the deed it announces.
     pub(crate) async fn begin(self: &Arc<Self>, owner: &Owner, action: &str, subject: &str) -> Result<(), Failure> {
         self.write(&owner.profile, action, subject, "begun").await
     }
 
-    /// How a deed ended that [`Self::begin`] announced.
+    /// The outcome of a deed announced by [`Self::begin`].
     pub(in crate::site) async fn end<T>(
         self: &Arc<Self>,
         owner: &Owner,
@@ -62,14 +62,14 @@ impl Log {
         let word = if outcome.is_ok() { "done" } else { "failed" };
         let written = self.write(&owner.profile, action, subject, word).await;
         let done = outcome?;
-        // The deed is done and was announced durably; that its end is not written down is told, not taken back.
+        // The deed is done and was announced durably; if its outcome cannot be written, that is reported, not undone.
         if let Err(failure) = written {
             self.hub.notice(NoticeLevel::Error, &failure.message);
         }
         Ok(done)
     }
 
-    /// A page of somebody's list is given out: a line before it, unless the same was asked within a minute.
+    /// A page of somebody's list is handed out: preceded by a line, unless the same was requested within a minute.
     pub(in crate::site) async fn asked(
         self: &Arc<Self>,
         owner: &Owner,
@@ -87,7 +87,7 @@ impl Log {
         written
     }
 
-    /// Whether this is to be a line of its own: the same was not asked by this name within the last minute.
+    /// Whether this gets a line of its own: the same was not requested under this name within the last minute.
     pub fn is_new_query(&self, name: &str, query: &str) -> bool {
         self.counted.is_new_query(Timestamp::now(), name, query)
     }
@@ -97,21 +97,21 @@ impl Log {
         self.counted.forget_query(name, query);
     }
 
-    /// Counts a refusal; a line per peer, code and minute tells how many there were. `peer` is a profile's name, or
-    /// what is known of a remote peer (no port: each connection has another); `code` is one of the program's. Returns
+    /// Counts a refusal; a line per peer, code and minute says how many there were. `peer` is a profile's name, or what
+    /// is known of a remote peer (no port: each connection has another); `code` is a constant of the program. Returns
     /// whether it is the first of its minute.
     pub(crate) fn refused(&self, peer: &str, code: &str) -> bool {
         self.counted.add(Timestamp::now(), peer, code)
     }
 
-    /// Counts a local refusal where there is one.
+    /// Counts a local refusal if there is one.
     pub fn count_refusal<T>(&self, owner: &Owner, outcome: &Result<T, PipelineError>) {
         if let Err(PipelineError::NotGranted { .. }) = outcome {
             let _first = self.refused(owner.profile.as_str(), "not_granted");
         }
     }
 
-    /// Writes the counters of ended minutes; all of them where `now` is `None`.
+    /// Writes the counters of past minutes; all of them if `now` is `None`.
     pub(in crate::site) async fn write_counted(self: &Arc<Self>, now: Option<Timestamp>) {
         let mut refusals = self.counted.take(now).into_iter();
         while let Some(((minute, peer, code), count)) = refusals.next() {
@@ -133,7 +133,7 @@ impl Log {
         }
     }
 
-    /// The newest lines that match, newest first.
+    /// The newest matching lines, newest first.
     pub(in crate::site) async fn list(self: &Arc<Self>, query: AuditQuery) -> Result<Vec<AuditView>, Failure> {
         let query = AuditQuery { limit: query.limit.clamp(1, PAGE), ..query };
         let mut lines = blocking(self, move |log| Ok(log.lines.list(&query)?)).await?;
@@ -141,7 +141,7 @@ impl Log {
         Ok(lines.into_iter().map(view).collect())
     }
 
-    /// The whole log as a file for others: one JSON document a line, addresses redacted unless asked for.
+    /// The whole log as a file for third parties: one JSON document a line, addresses redacted unless asked for.
     pub(in crate::site) async fn export(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -194,7 +194,7 @@ fn view(line: AuditLine) -> AuditView {
     }
 }
 
-/// What was asked for, in words: only the filters that are set.
+/// The query in words: only the filters that are set.
 fn query_text(query: &UploadQuery) -> String {
     let mut words = vec!["records".to_owned()];
     words.extend(query.owner.as_ref().map(|owner| format!("of {owner}")));

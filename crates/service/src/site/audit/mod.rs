@@ -3,7 +3,7 @@
 pub(crate) mod log;
 mod records;
 mod refusals;
-/// What of the two was stated; a fault of one does not hide what is wrong with the other.
+/// What both of two checks state; a failure of one does not hide what is wrong with the other.
 fn both<T>(log: Result<Option<T>, Failure>, recorder: Result<Option<T>, Failure>) -> Result<Option<T>, Failure> {
     match (log, recorder) {
         (Err(log), Err(recorder)) => Err(Failure::new(log.kind, format!("{}; {}", log.message, recorder.message))),
@@ -34,9 +34,9 @@ use crate::store::Reserve;
 
 pub(crate) use log::Log;
 
-/// How often it is looked whether something is to be written or anchored.
+/// How often to check whether something is to be written or anchored.
 const LOOK: Duration = Duration::from_secs(1);
-/// How often a lost reserve is tried to be set aside again.
+/// How often setting a lost reserve aside again is tried.
 const REFILL: Duration = Duration::from_secs(60);
 
 /// The audit of a site: of its log and of its records.
@@ -62,7 +62,8 @@ impl Audit {
         Self { config, plant, hub, log, owners, link, life, reserve, seen }
     }
 
-    /// Writes what was counted, anchors the heads of the log and of the recorder, sets a lost reserve aside again; until the site ends.
+    /// Writes the counters, anchors the heads of the log and of the recorder, sets a lost reserve aside again; until
+    /// the site ends.
     pub(in crate::site) async fn keep(self: Arc<Self>) {
         let mut refill = Instant::now();
         while !self.life.is_stopping() {
@@ -83,7 +84,7 @@ impl Audit {
 
     async fn anchor_heads(self: &Arc<Self>, owner: &Arc<Owner>) {
         let Some(network) = self.link.network_now() else { return };
-        // Keys that are being changed now must not sign; the next look comes soon.
+        // Keys that are being changed must not sign now; the next look comes soon.
         let Ok(_one_at_a_time) = owner.changes.try_lock() else { return };
         let (of, every) = (Arc::clone(owner), self.config.audit_every);
         let stated = blocking(self, move |audit| {

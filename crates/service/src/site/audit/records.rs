@@ -15,7 +15,7 @@ use crate::site::blocking;
 
 /// How often the scrubber does its share.
 const SHARE_EVERY: Duration = Duration::from_secs(5);
-/// Most records that it does at once.
+/// The most records it checks at once.
 const MOST_AT_ONCE: usize = 256;
 
 impl Audit {
@@ -37,7 +37,7 @@ impl Audit {
         .await
     }
 
-    /// Re-hashes the share of the stored records that `audit.scrub` asks for, until the site ends.
+    /// Re-hashes the share of the stored records set by `audit.scrub`, until the site ends.
     pub(in crate::site) async fn keep_scrubbing(self: Arc<Self>) {
         let percent = self.config.scrub_percent;
         let mut due = 0.0_f64;

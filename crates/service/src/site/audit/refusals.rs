@@ -1,32 +1,32 @@
-//! What is counted instead of written line by line: refusals per peer, code and minute, and queries asked again.
+//! What is counted instead of written line by line: refusals per peer, code and minute, and repeated queries.
 //!
-//! So a peer that is refused a thousand times a second, or a screen that is drawn anew, cannot fill the audit log.
+//! This way a peer that is refused a thousand times a second, or a screen that is redrawn, cannot fill the audit log.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use crate::model::{Timestamp, clean};
 
-/// Counters kept at most; what comes beyond is counted under [`OTHERS`].
+/// The most counters kept; beyond that, refusals are counted under [`OTHERS`].
 const MOST: usize = 1024;
-/// Queries remembered at most; beyond, each is a line of its own.
+/// The most queries remembered; beyond that, each gets a line of its own.
 const MOST_QUERIES: usize = 256;
-/// Where further peers are counted.
+/// The name under which further peers are counted.
 pub const OTHERS: &str = "other peers";
 
 const MINUTE: u64 = 60_000_000_000;
 
-/// One counter: the minute since 1970, who, and the constant code.
+/// One counter: the minute since 1970, the peer, and the constant code.
 pub type Refusal = (u64, String, String);
 
-/// A query that was asked again within its minute.
+/// A query repeated within its minute.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Repeated {
-    /// Who asked.
+    /// The asking profile.
     pub profile: String,
-    /// What.
+    /// The query.
     pub query: String,
-    /// How often again.
+    /// The number of repetitions.
     pub times: u64,
 }
 
@@ -46,7 +46,7 @@ impl Refusals {
         self.asked.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Counts a refusal; returns whether it is the first that its counter has.
+    /// Counts a refusal; returns whether it is the first of its counter.
     pub fn add(&self, at: Timestamp, peer: &str, code: &str) -> bool {
         let mut counts = self.counts();
         let (peer, code) = (clean(peer, 100), clean(code, 60));
@@ -63,7 +63,7 @@ impl Refusals {
         *count == 1
     }
 
-    /// Takes the counters of the minutes that have ended at `now`; all of them where `now` is `None`.
+    /// Takes the counters of the minutes that have ended at `now`; all of them if `now` is `None`.
     pub fn take(&self, now: Option<Timestamp>) -> Vec<(Refusal, u64)> {
         let mut counts = self.counts();
         let running = match now {
@@ -73,7 +73,7 @@ impl Refusals {
         std::mem::replace(&mut *counts, running).into_iter().collect()
     }
 
-    /// Puts counters back that could not be written.
+    /// Puts back counters that could not be written.
     pub fn put_back(&self, refusals: Vec<(Refusal, u64)>) {
         let mut counts = self.counts();
         for (key, count) in refusals {
@@ -81,7 +81,7 @@ impl Refusals {
         }
     }
 
-    /// Whether a query is to be a line of its own: it was not asked by this profile within the last minute.
+    /// Whether a query gets a line of its own: this profile did not ask it within the last minute.
     pub fn is_new_query(&self, at: Timestamp, profile: &str, query: &str) -> bool {
         let mut asked = self.asked();
         let key = (profile.to_owned(), query.to_owned());
@@ -90,7 +90,7 @@ impl Refusals {
             return false;
         }
         if asked.len() < MOST_QUERIES {
-            // What was counted before is told with `repeated`, which is asked every second.
+            // What was counted before is reported by `repeated`, which is called every second.
             asked.entry(key).or_insert((at, 0));
         }
         true
@@ -101,7 +101,7 @@ impl Refusals {
         self.asked().remove(&(profile.to_owned(), query.to_owned()));
     }
 
-    /// Takes the queries whose minute has ended at `now` (all where it is `None`), as far as they were asked again.
+    /// Takes the queries whose minute has ended at `now` (all if it is `None`) and that were repeated.
     pub fn repeated(&self, now: Option<Timestamp>) -> Vec<Repeated> {
         let mut asked = self.asked();
         let ended = |first: &Timestamp| now.is_none_or(|now| now.0.saturating_sub(first.0) >= MINUTE);

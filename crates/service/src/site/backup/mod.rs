@@ -1,4 +1,4 @@
-//! Back-up of a running home: ledger, vault and chain as of one moment, then the small files, sealed into one file.
+//! Backup of a running home: ledger, vault and chain as of one moment, then the small files, sealed into one file.
 
 #[cfg(test)]
 mod tests;
@@ -29,14 +29,14 @@ use crate::service::reply::{BackupView, Failure};
 use crate::store::snapshot::Snapshot;
 use crate::store::{StoreError, archive};
 
-/// What copies are called in the back-up, and where they lie in a home.
+/// The names of copies in the backup, and their places in a home.
 pub const LEDGER: &str = "ledger.db";
 const VAULT: &str = "vault/vault.db";
 const CHAIN: &str = "chain/chain.db";
-/// What belongs to the running process, or is made anew: by the beginning of its name.
+/// Files that belong to the running process, or are recreated: by the beginning of the name.
 const LEFT_OUT: [&str; 5] = ["backup.lock", "backup.sock", "reserve", ".new-", ".back-up-"];
 
-/// Back-ups of a running home.
+/// Backups of a running home.
 pub(in crate::site) struct Backup {
     home: Home,
     config: Arc<Config>,
@@ -55,7 +55,7 @@ impl Backup {
 }
 
 impl Backup {
-    /// Writes the home into one sealed file, 0600, never over another; a crash leaves none.
+    /// Writes the home into one sealed file, 0600, never overwriting another; a crash leaves none.
     pub(super) async fn back_up(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -74,7 +74,7 @@ impl Backup {
         }
         self.log.write(profile, "back up", &shown, "begun").await?;
         let runtime = Handle::current();
-        // Whatever deletes ciphertext before the ledger says so waits until the moment is taken.
+        // Work that deletes ciphertext before the ledger records it waits until the moment is taken.
         let quiet = self.quarantine.quiet().await;
         let moment = blocking(self, move |backup| backup.moment(&runtime)).await?;
         drop(quiet);
@@ -147,7 +147,7 @@ impl Backup {
     }
 }
 
-/// Puts every other file of the home into the back-up.
+/// Adds every other file of the home to the backup.
 struct Small<'a, W> {
     sealed: &'a mut W,
     view: &'a mut BackupView,
@@ -180,7 +180,7 @@ impl<W: Write> Small<'_, W> {
         }
     }
 
-    /// What lies in a folder of its own, if it is there. Settings are often links into a folder that is kept elsewhere.
+    /// The files in a folder of its own, if it exists. Settings are often links into a folder elsewhere.
     fn outside(&mut self, name: &str, path: &Path) -> io::Result<()> {
         match fs::metadata(path) {
             Ok(about) => self.entry(name, path, about.file_type()),
@@ -190,7 +190,7 @@ impl<W: Write> Small<'_, W> {
     }
 }
 
-/// The databases of one moment; the temporary folder goes with it.
+/// The databases of one moment; the temporary folder is removed with it.
 struct Moment {
     folder: tempfile::TempDir,
     ledger: Snapshot,
@@ -199,7 +199,7 @@ struct Moment {
     chain: bool,
 }
 
-/// Copies the embedded chain; whether there is one.
+/// Copies the embedded chain; returns whether there is one.
 fn copy_chain(chain: Option<Chain>, runtime: &Handle, closed: &Path, copy: PathBuf) -> Result<bool, StoreError> {
     let failed = |detail: String| StoreError::Database { file: closed.to_owned(), detail };
     if let Some(chain) = chain

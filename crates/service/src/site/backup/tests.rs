@@ -1,4 +1,4 @@
-//! A back-up: whole, sealed, never over another file, and of one moment.
+//! A backup: complete, sealed, never overwriting another file, and of one moment.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::os::unix::fs::PermissionsExt as _;
@@ -60,7 +60,7 @@ async fn the_moment_waits_for_what_deletes_ciphertext() {
         let (backup, file) = (Arc::clone(&backup), file.clone());
         async move { backup.back_up(&profile("alice"), file, secret()).await }
     });
-    // Until it is announced, which comes right before the moment.
+    // Until it is announced, which happens right before the moment.
     loop {
         tokio::select! {
             done = &mut running => panic!("ended while records were being deleted: {done:?}"),

@@ -1,5 +1,5 @@
-//! Which records come next: all that are there in the order of their capture, or, followed live, whatever is verified
-//! from now on, each stream in its order.
+//! Which records come next: all stored ones in the order of their capture, or, followed live, those verified from now
+//! on, each stream in its order.
 
 use std::collections::{HashMap, HashSet};
 use std::time::{Duration, Instant};
@@ -10,16 +10,16 @@ use crate::service::command::{Pace, PlayWishes};
 use crate::service::reply::Failure;
 use crate::store::{Ledger, RecordQuery, RecordRow};
 
-/// Records asked of the ledger at a time.
+/// Records requested from the ledger at a time.
 const PAGE: usize = 500;
 
-/// How far back a live feed looks for records that are not verified yet when it begins, nanoseconds.
+/// How far back a live feed, when it begins, looks for records that are not verified yet, nanoseconds.
 const BEFORE: u64 = 60_000_000_000;
 
-/// How much later than its neighbours a record may come into the ledger and still be seen at once, nanoseconds.
+/// How much later than its neighbours a record may enter the ledger and still be seen at once, nanoseconds.
 const SLACK: u64 = 500_000_000;
 
-/// How much later it may come at all, nanoseconds; looked for every so often.
+/// How much later it may come at all, nanoseconds; checked every so often.
 const LATE: u64 = 30_000_000_000;
 const LATE_LOOK: Duration = Duration::from_secs(10);
 
@@ -29,22 +29,22 @@ const LISTING: Duration = Duration::from_millis(500);
 /// A record that may be played.
 pub(super) struct Item {
     pub row: RecordRow,
-    /// Played only where its publisher latches: it was verified before a live feed began.
+    /// Played only if its publisher latches: it was verified before a live feed began.
     pub only_latched: bool,
 }
 
-/// What comes next.
+/// The next step.
 pub(super) struct Round {
     pub items: Vec<Item>,
     /// Nothing comes after it.
     pub is_last: bool,
 }
 
-/// Where records come from.
+/// The source of records.
 pub(super) enum Feed {
-    /// What is there.
+    /// Stored records.
     Past(Box<RecordQuery>),
-    /// What is verified from now on.
+    /// Records verified from now on.
     Live(Live),
 }
 
@@ -54,15 +54,15 @@ pub(super) struct Live {
     streams: HashMap<(Address, TopicId), Stream>,
     listed: Option<Instant>,
     looked_late: Option<Instant>,
-    /// What could not be played yet; its streams wait for it.
+    /// Records that could not be played yet; their streams wait for them.
     pending: Vec<Item>,
 }
 
 #[derive(Default)]
 struct Stream {
-    /// Nothing that was captured before is played.
+    /// Nothing captured before this is played.
     floor: Timestamp,
-    /// Everything before was given out.
+    /// Everything before this was given out.
     low: Timestamp,
     newest: Timestamp,
     done: HashMap<Digest, Timestamp>,
@@ -100,7 +100,7 @@ impl Feed {
         }
     }
 
-    /// A record that could not be played now is given out once more.
+    /// A record that could not be played now is given out again.
     pub fn again(&mut self, item: Item) {
         if let Self::Live(live) = self {
             live.pending.push(item);
@@ -132,8 +132,8 @@ impl Live {
         Ok(Round { items, is_last: false })
     }
 
-    /// Follows the streams that are not followed yet. At the very beginning what is verified already is not played
-    /// again, but the newest of each stream may be latched.
+    /// Follows the streams not followed yet. At the very beginning, records already verified are not played again, but
+    /// the newest of each stream may be latched.
     fn list(&mut self, ledger: &Ledger, givers: &HashMap<Address, Scope>) -> Result<Vec<Item>, Failure> {
         let is_first = self.listed.is_none();
         let low = Timestamp(Timestamp::now().0.saturating_sub(BEFORE));
@@ -155,7 +155,7 @@ impl Live {
 }
 
 impl Stream {
-    /// Notes what is verified already as done; the newest of it.
+    /// Marks verified records as done; returns the newest of them.
     fn skip_verified(&mut self, ledger: &Ledger, key: (Address, TopicId)) -> Result<Option<Item>, Failure> {
         let verified = RecordQuery { state: Some(RecordState::Verified), ..of_stream(key) };
         let mut query = RecordQuery { since: Some(self.low), ..verified.clone() };
@@ -171,8 +171,8 @@ impl Stream {
         Ok(newest.rows.into_iter().next().map(|row| Item { row, only_latched: true }))
     }
 
-    /// Gives out what is settled, up to the first record that is on its way still: behind it the others wait, so that
-    /// their order stays.
+    /// Gives out settled records, up to the first that is not settled yet: later ones wait behind it, so that their
+    /// order stays.
     fn take(
         &mut self,
         ledger: &Ledger,
@@ -194,7 +194,7 @@ impl Stream {
                     break 'pages;
                 }
                 self.done.insert(row.digest, row.captured_at);
-                // A clock that is ahead leaves the others' records behind no more than ours.
+                // A clock that is ahead does not put the others' records behind any more than ours.
                 self.newest = self.newest.max(row.captured_at.min(now));
                 ready.push(row);
             }

@@ -1,4 +1,4 @@
-//! Into the reader's ROS: records that others share, each checked first, published in a graph as they were captured.
+//! Into the reader's ROS: records shared by others, each checked first, published in a graph as they were captured.
 
 mod feed;
 mod names;
@@ -33,10 +33,10 @@ use names::Names;
 use play::{Ends, Play};
 use stage::Stage;
 
-/// How the nodes that play are named; what captures is named otherwise.
+/// The name prefix of nodes that play; nodes that capture have another.
 const NODE: &str = "/authros_play_";
 
-/// What is being played, and how it is told to end.
+/// A playback, and how to end it.
 type Running = Mutex<Vec<(ProfileName, Arc<watch::Sender<bool>>)>>;
 
 /// Shared records on their way into ROS graphs.
@@ -52,7 +52,7 @@ pub(in crate::site) struct Bridge {
     running: Running,
 }
 
-/// Takes what is played off the list when it ends, however it ends.
+/// Removes a playback from the list when it ends, however it ends.
 struct Listed<'a> {
     running: &'a Running,
     stop: Arc<watch::Sender<bool>>,
@@ -73,7 +73,7 @@ impl Bridge {
         Self { config, plant, hub, log, link, life, contacts, ros, running: Running::default() }
     }
 
-    /// Ends what a profile plays; the answers follow.
+    /// Ends a profile's playback; the answers follow.
     pub(in crate::site) fn stop(&self, profile: &ProfileName) {
         let running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
         running.iter().filter(|(owner, _)| owner == profile).for_each(|(_, stop)| {
@@ -81,7 +81,7 @@ impl Bridge {
         });
     }
 
-    /// Plays until all is played, a right ends, or somebody ends it; `gone` tells that nobody waits any more.
+    /// Plays until all is played, a right ends, or somebody ends it; `gone` resolves when nobody waits any more.
     pub(in crate::site) async fn play(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -105,7 +105,7 @@ impl Bridge {
         self.log.end(owner, "play records", &subject, played).await
     }
 
-    /// Who shares with the reader now, as far as asked for.
+    /// Those who share with the reader now, limited to the request.
     fn givers(
         &self,
         owner: &Owner,
@@ -127,11 +127,11 @@ impl Bridge {
         }
     }
 
-    /// The node that will publish, once it is sure that no loop comes about.
+    /// The node that will publish, once it is certain that there is no loop.
     async fn stage(&self, wishes: &PlayWishes, names: &Names) -> Result<Stage, Failure> {
         let own = match (self.ros.is_wanted(), &self.config.ros_master) {
             (false, _) => None,
-            // While it is away the site captures from it all the same, as soon as it is back.
+            // While it is away, the site will still capture from it as soon as it is back.
             (true, Some(named)) => Some(named.clone()),
             (true, None) => Some(self.ros.uri().await?),
         };

@@ -1,4 +1,4 @@
-//! Under which names topics are played, and whether these keep what is played apart from what is captured.
+//! The names under which topics are played, and whether they keep played topics apart from captured ones.
 
 use std::collections::HashMap;
 
@@ -9,16 +9,16 @@ use crate::service::reply::Failure;
 
 /// The names of one playing.
 pub(super) struct Names {
-    /// Without a slash at its end.
+    /// Without a trailing slash.
     prefix: Option<String>,
     remaps: HashMap<String, String>,
 }
 
 impl Names {
-    /// As wished for.
+    /// As requested.
     ///
     /// # Errors
-    /// Where a name is remapped twice.
+    /// If a name is remapped twice.
     pub fn of(wishes: &PlayWishes) -> Result<Self, Failure> {
         let mut remaps = HashMap::new();
         for remap in &wishes.remaps {
@@ -30,12 +30,12 @@ impl Names {
         Ok(Self { prefix, remaps })
     }
 
-    /// What all but remapped names begin with.
+    /// The prefix of all names except remapped ones.
     pub fn prefix(&self) -> Option<String> {
         self.prefix.clone()
     }
 
-    /// The name under which a topic is played; `None` where it would be none.
+    /// The name under which a topic is played; `None` if it would not be valid.
     pub fn played(&self, topic: &str) -> Option<String> {
         if let Some(name) = self.remaps.get(topic) {
             return Some(name.clone());
@@ -44,7 +44,7 @@ impl Names {
         name.parse::<TopicName>().ok().map(|name| name.to_string())
     }
 
-    /// Whether every name is under a prefix, so that the graph from which this site captures can take them.
+    /// Whether every name is under a prefix, so that the graph from which this site captures can accept them.
     ///
     /// # Errors
     /// What to do instead.

@@ -1,4 +1,4 @@
-//! When the next message is due, by the times of the capture, and the clock that tells these times.
+//! When the next message is due, by the times of the capture, and the clock that shows these times.
 
 use std::time::{Duration, Instant};
 
@@ -6,13 +6,13 @@ use crate::model::Timestamp;
 use crate::ros::{Advertised, md5sum};
 use crate::service::command::Pace;
 
-/// Between two messages of the clock, as `rosbag play --clock` has it.
+/// Interval between messages of the clock, as in `rosbag play --clock`.
 pub(super) const TICK: Duration = Duration::from_millis(10);
 
 const CLOCK: &str = "rosgraph_msgs/Clock";
 const DEFINITION: &str = "# The time of the capture, as this is played\ntime clock\n";
 
-/// The pace of one playing.
+/// The pace of one playback.
 pub(super) struct Pacer {
     thousandths: Option<u64>,
     /// The first message's time, and when it was played.
@@ -28,7 +28,7 @@ impl Pacer {
         Self { thousandths, begun: None }
     }
 
-    /// How long a message of this time is still to wait.
+    /// How long until a message of this time is due.
     pub fn wait(&mut self, at: Timestamp, now: Instant) -> Duration {
         let Some(thousandths) = self.thousandths else { return Duration::ZERO };
         let (first, begun) = *self.begun.get_or_insert((at, now));
@@ -37,7 +37,7 @@ impl Pacer {
         after.saturating_sub(now.saturating_duration_since(begun))
     }
 
-    /// The time of the capture now, once playing has begun.
+    /// The current time of the capture, once playing has begun.
     pub fn clock(&self, now: Instant) -> Option<Timestamp> {
         let (first, begun) = self.begun?;
         let since = now.saturating_duration_since(begun).as_nanos() * u128::from(self.thousandths?) / 1000;

@@ -1,4 +1,4 @@
-//! One playing: each record opened through the same checks as for the eye, and published only while its owner still
+//! One playback: each record is opened with the same checks as for viewing, and published only while its owner still
 //! shares it.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -25,25 +25,25 @@ use crate::service::command::{Pace, PlayWishes};
 use crate::service::reply::{Failure, PlayEnd, PlayedView};
 use crate::site::lifetime::Lifetime;
 
-/// Between two looks at what was verified meanwhile.
+/// Interval between looks for newly verified records.
 const LOOK: Duration = Duration::from_millis(200);
 
-/// Between two looks at the rights; beside these each record is asked for just before it is published.
+/// Interval between looks at the rights; in addition, the right to each record is checked just before it is published.
 const RIGHTS: Duration = Duration::from_millis(20);
 
-/// Longest sleep without a look at what may end the playing.
+/// The longest sleep without a look at what may end the playback.
 const NAP: Duration = Duration::from_millis(50);
 
-/// How long a subscriber that is far behind is waited for, before it loses messages.
+/// How long a subscriber that is far behind is waited for before it loses messages.
 const CROWD: Duration = Duration::from_secs(5);
 
 /// How long subscribers get for the rest of their queues at an orderly end.
 const FAREWELL: Duration = Duration::from_secs(5);
 
-/// Between two registrations at the master.
+/// Interval between registrations at the master.
 const REGISTERING: Duration = Duration::from_secs(5);
 
-/// The most reasons of refusals that are told, and definitions kept in memory.
+/// The most reasons of refusals reported, and the most definitions kept in memory.
 const MOST_REASONS: usize = 20;
 const MOST_DEFINITIONS: usize = 1024;
 
@@ -70,29 +70,29 @@ impl Ends {
     }
 }
 
-/// What became of a record.
+/// The outcome for a record.
 enum Taken {
-    /// Played, or counted, or not asked for.
+    /// Played, or counted, or not requested.
     Done,
     /// It cannot be checked now.
     Later,
-    /// The playing is over.
+    /// The playback is over.
     Ended(PlayEnd),
 }
 
-/// A record that passed every check, with what it is played as.
+/// A record that passed every check, with its source and name for playing.
 struct Checked {
     record: OpenedRecord,
     about: Advertised,
 }
 
-/// A playing under way.
+/// A running playback.
 pub(super) struct Play<'a> {
     bridge: &'a Bridge,
     network: Network,
     owner: &'a Arc<Owner>,
     givers: HashMap<Address, Scope>,
-    /// By which transaction each giver granted what is played.
+    /// The transaction by which each owner granted what is played.
     granted: HashMap<Address, Hash>,
     wishes: &'a PlayWishes,
     names: Names,
@@ -151,7 +151,7 @@ impl<'a> Play<'a> {
     /// Plays to the end.
     ///
     /// # Errors
-    /// Where chain, vault, ledger or master fail; what was queued is not sent then.
+    /// If chain, vault, ledger or master fail; what was queued is not sent then.
     pub async fn run(mut self) -> Result<PlayedView, Failure> {
         let begun = Instant::now();
         let mut ended = self.rounds().await;
@@ -174,7 +174,7 @@ impl<'a> Play<'a> {
         })
     }
 
-    /// Gives subscribers the rest of their queues, as long as the right lasts.
+    /// Sends subscribers the rest of their queues, as long as the right lasts.
     async fn farewell(&mut self, end: PlayEnd) -> PlayEnd {
         if end.is_by_right() {
             return end;
@@ -255,7 +255,7 @@ impl<'a> Play<'a> {
         }
     }
 
-    /// As what a record is played, or why it is not.
+    /// How a record is played, or why it is not.
     async fn described(
         &mut self,
         item: &Item,
@@ -301,7 +301,7 @@ impl<'a> Play<'a> {
         if let Some(end) = self.until_due(due).await {
             return Ok(Taken::Ended(end));
         }
-        // Opened a while ago, perhaps: the right is asked for once more.
+        // It may have been opened a while ago: the right is checked again.
         if !self.givers.contains_key(&item.row.owner) {
             return Ok(self.refuse(NO_RIGHT.to_owned()));
         }
@@ -324,7 +324,7 @@ impl<'a> Play<'a> {
         self.wishes.topics.is_empty() || self.wishes.topics.iter().any(|pattern| pattern.matches(topic))
     }
 
-    /// Waits until the moment of a message, and for subscribers that are far behind.
+    /// Waits until a message is due, and for subscribers that are far behind.
     async fn until_due(&mut self, due: Option<Timestamp>) -> Option<PlayEnd> {
         let mut crowded_since = None;
         loop {
@@ -346,7 +346,7 @@ impl<'a> Play<'a> {
         }
     }
 
-    /// Waits for the chain, without which nobody knows who may read what.
+    /// Waits for the chain: without it nobody knows who may read what.
     async fn connected(&mut self) -> Option<PlayEnd> {
         loop {
             if let Some(end) = self.end() {
@@ -360,7 +360,7 @@ impl<'a> Play<'a> {
         }
     }
 
-    /// What has ended the playing by now.
+    /// The reason to end the playback, if there is one by now.
     fn end(&mut self) -> Option<PlayEnd> {
         if let Some(end) = self.ends.now() {
             return Some(end);
@@ -372,7 +372,7 @@ impl<'a> Play<'a> {
         self.right_ended()
     }
 
-    /// A record that does not open is counted; what is no fault of the record ends the playing, or is tried again.
+    /// A record that does not open is counted; a failure that is not the record's ends the playback, or is retried.
     fn judge(&mut self, error: PipelineError) -> Result<Taken, Failure> {
         let follows = self.wishes.pace == Pace::Follow;
         match (&error, error.kind()) {
@@ -420,7 +420,7 @@ impl<'a> Play<'a> {
         if !self.wishes.clock {
             return Ok(());
         }
-        // Nodes read the time under this one name; where this site captures it would be captured.
+        // Nodes read the time under this one name; on a graph this site captures from, it would be captured.
         let prefixed = if self.stage.is_captured() { self.names.played("/clock") } else { None };
         let topic = prefixed.unwrap_or_else(|| "/clock".to_owned());
         let shown = self.stage.show_plain(&clock_topic(topic.clone()))?;

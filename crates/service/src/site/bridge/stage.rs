@@ -1,5 +1,5 @@
-//! The node that publishes, and what it shows: each topic as its publishers described it, unless that would mix with
-//! somebody else's.
+//! The node that publishes, and its topics: each as its publishers described it, unless that would mix with somebody
+//! else's.
 
 use std::collections::{BTreeMap, HashMap};
 use std::time::{Duration, Instant};
@@ -12,19 +12,19 @@ use crate::model::{Address, clean};
 use crate::ros::{Advertised, Graph, Publisher};
 use crate::service::reply::Failure;
 
-/// How long playing waits for subscribers that the master knows, in all.
+/// How long playing waits for the subscribers known to the master, in total.
 const WELCOME: Duration = Duration::from_secs(5);
 
-/// The most topics of one playing.
+/// The most topics of one playback.
 const MOST_TOPICS: usize = 500;
 
-/// How the nodes that capture are named.
+/// The name prefix of the nodes that capture.
 const CAPTURING: &str = "/authros_";
 
-/// A topic that is shown.
+/// A published topic.
 struct Shown {
     about: Advertised,
-    /// Whose messages by which source.
+    /// The owner and source of its messages.
     sources: BTreeMap<u64, Address>,
 }
 
@@ -33,17 +33,17 @@ pub(super) struct Stage {
     uri: String,
     graph: Graph,
     publisher: Publisher,
-    /// Under it no name is anybody else's.
+    /// No name under it belongs to anybody else.
     prefix: Option<String>,
     is_captured: bool,
     shown: HashMap<String, Shown>,
-    /// Topics that are not shown, and why not.
+    /// Topics that are not published, and why.
     declined: HashMap<String, String>,
-    /// What is left of the wait for subscribers.
+    /// The remaining wait for subscribers.
     patience: Duration,
 }
 
-/// Where a message comes from.
+/// The source of a message.
 pub(super) fn source_of(owner: Address, caller_id: &str) -> u64 {
     let mut hasher = Sm3Hasher::new();
     hasher.update(&owner.0);
@@ -53,7 +53,7 @@ pub(super) fn source_of(owner: Address, caller_id: &str) -> u64 {
 }
 
 impl Stage {
-    /// A node in a graph, from which this site captures or not.
+    /// A node in a graph; this site may capture from the graph or not.
     pub fn new(uri: String, graph: Graph, publisher: Publisher, prefix: Option<String>, is_captured: bool) -> Self {
         let (shown, declined) = (HashMap::new(), HashMap::new());
         Self { uri, graph, publisher, prefix, is_captured, shown, declined, patience: WELCOME }
@@ -69,10 +69,10 @@ impl Stage {
         &self.uri
     }
 
-    /// Shows a topic for a source of its messages; why not, where it cannot be shown so.
+    /// Publishes a topic for a source of its messages; returns the reason if it cannot.
     ///
     /// # Errors
-    /// Where the master does not answer.
+    /// If the master does not answer.
     pub fn show(&mut self, about: &Advertised, owner: Address, source: u64) -> Result<Result<(), String>, Failure> {
         if let Some(why) = self.declined.get(&about.topic) {
             return Ok(Err(why.clone()));
@@ -123,15 +123,15 @@ impl Stage {
         Ok(capturing.map(|node| format!("{topic} is captured by {} there; give a --prefix", clean(node, 120))))
     }
 
-    /// Shows a topic that is no record's, `/clock`.
+    /// Publishes a topic that is not a record's, `/clock`.
     ///
     /// # Errors
-    /// As [`Self::show`].
+    /// See [`Self::show`].
     pub fn show_plain(&mut self, about: &Advertised) -> Result<Result<(), String>, Failure> {
         self.show(about, Address([0; 20]), 0)
     }
 
-    /// Publishes one message of a topic that is shown.
+    /// Publishes one message of a published topic.
     pub fn publish(&self, topic: &str, source: u64, body: &[u8]) -> bool {
         self.publisher.publish(topic, source, body)
     }
@@ -141,17 +141,17 @@ impl Stage {
         self.publisher.is_crowded()
     }
 
-    /// Waits no more for subscribers that are far behind now.
+    /// Stops waiting for subscribers that are far behind now.
     pub fn outrun(&self) {
         self.publisher.outrun();
     }
 
-    /// Registers all topics once more; a master that is away is tried again later.
+    /// Registers all topics again; a master that is away is tried again later.
     pub fn register_again(&self) {
         drop(block_in_place(|| self.publisher.register_again()));
     }
 
-    /// Takes back at once what an owner's messages have shown.
+    /// Withdraws at once what an owner's messages have published.
     pub fn silence(&mut self, owner: Address) {
         let (mut cut, mut silenced) = (Vec::new(), Vec::new());
         self.shown.retain(|topic, shown| {
@@ -180,8 +180,8 @@ impl Stage {
         self.publisher.is_sent()
     }
 
-    /// Ends; what is queued still is not sent. Messages that subscribers did not get, without those that a right's end
-    /// has taken back.
+    /// Ends; what is still queued is not sent. Returns the number of messages that subscribers did not get, without
+    /// those withdrawn when a right ended.
     pub fn finish(self, by_right: bool) -> u64 {
         block_in_place(|| {
             if by_right {

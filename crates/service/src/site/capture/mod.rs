@@ -1,4 +1,4 @@
-//! Captures with an end: so many messages, so long, or until told; answered when all is verified.
+//! Captures with an end: a number of messages, a duration, or until told; answered when all is verified.
 
 mod policy;
 pub(super) mod ros;
@@ -33,10 +33,10 @@ use crate::service::event::NoticeLevel;
 use crate::service::failure::input;
 use crate::service::reply::{CaptureSummary, Failure, TopicSummary};
 
-/// How long to wait before looking again whether a latched message came.
+/// How long to wait before checking again whether a latched message came.
 const TICK: Duration = Duration::from_millis(50);
 
-/// What is captured, and by which rules.
+/// Captures, and the rules for them.
 pub(in crate::site) struct Capture {
     config: Arc<Config>,
     plant: Plant,
@@ -86,7 +86,7 @@ impl Capture {
 }
 
 impl Capture {
-    /// Runs one capture; registers the owner first where needed.
+    /// Runs one capture; registers the owner first if needed.
     pub(super) async fn capture(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -103,7 +103,7 @@ impl Capture {
         if owner.sealing().is_none() {
             self.profiles.register(owner).await?;
         } else {
-            // Whoever waits for verified records is told at once where there is no chain to verify them.
+            // Somebody who waits for verified records is told at once if there is no chain to verify them.
             self.link.network().await?;
         }
         let names: Vec<String> = topics.iter().map(ToString::to_string).collect();
@@ -132,7 +132,7 @@ impl Capture {
         Ok(summary(&session))
     }
 
-    /// So long, or as long as the first message of a latched ROS 2 topic takes to come.
+    /// This long, or as long as the first message of a latched ROS 2 topic takes to arrive.
     async fn last(&self, asked: Duration, topics: &[TopicName], session: &CaptureSession) {
         let begun = Instant::now();
         tokio::time::sleep(asked).await;
@@ -164,7 +164,7 @@ impl Capture {
         self.ros.wishes_changed();
     }
 
-    /// This too is ended by the command that ends captures.
+    /// The command that ends captures ends this, too.
     pub fn note(&self, profile: &ProfileName, session: &Arc<CaptureSession>) {
         let mut running = self.running.lock().unwrap_or_else(PoisonError::into_inner);
         running.push((profile.clone(), Arc::clone(session)));

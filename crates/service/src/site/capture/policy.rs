@@ -1,4 +1,4 @@
-//! Rules for topics: which holds for which, and what topics do, so that rules can be drafted.
+//! Rules for topics: which rule applies to which topic, and the topics' rates, so that rules can be drafted.
 
 use super::Capture;
 use std::sync::Arc;

@@ -26,12 +26,12 @@ use crate::service::reply::Failure;
 use crate::site::blocking;
 use crate::site::capture::second::{GraphOf, Second};
 
-/// Between two looks at the graph.
+/// Interval between looks at the graph.
 const LOOK: Duration = Duration::from_secs(1);
-/// Looks at which nothing changed, after which they are half as many.
+/// Looks without a change after which they become half as frequent.
 const CALM: u32 = 10;
 
-/// Where the ROS side stands.
+/// The state of the ROS side.
 #[derive(Clone)]
 pub enum RosState {
     /// This run needs no ROS, or is ending.
@@ -44,7 +44,7 @@ pub enum RosState {
     Down {
         /// Why.
         failure: Failure,
-        /// The link, once there was one: its capture heals by itself.
+        /// The link, if there was one: its capture recovers on its own.
         link: Option<Arc<RosLink>>,
     },
 }
@@ -53,7 +53,7 @@ pub enum RosState {
 pub struct RosLink {
     /// The master.
     pub uri: String,
-    /// Whether it is this process's own.
+    /// Whether it belongs to this process.
     pub embedded: bool,
     /// The monitoring node.
     pub capture: Capture,
@@ -64,7 +64,7 @@ pub struct RosLink {
     graph: Graph,
     last_look: std::sync::Mutex<LastLook>,
     topics: std::sync::RwLock<Vec<TopicInfo>>,
-    // Dropped last: nodes unregister at it.
+    // Dropped last: nodes unregister on drop.
     master: Option<EmbeddedMaster>,
 }
 
@@ -74,7 +74,7 @@ impl RosLink {
         self.topics.read().unwrap_or_else(std::sync::PoisonError::into_inner).clone()
     }
 
-    /// Whether the master in this process has ended by a fault of its own.
+    /// Whether the master in this process has ended because of a failure of its own.
     fn has_lost_its_master(&self) -> bool {
         self.master.as_ref().is_some_and(|master| !master.is_running())
     }
@@ -90,7 +90,7 @@ impl RosLink {
     }
 }
 
-/// Everything is subscribed to as long as somebody learns.
+/// Everything is subscribed to as long as somebody is measuring.
 pub(in crate::site) struct Learning<'a>(&'a AtomicUsize);
 
 impl<'a> Learning<'a> {
@@ -115,7 +115,7 @@ pub(in crate::site) struct RosSide {
     state: watch::Sender<RosState>,
     /// ROS 2, where the settings name a domain.
     pub(in crate::site) second: Second,
-    /// How many look at every topic of the graph now.
+    /// How many are looking at every topic of the graph now.
     learning: AtomicUsize,
 }
 
@@ -136,7 +136,7 @@ impl RosSide {
 }
 
 impl RosSide {
-    /// Where it stands now.
+    /// Its present state.
     pub fn state(&self) -> watch::Ref<'_, RosState> {
         self.state.borrow()
     }
@@ -146,7 +146,7 @@ impl RosSide {
         !matches!(*self.state.borrow(), RosState::Off)
     }
 
-    /// Everything of the graph is subscribed to until the guard is dropped.
+    /// Everything in the graph is subscribed to until the guard is dropped.
     pub fn learn(&self) -> Learning<'_> {
         Learning::begin(&self.learning)
     }
@@ -159,12 +159,12 @@ impl RosSide {
         }
     }
 
-    /// Brings the ROS side up and keeps looking at the graph until the site ends.
+    /// Brings up the ROS side and keeps looking at the graph until the site ends.
     pub(in crate::site) async fn keep(self: Arc<Self>) {
         let ros = Arc::clone(&self);
         drop(tokio::task::spawn_blocking(move || ros.second.begin()).await);
         let link = loop {
-            // Begun again after a fault, the task finds the link still at work.
+            // When restarted after a failure, the task finds the link still working.
             let kept = match &*self.state.borrow() {
                 RosState::Up(link) | RosState::Down { link: Some(link), .. } => Some(Arc::clone(link)),
                 _ => None,
@@ -201,7 +201,7 @@ impl RosSide {
             }
             calm = if self.look_at_graph(&link).await { 0 } else { calm.saturating_add(1) };
             if link.has_lost_its_master() {
-                // Returning early is a fault: everything here is begun anew, with another master.
+                // Returning early is a failure: everything here is started again, with another master.
                 self.state.send_if_modified(|state| {
                     let ending = matches!(state, RosState::Off);
                     if !ending {
@@ -217,7 +217,7 @@ impl RosSide {
         drop(tokio::task::spawn_blocking(move || drop(link)).await);
     }
 
-    /// Out of the domain, unless all of it is begun anew.
+    /// Leaves the domain, unless all of it is to be restarted.
     async fn leave_second(self: &Arc<Self>) {
         if !self.is_wanted() {
             let ros = Arc::clone(self);
@@ -267,7 +267,7 @@ impl RosSide {
         Ok(link)
     }
 
-    /// Whether anything is other than at the last look.
+    /// Whether anything changed since the last look.
     async fn look_at_graph(self: &Arc<Self>, link: &Arc<RosLink>) -> bool {
         let in_two = self.second.look();
         in_two
@@ -292,7 +292,7 @@ impl RosSide {
                     self.hub.changed(Part::Health);
                     true
                 }
-                // A master that is gone is asked as often as before, so that its return is seen at once.
+                // A master that is gone is asked as often as before, so that its return is noticed at once.
                 Err(_) => true,
             }
     }
@@ -316,14 +316,14 @@ impl RosSide {
         }
     }
 
-    /// What the recorder wants of ROS 1; ROS 2 is asked for the rest.
+    /// What the recorder wants from ROS 1; the rest is requested from ROS 2.
     fn share_wishes(&self, graph: &[TopicInfo]) -> BTreeSet<TopicName> {
         let wanted = self.recorder.wanted().iter().filter_map(|topic| topic.parse().ok()).collect();
         let all = self.config.meter == MeterMode::All || self.learning.load(Ordering::Acquire) > 0;
         self.second.share(wanted, all, graph)
     }
 
-    /// The subscriptions follow the recorder's wishes at once.
+    /// Updates the subscriptions to the recorder's wishes at once.
     pub(in crate::site) fn wishes_changed(&self) {
         if let RosState::Up(link) | RosState::Down { link: Some(link), .. } = &*self.state.borrow() {
             self.follow_wishes(link);
@@ -333,25 +333,25 @@ impl RosSide {
         self.hub.changed(Part::Topics);
     }
 
-    /// Which graph a topic of ROS 1 is captured from.
+    /// The graph from which a ROS 1 topic is captured.
     pub(in crate::site) fn graph_of(&self, info: &TopicInfo) -> GraphOf {
         self.second.graph_of(info)
     }
 
-    /// The ROS 1 link, or none where ROS 2 is there without it; ROS 2 was given time to look around.
+    /// The ROS 1 link, or none if ROS 2 is there without it; ROS 2 was given time for discovery.
     ///
     /// # Errors
-    /// Why the master is not reached, where there is no ROS 2 either.
+    /// Why the master cannot be reached, if there is no ROS 2 either.
     pub(in crate::site) async fn any(&self) -> Result<Option<Arc<RosLink>>, Failure> {
         let link = self.any_now().await?;
         self.second.first_look().await;
         Ok(link)
     }
 
-    /// As [`Self::any`], without that time.
+    /// Like [`Self::any`], without that time.
     ///
     /// # Errors
-    /// As there.
+    /// The same.
     pub(in crate::site) async fn any_now(&self) -> Result<Option<Arc<RosLink>>, Failure> {
         match self.link().await {
             Ok(link) => Ok(Some(link)),
@@ -363,7 +363,7 @@ impl RosSide {
     /// The master's URI, as soon as it is reached.
     ///
     /// # Errors
-    /// Why the master is not reached.
+    /// Why the master cannot be reached.
     pub async fn uri(&self) -> Result<String, Failure> {
         Ok(self.link().await?.uri.clone())
     }
@@ -371,7 +371,7 @@ impl RosSide {
     /// The ROS link, as soon as the first attempt has ended.
     ///
     /// # Errors
-    /// Why the master is not reached.
+    /// Why the master cannot be reached.
     pub(in crate::site) async fn link(&self) -> Result<Arc<RosLink>, Failure> {
         let mut state = self.state.subscribe();
         let settled = state.wait_for(|state| !matches!(state, RosState::Starting)).await;

@@ -1,4 +1,4 @@
-//! The thread that seals what is captured or imported, begun where it is first needed.
+//! The thread that seals what is captured or imported, started on first use.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -26,7 +26,7 @@ pub(in crate::site) struct SealerThread {
 }
 
 impl SealerThread {
-    /// A sealer of what comes through `rings`, not begun yet.
+    /// A sealer for what comes through `rings`, not started yet.
     pub fn new(parts: &Parts, rings: &Arc<Rings<CapturedMessage>>, losses: &Arc<Losses>) -> Self {
         let Parts { config, plant, hub, supervisor, .. } = parts.clone();
         Self {
@@ -40,10 +40,10 @@ impl SealerThread {
         }
     }
 
-    /// Begins where it has not begun yet: a run that captures nothing still may import.
+    /// Starts if it has not started yet: a run that captures nothing may still import.
     ///
     /// # Errors
-    /// Where the thread cannot be started.
+    /// If the thread cannot be started.
     pub fn begin(&self) -> Result<(), Failure> {
         let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
         if thread.is_none() && !self.rings.is_closed() {
@@ -62,7 +62,7 @@ impl SealerThread {
         })
     }
 
-    /// Takes nothing more and seals what waits; whether that was done within `patience`.
+    /// Accepts nothing more and seals what waits; returns whether that was done within `patience`.
     pub async fn finish(&self, patience: Duration) -> bool {
         self.rings.close();
         let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();

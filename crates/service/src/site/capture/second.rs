@@ -1,4 +1,4 @@
-//! The site's ROS 2 side: one domain, read beside ROS 1 by a program without keys.
+//! The site's ROS 2 side: one domain, read alongside ROS 1 by a program without keys.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,14 +13,14 @@ use crate::service::event::{NoticeLevel, Part};
 use crate::service::hub::Hub;
 use crate::service::reply::{Failure, HealthLevel};
 
-/// The longest that a list of topics waits for a domain that has just been joined.
+/// The longest that a list of topics waits for a domain that was just joined.
 const FIRST_LOOK: Duration = Duration::from_secs(6);
-/// Between two looks at it meanwhile.
+/// Interval between looks at it meanwhile.
 const TICK: Duration = Duration::from_millis(50);
-/// Fast DDS gives a latched message up to 3.2 s after somebody came for it.
+/// Fast DDS delivers a latched message up to 3.2 s after a subscriber appears.
 const LATCHED: Duration = Duration::from_secs(4);
 
-/// Which graph a topic is captured from.
+/// The graph from which a topic is captured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::site) enum GraphOf {
     /// ROS 1.
@@ -31,13 +31,13 @@ pub(in crate::site) enum GraphOf {
     Open,
 }
 
-/// Where the ROS 2 side stands.
+/// The state of the ROS 2 side.
 enum State {
     /// This run has none.
     Off,
-    /// The program that reads it is not there.
+    /// The program that reads it is missing.
     Absent(Failure),
-    /// It is read.
+    /// It is being read.
     On(Arc<Ros2Capture>),
 }
 
@@ -47,12 +47,12 @@ pub(in crate::site) struct Second {
     hub: Arc<Hub>,
     recorder: Arc<Recorder>,
     state: Mutex<State>,
-    /// Which graph a wanted topic was first found in.
+    /// The graph in which a wanted topic was first found.
     decided: Mutex<HashMap<TopicName, GraphOf>>,
     told: Mutex<Told>,
 }
 
-/// What was told already.
+/// What was reported already.
 #[derive(Default)]
 struct Told {
     standing: Option<String>,
@@ -66,7 +66,7 @@ fn locked<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 }
 
 impl Second {
-    /// Off until it is begun.
+    /// Off until it is started.
     pub fn new(config: &Arc<Config>, hub: &Arc<Hub>, recorder: &Arc<Recorder>) -> Self {
         Self {
             config: Arc::clone(config),
@@ -78,7 +78,7 @@ impl Second {
         }
     }
 
-    /// Joins the domain of the settings, where they name one; says so where it cannot.
+    /// Joins the domain in the settings, if they name one; reports it if it cannot.
     pub fn begin(&self) {
         let Some(domain) = self.config.ros_domain else { return };
         if matches!(*locked(&self.state), State::On(_)) {
@@ -110,7 +110,7 @@ impl Second {
         }
     }
 
-    /// Whether there is a domain that is read.
+    /// Whether there is a domain being read.
     pub fn is_on(&self) -> bool {
         self.capture().is_some()
     }
@@ -120,7 +120,7 @@ impl Second {
         self.capture().map(|capture| capture.topics()).unwrap_or_default()
     }
 
-    /// Waits until there was time to look around.
+    /// Waits until there was time for discovery.
     pub async fn first_look(&self) {
         let begun = Instant::now();
         while begun.elapsed() < FIRST_LOOK
@@ -130,14 +130,14 @@ impl Second {
         }
     }
 
-    /// How long a capture of these topics lasts at least: a latched message may come late.
+    /// The shortest duration of a capture of these topics: a latched message may come late.
     pub fn least(&self, topics: &[TopicName]) -> Duration {
         let latched =
             |topic: &Ros2Topic| topic.quality.latched && topics.iter().any(|name| name.as_str() == topic.name);
         if self.topics().iter().any(latched) { LATCHED } else { Duration::ZERO }
     }
 
-    /// The health of this side and its words; `None` where the settings name no domain.
+    /// The health of this side and its words; `None` if the settings name no domain.
     pub fn health(&self) -> Option<(HealthLevel, String)> {
         match &*locked(&self.state) {
             State::Off => None,
@@ -146,7 +146,7 @@ impl Second {
         }
     }
 
-    /// Says what is seen as soon as there was time to look; whether anything is other than at the last look.
+    /// Reports what is seen as soon as there was time to look; returns whether anything changed since the last look.
     pub fn look(&self) -> bool {
         let Some(capture) = self.capture() else { return false };
         let (standing, topics) = (capture.standing(), capture.topics());
@@ -168,7 +168,7 @@ impl Second {
         !stands || !lists
     }
 
-    /// Of the wanted topics those that ROS 1 is to be asked for; the domain is asked for the others at once.
+    /// Of the wanted topics, those to request from ROS 1; the others are requested from the domain at once.
     pub fn share(&self, wanted: BTreeSet<TopicName>, all: bool, graph: &[TopicInfo]) -> BTreeSet<TopicName> {
         let Some(capture) = self.capture() else { return wanted };
         let topics = capture.topics();
@@ -176,7 +176,7 @@ impl Second {
         let mut of_two: BTreeSet<TopicName> =
             wanted.iter().filter(|topic| decide(topic) != GraphOf::One).cloned().collect();
         let one = wanted.iter().filter(|topic| decide(topic) != GraphOf::Two).cloned().collect();
-        // Everything is measured where that was asked for in so many words: it is read over the network.
+        // Everything is measured only on explicit request: it is read over the network.
         if all && self.config.source("ros.meter") != Source::Default {
             let names = topics.iter().filter_map(|topic| topic.name.parse::<TopicName>().ok());
             of_two.extend(names.filter(|topic| !is_published(topic, graph)));
@@ -188,7 +188,7 @@ impl Second {
         one
     }
 
-    /// Which graph a topic of ROS 1 is captured from.
+    /// The graph from which a ROS 1 topic is captured.
     pub fn graph_of(&self, info: &TopicInfo) -> GraphOf {
         let decided = locked(&self.decided);
         let known = decided.iter().find(|(topic, _)| topic.as_str() == info.name).map(|(_, graph)| *graph);
@@ -232,7 +232,7 @@ fn is_published(topic: &TopicName, graph: &[TopicInfo]) -> bool {
     graph.iter().any(|info| info.name == topic.as_str() && !info.publishers.is_empty())
 }
 
-/// The level and the words of a standing.
+/// The level and the words of a state.
 pub(in crate::site) fn health_of(standing: &Standing) -> (HealthLevel, String) {
     let level = match &standing.reading {
         Reading::Down { .. } => HealthLevel::Failed,

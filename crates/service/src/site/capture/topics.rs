@@ -12,14 +12,14 @@ use crate::service::reply::{Failure, HeldUp, TopicRow, WatchView};
 use crate::store::TopicCounts;
 
 impl Capture {
-    /// Every topic of the graph, and those watched that nobody publishes yet.
+    /// Every topic of the graph, and watched ones that nobody publishes yet.
     pub(in crate::site) async fn topics(self: &Arc<Self>, profile: &ProfileName) -> Result<Vec<TopicRow>, Failure> {
         let link = self.ros.any().await?;
         let watches = block_in_place(|| self.watches.of(profile))?;
         let now = Timestamp::now();
         let of_two = self.ros.second.topics();
         let in_two = |name: &str| of_two.iter().any(|topic| topic.name == name);
-        // A name of both is listed once, as what is captured of it.
+        // A name in both graphs is listed once, with the graph from which it is captured.
         let mut rows: Vec<TopicRow> = link
             .iter()
             .flat_map(|link| link.topics())
@@ -110,7 +110,7 @@ impl Capture {
         }
     }
 
-    /// What became of the profile's messages, by topic.
+    /// The fate of the profile's messages, by topic.
     fn captured_by_topic(&self, profile: &ProfileName) -> Result<HashMap<String, TopicCounts>, Failure> {
         let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashMap::new()) };
         let counts = block_in_place(|| self.losses.counts(&self.plant, owner))?;
@@ -123,7 +123,7 @@ impl Capture {
         Ok(watches.into_iter().map(|(topic, type_name)| WatchView { topic, type_name }).collect())
     }
 
-    /// Captures a topic until it is unwatched, over restarts.
+    /// Captures a topic until it is unwatched, across restarts.
     pub(in crate::site) async fn watch(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -160,7 +160,7 @@ impl Capture {
         Ok(())
     }
 
-    /// Holds the capture of everything that the profile watches, or lets it go on; what is watched stays so.
+    /// Pauses the capture of everything that the profile watches, or resumes it; the watch list stays.
     pub(in crate::site) fn hold(&self, profile: &ProfileName, hold: bool) {
         let Some(owner) = self.owners.get(profile) else { return };
         if hold { self.watches.hold(&owner) } else { self.watches.restore(&owner) }

@@ -1,4 +1,4 @@
-//! Watch lists: the topics that each profile captures until it unwatches them, over restarts.
+//! Watch lists: the topics that each profile captures until it unwatches them, across restarts.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -17,12 +17,12 @@ pub(in crate::site) struct Watches {
     plant: Plant,
     recorder: Arc<Recorder>,
     ros: Arc<RosSide>,
-    /// Changes happen one at a time.
+    /// Changes are made one at a time.
     changing: Mutex<()>,
 }
 
 impl Watches {
-    /// Lists that `recorder` follows.
+    /// Lists followed by `recorder`.
     pub fn new(parts: &Parts, recorder: &Arc<Recorder>, ros: &Arc<RosSide>) -> Self {
         Self {
             plant: parts.plant.clone(),
@@ -38,7 +38,7 @@ impl Watches {
         Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
     }
 
-    /// Reads, changes and keeps a watch list; of several changes at once none is lost.
+    /// Reads, changes and stores a watch list; of several simultaneous changes none is lost.
     pub fn change(&self, profile: &ProfileName, change: impl FnOnce(&mut List)) -> Result<(), Failure> {
         block_in_place(|| {
             let _one_at_a_time = self.changing.lock().unwrap_or_else(PoisonError::into_inner);
@@ -49,7 +49,7 @@ impl Watches {
         })
     }
 
-    /// The recorder lets go of what the owner watches, until it is restored.
+    /// The recorder stops watching for the owner, until it is restored.
     pub fn hold(&self, owner: &Arc<Owner>) {
         for (topic, _) in block_in_place(|| self.of(&owner.profile)).unwrap_or_default() {
             self.recorder.unwatch(topic.as_str(), &owner.author);
@@ -57,7 +57,7 @@ impl Watches {
         self.ros.wishes_changed();
     }
 
-    /// The recorder takes up what the owner watched before.
+    /// The recorder resumes what the owner watched before.
     pub fn restore(&self, owner: &Arc<Owner>) {
         let watches = block_in_place(|| self.of(&owner.profile)).unwrap_or_default();
         for (topic, type_name) in watches {

@@ -1,4 +1,4 @@
-//! The administrator's acts and what bounds them, and what everybody is told of them: above all who continues, or is to
+//! The administrator's acts and their limits, and what everybody is told of them: above all who continues, or is to
 //! continue, for a lost account.
 
 use crate::pipeline::Sender;
@@ -19,7 +19,7 @@ use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::refused;
 use crate::service::reply::{AdministrationView, Failure, ProposalView, RecoveryView, SuccessionView, TransactionView};
 
-/// How long a pause lasts where nothing else is asked for, seconds.
+/// How long a pause lasts by default, seconds.
 const PAUSE: u64 = 86_400;
 
 /// The administrator's acts.
@@ -41,7 +41,8 @@ impl Administering {
 }
 
 impl Administering {
-    /// Does one act of the administrator; the contract refuses it to anybody else, but for what others may as well.
+    /// Performs one act of the administrator; the contract refuses it to anybody else, except acts open to others as
+    /// well.
     pub(in crate::site) async fn administer(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -167,7 +168,7 @@ impl Administering {
         Ok((Call::ProposeSuccession { lost, successor }, text))
     }
 
-    /// What the administrator decided, with the names of the address book; the recovery account is `own`'s.
+    /// The administrator's decisions, with the names of the address book; the recovery account is `own`'s.
     pub(in crate::site) fn view(&self, network: &Network, own: Option<Address>) -> AdministrationView {
         let (decided, now) = (network.directory.administration(), Timestamp::now());
         let names = self.contacts.names();
@@ -209,7 +210,7 @@ impl Administering {
         }
     }
 
-    /// Tells of successors and of contacts with other keys as soon as the chain does, each once a run.
+    /// Reports successors and contacts with other keys as soon as the chain does, each once a run.
     pub(in crate::site) async fn keep_parties_known(self: Arc<Self>) {
         let mut scanned = self.link.scans();
         let (mut seen, mut told) = (None, HashSet::new());
@@ -265,12 +266,12 @@ impl Administering {
     }
 }
 
-/// Acts that are not the administrator's alone.
+/// Acts that are not only the administrator's.
 fn is_for_others(call: &Call) -> bool {
     matches!(call, Call::AcceptAdministrator | Call::CancelSuccession { .. } | Call::CompleteSuccession { .. })
 }
 
-/// A pause has an end, but on a contract of the first revision.
+/// A pause has an end, except on a contract of the first revision.
 fn pause(revision: Revision, paused: bool, seconds: Option<u64>) -> Result<(Call, String), Failure> {
     const STOPPED: &str = "all changes are stopped but those that take rights away";
     Ok(match (revision, paused) {

@@ -1,5 +1,5 @@
-//! `chain adopt`: the operator decides to go on with the chain that is there now instead of the pinned one, or on the
-//! pinned one with a contract of the newest revision.
+//! `chain adopt`: the operator decides to continue with the chain that is there now instead of the pinned one, or on
+//! the pinned one with a contract of the newest revision.
 
 use crate::config::Config;
 use crate::paths::Home;
@@ -30,16 +30,16 @@ use crate::store::StoreError;
 
 /// How long the command waits for the adoption record's block.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// How long the embedded chain's file may take to be closed.
+/// How long the embedded chain may take to close its file.
 const CLOSING: Duration = Duration::from_secs(5);
-/// How long what is on its way to a contract that is to be left may take to get there.
+/// How long transactions on their way to the old contract may take to arrive.
 const REST: Duration = Duration::from_secs(60);
 /// How often in a row nothing must be on its way.
 const QUIET: usize = 5;
-/// How many contracts are deployed at most until one has an address of its own.
+/// The most contracts deployed until one has an address that is not taken.
 const DEPLOYMENTS: usize = 4;
 
-/// Going over to another chain or contract.
+/// Moving to another chain or contract.
 pub(in crate::site) struct Adoption {
     home: Home,
     config: Arc<Config>,
@@ -81,8 +81,8 @@ impl Adoption {
 }
 
 impl Adoption {
-    /// Pins the chain that answers now, with its contract (deployed where there is none), registers the owner
-    /// there, and anchors the owner's adoption record before anything else.
+    /// Pins the chain that answers now, with its contract (deployed if there is none), registers the owner there, and
+    /// anchors the owner's adoption record before anything else.
     pub(in crate::site) async fn adopt(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<TransactionView, Failure> {
         // Until the first attempt to connect has ended, which needs the lock as well.
         let known = self.link.network().await;
@@ -103,7 +103,7 @@ impl Adoption {
                 Ok(()) => self.leave(&chain, pinned, &pin).await,
                 Err(failure) => Err(failure),
             };
-            // Where nothing was left, the contract in use stays in use.
+            // If nothing was left behind, the contract in use stays in use.
             if let (Err(_), Some(network)) = (&left, outgrown) {
                 self.link.set(NetworkState::Up(Box::new(network)));
             }
@@ -142,7 +142,7 @@ impl Adoption {
         Ok(TransactionView { transaction: None, block: None, epoch, text })
     }
 
-    /// The home's pin, where another chain or contract than the pinned one answers, or the contract is outgrown: then with
+    /// The home's pin, if another chain or contract than the pinned one answers, or the contract is outdated: then with
     /// the network in use.
     fn to_leave(&self, known: Result<Network, Failure>) -> Result<(Pin, Option<Network>), Failure> {
         let swapped = matches!(*self.link.state(), NetworkState::Swapped(_));
@@ -169,8 +169,8 @@ impl Adoption {
         }
     }
 
-    /// Lets nothing new go to a contract that is to be left, and waits until what is on its way there is in a block, as
-    /// long as that is to be expected.
+    /// Sends nothing new to the old contract, and waits until transactions on their way there are in a block, as long
+    /// as that is to be expected.
     async fn come_to_rest(self: &Arc<Self>, network: &Network) -> Result<(), Failure> {
         self.link.set(NetworkState::Connecting);
         let deadline = tokio::time::Instant::now() + REST;
@@ -202,7 +202,7 @@ impl Adoption {
         let deadline = tokio::time::Instant::now() + CLOSING;
         loop {
             match Chain::connect(options.clone()).await {
-                // The attempt before may still be closing the embedded chain's file.
+                // The previous attempt may still be closing the embedded chain's file.
                 Err(ChainError::File { .. }) if tokio::time::Instant::now() < deadline => {
                     tokio::time::sleep(Duration::from_millis(50)).await;
                 }
@@ -212,8 +212,7 @@ impl Adoption {
     }
 
     /// The contract to use there: the configured one, one that this home used on that chain before, the one at the
-    /// pinned address, or a new one. Its domain must not be one that records are bound to already, unless it is
-    /// the very same chain.
+    /// pinned address, or a new one. Records must not be bound to its domain already, unless it is the very same chain.
     async fn contract_there(self: &Arc<Self>, chain: &Chain, owner: &Owner, left: &Pin) -> Result<Pin, Failure> {
         if let Some(contract) = self.config.contract {
             let pin = chain.use_contract(contract).await?;
@@ -228,7 +227,7 @@ impl Adoption {
         }
         for known in self.known_contracts(chain, left)? {
             match chain.use_contract(known).await {
-                // Back to a contract of an earlier revision only on a chain that has nothing newer of this home's.
+                // Back to a contract of an earlier revision only on a chain without anything newer of this home's.
                 Ok(pin)
                     if adoption::domain_of(&pin) != adoption::domain_of(left) && !self.is_outgrown(chain, left)? =>
                 {
@@ -256,14 +255,14 @@ impl Adoption {
         Ok(used.chain([left]).map(|pin| pin.contract).collect())
     }
 
-    /// Whether what is left is on this chain, and the contract now in use there is of an earlier revision: only a newer
-    /// one is worth a move.
+    /// Whether the old contract is on this chain and of an earlier revision than the newest: only a newer one is worth
+    /// a move.
     fn is_outgrown(&self, chain: &Chain, left: &Pin) -> Result<bool, Failure> {
         let here = (left.chain_id, left.genesis) == (chain.chain_id(), chain.genesis());
         Ok(here && self.config.contract.is_none() && chain.revision()? < Revision::NEWEST)
     }
 
-    /// Writes down that the contract, or the whole chain, was left: on the same chain records keep their blocks.
+    /// Notes that the contract, or the whole chain, was left behind: on the same chain records keep their blocks.
     async fn leave(&self, chain: &Chain, from: Pin, to: &Pin) -> Result<Left, Failure> {
         let ledger = &self.plant.ledger;
         let seen = block_in_place(|| Ok::<_, StoreError>(ledger.trail_end()?.max(ledger.cursor(watcher::CURSOR)?)))?;
@@ -283,7 +282,7 @@ impl Adoption {
         })
     }
 
-    /// Waits until the owner's adoption record stands in a block; the owner's anchoring task puts it there.
+    /// Waits until the owner's adoption record is in a block; the owner's anchoring task puts it there.
     async fn wait_for_word(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         let deadline = tokio::time::Instant::now() + PATIENCE;
         loop {
@@ -301,7 +300,7 @@ impl Adoption {
     }
 }
 
-/// What leaving did.
+/// The result of the move.
 struct Left {
     kept: u64,
     anew: u64,

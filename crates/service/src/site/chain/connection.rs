@@ -48,7 +48,7 @@ impl Connection {
 }
 
 impl Connection {
-    /// While this is held nobody else connects, deploys or adopts.
+    /// While this is held, nobody else connects, deploys or adopts.
     pub async fn one_at_a_time(&self) -> tokio::sync::MutexGuard<'_, ()> {
         self.deploying.lock().await
     }
@@ -67,7 +67,7 @@ impl Connection {
         }
     }
 
-    /// Writes the pin where it is not what the file says already: nothing is written by a command that only looks.
+    /// Writes the pin unless the file has it already: a command that only looks writes nothing.
     pub(in crate::site) fn save_pin(&self, pin: &Pin) -> Result<(), Failure> {
         let bytes = serde_json::to_vec_pretty(pin).map_err(|error| internal(error.to_string()))?;
         if std::fs::read(self.home.pin()).is_ok_and(|there| there == bytes) {
@@ -76,8 +76,8 @@ impl Connection {
         Ok(atomic_write(&self.home.pin(), &bytes)?)
     }
 
-    /// Connects and stays connected, with growing pauses between attempts, until the site ends. Once connected,
-    /// it waits until the chain is found to be another one, and then for the pinned one to come back.
+    /// Connects and stays connected, with growing pauses between attempts, until the site ends. Once connected, it
+    /// waits until the chain turns out to be another one, and then for the pinned one to come back.
     pub(in crate::site) async fn keep_connected(self: Arc<Self>) {
         let mut pause = 1;
         while !self.life.is_stopping() {
@@ -108,7 +108,7 @@ impl Connection {
     }
 
     async fn connect(self: &Arc<Self>) -> Result<(), Lost> {
-        // `chain adopt` may be at it, and have connected by the time it is done.
+        // `chain adopt` may be running, and have connected by the time it is done.
         let _one_at_a_time = self.deploying.lock().await;
         if matches!(*self.link.state(), NetworkState::Up(_) | NetworkState::Bare(_) | NetworkState::Off) {
             return Ok(());
@@ -124,7 +124,7 @@ impl Connection {
         Ok(())
     }
 
-    /// The chain of the settings, held against the home's pin.
+    /// The chain in the settings, compared with the home's pin.
     async fn reach_chain(&self) -> Result<Chain, Lost> {
         let (pinned, contract, confirmations) = (self.pin()?, self.config.contract, self.config.confirmations);
         if let Some(remote) = &self.remote {
@@ -158,12 +158,12 @@ impl Connection {
         Ok(Network { chain, domain, directory, earlier, former, confirmations, times: Arc::default() })
     }
 
-    /// The network; deploys the contract with the owner's account where there is none yet.
+    /// The network; deploys the contract with the owner's account if there is none yet.
     pub(in crate::site) async fn network_or_deploy(self: &Arc<Self>, owner: &Owner) -> Result<Network, Failure> {
         self.network_or_deploy_as(owner, Revision::NEWEST, DEFAULT_DELAY).await
     }
 
-    /// The same, of a chosen revision and with a chosen delay of successions.
+    /// The same, with a given revision and a given delay of successions.
     pub(in crate::site) async fn network_or_deploy_as(
         self: &Arc<Self>,
         owner: &Owner,
@@ -187,7 +187,7 @@ impl Connection {
         self.link.network().await
     }
 
-    /// Asks a development node for money where the account has none.
+    /// Asks a development node for money if the account has none.
     pub(in crate::site) async fn fund(&self, chain: &Chain, owner: &Owner) -> Result<(), Failure> {
         if self.config.chain_url.is_some() && chain.fund_from_node(owner.address).await? {
             self.hub.notice(NoticeLevel::Info, &format!("the development node gave {} money for gas", owner.address));
@@ -196,9 +196,9 @@ impl Connection {
     }
 }
 
-/// Why no link to the chain came about.
+/// Why the chain could not be connected.
 pub(in crate::site) enum Lost {
-    /// Another chain is there.
+    /// Another chain answers.
     Swapped(Failure),
     /// Anything else.
     Other(Failure),

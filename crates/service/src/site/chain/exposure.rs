@@ -1,4 +1,4 @@
-//! The chain for others: the contract put on it by command, and its JSON-RPC for other tools.
+//! The chain for others: the contract deployed by command, and its JSON-RPC for other tools.
 
 use super::connection::Connection;
 use std::net::SocketAddr;
@@ -64,7 +64,7 @@ impl Connection {
             let stop = async {
                 tokio::select! {
                     () = connection.life.stopped() => {}
-                    // A dropped sender says the same.
+                    // A dropped sender means the same.
                     _ = ended => {}
                 }
             };

@@ -1,4 +1,4 @@
-//! The accounts that anchor for each owner: the owner's own and its witnesses, tended and kept ready.
+//! The accounts that anchor for each owner: the owner's own and its witnesses, maintained and kept ready.
 
 use crate::config::Config;
 use crate::pipeline::Plant;
@@ -20,7 +20,7 @@ use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
 
-/// How often it is looked whether witnesses are ready.
+/// How often to check whether witnesses are ready.
 const LOOK: Duration = Duration::from_secs(2);
 
 /// Witnesses derived so far, with their addresses, by owner and network.
@@ -73,7 +73,7 @@ impl Lanes {
         Ok(lanes)
     }
 
-    /// How the lanes of an owner are: the own one, and every witness's that is in use or holds something.
+    /// The state of an owner's lanes: its own, and that of every witness in use or with pending transactions.
     pub(in crate::site) fn lane_states(&self, owner: &Owner, network: &Network) -> Result<Vec<LaneState>, Failure> {
         let mut states = vec![self.sender.state_of(owner.address)?];
         let wanted = usize::from(self.config.lanes).saturating_sub(1);
@@ -86,14 +86,14 @@ impl Lanes {
         Ok(states)
     }
 
-    /// Why a lane of an open owner stands still, if one does.
+    /// Why a lane of an open owner is stalled, if one is.
     pub(in crate::site) fn paused_text(&self, network: &Network) -> Option<String> {
         let owners = self.owners.all();
         let mut states = owners.iter().filter_map(|owner| self.lane_states(owner, network).ok()).flatten();
         states.find_map(|state| state.paused.map(|reason| reason.text(state.account)))
     }
 
-    /// Tends the lanes of every open owner: after each block, and while none comes.
+    /// Maintains the lanes of every open owner: after each block, and while none comes.
     pub(in crate::site) async fn tend(&self, network: &Network) {
         for owner in self.owners.all() {
             if let Err(failure) = self.tend_lanes_of(&owner, network).await {
@@ -106,7 +106,7 @@ impl Lanes {
     async fn tend_lanes_of(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         let mut keys = vec![owner.eoa()];
         for (account, key) in self.witnesses(owner, network)?.iter() {
-            // Also those of a setting that is lower by now.
+            // Also those of a setting that has been lowered since.
             let state = self.sender.state_of(*account)?;
             if state.open > 0 || state.paused.is_some() {
                 keys.push(key.clone());

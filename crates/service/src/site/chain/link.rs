@@ -1,4 +1,4 @@
-//! The site's link to its chain: whether there is a chain and a contract now, the newest head, how far the watcher is.
+//! The site's link to its chain: whether there is a chain and a contract now, the newest head, the watcher's progress.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,7 +13,7 @@ use crate::service::failure::{input, internal};
 use crate::service::hub::Hub;
 use crate::service::reply::Failure;
 
-/// Where the link stands.
+/// The state of the link.
 #[derive(Clone)]
 pub enum NetworkState {
     /// This run needs no chain, or is ending.
@@ -24,8 +24,8 @@ pub enum NetworkState {
     Bare(Chain),
     /// Working.
     Up(Box<Network>),
-    /// Another chain answers than the pinned one, or the same one wiped: anchoring stands still until the pinned
-    /// one is back or the operator adopts this one.
+    /// Another chain answers than the pinned one, or the same one wiped: anchoring stands still until the pinned one is
+    /// back or the operator adopts this one.
     Swapped(Failure),
     /// The last attempt failed; another follows.
     Down {
@@ -36,30 +36,30 @@ pub enum NetworkState {
     },
 }
 
-/// The link, which every part that needs the chain asks.
+/// The link, used by every part that needs the chain.
 pub(in crate::site) struct Link {
     hub: Arc<Hub>,
     state: watch::Sender<NetworkState>,
     scanned: watch::Sender<u64>,
     silent: AtomicBool,
-    /// The newest head, and when the chain told it.
+    /// The newest head, and when the chain reported it.
     head: Mutex<Option<(Instant, BlockRef)>>,
 }
 
 impl Link {
-    /// A link that is to come up, or none where this run needs no chain.
+    /// A link to be connected, or none if this run needs no chain.
     pub fn new(hub: Arc<Hub>, needed: bool) -> Self {
         let state = if needed { NetworkState::Connecting } else { NetworkState::Off };
         let (state, scanned) = (watch::channel(state).0, watch::channel(0).0);
         Self { hub, state, scanned, silent: AtomicBool::new(false), head: Mutex::default() }
     }
 
-    /// Where it stands now.
+    /// Its present state.
     pub fn state(&self) -> watch::Ref<'_, NetworkState> {
         self.state.borrow()
     }
 
-    /// The chain, where it is connected to one now.
+    /// The chain, if connected to one now.
     pub fn connected(&self) -> Option<Chain> {
         match &*self.state() {
             NetworkState::Bare(chain) => Some(chain.clone()),
@@ -68,12 +68,12 @@ impl Link {
         }
     }
 
-    /// Follows where it stands.
+    /// Follows the state.
     pub fn follow(&self) -> watch::Receiver<NetworkState> {
         self.state.subscribe()
     }
 
-    /// It stands elsewhere now.
+    /// Sets a new state.
     pub fn set(&self, state: NetworkState) {
         self.state.send_replace(state);
     }
@@ -84,7 +84,7 @@ impl Link {
         self.lost(NetworkState::Swapped(failure));
     }
 
-    /// The chain is gone, unless the site ends anyway.
+    /// The chain is gone, unless the site is ending anyway.
     pub fn lost(&self, to: NetworkState) {
         self.state.send_if_modified(|state| {
             let ending = matches!(state, NetworkState::Off);
@@ -109,7 +109,7 @@ impl Link {
         }
     }
 
-    /// Where it stands, as soon as the first attempt has ended.
+    /// The state, as soon as the first attempt has ended.
     ///
     /// # Errors
     /// Why the link is down.
@@ -145,17 +145,17 @@ impl Link {
         }
     }
 
-    /// Notes the head that the chain just told.
+    /// Notes a head that the chain just reported.
     pub fn saw_head(&self, head: BlockRef) {
         *self.head.lock().unwrap_or_else(PoisonError::into_inner) = Some((Instant::now(), head));
     }
 
-    /// The newest head that the chain told.
+    /// The newest head reported by the chain.
     pub fn newest_head(&self) -> Option<BlockRef> {
         self.head.lock().unwrap_or_else(PoisonError::into_inner).map(|(_, head)| head)
     }
 
-    /// The newest head, unless the chain has not told one for `longest`.
+    /// The newest head, unless the chain has not reported one for `longest`.
     pub fn fresh_head(&self, longest: Duration) -> Option<BlockRef> {
         let seen = *self.head.lock().unwrap_or_else(PoisonError::into_inner);
         seen.filter(|(at, _)| at.elapsed() <= longest).map(|(_, head)| head)
@@ -166,7 +166,7 @@ impl Link {
         self.scanned.send_replace(number);
     }
 
-    /// Follows how far the watcher is.
+    /// Follows the watcher's progress.
     pub fn scans(&self) -> watch::Receiver<u64> {
         self.scanned.subscribe()
     }

@@ -1,4 +1,4 @@
-//! The chain: the link to it, the accounts that anchor, its administration, and its change for another one.
+//! The chain: the link to it, the accounts that anchor, its administration, and the move to another one.
 
 pub(super) mod administration;
 pub(super) mod adoption;

@@ -1,4 +1,4 @@
-//! The address book of this home: names for accounts, and the fingerprint each is known by. It lies in the ledger,
+//! The address book of this home: names for accounts, and each one's known fingerprint. It is stored in the ledger,
 //! never on the chain.
 
 #[cfg(test)]
@@ -25,7 +25,7 @@ use crate::service::event::Part;
 use crate::service::failure::{input, internal, refused};
 use crate::service::reply::{CompareView, ContactRow, Failure};
 
-/// Where the book lies in the ledger.
+/// Where the book is stored in the ledger.
 pub(crate) const BOOK: &str = "contacts";
 
 /// One entry of the book.
@@ -51,9 +51,9 @@ pub(in crate::site) struct Contacts {
     log: Arc<Log>,
     owners: Arc<Owners>,
     link: Arc<Link>,
-    /// Whether the chain is known from a gateway's word alone.
+    /// Whether the chain is known only from a gateway's word.
     is_joined: bool,
-    /// Changes of the book happen one at a time.
+    /// Changes of the book are made one at a time.
     changing: tokio::sync::Mutex<()>,
 }
 
@@ -88,7 +88,7 @@ impl Contacts {
         Ok(())
     }
 
-    /// The account that is meant.
+    /// The account meant by a person.
     pub(crate) fn resolve(&self, party: &Party) -> Result<Address, Failure> {
         match party {
             Party::Address(address) => Ok(*address),
@@ -106,18 +106,19 @@ impl Contacts {
         })
     }
 
-    /// Names by address, to show beside them. A book that cannot be read shows none; commands that need it say so.
+    /// Names by address, to show beside addresses. A book that cannot be read shows none; commands that need it report
+    /// that.
     pub(crate) fn names(&self) -> BTreeMap<Address, String> {
         let book = self.book().unwrap_or_default();
         book.into_iter().map(|contact| (contact.address, contact.name.to_string())).collect()
     }
 
-    /// The fingerprint of the key that an account has registered.
+    /// The fingerprint of an account's registered key.
     pub(super) fn registered_fingerprint(network: &Network, account: Address) -> Option<String> {
         network.directory.identity(account).ok().map(|identity| Fingerprint::of(&identity.signing).to_string())
     }
 
-    /// Enters an account. Without a fingerprint, the one it has registered is noted as found.
+    /// Adds an account. Without a fingerprint, that of its registered key is noted as found.
     pub(super) async fn add(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -158,7 +159,7 @@ impl Contacts {
         self.rows().await
     }
 
-    /// Takes an account out.
+    /// Removes an account.
     pub(super) async fn remove(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -175,7 +176,7 @@ impl Contacts {
         self.rows().await
     }
 
-    /// From now on the key is known that the account has registered now; where a fingerprint is given, only that one.
+    /// From now on the account's currently registered key is the known one; if a fingerprint is given, only that one.
     pub(super) async fn confirm(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -212,7 +213,7 @@ impl Contacts {
         self.rows().await
     }
 
-    /// The whole book, each with what the chain says now.
+    /// The whole book, each entry with the chain's present state.
     pub(super) async fn rows(self: &Arc<Self>) -> Result<Vec<ContactRow>, Failure> {
         let network = self.link.network().await.ok();
         let row = |contact: Contact| {
@@ -230,7 +231,7 @@ impl Contacts {
         Ok(self.book()?.into_iter().map(row).collect())
     }
 
-    /// Contacts whose registered key is another one than is noted.
+    /// Contacts whose registered key differs from the noted one.
     pub(super) fn changed_contacts(&self, network: &Network) -> Result<Vec<String>, Failure> {
         let changed = |contact: &Contact| {
             let (noted, found) =
@@ -240,8 +241,8 @@ impl Contacts {
         Ok(self.book()?.iter().filter_map(changed).collect())
     }
 
-    /// Whether keys may be wrapped for this account: one of the address book only under the key that is noted there.
-    /// One that had none when it was entered is noted now.
+    /// Whether keys may be wrapped for this account: one in the address book only with the key noted there. If it had
+    /// none when it was added, it is noted now.
     ///
     /// # Errors
     /// `Refused`, until the contact is confirmed.
@@ -265,8 +266,9 @@ impl Contacts {
         }
     }
 
-    /// Whether the keys of a further epoch may be wrapped for a reader who had them before: not for another key than
-    /// then, where the chain is known from a gateway's word, unless that key was compared. Notes the key at first.
+    /// Whether the keys of a further epoch may be wrapped for a reader who had them before: not for a key that has
+    /// changed since, if the chain is known from a gateway's word, unless that key was compared. Notes the key the
+    /// first time.
     ///
     /// # Errors
     /// `Refused`, until the contact is confirmed.
@@ -288,7 +290,7 @@ impl Contacts {
         Ok(block_in_place(|| self.plant.ledger.put_setting(&place, &found))?)
     }
 
-    /// A fingerprint beside that of an account's registered key, or of this profile's own.
+    /// Compares a fingerprint with that of an account's registered key, or of this profile's own.
     pub(super) async fn compare(
         self: &Arc<Self>,
         profile: &ProfileName,

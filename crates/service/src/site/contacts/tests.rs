@@ -1,4 +1,4 @@
-//! The address book: names are unique, it survives a restart, and a gateway's word alone names nobody's key.
+//! The address book: names are unique, it survives a restart, and a gateway's word alone confirms nobody's key.
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
 use super::*;

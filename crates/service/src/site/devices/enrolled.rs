@@ -1,4 +1,4 @@
-//! The robots that an owner has enrolled, and what each is to seal under.
+//! The robots enrolled by an owner, and what each is to seal under.
 
 use crate::pipeline::Plant;
 use crate::service::hub::Hub;
@@ -14,14 +14,14 @@ use crate::service::failure::refused;
 use crate::service::reply::Failure;
 use crate::site::sharing::overdue::earliest_expiry;
 
-/// A device that was enrolled, as its owner's ledger keeps it: no secret.
+/// An enrolled device, as its owner's ledger stores it: no secret.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Enrolled {
     /// N.
     pub name: ProfileName,
     /// SM3 of its public key.
     pub device: SignerId,
-    /// What it is limited to; empty = nothing.
+    /// Its topics; empty = none.
     pub topics: Vec<String>,
     /// Version of its enrolment.
     #[serde(default = "first")]
@@ -35,7 +35,7 @@ fn first() -> u8 {
     1
 }
 
-/// The enrolled robots, and what they were told.
+/// The enrolled robots, and what they have been told.
 pub(in crate::site) struct Enrolments {
     pub(super) plant: Plant,
     pub(super) hub: Arc<Hub>,
@@ -77,7 +77,8 @@ impl Enrolments {
             let pseudonyms = (to.version > 1).then(|| Pseudonyms { id, filters: filter_key(&index, &id) });
             (topic.clone(), IssuedTopic { key: topic_key(&key, &id), pseudonyms })
         };
-        // What it holds back of its topics is counted under a name of its own, and so is how high their numbers are.
+        // Its quarantine counts have a topic name of their own, and so has the statement of how high its topics'
+        // numbers are.
         let named = [quarantine::TOPIC, recorder_heads::TOPIC].map(ToOwned::to_owned);
         let statements = if to.version > 1 { &named[..] } else { &[] };
         let keys = to.topics.iter().chain(statements).map(of).collect();
@@ -85,7 +86,7 @@ impl Enrolments {
         Ok(EpochIssue { epoch, token, ends: earliest_expiry(owner, network, epoch), key })
     }
 
-    /// The robots that this owner has enrolled, oldest first.
+    /// The robots enrolled by this owner, oldest first.
     pub(in crate::site) fn of(&self, owner: &Owner) -> Result<Vec<Enrolled>, Failure> {
         let text = block_in_place(|| self.plant.ledger.setting(&place(owner)))?;
         Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())

@@ -1,5 +1,5 @@
-//! Making a robot a device of its owner: a pair of its own, K_T for its name at a gateway, the loan on the chain,
-//! its public key to the gateway, and the file with all that the robot works with.
+//! Making a robot a device of its owner: its own key pair, K_T for its name at a gateway, the loan on the chain, its
+//! public key sent to the gateway, and the file with everything the robot needs.
 
 use super::Devices;
 use std::sync::Arc;
@@ -21,14 +21,14 @@ use crate::service::reply::{DeviceTopicsView, EnrolledView, Failure};
 
 /// How long a gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// How often the gateway is told of a device before its chain has the loan.
+/// How often the gateway is told of a device before the loan is on its chain.
 const ATTEMPTS: u32 = 20;
 
-/// The most topics that a robot can be limited to; one place is for what it states itself.
+/// The most topics that a robot can be limited to; one place is reserved for its own statements.
 const MOST_NAMED: usize = crate::crypto::enrolment::MOST_TOPICS - 1;
 const TOO_MANY: &str = "a robot can be limited to at most 1,023 topics; use --all-topics to cover all";
 
-/// What an owner asks for when enrolling a robot.
+/// An owner's request to enrol a robot.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct EnrolWishes {
     /// The gateway, host:port.
@@ -39,7 +39,7 @@ pub struct EnrolWishes {
     pub name: ProfileName,
     /// Only these topics.
     pub topics: Vec<TopicName>,
-    /// All topics, those to come included: then no topic is named.
+    /// All topics, including future ones: then no topic is named.
     #[serde(default)]
     pub all_topics: bool,
     /// When the loan ends.
@@ -49,7 +49,7 @@ pub struct EnrolWishes {
 }
 
 impl Devices {
-    /// Enrols a robot; the answer holds the sealed file.
+    /// Enrols a robot; the answer contains the sealed file.
     pub(in crate::site) async fn enrol(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -80,7 +80,7 @@ impl Devices {
         let notice = DeviceNotice { key: device.public, notices: Some(notice_id) };
         let told = self.tell_gateway(owner, &network, &endpoint, &mut trust, (&wishes.name, &transport), notice);
         if let Err(failure) = told.await {
-            // A device that nobody will ever use should not stay lent; where this fails too, `devices list` shows it.
+            // A device that nobody will ever use should not stay lent; if this fails too, `devices list` shows it.
             drop(self.unlend_device(owner, id).await);
             return Err(failure);
         }
@@ -96,7 +96,7 @@ impl Devices {
             owner: owner.address,
             owner_key: owner.public_keys().0,
             device,
-            // Names of any topic become pseudonyms by IK alone.
+            // IK alone turns the names of any topic into pseudonyms.
             index: wishes.all_topics.then(|| owner.index()),
             notice_id,
             notice_key: notice_key(&owner.eoa(), &network.domain, &id),
@@ -125,7 +125,7 @@ impl Devices {
         Ok(EnrolledView { name, device, gateway: clean(&endpoint.address, 255), gateway_key, file })
     }
 
-    /// A token of the owner that the chain has.
+    /// A token of the owner that is on the chain.
     fn known_token(&self, owner: &Owner, network: &Network) -> Result<crate::model::Token, Failure> {
         let account = network.directory.account(owner.address);
         let token = account.and_then(|account| account.token);
@@ -146,7 +146,7 @@ impl Devices {
         let mut client = Client::connect(endpoint, trust, &credentials).await?;
         for attempt in 1.. {
             match client.device(&owner.signing(), notice).await {
-                // A gateway of an earlier version is told the key alone.
+                // A gateway of an earlier version is told only the key.
                 Err(GatewayError::Refused(Code::Malformed)) if notice.notices.is_some() => notice.notices = None,
                 // Its node may be behind ours.
                 Err(GatewayError::Refused(Code::Signature | Code::NotRegistered | Code::Stale))
@@ -160,7 +160,7 @@ impl Devices {
         Ok(())
     }
 
-    /// Gives an enrolled robot the keys of more topics; its next notice tells it.
+    /// Gives an enrolled robot the keys for more topics; its next notice tells it.
     pub(in crate::site) async fn add_topics(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -197,7 +197,7 @@ impl Devices {
     }
 }
 
-/// The topics that are wished for, in order; none for all.
+/// The requested topics, in order; none for all.
 fn covered(wishes: &EnrolWishes) -> Result<Vec<String>, Failure> {
     if wishes.all_topics != wishes.topics.is_empty() {
         return Err(Failure::new(

@@ -1,4 +1,4 @@
-//! Loans of devices, on an embedded chain, and the robots that were enrolled.
+//! Loans of devices, on an embedded chain, and the enrolled robots.
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
 use super::enrolled::{Enrolled, Enrolments};

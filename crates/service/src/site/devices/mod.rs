@@ -25,7 +25,7 @@ use crate::service::event::Part;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{DeviceRow, Failure, TransactionView};
 
-/// Fewest characters of a device's id that name it.
+/// The fewest characters of a device's id that identify it.
 const SHORTEST: usize = 8;
 
 /// Devices that sign for their owners.
@@ -37,7 +37,7 @@ pub(in crate::site) struct Devices {
     sender: Arc<Sender>,
     sharing: Arc<Sharing>,
     enrolments: Arc<Enrolments>,
-    /// Whether the chain is known from a gateway's word alone.
+    /// Whether the chain is known only from a gateway's word.
     is_joined: bool,
 }
 
@@ -87,14 +87,14 @@ impl Devices {
         self.change_devices(owner, &network, Call::Lend { device, until }, "lend", text).await
     }
 
-    /// Takes a loan back and begins a new epoch, so that what the device holds opens nothing sealed from now on. Gateways
-    /// heed the chain's word: the device's name ends, its subscriptions are cut, its next Command is refused.
+    /// Recalls a device and begins a new epoch, so that what the device holds opens nothing sealed from now on.
+    /// Gateways follow the chain: the device's name ends, its subscriptions are cut, its next Command is refused.
     pub(super) async fn recall(self: &Arc<Self>, owner: &Arc<Owner>, device: &str) -> Result<TransactionView, Failure> {
         let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         let device = self.lent_device(&network, owner, device)?;
         self.log.begin(owner, "recall device", &device.to_string()).await?;
-        // In the keyring before anything is sent: an end in between is taken up at the next start.
+        // In the keyring before anything is sent: if interrupted in between, it is resumed at the next start.
         owner.prepare_epoch(network.domain, network.directory.epoch(owner.address) + 1)?;
         let recalled = self.send_recall(owner, &network, device).await?;
         self.enrolments.note_recalled(owner, device)?;
@@ -111,7 +111,7 @@ impl Devices {
         Ok(TransactionView { epoch: rotated.epoch, text, ..recalled })
     }
 
-    /// Takes back the loan of a device that nobody has used.
+    /// Recalls a device that nobody has used.
     pub(super) async fn unlend_device(self: &Arc<Self>, owner: &Arc<Owner>, device: SignerId) -> Result<(), Failure> {
         let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
@@ -162,7 +162,7 @@ impl Devices {
         Ok(self.lendings(&network, owner).iter().rev().map(row).collect())
     }
 
-    /// The lent device that a person names.
+    /// The lent device identified by a person.
     pub(super) fn lent_device(&self, network: &Network, owner: &Owner, text: &str) -> Result<SignerId, Failure> {
         let lendings = self.lendings(network, owner);
         let enrolled = self.enrolments.of(owner)?;
@@ -178,7 +178,7 @@ impl Devices {
     }
 }
 
-/// The lent device whose id begins so; a fingerprint is such a beginning.
+/// The lent device whose id begins with this; a fingerprint is such a beginning.
 fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
     let wanted: String = text.chars().filter(|character| !character.is_whitespace()).collect::<String>().to_lowercase();
     let wanted = wanted.trim_start_matches("0x");

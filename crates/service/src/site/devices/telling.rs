@@ -1,4 +1,4 @@
-//! The owner's end of notices: whenever what an enrolled robot should seal under has changed, a record for it alone.
+//! The owner's side of notices: when what an enrolled robot should seal under has changed, it gets a record of its own.
 
 use super::enrolled::Enrolled;
 use super::enrolled::Enrolments;
@@ -9,7 +9,7 @@ use crate::pipeline::statement::{self, Speaker, Statement};
 use crate::pipeline::{Network, Owner};
 use crate::service::reply::Failure;
 
-/// What the head of a notice says its type is.
+/// The type in the head of a notice.
 const TYPE: &str = "authros/Keys";
 
 impl Enrolments {
@@ -17,7 +17,7 @@ impl Enrolments {
     /// keyring: called again, it does what is left.
     ///
     /// # Errors
-    /// Of ledger and vault.
+    /// Errors of ledger and vault.
     pub(in crate::site) fn tell_devices(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         let sealing = owner.sealing().is_some_and(|keys| keys.domain == network.domain);
         for device in self.of(owner)?.iter().filter(|_| sealing) {
@@ -25,7 +25,7 @@ impl Enrolments {
             if device.ended || may_sign(&network.directory, owner.address, device.device, now).is_err() {
                 continue;
             }
-            // Until a new key is in its place there is nobody whom robots would believe.
+            // Until a new key is in place there is nobody whom robots would believe.
             if owner.keyring().keyring.further.next_signing.is_some() {
                 continue;
             }
@@ -41,11 +41,11 @@ impl Enrolments {
         Ok(())
     }
 
-    /// Seals a notice for each lent robot that is to know its owner by `new` from now on: signed by the present key, and
-    /// within it by the account. Called again, it does what is left.
+    /// Seals a notice for each lent robot that is to know its owner by `new` from now on: signed by the current key,
+    /// and within it by the account. Called again, it does what is left.
     ///
     /// # Errors
-    /// Of ledger and vault.
+    /// Errors of ledger and vault.
     pub(in crate::site) fn tell_owner_key(
         &self,
         owner: &Owner,
@@ -105,7 +105,7 @@ fn place(owner: &Owner, device: &Enrolled) -> String {
     format!("told:{}:{}", owner.address, device.device)
 }
 
-/// What tells two issues apart; no secret. Topics are told by how many there are: they are only ever added.
+/// Distinguishes one issue from another; not secret. Topics are represented by their number: they are only ever added.
 fn summary(keys: &IssuedKeys) -> String {
     let moment = |time: Option<Timestamp>| time.map_or(0, |time| time.0);
     let next = keys.next.as_ref().map_or((0, 0), |(moment, next)| (moment.0, next.epoch));

@@ -10,7 +10,7 @@ const WIDTH: f64 = 560.0;
 const HEIGHT: f64 = 320.0;
 const EDGE: f64 = 24.0;
 
-/// The bytes of a PNG as an address of their own.
+/// The bytes of a PNG as a data URL.
 pub(super) fn data_uri(png: &[u8]) -> String {
     const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut out = "data:image/png;base64,".to_owned();
@@ -29,13 +29,13 @@ fn finite(points: &[(f64, f64)]) -> impl Iterator<Item = (f64, f64)> {
     points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite() && x.abs() < 1e12 && y.abs() < 1e12)
 }
 
-/// The least and the greatest, never the same.
+/// The minimum and the maximum, never equal.
 fn ends(numbers: impl Iterator<Item = f64>) -> (f64, f64) {
     let (least, most) = numbers.fold((f64::MAX, f64::MIN), |(least, most), one| (least.min(one), most.max(one)));
     if most > least { (least, most) } else { (least - 1.0, least + 1.0) }
 }
 
-/// A plot, with the ends of its axes.
+/// A plot, with the end points of its axes.
 pub(super) fn plot(out: &mut String, plot: &Plot) {
     let points: Vec<(f64, f64)> = finite(&plot.points).collect();
     let here: Vec<(f64, f64)> = finite(plot.here.as_slice()).collect();

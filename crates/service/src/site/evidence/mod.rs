@@ -1,4 +1,4 @@
-//! Bundles of evidence: own records with all that proves them, for somebody who trusts nobody.
+//! Bundles of evidence: own records with all their proofs, for a reader who trusts nobody.
 
 mod figure;
 mod page;
@@ -28,10 +28,10 @@ use crate::site::parts::Parts;
 use crate::site::reading::Reading;
 use crate::store::{RecordQuery, RecordRow};
 
-/// Records asked of the ledger at a time.
+/// Records requested from the ledger at a time.
 const PAGE: usize = 1000;
 
-/// Exports of what proves own records.
+/// Exports of proofs of own records.
 pub(in crate::site) struct Evidence {
     plant: Plant,
     log: Arc<Log>,
@@ -47,7 +47,7 @@ impl Evidence {
         Self { plant, log, link, reading: Arc::clone(reading), stamps: Arc::clone(stamps) }
     }
 
-    /// Writes records with all that proves them into a new file, 0600.
+    /// Writes records with all their proofs into a new file, 0600.
     pub(super) async fn export(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -71,7 +71,7 @@ impl Evidence {
             if !rows.iter().any(|known| known.digest == row.digest) {
                 rows.push(row.clone());
             }
-            // A disclosure is for ever: it is written down before anything leaves.
+            // A disclosure cannot be undone: it is logged before anything leaves.
             self.log.begin(owner, "disclose record", &row.id).await?;
         }
         if rows.is_empty() {
@@ -88,13 +88,13 @@ impl Evidence {
         });
         for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {
             let ended = written.as_ref().map(|_| ()).map_err(Clone::clone);
-            // What went wrong is told once, below.
+            // What went wrong is reported once, below.
             drop(self.log.end(owner, "disclose record", &row.id, ended).await);
         }
         self.log.end(owner, "export evidence", &file, written).await
     }
 
-    /// The incident whose records are asked for.
+    /// The incident whose records are requested.
     async fn incident(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -105,7 +105,7 @@ impl Evidence {
         blocking(self, move |evidence| incidents::view(&evidence.plant.ledger, owner, &name)).await.map(Some)
     }
 
-    /// The own records that are asked for, whose bytes are stored; all of them where nothing narrows it.
+    /// The requested own records whose bytes are stored; all of them if nothing narrows it.
     async fn chosen(self: &Arc<Self>, owner: &Arc<Owner>, wishes: &EvidenceWishes) -> Result<Vec<RecordRow>, Failure> {
         let mut rows = Vec::new();
         for id in &wishes.records {
@@ -151,7 +151,7 @@ impl Evidence {
         }
     }
 
-    /// The file: signed once for the page to be made of it, and again with the page.
+    /// The file: signed once so that the page can be made from it, and again with the page.
     fn packed(
         &self,
         owner: &Owner,
@@ -196,13 +196,13 @@ impl Evidence {
     }
 }
 
-/// What this program itself says of a bundle, by the pins that it suggests.
+/// What this program itself says about a bundle, using the pins that it suggests.
 fn report(bundle: &Bundle, about: Option<&IncidentView>, provider: &dyn Provider) -> String {
     let trust = bundle.suggested.as_ref().and_then(|text| Trust::parse(text.as_bytes()).ok());
     page::page(bundle, &verify(bundle, trust.as_ref(), provider), about)
 }
 
-/// Whether a record's ciphertext is to be in the vault.
+/// Whether a record's ciphertext should be in the vault.
 fn is_stored(row: &RecordRow) -> bool {
     !matches!(row.state, RecordState::Captured | RecordState::Sealed | RecordState::Quarantined | RecordState::Dropped)
 }

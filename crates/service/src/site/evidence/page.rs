@@ -1,5 +1,5 @@
-//! `report.html` of a bundle: what its exporter's program says of it, for eyes and paper. It proves nothing, and says so. It
-//! has no scripts and asks for nothing outside itself; every text in it is cleaned and escaped.
+//! `report.html` of a bundle: what its exporter's program says about it, for people and paper. It proves nothing, and
+//! says so. It has no scripts and requests nothing outside itself; every text in it is cleaned and escaped.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -14,13 +14,13 @@ use crate::service::reply::IncidentView;
 
 /// The most records in the table of levels.
 const MOST_ROWS: usize = 500;
-/// The most disclosed records that are shown whole.
+/// The most disclosed records shown in full.
 const MOST_SHOWN: usize = 100;
-/// Where disclosed records are no longer shown, bytes of the page.
+/// Size of the page from which disclosed records are no longer shown, bytes.
 const LONGEST: usize = 4 << 20;
-/// The most fields of a message whose type is none of the well-known.
+/// The most fields of a message whose type is not well-known.
 const MOST_FIELDS: usize = 200;
-/// The widest text from outside, characters.
+/// The widest foreign text, characters.
 const WIDEST: usize = 1000;
 
 const HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
@@ -42,7 +42,7 @@ const MARK: &str = "<p class=\"mark\"><b>This page is not authoritative.</b> It 
     <code>authros verify FILE.authros --trust trust.toml</code>, offline, with a trust file of your own, or by \
     <code>tools/verify.py</code> of the same source.</p>\n";
 
-/// A text from outside, as HTML shows it.
+/// A foreign text, escaped for HTML.
 pub(super) fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for character in clean(text, WIDEST).chars() {
@@ -124,7 +124,7 @@ fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
     put(out, format_args!("<p>{}</p>\n", escape(report.last_line())));
 }
 
-/// What its owner calls the incident whose records these are. Its topics go by their pseudonyms, as in the whole file.
+/// What its owner calls the incident of these records. Its topics appear as their pseudonyms, as in the whole file.
 fn incident(out: &mut String, about: &IncidentView) {
     out.push_str("<h2>Incident, in its owner's words</h2>\n");
     let until = about.until.map_or_else(|| "not ended".to_owned(), |until| until.to_string());
@@ -175,7 +175,7 @@ fn completeness(out: &mut String, report: &Report) {
     table(out, &["topic", "recorder", "", ""], &rows);
 }
 
-/// Whether it was disclosed for itself: what a recorder states is told under (f).
+/// Whether it was disclosed for itself: a recorder's statements are reported under (f).
 fn is_chosen(record: &RecordReport) -> bool {
     record.disclosed.is_some() && !record.is_statement()
 }
@@ -215,7 +215,7 @@ fn one(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordReport
     out.push_str("</section>\n");
 }
 
-/// The message's values: as people read its type, else field by field.
+/// The message's values: in readable form for a known type, otherwise field by field.
 fn message(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordReport, limits: &mut Limits) {
     let Some(revealed) = report.messages.get(&record.digest) else { return };
     let text = bundle.definitions.get(&revealed.head.definition);

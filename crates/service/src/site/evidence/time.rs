@@ -1,5 +1,5 @@
-//! Time from outside: each hour the roots of the batches that were closed since are stamped by the authorities that are
-//! set. Who does not answer is asked again, later and later; nothing waits for it.
+//! External time: each hour the configured authorities stamp the roots of the batches closed since. An authority that
+//! does not answer is asked again, at growing intervals; nothing waits for it.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -26,27 +26,27 @@ use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
 use crate::store::KeptStamp;
 
-/// How long an authority may take from the connection to the end of its answer.
+/// How long an authority may take from connecting to the end of its answer.
 const PATIENCE: Duration = Duration::from_secs(15);
 /// How often batches are stamped.
 const PERIOD: Duration = Duration::from_secs(3600);
-/// How often it is looked whether that time has come.
+/// How often to check whether it is time.
 const LOOK: Duration = Duration::from_secs(60);
 /// The first pause after an authority did not stamp, and the longest.
 const PAUSES: (Duration, Duration) = (LOOK, PERIOD);
-/// Stamps that one authority is asked for in one round.
+/// The most stamps requested from one authority in one round.
 const AT_ONCE: usize = 64;
-/// The longest file with a certificate, bytes.
+/// The longest certificate file, bytes.
 const LONGEST_CERTIFICATE: u64 = 64 * 1024;
-/// What notices are about.
+/// The subject of notices.
 const ABOUT: &str = "time stamps";
 
-/// What is known of the last round.
+/// The result of the last round.
 #[derive(Default)]
 struct Last {
     /// What went wrong, and since when.
     trouble: Option<(Timestamp, String)>,
-    /// Not before this is anybody asked again.
+    /// Nobody is asked again before this.
     again: Option<Instant>,
     pause: Duration,
 }
@@ -57,7 +57,7 @@ pub(in crate::site) struct TimeStamps {
     hub: Arc<Hub>,
     life: Arc<Lifetime>,
     authorities: Vec<TimeAuthority>,
-    /// Requests that brought no stamp since the site began.
+    /// Requests without a stamp since the site started.
     failures: AtomicU64,
     last: Mutex<Last>,
     /// One round at a time.
@@ -73,7 +73,7 @@ impl TimeStamps {
         Self { plant, hub, life, authorities, failures, last, turn }
     }
 
-    /// Whether any authority is set.
+    /// Whether any authority is configured.
     pub fn is_wanted(&self) -> bool {
         !self.authorities.is_empty()
     }
@@ -97,7 +97,7 @@ impl TimeStamps {
         }
     }
 
-    /// Puts batches under stamps: at once, or where the last time was long enough ago.
+    /// Puts batches under stamps: at once, or if the last time was long enough ago.
     fn begin(&self, at_once: bool) -> Result<u64, Failure> {
         let newest = self.plant.ledger.stamp_counts()?.newest;
         let due = newest.is_none_or(|newest| Timestamp::now().0.saturating_sub(newest.0) >= nanoseconds(PERIOD));
@@ -129,7 +129,7 @@ impl TimeStamps {
         }
     }
 
-    /// Asks each authority for what it is owed; what it gave, and the first thing that went wrong.
+    /// Asks each authority for its missing stamps; returns what it gave, and the first failure.
     async fn ask_all(self: &Arc<Self>) -> (Vec<StampedView>, Option<Failure>) {
         let (mut tokens, mut problem) = (Vec::new(), None);
         for authority in &self.authorities {
@@ -187,7 +187,7 @@ impl TimeStamps {
         Ok(())
     }
 
-    /// How it goes, where any authority is set.
+    /// The state of stamping, if any authority is configured.
     pub fn health(&self) -> Result<Option<PartHealth>, Failure> {
         if !self.is_wanted() {
             return Ok(None);
@@ -207,7 +207,7 @@ impl TimeStamps {
         Ok(Some(PartHealth { part: "time".to_owned(), level, text: clean(&text, 300), since, retry: None }))
     }
 
-    /// The authorities as a trust file names them; one whose certificate cannot be read is left out.
+    /// The authorities as named in a trust file; one whose certificate cannot be read is left out.
     pub fn suggested(&self) -> Vec<PinnedAuthority> {
         let pin = |authority: &TimeAuthority| {
             read(authority).ok()?;
@@ -222,7 +222,7 @@ fn nanoseconds(span: Duration) -> u64 {
     u64::try_from(span.as_nanos()).unwrap_or(u64::MAX)
 }
 
-/// The certificate that is pinned, read anew each time: it may have been replaced.
+/// The pinned certificate, read anew each time: it may have been replaced.
 fn read(authority: &TimeAuthority) -> Result<Certificate, Failure> {
     let path = clean(&authority.certificate.display().to_string(), 200);
     let failed = |why: String| input(format!("{path}: {why}; set time.authorities to a certificate in PEM"));
@@ -236,7 +236,7 @@ fn read(authority: &TimeAuthority) -> Result<Certificate, Failure> {
 
 fn client(authority: &TimeAuthority) -> Result<reqwest::Client, Failure> {
     let roots = if authority.url.starts_with("https://") { trusted()? } else { Vec::new() };
-    // Only whom the settings name is asked.
+    // Only authorities in the settings are asked.
     let client = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
     let client =
         roots.into_iter().fold(client.tls_built_in_root_certs(false), reqwest::ClientBuilder::add_root_certificate);

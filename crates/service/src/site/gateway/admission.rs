@@ -1,5 +1,5 @@
 //! Who may use the gateway of this home: the keeper's choice. The home's own profiles always may, others once they are
-//! admitted; an open gateway takes everybody else too, within quotas.
+//! admitted; an open gateway accepts everybody else too, within quotas.
 
 use std::collections::BTreeSet;
 
@@ -9,20 +9,20 @@ use crate::model::bytes::hex;
 use crate::model::{Address, ProfileName};
 use crate::pipeline::Network;
 
-/// The most owners whom an open gateway takes unasked.
+/// The most owners that an open gateway accepts without admission.
 const MOST_GUESTS: usize = 256;
 
-/// How an owner comes to use the gateway.
+/// Why an owner may use the gateway.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Standing {
     /// A profile of this home, or on the list.
     Admitted,
-    /// Nobody asked; the gateway is open.
+    /// Nobody admitted it; the gateway is open.
     Guest,
 }
 
 impl GatewayDesk {
-    /// How an account comes to use this gateway.
+    /// Why an account may use this gateway.
     ///
     /// # Errors
     /// [`Refusal`] with `NotAuthorised`, whose detail says what the keeper may do.
@@ -32,7 +32,7 @@ impl GatewayDesk {
         if self.home_accounts.contains(account) || gateway.admissions.is_on_list(account) || own() {
             return Ok(Standing::Admitted);
         }
-        // Whoever continues for a lost account stands where it stood.
+        // The successor of a lost account takes its place.
         if gateway.admissions.listed().iter().any(|lost| network.directory.successor(*lost) == Some(*account)) {
             return Ok(Standing::Admitted);
         }

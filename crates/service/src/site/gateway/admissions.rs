@@ -1,4 +1,4 @@
-//! The list of owners who may use the gateway of this home, as its keeper decides; it lies in the ledger.
+//! The list of owners who may use the gateway of this home, as its keeper decides; stored in the ledger.
 
 use crate::paths::Home;
 use crate::pipeline::Plant;
@@ -19,7 +19,7 @@ use crate::service::event::Part;
 use crate::service::failure::{input, internal, refused};
 use crate::service::reply::{AdmittedView, Failure};
 
-/// Where the list lies in the ledger.
+/// Where the list is stored in the ledger.
 const LIST: &str = "gateway admitted";
 /// The most owners on it.
 const MOST: usize = 10_000;
@@ -29,7 +29,7 @@ const MOST: usize = 10_000;
 struct Admitted {
     owner: Address,
     since: Timestamp,
-    /// Who admitted it, or why it is here.
+    /// Who admitted it, or why it is listed.
     by: String,
 }
 
@@ -41,9 +41,9 @@ pub(in crate::site) struct Admissions {
     log: Arc<Log>,
     owners: Arc<Owners>,
     contacts: Arc<Contacts>,
-    /// As far as the list was read.
+    /// The list, if it was read.
     admitted: RwLock<Option<BTreeSet<Address>>>,
-    /// Changes happen one at a time.
+    /// Changes are made one at a time.
     changing: tokio::sync::Mutex<()>,
 }
 
@@ -65,8 +65,8 @@ impl Admissions {
 }
 
 impl Admissions {
-    /// The list as the ledger has it. The first time, it holds everybody who has a name at this gateway already: an
-    /// upgrade locks nobody out.
+    /// The list in the ledger. The first time, it contains everybody who has a name at this gateway already: an upgrade
+    /// locks nobody out.
     fn list(&self) -> Result<Vec<Admitted>, Failure> {
         let ledger = &self.plant.ledger;
         if let Some(text) = block_in_place(|| ledger.setting(LIST))? {
@@ -98,7 +98,7 @@ impl Admissions {
         Ok(())
     }
 
-    /// Who is on the list.
+    /// The owners on the list.
     pub fn listed(&self) -> BTreeSet<Address> {
         self.admitted.read().unwrap_or_else(PoisonError::into_inner).clone().unwrap_or_default()
     }
@@ -127,7 +127,7 @@ impl Admissions {
         self.rows()
     }
 
-    /// Ends it: from the next Command on the owner is refused. What it sent is kept and anchored.
+    /// Ends it: the owner is refused from the next Command on. What it sent is kept and anchored.
     pub async fn dismiss(self: &Arc<Self>, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>, Failure> {
         let owner = self.contacts.resolve(owner)?;
         if self.home_accounts().contains(&owner) {
@@ -147,7 +147,7 @@ impl Admissions {
         self.rows()
     }
 
-    /// Who is admitted, with the names of the address book.
+    /// The admitted owners, with the names of the address book.
     pub fn rows(&self) -> Result<Vec<AdmittedView>, Failure> {
         let (names, list) = (self.contacts.names(), self.list()?);
         let row = |admitted: Admitted| AdmittedView {
@@ -159,12 +159,12 @@ impl Admissions {
         Ok(list.into_iter().map(row).collect())
     }
 
-    /// Accounts of this home's profiles, those included that are not open.
+    /// Accounts of this home's profiles, including those that are not open.
     pub fn home_accounts(&self) -> BTreeSet<Address> {
         let open = self.owners.all().iter().map(|owner| owner.address).collect::<BTreeSet<_>>();
         let kept = self.home.profiles().into_iter().filter_map(|profile| {
             let public = block_in_place(|| crate::crypto::read_public(&self.home.keyring(&profile)));
-            // One that cannot be read is told of where it is opened.
+            // One that cannot be read is reported where it is opened.
             public.ok().map(|public| public.address)
         });
         open.into_iter().chain(kept).collect()

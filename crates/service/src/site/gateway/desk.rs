@@ -1,4 +1,4 @@
-//! What the site's gateway does with each command.
+//! How the site's gateway handles each command.
 
 use std::net::SocketAddr;
 use std::sync::{Arc, PoisonError};
@@ -46,7 +46,7 @@ impl GatewayDesk {
         written.map_err(|failure| Refusal::new(Code::Internal, failure.message))
     }
 
-    /// A record contradicts the ledger: where its number is another's, both signatures are kept.
+    /// A record contradicts the ledger: if its number belongs to another, both signatures are kept.
     fn tell_conflict(&self, claims: &[Claim], error: &StoreError) {
         let told = claims.iter().map(|claim| equivocation::tell(&self.gateway.plant, claim));
         if told.filter(|told| matches!(told, Ok(true))).count() == 0 {
@@ -55,7 +55,7 @@ impl GatewayDesk {
         }
     }
 
-    /// As [`Self::audit`], but the same of the same caller only once a minute; repetitions are counted.
+    /// Like [`Self::audit`], but once a minute for the same event of the same caller; repetitions are counted.
     async fn audit_once(&self, caller: &Caller, action: &str, subject: &str) -> Result<(), Refusal> {
         let (log, query) = (&self.gateway.log, format!("{action} {subject}"));
         if !log.is_new_query(caller.name.as_str(), &query) {
@@ -68,7 +68,7 @@ impl GatewayDesk {
         written
     }
 
-    /// The caller may read something of this owner, or is refused before anything is written down.
+    /// The caller may read something of this owner, or is refused before anything is logged.
     async fn check_reach(&self, caller: &Caller, owner: Address) -> Result<(), Refusal> {
         let reader = caller.account;
         self.blocking(move |desk| desk.reach(&desk.fresh_network()?, &reader, &owner).map(drop)).await
@@ -77,7 +77,7 @@ impl GatewayDesk {
     fn keep(&self, account: &Address, records: Vec<Received>) -> Result<Timestamp, Refusal> {
         let network = self.fresh_network()?;
         let guest = self.standing_of(&network, account)? == Access::Guest;
-        // What is counted must not grow before it is kept.
+        // What is counted must not grow before it is stored.
         let _counting = guest.then(|| self.guests.lock().unwrap_or_else(PoisonError::into_inner));
         if guest {
             self.check_quota(account, &records)?;
@@ -178,7 +178,7 @@ impl Desk for GatewayDesk {
         audited.map_err(|failure| Refusal::new(Code::Internal, failure.message))?;
         let name = name.clone();
         self.blocking(move |desk| {
-            // Held until it is kept: a change of the keeper's pair seals anew what is there.
+            // Held until it is stored: a change of the keeper's pair re-encrypts what is there.
             let under = desk.under.read().unwrap_or_else(PoisonError::into_inner);
             let pair =
                 under.first().ok_or_else(|| Refusal::new(Code::Internal, "no key to keep transport keys under"))?;
@@ -196,7 +196,7 @@ impl Desk for GatewayDesk {
         let call = Call::Register { identity: registration.identity };
         let transaction = network.chain.expect_call(&registration.transaction, registration.account, &call);
         let transaction = transaction.map_err(Refusal::because(Code::Transaction))?;
-        // Nobody has authorised a newcomer: no line of the log for it, the chain itself tells of the registration.
+        // Nobody has authorised a newcomer: no line in the log for it, the chain itself shows the registration.
         let sent = network.chain.broadcast(&registration.transaction).await;
         sent.map_err(Refusal::because(Code::Transaction))?;
         Ok(transaction)
@@ -237,7 +237,7 @@ impl Desk for GatewayDesk {
     }
 
     async fn grant(&self, caller: &Caller, notice: &GrantNotice) -> Result<(), Refusal> {
-        // The chain's own event opens; the notice is only written down.
+        // The chain's own event decides; the notice is only logged.
         self.audit(caller, "grant notice", &notice.grantee.to_string()).await
     }
 
@@ -277,7 +277,7 @@ impl Desk for GatewayDesk {
     }
 
     fn refused(&self, peer: SocketAddr, refusal: &Refusal) {
-        // A line per peer, code and minute: whoever is refused again and again can fill neither log.
+        // A line per peer, code and minute: a peer refused again and again can fill neither log.
         if self.gateway.log.refused(&peer.ip().to_string(), &format!("{:?}", refusal.code)) {
             let text = format!("the gateway refused {}: {refusal}", peer.ip());
             self.gateway.hub.notice(NoticeLevel::Info, &text);

@@ -1,5 +1,5 @@
-//! Names that belong to devices: they end with the loan, wherever the chain says that it ended. Names that were bound
-//! before gateways kept whose they are, are found in this gateway's own audit log.
+//! Names that belong to devices: they end with the loan, wherever the chain says that it ended. The owners of names
+//! bound before gateways stored them are found in this gateway's own audit log.
 
 use super::Gateway;
 use std::collections::BTreeMap;
@@ -14,18 +14,18 @@ use crate::store::AuditQuery;
 
 /// The setting that says that earlier names have been looked up.
 const RESOLVED: &str = "gateway devices resolved";
-/// Lines of the audit log that are looked through.
+/// Lines of the audit log to search.
 const LINES: usize = 1_000_000;
 
 impl GatewayDesk {
-    /// Whether the newest loan of a device was taken back; a later one counts again.
+    /// Whether the newest loan of a device was recalled; a later loan is valid again.
     pub(super) fn is_recalled(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal> {
         let account = self.fresh_network()?.directory.account(*owner);
         let loans = account.map(|account| account.devices).unwrap_or_default();
         Ok(loans.iter().rfind(|loan| loan.device == *device).is_some_and(|loan| loan.recalled.is_some()))
     }
 
-    /// A device's session is worth as much as its loan at this moment.
+    /// A device's session is valid as long as its loan.
     pub(super) fn check_loan(&self, network: &Network, caller: &Caller) -> Result<(), Refusal> {
         let Some(device) = &caller.device else { return Ok(()) };
         let now = Moment::newest(network.directory.now());
@@ -35,8 +35,8 @@ impl GatewayDesk {
 }
 
 impl Gateway {
-    /// Finds, once, the devices of names that an earlier version bound: it wrote down which name brought which device's
-    /// key, after the name was allocated.
+    /// Finds, once, the devices of names bound by an earlier version: it logged which name brought which device's key,
+    /// after the name was allocated.
     pub(super) fn resolve_devices(&self) -> Result<(), Failure> {
         let ledger = &self.plant.ledger;
         if ledger.setting(RESOLVED)?.is_some() {

@@ -12,10 +12,10 @@ use crate::model::{Digest, PublicKey, RecordState};
 use crate::pipeline::authority::ReadingRight;
 use crate::store::RecordRow;
 
-/// Entries that may wait for a slow reader; then the subscription waits with it.
+/// Entries that may wait for a slow reader; beyond that, the subscription waits for it.
 const AHEAD: usize = 64;
 
-/// One subscription at work.
+/// One running subscription.
 pub(super) struct Watch {
     pub desk: Arc<GatewayDesk>,
     pub caller: Caller,
@@ -32,7 +32,7 @@ impl Watch {
         tokio::spawn(async move {
             loop {
                 tokio::select! {
-                    // Who may read comes before what there is to read.
+                    // Whether the caller may read is decided before looking at what there is to read.
                     biased;
                     changed = authority.changed() => {
                         let now = tokio::task::block_in_place(|| self.reach().and_then(|now| Ok((now, self.keys()?))));
@@ -54,7 +54,7 @@ impl Watch {
                                 }
                             }
                         }
-                        // What was missed is in the list: the reader asks for it and subscribes again.
+                        // What was missed is in the list: the reader requests it and subscribes again.
                         Err(RecvError::Lagged(_) | RecvError::Closed) => return,
                     },
                 }
@@ -69,8 +69,8 @@ impl Watch {
         self.desk.reach(&network, &self.caller.account, &self.selection.owner)
     }
 
-    /// The keys that the chain has for who asks: other ones end what was begun under these. None for a device, which is
-    /// worth as much as its loan, whatever keys its owner has.
+    /// The caller's keys on the chain: a change ends what was begun under the old ones. None for a device, which is
+    /// valid as long as its loan, whatever keys its owner has.
     fn keys(&self) -> Result<Option<(PublicKey, PublicKey)>, Refusal> {
         if self.caller.device.is_some() {
             return Ok(None);

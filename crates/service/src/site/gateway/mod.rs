@@ -1,5 +1,5 @@
-//! The gateway of a site (the paper's CR): takes frames over TCP, keeps what robots send, anchors it with the account
-//! of the profile that runs it, and answers queries by the chain's grants at that moment.
+//! The gateway of a site (the paper's CR): accepts frames over TCP, stores what robots send, anchors it with the
+//! account of the profile that runs it, and answers queries according to the chain's grants at that moment.
 
 mod admission;
 #[cfg(test)]
@@ -45,11 +45,11 @@ use crate::service::figures::GatewayFigures;
 use crate::service::reply::{Failure, GatewayView};
 use status::Serving;
 
-/// How long requests under way may take when the gateway ends.
+/// How long running requests may take when the gateway ends.
 const FAREWELL: Duration = Duration::from_secs(3);
 
-/// The keeper's envelope pairs, under which transport keys lie at rest, the present one first: kept beside the keyring,
-/// for robots connect also while that is locked.
+/// The keeper's envelope pairs, which encrypt the stored transport keys, the current one first: kept beside the
+/// keyring, because robots connect also while that is locked.
 pub(super) type KeptUnder = Arc<RwLock<Vec<SmKeyPair>>>;
 
 /// Where a gateway listens, and for whom.
@@ -62,7 +62,7 @@ struct Place {
     open: bool,
 }
 
-/// Serves with the server that is there, or with a new one at the same place; returns early where it breaks.
+/// Serves with the existing server, or with a new one at the same address; returns early if it breaks.
 async fn serve_until(gateway: Arc<Gateway>, place: Place, server: Option<Server>, mut over: watch::Receiver<bool>) {
     let server = match server {
         Some(server) => Ok(server),
@@ -74,26 +74,26 @@ async fn serve_until(gateway: Arc<Gateway>, place: Place, server: Option<Server>
     };
     tokio::select! {
         () = gateway.life.stopped() => {}
-        // A dropped sender says the same.
+        // A dropped sender means the same.
         _ = over.wait_for(|over| *over) => {}
         () = server.broken() => return,
     }
     server.stop(FAREWELL).await;
 }
 
-/// What a gateway does with commands; one profile of the site keeps it.
+/// How a gateway handles commands; one profile of the site keeps it.
 #[derive(Clone)]
 pub(super) struct GatewayDesk {
     gateway: Arc<Gateway>,
-    /// Whose account anchors, and whose SM2 key is, or was when it was founded, the gateway's identity.
+    /// The profile whose account anchors, and whose SM2 key is, or was at its foundation, the gateway's identity.
     keeper: Arc<Owner>,
     under: KeptUnder,
     domain: Domain,
-    /// Also owners whom nobody admitted, within quotas.
+    /// Also owners who were not admitted, within quotas.
     open: bool,
     /// Accounts of the home's profiles when the gateway was started.
     home_accounts: Arc<BTreeSet<Address>>,
-    /// Held while a guest's records are counted and kept.
+    /// Held while a guest's records are counted and stored.
     guests: Arc<Mutex<()>>,
 }
 
@@ -110,10 +110,10 @@ pub(in crate::site) struct Gateway {
     supervisor: Arc<Supervisor>,
     sharing: Arc<Sharing>,
     admissions: Arc<Admissions>,
-    /// The one that is served, if one is.
+    /// The running one, if there is one.
     serving: Mutex<Option<Serving>>,
     remote: Option<Arc<Remote>>,
-    /// The line of the agent that works here, if one does.
+    /// The connection of the agent that works here, if there is one.
     passed_on: OnceLock<watch::Receiver<Line>>,
 }
 
@@ -146,12 +146,12 @@ impl Gateway {
 }
 
 impl Gateway {
-    /// What is told of the gateway, while one is served.
+    /// The gateway as reported, while one is running.
     pub fn served(&self) -> Option<GatewayView> {
         self.serving.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|serving| serving.view.clone())
     }
 
-    /// Figures of the gateway that is served here, if one is.
+    /// Figures of the gateway running here, if there is one.
     pub fn figures(&self) -> Option<GatewayFigures> {
         let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
         let watch = &serving.as_ref()?.watch;
@@ -160,13 +160,13 @@ impl Gateway {
         Some(GatewayFigures { connections, refused })
     }
 
-    /// This home's records are passed on to another gateway: where that line stands.
+    /// This home's records are forwarded to another gateway: the state of that connection.
     pub fn passes_on(&self, line: watch::Receiver<Line>) {
-        // A site has one agent at most.
+        // A site has at most one agent.
         let _ = self.passed_on.set(line);
     }
 
-    /// Where the line to the gateway stands that this home's records are passed on to, if they are.
+    /// The state of the connection to the gateway to which this home's records are forwarded, if they are.
     pub fn line(&self) -> Option<Line> {
         self.passed_on.get().map(|line| line.borrow().clone())
     }
@@ -220,7 +220,7 @@ impl Gateway {
         let (over, is_over) = watch::channel(false);
         let gateway = Arc::clone(self);
         tokio::spawn(async move {
-            // A dropped sender says the same.
+            // A dropped sender means the same.
             drop(ended.await);
             over.send_replace(true);
             *gateway.serving.lock().unwrap_or_else(PoisonError::into_inner) = None;

@@ -1,5 +1,5 @@
-//! Requests to the chain that a gateway passes on: reads for everybody, transactions for those who may use the gateway,
-//! and of a newcomer the one that registers it.
+//! Requests to the chain that a gateway forwards: reads for everybody, transactions for those who may use the gateway,
+//! and a newcomer's registration.
 
 use serde_json::{Value, json};
 
@@ -21,7 +21,7 @@ fn rejected(words: &str) -> RelayError {
 }
 
 impl GatewayDesk {
-    /// Passes a request on to the chain, where it may pass.
+    /// Forwards a request to the chain, if it is allowed.
     pub(super) async fn pass_on(
         &self,
         caller: Option<&Caller>,
@@ -52,8 +52,8 @@ impl GatewayDesk {
         }
     }
 
-    /// A transaction proves its sender by itself: without a transport key the same accounts may send one that may use
-    /// this gateway, and a newcomer the one that registers it.
+    /// A transaction proves its sender by itself: without a transport key, accounts that may use this gateway may still
+    /// send one, and a newcomer may send its registration.
     fn check_sender(
         &self,
         network: &Network,

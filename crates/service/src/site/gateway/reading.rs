@@ -14,7 +14,7 @@ use crate::store::{RecordQuery, RecordRow};
 /// How long the chain may be silent before nobody is authorised any more.
 pub(super) const LONGEST_SILENCE: Duration = Duration::from_secs(30);
 
-/// The setting that holds a revoke announced and not on the chain yet: the epoch that it begins.
+/// The setting for a revoke that is announced and not on the chain yet: the epoch that it begins.
 pub(super) fn announced_key(owner: &Address, grantee: &Address) -> String {
     format!("announced revoke:{owner}:{grantee}")
 }
@@ -24,14 +24,15 @@ fn not_authorised(owner: &Address, reader: &Address) -> Refusal {
 }
 
 impl GatewayDesk {
-    /// The network, where the chain has told a head lately.
+    /// The network, if the chain has reported a head recently.
     pub(super) fn fresh_network(&self) -> Result<Network, Refusal> {
         let network = self.gateway.link.network_now().filter(|network| network.domain == self.domain);
         let fresh = self.gateway.link.fresh_head(LONGEST_SILENCE);
         network.filter(|_| fresh.is_some()).ok_or_else(|| Refusal::new(Code::Stale, "no fresh head of the chain"))
     }
 
-    /// By what right `reader` reads what `owner` has here, now. Waits for the ledger: not on the network's threads.
+    /// The right by which `reader` reads `owner`'s records here, now. Waits for the ledger: not on the network's
+    /// threads.
     pub(super) fn reach(&self, network: &Network, reader: &Address, owner: &Address) -> Result<ReadingRight, Refusal> {
         if reader == owner {
             return Ok(ReadingRight::Own);
@@ -49,7 +50,7 @@ impl GatewayDesk {
         })
     }
 
-    /// By what right a key signs for `owner` now: the later of the head's time and the clock here decides.
+    /// The right by which a key signs for `owner` now: the later of the head's time and the clock here decides.
     pub(super) fn may_sign_now(
         &self,
         owner: &Address,
@@ -66,7 +67,7 @@ impl GatewayDesk {
         let internal = Refusal::because(Code::Internal);
         let announced = ledger.setting(&announced_key(owner, reader)).map_err(&internal)?;
         let epoch: Option<u64> = announced.and_then(|text| text.parse().ok());
-        // The chain is as far by now: its own word counts again.
+        // The chain has caught up: its own state decides again.
         if epoch.is_some_and(|epoch| network.directory.epoch(*owner) < epoch) {
             return Ok(true);
         }
@@ -108,7 +109,7 @@ impl GatewayDesk {
         Ok(standings)
     }
 
-    /// How digests stand, each with where the chain has it.
+    /// The state of digests, each with its place on the chain.
     pub(super) fn proven(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal> {
         let ledger = &self.gateway.plant.ledger;
         let mut stood = Vec::with_capacity(digests.len());
@@ -124,7 +125,7 @@ impl GatewayDesk {
         Ok(stood)
     }
 
-    /// A record's bytes, compared with its digest before any of them leaves.
+    /// A record's bytes, compared with its digest before any of them leave.
     pub(super) fn record(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal> {
         let internal = Refusal::because(Code::Internal);
         let network = self.fresh_network()?;
@@ -154,14 +155,14 @@ impl GatewayDesk {
     }
 }
 
-/// Whether a device signed a record: the one that asks, or another one of the same owner, for a robot that is enrolled
-/// anew has another key. Whoever does not have a record does not know its digest.
+/// Whether a device signed a record: the asking one, or another one of the same owner, because a robot that is enrolled
+/// again has another key. Somebody who does not have a record does not know its digest.
 fn is_of_a_device(network: &Network, row: &RecordRow, asking: &SignerId) -> bool {
     let account = network.directory.account(row.owner);
     row.signer == *asking || account.is_some_and(|account| account.devices.iter().any(|loan| loan.device == row.signer))
 }
 
-/// Whether a record may leave: what is quarantined or found altered is only listed.
+/// Whether a record may leave: quarantined or altered records are only listed.
 fn is_offered(row: &RecordRow) -> bool {
     !matches!(standing(row.state), Standing::Unknown | Standing::Tampered | Standing::Quarantined)
 }

@@ -1,11 +1,11 @@
-//! A record as a gateway tells of it: entry, standing, proof.
+//! A record as a gateway reports it: entry, standing, proof.
 
 use crate::chain::AnchorProof;
 use crate::gateway::{Entry, Standing};
 use crate::model::RecordState;
 use crate::store::{BatchPlace, RecordRow};
 
-/// How a record in this state stands.
+/// The standing of a record in this state.
 pub(super) fn standing(state: RecordState) -> Standing {
     match state {
         RecordState::Captured | RecordState::Dropped => Standing::Unknown,
@@ -21,7 +21,7 @@ pub(super) fn standing(state: RecordState) -> Standing {
     }
 }
 
-/// What a list says of a record.
+/// A record's entry in a list.
 pub(super) fn entry(row: &RecordRow) -> Entry {
     Entry {
         digest: row.digest,
@@ -37,7 +37,7 @@ pub(super) fn entry(row: &RecordRow) -> Entry {
     }
 }
 
-/// Where the chain has the record; `None` before it is in a block.
+/// The record's place on the chain; `None` before it is in a block.
 pub(super) fn proof(row: &RecordRow, place: Option<BatchPlace>) -> Option<AnchorProof> {
     let (transaction, block, block_hash) = (row.transaction?, row.block?, row.block_hash?);
     match place {

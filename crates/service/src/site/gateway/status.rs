@@ -1,4 +1,4 @@
-//! A look at the gateway of this site: who is connected, what was refused.
+//! The state of this site's gateway: who is connected, what was refused.
 
 use super::Gateway;
 use std::collections::BTreeMap;
@@ -12,18 +12,18 @@ use crate::model::{Address, ProfileName, Timestamp};
 use crate::pipeline::Owner;
 use crate::service::reply::{Failure, GatewayStatusView, GatewayView, RefusedView, SenderView, SystemKeyView};
 
-/// A gateway at work: what is told of it, and a look at its server.
+/// A running gateway: what is reported about it, and its server.
 pub(in crate::site) struct Serving {
-    /// What is told.
+    /// The report.
     pub view: GatewayView,
     /// Its server.
     pub watch: ServerWatch,
-    /// What transport keys lie under.
+    /// The keys that encrypt the transport keys.
     pub under: super::KeptUnder,
 }
 
 impl Gateway {
-    /// What the transport keys of the gateway that this owner serves here lie under.
+    /// The keys that encrypt the transport keys of the gateway that this owner serves here.
     pub(in crate::site) fn kept_under(&self, owner: &Owner) -> Option<super::KeptUnder> {
         let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
         serving
@@ -65,7 +65,7 @@ impl Gateway {
     }
 }
 
-/// Every bound name with the sum of its sessions; those connected first.
+/// Every bound name with the sum of its sessions; connected ones first.
 fn sender_rows(bound: Vec<(String, Address)>, connected: Vec<Sender>) -> Vec<SenderView> {
     let unknown = |name: ProfileName, account| SenderView {
         name,

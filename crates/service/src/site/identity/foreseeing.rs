@@ -1,4 +1,4 @@
-//! Whom a change of an SM2 pair touches, said before it is made.
+//! Who is affected by a change of an SM2 pair, reported before it is made.
 
 use super::Profiles;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use crate::service::command::PairKind;
 use crate::service::reply::{Failure, KeyChangeView};
 
 impl Profiles {
-    /// Whom it touches, and what happens then; changes nothing.
+    /// Who is affected, and what happens then; changes nothing.
     pub(in crate::site) async fn foresee_key_change(
         self: &Arc<Self>,
         owner: &Arc<Owner>,

@@ -1,4 +1,4 @@
-//! A profile's keys: shown, loaded, handed out.
+//! A profile's keys: shown, loaded, exported.
 
 use super::Profiles;
 use std::path::PathBuf;
@@ -39,7 +39,7 @@ impl Profiles {
         })
     }
 
-    /// Replaces one key by that of a file.
+    /// Replaces one key with that in a file.
     pub(in crate::site) async fn load_key(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -91,7 +91,7 @@ impl Profiles {
         Ok(Arc::clone(owner))
     }
 
-    /// Makes a new envelope pair; the former one opens what was sealed to it.
+    /// Makes a new envelope pair; the old one still opens what was sealed to it.
     pub(in crate::site) async fn rotate_envelope(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<KeysView, Failure> {
         let registered = self.registered_network(owner).await?;
         self.log.begin(owner, "rotate envelope key", &owner.address.to_string()).await?;
@@ -103,7 +103,7 @@ impl Profiles {
         self.keys(owner).await
     }
 
-    /// The network, where the owner is registered on it; nothing where this home has none.
+    /// The network, if the owner is registered on it; nothing if this home has none.
     pub(in crate::site) async fn registered_network(
         self: &Arc<Self>,
         owner: &Owner,
@@ -143,7 +143,7 @@ impl Profiles {
         Ok(self.reopen(owner))
     }
 
-    /// Hands one key out, in the form that other tools read.
+    /// Exports one key, in the format of other tools.
     pub(in crate::site) async fn export_key(
         self: &Arc<Self>,
         owner: &Arc<Owner>,

@@ -13,16 +13,16 @@ use crate::service::failure::{input, internal};
 use crate::service::reply::{Failure, IdentityView};
 use crate::site::blocking;
 
-/// How long a change under way may hold up the locking.
+/// How long a running change may delay the locking.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 impl Profiles {
-    /// Wipes what decrypts, grants and revokes. A change of epochs or grants under way is waited for a moment: without
-    /// its keys it could not be finished.
+    /// Wipes the keys for reading, granting and revoking. A running change of epochs or grants is waited for a moment:
+    /// without its keys it could not be finished.
     pub(in crate::site) async fn lock(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
         if let Some(owner) = self.owners.get(profile).filter(|owner| !owner.is_locked()) {
             {
-                // One that hangs is cut: what it leaves open is taken up at the next unlock.
+                // One that hangs is cut off: what it leaves open is resumed at the next unlock.
                 let _one_at_a_time = tokio::time::timeout(PATIENCE, owner.changes.lock()).await.ok();
                 if let Some(network) = self.link.network_now() {
                     block_in_place(|| self.sharing.foresee_locked(&owner, &network))?;

@@ -57,7 +57,7 @@ pub(in crate::site) struct Profiles {
     watches: Arc<Watches>,
 }
 
-/// The parts that profiles ask.
+/// The parts used by profiles.
 pub(in crate::site) struct Asked<'a> {
     pub connection: &'a Arc<Connection>,
     pub sharing: &'a Arc<Sharing>,
@@ -144,7 +144,7 @@ impl Profiles {
         self.view(&profile).await
     }
 
-    /// Protects a keyring by another passphrase. The file is replaced in one step: it opens with the one or the other.
+    /// Protects a keyring with another passphrase. The file is replaced in one step: it opens with one or the other.
     pub(super) async fn change_passphrase(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -165,7 +165,7 @@ impl Profiles {
         };
         let open = owner.clone();
         let changed = blocking(self, move |_| {
-            // Also of an open keyring: who asks knows the present one.
+            // Also for an open keyring: the caller has to know the current one.
             let mut kept = UnlockedKeyring::open(&path, &old)?;
             match &open {
                 Some(owner) => owner.keyring().change_passphrase(&new)?,
@@ -179,7 +179,7 @@ impl Profiles {
         changed
     }
 
-    /// Puts an open keyring into the site, in place of the profile's former one.
+    /// Puts an open keyring into the site, replacing the profile's previous one.
     pub(super) fn open(self: &Arc<Self>, profile: ProfileName, keyring: UnlockedKeyring) -> Arc<Owner> {
         let owner = Arc::new(Owner::new(profile.clone(), keyring));
         self.pins.introduce(&owner);
@@ -190,8 +190,8 @@ impl Profiles {
         owner
     }
 
-    /// Seals under the newest epoch of the keyring until the chain says how it stands, so that a start costs no message
-    /// and capture needs no chain; only where the chain is known to have an epoch of this owner.
+    /// Seals under the newest epoch of the keyring until the chain's state is known, so that a start loses no message
+    /// and capture needs no chain; only if the chain is known to have an epoch of this owner.
     fn seal_as_before(&self, owner: &Owner) {
         let Ok(Some(pin)) = self.connection.pin() else { return };
         let domain = adoption::domain_of(&pin);
@@ -201,7 +201,7 @@ impl Profiles {
         }
     }
 
-    /// Opens an owner anew after its account changed.
+    /// Opens an owner again after its account changed.
     pub(super) fn reopen(self: &Arc<Self>, owner: &Arc<Owner>) -> Arc<Owner> {
         let keyring = owner.keyring().duplicate();
         self.open(owner.profile.clone(), keyring)

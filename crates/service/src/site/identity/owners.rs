@@ -17,17 +17,17 @@ use crate::service::reply::Failure;
 pub(in crate::site) struct Owners {
     home: Home,
     open: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
-    /// Hears of each owner as it is opened.
+    /// Receives each owner as it is opened.
     opened: mpsc::UnboundedSender<Arc<Owner>>,
 }
 
 impl Owners {
-    /// Nobody yet; `opened` hears of each owner that is opened.
+    /// Nobody yet; `opened` receives each owner that is opened.
     pub fn new(home: Home, opened: mpsc::UnboundedSender<Arc<Owner>>) -> Self {
         Self { home, open: RwLock::default(), opened }
     }
 
-    /// Takes an opened owner in, in place of the profile's former one.
+    /// Adds an opened owner, replacing the profile's previous one.
     pub fn insert(&self, owner: &Arc<Owner>) {
         let mut open = self.open.write().unwrap_or_else(PoisonError::into_inner);
         open.insert(owner.profile.clone(), Arc::clone(owner));
@@ -36,7 +36,7 @@ impl Owners {
         drop(self.opened.send(Arc::clone(owner)));
     }
 
-    /// The owner behind a profile, where its keyring was opened; it may be locked by now.
+    /// The owner behind a profile, if its keyring was opened; it may be locked by now.
     pub fn get(&self, profile: &ProfileName) -> Option<Arc<Owner>> {
         self.open.read().unwrap_or_else(PoisonError::into_inner).get(profile).cloned()
     }
@@ -54,7 +54,7 @@ impl Owners {
     /// The owner behind a profile that is unlocked here.
     ///
     /// # Errors
-    /// That it is locked or not there.
+    /// It is locked or does not exist.
     pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
         let owner = self.get(profile).filter(|owner| !owner.is_locked());
         owner.ok_or_else(|| match self.home.keyring(profile).exists() {
@@ -68,7 +68,7 @@ impl Owners {
     /// The account of a profile; needs no passphrase.
     ///
     /// # Errors
-    /// That there is none, or that its keyring cannot be read.
+    /// There is none, or its keyring cannot be read.
     pub fn address_of(&self, profile: &ProfileName) -> Result<Address, Failure> {
         if let Some(owner) = self.get(profile) {
             return Ok(owner.address);

@@ -1,5 +1,6 @@
 //! Changes of an owner's SM2 pairs. The new pair is saved first; robots hear of a new P_C from the old one and the
-//! account; then the chain; then it takes its place. Each step can be cut: the next unlock does what is missing.
+//! account; then the chain; then it takes its place. Each step can be interrupted: the next unlock does what is
+//! missing.
 
 use super::Profiles;
 use std::sync::Arc;
@@ -16,14 +17,14 @@ use crate::service::failure::refused;
 use crate::service::reply::Failure;
 use crate::store::{RecordQuery, RecordRow};
 
-/// How long a change of the signing key waits for records that the old one signed.
+/// How long a change of the signing key waits for records signed by the old one.
 const DRAIN: Duration = Duration::from_secs(60);
-/// Between two looks at them.
+/// Interval between looks at them.
 const LOOK: Duration = Duration::from_millis(250);
-/// Records of one look.
+/// Records in one look.
 const PAGE: usize = 1000;
 
-/// What is to take the place of the pairs in use.
+/// The replacements of the pairs in use.
 #[derive(Default)]
 pub(in crate::site) struct NewPairs {
     /// (d_C, P_C).
@@ -33,7 +34,7 @@ pub(in crate::site) struct NewPairs {
 }
 
 impl Profiles {
-    /// Replaces pairs; on the chain too, where `network` is given: the owner is registered there.
+    /// Replaces pairs; on the chain too, if `network` is given: the owner is registered there.
     pub(in crate::site) async fn change_pairs(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -43,7 +44,7 @@ impl Profiles {
         // Until the new key signs: nothing may be signed by the old one once the chain has the new one.
         let _one_at_a_time = owner.changes.lock().await;
         if let Some(network) = network {
-            // What was begun before is known to robots already.
+            // Robots know already of a change begun before.
             self.finish_pairs(owner, network).await?;
             if new.signing.is_some() {
                 self.nothing_is_captured(owner)?;
@@ -65,7 +66,7 @@ impl Profiles {
         }
     }
 
-    /// Brings a change that was begun to its end; nothing where none was. The caller holds the owner's changes.
+    /// Finishes a change that was begun; does nothing if there is none. The caller holds the owner's changes.
     pub(in crate::site) async fn finish_pairs(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -134,7 +135,8 @@ impl Profiles {
         Ok(())
     }
 
-    /// The chain has the new pairs, or none: they take their place in the keyring, and what lies under them follows.
+    /// The chain has the new pairs, or the owner is on no chain: they take their place in the keyring, and what they
+    /// encrypt follows.
     fn take_over_pairs(&self, owner: &Owner, network: Option<&Network>) -> Result<(), Failure> {
         let founded = block_in_place(|| Cabinet::founded_in(&self.home.gateway()));
         {
@@ -159,7 +161,7 @@ impl Profiles {
         }
         let Some(network) = network else { return Ok(()) };
         block_in_place(|| self.reseal_kept(owner))?;
-        // A gateway that was joined takes it for the keys of then alone; another one is allocated.
+        // A joined gateway knows this site by its old keys only; another transport key is allocated.
         drop(std::fs::remove_file(self.home.transport_key(&owner.profile)));
         let epoch = network.directory.epoch(owner.address);
         let newest = owner.epochs(network.domain).last().copied().unwrap_or(epoch);
@@ -167,7 +169,7 @@ impl Profiles {
         self.sharing.foresee_expiry(owner, network, None)
     }
 
-    /// Transport keys that this owner's gateway keeps are sealed under its present pair.
+    /// Re-encrypts the transport keys kept by this owner's gateway under its current pair.
     fn reseal_kept(&self, owner: &Owner) -> Result<(), Failure> {
         let (pairs, provider, ledger) = (owner.envelopes(), self.plant.provider, &self.plant.ledger);
         let under = self.gateway.kept_under(owner);
@@ -200,7 +202,7 @@ impl Profiles {
         Err(refused("topics are being captured; unwatch them before the signing key is changed"))
     }
 
-    /// Waits until no record signed by the present key is still on its way. Those of lent devices may be.
+    /// Waits until no record signed by the current key is still in flight. Those of lent devices may be.
     async fn drain(&self, owner: &Owner) -> Result<(), Failure> {
         let signer = signer_id(&owner.signing().public);
         let deadline = tokio::time::Instant::now() + DRAIN;
@@ -236,7 +238,8 @@ impl Profiles {
     }
 }
 
-/// States of records that a new key would leave behind: also what waits for its signer's right needs the present one.
+/// States of records that a new key would leave behind: also those waiting for their signer's right need the current
+/// one.
 fn unverified() -> impl Iterator<Item = RecordState> {
     let waits = |state: &RecordState| state.is_pending() || *state == RecordState::RightEnded;
     RecordState::ALL.into_iter().filter(waits)

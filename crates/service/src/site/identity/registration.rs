@@ -1,4 +1,4 @@
-//! Registration: the profile's public identity on the chain, and its epochs taken up again.
+//! Registration: the profile's public identity on the chain, and resuming its epochs.
 
 use super::Profiles;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::{Failure, IdentityView};
 
 impl Profiles {
-    /// Registers the owner's identity; nothing is sent where the chain has it already.
+    /// Registers the owner's identity; nothing is sent if the chain has it already.
     pub(in crate::site) async fn register(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<IdentityView, Failure> {
         let network = self.connection.network_or_deploy(owner).await?;
         let _one_at_a_time = owner.changes.lock().await;
@@ -35,8 +35,8 @@ impl Profiles {
         Ok(())
     }
 
-    /// Takes up where the owner's epochs stand on the chain: seals under the current one, or
-    /// finishes one that was begun and never reached the chain; re-wraps what readers lack.
+    /// Resumes at the state of the owner's epochs on the chain: seals under the current one, or finishes one that was
+    /// begun and never reached the chain; re-wraps what readers lack.
     pub(in crate::site) async fn resume(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
         let network = self.link.network().await?;
         if network.directory.identity(owner.address).is_err() {
@@ -70,7 +70,7 @@ impl Profiles {
         if owner.token(network.domain, on_chain)
             != network.directory.account(owner.address).and_then(|account| account.token)
         {
-            // What was taken for the current epoch is not: nobody knows who reads under it.
+            // The supposed current epoch is not current: nobody knows who reads under it.
             owner.author.rest();
             return Err(crate::service::failure::refused(format!(
                 "the keyring of '{}' lacks the key of its current epoch {on_chain}; restore the newest keyring, or begin a new epoch with `authros keys rotate`",

@@ -1,4 +1,4 @@
-//! Whose keys are open, and what is said where they are not.
+//! Whose keys are open, and the errors if they are not.
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Incidents: spans of time and topics of own records, held from retention as long as they are there.
+//! Incidents: spans of time and topics of own records, exempt from retention as long as the incidents exist.
 
 #[cfg(test)]
 mod tests;
@@ -37,7 +37,7 @@ pub(in crate::site) struct Incidents {
     owners: Arc<Owners>,
 }
 
-/// What a new incident is to be about.
+/// The description of a new incident.
 struct Wanted {
     name: IncidentName,
     span: IncidentSpan,
@@ -220,7 +220,7 @@ fn known(ledger: &Ledger, owner: Address, name: &IncidentName) -> Result<Inciden
     ledger.incident(owner, name)?.ok_or_else(|| unknown(name))
 }
 
-/// What the audit log says it is about.
+/// The subject in the audit log.
 fn subject(name: &IncidentName, span: &IncidentSpan) -> String {
     let until = span.until.map_or_else(|| "until it is closed".to_owned(), |until| format!("until {until}"));
     let topics = if span.topics.is_empty() { "all topics".to_owned() } else { span.topics.join(" ") };
@@ -230,7 +230,7 @@ fn subject(name: &IncidentName, span: &IncidentSpan) -> String {
 /// A query that finds only what is in an incident of the owner.
 ///
 /// # Errors
-/// Of kind `Input` where there is none of this name; of the ledger.
+/// Kind `Input` if there is none of this name; errors of the ledger.
 pub(in crate::site) fn narrowed(
     ledger: &Ledger,
     owner: Address,
@@ -245,7 +245,7 @@ pub(in crate::site) fn narrowed(
 /// One incident of the owner, for the page of a bundle.
 ///
 /// # Errors
-/// As [`narrowed`].
+/// See [`narrowed`].
 pub(in crate::site) fn view(ledger: &Ledger, owner: Address, name: &IncidentName) -> Result<IncidentView, Failure> {
     covered(ledger, owner, known(ledger, owner, name)?)
 }

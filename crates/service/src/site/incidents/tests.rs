@@ -1,4 +1,4 @@
-//! What an incident may be called and be about, that each act is written down first, and that it is its owner's alone.
+//! Valid names and subjects of incidents; each act is logged first; and an incident belongs to its owner alone.
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
 use super::*;

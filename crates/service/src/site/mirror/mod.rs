@@ -1,5 +1,5 @@
-//! Keeps what a gateway has for a profile here: lists and fetches what is missing, then takes records as they come.
-//! A lost connection is opened again, with pauses that grow to five seconds.
+//! Mirrors a gateway's records of a profile here: lists and fetches what is missing, then takes records as they come. A
+//! lost connection is opened again, with pauses that grow to five seconds.
 
 pub(super) mod remote;
 
@@ -28,23 +28,23 @@ use remote::{Mirrored, Remote};
 
 /// The first pause after a failure, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(5));
-/// How often proofs that are missing are asked for, and grants are looked at.
+/// How often missing proofs are requested, and grants are looked at.
 const TICK: Duration = Duration::from_millis(500);
-/// Entries on a page.
+/// Entries per page.
 const PAGE: u16 = 500;
-/// Digests checked at once.
+/// Digests checked at a time.
 const CHECKED: usize = 500;
 /// Subscriptions of one connection; owners beyond that are listed now and then.
 const SUBSCRIPTIONS: usize = 16;
 /// How often owners without a subscription are listed.
 const LISTING: Duration = Duration::from_secs(10);
-/// How long a connection may be silent before it is tried.
+/// How long a connection may be silent before it is tested.
 const SILENCE: Duration = Duration::from_secs(30);
-/// How far behind the newest record seen a listing begins: outboxes of robots may be hours old.
+/// How far before the newest record seen a listing begins: outboxes of robots may be hours old.
 const LATE: u64 = 24 * 3600;
-/// How often a listing begins at the very beginning.
+/// How often a listing starts from the very beginning.
 const WHOLE: u64 = 24 * 3600;
-/// Records that may wait to be taken in.
+/// Records that may wait to be stored.
 const WAITING: usize = 64;
 
 /// Why a mirror's round ended.
@@ -73,7 +73,7 @@ impl From<Failure> for Broken {
 
 type Fed = Result<(Entry, Fetched), GatewayError>;
 
-/// The site that this one joins through its gateway, where it joins one.
+/// The site that this one joins through its gateway, if it joins one.
 pub(in crate::site) struct Joined {
     home: Home,
     plant: Plant,
@@ -98,7 +98,7 @@ impl Joined {
         self.remote.is_some()
     }
 
-    /// Where the chain comes from, in words, where that is the other site.
+    /// Where the chain comes from, in words, if that is the other site.
     pub fn chain_text(&self) -> Option<String> {
         self.remote.as_ref().map(|remote| remote.chain_text())
     }
@@ -113,7 +113,7 @@ impl Joined {
                 continue;
             };
             if owner.is_locked() {
-                // The transport key lies under d_E.
+                // d_E decrypts the transport key.
                 tokio::time::sleep(TICK).await;
                 continue;
             }
@@ -140,7 +140,7 @@ impl Joined {
     fn tell_broken(&self, remote: &Remote, owner: &Owner, broken: Broken, pause: Duration) {
         let failure = match broken {
             Broken::Gateway(error) => {
-                // The chain has other keys by now than the transport key was allocated under: allocate again.
+                // The chain has other keys by now than those the transport key was allocated under: allocate again.
                 if matches!(error, GatewayError::Refused(Code::NotRegistered)) {
                     drop(std::fs::remove_file(self.home.transport_key(&owner.profile)));
                 }
@@ -157,7 +157,7 @@ impl Joined {
         remote.note(&owner.profile, Mirrored::Failed(failure));
     }
 
-    /// Until the connection breaks, or somebody else shares or does not share any more.
+    /// Until the connection breaks, or somebody begins or ceases to share.
     async fn mirror_round(
         self: &Arc<Self>,
         remote: &Remote,
@@ -169,7 +169,7 @@ impl Joined {
             Mirror { plant: &self.plant, network, reader: owner.as_ref(), keeper, anchors: Anchors::default() };
         let mut client = remote.connect(&self.home, owner, network).await?;
         let sources = sources(network, owner);
-        // Subscribed before it is listed, so that nothing falls in between.
+        // Subscribed before listing, so that nothing falls in between.
         let (feed, mut fed) = mpsc::channel(WAITING);
         let subscriber = remote.connect(&self.home, owner, network).await?;
         let live: Vec<Address> = sources.iter().copied().take(SUBSCRIPTIONS).collect();
@@ -186,7 +186,7 @@ impl Joined {
                 next = fed.recv() => {
                     let next = next.unwrap_or(Err(GatewayError::Closed));
                     if matches!(next, Err(GatewayError::Refused(Code::NotAuthorised))) {
-                        // Somebody does not share any more: begin again with those who do.
+                        // Somebody no longer shares: begin again with those who do.
                         remote.note(&owner.profile, Mirrored::Behind);
                         tokio::time::sleep(TICK).await;
                         return Ok(());
@@ -244,7 +244,7 @@ impl Joined {
         }
     }
 
-    /// Lists what the gateway has of an owner, and fetches what is missing here.
+    /// Lists the gateway's records of an owner, and fetches what is missing here.
     async fn catch_up(
         self: &Arc<Self>,
         client: &mut Client,
@@ -295,7 +295,7 @@ impl Joined {
         }
     }
 
-    /// Fetches records again that have a proof by now. Returns whether the gateway was asked anything.
+    /// Fetches again the records that have a proof by now. Returns whether the gateway was asked anything.
     async fn settle_proofs(
         &self,
         client: &mut Client,
@@ -357,7 +357,7 @@ async fn follow(mut client: Client, feed: mpsc::Sender<Fed>) {
     }
 }
 
-/// Where the mirror of an owner's records stands, durably: capture times in seconds.
+/// The position of an owner's mirror, durably: capture times in seconds.
 struct Place {
     name: String,
     newest: u64,

@@ -1,5 +1,5 @@
-//! A site that joins another one through its gateway: the chain and the records come from there, and their operator's
-//! word has to be taken for the chain. What follows from signatures and digests is checked here all the same.
+//! A site that joins another one through its gateway: the chain and the records come from there, and that operator's
+//! word has to be trusted for the chain. What follows from signatures and digests is still checked here.
 
 use super::Joined;
 use std::collections::BTreeMap;
@@ -27,10 +27,10 @@ use crate::site::chain::connection::Lost;
 
 /// How long a gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// How long a command waits until what the gateway has is here.
+/// How long a command waits until the gateway's records are here.
 const FIRST_ROUND: Duration = Duration::from_secs(90);
 
-/// How far the mirror of a profile is.
+/// The progress of a profile's mirror.
 #[derive(Debug, Clone)]
 pub(in crate::site) enum Mirrored {
     /// It has not caught up yet.
@@ -51,7 +51,7 @@ pub(crate) struct Remote {
 }
 
 impl Remote {
-    /// As the settings name it; nothing is sent yet.
+    /// As named in the settings; nothing is sent yet.
     pub fn new(site: &RemoteSite, home: &Home, provider: &'static dyn Provider) -> Result<Self, Failure> {
         let trust = KeptTrust::open(home.gateway_trust(), site.gateway_key, site.trust_first)?;
         Ok(Self {
@@ -84,10 +84,10 @@ impl Remote {
         Ok(line)
     }
 
-    /// The chain behind the gateway, the pinned one where there is a pin.
+    /// The chain behind the gateway; it must be the pinned one if there is a pin.
     ///
     /// # Errors
-    /// Where the gateway or its chain does not answer, or is another one.
+    /// If the gateway or its chain does not answer, or is a different one.
     pub async fn chain(
         &self,
         pinned: Option<Pin>,
@@ -132,7 +132,7 @@ impl Remote {
         owner.token(network.domain, epoch).ok_or_else(|| refused("the keyring lacks the key of the current epoch"))
     }
 
-    /// A session in the owner's name; allocates the transport key where there is none, or none that is accepted.
+    /// A session in the owner's name; allocates the transport key if there is none, or none that is accepted.
     pub async fn connect(&self, home: &Home, owner: &Owner, network: &Network) -> Result<Client, GatewayError> {
         let (path, gateway) = (home.transport_key(&owner.profile), self.trust.current().pinned);
         let endpoint = self.endpoint(network.domain);
@@ -144,7 +144,7 @@ impl Remote {
         let credentials = |key| Credentials { name: owner.profile.clone(), key, token };
         if let Some(key) = known {
             match self.open(&endpoint, credentials(key)).await {
-                // Said in clear: before there is a common key nothing else can be. The allocation proves itself.
+                // Sent in clear: without a common key there is no other way. The allocation proves itself.
                 Err(GatewayError::RefusedInClear(crate::gateway::Code::Tag)) => {}
                 opened => return opened,
             }
@@ -174,7 +174,7 @@ impl Remote {
         Ok(key)
     }
 
-    /// Notes how far a profile's mirror is.
+    /// Notes the progress of a profile's mirror.
     pub fn note(&self, profile: &ProfileName, mirrored: Mirrored) {
         self.mirrored.send_modify(|all| {
             all.insert(profile.clone(), mirrored);
@@ -183,7 +183,7 @@ impl Remote {
 }
 
 impl Joined {
-    /// Waits until what the gateway has for a profile is here; at once where this site joins none.
+    /// Waits until the gateway's records for a profile are here; returns at once if this site joins none.
     ///
     /// # Errors
     /// Why the last attempt failed.

@@ -1,4 +1,4 @@
-//! Pinned publishers of watched topics: shown, accepted and taken back by the operator.
+//! Pinned publishers of watched topics: shown, accepted and removed by the operator.
 
 #[cfg(test)]
 mod tests;
@@ -23,7 +23,7 @@ use crate::service::reply::{AlarmView, Failure, PinView, PinsView};
 /// Widest publisher shown, characters.
 const WIDEST: usize = 400;
 
-/// A publisher as people see it.
+/// A publisher as shown to people.
 fn cleaned(publisher: Publisher) -> Publisher {
     let Publisher { caller_id, host, type_name, md5sum } = publisher;
     Publisher {
@@ -34,7 +34,7 @@ fn cleaned(publisher: Publisher) -> Publisher {
     }
 }
 
-/// Pinned publishers as the operator sees and decides them.
+/// Pinned publishers as the operator sees and decides about them.
 pub(in crate::site) struct Pinning {
     plant: Plant,
     hub: Arc<Hub>,
@@ -88,7 +88,7 @@ impl Pinning {
         Ok(PinsView { mode: self.pins.mode(), pins, alarms: alarms.collect() })
     }
 
-    /// Accepts publishers of a topic; none named = those that are being read now.
+    /// Accepts publishers of a topic; if none is named, those being read now.
     pub(super) async fn pin(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -130,7 +130,7 @@ impl Pinning {
         self.view(profile, Some(topic)).await
     }
 
-    /// No longer accepts one publisher of a topic; others of its caller id, and one of the settings, stay.
+    /// No longer accepts one publisher of a topic; others with its caller id, and those in the settings, stay.
     pub(super) async fn unpin_one(
         self: &Arc<Self>,
         profile: &ProfileName,

@@ -1,4 +1,4 @@
-//! What the operator decides about publishers holds, and is written down before.
+//! The operator's decisions about publishers take effect, and are logged before.
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
 use std::time::Instant;

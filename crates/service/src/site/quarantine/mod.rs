@@ -1,4 +1,4 @@
-//! What is held back: listed, released or discarded by the operator, and counted on the chain before.
+//! Quarantine: messages listed, released or discarded by the operator, and counted on the chain before.
 
 #[cfg(test)]
 mod tests;
@@ -27,14 +27,14 @@ use crate::service::failure::input;
 use crate::service::reply::{DecidedView, Failure, HeldView, QuarantineView};
 use crate::store::{HeldQuery, HeldRow};
 
-/// How long a discard waits for the quarantine records to stand in a block.
+/// How long a discard waits for the quarantine records to be in a block.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// Between two looks.
+/// Interval between looks.
 const LOOK: Duration = Duration::from_secs(1);
-/// Records decided about in one command, at most.
+/// The most records decided about in one command.
 const MOST: usize = 100_000;
 
-/// What is held back.
+/// The quarantine.
 pub(in crate::site) struct Quarantine {
     plant: Plant,
     hub: Arc<Hub>,
@@ -61,7 +61,7 @@ impl Quarantine {
             if !self.life.beat(LOOK).await {
                 return;
             }
-            // It is counted once records are taken again.
+            // It is counted once records are acknowledged again.
             if block_in_place(|| self.plant.takes_records()).is_err() {
                 continue;
             }
@@ -75,7 +75,7 @@ impl Quarantine {
         }
     }
 
-    /// Counts what was held back before this minute.
+    /// Counts what was quarantined before this minute.
     async fn report(self: &Arc<Self>, owner: &Arc<Owner>, before: u64) -> Result<(), Failure> {
         let _one_at_a_time = self.reporting.lock().await;
         let owner = Arc::clone(owner);
@@ -83,12 +83,12 @@ impl Quarantine {
         Ok(())
     }
 
-    /// While this is held, nothing held back is counted or discarded.
+    /// While this is held, no quarantined record is counted or discarded.
     pub async fn quiet(&self) -> tokio::sync::MutexGuard<'_, ()> {
         self.reporting.lock().await
     }
 
-    /// What is held back of a profile; needs no passphrase.
+    /// A profile's quarantined messages; needs no passphrase.
     pub(super) async fn view(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -118,7 +118,7 @@ impl Quarantine {
         })
     }
 
-    /// The held records that a person names; definitions are among them only by their topic.
+    /// The quarantined records named by a person; definitions are among them only by their topic.
     async fn named(self: &Arc<Self>, owner: &Arc<Owner>, held: &Held) -> Result<Vec<HeldRow>, Failure> {
         let address = owner.address;
         let query =
@@ -143,11 +143,11 @@ impl Quarantine {
         Ok(rows)
     }
 
-    /// Lets held messages go on to be anchored; the tag in their sealed head stays.
+    /// Lets quarantined messages be anchored; the tag in their sealed head stays.
     pub(super) async fn release(self: &Arc<Self>, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
         let rows = self.named(owner, &held).await?;
         self.audit_each(owner, "release quarantined", &rows).await?;
-        // The record of the holding back comes first, so that its count is of all that was held.
+        // The record of the quarantine comes first, so that its count includes everything that was held.
         self.report(owner, u64::MAX).await?;
         let digests = self.with_definitions(owner, &rows).await?;
         let asked: Vec<Digest> = digests.into_iter().collect();
@@ -159,7 +159,7 @@ impl Quarantine {
         Ok(DecidedView { decision: "released".to_owned(), messages, reports: Vec::new(), text })
     }
 
-    /// A released message needs its definition, which is held back with its first message.
+    /// A released message needs its definition, which is quarantined with its first message.
     async fn with_definitions(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -176,7 +176,7 @@ impl Quarantine {
         Ok(digests)
     }
 
-    /// Deletes held messages, once the quarantine records that count them stand on the chain.
+    /// Deletes quarantined messages, once the quarantine records that count them are on the chain.
     pub(super) async fn discard(self: &Arc<Self>, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
         let rows = self.named(owner, &held).await?;
         self.report(owner, u64::MAX).await?;
@@ -187,7 +187,7 @@ impl Quarantine {
         let reports = self.anchored_reports(&rows_now).await?;
         self.audit_each(owner, "discard quarantined", &rows_now).await?;
         let digests: Vec<Digest> = rows_now.iter().map(|row| row.record.digest).collect();
-        // A back-up that is taken now must not see the bytes gone and the rows not.
+        // A backup taken now must not see the bytes gone while the rows are not.
         let one_at_a_time = self.reporting.lock().await;
         blocking(self, move |quarantine| Ok(quarantine::discard(&quarantine.plant, &digests)?)).await?;
         drop(one_at_a_time);
@@ -200,7 +200,7 @@ impl Quarantine {
         Ok(DecidedView { decision: "discarded".to_owned(), messages, reports, text })
     }
 
-    /// The quarantine records that count these, as soon as all of them stand in a block.
+    /// The quarantine records that count these, as soon as all of them are in a block.
     async fn anchored_reports(self: &Arc<Self>, rows: &[HeldRow]) -> Result<Vec<Digest>, Failure> {
         let reports: BTreeSet<Digest> = rows.iter().filter_map(|row| row.report).collect();
         let counted = rows.iter().all(|row| row.report.is_some());

@@ -1,4 +1,4 @@
-//! What is held back is shown to its owner alone, and deleted only once the chain counts it.
+//! Quarantined messages are shown to their owner alone, and deleted only once the chain counts them.
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
 use super::*;
@@ -12,7 +12,7 @@ fn quarantine(ground: &Ground) -> Arc<Quarantine> {
     Arc::new(Quarantine::new(&ground.parts, &Arc::new(Reading::new(&ground.parts, &contacts))))
 }
 
-/// Holds a message of the owner's back, as the sealer does.
+/// Quarantines a message of the owner, as the sealer does.
 fn hold(ground: &Ground, owner: Address, seq: u64) -> Digest {
     let digest = Digest(crate::crypto::sm3::sm3(&[&owner.0, &seq.to_be_bytes()]));
     let record = NewRecord {
@@ -58,7 +58,7 @@ async fn nothing_is_deleted_while_no_record_on_the_chain_counts_it() {
     let ground = Ground::with(&[]);
     let (quarantine, owner) = (quarantine(&ground), owner(&ground, "alice"));
     let digest = hold(&ground, owner.address, 1);
-    // There is no chain that the record of the holding back could come to, and the site ends.
+    // There is no chain for the quarantine record, and the site ends.
     ground.parts.life.stop();
     let refused = quarantine.discard(&owner, all()).await.expect_err("not counted yet");
     assert_eq!(refused.kind, ErrorKind::Incomplete);

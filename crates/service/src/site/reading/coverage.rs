@@ -13,7 +13,7 @@ use crate::store::CoverageQuery;
 const MOST_PARTS: usize = 1_000;
 
 impl Reading {
-    /// A span of time of one of the profile's topics, in parts; by the ledger's word, and without a passphrase.
+    /// A span of time of one of the profile's topics, in parts; according to the ledger, and without a passphrase.
     ///
     /// # Errors
     /// A span that ends before it begins, or too many parts.

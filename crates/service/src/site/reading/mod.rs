@@ -1,4 +1,4 @@
-//! Records as people see them: a profile's own and those that others share, listed, checked, opened and handed out.
+//! Records as shown to people: a profile's own and those that others share, listed, checked, opened and exported.
 
 mod coverage;
 mod names;

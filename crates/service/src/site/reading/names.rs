@@ -1,4 +1,4 @@
-//! Names of topics and types that came here as pseudonyms: learned from one record of each stream by whoever may
+//! Names of topics and types that arrived as pseudonyms: learned from one record of each stream by a reader who may
 //! open it.
 
 use super::Reading;

@@ -1,4 +1,4 @@
-//! Opened records for the eye: fields, readable form, files, and the path over a topic's records.
+//! Opened records for viewing: fields, readable form, files, and the path over a topic's records.
 
 use super::Reading;
 use std::ffi::OsStr;
@@ -22,7 +22,7 @@ use crate::service::reply::{Failure, OpenedView, PathView, Reply};
 use crate::site::blocking;
 use crate::store::{RecordQuery, RecordRow};
 
-/// Messages up to this length come with their bytes when they are looked at; longer ones as files only.
+/// Messages up to this length include their bytes when viewed; longer ones only as files.
 const WHOLE: usize = 4 << 20;
 
 /// Bytes that a view shows in hex.
@@ -39,7 +39,7 @@ struct Opened {
 }
 
 impl Reading {
-    /// Answers what is asked about opened records.
+    /// Answers a request about opened records.
     pub(in crate::site) async fn handle_viewing(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -100,7 +100,7 @@ impl Reading {
         Ok(Opened { row, record, described })
     }
 
-    /// By which definition the record's message is read.
+    /// The definition by which the record's message is read.
     async fn described(
         &self,
         reader: &Reader<'_>,
@@ -112,7 +112,7 @@ impl Reading {
         }
         let text = reader.definition_text(row, record).await?;
         let (head, about) = (&record.head, importer::about(&record.head.tags));
-        // A publisher of ROS 2 describes nothing; an empty text would say that its messages are empty.
+        // A ROS 2 publisher describes nothing; an empty text would say that its messages are empty.
         let text = text.filter(|text| !text.is_empty() || !about.contains_key(crate::ros::ros2::WRITER));
         let (encoding, hash) = (importer::encoding(&head.tags), about.get(TYPE_HASH).map(|hash| &**hash));
         let facts = TypeFacts { name: &head.type_name, encoding, text: text.as_deref(), hash };
@@ -163,7 +163,7 @@ impl Reading {
     }
 }
 
-/// What is shown of an opened record is its own word, also where a gateway's row could only know pseudonyms.
+/// An opened record is shown with its own names, also if a gateway's row could only know pseudonyms.
 fn as_signed(row: RecordRow, record: &OpenedRecord) -> RecordRow {
     let (header, head) = (&record.header, &record.head);
     RecordRow {
@@ -184,7 +184,7 @@ fn without_definition(row: &RecordRow, described: &Described) -> Failure {
     Failure::new(ErrorKind::Input, format!("{} can only be written as .bin: {why}", row.id))
 }
 
-/// A picture's own bytes, where the message is one.
+/// A picture's own bytes, if the message is one.
 fn own_picture(opened: &Opened) -> Option<Vec<u8>> {
     let picture = opened.described.definition.as_ref()?.compressed_image(&opened.record.body)?;
     let bytes = opened.record.body.get(picture.data).map(<[u8]>::to_vec);

@@ -1,4 +1,4 @@
-//! A profile's own records: lists, provenance, export for others to check.
+//! A profile's own records: lists, provenance, export for third parties to check.
 
 use super::Reading;
 use std::sync::Arc;
@@ -67,7 +67,7 @@ impl Reading {
         Ok(page)
     }
 
-    /// The ids by which a profile's own records are found by their tags; they follow from IK.
+    /// The ids by which a profile's own records are found by their tags; derived from IK.
     fn own_tag_filters(&self, profile: &ProfileName, tags: &[(String, String)]) -> Result<Vec<FilterChoice>, Failure> {
         if tags.is_empty() {
             return Ok(Vec::new());
@@ -81,13 +81,13 @@ impl Reading {
         Ok(tags.iter().map(|(name, value)| tag_choice(&index, name, value, &topics)).collect())
     }
 
-    /// The topics that an owner has records of here.
+    /// The topics of which an owner has records here.
     pub(in crate::site) fn topics_of(&self, owner: Address) -> Result<Vec<TopicId>, Failure> {
         let counts = block_in_place(|| self.plant.ledger.counts(Some(owner)))?;
         Ok(counts.topics.iter().filter_map(|topic| topic.topic_id).collect())
     }
 
-    /// A record by its id, whoever owns it.
+    /// A record by its id, regardless of its owner.
     pub(in crate::site) async fn find_record(self: &Arc<Self>, id: &str) -> Result<RecordRow, Failure> {
         let id = id.to_owned();
         blocking(self, move |reading| {
@@ -110,7 +110,7 @@ impl Reading {
         }
     }
 
-    /// Where a record came from and where it stands, step by step.
+    /// A record's provenance and state, step by step.
     pub(in crate::site) async fn provenance(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -179,8 +179,8 @@ impl Reading {
         Ok(Provenance { record: record_view(&shown, false), steps })
     }
 
-    /// The files by which others check a record with openssl and a node; accounts are redacted in `proof.json` unless
-    /// `addresses` are asked for.
+    /// The files with which others check a record using openssl and a node; accounts are redacted in `proof.json`
+    /// unless `addresses` are requested.
     pub(in crate::site) async fn export_upload(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -204,7 +204,7 @@ impl Reading {
         if let Some(field) = header.as_ref().and_then(|header| columns::header_difference(&row, header)) {
             return Err(PipelineError::RowDiffers { id: row.id, field }.into());
         }
-        // A record of a chain that was left is bound to that one's domain.
+        // A record of an earlier chain is bound to that chain's domain.
         let bound = header.map_or(network.domain, |header| header.domain);
         let contract = tokio::task::block_in_place(|| network.place_of(&self.plant, &row))?;
         let (asked, asking) = (row.clone(), network.clone());
@@ -212,7 +212,7 @@ impl Reading {
         let signer = signer.map_err(|why| PipelineError::NoRight { id: row.id.clone(), why: Box::new(why) })?;
         let signed = record::signed_bytes(&bound, &row.digest);
         let pin = contract.chain.pin();
-        // The record's own header and leaf hold the owner, and cannot do without: only what lies beside is redacted.
+        // The record's own header and leaf must contain the owner: only the files beside them are redacted.
         let shown = |account: Address| if addresses { account.to_string() } else { account.redacted() };
         let mut anchor = anchor_json(&row, place.as_ref(), &shown);
         let block = match row.block {
@@ -255,7 +255,7 @@ impl Reading {
     }
 }
 
-/// What is said where a row and its record differ.
+/// The text if a row and its record differ.
 fn altered(field: &str) -> String {
     format!(
         "the ledger was altered: its row differs from the record in its {field}; the record's own word is shown, \
@@ -263,7 +263,7 @@ fn altered(field: &str) -> String {
     )
 }
 
-/// What is said of a verified record that no key here opens.
+/// The text for a verified record that no key here opens.
 fn unchecked() -> String {
     format!(
         "{}; topic, type, length and mark of simulation are the ledger's word: they lie sealed, and no key is open \
@@ -278,7 +278,7 @@ fn moment(at: Timestamp) -> String {
     text.get(..23).map_or_else(|| text.clone(), |head| format!("{}Z", head.trim_end_matches('Z')))
 }
 
-/// What a record's state means, for whoever wonders what is still to come.
+/// What a record's state means, for readers who wonder what is still to come.
 fn standing(state: RecordState) -> &'static str {
     match state {
         RecordState::Captured | RecordState::Sealed => "sealed on this disk; the vault is next",
@@ -298,7 +298,7 @@ fn standing(state: RecordState) -> &'static str {
     }
 }
 
-/// Where the digest is on the chain, and for a batched one the path from its leaf to the root.
+/// The digest's place on the chain, and for a batched one the path from its leaf to the root.
 fn anchor_json(row: &RecordRow, place: Option<&BatchPlace>, shown: &dyn Fn(Address) -> String) -> serde_json::Value {
     let (transaction, block, block_hash) = (row.transaction, row.block, row.block_hash);
     let Some(place) = place else {

@@ -1,4 +1,4 @@
-//! Records that others share: listed, checked and opened, by the chain's grants at that moment.
+//! Records shared by others: listed, checked and opened, according to the chain's grants at that moment.
 
 use super::Reading;
 use std::collections::HashMap;
@@ -78,7 +78,7 @@ impl Reading {
         }
     }
 
-    /// The ids by which records of another are found by their tags: IK of one owner, as a grant of all topics
+    /// The ids by which another owner's records are found by their tags: that owner's IK, as a grant of all topics
     /// carries it.
     fn shared_tag_filters(
         &self,

@@ -1,10 +1,10 @@
-//! Bodies of records that no ROS node sent, as people see them: what was lost, what retention deleted.
+//! Bodies of records that no ROS node sent, for viewing: what was lost, what retention deleted.
 
 use serde_json::{Value, json};
 
 use crate::model::{GapReport, RecordKind, RetentionReport, clean};
 
-/// Widest text out of a body, characters.
+/// The widest text from a body, characters.
 const WIDEST: usize = 255;
 
 /// The body of a gap or retention record by the names of its fields; `None` for other kinds.

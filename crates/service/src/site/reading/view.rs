@@ -1,4 +1,4 @@
-//! Ledger rows as people see them: compared with their records first, untrusted text cleaned.
+//! Ledger rows for viewing: first compared with their records, untrusted text cleaned.
 
 use super::Reading;
 use std::collections::HashMap;
@@ -39,7 +39,7 @@ impl Reading {
         OwnKeys(self.owners.all().into_iter().map(|owner| (owner.address, owner)).collect())
     }
 
-    /// Rows as they may be shown; each must have the ids in `filters` by which they were found.
+    /// Rows ready to be shown; each must have the ids in `filters` by which they were found.
     pub(in crate::site) fn compared(
         &self,
         rows: Vec<RecordRow>,
@@ -50,7 +50,7 @@ impl Reading {
         Ok(block_in_place(|| comparison.of(rows))?)
     }
 
-    /// One row as it may be shown.
+    /// One row ready to be shown.
     pub(in crate::site) fn compared_one(&self, row: &RecordRow, keys: &dyn Keys) -> Result<Shown, Failure> {
         let shown = self.compared(vec![row.clone()], keys, &[])?.into_iter().next();
         Ok(shown.unwrap_or_else(|| Shown::unread(row.clone())))
@@ -86,7 +86,7 @@ pub fn record_page(rows: &[Shown], next: Option<String>, with_owner: bool) -> Re
     RecordPage { records: rows.iter().map(|row| record_view(row, with_owner)).collect(), next }
 }
 
-/// A person's query as the ledger's; captured messages unless another kind is asked for.
+/// A person's query in the ledger's form; captured messages unless another kind is requested.
 pub(in crate::site) fn record_query(query: UploadQuery) -> RecordQuery {
     RecordQuery {
         topic: query.topic.map(|topic| topic.to_string()),

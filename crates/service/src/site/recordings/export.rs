@@ -18,7 +18,7 @@ use crate::service::reply::{ExportView, ExportedTopic, Failure, Refused};
 use crate::site::blocking;
 use crate::store::{RecordQuery, RecordRow};
 
-/// Records asked of the ledger at a time.
+/// Records requested from the ledger at a time.
 const PAGE: usize = 500;
 
 /// The most suspicious records that are named.
@@ -58,7 +58,7 @@ impl Recordings {
         self.log.end(owner, "export recording", &file, written).await
     }
 
-    /// Whose records are asked for, and what of them.
+    /// The owners whose records are requested, and their scope.
     fn readable_scopes(
         &self,
         owner: &Owner,
@@ -146,7 +146,7 @@ impl<'a> Export<'a> {
         patterns.is_empty() || patterns.iter().any(|pattern| pattern.matches(topic))
     }
 
-    /// Opens one record, and writes it where every check holds.
+    /// Opens one record, and writes it if every check passes.
     async fn take(&mut self, reader: &Reader<'_>, row: &RecordRow) -> Result<(), Failure> {
         if row.is_named() && !self.is_wanted(&row.topic) {
             return Ok(());
@@ -200,7 +200,7 @@ impl<'a> Export<'a> {
         Arc::clone(self.channels.entry(channel).or_insert(shared))
     }
 
-    /// A record that does not open is counted by why; what is no fault of the record ends the export.
+    /// A record that does not open is counted by reason; a failure that is not the record's ends the export.
     fn refuse(&mut self, row: &RecordRow, error: PipelineError) -> Result<(), Failure> {
         match (&error, error.kind()) {
             (PipelineError::Missing(_), _) => self.view.refused.missing += 1,
@@ -255,7 +255,7 @@ impl<'a> Export<'a> {
     }
 }
 
-/// Whether the format has room for the record's time.
+/// Whether the format can represent the record's time.
 fn fits(format: RecordingFormat, captured_at: Timestamp) -> bool {
     format == RecordingFormat::Mcap || u32::try_from(captured_at.seconds()).is_ok()
 }

@@ -1,7 +1,7 @@
 //! An import: every message of a recording sealed as a record with its own time.
 //!
-//! The file is known by its SM3. Which of its topics were begun and which are whole lies in the ledger, so that a second
-//! import of the file seals nothing twice, and one that was cut goes on where it was.
+//! The file is known by its SM3. The ledger stores which of its topics were begun and which are complete, so that a
+//! second import of the file seals nothing twice, and an interrupted one continues.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -26,13 +26,13 @@ use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, ImportView, ImportedTopic, LeftOut};
 use crate::site::blocking;
 
-/// Tags that a person may give: with the importer's own they stay far below what a head takes.
+/// The most tags that a person may give: with the importer's own they stay far below the limit of a head.
 const MOST_TAGS: usize = 24;
 
 /// The tag that names the file by the beginning of its digest.
 pub(super) const RECORDING: &str = "recording";
 
-/// How far a topic of a file is.
+/// The progress of a topic of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum Standing {
@@ -44,7 +44,7 @@ enum Standing {
 
 type Standings = BTreeMap<String, Standing>;
 
-/// What reading the file came to.
+/// The result of reading the file.
 struct ReadOut {
     view: ImportView,
     sessions: Vec<Arc<CaptureSession>>,
@@ -88,7 +88,7 @@ impl Recordings {
         ended
     }
 
-    /// Waits until what was sealed is verified; the topics are then whole.
+    /// Waits until what was sealed is verified; the topics are then complete.
     async fn settle_import(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -133,7 +133,7 @@ impl Recordings {
         Ok(self.plant.ledger.put_setting(&key(owner, digest), &text)?)
     }
 
-    /// Reads the file to its end and gives every message that is wanted to the sealer.
+    /// Reads the file to its end and gives every wanted message to the sealer.
     fn read_recording(
         &self,
         owner: &Arc<Owner>,

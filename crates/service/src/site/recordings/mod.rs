@@ -1,4 +1,4 @@
-//! Recordings: taken in as records, written from records; and how far that is.
+//! Recordings: imported as records, exported from records; and their progress.
 
 mod export;
 mod import;
@@ -61,10 +61,10 @@ impl Run {
     }
 }
 
-/// All that run now.
+/// All runs at present.
 pub(super) type Runs = Mutex<Vec<Arc<Run>>>;
 
-/// Takes a run off the list when it ends, however it ends.
+/// Removes a run from the list when it ends, however it ends.
 struct Running<'a> {
     recordings: &'a Recordings,
     run: Arc<Run>,
@@ -95,7 +95,7 @@ pub(in crate::site) struct Recordings {
     runs: Runs,
 }
 
-/// The parts that recordings ask.
+/// The parts used by recordings.
 pub(in crate::site) struct Asked<'a> {
     pub contacts: &'a Arc<Contacts>,
     pub reading: &'a Arc<Reading>,

@@ -1,4 +1,5 @@
-//! What an import that was cut has sealed of its file already: told by the file, the place in it and the content.
+//! What an interrupted import has sealed of its file already, identified by the file, the position in it and the
+//! content.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -11,7 +12,7 @@ use crate::ros::recording::RecordedMessage;
 use crate::service::reply::Failure;
 use crate::store::RecordQuery;
 
-/// Records asked of the ledger at a time.
+/// Records requested from the ledger at a time.
 const PAGE: usize = 1000;
 
 /// How often a content was sealed.
@@ -22,7 +23,7 @@ pub(super) struct SealedBefore<'a> {
     reader: Reader<'a>,
     /// The value of the tag that names the file.
     file: &'a str,
-    /// Of each topic and time met: what was sealed there and not met yet. Two recordings may have the same topics and
+    /// For each topic and time met: what was sealed there and not met yet. Two recordings may have the same topics and
     /// times, so only records that name this file count, and only by their content.
     met: HashMap<(Arc<str>, Timestamp), Contents>,
 }
@@ -33,7 +34,7 @@ impl<'a> SealedBefore<'a> {
         Self { reader, file, met: HashMap::new() }
     }
 
-    /// Whether this message is sealed; each sealed record answers for one message.
+    /// Whether this message is sealed; each sealed record stands for one message.
     pub fn take(&mut self, topic: &Arc<str>, message: &RecordedMessage) -> Result<bool, Failure> {
         let key = (Arc::clone(topic), message.time);
         if !self.met.contains_key(&key) {

@@ -1,4 +1,4 @@
-//! The file of an export: private, written beside its place, and put there only when it is whole.
+//! The file of an export: private, written beside its destination, and moved there only when it is complete.
 
 use std::fs::{File, OpenOptions};
 use std::os::unix::fs::OpenOptionsExt;
@@ -9,7 +9,7 @@ use crate::model::bytes::hex;
 use crate::service::failure::input;
 use crate::service::reply::Failure;
 
-/// A file on its way; it is removed unless it is put in its place.
+/// A file being written; it is removed unless it is moved to its destination.
 pub(super) struct Draft {
     target: PathBuf,
     path: PathBuf,
@@ -31,7 +31,7 @@ impl Draft {
         Ok((Self { target: target.to_owned(), path, placed: false }, file))
     }
 
-    /// Puts the file in its place; one that came to be there meanwhile is not replaced.
+    /// Moves the file to its destination; one that has appeared there meanwhile is not replaced.
     pub fn place(mut self) -> Result<(), Failure> {
         let failed = |error: std::io::Error| input(format!("{} cannot be written: {error}", self.target.display()));
         match std::fs::hard_link(&self.path, &self.target) {
@@ -50,7 +50,7 @@ impl Draft {
 impl Drop for Draft {
     fn drop(&mut self) {
         if !self.placed {
-            // Gone already is as good.
+            // If it is gone already, that is fine.
             drop(std::fs::remove_file(&self.path));
         }
     }

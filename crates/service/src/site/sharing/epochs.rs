@@ -1,5 +1,5 @@
-//! Epochs: beginning a new one at a revoke, a rotation or an expiry, and the re-wrap of the
-//! surviving readers' keys. The recorder switches before the transaction is sent.
+//! Epochs: beginning a new one at a revoke, a rotation or an expiry, and re-wrapping the remaining readers' keys. The
+//! recorder switches before the transaction is sent.
 
 use super::Sharing;
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, TransactionView};
 
-/// Envelopes a `wrap` transaction carries at most, to stay below 32 KB.
+/// The most envelopes in a `wrap` transaction, to stay below 32 KB.
 const ENVELOPES_A_CALL: usize = 8;
 
 impl Sharing {
@@ -29,7 +29,7 @@ impl Sharing {
         self.begin_epoch(owner, &network, &format!("rotate ({why})"), |new_token| Call::Rotate { new_token }).await
     }
 
-    /// Switches the recorder to the next epoch, tells the chain, and re-wraps for the readers left.
+    /// Switches the recorder to the next epoch, tells the chain, and re-wraps for the remaining readers.
     pub(in crate::site) async fn begin_epoch(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -67,7 +67,7 @@ impl Sharing {
     pub(in crate::site) async fn finish_epoch(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
         let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
-        // Transactions of the run before may still bring the epoch to the chain.
+        // Transactions of the previous run may still bring the epoch to the chain.
         self.settle_open(owner, &network).await?;
         let on_chain = network.directory.epoch(owner.address);
         if owner.epochs(network.domain).last().is_some_and(|newest| *newest > on_chain) {
@@ -95,7 +95,7 @@ impl Sharing {
         Err(refused(format!("transactions of '{}' from before are still not in a block", owner.profile)))
     }
 
-    /// Active readers who lack an envelope of the current epoch for the key that they have now; not those whose revocation is on its way.
+    /// Active readers who lack an envelope of the current epoch for their current key; not those who are being revoked.
     pub(in crate::site) fn lacking(&self, owner: &Owner, network: &Network) -> Result<Vec<Granted>, Failure> {
         let epoch = network.directory.epoch(owner.address);
         let mut lacking = authority::standing_grants(&network.directory, owner.address);
@@ -108,8 +108,8 @@ impl Sharing {
         Ok(lacking)
     }
 
-    /// Sends envelopes of the current epoch to every active reader who lacks one. One who cannot be given
-    /// any does not keep the others from theirs.
+    /// Sends envelopes of the current epoch to every active reader who lacks one. If one reader cannot be given any,
+    /// the others still get theirs.
     ///
     /// # Errors
     /// The last failure; it is tried again.

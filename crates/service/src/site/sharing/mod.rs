@@ -131,7 +131,7 @@ impl Sharing {
         })
     }
 
-    /// Lets an active grant end later; its keys and the epoch stay as they are.
+    /// Extends an active grant; its keys and the epoch stay as they are.
     pub(super) async fn extend(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -178,7 +178,7 @@ impl Sharing {
         authority::standing_grant(&network.directory, owner, grantee)
     }
 
-    /// Names are kept by the pseudonyms that the chain has, so that each grant finds its own.
+    /// Names are stored under their pseudonyms on the chain, so that each grant finds its own.
     fn remember_topics(&self, owner: &Owner, topics: &[String]) -> Result<(), Failure> {
         tokio::task::block_in_place(|| {
             topics.iter().try_for_each(|topic| {
@@ -188,8 +188,8 @@ impl Sharing {
         })
     }
 
-    /// The names of the topics that a scoped grant of this owner covers, in the order of its event; `None` where no
-    /// name that is known here leads to the pseudonym on the chain.
+    /// The names of the topics that a scoped grant of this owner covers, in the order of its event; `None` if no name
+    /// known here matches the pseudonym on the chain.
     pub(super) fn granted_topics(
         &self,
         owner: &Owner,
@@ -198,7 +198,7 @@ impl Sharing {
     ) -> Result<Vec<Option<String>>, Failure> {
         tokio::task::block_in_place(|| {
             let ledger = &self.plant.ledger;
-            // Before, the names of the last grant alone were kept, one list for each account.
+            // Earlier versions stored only the names of the last grant, one list for each account.
             let last = ledger.setting(&format!("granted:{}:{grantee}", owner.address))?;
             let last: Vec<String> = last.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
             let name_of = |id: &TopicId| {
@@ -280,7 +280,7 @@ impl Sharing {
     }
 }
 
-/// Why a grant cannot end when it is asked to; the chain's time may be ahead of this machine's clock.
+/// Why a grant cannot end at the requested time; the chain's time may be ahead of this machine's clock.
 fn too_early(now: Timestamp) -> String {
     let ahead = now.seconds().saturating_sub(Timestamp::now().seconds());
     let chain = if ahead > 60 {

@@ -1,5 +1,5 @@
-//! What the chain is still owed: epochs that ended by an expiry, revocations that did not reach it,
-//! envelopes that readers lack. All of it is sent again until it stands there.
+//! What the chain is still owed: epochs ended by an expiry, revocations that did not reach it, envelopes that readers
+//! lack. All of it is sent again until it is on the chain.
 
 use super::Sharing;
 use std::collections::HashMap;
@@ -15,16 +15,16 @@ use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::{Failure, TransactionView};
 
-/// How long before an expiry the next epoch is readied, nanoseconds.
+/// How long before an expiry the next epoch is prepared, nanoseconds.
 const FORESIGHT: u64 = 60_000_000_000;
 
 /// The longest pause between two attempts to send what the chain is owed.
 const LONGEST_REST: Duration = Duration::from_secs(8);
 
 impl Sharing {
-    /// Readies the end of the sealing epoch where a grant that covers it runs out soon, or did while
-    /// nobody looked: from that moment on records are sealed under the next epoch, whether or not the
-    /// chain answers. `also` is an expiry that is not on the chain yet.
+    /// Prepares the end of the sealing epoch if a grant that covers it runs out soon, or did while nobody looked: from
+    /// that moment on records are sealed under the next epoch, whether or not the chain answers. `also` is an expiry
+    /// that is not on the chain yet.
     pub(in crate::site) fn foresee_expiry(
         &self,
         owner: &Owner,
@@ -54,8 +54,8 @@ impl Sharing {
         Ok(())
     }
 
-    /// Sends what is overdue: the next epoch where a grant that covers the current one has run out or records
-    /// are sealed under the next one already, revocations that were cut short, envelopes that are lacking.
+    /// Sends what is overdue: the next epoch if a grant that covers the current one has run out or records are sealed
+    /// under the next one already, interrupted revocations, missing envelopes.
     pub(in crate::site) async fn settle_overdue(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -74,7 +74,7 @@ impl Sharing {
         self.rewrap(owner, network).await
     }
 
-    /// Whether the chain is owed anything that only the profile's keys can give.
+    /// Whether the chain is owed anything that needs the profile's keys.
     pub(in crate::site) fn owes(&self, owner: &Owner, network: &Network) -> Result<bool, Failure> {
         Ok(self.is_behind(owner, network)? || !self.lacking(owner, network)?.is_empty())
     }
@@ -93,8 +93,8 @@ impl Sharing {
         Ok(ended || !self.owed_revocations(owner, network)?.is_empty())
     }
 
-    /// Begins the next epoch: by the revocation that was cut short, if there is one, for a rotation would
-    /// give the new key to him who was to lose it.
+    /// Begins the next epoch: through the interrupted revocation, if there is one, because a rotation would give the
+    /// new key to the reader who is to lose access.
     pub(in crate::site) async fn next_epoch(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -111,14 +111,14 @@ impl Sharing {
         Ok(view)
     }
 
-    /// Revocations that were asked for and that the chain does not have yet.
+    /// Requested revocations that are not on the chain yet.
     pub(in crate::site) fn owed_revocations(&self, owner: &Owner, network: &Network) -> Result<Vec<Address>, Failure> {
         let mut owed = self.read_owed(owner)?;
         owed.retain(|grantee| self.active_grant(network, owner.address, *grantee).is_some());
         Ok(owed)
     }
 
-    /// Notes that `grantee` is to lose his grant, whatever happens now.
+    /// Notes that `grantee` is to lose the grant, whatever happens now.
     pub(in crate::site) fn owe_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
         let mut owed = self.read_owed(owner)?;
         if !owed.contains(&grantee) {
@@ -127,7 +127,7 @@ impl Sharing {
         self.write_owed(owner, &owed)
     }
 
-    /// The chain has the revocation, or a new grant takes its place.
+    /// The revocation is on the chain, or a new grant takes its place.
     pub(in crate::site) fn settle_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
         let mut owed = self.read_owed(owner)?;
         owed.retain(|other| *other != grantee);
@@ -149,7 +149,7 @@ fn owed_key(owner: &Owner) -> String {
     format!("revoking:{}", owner.address)
 }
 
-/// When the first of the grants that cover an epoch runs out.
+/// When the first of the grants that cover an epoch expires.
 pub(in crate::site) fn earliest_expiry(owner: &Owner, network: &Network, epoch: u64) -> Option<Timestamp> {
     let grants = network.directory.grants_of(owner.address);
     let covering = grants.iter().filter(|grant| grant.is_wrapped(epoch));
@@ -165,7 +165,7 @@ impl Sharing {
                 return;
             }
             let Some(network) = self.link.network_now() else { continue };
-            // What is overdue needs keys that a locked keyring does not have; keys sealed ahead hold without them.
+            // What is overdue needs keys that a locked keyring does not have; keys sealed ahead work without them.
             for owner in self.owners.all().into_iter().filter(|owner| !owner.is_locked()) {
                 if resting.get(&owner.address).is_some_and(|(until, _)| Instant::now() < *until) {
                     continue;

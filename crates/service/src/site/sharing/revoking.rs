@@ -1,4 +1,4 @@
-//! Taking a grant back, also on a full disk: then out of the space that was set aside for it.
+//! Revoking a grant, also on a full disk: then with the space that was set aside for it.
 
 use super::Sharing;
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use crate::service::failure::refused;
 use crate::service::reply::{Failure, TransactionView};
 use crate::site::blocking;
 
-/// How long the watcher may take to see what a first attempt brought to the chain.
+/// How long the watcher may take to see the transactions of a first attempt.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 impl Sharing {
@@ -35,7 +35,7 @@ impl Sharing {
             Ok(view) => return Ok(view),
             Err(failure) => failure,
         };
-        // Only a disk that takes no more is helped by space.
+        // Space helps only if the disk is full.
         if failure.kind != ErrorKind::Home || !blocking(self, |sharing| Ok(sharing.reserve.release()?)).await? {
             return Err(failure);
         }
@@ -68,7 +68,7 @@ impl Sharing {
         Ok(told(grantee, view))
     }
 
-    /// Takes up what an attempt left that the disk cut short anywhere.
+    /// Resumes what is left of an attempt that the full disk interrupted at any point.
     async fn revoke_again(
         self: &Arc<Self>,
         owner: &Arc<Owner>,

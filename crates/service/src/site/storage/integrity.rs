@@ -1,4 +1,4 @@
-//! After an unclean end: whether the ledger agrees with itself, and the newest records with the vault.
+//! After an unclean end: whether the ledger is consistent, and the newest records agree with the vault.
 
 use super::Storage;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use crate::site::blocking;
 /// Records re-read from the vault; a crash can only have touched what was written last.
 const NEWEST: usize = 256;
 
-/// How long whoever started the site may take to listen.
+/// How long the process that started the site may take to listen.
 const LISTENING: Duration = Duration::from_millis(500);
 
 impl Storage {
@@ -30,7 +30,7 @@ impl Storage {
         self.hub.notice(NoticeLevel::Warning, text);
     }
 
-    /// Looks once, in the background, where the run before did not close its files.
+    /// Checks once, in the background, if the previous run did not close its files.
     pub(in crate::site) async fn check_after_crash(self: Arc<Self>) {
         if self.plant.ledger.ended_cleanly() {
             return;

@@ -1,4 +1,4 @@
-//! What lies on the disk: room for it, how long it is kept, and whether it is sound after a crash.
+//! Data on the disk: space for it, how long it is kept, and whether it is intact after a crash.
 
 mod integrity;
 mod retention;

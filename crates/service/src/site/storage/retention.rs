@@ -1,4 +1,4 @@
-//! Retention at work: rules applied, deletions written into the audit log, local copies beside a cache given up.
+//! Retention at work: rules applied, deletions written into the audit log, local copies beside a cache deleted.
 
 use super::Storage;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
 use crate::site::blocking;
 
-/// Between two looks.
+/// Interval between looks.
 const LOOK: Duration = Duration::from_secs(1);
 /// Local copies deleted at a time.
 const COPIES: usize = 1024;

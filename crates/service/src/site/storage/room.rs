@@ -1,5 +1,5 @@
-//! Room on the disk: below the reserve no further record is acknowledged, so that those that are can go on to the
-//! chain; on a disk that others have filled, the states of records are written out of space set aside for them.
+//! Space on the disk: below the reserve no further record is acknowledged, so that acknowledged ones can still reach
+//! the chain; if others have filled the disk, the states of records are written into space set aside for them.
 
 use super::Storage;
 use std::sync::Arc;
@@ -13,17 +13,17 @@ use crate::site::blocking;
 use crate::store::files::free_bytes;
 use crate::store::{Ledger, Reserve, StoreError};
 
-/// Between two looks at the disk: the shortest time and the longest.
+/// Interval between looks at the disk: the shortest and the longest.
 const LOOKS: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
-/// Bytes a second at which a disk is taken to fill up at most.
+/// The fastest rate at which a disk is assumed to fill up, bytes a second.
 const FASTEST: u64 = 1 << 30;
 /// The most bytes set aside for states; each takes a few hundred.
 const MOST_FOR_STATES: u64 = 4 << 20;
-/// Less free than this, and what is set aside is given up.
+/// With less free space than this, what is set aside is released.
 const LAST: u64 = 512 << 10;
 
-/// The ledger of a home; on a full disk what was set aside for the states of its records is given up for it.
-/// Whether it is a copy says the second part.
+/// The ledger of a home; on a full disk the space set aside for the states of its records is released for it. The
+/// second value says whether the home is a copy.
 pub(in crate::site) fn open_ledger(home: &Home) -> Result<(Ledger, bool), StoreError> {
     match Ledger::open_in_place(&home.ledger()) {
         Err(StoreError::DiskFull { .. }) if std::fs::remove_file(home.working_reserve()).is_ok() => {
@@ -35,12 +35,12 @@ pub(in crate::site) fn open_ledger(home: &Home) -> Result<(Ledger, bool), StoreE
 
 /// Sets space aside for the states of records, never so much that the rest is less than the reserve itself.
 pub(in crate::site) fn working_reserve(home: &Home, reserve: u64) -> Reserve {
-    // Where there is no room now it is tried again when there is.
+    // If there is no space now, it is tried again when there is.
     Reserve::open(&home.working_reserve(), reserve.min(MOST_FOR_STATES)).0
 }
 
 impl Storage {
-    /// Watches the room on the disk until the site ends.
+    /// Watches the free space on the disk until the site ends.
     pub(in crate::site) async fn keep_room(self: Arc<Self>) {
         let (mut held, mut pause) = (None, LOOKS.0);
         let reserve = self.config.disk_reserve;
@@ -58,7 +58,7 @@ impl Storage {
                 // Removing a file takes no space.
                 drop(blocking(&self, |storage| Ok(storage.states.release()?)).await);
             }
-            // Some more than the reserve, so that it does not flutter.
+            // Somewhat more than the reserve, so that it does not flutter.
             if free >= reserve.saturating_add(reserve / 4) {
                 if held.take().is_some() {
                     self.tell_room(NoticeLevel::Info, "there is room on the disk again: records are taken again");
@@ -85,7 +85,7 @@ impl Storage {
         )
     }
 
-    /// How the vault's health is told while records are held back.
+    /// How the vault's health is reported while records are refused.
     pub(in crate::site) fn room_health(&self) -> Option<(HealthLevel, String)> {
         let held: Result<(), Failure> = self.plant.ledger.takes_records().map_err(Failure::from);
         held.err().map(|_| {

@@ -1,4 +1,4 @@
-//! Room on the disk, and what is said after an unclean end.
+//! Free space on the disk, and what is reported after an unclean end.
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
 use std::sync::Arc;
@@ -34,7 +34,7 @@ async fn below_the_reserve_no_record_is_taken_and_the_operator_is_told_why() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn after_an_unclean_end_it_is_told_whether_all_is_sound() {
     let ground = Ground::with(&[]);
-    // The first start of a home has no end before it.
+    // The first start of a home is not preceded by an end.
     let clean = ground.parts.plant.ledger.ended_cleanly();
     let crate::site::testing::Ground { parts, folder, .. } = ground;
     let (home, config) = (parts.home.clone(), crate::config::Config::clone(&parts.config));

@@ -1,4 +1,4 @@
-//! Whether the right to play goes on, owner by owner, by what the chain says now.
+//! Whether the right to play continues, owner by owner, according to the chain now.
 
 use std::collections::HashMap;
 use std::time::Instant;
@@ -10,7 +10,7 @@ use crate::service::event::NoticeLevel;
 use crate::service::reply::PlayEnd;
 
 impl Play<'_> {
-    /// Whether the right to all that is played has ended, by what the chain says now.
+    /// Whether the right to everything that is played has ended, according to the chain now.
     pub(super) fn right_ended(&mut self) -> Option<PlayEnd> {
         if self.owner.is_locked() {
             self.tell("the keyring was locked");
@@ -26,7 +26,7 @@ impl Play<'_> {
         let standing = authority::shared_with(&self.network.directory, self.owner.address);
         let standing: HashMap<Address, Hash> =
             standing.into_iter().map(|grant| (grant.terms.owner, grant.transaction)).collect();
-        // One that was revoked and given anew, perhaps for less, is another grant.
+        // A grant that was revoked and given again, perhaps for less, is a different grant.
         let is_over = |giver: &&Address| standing.get(giver).is_none_or(|now| self.granted.get(giver) != Some(now));
         let ended: Vec<Address> = self.givers.keys().filter(is_over).copied().collect();
         let mut end = None;
@@ -36,7 +36,7 @@ impl Play<'_> {
         end.filter(|_| self.givers.is_empty())
     }
 
-    /// An owner shares no more: what is queued or latched of hers is not given out either.
+    /// An owner no longer shares: her queued and latched messages are not given out either.
     pub(super) fn take_back(&mut self, giver: Address) -> PlayEnd {
         self.givers.remove(&giver);
         self.stage.silence(giver);

@@ -1,4 +1,4 @@
-//! The page: what it says, that no hostile text gets out of its place, that it is the same twice.
+//! The page: what it says, that no hostile text escapes from its place, that it is the same every time.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use crate::model::{Address, Digest, Hash, Head, RecordKind, RecorderId, Timestam
 
 const HOSTILE: &str = "</td></table><script>alert('x')</script>\"onload=&amp;\u{202e}";
 
-/// A bundle with one disclosed record whose every text is a stranger's.
+/// A bundle with one disclosed record, all of whose texts are foreign.
 fn told(type_name: &str, definition: &str, body: &[u8]) -> (Bundle, Report) {
     let provider = provider(ProviderName::default());
     let keys = SmKeyPair::generate(provider).expect("keys");
@@ -91,7 +91,7 @@ fn what_strangers_wrote_stays_text() {
     {
         assert!(!page.contains(never), "{never} in {page}");
     }
-    // Each tag that is opened is one of ours.
+    // Every opening tag is one of ours.
     let ours = [
         "!DOCTYPE", "html", "head", "meta", "title", "style", "body", "h1", "h2", "h3", "p", "b", "code", "table",
         "tr", "th", "td", "section", "ul", "li", "pre", "svg", "polyline", "circle", "img",
