@@ -119,7 +119,7 @@ fn short(name: BenchName, arguments: &AllArguments) -> Bench {
             doubling: false,
             publishers: 4,
         }),
-        BenchName::Memory => Bench::Memory(MemoryArguments { robots: 200, topics: 200, records: 100_000 }),
+        BenchName::Memory => Bench::Memory(MemoryArguments { idle_robots: 200, topics: 200, records: 100_000 }),
         BenchName::Pictures => Bench::Pictures,
         BenchName::Growth => Bench::Growth(GrowthArguments { records: 100_000 }),
     }

@@ -56,6 +56,10 @@ fn examples() -> Vec<(&'static str, String)> {
             }
             "alerts.disk" => "2GiB",
             "ros.domain" => "7",
+            "time.authorities" => {
+                let certificate = secret.display();
+                return format!("[{{ name = \"One\", url = \"http://h:1/tsa\", certificate = \"{certificate}\" }}]");
+            }
             "confirmations" => "3",
             "gateway.admission" => "open",
             "gateway.quota_bytes" => "1GiB",

@@ -21,7 +21,7 @@ const MAY_SIGN: u8 = 0xc0;
 pub struct Certificate {
     pub(super) der: Vec<u8>,
     pub(super) signed: Vec<u8>,
-    /// How it is signed; not every way is supported here.
+    /// How it is signed; not each way is one that is checked here.
     pub(super) scheme: Result<Scheme, TimeError>,
     pub(super) signature: Vec<u8>,
     pub(super) serial: Vec<u8>,
@@ -33,24 +33,22 @@ pub struct Certificate {
     pub(super) uses: Uses,
 }
 
-/// The content of its extensions.
+/// What its extensions say.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(super) struct Uses {
-    /// Whether it may issue others.
-    pub issuer: bool,
-    /// How many issuers may come between it and the last, if it says.
-    pub most: Option<u64>,
+    /// It may issue others, with so many between it and the last at most; without a limit, that is `u64::MAX`.
+    pub issuer: Option<u64>,
     /// The first byte of keyUsage.
     pub key: Option<u8>,
-    /// It has a critical extended key usage that names timeStamping and nothing else.
+    /// A critical extended key usage that names timeStamping and nothing else.
     pub stamps: bool,
-    /// It has a critical extension unknown here.
+    /// It has a critical extension that nothing here knows.
     pub unknown: bool,
 }
 
 impl Uses {
     pub fn may_issue(&self) -> bool {
-        self.issuer && self.key.is_none_or(|bits| bits & MAY_SIGN_CERTIFICATES != 0)
+        self.issuer.is_some() && self.key.is_none_or(|bits| bits & MAY_SIGN_CERTIFICATES != 0)
     }
 
     pub fn may_stamp(&self) -> bool {
@@ -62,7 +60,7 @@ impl Certificate {
     /// From DER.
     ///
     /// # Errors
-    /// [`TimeError`] if it is not one, or signed in an unknown way.
+    /// [`TimeError`] where it is none, or signed in an unknown way.
     pub fn parse(der: &[u8]) -> Result<Self, TimeError> {
         let mut outer = Der::only(PART, der, SEQUENCE)?;
         let signed = outer.element(SEQUENCE)?;
@@ -101,10 +99,10 @@ impl Certificate {
         Ok(Self { der, signed, scheme, signature, serial, issuer, subject, from, until, key, uses })
     }
 
-    /// From PEM: the first certificate in it.
+    /// From PEM: the first certificate of it.
     ///
     /// # Errors
-    /// [`TimeError`] if there is none.
+    /// [`TimeError`] where there is none.
     pub fn from_pem(text: &str) -> Result<Self, TimeError> {
         let after = text.split_once(BEGIN).map(|(_, after)| after);
         let body = after.and_then(|after| after.split_once(END)).map(|(body, _)| body);
@@ -119,7 +117,7 @@ impl Certificate {
         &self.der
     }
 
-    /// Its name: the common name of its subject, or else its serial number, for people.
+    /// What names it: the common name of its subject, else its serial number, for people.
     pub fn name(&self) -> String {
         common_name(&self.subject).unwrap_or_else(|| {
             let digits: String = self.serial.iter().take(20).map(|byte| format!("{byte:02x}")).collect();
@@ -164,7 +162,7 @@ impl Uses {
                 let issues = inner.next_tag() == Some(super::der::BOOLEAN) && inner.boolean()?;
                 let most = if inner.is_empty() { u64::MAX } else { inner.small()? };
                 inner.end()?;
-                (self.issuer, self.most) = (issues, most.filter(|_| issues));
+                self.issuer = issues.then_some(most);
             }
             names::KEY_USAGE => {
                 let mut outer = Der::new(PART, value.content)?;

@@ -1,4 +1,4 @@
-//! The path from a certificate up to a pinned one, through those that came with the stamp (RFC 5280, section 6, with
+//! The way from a certificate up to one that is pinned, through those that came with the stamp (RFC 5280, section 6, with
 //! names compared byte by byte). Whether one was revoked is not looked up.
 
 use super::TimeError;
@@ -7,7 +7,7 @@ use super::certificate::Certificate;
 /// The most certificates between the first and the pinned one.
 const LONGEST: usize = 6;
 
-/// Checks the path; each certificate on it was valid at this time, seconds.
+/// Checks the way; each certificate on it was valid at this time, seconds.
 pub(super) fn check(
     first: &Certificate,
     others: &[Certificate],
@@ -38,10 +38,9 @@ pub(super) fn check(
     Err(TimeError::NotPinned(first.name()))
 }
 
-/// Whether one certificate issued the other, with this many between that one and the first.
+/// Whether one certificate issued the other, with so many between that one and the first.
 fn issued(above: &Certificate, below: &Certificate, between: usize) -> Result<(), TimeError> {
-    let most = above.uses.most;
-    if !above.uses.may_issue() || most.is_some_and(|most| most < between as u64) {
+    if !above.uses.may_issue() || above.uses.issuer.is_some_and(|most| most < between as u64) {
         return Err(TimeError::NotAnIssuer(above.name()));
     }
     above.key.verify(below.scheme.clone()?, &below.signed, &below.signature).map_err(|error| match error {
