@@ -15,10 +15,10 @@ use crate::service::event::NoticeLevel;
 use crate::service::{Call, Client, Event, Failure, Needs, Site};
 use crate::term::{self, ConsoleOptions, ExitReason};
 
-/// Runs the console until it is left, with the tour where there is one; the exit code is the terminal's.
+/// Runs the console until it is left, with the tour if there is one; the exit code is the terminal's.
 ///
 /// # Errors
-/// Without a terminal, or where the profile's console is open already.
+/// Without a terminal, or if the profile's console is open already.
 pub fn run(
     runtime: &tokio::runtime::Runtime,
     context: Context,
@@ -78,7 +78,7 @@ async fn serve(
     }
 }
 
-/// The reader of the tour; that there is none is said on screen.
+/// The reader of the tour; if there is none, that is said on screen.
 async fn prepare(client: Client, reader: ProfileName, events: broadcast::Sender<Event>) {
     if let Err(failure) = tour::prepare(&client, reader).await {
         let text = format!("the tour has nobody to share with: {}", failure.message);

@@ -80,10 +80,10 @@ pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output
     Ok(if story.ok { 0 } else { ErrorKind::Internal.exit_code() })
 }
 
-/// Gives a context a home of its own, which goes with the value, and the settings of none.
+/// Gives a context a home of its own, which is removed with the value, and default settings.
 ///
 /// # Errors
-/// Where none can be made.
+/// If none can be created.
 pub(super) fn temporary_home(context: &mut Context, prefix: &str) -> Result<tempfile::TempDir, Failure> {
     let directory = tempfile::Builder::new().prefix(prefix).tempdir();
     let directory = directory

@@ -61,7 +61,7 @@ pub fn profiles(context: &Context, output: &Output) -> u8 {
     0
 }
 
-/// The identities of a home by their public sides; the one that commands speak for is marked.
+/// The identities of a home by their public sides; the one used by commands is marked.
 ///
 /// # Errors
 /// A keyring that cannot be read.
@@ -252,7 +252,7 @@ fn listed(accounts: &[Address]) -> String {
     }
 }
 
-/// A contract put on the chain.
+/// A deployed contract.
 pub fn deployed(view: &DeployedView) -> String {
     pairs(&[
         ("contract", view.pin.contract.to_string()),

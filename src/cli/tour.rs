@@ -1,5 +1,5 @@
 //! `authros tour`: the console in a home of its own, with simulated robots, a reader to share with, and a strip that
-//! leads through the paper's mission. The home goes with the console.
+//! leads through the paper's mission. The home is removed with the console.
 
 use tokio::runtime::Runtime;
 
@@ -12,15 +12,15 @@ use crate::model::{ContactName, ErrorKind, ProfileName};
 use crate::service::command::{AddContact, CreateIdentity, Register, SecretText};
 use crate::service::{Client, Failure};
 
-/// Whose robots they are, in the paper.
+/// The robots' owner in the paper.
 const OWNER: &str = "cura-a";
-/// Who reads.
+/// The reader.
 const READER: &str = "cura-b";
 
 /// Runs the console with the tour.
 ///
 /// # Errors
-/// Without a terminal or robots, or where no temporary home can be made.
+/// Without a terminal or robots, or if no temporary home can be created.
 pub fn run(runtime: &Runtime, mut context: Context, arguments: TourArguments) -> Result<u8, Failure> {
     if context.global.home.is_some() {
         let text = "the tour has a home of its own, which is removed afterwards; leave --home and AUTHROS_HOME out";
@@ -42,10 +42,10 @@ pub fn run(runtime: &Runtime, mut context: Context, arguments: TourArguments) ->
     ended
 }
 
-/// Makes the reader, puts it on the chain and into the address book.
+/// Creates the reader, registers it on the chain and adds it to the address book.
 ///
 /// # Errors
-/// What the site says.
+/// Errors of the site.
 pub async fn prepare(client: &Client, reader: ProfileName) -> Result<(), Failure> {
     let name: ContactName = super::parse::value(reader.as_str())?;
     let of_reader = client.for_profile(reader);

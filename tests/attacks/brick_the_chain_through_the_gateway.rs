@@ -51,16 +51,17 @@ fn signed(key: &LocalWallet, chain: u64, nonce: u64, gas: u64, to: Option<H160>,
     format!("0x{}", hex(&typed.rlp_signed(&signature)))
 }
 
-/// What is said of a creation, whoever sends it.
+/// The refusal of a creation, whoever sends it.
 const NOT_TO_THE_CONTRACT: &str = "only transactions to the contract";
-/// What is said of a call of the contract with more gas than any call needs.
+/// The refusal of a call of the contract with more gas than any call needs.
 const TOO_MUCH_GAS: &str = "are passed on";
-/// What the pool says of a nonce that is not the next one.
+/// The pool's refusal of a nonce that is not the next one.
 const ORDER: [&str; 3] = ["nonce", "already known", "underpriced"];
-/// How gateways bound who asks too much.
+/// The gateways' refusals of clients that ask too much.
 const BOUNDS: [Code; 5] = [Code::Quota, Code::Busy, Code::TooSlow, Code::Session, Code::Transaction];
 
-/// Sends a frame; gives its hash where it was passed on. Who comes often may also be refused by one of `bounds`.
+/// Sends a frame; returns its hash if it was passed on. A client that comes too often may also be refused by one of
+/// `bounds`.
 async fn send(
     parts: &mut Parts,
     client: &mut Client,
@@ -76,7 +77,7 @@ async fn send(
     None
 }
 
-/// All payloads as creations by accounts that nobody knows: none must pass.
+/// All payloads as creations by unknown accounts: none must pass.
 async fn send_all(parts: &mut Parts, client: &mut Client, who: &str, bounds: &[Code], chain: u64, gas: u64) {
     for (name, code) in payloads(gas) {
         let key = LocalWallet::new(&mut ethers::core::rand::thread_rng());
@@ -137,7 +138,7 @@ async fn visitors_and_registered_accounts_send_what_never_ends() {
     judge(NAME, parts.outcome());
 }
 
-/// What was seen in a minute under attack.
+/// What was observed in a minute under attack.
 struct Seen {
     sent: u64,
     refused: Vec<String>,
@@ -147,7 +148,7 @@ struct Seen {
     held: [u64; 2],
 }
 
-/// A robot uploads until `end`, and somebody looks at the blocks.
+/// A robot uploads until `end`, while the blocks are watched.
 async fn upload(gate: &Gate, owner: &Member, end: Instant) -> Seen {
     let of_robot = owner.allocate(&gate.gateway, "robot-7").await.expect("allocates");
     let of_eyes = owner.allocate(&gate.gateway, "robot-8").await.expect("allocates");
@@ -158,7 +159,7 @@ async fn upload(gate: &Gate, owner: &Member, end: Instant) -> Seen {
         Instant::now(),
     );
     while Instant::now() < end {
-        // Anchors of what is uploaded wait all the time, so that a block is due all the time.
+        // Anchors of the uploads are always waiting, so that a block is always due.
         if let Ok(Relayed::Result(newest)) = eyes.relay("eth_blockNumber", &json!([])).await
             && newest != block
         {
@@ -177,7 +178,7 @@ async fn upload(gate: &Gate, owner: &Member, end: Instant) -> Seen {
     seen
 }
 
-/// How the minute ended: what was refused to the attackers counts only if nobody else was kept out.
+/// How the minute ended: refusals of the attackers count only if nobody else was kept out.
 fn minute(name: &str, seen: &Seen, attackers: Vec<Parts>, told: &str) {
     let figures = format!(
         "{} uploads in a minute, {} refused, {:.1} s between two blocks at most, {} MiB before, {} MiB after; {told}",
@@ -200,7 +201,7 @@ fn minute(name: &str, seen: &Seen, attackers: Vec<Parts>, told: &str) {
     judge(name, outcome);
 }
 
-/// Three lines to the gateway, from an address each.
+/// Three connections to the gateway, each from its own address.
 async fn three_lines(gate: &Gate) -> Vec<Gateway> {
     let to = gate.gateway.address.parse().expect("an address");
     let mut lines = Vec::new();
@@ -259,7 +260,7 @@ async fn three_addresses_for_a_minute_while_a_robot_uploads() {
     minute(NAME, &seen, all, "no creation passed on");
 }
 
-/// A refusal of who comes too often is one by name, in clear too: before a session nothing else can be said.
+/// A client that comes too often is refused by name, in clear too: before a session there is no other way.
 fn bounded(parts: &mut Parts, what: &str, error: GatewayError, bounds: &[Code]) {
     match error {
         GatewayError::RefusedInClear(code) if bounds.contains(&code) => parts.refused(what, code.text(), ""),
@@ -267,8 +268,8 @@ fn bounded(parts: &mut Parts, what: &str, error: GatewayError, bounds: &[Code]) 
     }
 }
 
-/// A registered account for a minute from three addresses: what it may send, calls of the contract with all the gas that
-/// a transaction may have, each as dear as the contract makes any, as fast as the gateway takes them.
+/// A registered account for a minute from three addresses: what it may send, calls of the contract with all the gas
+/// that a transaction may have, each as expensive as the contract allows, as fast as the gateway accepts them.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_registered_account_sends_all_it_may_for_a_minute() {
     if !long() {

@@ -16,21 +16,21 @@ const NAME: &str = "grow_the_directory";
 const STRANGERS: [u8; 2] = [41, 42];
 /// Rounds whose transactions are sent together.
 const TOGETHER: u64 = 8;
-/// What gas costs where it costs something, wei.
+/// The gas price if gas is not free, wei.
 const PRICE: u64 = 2_000_000_000;
 
 /// How much more the last part may cost than the first.
 struct Bounds {
-    /// How many times as many bytes a round.
+    /// Of bytes per round, as a factor.
     factor: u64,
-    /// How much more memory over all rounds, MiB.
+    /// Of memory over all rounds, MiB.
     room: u64,
 }
 
-/// Where the site seals the chain itself: its trees deepen with each token, a log that goes into its file falls into one
-/// part, and it keeps its newest blocks at hand.
+/// If the site seals the chain itself: its trees deepen with each token, a log that is merged into its file falls into
+/// one part, and it keeps its newest blocks at hand.
 const SEALING: Bounds = Bounds { factor: 4, room: 64 };
-/// Where somebody else does: what is left is the directory, which forgets what has ended.
+/// If somebody else does: what is left is the directory, which forgets what has ended.
 const READING: Bounds = Bounds { factor: 2, room: 12 };
 
 /// Who seals the chain.
@@ -135,7 +135,7 @@ impl Field {
         line.trim().parse().expect("a number")
     }
 
-    /// Some parts of so many rounds each, and whether the last costs more than the first.
+    /// Several parts with this many rounds each, and whether the last costs more than the first.
     fn judge(&mut self, name: &str, bounds: &Bounds, parts: u64, part: u64) {
         let (mut costs, mut memory) = (Vec::new(), Vec::new());
         for number in 0..parts {

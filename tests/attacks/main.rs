@@ -1,8 +1,8 @@
-//! What attackers want, one file each, named after the wish. Every attack is made from outside: by the program's command
-//! line, its files, or a second client of its protocols. It ends in [`Outcome::Refused`] with the refusal that was read, in
-//! [`Outcome::Succeeded`] with what was reached, or in [`Outcome::Otherwise`] where it failed by something else than the
-//! refusal that is promised: a gateway that is down refuses nothing. `tests/attacks/against BINARY` makes them on another
-//! build.
+//! What attackers want, one file each, named after the wish. Every attack is made from outside: by the program's
+//! command line, its files, or a second client of its protocols. It ends in [`Outcome::Refused`] with the refusal that
+//! was read, in [`Outcome::Succeeded`] with what was achieved, or in [`Outcome::Otherwise`] if it failed for another
+//! reason than the promised refusal: a gateway that is down refuses nothing. `tests/attacks/against BINARY` makes them
+//! on another build.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 #![allow(clippy::print_stdout, reason = "what an attack reached is told")]
 

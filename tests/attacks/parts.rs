@@ -1,10 +1,10 @@
-//! An attack of several parts: each is refused by the name that is promised for it, or reached something, or neither.
+//! An attack in several parts: each is refused with the promised name, or achieved something, or neither.
 
 use authros::gateway::{Code, GatewayError};
 
 use crate::Outcome;
 
-/// What became of the parts so far.
+/// The results of the parts so far.
 #[derive(Debug, Default)]
 pub struct Parts {
     refusals: Vec<String>,
@@ -13,7 +13,7 @@ pub struct Parts {
 }
 
 impl Parts {
-    /// What a gateway answered: what was reached, or its refusal by one of these codes, under the session's key.
+    /// A gateway's answer: what was achieved, or its refusal with one of these codes, under the session's key.
     pub fn answered(&mut self, what: &str, answer: Result<String, GatewayError>, codes: &[Code]) {
         match answer {
             Ok(reached) => self.reached.push(reached),
@@ -22,30 +22,30 @@ impl Parts {
         }
     }
 
-    /// A refusal that was read, which must have these words in it.
+    /// A refusal that was read, which must contain these words.
     pub fn refused(&mut self, what: &str, read: &str, words: &str) {
         let told = format!("{what}: {read}");
         if read.contains(words) { self.refusals.push(told) } else { self.otherwise.push(told) }
     }
 
-    /// Something was reached.
+    /// Something was achieved.
     pub fn reached(&mut self, what: String) {
         self.reached.push(what);
     }
 
-    /// Something that is no refusal and reached nothing.
+    /// Something that is not a refusal and achieved nothing.
     pub fn otherwise(&mut self, what: String) {
         self.otherwise.push(what);
     }
 
-    /// What became of further parts.
+    /// The results of further parts.
     pub fn add(&mut self, more: Self) {
         self.refusals.extend(more.refusals);
         self.reached.extend(more.reached);
         self.otherwise.extend(more.otherwise);
     }
 
-    /// How all of it ended; the same words are told once.
+    /// How all of it ended; the same words are reported once.
     pub fn outcome(mut self) -> Outcome {
         for told in [&mut self.refusals, &mut self.otherwise] {
             told.sort_unstable();

@@ -9,7 +9,7 @@ use crate::enrolled_robot::{Robot, Scene, all_of, of, session};
 use crate::judge;
 use crate::parts::Parts;
 
-/// Asks for all that there is.
+/// Asks for everything there is.
 async fn ask(parts: &mut Parts, client: &mut Client, robot: &authros::crypto::Enrolment, known: Digest) {
     let notices =
         Selection { topic_id: Some(robot.notice_id), kind: Some(RecordKind::Key), ..Selection::all(robot.owner) };
@@ -64,7 +64,8 @@ async fn read_with_a_recalled_robot() {
         GatewayError::TimedOut => parts.reached("a subscription that is open still".to_owned()),
         ended => parts.answered("the open subscription", Err(ended), &[Code::NotAuthorised]),
     }
-    // The name is nobody's any more: its key is told from a wrong one by nothing, and in clear, for there is no session.
+    // The name belongs to nobody any more: its key cannot be told from a wrong one, and the refusal is in clear,
+    // because there is no session.
     match session(&stolen).await {
         Ok(mut client) => ask(&mut parts, &mut client, &stolen, known).await,
         Err(GatewayError::RefusedInClear(Code::Tag)) => parts.refused("a new session", Code::Tag.text(), "another key"),

@@ -1,5 +1,5 @@
-//! A thief of a reader's transport key goes on reading after the reader has replaced the stolen keys: by the subscription
-//! that was open before, and by new questions in the same session.
+//! A thief of a reader's transport key keeps reading after the reader has replaced the stolen keys: through the
+//! subscription that was open before, and by new queries in the same session.
 
 use std::time::Duration;
 
@@ -29,7 +29,7 @@ async fn read_with_replaced_keys() {
     let known = send(&owner, &mut robot, 1).await;
     let (_, entry, _) = listening.next_event(Duration::from_secs(20)).await.expect("granted");
     assert_eq!(entry.digest, known, "the line that was sent");
-    // One that has nothing to tell: no record of this kind ever comes.
+    // A subscription with nothing to deliver: no record of this kind ever comes.
     let nothing = Selection { topic_id: Some(owner.topic("/never").0), ..all.clone() };
     idle.subscribe(&nothing).await.expect("granted");
 

@@ -23,11 +23,11 @@ pub fn account_of(stranger: u8) -> H160 {
     LocalWallet::from_bytes(&[stranger; 32]).expect("a key").address()
 }
 
-/// A node by HTTP.
+/// A node, over HTTP.
 pub struct Line {
     address: SocketAddr,
     chain_id: u64,
-    /// What a transaction offers for gas, wei.
+    /// The gas price that a transaction offers, wei.
     price: u64,
 }
 
@@ -63,14 +63,14 @@ impl Served {
 }
 
 impl Line {
-    /// To the node at `address`, where gas has this price.
+    /// To the node at `address`, with this gas price.
     pub fn to(address: SocketAddr, price: u64) -> Self {
         let mut line = Self { address, chain_id: 0, price };
         line.chain_id = number(&line.ask("eth_chainId", json!([])).expect("a chain id"));
         line
     }
 
-    /// Where it answers.
+    /// Its address.
     pub fn url(&self) -> String {
         format!("http://{}", self.address)
     }
@@ -112,7 +112,7 @@ impl Line {
         receipt.get("blockNumber").map(number)
     }
 
-    /// A creation by `code`, or without it a plain transfer, of a stranger who is a number.
+    /// A creation with `code`, or without it a plain transfer, by a numbered stranger.
     pub fn signed(&self, stranger: u8, nonce: u64, gas: u64, code: Option<&[u8]>) -> String {
         let request = TransactionRequest::new().nonce(nonce).gas(gas);
         self.sign(

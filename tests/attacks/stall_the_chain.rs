@@ -11,7 +11,7 @@ const ALL_GAS: u64 = 0xffff_ffff;
 /// What a transaction may have now.
 const CAPPED_GAS: u64 = 10_000_000;
 
-/// Refusals of what is within that: of work that the gas does not pay, and of more than may wait.
+/// Refusals of transactions within that: of work that the gas does not pay for, and of more than may wait.
 const NAMED: [&str; 2] = ["too much work for its gas", "txpool is full"];
 
 /// MSTORE(0, rounds << 224), then STATICCALL(gas, 9, 0, 213, 0, 64).
@@ -54,7 +54,7 @@ fn stall_the_chain() {
             }
         }
     }
-    // As much as is accepted: a small transaction that comes later goes before most of it.
+    // As much as is accepted: a small transaction that comes later overtakes most of it.
     for stranger in 20..60u8 {
         let code = match stranger % 3 {
             0 => blake2f(9_800_000),

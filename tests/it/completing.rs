@@ -1,4 +1,4 @@
-//! What shells complete, when there are records of a topic, and who is in a home: read without a site as with one.
+//! Shell completion, when there are records of a topic, and who is in a home: the same with and without a site.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -9,7 +9,7 @@ use support::{Console, Home, list, skipped, system_program, text};
 
 const TOPIC: &str = "/robot1/odom";
 
-/// The words that a completion gives.
+/// The words of a completion.
 fn words(home: &Home, kind: &str, begun: &str) -> Vec<String> {
     let outcome = home.authros().run(&["complete", kind, begun]).expect_code(0);
     outcome.stdout.lines().map(str::to_owned).collect()

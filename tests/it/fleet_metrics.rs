@@ -1,4 +1,5 @@
-//! Figures of a gateway and of a robot's agent: the law's terms, who was last seen when, what was refused, how the line is.
+//! Figures of a gateway and of a robot's agent: the terms of the balance, who was last seen when, what was refused, the
+//! state of the connection.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use serde_json::Value;
@@ -8,14 +9,14 @@ use crate::support::{Home, count, free_port, text, wait_until};
 
 const TOPIC: &str = "/robot1/odom";
 
-/// What was captured for an account, and the sum of the law's terms.
+/// The captured count of an account, and the sum of the other terms.
 fn law(told: &str, owner: &str) -> (f64, f64) {
     let terms = ["verified", "pending", "right_ended", "quarantined", "dropped", "tampered"]
         .map(|state| value(told, &format!("authros_records{{owner=\"{owner}\",state=\"{state}\"}}")));
     (value(told, &format!("authros_records_captured_total{{owner=\"{owner}\"}}")), terms.iter().sum())
 }
 
-/// Values of families of which each site has some.
+/// Values of families that every site has.
 fn has_families(told: &str, names: &[&str]) {
     for name in names {
         let begins = |line: &str| line.strip_prefix(name).is_some_and(|rest| rest.starts_with(['{', ' ']));
@@ -92,7 +93,7 @@ fn a_gateway_and_an_agent_have_figures_of_their_own() {
     assert!(value(&of_gateway, &seen) < 3600.0);
     assert!(value(&of_gateway, "authros_gateway_connections ") >= 1.0);
 
-    // Frames that are none are refused, and the refusal is counted by its code.
+    // Invalid frames are refused, and the refusal is counted by its code.
     drop(std::io::Write::write_all(&mut std::net::TcpStream::connect(&listen).expect("a line"), &[0xff; 200]));
     wait_until(30, "the refusal in the figures", || {
         figures(at_gateway).filter(|told| told.contains("authros_gateway_refused_total{code=\""))

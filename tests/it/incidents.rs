@@ -1,5 +1,5 @@
-//! An incident from the button to its bundle: retention leaves it alone, a back-up carries it, and once it is removed
-//! its bytes go as others do.
+//! An incident from the button to its bundle: retention leaves it alone, a backup carries it, and once it is removed
+//! its bytes are deleted like others.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -26,7 +26,7 @@ fn is_deleted(authros: &Authros, topic: &str) -> bool {
     records.iter().all(|record| record["state"] == "deleted")
 }
 
-/// Topics that retention has named records of, as the audit log has them.
+/// Topics of which retention has deleted records, according to the audit log.
 fn named(authros: &Authros) -> Vec<String> {
     let lines = list(&authros.json(&["audit", "list", "--action", "retention", "--limit", "1000"]), "audit");
     let named = lines.into_iter().filter(|line| line["outcome"] == "named");
@@ -89,7 +89,7 @@ fn an_incident_is_held_found_exported_carried_by_a_backup_and_let_go() {
     let proven = list(&report, "records").into_iter().filter(|record| record["bytes"]["standing"] == "proven");
     let proven = digests(&proven.collect::<Vec<_>>());
     assert!(all.iter().all(|digest| proven.contains(digest)), "{report}");
-    // Members are stored as they are.
+    // Members are stored uncompressed.
     let bytes = fs::read(&bundle).expect("the bundle");
     assert!(holds(&bytes, b"<td>crash</td>") && holds(&bytes, b"wall &lt;b&gt;at bay 3"), "its name and notes");
     assert!(!holds(&bytes, ODOM.as_bytes()), "and no topic by its name");

@@ -1,5 +1,5 @@
-//! A program that is older than a home: whatever file is of a later version is named, and no file of the home changes,
-//! also where a crash left logs beside the databases.
+//! A program that is older than a home: a file of a later version is named, and no file of the home changes, even if a
+//! crash left logs beside the databases.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -10,14 +10,14 @@ use crate::support::{Home, wait_until};
 
 const INPUT: i32 = 3;
 
-/// Files and what a later program writes into each as its version.
+/// Files and the version that a later program writes into each.
 const LATER: [(&str, &str); 3] = [
     ("ledger.db", "PRAGMA user_version = 900"),
     ("vault/vault.db", "PRAGMA user_version = 900"),
     ("chain/chain.db", "UPDATE chain SET version = 900"),
 ];
 
-/// Every file with what it holds; not the index that SQLite keeps of a log, nor an empty log.
+/// Every file with its content; except the index that SQLite keeps of a log, and an empty log.
 fn files(home: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let is_kept = |path: &PathBuf| path.is_file() && !path.to_string_lossy().ends_with("-shm");
     let read = |path: PathBuf| (path.clone(), std::fs::read(&path).expect("read"));
@@ -37,7 +37,7 @@ fn an_older_program_is_refused_in_words_and_changes_nothing() {
     let site = authros.serve(&stopped);
     authros.run(&["topics", "watch", "/robot1/odom"]).expect_code(0);
     wait_until(60, "records are verified", || (authros.json(&["status"])["life"]["verified"] != 0).then_some(()));
-    // As a crash leaves it: the newest of each database is in its log.
+    // As after a crash: the newest data of each database is in its log.
     site.stop("KILL", 20);
     copy(&stopped.path(), &killed.path());
     authros.run(&["topics", "unwatch", "/robot1/odom"]).expect_code(0);
@@ -48,7 +48,7 @@ fn an_older_program_is_refused_in_words_and_changes_nothing() {
             let place = Home::new();
             copy(&home.path(), &place.path());
             let path = place.path().join(name);
-            // A later program that was killed too: what it wrote stays in the log.
+            // A later program that was killed too: its data stays in the log.
             let database = rusqlite::Connection::open(&path).expect("opens");
             database
                 .set_db_config(rusqlite::config::DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)

@@ -111,12 +111,12 @@ fn a_program_that_wants_a_newer_libc_is_not_packed() {
         command.args([program, most]);
         Running::start(command).wait(60).expect_code(code)
     };
-    // Whatever is linked to glibc on 64 bits wants 2.2.5 at least, and nothing wants 99.
+    // Everything linked to glibc on 64 bits requires at least 2.2.5, and nothing requires 99.
     let program = env!("CARGO_BIN_EXE_authros");
     assert!(judged(program, "99.0", 0).stdout.contains("wants GLIBC_2."));
     let refused = judged(program, "2.2", 1).stderr;
     assert!(refused.contains("2.2 at most") && refused.lines().count() > 1, "{refused}");
-    // As versions, not as texts: 2.200 is newer than whatever there is.
+    // Compared as versions, not as texts: 2.200 is newer than any existing one.
     judged(program, "2.200", 0);
     let home = Home::new();
     judged(&home.file("text", "GLIBC_2.2.5", 0o600), "2.31", 2);
@@ -145,7 +145,7 @@ fn a_build_for_a_machine_without_its_standard_library_is_refused_by_name_before_
 #[test]
 fn an_account_that_cannot_be_made_fails_the_installation_and_says_what_to_do() {
     let home = Home::new();
-    // A machine that knows nobody of that name and has neither of the two programs that make accounts.
+    // A machine without an account of that name and without the two programs that create accounts.
     std::fs::create_dir(home.root().join("programs")).expect("made");
     home.file("programs/getent", "#!/bin/sh\nexit 2\n", 0o700);
     let mut command = Command::new("/bin/sh");

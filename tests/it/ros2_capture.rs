@@ -1,5 +1,5 @@
 //! ROS 2 topics of a real DDS peer (Eclipse Cyclone DDS with ROS 2's names and QoS), captured in a network namespace of
-//! the test's own. No rmw node was to be had; `docs/ros2.md` says so.
+//! the test's own. No rmw node was available; `docs/ros2.md` says so.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::support;
@@ -103,7 +103,7 @@ fn pictures_arrive_byte_for_byte_and_latched_messages_late() {
     let found = support::process::output_of("sha256sum", &[path.to_str().expect("UTF-8")]);
     assert_eq!(found.split(' ').next(), sent["sha256"].as_str(), "header and body of every picture");
 
-    // Each subscriber gets what was published before it came.
+    // Each subscriber gets what was published before it connected.
     for _ in 0..2 {
         let summary = alice.json(&["capture", "--topic", "/tf_static", "--for", "500ms"]);
         assert_eq!(figures(&summary), (1, 1, 0), "{summary}");
@@ -124,7 +124,7 @@ fn reader_of(site: &Running) -> String {
     wait_until(20, "the process that reads ROS 2", find)
 }
 
-/// Captures 4 s of a talker while `harm` is done to the reader; what is missing is known to the message.
+/// Captures 4 s of a talker while `harm` is done to the reader; the number of missing messages is known exactly.
 fn expect_known_gap(network: &Network, topic: &str, flag: &str, harm: impl Fn(&str)) {
     let home = Home::new();
     let (site, alice) = begin(network, &home, &[]);
@@ -138,7 +138,7 @@ fn expect_known_gap(network: &Network, topic: &str, flag: &str, harm: impl Fn(&s
     let outcome = capture.wait(240);
     let summary = outcome.document();
     let (captured, verified, lost) = figures(&summary);
-    // What was lost is also told by the exit code.
+    // The exit code reports losses, too.
     assert_eq!(outcome.code, Some(if lost > 0 { 8 } else { 0 }), "{outcome}");
     assert_eq!((captured + lost, captured - verified), (6000, 0), "{summary}");
     assert!(captured > 1000, "capture went on: {summary}");
@@ -195,7 +195,7 @@ fn malformed_datagrams_do_no_harm() {
     assert_eq!(reader_of(&site), before, "it was never started anew");
 }
 
-/// What the doctor says of ROS 2.
+/// What the doctor says about ROS 2.
 fn doctor(network: &Network, home: &Home) -> Value {
     let doctor = network.inside(&home.authros().with(&["--ros2", "0", "--json"]));
     let view = doctor.run(&["doctor"]).document();

@@ -251,8 +251,8 @@ fn each_grant_in_the_history_keeps_its_own_topics_and_terms() {
     ];
     assert_eq!(history(), expected);
 
-    // As in an earlier ledger: one list for the account, of its last grant. Captured topics have their names by their
-    // pseudonyms; what leads nowhere stays unknown, and is not guessed.
+    // As in an earlier ledger: one list for the account, of its last grant. Captured topics get their names from their
+    // pseudonyms; unknown pseudonyms stay unknown, and are not guessed.
     two.alice.capture(&[odom], 1);
     two.site.stop("INT", 30).expect_code(0);
     let ledger = rusqlite::Connection::open(two.home.path().join("ledger.db")).expect("opens");

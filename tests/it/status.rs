@@ -1,4 +1,4 @@
-//! `status` where no site runs: what it ends with and what it says of vault, chain, master and profile.
+//! `status` without a running site: its exit code, and what it says about vault, chain, master and profile.
 
 use serde_json::Value;
 
@@ -7,7 +7,7 @@ use crate::support::{Anvil, Authros, Home, Redis, count, free_port, skipped, tex
 const UNREACHABLE: i32 = 4;
 const INPUT: i32 = 3;
 
-/// Exit code, and how a part stands.
+/// Exit code, and the state of a part.
 fn part(authros: &Authros, name: &str) -> (Option<i32>, String, String) {
     let outcome = authros.with(&["--json"]).run(&["status"]);
     let parts = outcome.document()["health"].as_array().cloned().unwrap_or_default();
@@ -46,7 +46,7 @@ fn peers_that_are_away_are_told_without_a_site_too() {
         let shown = away.run(&["status"]).expect_code(UNREACHABLE).stdout;
         assert!(shown.lines().any(|line| line.starts_with(name) && line.contains("failed")), "{shown}");
     }
-    // Without its vault a home says nothing of its records.
+    // Without its vault a home says nothing about its records.
     let message = home.authros().fails(UNREACHABLE, &["status", "--vault", &format!("redis://127.0.0.1:{port}")]);
     assert!(message.contains(&port), "{message}");
 }
@@ -71,7 +71,7 @@ fn peers_that_answer_are_well_without_a_site_too() {
 #[test]
 fn a_profile_that_there_is_not_is_told_and_not_made() {
     let home = Home::new();
-    // A home in which nobody is yet: nothing is wrong.
+    // A home without a profile yet: nothing is wrong.
     home.authros().run(&["status"]).expect_code(0);
     home.profile("alice").with(&["--robots", "0"]).enrol();
     for named in [home.profile("bob"), home.authros()] {
@@ -80,7 +80,7 @@ fn a_profile_that_there_is_not_is_told_and_not_made() {
         assert!(message.contains("--profile"), "what to do: {message}");
     }
     assert!(!home.path().join("profiles/bob").exists(), "none was made");
-    // With a site the same.
+    // The same with a site.
     let _site = home.profile("alice").with(&["--robots", "0"]).serve(&home);
     let message = home.profile("bob").fails(INPUT, &["status"]);
     assert!(message.contains("has no profile 'bob'"), "{message}");

@@ -1,4 +1,4 @@
-//! Time from outside: an authority of openssl's, asked over HTTP by a home, and its stamps checked by somebody without one.
+//! External time: an openssl authority, queried over HTTP by a home, and its stamps checked by somebody without one.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use crate::evidence::{expect_agreement, unzipped, verified};
@@ -26,7 +26,7 @@ fn openssl(folder: &Path, line: &str) {
     assert!(done.status.success(), "openssl {line}: {}", String::from_utf8_lossy(&done.stderr));
 }
 
-/// A root, and a signer of stamps by it, both named alike.
+/// A root, and a signer of stamps issued by it, both with the same name.
 fn signer(folder: &Path, name: &str) {
     let key = "genpkey -algorithm EC -pkeyopt ec_paramgen_curve:P-256 -out";
     openssl(folder, &format!("{key} {name}root.key"));
@@ -48,13 +48,13 @@ fn signer(folder: &Path, name: &str) {
     );
 }
 
-/// What the authority does with whoever asks.
+/// How the authority answers.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Mood {
     Busy,
-    /// It stamps by a key that nobody pinned.
+    /// It stamps with a key that nobody pinned.
     Other,
-    /// It gives to each what it gave to the first.
+    /// It gives everyone what it gave the first.
     Same,
     Well,
 }

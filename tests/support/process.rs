@@ -99,7 +99,7 @@ impl Pipe {
     }
 }
 
-/// Memory of a process that is its own, KiB: without pages of files, which the system takes back when it likes.
+/// Memory of a process that is its own, KiB: without pages of files, which the system takes back at will.
 pub fn own_memory(process: u32) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).expect("it runs");
     let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:")).expect("its memory");

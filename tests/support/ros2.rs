@@ -19,7 +19,7 @@ pub struct Network {
 }
 
 impl Network {
-    /// A new one; `None` where this machine gives none.
+    /// A new one; `None` if this machine does not allow it.
     pub fn new() -> Option<Self> {
         for own_user in [false, true] {
             let mut command = Command::new("unshare");
@@ -68,7 +68,7 @@ impl Drop for Network {
     }
 }
 
-/// The program that reads ROS 2, where it was built beside the program under test.
+/// The program that reads ROS 2, if it was built beside the program under test.
 pub fn reader_program() -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_BIN_EXE_authros")).with_file_name("authros-ros2");
     path.is_file().then_some(path)
@@ -81,14 +81,14 @@ fn python() -> Option<PathBuf> {
     path.is_file().then_some(path)
 }
 
-/// What a test of ROS 2 needs, or why it is skipped.
+/// The requirements of a ROS 2 test, or why it is skipped.
 pub fn network() -> Result<Network, &'static str> {
     reader_program().ok_or("authros-ros2 is not built: cargo build -p authros-ros2")?;
     python().ok_or("no cyclonedds in target/peers")?;
     Network::new().ok_or("this machine gives no network namespace")
 }
 
-/// Sends so many datagrams that are none of RTPS to the ports of domain 0, and a few that nearly are; then ends.
+/// Sends this many datagrams that are not RTPS to the ports of domain 0, and a few that nearly are; then ends.
 pub fn noise(network: &Network, count: usize) -> Running {
     let mut command = network.command(&python().expect("asked before"));
     command.arg(NOISE).arg(count.to_string());
@@ -109,14 +109,14 @@ impl Talker {
         Self(running)
     }
 
-    /// Waits until it has published everything; what it says of that.
+    /// Waits until it has published everything; returns what it says about that.
     pub fn sent(&mut self, seconds: u64) -> Value {
         let text = self.0.wait_for_text("\"sha256\"", seconds);
         let line = text.lines().find(|line| line.contains("\"sha256\"")).expect("said");
         serde_json::from_str(line).expect("JSON")
     }
 
-    /// It vanishes without a word.
+    /// Kills it, so that it vanishes without a word.
     pub fn kill(&mut self) {
         self.0.signal("KILL");
         poll(10, || (!self.0.is_running()).then_some(()));

@@ -89,7 +89,7 @@ struct Acceptance {
     ok: bool,
 }
 
-/// Measures; [`Judgement::Missed`] where an acceptance figure is missed.
+/// Measures; [`Judgement::Missed`] if an acceptance figure is missed.
 ///
 /// # Errors
 /// If an algorithm fails.
@@ -113,7 +113,7 @@ pub async fn run(
     Ok(Judgement::reached(ok))
 }
 
-/// All rows, and the other library's version or why there are no figures of it.
+/// All rows, and the other library's version or why there are no figures for it.
 fn measure(algorithm: Algorithm, runs: u32, provider: &'static dyn Provider) -> Result<(Vec<Row>, String), Failure> {
     let (library, done_there) = work::elsewhere(algorithm);
     let (mut yardstick, words) = match Yardstick::start(library) {

@@ -74,7 +74,7 @@ struct Acceptance {
 /// Measures; exit code 1 if an acceptance figure is missed.
 ///
 /// # Errors
-/// Where the chain cannot be made, or a transaction fails.
+/// If the chain cannot be made, or a transaction fails.
 pub async fn run(provider: &'static dyn Provider, outlet: &Outlet) -> Result<Judgement, Failure> {
     let consensus = Consensus::Poa { signers: 1, period: Duration::ZERO };
     let directory = Directory::new()?;

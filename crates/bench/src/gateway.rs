@@ -81,7 +81,7 @@ struct Row {
 /// Measures.
 ///
 /// # Errors
-/// Where the gateway cannot be made, or refuses a record.
+/// If the gateway cannot be made, or refuses a record.
 pub async fn run(
     arguments: GatewayArguments,
     provider: &'static dyn Provider,
@@ -131,10 +131,10 @@ pub async fn run(
     Ok(Judgement::Reached)
 }
 
-/// Opens so many connections that say nothing, and looks at the memory.
+/// Opens this many connections that say nothing, and measures the memory.
 ///
 /// # Errors
-/// As [`run`].
+/// See [`run`].
 pub(super) async fn idle_connections(provider: &'static dyn Provider, asked: usize) -> Result<Idle, Failure> {
     idle::measure(&Sender::new(provider)?, asked).await
 }

@@ -63,7 +63,7 @@ struct Row {
 /// Measures.
 ///
 /// # Errors
-/// Where the ledger cannot be made, or the disk is full.
+/// If the ledger cannot be made, or the disk is full.
 pub async fn run(arguments: GrowthArguments, outlet: &Outlet) -> Result<Judgement, Failure> {
     // Dropped here even where the bench is ended while its thread still works.
     let directory = Directory::new()?;

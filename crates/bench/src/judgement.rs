@@ -1,25 +1,25 @@
-//! Whether a bench reached what was promised. Figures are figures: only who asks with `--judge` gets it as an exit code.
+//! Whether a bench reached its targets. Figures are only figures: `--judge` turns them into an exit code.
 
 use authros_model::ErrorKind;
 
-/// What a bench's figures are held to.
+/// The result of comparing a bench's figures with the targets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Judgement {
-    /// All that was promised, or nothing was.
+    /// All targets were reached, or there are none.
     Reached,
-    /// A figure missed its mark.
+    /// A figure missed its target.
     Missed,
     /// Messages were lost, or uploads failed.
     Incomplete,
 }
 
 impl Judgement {
-    /// Whether every figure reached its mark.
+    /// Whether every figure reached its target.
     pub fn reached(all: bool) -> Self {
         if all { Self::Reached } else { Self::Missed }
     }
 
-    /// Whether everything that was begun was also done.
+    /// Whether everything begun was also done.
     pub fn complete(all: bool) -> Self {
         if all { Self::Reached } else { Self::Incomplete }
     }

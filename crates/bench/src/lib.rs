@@ -55,8 +55,8 @@ pub struct Global<'a> {
     pub settings: &'a (dyn Fn(&str) -> Option<String> + Sync),
 }
 
-/// Runs one bench, or all, and says the exit code: 0 whatever the figures are, unless they are to be judged. Dropping the
-/// future ends it.
+/// Runs one bench, or all, and returns the exit code: 0 whatever the figures are, unless they are to be judged.
+/// Dropping the future ends it.
 ///
 /// # Errors
 /// Errors of the bench or the arguments.

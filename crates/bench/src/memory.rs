@@ -1,5 +1,5 @@
-//! `authros bench memory`: what there may be thousands of, in bytes of memory each: idle robots at a gateway, watched
-//! topics, records in the ledger. Only memory that no file holds counts.
+//! `authros bench memory`: bytes of memory for each of the things of which there may be thousands: idle robots at a
+//! gateway, watched topics, records in the ledger. Only memory not backed by a file counts.
 
 mod plots;
 
@@ -52,9 +52,9 @@ const NOTES: [&str; 4] = [
 #[derive(Debug, Serialize)]
 struct Row {
     what: &'static str,
-    /// How many there were.
+    /// Their number.
     count: u64,
-    /// Bytes of memory for each of those that were counted.
+    /// Bytes of memory for each one counted.
     bytes_each: f64,
     /// The same for a million.
     mib_a_million: f64,
@@ -69,7 +69,7 @@ impl Row {
 /// Measures.
 ///
 /// # Errors
-/// Where gateway, site or ledger cannot be made, or /proc does not tell the memory.
+/// If gateway, site or ledger cannot be created, or /proc does not show the memory.
 pub async fn run(
     global: Global<'_>,
     arguments: MemoryArguments,
@@ -80,7 +80,7 @@ pub async fn run(
     let (robots, limited_by) = idle_robots(provider, arguments.idle_robots).await?;
     let mut results = vec![robots];
     results.extend(topics(global, u64::from(arguments.topics), outlet).await?);
-    // Dropped here even where the bench is ended while its thread still works.
+    // Dropped here even if the bench is ended while its thread is still working.
     let directory = Directory::new()?;
     let path = directory.path().to_owned();
     let filled = tokio::task::spawn_blocking(move || records(&path, arguments.records)).await;
@@ -134,7 +134,7 @@ async fn watch(host: &Host, topics: impl Iterator<Item = String>) -> Result<(), 
     Ok(())
 }
 
-/// By how much the memory of a process grows that writes so many records and has them verified.
+/// How much the memory of a process grows that writes this many records and has them verified.
 fn records(directory: &Path, wanted: u64) -> Result<Row, Failure> {
     let ledger = Ledger::open(&directory.join("ledger.db"))?;
     let (mut life, mut progress) = (Life::default(), Progress::new("records"));
@@ -160,7 +160,7 @@ fn memory() -> Result<u64, Failure> {
     anonymous().ok_or_else(|| internal("/proc/self/status does not tell the memory in use"))
 }
 
-/// Bytes more than before; fewer where something was given back.
+/// Bytes more than before; fewer if memory was given back.
 fn grown(before: u64, now: u64) -> f64 {
     (number(now >> 10) - number(before >> 10)) * 1024.0
 }
@@ -194,7 +194,7 @@ mod tests {
     fn every_record_is_written_and_its_memory_told_in_two_units() {
         let directory = tempfile::tempdir().expect("a directory");
         let row = records(directory.path(), 20_000).expect("measured");
-        // Other tests of this process take memory meanwhile, so how much it is cannot be judged here.
+        // Other tests in this process take memory meanwhile, so the amount cannot be judged here.
         assert!(row.count == 20_000 && row.bytes_each.is_finite(), "{row:?}");
         assert!((row.mib_a_million - row.bytes_each / 1.048_576).abs() < 1e-6, "{row:?}");
         let ledger = Ledger::open(&directory.path().join("ledger.db")).expect("a ledger");

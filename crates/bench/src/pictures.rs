@@ -125,7 +125,7 @@ struct Times {
 /// Measures every message with every codec.
 ///
 /// # Errors
-/// Where a message is not restored as it was, or the random source fails.
+/// If a message is not restored as it was, or the random source fails.
 pub fn run(provider: &'static dyn Provider, outlet: &Outlet) -> Result<Judgement, Failure> {
     let bench = Bench { provider, signer: SmKeyPair::generate(provider)?, key: TopicKey::new(random_bytes()?) };
     let (mut results, messages) = (Vec::new(), drawn::all());

@@ -29,7 +29,7 @@ use authros_service::Failure;
 
 /// Bytes of a picture, as in docs/format.md, section 10.
 const PICTURE: usize = 58 * 1024;
-/// Within how many milliseconds 99 of 100 messages must be verified for a rate to count as held.
+/// The limit within which 99 of 100 messages must be verified for a rate to count as held, milliseconds.
 const VERIFIED_WITHIN: f64 = 5_000.0;
 /// Pictures a second of each publisher.
 const PICTURES: u32 = 30;
@@ -61,11 +61,11 @@ struct Row {
     paper: Option<f64>,
 }
 
-/// Runs the loads one after the other, each in a home of its own; [`Judgement::Incomplete`] where a message was lost or the law
-/// did not hold.
+/// Runs the loads one after the other, each in a home of its own; [`Judgement::Incomplete`] if a message was lost or
+/// the counts did not balance.
 ///
 /// # Errors
-/// Where the site cannot be opened, or a part that was named does not answer.
+/// If the site cannot be opened, or a part that was named does not answer.
 pub async fn run(global: Global<'_>, arguments: PipelineArguments, outlet: &Outlet) -> Result<Judgement, Failure> {
     let length = authros_model::positive_span(&arguments.length)
         .map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
@@ -78,7 +78,7 @@ pub async fn run(global: Global<'_>, arguments: PipelineArguments, outlet: &Outl
         let rows = Milestone::ALL.map(|milestone| row(&load, milestone, host.stages()));
         host.close().await;
         let summary = match ran {
-            // A doubled rate that the line cannot settle is an answer.
+            // A doubled rate that the line cannot keep up with is an answer, too.
             Err(failure) if load.doubled > 0 => {
                 outlet.note(&format!("authros: {}: {}", load.name, failure.message));
                 break;
@@ -95,7 +95,7 @@ pub async fn run(global: Global<'_>, arguments: PipelineArguments, outlet: &Outl
     about.insert("notes".to_owned(), json!(NOTES));
     let report = Report { name: "pipeline", machine: Machine::read(), about, results };
     outlet.show(&report, || text(&report, &summaries), || plots::page(&report, &summaries))?;
-    // Rates that were doubled end where messages are lost: that is what they are for.
+    // Doubled rates end when messages are lost: that is their purpose.
     let whole = summaries.iter().filter(|summary| !summary.is_doubled()).all(Summary::is_whole);
     Ok(Judgement::complete(whole))
 }

@@ -56,7 +56,7 @@ struct Row {
 /// Measures.
 ///
 /// # Errors
-/// Where an algorithm fails, or the page of plots cannot be written.
+/// If an algorithm fails, or the page of plots cannot be written.
 pub async fn run(runs: u32, provider: &'static dyn Provider, outlet: &Outlet) -> Result<Judgement, Failure> {
     let measured = tokio::task::spawn_blocking(move || measure(runs, provider)).await;
     let results = measured.map_err(|_| internal("the measurement"))??;

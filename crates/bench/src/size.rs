@@ -81,7 +81,7 @@ impl Row {
 /// Uploads all sizes with every method on every network; exit code 8 if an upload failed.
 ///
 /// # Errors
-/// Where a network cannot be opened, or its count differs from the receipts.
+/// If a network cannot be opened, or its count differs from the receipts.
 pub async fn run(
     arguments: SizeArguments,
     provider: &'static dyn Provider,

@@ -9,12 +9,12 @@ pub fn resident() -> Option<u64> {
     kibibytes(&field(&std::fs::read_to_string("/proc/self/status").ok()?, "VmRSS")?)
 }
 
-/// Resident bytes now that no file holds; `None` where /proc does not tell.
+/// Resident bytes now that are not backed by a file; `None` if /proc does not show them.
 pub fn anonymous() -> Option<u64> {
     kibibytes(&field(&std::fs::read_to_string("/proc/self/status").ok()?, "RssAnon")?)
 }
 
-/// Processor time of all threads so far, seconds; 0 where /proc does not tell.
+/// Processor time of all threads so far, seconds; 0 if /proc does not tell.
 pub fn processor_seconds() -> f64 {
     let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     // The command's name, in brackets, may contain anything.

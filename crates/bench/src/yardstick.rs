@@ -1,6 +1,6 @@
 //! Other libraries as yardsticks, libgcrypt and OpenSSL: a small C program for each, built here with the system's
-//! compiler, that does a piece of work when it is told to. So its runs and ours take turns and share whatever else the
-//! machine does.
+//! compiler, that does a piece of work on command. Its runs and ours take turns, so they share the effects of other
+//! load on the machine.
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::Path;
@@ -8,20 +8,20 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use authros_model::clean;
 
-/// A library that is measured beside ours.
+/// A library measured beside ours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Library {
-    /// Who does it, in the figures.
+    /// Its name in the figures.
     pub name: &'static str,
     /// The program.
     source: &'static str,
-    /// What the compiler is told to link.
+    /// The libraries to link.
     link: &'static str,
-    /// What to do where it cannot be built.
+    /// What to do if it cannot be built.
     advice: &'static str,
 }
 
-/// Of the GNU project: SM3 and SM4.
+/// From the GNU project: SM3 and SM4.
 pub const LIBGCRYPT: Library = Library {
     name: "libgcrypt",
     source: include_str!("../../../benches/libgcrypt.c"),
@@ -49,7 +49,7 @@ pub struct Yardstick {
 }
 
 impl Yardstick {
-    /// Builds and starts it, or says why that cannot be.
+    /// Builds and starts it, or says why that is impossible.
     pub fn start(library: Library) -> Result<Self, String> {
         let Library { name, advice, .. } = library;
         Self::built(library).map_err(|why| format!("{name} was not timed: {}; {advice}", clean(&why, 300)))
@@ -68,7 +68,7 @@ impl Yardstick {
         Ok(Self { child, questions, answers, version, _directory: directory })
     }
 
-    /// How long a piece of work on so many bytes took it, microseconds.
+    /// How long it took for a piece of work on this many bytes, microseconds.
     pub fn time(&mut self, work: &str, bytes: usize) -> Result<f64, String> {
         writeln!(self.questions, "{work} {bytes}").map_err(|error| error.to_string())?;
         let nanoseconds = answer(&mut self.answers)?;

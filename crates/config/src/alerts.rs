@@ -18,7 +18,7 @@ const LONGEST_SECRET: usize = 4096;
 const MOST_WORDS: usize = 32;
 /// Write permission for group and others.
 const WRITTEN_BY_OTHERS: u32 = 0o022;
-/// The right of a folder that leaves each its own files.
+/// The mode bit of a folder in which users can change only their own files.
 const STICKY: u32 = 0o1000;
 
 /// The format of a webhook.
@@ -68,7 +68,7 @@ pub struct AlertLimits {
 /// What the settings say about alerts.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AlertSettings {
-    /// Who is told; `None` = nobody; what stands is shown all the same.
+    /// The destination; `None` = none; active alerts are shown all the same.
     pub place: Option<AlertPlace>,
     /// The time between checks.
     pub every: Duration,
@@ -161,8 +161,8 @@ fn command(values: &Values) -> Result<Option<Vec<String>>, ConfigError> {
     }
 }
 
-/// A command runs with this user's rights, so the file that names it, the program itself, and the folders above both must
-/// be in nobody else's hands.
+/// A command runs with this user's rights, so nobody else may be able to change the file that names it, the program
+/// itself, or the folders above both.
 pub(super) fn check_hands(values: &Values, file: Option<&Path>) -> Result<(), ConfigError> {
     let Some((_, source)) = values.get("alerts.command").filter(|(command, _)| !command.is_empty()) else {
         return Ok(());
@@ -172,16 +172,16 @@ pub(super) fn check_hands(values: &Values, file: Option<&Path>) -> Result<(), Co
         own_hands(file).map_err(wrong)?;
     }
     match command(values)?.and_then(|words| words.first().map(PathBuf::from)) {
-        // One that is missing is told of when it is to be run; it may come with a disk that is not there yet.
+        // A missing one is reported when it is to be run; it may be on a disk that is not there yet.
         Some(program) if program.exists() => own_hands(&program).map_err(wrong),
         _ => Ok(()),
     }
 }
 
-/// Whether nobody but this user and root can change or replace a file.
+/// Checks that nobody but this user and root can change or replace a file.
 ///
 /// # Errors
-/// What is in whose hands, and what to do.
+/// Which file can be changed by whom, and what to do.
 fn own_hands(file: &Path) -> Result<(), String> {
     let shown = |path: &Path| clean(&path.display().to_string(), 200);
     let unknown = |error: std::io::Error| format!("{} cannot be looked at: {error}", shown(file));
@@ -193,7 +193,7 @@ fn own_hands(file: &Path) -> Result<(), String> {
         if about.uid() != own && about.uid() != 0 {
             return Err(format!("{name} belongs to another user, who could run programs as you; chown it"));
         }
-        // In a folder with the sticky bit nobody replaces what is another's.
+        // In a folder with the sticky bit nobody can replace another user's files.
         let is_kept_apart = depth > 0 && about.mode() & STICKY != 0;
         if about.mode() & WRITTEN_BY_OTHERS != 0 && !is_kept_apart {
             return Err(format!("others may write {name} and could run programs as you; chmod go-w it"));

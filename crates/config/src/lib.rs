@@ -70,7 +70,7 @@ pub struct Config {
     pub definitions: String,
     /// Domain of ROS 2 to capture from; `None` = no ROS 2.
     pub ros_domain: Option<u16>,
-    /// The program that reads ROS 2, where it is not beside this one.
+    /// The program that reads ROS 2, if it is not beside this one.
     pub ros2_program: Option<PathBuf>,
     /// Simulated robots; 0 with a real master.
     pub robots: u16,
@@ -112,7 +112,7 @@ pub struct Config {
     pub scrub_percent: u64,
     /// Where figures are served, and which.
     pub metrics: MetricsSettings,
-    /// Whose time stamps are asked for.
+    /// The time stamp authorities to ask.
     pub time_authorities: Vec<TimeAuthority>,
     /// Who is told of trouble, and what is trouble.
     pub alerts: AlertSettings,
@@ -186,7 +186,7 @@ impl Config {
             None => None,
         };
         let robots = number(&values, "robots", 0, 32)?;
-        // Whoever has real robots asks for simulated ones, or gets none.
+        // With real robots, simulated ones run only on request.
         let unasked = values.get("robots").is_some_and(|(_, source)| *source == Source::Default);
         let without_robots = ros_master.is_some() || ros_domain.is_some() && unasked;
         Ok(Self {

@@ -1,4 +1,4 @@
-//! Whose time stamps are asked for.
+//! The time stamp authorities to ask.
 
 use std::path::PathBuf;
 
@@ -8,18 +8,18 @@ use crate::model::clean;
 
 /// The most authorities.
 const MOST: usize = 4;
-/// What the setting's value looks like.
+/// The form of the setting's value.
 const FORM: &str =
     "write [{ name = \"NAME\", url = \"http://HOST/PATH\", certificate = \"/PATH/OF.pem\" }], at most four of them";
 
 /// A time stamp authority (RFC 3161).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TimeAuthority {
-    /// What it is called; the host of its URL unless a name was set.
+    /// Its name; the host of its URL unless a name was set.
     pub name: String,
-    /// Where it is asked.
+    /// Its address for requests.
     pub url: String,
-    /// The file with its certificate, or that of whoever issued it, PEM.
+    /// The file with its certificate, or that of its issuer, PEM.
     pub certificate: PathBuf,
 }
 

@@ -65,7 +65,8 @@ pub fn height_hash(topic: &TopicId, number: u64) -> Hash {
     Hash(sm3(&[LEAF, HEIGHT, &topic.0, &number.to_be_bytes()]))
 }
 
-/// The hash of a batch's root as a leaf of what time stamp authorities stamp: SM3(0x00 || `AuthROS/stamp/1` || root).
+/// The hash of a batch's root as a leaf of the tree stamped by time stamp authorities: SM3(0x00 || `AuthROS/stamp/1` ||
+/// root).
 pub fn stamp_hash(root: &Hash) -> Hash {
     Hash(sm3(&[LEAF, STAMP, &root.0]))
 }

@@ -28,10 +28,10 @@ pub struct BlockHeader {
     pub state_root: Hash,
     /// Its number.
     pub number: u64,
-    /// The data signed by a Clique signer; `None` if it is of another consensus.
+    /// Its time, seconds, by its sealer's clock.
     pub timestamp: u64,
     extra: Vec<u8>,
-    /// What a Clique signer signs of it; `None` if it is of another consensus.
+    /// The data signed by a Clique signer; `None` if it is of another consensus.
     seal_hash: Option<[u8; 32]>,
 }
 

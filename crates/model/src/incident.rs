@@ -7,12 +7,12 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::clean;
 
-/// Why a text is no name of an incident.
+/// Why a text is not a valid name of an incident.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("'{0}' is not a name; use 1 to 64 letters, digits, '.', '-' and '_', beginning with a letter or a digit")]
 pub struct IncidentNameError(String);
 
-/// What an incident is called by its owner: 1 to 64 ASCII letters, digits, `.`, `-` and `_`.
+/// An incident's name, given by its owner: 1 to 64 ASCII letters, digits, `.`, `-` and `_`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct IncidentName(String);
 

@@ -62,8 +62,8 @@ fn refused(error: PackingError) -> PipelineError {
     PipelineError::Refused(error.to_string())
 }
 
-/// Gathers these records, the reader's own, and discloses those that are named; the trust file that is suggested names these
-/// time stamp authorities.
+/// Collects these records, the reader's own, and discloses the named ones; the suggested trust file names these time
+/// stamp authorities.
 ///
 /// # Errors
 /// Errors of ledger, vault and chain; a record whose bytes are gone.

@@ -1,4 +1,4 @@
-//! The stamps of time stamp authorities that a bundle carries: those over the roots of its records' batches.
+//! The time stamps that a bundle carries: those over the roots of its records' batches.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,10 +8,10 @@ use super::evidence::Gathered;
 use super::{PipelineError, Plant};
 use crate::model::Hash;
 
-/// Adds what there is over these roots; where batches are stamped here at all, it is said how many of these are not yet.
+/// Adds the stamps over these roots; if batches are stamped here at all, it reports how many of these are not yet.
 ///
 /// # Errors
-/// Of the ledger.
+/// Errors of the ledger.
 pub(super) fn add(plant: &Plant, roots: &BTreeSet<Hash>, gathered: &mut Gathered) -> Result<(), PipelineError> {
     if plant.ledger.stamp_counts()?.newest.is_none() {
         return Ok(());

@@ -35,7 +35,7 @@ pub const LATCHING: &str = "latching";
 /// Tag of messages whose topic was recorded under a name that is not a graph name: that name.
 pub const RECORDED_TOPIC: &str = "recorded_topic";
 
-/// Why a channel cannot be imported; `None` where it can.
+/// Why a channel cannot be imported; `None` if it can.
 pub fn fault(channel: &Channel) -> Option<&'static str> {
     let long = channel.type_name.len() > LONGEST_NAME || channel.caller_id.len() > LONGEST_NAME;
     if long || channel.md5sum.len() > LONGEST_MD5 {

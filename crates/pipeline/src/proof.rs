@@ -65,10 +65,10 @@ pub fn was_sighted(plant: &Plant, row: &RecordRow) -> Result<bool, PipelineError
     Ok(were_sighted(plant, &[row])?.contains(&true))
 }
 
-/// As [`was_sighted`], of many records in their order; the ledger is asked once.
+/// Like [`was_sighted`], for many records in their order; the ledger is asked once.
 ///
 /// # Errors
-/// Of the ledger.
+/// Errors of the ledger.
 pub fn were_sighted(plant: &Plant, rows: &[&RecordRow]) -> Result<Vec<bool>, PipelineError> {
     let digests: Vec<_> = rows.iter().map(|row| row.digest).collect();
     let sighted = |(row, place): (&&RecordRow, Option<BatchPlace>)| {

@@ -29,7 +29,7 @@ pub struct Retention {
     rules: Keeping,
     /// Where the search for each topic's oldest record begins.
     since: HashMap<(Address, i64), Timestamp>,
-    /// What incidents hold of topics, as of the last round.
+    /// The spans of topics held by incidents, as of the last round.
     held: HashMap<(Address, i64), Held>,
     rounds: u32,
 }
@@ -71,7 +71,7 @@ impl Retention {
         Ok(done)
     }
 
-    /// Where an incident was opened, closed or removed, the oldest record is looked for from the beginning again.
+    /// If an incident was opened, closed or removed, the oldest record is searched from the beginning again.
     fn hold(&mut self, place: (Address, i64), held: Held) {
         let known = self.held.entry(place).or_default();
         if known.spans != held.spans {
@@ -107,7 +107,7 @@ impl Retention {
     }
 }
 
-/// The oldest records that the rule no longer keeps and no incident holds: too old, or more than the budget.
+/// The oldest records that neither the rule nor an incident keeps: too old, or beyond the budget.
 fn due(
     plant: &Plant,
     topic: &KeptTopic,

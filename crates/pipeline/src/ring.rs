@@ -29,7 +29,7 @@ struct Inner<T> {
     held: usize,
     /// Items taken and not yet acknowledged.
     in_hand: usize,
-    /// Takers that wait for an item: where there are none, nobody need be woken, which costs a call of the system.
+    /// Takers that wait for an item: if there are none, nobody has to be woken, which saves a system call.
     takers: usize,
     closed: bool,
 }

@@ -27,9 +27,9 @@ use self::sealing::{Ready, seal_all};
 const ROUND: usize = 256;
 /// The most bytes sealed before they are acknowledged together.
 const ROUND_BYTES: usize = 8 * 1024 * 1024;
-/// A round of so many messages says that more are on their way.
+/// A round of this many messages suggests that more are coming.
 const SOME: usize = 8;
-/// How long a round gathers messages at most.
+/// The longest time that a round collects messages.
 const LONGEST_GATHERING: Duration = Duration::from_millis(10);
 /// Between two writings of the losses into the ledger.
 const LOSSES_EVERY: Duration = Duration::from_secs(1);
@@ -219,9 +219,9 @@ impl Sealer {
     }
 }
 
-/// How long the next round gathers messages behind one that took so many, of so many bytes, and so long: what a commit
-/// costs beside its records is shared by more of them. Nobody waits where few come, where a round was full, or where as
-/// many again might not fit into the rings.
+/// How long the next round collects messages after one with this number of messages and bytes and this duration: the
+/// fixed cost of a commit is then shared by more records. There is no wait if few messages come, if a round was full,
+/// or if as many again might not fit into the rings.
 fn gathering((taken, bytes): (usize, usize), took: Duration, capacity: usize) -> Duration {
     let more = (SOME..ROUND).contains(&taken) && bytes < ROUND_BYTES && bytes <= capacity / 4;
     if more { took.min(LONGEST_GATHERING) } else { Duration::ZERO }

@@ -14,7 +14,7 @@ use super::authority::NoRight;
 use super::stages::{Milestone, Stage};
 use super::{Network, PipelineError, Plant, columns, proof};
 
-/// Records a round: what a page of a ledger with many topics costs is shared by so many.
+/// Records per round: this many share the cost of a page of a ledger with many topics.
 const ROUND: usize = 512;
 /// Bytes read before they are checked together, unless a single record is larger.
 const PIECE: u64 = 4 << 20;
@@ -77,7 +77,7 @@ fn verify_page(plant: &Plant, network: &Network, rows: &[RecordRow]) -> Result<u
 }
 
 impl<'a> Outcome<'a> {
-    /// Reads some records and checks them together: each in full, its signature included, whoever wrote it.
+    /// Reads some records and checks them together: each in full, including its signature, whoever wrote it.
     fn judge(&mut self, plant: &Plant, network: &Network, rows: &[&'a RecordRow]) -> Result<(), PipelineError> {
         let mut read = Vec::with_capacity(rows.len());
         for (row, found) in rows.iter().zip(read_back(plant, network, rows)) {

@@ -50,7 +50,7 @@ pub struct Message {
     pub captured_at: Timestamp,
     /// `header.seq`, if the type begins with a header.
     pub header_seq: Option<u32>,
-    /// What else is told of it, sealed beside it as tags; [`crate::recording::tags`] has the names.
+    /// Further facts about it, sealed beside it as tags; [`crate::recording::tags`] has the names.
     pub tags: Vec<(String, String)>,
     /// The serialised message, without its length; of ROS 2 with its encapsulation header.
     pub body: Vec<u8>,
@@ -145,7 +145,7 @@ pub enum CaptureNotice {
         /// The reason.
         reason: String,
     },
-    /// The program that reads ROS 2 ended and is started anew; what was missed meanwhile is told of by
+    /// The program that reads ROS 2 ended and is restarted; what was missed meanwhile is reported by
     /// [`Self::LostInTransport`] when its publishers are heard again.
     ReadingBroken {
         /// Why.
@@ -157,7 +157,7 @@ pub enum CaptureNotice {
         topic: Arc<str>,
         /// The publisher's node name.
         caller_id: String,
-        /// So many of its messages are missing at least.
+        /// At least this many of its messages are missing.
         at_least: u64,
     },
     /// The master stopped answering; publishers that are connected are still read.

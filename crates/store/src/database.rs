@@ -13,9 +13,9 @@ const BUSY: Duration = Duration::from_secs(10);
 /// How long shutdown waits for readers.
 const LAST_WAIT: Duration = Duration::from_millis(500);
 const STATEMENTS_KEPT: usize = 64;
-/// Pages that the one writer keeps in memory; negative is KiB, as SQLite has it.
+/// Pages that the one writer keeps in memory; negative is KiB, as in SQLite.
 const WRITERS_CACHE: i64 = -8 * 1024;
-/// The same of each reader: there are several, and under load every one of them fills its own.
+/// The same for each reader: there are several, and under load every one of them fills its own.
 const READERS_CACHE: i64 = -2 * 1024;
 /// Pages of the write-ahead log after which they go into the file itself, as SQLite has it.
 const SHORT_LOG: i64 = 1_000;
@@ -48,8 +48,8 @@ pub(super) fn open_writer(path: &Path, schema: &Schema) -> Result<Connection, St
     Ok(connection)
 }
 
-/// Refuses a file that a later version of this program has written, and leaves file and log as they are: closing must
-/// not work the log in. What else is wrong with it says whoever opens it.
+/// Refuses a file written by a later version of this program, and leaves file and log as they are: closing must not
+/// merge the log. Other problems are reported when it is opened.
 ///
 /// # Errors
 /// [`StoreError::Newer`].
@@ -225,7 +225,7 @@ mod tests {
         assert!(matches!(open_writer(&path, &foreign), Err(StoreError::Corrupt { .. })));
     }
 
-    /// Whatever is in a directory, byte by byte; not the index that SQLite keeps of a log.
+    /// Everything in a directory, byte by byte; except the index that SQLite keeps of a log.
     fn bytes_in(directory: &Path) -> Vec<(PathBuf, Vec<u8>)> {
         let entries = std::fs::read_dir(directory).expect("readable").flatten().map(|entry| entry.path());
         let mut files: Vec<_> = entries
@@ -242,7 +242,7 @@ mod tests {
         let written = home.path().join("x.db");
         let connection = open_writer(&written, &SECOND).expect("new");
         connection.execute("INSERT INTO a VALUES (1, 2)", []).expect("row");
-        // As a crash leaves it: all of it is in the log.
+        // As after a crash: all of it is in the log.
         let left = tempfile::tempdir().expect("temporary directory");
         for name in ["x.db", "x.db-wal"] {
             std::fs::copy(home.path().join(name), left.path().join(name)).expect("copied");

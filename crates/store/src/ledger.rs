@@ -122,7 +122,7 @@ struct Shared {
 }
 
 impl Ledger {
-    /// Refuses a ledger that a later version of this program has written, without touching it.
+    /// Refuses a ledger written by a later version of this program, without touching it.
     ///
     /// # Errors
     /// [`StoreError::Newer`].

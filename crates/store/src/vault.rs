@@ -163,7 +163,7 @@ pub trait Vault: Send + Sync {
     }
 }
 
-/// Refuses an embedded vault (`vault.db` in `directory`) that a later version has written, without touching it.
+/// Refuses an embedded vault (`vault.db` in `directory`) written by a later version, without touching it.
 ///
 /// # Errors
 /// [`StoreError::Newer`].

@@ -201,7 +201,7 @@ fn expect_agreement(authros: &Authros, reader: &Authros, address: &str) {
     });
 }
 
-/// A site whose clock the test sets, and one who reads there.
+/// A site whose clock the test sets, and somebody who reads there.
 struct Shifted {
     home: Home,
     offset: String,
@@ -234,7 +234,7 @@ impl Shifted {
         fs::write(&self.offset, format!("{offset}\n")).expect("the clock is set");
     }
 
-    /// What `status` says of the clock, once these words are in it.
+    /// What `status` says about the clock, once it contains these words.
     fn told(&self, words: &str) {
         let told = || {
             let parts = self.authros.json(&["status"])["health"].as_array().cloned().unwrap_or_default();
@@ -249,7 +249,7 @@ impl Shifted {
         page["records"].get(0).cloned()
     }
 
-    /// Records are sealed and verified that were captured after now.
+    /// Records captured after now are sealed and verified.
     fn goes_on(&self, observer: &Conservation, what: &str) {
         let before = observer.seen().life.map_or(0, |life| life.verified);
         let more = || observer.seen().life.filter(|life| life.verified > before + 40);
@@ -298,7 +298,7 @@ fn a_clock_that_jumps_by_a_day_and_back_breaks_nothing() {
     shifted.end(observer, "a day forth and back");
 }
 
-/// As a machine without a battery boots: the clock is a day behind, until somebody sets it.
+/// Like a machine that boots without a battery: the clock is a day behind, until somebody sets it.
 #[test]
 fn a_clock_that_falls_back_by_a_day_and_is_set_again_breaks_nothing() {
     let Some(shifted) = Shifted::start() else { skipped!("no libfaketime (package faketime)") };
@@ -311,7 +311,7 @@ fn a_clock_that_falls_back_by_a_day_and_is_set_again_breaks_nothing() {
     shifted.set("-1d");
     shifted.told("behind the chain");
     shifted.goes_on(&observer, "by yesterday's clock");
-    // The chain's time goes on: nobody's grant ends or begins by it.
+    // The chain's time goes on: no grant begins or ends because of this.
     let states = || -> Vec<String> {
         let rows = authros.json(&["grants", "list"])["grants"].as_array().cloned().unwrap_or_default();
         rows.iter().map(|row| text(row, "state")).collect()
@@ -326,7 +326,7 @@ fn a_clock_that_falls_back_by_a_day_and_is_set_again_breaks_nothing() {
     let opens = |record: &Value| reader.run(&["shared", "open", &text(record, "id")]).code == Some(0);
     wait_until(60, "the reader opens what is captured now", || opens(&newest).then_some(()));
     assert!(opens(&first), "and what was captured before");
-    // The contract holds it for one in force: it can be made longer, and is listed so.
+    // The contract considers it active: it can be extended, and is listed so.
     authros.json(&["grants", "extend", address, "--expires", "2d"]);
     assert_eq!(states(), ["active"]);
     shifted.end(observer, "a day back and set again");

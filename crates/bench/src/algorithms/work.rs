@@ -24,7 +24,7 @@ const SHORT: usize = 8192;
 /// Verifies a known signer.
 pub(super) const KNOWN: &str = "authros-known";
 
-/// Who else does an algorithm, and which work: its program's word, and ours.
+/// Who else does an algorithm, and the work: the other program's name for it, and ours.
 pub(super) fn elsewhere(algorithm: Algorithm) -> (Library, &'static [(&'static str, &'static str)]) {
     match algorithm {
         Algorithm::Sm2 => {

@@ -6,7 +6,7 @@ use crate::svg::{Axis, Bar, COLOURS, Mark, Page, Plot, Series};
 
 pub(super) fn page(report: &Report<Row>) -> Page {
     let rows = &report.results;
-    // What was given back has no place on a logarithmic axis.
+    // Memory given back has no place on a logarithmic axis.
     let bars = rows.iter().map(|row| Bar::between(row.bytes_each, f64::NAN, f64::NAN).filter(|_| row.bytes_each > 0.0));
     let series = vec![Series::new("bytes of memory each", COLOURS[0], Mark::Bars(bars.collect()))];
     let plot = Plot {

@@ -1,4 +1,4 @@
-//! What a load finds there: how long the disk takes, and records of another owner in ledger and vault, put there by the
+//! The state before a load: the speed of the disk, and another owner's records in ledger and vault, put there by the
 //! store itself and moved to verified as the pipeline does it, but with nothing sealed and no chain.
 
 use std::fs::File;
@@ -26,7 +26,7 @@ const TIMES: usize = 50;
 /// Fills ledger and vault of a home that no site has opened yet.
 ///
 /// # Errors
-/// Of the store: a full disk, say.
+/// Errors of the store, such as a full disk.
 pub(super) fn fill(home: &Home, wanted: u64) -> Result<(), Failure> {
     let (ledger, vault) = (Ledger::open(&home.ledger())?, open_vault(None, &home.vault())?);
     let (mut life, mut progress) = (Life::default(), Progress::new("records there before"));
@@ -53,17 +53,17 @@ pub(super) fn fill(home: &Home, wanted: u64) -> Result<(), Failure> {
     Ok(ledger.close()?)
 }
 
-/// Bytes that no two records share.
+/// Bytes that differ for every record.
 fn blob(number: u64) -> Vec<u8> {
     let mut bytes = vec![0x5a; STORED];
     bytes[..8].copy_from_slice(&number.to_be_bytes());
     bytes
 }
 
-/// How long an fsync of 4 KiB more takes in a directory, milliseconds.
+/// How long an fsync of another 4 KiB takes in a directory, milliseconds.
 ///
 /// # Errors
-/// Where nothing can be written there.
+/// If nothing can be written there.
 pub(super) fn fsync_times(directory: &Path) -> Result<Spread, Failure> {
     let path = directory.join("fsync");
     let times = timed(&path).map_err(|error| {

@@ -24,20 +24,20 @@ use authros_store::{SiteLock, files};
 pub struct Host {
     /// A client for its only profile.
     pub client: Client,
-    /// What an fsync takes where its home lies, milliseconds.
+    /// Duration of an fsync on its home's disk, milliseconds.
     pub fsync: Spread,
-    /// Records that were in ledger and vault before, of another owner.
+    /// Another owner's records that were in ledger and vault before.
     pub before: u64,
     site: Arc<Site>,
     _directory: Directory,
 }
 
 impl Host {
-    /// Opens it with the settings that flags and environment name, without robots, and registers its profile. Where
-    /// records are to be there before, they are put into ledger and vault first, and no scrubber looks at them.
+    /// Opens it with the settings from flags and environment, without robots, and registers its profile. If records are
+    /// to be there before, they are put into ledger and vault first, and no scrubber checks them.
     ///
     /// # Errors
-    /// Where a setting is not usable, nothing can be written, or a part that was named does not answer.
+    /// If a setting is not usable, nothing can be written, or a part that was named does not answer.
     pub async fn open(global: Global<'_>, before: u64, output: Output) -> Result<Self, Failure> {
         let directory = Directory::new()?;
         let home = Home::new(directory.path().join("home"));

@@ -19,7 +19,7 @@ use authros_service::failure::internal;
 
 /// How long subscribing may take.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// The share of the asked rate at which it counts as held.
+/// The share of the requested rate at which it counts as held.
 const HELD: f64 = 0.98;
 /// The longest bar, characters.
 const LONGEST_BAR: f64 = 50.0;
@@ -39,11 +39,11 @@ pub struct Load {
     pub doubled: usize,
 }
 
-/// Names of the load of small messages, at the rate that was asked for and at its doubles.
+/// Names of the load of small messages, at the requested rate and at its doubles.
 pub const MESSAGES: [&str; 8] = ["messages", "x 2", "x 4", "x 8", "x 16", "x 32", "x 64", "x 128"];
 
 impl Load {
-    /// Small messages at twice the rate; nothing behind the last name.
+    /// Small messages at twice the rate; nothing after the last name.
     pub fn twice(&self) -> Option<Self> {
         let again = MESSAGES.get(self.doubled).is_some_and(|name| *name == self.name);
         let name = MESSAGES.get(self.doubled + 1).filter(|_| again)?;
@@ -90,9 +90,9 @@ pub struct Summary {
     memory_begin: u64,
     memory_most: u64,
     memory_end: u64,
-    /// Bytes that no file holds, at the beginning and at the end of each minute.
+    /// Bytes not backed by a file, at the beginning and at the end of each minute.
     memory_by_minute: Vec<u64>,
-    /// Bytes by which they grew a minute, the first one left out; none of a load of less than three minutes.
+    /// Their growth, bytes per minute, without the first minute; none for a load of less than three minutes.
     memory_slope: Option<f64>,
     /// An fsync of 4 KiB before the load, milliseconds: median and 95th of a hundred.
     fsync_p50: f64,
@@ -160,10 +160,10 @@ pub async fn run(host: &Host, load: &Load, length: Duration) -> Result<Summary, 
     })
 }
 
-/// Waits until so many topics have a subscriber.
+/// Waits until this many topics have a subscriber.
 ///
 /// # Errors
-/// Where they have none in time.
+/// If they have none in time.
 pub async fn heard(publishers: &Publishers, topics: usize) -> Result<(), Failure> {
     let begun = Instant::now();
     while publishers.heard() < topics {
@@ -219,7 +219,7 @@ impl Summary {
         self.published == self.verified && self.law_broken == 0
     }
 
-    /// Whether it is a rate that nobody asked for.
+    /// Whether it is a rate that nobody requested.
     pub fn is_doubled(&self) -> bool {
         MESSAGES[1..].contains(&self.load)
     }

@@ -1,4 +1,4 @@
-//! What is asked each second while a load runs: the counts and their law, what waits, and the memory.
+//! The queries made each second while a load runs: the counts and their balance, what waits, and the memory.
 
 use std::time::{Duration, Instant};
 
@@ -11,19 +11,19 @@ use authros_service::Failure;
 use authros_service::failure::internal;
 use authros_service::reply::LifeLine;
 
-/// How long the line may take for what is still on its way at the end.
+/// How long the line may take at the end for what is still in flight.
 const REST: Duration = Duration::from_secs(180);
-/// How often the counts are asked.
+/// How often the counts are queried.
 const TICK: Duration = Duration::from_secs(1);
 const MINUTE: Duration = Duration::from_secs(60);
 
-/// What was seen.
+/// The observations.
 pub(super) struct Watch {
     pub begun: Instant,
     pub processor: f64,
     pub memory_begin: u64,
     pub memory_most: u64,
-    /// Bytes that no file holds, at the beginning and at the end of each minute.
+    /// Bytes not backed by a file, at the beginning and at the end of each minute.
     pub by_minute: Vec<u64>,
     pub most_pending: u64,
     pub asked: u64,
@@ -55,7 +55,7 @@ impl Watch {
         Ok(life)
     }
 
-    /// Looks on until the load has run for `length`.
+    /// Observes until the load has run for `length`.
     pub async fn until(
         &mut self,
         host: &Host,
@@ -76,7 +76,7 @@ impl Watch {
         Ok(())
     }
 
-    /// Waits until all that was sent is captured, or lost, and nothing is pending.
+    /// Waits until everything sent is captured, or lost, and nothing is pending.
     pub async fn settle(&mut self, host: &Host, sent: u64) -> Result<LifeLine, Failure> {
         let (begun, mut last) = (Instant::now(), (0, Instant::now()));
         loop {
@@ -84,7 +84,7 @@ impl Watch {
             if life.captured != last.0 {
                 last = (life.captured, Instant::now());
             }
-            // What has not arrived three seconds after the last one that did, never will.
+            // What has not arrived three seconds after the last arrival never will.
             let arrived = life.captured >= sent || last.1.elapsed() > 3 * TICK;
             if arrived && life.pending == 0 {
                 return Ok(life);
@@ -99,8 +99,8 @@ impl Watch {
     }
 }
 
-/// Bytes by which the memory grew a minute: the slope of the line nearest to what was seen at the ends of minutes, but for
-/// the first, in which buffers and tables fill; none where there are fewer than three.
+/// The growth of the memory, bytes per minute: the slope of the line fitted to the values at the ends of minutes,
+/// except the first minute, in which buffers and tables fill; none if there are fewer than three.
 pub(crate) fn slope(by_minute: &[u64]) -> Option<f64> {
     let seen = by_minute.get(1..).filter(|seen| seen.len() >= 3)?;
     let points = || seen.iter().enumerate().map(|(minute, bytes)| (number(minute), number(*bytes >> 10) * 1024.0));
@@ -121,7 +121,7 @@ mod tests {
         let of = |kibibytes: &[u64]| slope(&kibibytes.iter().map(|one| one << 10).collect::<Vec<_>>());
         assert_eq!(of(&[100, 900, 1_000, 1_100, 1_200]), Some(102_400.0));
         assert_eq!(of(&[0, 500, 500, 500]), Some(0.0));
-        // Nearest line through 10, 20, 60: its slope is half of what lies between the ends.
+        // The line fitted to 10, 20, 60: its slope is half of the difference between the ends.
         assert_eq!(of(&[7, 10, 20, 60]), Some(25.0 * 1024.0));
         assert_eq!(of(&[1, 2, 3]), None);
     }

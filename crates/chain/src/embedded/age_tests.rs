@@ -67,7 +67,7 @@ fn grown(directory: &Path, blocks: u64) {
     }
 }
 
-/// How often each chain is opened: one opening is a few milliseconds, of which a busy machine makes any number.
+/// How often each chain is opened: one opening takes a few milliseconds, which a busy machine can multiply.
 const OPENINGS: usize = 40;
 
 fn opening(directory: &Path) -> Duration {
@@ -76,7 +76,7 @@ fn opening(directory: &Path) -> Duration {
     begun.elapsed()
 }
 
-/// The median of each chain's openings. They take turns, so that the machine's moods meet all of them.
+/// The median of each chain's openings. They take turns, so that other load on the machine affects all of them.
 fn medians(directories: &[&Path]) -> Vec<Duration> {
     let mut times = vec![Vec::new(); directories.len()];
     for _ in 0..OPENINGS {

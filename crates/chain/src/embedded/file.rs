@@ -105,8 +105,8 @@ impl ChainFile {
         Ok(Self { path, connection, cache: Cache::default() })
     }
 
-    /// Refuses a chain that a later version of this program has written, and leaves the file as it is. What else is
-    /// wrong with it says whoever opens it.
+    /// Refuses a chain written by a later version of this program, and leaves the file as it is. Other problems are
+    /// reported when it is opened.
     ///
     /// # Errors
     /// [`ChainError::File`].

@@ -111,7 +111,7 @@ impl Drop for Inlet {
     }
 }
 
-/// Refuses an embedded chain in `directory` that a later version of this program has written, without touching it.
+/// Refuses an embedded chain in `directory` written by a later version of this program, without touching it.
 ///
 /// # Errors
 /// [`ChainError::Newer`].

@@ -27,8 +27,9 @@ pub const SCHEMA: &str = "
 pub const KEPT: u64 = 128;
 /// The most nodes of deleted storage tries removed with one block.
 const FELLED_AT_ONCE: u32 = 512;
-/// Half of what is kept of read and written nodes in memory, bytes. Every block makes some KiB of new ones, so a site that
-/// runs grows by them until both halves are full: far more than the nodes that blocks need again would only look like a leak.
+/// Half of the memory for read and written nodes, bytes. Every block makes some KiB of new ones, so a running site
+/// grows by them until both halves are full: much more than the nodes that blocks need again would only look like a
+/// leak.
 const HALF: usize = 4 * 1024 * 1024;
 const HASH: usize = 32;
 

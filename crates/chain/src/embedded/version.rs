@@ -9,13 +9,13 @@ use crate::chain::ChainError;
 
 /// A chain of one signer with the usual period, as every chain was at first.
 pub const PLAIN: i64 = 1;
-/// A chain that says its consensus.
+/// A chain that states its consensus.
 pub const CHOSEN: i64 = 2;
-/// One whose state lies in it as tries, at least since a certain block.
+/// One whose state is stored as tries, at least since a certain block.
 pub const TRIES: i64 = 3;
 
-/// Refuses a file of a later version; whoever closes the connection leaves it as it is. A file without a version, or of
-/// an earlier one, passes, and so does what cannot be read: whoever opens it says why.
+/// Refuses a file of a later version, and leaves it as it is when the connection is closed. A file without a version,
+/// or of an earlier one, passes, and so does an unreadable one: opening it reports why.
 ///
 /// # Errors
 /// [`ChainError::Newer`].
@@ -30,9 +30,9 @@ pub fn check(connection: &Connection, path: &Path) -> Result<(), ChainError> {
     }
 }
 
-/// Has a log that waits stay beside the file when this connection is closed, instead of being worked in.
+/// Makes a waiting log stay beside the file when this connection is closed, instead of being merged into it.
 pub fn leave_log(connection: &Connection, path: &Path) {
     let waits = std::fs::metadata(path.with_extension("db-wal")).is_ok_and(|log| log.len() > 0);
-    // Where it cannot be said, the log is worked in, which loses nothing.
+    // If that is not supported, the log is merged, which loses nothing.
     drop(connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, waits));
 }

@@ -57,7 +57,7 @@ pub fn read_unlock(form: &Form) -> Result<Errand, (usize, String)> {
     Ok(Errand { command: Command::Unlock { passphrase: secret(form, 0) }, tag: Tag::Unlock })
 }
 
-/// The word for every topic, which must be typed.
+/// The word for all topics, which must be typed.
 pub const ALL_TOPICS: &str = "all";
 
 /// Asks whom to grant what; known values are filled in, and the first empty line has the focus.

@@ -92,7 +92,7 @@ pub struct State {
     pub keys: Option<KeysView>,
     /// The site at a glance.
     pub site: Option<SiteView>,
-    /// Their flow over the last hour.
+    /// How fast records flow.
     pub rates: Rates,
     /// Their flow over the last hour.
     pub history: History,

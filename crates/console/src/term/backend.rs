@@ -48,8 +48,8 @@ impl FrameBackend {
         self.encoder.take_frame()
     }
 
-    /// Frames from now on have so many bytes, and what of whole rows goes beyond; the other rows wait. `None` = no limit,
-    /// and what waits goes on waiting for a frame that has one: a key is answered by what is new alone.
+    /// Limits frames from now on to this many bytes, plus the rest of whole rows; the other rows wait. `None` = no
+    /// limit, and what waits keeps waiting for a frame that has one: a key is answered with only what is new.
     pub fn limit(&mut self, most: Option<usize>) {
         self.most = most;
     }

@@ -43,8 +43,8 @@ impl Painter {
         self.paint_at_most(scene, None)
     }
 
-    /// The same in frames of at most so many bytes, as far as whole rows go; [`Self::is_behind`] says whether more is
-    /// to come.
+    /// The same in frames of at most this many bytes, plus the rest of whole rows; [`Self::is_behind`] says whether
+    /// more is to come.
     pub fn paint_at_most(&mut self, scene: &mut Scene, most: Option<usize>) -> String {
         self.terminal.backend_mut().limit(most);
         let mut bytes = String::new();

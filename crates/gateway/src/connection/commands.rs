@@ -125,8 +125,8 @@ impl Commands {
         }
     }
 
-    /// What is fed to a subscription is given under the same terms as what is asked for: an account that was dismissed, or
-    /// has other keys by now than the session was allocated under, gets nothing more.
+    /// A subscription delivers under the same conditions as a request: an account that was dismissed, or whose keys
+    /// have changed since the session was allocated, gets nothing more.
     ///
     /// # Errors
     /// [`Refusal`], with which the subscription ends.
@@ -135,7 +135,7 @@ impl Commands {
         check_account(desk, &self.binding).await
     }
 
-    /// Ends a subscription, if there is one of this number.
+    /// Ends a subscription, if there is one with this number.
     pub fn end_feed(&mut self, request: u32) {
         self.feeds.iter_mut().for_each(|feeds| feeds.remove(request));
     }

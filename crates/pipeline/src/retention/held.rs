@@ -1,41 +1,41 @@
-//! What incidents hold of a topic: the spans that retention leaves alone, the time between them, and the bytes in them,
-//! which no budget counts.
+//! A topic's spans held by incidents: exempt from retention, and their bytes not counted in any budget; and the time
+//! between them.
 
 use crate::model::Timestamp;
 use crate::pipeline::{PipelineError, Plant};
 use crate::store::{IncidentRow, IncidentSpan, KeptTopic};
 
-/// A stretch of time: its first moment, and the first one behind it.
+/// A stretch of time: its first moment, and the first one after it.
 pub(super) type Span = (Timestamp, Timestamp);
 
 /// Later than any record.
 const EVER: Timestamp = Timestamp(i64::MAX.cast_unsigned());
 
-/// Captured so long ago, nanoseconds, a message is in the ledger, if it comes there at all.
+/// A message captured this long ago is in the ledger by now, if it ever gets there, nanoseconds.
 const UNSETTLED: u64 = 60_000_000_000;
 
-/// What incidents hold of one topic, and the bytes of it as far as they were counted.
+/// The spans of one topic held by incidents, and their bytes as far as they were counted.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) struct Held {
-    /// In order, and none touches the next.
+    /// In order and disjoint.
     pub spans: Vec<Span>,
     bytes: u64,
-    /// Everything captured before is counted.
+    /// Everything captured before this is counted.
     counted: Timestamp,
 }
 
 impl Held {
-    /// Of a topic, by its name.
+    /// For a topic, by its name.
     pub fn of(topic: &str, incidents: &[IncidentRow]) -> Self {
         let about = |span: &&IncidentSpan| span.topics.is_empty() || span.topics.iter().any(|name| name == topic);
         let spans = incidents.iter().map(|incident| &incident.span).filter(about);
         Self { spans: merged(spans.map(|span| (span.since, span.until.unwrap_or(EVER))).collect()), ..Self::default() }
     }
 
-    /// The bytes in the spans that retention has not given up. What was captured a while ago is summed up once.
+    /// The bytes in the spans that retention has not deleted. What was captured a while ago is summed up only once.
     ///
     /// # Errors
-    /// Of the ledger.
+    /// Errors of the ledger.
     pub fn bytes(&mut self, plant: &Plant, topic: &KeptTopic, now: Timestamp) -> Result<u64, PipelineError> {
         let settled = Timestamp(now.0.saturating_sub(UNSETTLED)).max(self.counted);
         self.bytes += self.between_moments(plant, topic, (self.counted, settled))?;

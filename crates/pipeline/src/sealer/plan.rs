@@ -16,7 +16,7 @@ const MOST_HASHES: usize = 1024;
 /// The author and topic of a sequence.
 pub type Stream = (Address, TopicId);
 
-/// A definition as it is stored: once for each topic and epoch of an owner.
+/// A stored definition: once for each topic and epoch of an owner.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct DefinitionId {
     domain: Domain,
@@ -24,12 +24,12 @@ pub struct DefinitionId {
     epoch: u64,
     topic: TopicId,
     digest: Digest,
-    /// A quarantined definition is none for those who may never see it.
+    /// A quarantined definition does not count for readers who may never see it.
     held: bool,
 }
 
 impl DefinitionId {
-    /// The ledger's name for it.
+    /// Its name in the ledger.
     pub fn name(&self) -> String {
         let Self { domain, owner, epoch, topic, digest, held } = self;
         let held = if *held { ":quarantined" } else { "" };
@@ -67,7 +67,7 @@ impl Task<'_> {
         matches!(self.content, Content::Message(_))
     }
 
-    /// The definition that it is, if it is one.
+    /// The definition in this task, if it is one.
     pub fn definition_id(&self) -> Option<DefinitionId> {
         match self.content {
             Content::Definition(definition) => Some(definition),
@@ -96,7 +96,7 @@ pub struct Planner {
     /// Definitions that are stored.
     pub definitions: HashSet<DefinitionId>,
     hashes: HashMap<Arc<str>, Digest>,
-    /// The definition that was last met on each topic: nearly always the next one too, and then the same text.
+    /// The last definition of each topic: nearly always the next one too, and then the same text.
     last: HashMap<Arc<str>, (Arc<str>, Digest)>,
     /// `None` = messages are sealed as they are.
     pub packing: Option<Packing>,
@@ -143,7 +143,7 @@ impl Planner {
         Ok(plan)
     }
 
-    /// The message's definition, where that is not stored yet and not in the plan.
+    /// The message's definition, if it is neither stored yet nor in the plan.
     fn unsent(
         &mut self,
         plant: &Plant,
@@ -163,7 +163,7 @@ impl Planner {
         Ok(None)
     }
 
-    /// SM3 of a definition; a text that lies where the topic's last one did is the same.
+    /// SM3 of a definition; a text at the same address as the topic's last one is the same.
     fn definition_digest(&mut self, plant: &Plant, topic: &Arc<str>, definition: &Arc<str>) -> Digest {
         if let Some((_, digest)) = self.last.get(topic).filter(|(last, _)| Arc::ptr_eq(last, definition)) {
             return *digest;

@@ -1,5 +1,5 @@
-//! A signature that is not what was sealed: whoever reads `verified` here must not fail in court, so every own record is
-//! verified in full, whether its signer was met before or not.
+//! A signature other than the sealed one: `verified` must hold up in court, so every own record is verified in full,
+//! whether its signer was seen before or not.
 
 use super::*;
 use crate::crypto::{Provider, SealRequest, TopicKey, seal};
@@ -12,7 +12,7 @@ use crate::pipeline::verifier::verify_round;
 const BITS: [usize; 8] = [0, 7, 100, 255, 256, 300, 450, 511];
 
 impl Line {
-    /// Seals a record and keeps it as the sealer does, but with this bit of its signature flipped.
+    /// Seals a record and stores it as the sealer does, but with this bit of its signature flipped.
     fn keep(&self, seq: u64, flipped: Option<usize>) {
         let body = seq.to_be_bytes();
         let head = Head {
@@ -59,7 +59,7 @@ impl Line {
     }
 }
 
-/// The same work for each provider; only the default one has tables of signers met before.
+/// The same work for each provider; only the default one has tables of known signers.
 async fn line_of(name: ProviderName) -> Line {
     let line = Line::new().await;
     let (provider, observer): (&'static dyn Provider, Arc<dyn Observer>) = (provider(name), Arc::new(Notes::default()));
@@ -70,7 +70,7 @@ async fn line_of(name: ProviderName) -> Line {
 async fn a_flipped_bit_of_a_strangers_signature_reads_tampered() {
     for name in [ProviderName::Authros, ProviderName::RustCrypto] {
         let line = line_of(name).await;
-        // Nothing of this signer was found valid yet, so there is no table.
+        // No valid signature of this signer was seen yet, so there is no table.
         BITS.iter().zip(1..).for_each(|(bit, seq)| line.keep(seq, Some(*bit)));
         line.verify(8).await;
         assert_eq!(line.in_state(RecordState::Tampered), (1..=8).collect::<Vec<_>>(), "{name}");

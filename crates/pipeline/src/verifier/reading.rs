@@ -1,5 +1,5 @@
-//! What the verifier needs of ledger and vault, asked for many records at once. What comes of each record is what would
-//! come of it by itself.
+//! The verifier's data from ledger and vault, requested for many records at once. The result for each record is the
+//! same as if it were read alone.
 
 use std::collections::HashMap;
 
@@ -13,15 +13,15 @@ use crate::store::{RecordRow, StoreError, Vault};
 pub(super) enum ReadBack {
     /// Its stored bytes, and the key that could sign it.
     Bytes(Vec<u8>, PublicKey),
-    /// Nothing is to be checked: whether that is as it should be.
+    /// There is nothing to check: whether that is as it should be.
     Decided(bool),
-    /// Its signer had no right at the anchoring block: that anchor does not count, a later one may.
+    /// Its signer had no right at the anchoring block: that anchor does not count, but a later one may.
     PassedOver(NoRight),
-    /// The vault has just been given it anew: the next round tells.
+    /// It was just restored to the vault: the next round decides.
     Later,
 }
 
-/// Reads some records back, in their order. Whoever calls bounds their bytes.
+/// Reads some records back, in their order. The caller bounds their bytes.
 pub(super) fn read_back(plant: &Plant, network: &Network, rows: &[&RecordRow]) -> Vec<Result<ReadBack, PipelineError>> {
     let mut signers = Signers { plant, network, known: HashMap::new() };
     let there = put_back(plant, rows);
@@ -43,8 +43,8 @@ pub(super) fn read_back(plant: &Plant, network: &Network, rows: &[&RecordRow]) -
     rows.iter().zip(found).map(one).collect()
 }
 
-/// Asks the vault for all at once; where only a part of it is gone, one by one, so that what lies elsewhere does not wait
-/// for that.
+/// Asks the vault for all at once; if only some of them fail, one by one, so that records stored elsewhere do not wait
+/// for those.
 fn ask<T>(
     plant: &Plant,
     digests: &[Digest],
@@ -87,7 +87,7 @@ struct Signers<'a> {
 
 impl Signers<'_> {
     fn of(&mut self, row: &RecordRow) -> Result<Result<PublicKey, NoRight>, PipelineError> {
-        // Where a contract was left, each record has its own place.
+        // If a contract was left behind, each record has its own place.
         if !self.network.former.is_empty() {
             return authority::signer_of(self.plant, self.network, row);
         }
@@ -108,7 +108,7 @@ fn without_bytes(
     row: &RecordRow,
     signer: &PublicKey,
 ) -> Result<ReadBack, PipelineError> {
-    // The vault lost it since it was looked at; as long as there is a copy, nothing is gone.
+    // The vault lost it since it was last checked; as long as there is a copy, nothing is gone.
     if let Some(copy) = plant.ledger.local_copy(row.digest)? {
         plant.vault.put(&[(row.digest, &copy)])?;
         return Ok(ReadBack::Later);
@@ -116,7 +116,7 @@ fn without_bytes(
     is_sound_without(plant, network, row, signer).map(ReadBack::Decided)
 }
 
-/// After a reorganisation a record is verified again that retention has given up meanwhile.
+/// After a reorganisation a record is verified again although retention has deleted it meanwhile.
 fn is_sound_without(
     plant: &Plant,
     network: &Network,

@@ -1,12 +1,12 @@
-//! What is kept in a record's tags beside its message: how it is serialised, and what MCAP would say of it.
+//! The data in a record's tags beside its message: its serialisation, and what MCAP would say about it.
 
-/// Tag of messages that are no ROS 1 messages: how they are serialised.
+/// Tag of messages other than ROS 1's: their serialisation.
 pub const ENCODING: &str = "encoding";
-/// What MCAP says beside the message: tags that begin so, and are never searched for.
+/// MCAP's data beside the message: tags with this prefix, never searched for.
 pub const MCAP: &str = "mcap.";
-/// Tag of when a message was published, nanoseconds, where that is not when it was recorded.
+/// Tag of the time a message was published, nanoseconds, if that is not when it was recorded.
 pub const PUBLISHED: &str = "mcap.publish_time";
 /// Tag of a message's number: in its recording, or that of its ROS 2 publisher.
 pub const SEQUENCE: &str = "mcap.sequence";
-/// Tags of what is said of the channel.
+/// Tags of the channel's data.
 pub const CHANNEL: &str = "mcap.channel.";

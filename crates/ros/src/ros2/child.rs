@@ -11,10 +11,10 @@ pub const PROGRAM: &str = "authros-ros2";
 /// How long it may take to leave its domain before it is killed.
 const LEAVING: Duration = Duration::from_millis(1500);
 
-/// Where the program is: as the settings say, else beside this one.
+/// The program's path: from the settings, or else beside this one.
 ///
 /// # Errors
-/// [`RosError::NoReader`] where there is none.
+/// [`RosError::NoReader`] if there is none.
 pub fn find(named: Option<&Path>) -> Result<PathBuf, RosError> {
     let beside = || std::env::current_exe().ok().and_then(|own| Some(own.parent()?.join(PROGRAM)));
     let path = named.map(Path::to_owned).or_else(beside).unwrap_or_else(|| PathBuf::from(PROGRAM));
@@ -24,7 +24,7 @@ pub fn find(named: Option<&Path>) -> Result<PathBuf, RosError> {
 /// Starts it: no environment, no terminal, a process group of its own, nothing open but the two pipes.
 ///
 /// # Errors
-/// [`RosError::System`] where it does not start.
+/// [`RosError::System`] if it does not start.
 pub fn start(program: &Path, domain: u16) -> Result<(Child, ChildStdin, ChildStdout), RosError> {
     use std::os::unix::process::CommandExt;
     let system = |error: &std::io::Error| RosError::system("start the program that reads ROS 2", error);
@@ -44,7 +44,7 @@ pub fn start(program: &Path, domain: u16) -> Result<(Child, ChildStdin, ChildStd
     }
 }
 
-/// Waits until it has ended by itself, and kills it where that takes too long.
+/// Waits until it has ended on its own, and kills it if that takes too long.
 pub fn end(child: &mut Child) {
     let begun = Instant::now();
     while begun.elapsed() < LEAVING {

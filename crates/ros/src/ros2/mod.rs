@@ -1,7 +1,7 @@
-//! ROS 2: topics read by a program of its own without keys, which is started, watched over and started anew here.
+//! ROS 2: topics read by a separate program without keys, which is started, supervised and restarted here.
 //!
-//! What it tells is not trusted more than a peer. What a publisher sent and never arrived is counted here, by the
-//! publisher's own numbers, so that the count goes on where the program had to be started anew.
+//! Its reports are trusted no more than a peer's. Messages that a publisher sent and that never arrived are counted
+//! here, by the publisher's own numbers, so that the count continues when the program has to be restarted.
 
 mod child;
 mod numbers;
@@ -30,7 +30,7 @@ pub struct Ros2Topic {
     pub name: String,
     /// Its type, `package/msg/Type`.
     pub type_name: String,
-    /// `RIHS01_` and 64 hex characters, where a publisher told it.
+    /// `RIHS01_` and 64 hex characters, if a publisher gave it.
     pub type_hash: Option<String>,
     /// What every publisher of it offers.
     pub quality: Quality,
@@ -39,7 +39,7 @@ pub struct Ros2Topic {
 }
 
 impl Ros2Topic {
-    /// What is offered, in two words.
+    /// The offer, in two words.
     pub fn quality_text(&self) -> String {
         let reliability = if self.quality.reliable { "reliable" } else { "best_effort" };
         let durability = if self.quality.latched { "transient_local" } else { "volatile" };
@@ -54,11 +54,11 @@ pub struct Ros2Capture {
 }
 
 impl Ros2Capture {
-    /// Begins to read `domain`; nothing is watched yet. `program` names the program that reads where it is not beside
-    /// this one.
+    /// Starts reading `domain`; nothing is watched yet. `program` names the program that reads if it is not beside this
+    /// one.
     ///
     /// # Errors
-    /// [`RosError::NoReader`] where that program is absent, [`RosError::System`] where there is no thread to be had.
+    /// [`RosError::NoReader`] if that program is missing, [`RosError::System`] if no thread can be started.
     pub fn start(domain: u16, program: Option<&Path>, sink: Arc<dyn MessageSink>) -> Result<Self, RosError> {
         let program: PathBuf = child::find(program)?;
         let shared = Arc::new(Shared::new(domain, program, sink));
@@ -73,7 +73,7 @@ impl Ros2Capture {
         self.shared.watch(topic);
     }
 
-    /// Captures it no longer.
+    /// Stops capturing it.
     pub fn unwatch(&self, topic: &TopicName) {
         self.shared.unwatch(topic);
     }
@@ -83,7 +83,7 @@ impl Ros2Capture {
         self.shared.state().watched.iter().cloned().collect()
     }
 
-    /// The topics that somebody publishes now, by name.
+    /// The topics with a publisher now, by name.
     pub fn topics(&self) -> Vec<Ros2Topic> {
         self.shared.state().topics()
     }

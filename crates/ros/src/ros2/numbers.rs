@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 const SETTLE: Duration = Duration::from_millis(250);
 /// The most gaps that are waited for.
 const MOST_GAPS: usize = 256;
-/// A step that no loss explains: the publisher's word is not believed, and counting begins anew.
+/// A step that no loss explains: the publisher is not trusted, and counting starts again.
 const LONGEST_STEP: i64 = 1 << 31;
 
-/// What an arriving message is.
+/// The kind of an arriving message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Arrival {
     /// One not seen before.
@@ -22,11 +22,11 @@ pub enum Arrival {
 /// Messages that never arrived: the first and the last of their numbers.
 pub type Gap = (i64, i64);
 
-/// Follows one publisher, over restarts of the program that reads it.
+/// Follows one publisher, across restarts of the program that reads it.
 #[derive(Debug, Default)]
 pub struct Numbers {
     last: Option<i64>,
-    /// By their first number: the last, and when they were missed.
+    /// By their first number: the last, and when they were found missing.
     missing: BTreeMap<i64, (i64, Instant)>,
 }
 
@@ -58,7 +58,7 @@ impl Numbers {
         Arrival::New
     }
 
-    /// Gaps that nothing will fill any more; `all` = whatever is missing.
+    /// Gaps that nothing will fill any more; `all` = everything missing.
     pub fn settled(&mut self, now: Instant, all: bool) -> Vec<Gap> {
         let beyond = self.missing.len().saturating_sub(MOST_GAPS);
         let late = |since: Instant| all || now.saturating_duration_since(since) >= SETTLE;
@@ -96,7 +96,7 @@ mod tests {
         assert!(numbers.settled(now, false).is_empty(), "it may still come");
         assert_eq!(numbers.settled(now + SETTLE, false), [(102, 2099)]);
         assert!(numbers.settled(now + SETTLE, true).is_empty(), "told once");
-        // A number from nowhere is no loss of billions.
+        // An implausible number is not a loss of billions.
         assert_eq!(numbers.follow(i64::MAX, now), Arrival::New);
         assert!(numbers.settled(now, true).is_empty());
         assert_eq!(numbers.follow(i64::MIN, now), Arrival::Twice);
@@ -121,7 +121,7 @@ mod tests {
             let first = arrivals[0];
             for number in &arrivals {
                 let arrival = numbers.follow(*number, now);
-                // What lies before the first one seen was never promised.
+                // Numbers before the first one seen were never promised.
                 prop_assert_eq!(arrival == Arrival::New, *number >= first && seen.insert(*number));
             }
             let missed: Vec<i64> = numbers.settled(now, true).into_iter().flat_map(|(from, to)| from..=to).collect();

@@ -10,45 +10,45 @@ use crate::ros::recording::{TYPE_HASH, tags};
 use crate::ros::ros2::numbers::Numbers;
 use crate::ros::{CaptureNotice, Message, Origin};
 
-/// What MCAP calls the QoS that a channel's publishers offer.
+/// MCAP's name for the QoS that a channel's publishers offer.
 const QUALITY: &str = "offered_qos_profiles";
-/// The publisher's own id, 16 bytes as hex, among what is said of a channel.
+/// The publisher's own id, 16 bytes as hex, among the channel's data.
 pub const WRITER: &str = "writer_id";
 
 /// A publisher.
 pub struct Publisher {
-    /// What it told of itself.
+    /// What it announced.
     pub writer: Writer,
-    /// Who it is, as far as can be seen.
+    /// Its identity, as far as visible.
     pub origin: Arc<Origin>,
     /// Its messages' numbers.
     pub numbers: Numbers,
-    /// Whether it is there; messages that were on their way may still come when it is not.
+    /// Whether it is present; messages that were in flight may still come when it is not.
     pub gone: Option<Instant>,
-    /// Which start of the program told of it last.
+    /// Which run of the program reported it last.
     pub told_by: u64,
-    /// Whether the sink was told of it.
+    /// Whether it was reported to the sink.
     pub connected: bool,
     topic: Arc<str>,
     type_name: Arc<str>,
     tags: Vec<(String, String)>,
 }
 
-/// The name that stands for a publisher: its node's, where that is known.
+/// The name for a publisher: its node's, if known.
 pub fn name(writer: &Writer) -> String {
     let node = writer.node.as_deref().map(|node| clean(node, 255));
     node.unwrap_or_else(|| format!("/unnamed_{}", clean(&writer.vendor, 40)))
 }
 
 impl Publisher {
-    /// A publisher in a domain that was just told of.
+    /// A publisher in a domain, just reported.
     pub fn new(writer: Writer, domain: u16, told_by: u64) -> Self {
         let type_name: Arc<str> = writer.type_name.as_str().into();
         let hash = writer.type_hash.as_deref().and_then(|hash| hash.strip_prefix("RIHS01_")).unwrap_or("*");
         let origin = Origin {
             number: next_number(),
             caller_id: name(&writer).into(),
-            // Where a participant runs is not told by the library that reads the network.
+            // The library that reads the network does not say where a participant runs.
             host: format!("domain{domain}"),
             uri: format!("dds://{domain}/{}", writer.id),
             type_name: Arc::clone(&type_name),
@@ -101,7 +101,7 @@ impl Publisher {
         clean(&self.origin.caller_id, 120)
     }
 
-    /// It is being read; told once.
+    /// It is being read; reported once.
     pub fn connect(&mut self) -> Option<CaptureNotice> {
         let told = std::mem::replace(&mut self.connected, true);
         (!told && self.gone.is_none()).then(|| CaptureNotice::PublisherConnected {
@@ -112,7 +112,7 @@ impl Publisher {
         })
     }
 
-    /// It is no longer read; told where its being read was told.
+    /// It is no longer read; reported if the beginning was.
     pub fn disconnect(&mut self, reason: &str) -> Option<CaptureNotice> {
         std::mem::take(&mut self.connected).then(|| CaptureNotice::PublisherLost {
             topic: Arc::clone(&self.topic),
@@ -122,7 +122,7 @@ impl Publisher {
         })
     }
 
-    /// What of it never arrived; for a reliable one nothing arrives late, and `all` waits for nobody.
+    /// Its messages that never arrived; for a reliable one nothing arrives late, and `all` waits for nobody.
     pub fn lost(&mut self, now: Instant, all: bool) -> Vec<CaptureNotice> {
         let gaps = self.numbers.settled(now, all || self.writer.quality.reliable);
         let notice = |(first, last): (i64, i64)| CaptureNotice::LostInTransport {
@@ -134,7 +134,7 @@ impl Publisher {
         gaps.into_iter().map(notice).collect()
     }
 
-    /// It did not come back after the program that read it was started anew.
+    /// It did not return after the program that read it was restarted.
     pub fn vanished(&mut self, now: Instant) -> Vec<CaptureNotice> {
         let mut notices = self.lost(now, true);
         let count = |notice: &CaptureNotice| match notice {
@@ -154,7 +154,7 @@ fn low(number: i64) -> u32 {
     u32::try_from(number & i64::from(u32::MAX)).unwrap_or(0)
 }
 
-/// A QoS profile in the words of `ros2 bag`. History and depth are not told by publishers.
+/// A QoS profile in the words of `ros2 bag`. Publishers do not announce history and depth.
 fn profile(quality: Quality) -> String {
     const ENDLESS: u64 = i64::MAX as u64;
     let word = |yes, one: &'static str, other| if yes { one } else { other };

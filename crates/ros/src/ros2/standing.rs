@@ -1,31 +1,31 @@
-//! Where reading ROS 2 stands, in words for people.
+//! The state of reading ROS 2, in words for people.
 
 use crate::pipe::read::Counts;
 
-/// Whether the program that reads is there.
+/// The state of the program that reads.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Reading {
-    /// It was started and has said nothing yet, or not looked around for long enough.
+    /// It was started and has not reported yet, or has not had time for discovery.
     Looking,
     /// It reads.
     Up,
-    /// It does not; it is tried again.
+    /// It does not; it is restarted.
     Down {
         /// Why.
         reason: String,
     },
 }
 
-/// Where reading stands.
+/// The state of reading.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Standing {
     /// The domain.
     pub domain: u16,
     /// Whether it is read.
     pub reading: Reading,
-    /// Who is there.
+    /// The participants.
     pub counts: Counts,
-    /// How often the program was started anew.
+    /// How often the program was restarted.
     pub restarts: u64,
 }
 
@@ -54,7 +54,7 @@ impl Standing {
         }
     }
 
-    /// Whether nobody or no topic is there though there was time to look.
+    /// Whether there is still no participant or topic though there was time to look.
     pub fn is_empty(&self) -> bool {
         self.reading == Reading::Up && self.counts.writers == 0
     }

@@ -1,4 +1,4 @@
-//! What is known of a domain, and what each frame of the program that reads it changes.
+//! The state of a domain, and the effect of each frame of the program that reads it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
@@ -14,17 +14,17 @@ use crate::ros::{CaptureNotice, Message};
 
 /// The most publishers known at once.
 const MOST_PUBLISHERS: usize = 40_000;
-/// So long after its start the program must have found again whoever is still there.
+/// After this time the program must have found again everybody who is still present.
 const FOUND_AGAIN: Duration = Duration::from_secs(10);
-/// A publisher that is gone is remembered so long, for messages that were on their way.
+/// How long a publisher that is gone is remembered, for messages that were in flight.
 const REMEMBERED: Duration = Duration::from_secs(60);
-/// So long after the start whoever is to be seen has been seen, and so long where somebody was.
+/// The time for discovery after the start, and the time if somebody was found.
 const LOOKED: Duration = Duration::from_secs(3);
 const LOOKED_WITH_SOMEBODY: Duration = Duration::from_secs(1);
 /// The longest reason taken.
 const LONGEST_REASON: usize = 400;
 
-/// What is to be handed to the sink, in this order and without the state locked.
+/// Items for the sink, in this order and without the state locked.
 #[derive(Debug, Default)]
 pub struct Outcome {
     /// News.
@@ -39,9 +39,9 @@ pub struct State {
     pub watched: BTreeSet<TopicName>,
     /// Where reading stands.
     pub reading: Reading,
-    /// Who is there.
+    /// The participants.
     pub counts: Counts,
-    /// How often the program was started anew.
+    /// How often the program was restarted.
     pub restarts: u64,
     domain: u16,
     publishers: BTreeMap<String, Publisher>,
@@ -65,10 +65,10 @@ impl State {
         }
     }
 
-    /// Takes in a frame.
+    /// Handles a frame.
     ///
     /// # Errors
-    /// Why the program is to be ended: in words.
+    /// Why the program must be ended, in words.
     pub fn take(&mut self, told: Told, payload: Vec<u8>, now: Instant) -> Result<Outcome, String> {
         let mut outcome = Outcome::default();
         match told {
@@ -162,7 +162,7 @@ impl State {
         let arrival = publisher.numbers.follow(number, now);
         outcome.notices.extend(publisher.lost(now, false));
         if arrival == Arrival::New {
-            // A time from the future, or none, is not believed.
+            // A future or missing time is not believed.
             let own = Timestamp::now();
             let at = if arrived == 0 || arrived > own.0 { own } else { Timestamp(arrived) };
             outcome.message = Some(publisher.message((number, sent), at, payload));
@@ -199,7 +199,7 @@ impl State {
         new
     }
 
-    /// A topic is captured no longer: what is missing of it until now will not come.
+    /// A topic is no longer captured: what is missing of it until now will not come.
     pub fn unwatch(&mut self, topic: &TopicName, now: Instant, outcome: &mut Outcome) -> bool {
         if !self.watched.remove(topic) {
             return false;
@@ -212,7 +212,7 @@ impl State {
         true
     }
 
-    /// Topics with a publisher that is there.
+    /// Topics with a present publisher.
     pub fn topics(&self) -> Vec<Ros2Topic> {
         let mut topics: BTreeMap<&str, Ros2Topic> = BTreeMap::new();
         for Publisher { writer, .. } in self.publishers.values().filter(|known| known.gone.is_none()) {
@@ -277,7 +277,7 @@ mod tests {
         assert!(matches!(outcome.notices[..], [CaptureNotice::PublisherConnected { .. }]));
         let mut take = |told, at| state.take(told, vec![1], at).expect("taken");
         assert!(take(sample("aa", 2), now).message.is_some());
-        // It dies, is started anew, and finds the publisher again.
+        // It dies, is restarted, and finds the publisher again.
         take(hello(), now);
         assert!(take(writer("aa", "/chatter", true), now).notices.is_empty());
         assert!(take(sample("aa", 2), now).message.is_none());

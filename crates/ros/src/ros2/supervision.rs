@@ -1,4 +1,4 @@
-//! Starts the program that reads, hands on what it tells, and starts it anew when it ends or falls silent.
+//! Starts the program that reads, forwards its reports, and restarts it when it ends or falls silent.
 
 use std::io::{BufReader, Read, Write};
 use std::path::PathBuf;
@@ -16,18 +16,18 @@ use crate::pipe::read::{Told, Wish};
 use crate::pipe::{receive, send};
 use crate::ros::{CaptureNotice, MessageSink, RosError};
 
-/// Between two looks at whether the program still says something.
+/// Interval between checks that the program still reports.
 const TICK: Duration = Duration::from_millis(500);
-/// So many looks without a word, and it is killed. It says a word once a tick; looks are counted, not time, so that a
-/// machine that slept blames nobody.
+/// After this many checks without a report it is killed. It reports once a tick; checks are counted, not time, so that
+/// a machine that slept blames nobody.
 const SILENT_TICKS: u32 = 10;
 /// The shortest and the longest pause before a start.
 const FIRST_PAUSE: Duration = Duration::from_millis(50);
 const LONGEST_PAUSE: Duration = Duration::from_secs(5);
-/// A program that ran so long began well.
+/// A program that ran this long started well.
 const BEGAN_WELL: Duration = Duration::from_secs(10);
 
-/// What the threads of a capture share.
+/// Shared by the threads of a capture.
 pub struct Shared {
     /// The domain.
     pub domain: u16,
@@ -83,7 +83,7 @@ impl Shared {
         }
     }
 
-    /// Captures it no longer.
+    /// Stops capturing it.
     pub fn unwatch(&self, topic: &TopicName) {
         let mut outcome = Outcome::default();
         if self.state().unwatch(topic, Instant::now(), &mut outcome) {
@@ -92,7 +92,7 @@ impl Shared {
         }
     }
 
-    /// A program that does not hear it is started anew, and told then.
+    /// A program that does not receive it is restarted, and told then.
     fn wish(&self, wish: &Wish) {
         if let Some(to) = locked(&self.to_child).as_mut() {
             drop(send(to, wish, &[]).map(|()| to.flush()));
@@ -116,7 +116,7 @@ impl Shared {
         }
     }
 
-    /// One run of the program, to its end; why it ended.
+    /// One run of the program, to its end; returns why it ended.
     fn run_once(&self) -> String {
         let (child, to, from) = match child::start(&self.program, self.domain) {
             Ok(started) => started,
@@ -127,12 +127,12 @@ impl Shared {
         if self.is_stopping() {
             locked(&self.to_child).take();
         }
-        // What is watched from here on is told by whoever watches it; twice does no harm.
+        // What is watched from here on is sent by whoever watches it; twice does no harm.
         let watched: Vec<TopicName> = self.state().watched.iter().cloned().collect();
         watched.iter().for_each(|topic| self.wish(&Wish::Watch { topic: topic.to_string() }));
         let reason = self.read(&mut BufReader::with_capacity(256 << 10, from));
         locked(&self.to_child).take();
-        // Not under the lock: whoever kills a silent one needs it.
+        // Not under the lock, which is needed to kill a silent program.
         let child = locked(&self.running).take();
         if let Some(mut child) = child {
             if self.is_stopping() {
@@ -211,16 +211,16 @@ fn thread(name: &str, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle
 /// Runs the program again and again until the capture is stopped.
 ///
 /// # Errors
-/// [`RosError::System`] where there is no thread to be had.
+/// [`RosError::System`] if there is no thread to be had.
 pub fn keep_reading(shared: &Arc<Shared>) -> Result<JoinHandle<()>, RosError> {
     let shared = Arc::clone(shared);
     thread("ros2", move || shared.supervise())
 }
 
-/// Kills a program that says nothing any more.
+/// Kills a program that no longer reports.
 ///
 /// # Errors
-/// As [`keep_reading`].
+/// See [`keep_reading`].
 pub fn keep_watch(shared: &Arc<Shared>) -> Result<JoinHandle<()>, RosError> {
     let shared = Arc::clone(shared);
     thread("ros2 watch", move || shared.watch_over())

@@ -186,7 +186,7 @@ impl Ledger {
         Ok(self.batch_places(&[digest])?.pop().flatten())
     }
 
-    /// The places of several records, in their order, from one look at the ledger.
+    /// The places of several records, in their order, with one query of the ledger.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.

@@ -1,5 +1,5 @@
 //! When there are records of a topic: parts of a span of time, each looked up in the index of states, so that the cost
-//! follows the parts and not the records.
+//! depends on the parts and not on the records.
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 
@@ -9,9 +9,9 @@ use crate::model::{Address, RecordKind, RecordState, Timestamp};
 use crate::store::StoreError;
 use crate::store::database::whole;
 
-/// The most parts a span is cut into.
+/// The most parts of a span.
 pub const MOST_PARTS: usize = 1_000;
-/// The most losses that are looked at, the newest.
+/// The most losses examined, the newest.
 const MOST_LOSSES: i64 = 10_000;
 
 /// A span of time of one topic, in parts.
@@ -21,26 +21,26 @@ pub struct CoverageQuery {
     pub owner: Address,
     /// Its name.
     pub topic: String,
-    /// From then on; `None` = from its first record on.
+    /// From this time; `None` = from its first record.
     pub since: Option<Timestamp>,
-    /// Before then.
+    /// Before this time.
     pub until: Timestamp,
-    /// Into so many parts, 1 to [`MOST_PARTS`].
+    /// Divided into this many parts, 1 to [`MOST_PARTS`].
     pub parts: usize,
 }
 
-/// What there is of a part of the span.
+/// The records in a part of the span.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CoveragePart {
     /// Its beginning.
     pub at: Timestamp,
-    /// Records that are neither held back nor altered.
+    /// Records that are neither quarantined nor altered.
     pub data: bool,
-    /// Records that are held back, or were and then discarded.
+    /// Records that are quarantined, or were and then discarded.
     pub quarantined: bool,
     /// Records whose stored bytes are wrong.
     pub tampered: bool,
-    /// Messages that were lost, as far as they were noticed in this part; what is spread over several counts in each.
+    /// Messages that were lost, as far as noticed in this part; what is spread over several counts in each.
     pub lost: u64,
 }
 
@@ -55,15 +55,15 @@ pub struct Coverage {
     pub first: Option<Timestamp>,
     /// Capture of the last.
     pub last: Option<Timestamp>,
-    /// The parts, oldest first, of one length.
+    /// The parts, oldest first, all of the same length.
     pub parts: Vec<CoveragePart>,
 }
 
 impl Ledger {
-    /// When there are data records of a topic: one look for each part and each of its streams and states.
+    /// When there are data records of a topic: one lookup for each part and each of its streams and states.
     ///
     /// # Errors
-    /// [`StoreError::TooBig`] where a time is none, [`StoreError::Database`] and its kin.
+    /// [`StoreError::TooBig`] if a time is not valid, [`StoreError::Database`] and its kin.
     pub fn coverage(&self, query: &CoverageQuery) -> Result<Coverage, StoreError> {
         self.read(|connection| {
             let lanes = lanes(connection, query)?;

@@ -1,5 +1,5 @@
-//! A glance at a ledger that may be in use or not: read only, nothing written beside it, and no patience. For what a
-//! shell completes; whatever is amiss there is the next command's to say.
+//! A glance at a ledger that may be in use or not: read only, nothing written beside it, and no patience. For shell
+//! completion; any problem is for the next command to report.
 
 use std::path::Path;
 use std::time::Duration;
@@ -19,13 +19,13 @@ const ID_LENGTH: usize = 16;
 pub struct Glance(Connection);
 
 impl Glance {
-    /// Opens the file as it is; none is made.
+    /// Opens the existing file; none is created.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
     pub fn at(path: &Path) -> Result<Self, StoreError> {
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX | OpenFlags::SQLITE_OPEN_URI;
-        // Without a log nobody has it open, and SQLite would make one to read it.
+        // Without a log nobody has it open, and SQLite would create one to read it.
         let mut log = path.as_os_str().to_owned();
         log.push("-wal");
         let rest = if Path::new(&log).exists() { "" } else { "?immutable=1" };
@@ -38,7 +38,7 @@ impl Glance {
             .map_err(|error| StoreError::from(error).in_file(path))
     }
 
-    /// Names of topics that begin so, in their order, at most `limit`; of other people's making, so clean them.
+    /// Names of topics with this prefix, in order, at most `limit`; they are foreign text, so clean them.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
@@ -54,7 +54,7 @@ impl Glance {
         Ok(names)
     }
 
-    /// Ids of records that begin so, at most `limit`: the newest where nothing is begun.
+    /// Ids of records with this prefix, at most `limit`: the newest if the prefix is empty.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
@@ -72,7 +72,7 @@ impl Glance {
         let mut statement = self.0.prepare(&sql)?;
         let found = statement.query_map(params![fill("0"), fill("f"), limit], |row| row.get::<_, String>(0))?;
         let ids: Result<Vec<String>, _> = found.collect();
-        // What is typed beyond an id's length stays as it is typed.
+        // Text beyond an id's length stays as typed.
         let length = ID_LENGTH.max(begun.len());
         Ok(ids?.into_iter().map(|digest| digest.chars().take(length).collect()).collect())
     }
@@ -87,7 +87,7 @@ impl Glance {
     }
 }
 
-/// A path as a URI has it.
+/// A path in the form of a URI.
 fn escaped(path: &Path) -> String {
     use std::fmt::Write as _;
     use std::os::unix::ffi::OsStrExt as _;

@@ -1,4 +1,4 @@
-//! Incidents: spans of time and topics with notes. Records in one are left alone by retention as long as it is there.
+//! Incidents: spans of time and topics with notes. Retention does not delete records in one as long as it exists.
 
 use std::collections::BTreeMap;
 
@@ -11,12 +11,12 @@ use super::{Ledger, database::whole};
 use crate::model::{Address, IncidentName, IncidentNameError, RecordKind, RecordState, Timestamp};
 use crate::store::StoreError;
 
-/// What an incident is about.
+/// The scope of an incident.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct IncidentSpan {
-    /// Records captured then or later.
+    /// Records captured at this time or later.
     pub since: Timestamp,
-    /// Records captured before then; `None` = it goes on.
+    /// Records captured before this time; `None` = it is still open.
     pub until: Option<Timestamp>,
     /// Of topics with these names; empty = of all.
     pub topics: Vec<String>,
@@ -27,16 +27,16 @@ pub struct IncidentSpan {
 pub struct IncidentNote {
     /// When it was written.
     pub at: Timestamp,
-    /// Its text, as it was given: clean it.
+    /// Its text, as given: clean it.
     pub text: String,
 }
 
-/// An incident as the ledger keeps it.
+/// An incident as the ledger stores it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IncidentRow {
-    /// Its name; an owner has it once.
+    /// Its name, unique for an owner.
     pub name: IncidentName,
-    /// What it is about.
+    /// Its scope.
     pub span: IncidentSpan,
     /// When it was opened.
     pub opened_at: Timestamp,
@@ -46,12 +46,12 @@ pub struct IncidentRow {
     pub notes: Vec<IncidentNote>,
 }
 
-/// What there is of one topic in a span.
+/// One topic's records in a span.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct SpanCoverage {
     /// Topic name.
     pub topic: String,
-    /// Captured messages that are records, without those held back.
+    /// Captured messages that are records, without quarantined ones.
     pub records: u64,
     /// Bytes of these messages.
     pub bytes: u64,
@@ -59,16 +59,16 @@ pub struct SpanCoverage {
     pub first: Option<Timestamp>,
     /// When the last was.
     pub last: Option<Timestamp>,
-    /// How many of them have no ciphertext any more: retention took it before.
+    /// How many of them have lost their ciphertext to retention already.
     pub deleted: u64,
-    /// Messages that are held back in quarantine.
+    /// Messages in quarantine.
     pub quarantined: u64,
-    /// Messages that were lost in stretches of time that touch the span.
+    /// Messages that were lost in stretches of time that overlap the span.
     pub lost: u64,
 }
 
 impl SpanCoverage {
-    /// Takes over what another part of the same topic has.
+    /// Adds the figures of another part of the same topic.
     fn add(&mut self, part: &Self) {
         self.records += part.records;
         self.bytes += part.bytes;
@@ -81,10 +81,10 @@ impl SpanCoverage {
 }
 
 impl Ledger {
-    /// Keeps a new incident; `false` where the owner has one of this name already.
+    /// Stores a new incident; `false` if the owner has one of this name already.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then it is not kept.
+    /// [`StoreError::DiskFull`] and the like: then it is not stored.
     pub fn open_incident(
         &self,
         owner: Address,
@@ -146,7 +146,7 @@ impl Ledger {
         })
     }
 
-    /// Adds a note; `false` where there is no such incident.
+    /// Adds a note; `false` if there is no such incident.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like: then it is not added.
@@ -164,7 +164,7 @@ impl Ledger {
         })
     }
 
-    /// Closes an open incident: its span ends now, if it did not end before. `false` where none of this name is open.
+    /// Closes an open incident: its span ends now, if it did not end before. `false` if none of this name is open.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like: then it stays open.
@@ -181,7 +181,7 @@ impl Ledger {
         })
     }
 
-    /// Forgets an incident; what it held is retention's again. `false` where there is none of this name.
+    /// Removes an incident; its records are subject to retention again. `false` if there is none of this name.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like: then it stays.
@@ -200,7 +200,7 @@ impl Ledger {
         })
     }
 
-    /// What there is of each topic in a span of an owner's records: of those that it names, or of all that have any.
+    /// Each topic's records in a span of an owner's records: of the named topics, or of all that have any.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
@@ -216,7 +216,7 @@ impl Ledger {
         })
     }
 
-    /// Bytes of a topic's captured messages of a stretch of time whose ciphertext retention has not given up.
+    /// Bytes of a topic's captured messages in a stretch of time whose ciphertext retention has not deleted.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
@@ -263,7 +263,7 @@ fn whole_of(connection: &Connection, key: i64, mut row: IncidentRow) -> Result<I
     Ok(row)
 }
 
-/// What the records of each topic and state add to its coverage.
+/// The contribution of the records of each topic and state.
 fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
     let sql = "SELECT t.name, r.state, count(*), sum(r.bytes), min(r.captured_at), max(r.captured_at),
                    count(r.deleted_at)
@@ -291,7 +291,7 @@ fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Resu
     Ok(rows.collect::<Result<_, _>>()?)
 }
 
-/// Messages of each topic that were lost in stretches of time that touch the span.
+/// Messages of each topic that were lost in stretches of time that overlap the span.
 fn losses(connection: &Connection, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
     let sql = "SELECT topic, sum(count) FROM gaps WHERE owner = ?1 AND last_at >= ?2 AND first_at < ?3 GROUP BY topic";
     let mut statement = connection.prepare_cached(sql)?;

@@ -7,7 +7,7 @@ use super::{Ledger, database::whole};
 use crate::model::{Hash, Timestamp};
 use crate::store::StoreError;
 
-/// Stamps that an authority which was named later is still asked for.
+/// Stamps for which an authority added later is still asked.
 const NEWEST: i64 = 48;
 
 /// Roots under one stamp.
@@ -21,7 +21,7 @@ pub struct KeptStamp {
     pub tokens: Vec<Vec<u8>>,
 }
 
-/// How the stamps of a ledger stand.
+/// The state of a ledger's stamps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct StampCounts {
     /// Stamps that at least one authority gave a token for.
@@ -30,12 +30,12 @@ pub struct StampCounts {
     pub waiting: u64,
     /// When the newest was begun.
     pub newest: Option<Timestamp>,
-    /// The end of the newest time that a token says.
+    /// The end of the newest time in a token.
     pub before: Option<Timestamp>,
 }
 
 impl Ledger {
-    /// Puts the batches that were closed since the last time under a new stamp, the oldest `most` of them; returns how many.
+    /// Puts the batches closed since the last time under a new stamp, the oldest `most` of them; returns how many.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like: then nothing is begun.
@@ -63,8 +63,8 @@ impl Ledger {
         })
     }
 
-    /// The oldest stamps that this authority is to be asked for: those that nobody stamped, and of the newest ones those
-    /// that others did.
+    /// The oldest stamps to request from this authority: those that nobody stamped, and of the newest ones those that
+    /// others did.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
@@ -84,10 +84,10 @@ impl Ledger {
         })
     }
 
-    /// Keeps an authority's token over a stamp's roots; one that there is stays.
+    /// Stores an authority's token over a stamp's roots; an existing one stays.
     ///
     /// # Errors
-    /// [`StoreError::DiskFull`] and the like: then it is asked for again.
+    /// [`StoreError::DiskFull`] and the like: then it is requested again.
     pub fn keep_token(&self, stamp: u64, authority: Hash, before: Timestamp, token: Vec<u8>) -> Result<(), StoreError> {
         let (stamp, before) = (whole("stamp", stamp)?, whole("time", before.0)?);
         self.write(move |session| {
@@ -127,7 +127,7 @@ impl Ledger {
         })
     }
 
-    /// How the stamps stand.
+    /// The state of the stamps.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.

@@ -114,7 +114,7 @@ pub fn site() -> SiteView {
     }
 }
 
-/// An alert that the site found by itself.
+/// An alert found by the site itself.
 pub fn site_alert() -> AlertView {
     AlertView {
         key: "robot_silent/1f2e3d4c".to_owned(),

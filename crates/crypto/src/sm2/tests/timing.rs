@@ -93,7 +93,7 @@ fn times_tell_nothing_of_secrets() {
         let sealed = encrypt(public, b"text").expect("encrypts");
         timed(|| decrypt(black_box(secret), sealed))
     });
-    // Verification may tell, so the method must see it: otherwise it sees nothing.
+    // Verification need not be constant-time, so the method must detect it: otherwise it detects nothing.
     measured("for comparison: verification's multiple, factor 3 or random", runs / 8, |class, noise| {
         let factor = number(class, noise);
         timed(|| other.times(black_box(&factor)))

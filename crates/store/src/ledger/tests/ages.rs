@@ -5,7 +5,7 @@ use rusqlite::StatementStatus::VmStep;
 use super::*;
 use crate::store::ledger::ages::{OLDEST, OWNERS, UNTOLD, last_seen};
 
-/// Steps that SQLite's machine takes for each question of the figures, over so many records in four streams.
+/// Steps that SQLite's machine takes for each query of the figures, over this many records in four streams.
 fn steps(records: u64) -> Vec<i32> {
     let (_home, ledger) = open();
     for batch in 0..records / 100 {
@@ -19,7 +19,7 @@ fn steps(records: u64) -> Vec<i32> {
     assert_eq!(ledger.untold_gaps().expect("gaps"), 0);
     let counted = ledger.read(|connection| {
         let questions = [OWNERS.to_owned(), OLDEST.to_owned(), last_seen(), UNTOLD.to_owned()];
-        // The very statements that were run: they stay in the connection's cache, and one connection is used again.
+        // The very statements that were run: they stay in the connection's cache, and one connection is reused.
         questions.iter().map(|sql| Ok(connection.prepare_cached(sql)?.reset_status(VmStep))).collect()
     });
     counted.expect("statements")

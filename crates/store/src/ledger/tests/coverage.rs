@@ -1,4 +1,4 @@
-//! When there are records of a topic: held against what was put in, part by part.
+//! When there are records of a topic: compared with what was put in, part by part.
 
 use super::super::coverage::{Coverage, CoverageQuery};
 use super::*;

@@ -1,4 +1,4 @@
-//! What a shell completes: read beside a site at work and without one, and nothing is left beside the file.
+//! Shell completion: read beside a running site and without one, and nothing is left beside the file.
 
 use super::super::glance::Glance;
 use super::*;

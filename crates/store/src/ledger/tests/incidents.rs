@@ -1,4 +1,4 @@
-//! Incidents: what they are about, what they hold from retention, and that they are of one owner alone.
+//! Incidents: their scope, what they exempt from retention, and that each belongs to one owner alone.
 
 use super::*;
 
@@ -25,7 +25,7 @@ fn append_in(ledger: &Ledger, state: RecordState, records: Vec<NewRecord>) {
     moved.expect("moved");
 }
 
-/// Names these of a topic in a retention record that stands verified.
+/// Names these records of a topic in a verified retention record.
 fn give_up(ledger: &Ledger, topic: &KeptTopic, limit: usize) {
     let due = ledger.oldest(topic, (Timestamp(0), Timestamp(2_000)), limit).expect("read");
     let named = due.into_iter().map(|record| (record, vec![1])).collect();
