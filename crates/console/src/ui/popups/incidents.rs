@@ -32,7 +32,8 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, list: &IncidentList)
     let Some(chosen) = list.chosen(state) else {
         let inner = framed(canvas, area, "Incidents", width.min(72), 2);
         let nothing = "None yet: n keeps what was recorded in a span of time.";
-        return drop(canvas.put(inner, empty(state, Feed::Incidents, nothing), Role::Dim));
+        canvas.put(inner, empty(state, Feed::Incidents, nothing), Role::Dim);
+        return;
     };
     let rows = &state.incidents.rows;
     let told: Vec<Line> = holdings(state, chosen)
