@@ -126,22 +126,33 @@ pub fn tick(state: &mut State) {
     }
 }
 
-/// What can be done here, by key.
-pub fn hints(state: &State, list: &IncidentList) -> Vec<(&'static str, &'static str)> {
+/// What can be done here: key, the word of the bar, the sentence of the help.
+fn possible(state: &State, list: &IncidentList) -> Vec<[&'static str; 3]> {
     let chosen = list.chosen(state);
     let changes = !state.settings.read_only;
+    let (one, open) = (chosen.is_some(), chosen.is_some_and(|row| row.open));
     let all = [
-        ("n", "new", changes),
-        ("enter", "its records", chosen.is_some()),
-        ("a", "add note", changes && chosen.is_some()),
-        ("c", "close", changes && chosen.is_some_and(|row| row.open)),
-        ("x", "remove", changes && chosen.is_some()),
-        ("y", "copy as command", chosen.is_some()),
-        ("e", "copy export command", chosen.is_some()),
-        ("pgup pgdn", "scroll", chosen.is_some()),
-        ("q", "back", true),
+        (["n", "new", "Open an incident, filled from the row below this window"], changes),
+        (["enter", "records", "Show its records: Uploads, narrowed to this incident"], one),
+        (["a", "note", "Add a note; notes stand in the bundles exported of it"], changes && one),
+        (["c", "close", "End its span now; what is in it stays held"], changes && open),
+        (["x", "remove", "Forget it: retention may then delete what only it held"], changes && one),
+        (["y", "copy command", "Copy the command line that shows the same"], one),
+        (["e", "copy export", "Copy the command line that exports it as one bundle of evidence"], one),
+        (["q", "back", "Back to the list"], true),
+        (["pgup pgdn", "scroll", "Scroll what the incident holds"], one),
     ];
-    all.into_iter().filter(|(.., possible)| *possible).map(|(key, word, _)| (key, word)).collect()
+    all.into_iter().filter(|(_, possible)| *possible).map(|(told, _)| told).collect()
+}
+
+/// The keys, for the bar.
+pub fn hints(state: &State, list: &IncidentList) -> Vec<(&'static str, &'static str)> {
+    possible(state, list).into_iter().map(|[key, word, _]| (key, word)).collect()
+}
+
+/// The keys, for the help of the window.
+pub fn explained(state: &State, list: &IncidentList) -> Vec<(&'static str, &'static str)> {
+    possible(state, list).into_iter().map(|[key, _, sentence]| (key, sentence)).collect()
 }
 
 /// A key while the list is open.

@@ -52,7 +52,10 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
 /// Gives a key to the topmost popup.
 pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
     if key == Key::Char('?') && !takes_text(state) {
-        let window = state.popups.last().map(|popup| hints(state, popup));
+        let window = state.popups.last().map(|popup| match popup {
+            Popup::Incidents(list) => incidents::explained(state, list),
+            other => hints(state, other),
+        });
         state.popups.push(Popup::Help(Help { window, ..Help::default() }));
         return Vec::new();
     }

@@ -99,7 +99,7 @@ pub struct State {
     pub history: History,
     /// Over how long the graphs look back.
     pub period: Period,
-    /// Imports and exports that run.
+    /// Imports, exports, audits, back-ups and adoptions that run.
     pub progress: Progress,
     /// When that was heard.
     pub progress_at: Timestamp,

@@ -261,15 +261,9 @@ pub static VERBS: &[Entry] = &[
         Screen::Uploads,
         Screen::Grants,
     ]),
-    entry(
-        Verb::Incident,
-        "incident",
-        "incident",
-        &[Key::Char('I')],
-        "Keep what was recorded around this row: an incident",
-    )
-    .on(&[Screen::Topics, Screen::Uploads])
-    .changing(),
+    entry(Verb::Incident, "incident", "incident", &[Key::Char('I')], "Incident: keep what surrounds this row")
+        .on(&[Screen::Topics, Screen::Uploads])
+        .changing(),
     entry(Verb::Publishers, "publishers", "publishers", &[Key::Enter], "Publishers: pinned, suspect, quarantined")
         .on(&[Screen::Topics]),
     entry(Verb::Pin, "pin", "pin", &[Key::Char('p')], "Accept the publishers present now")

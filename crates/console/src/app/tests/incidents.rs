@@ -66,7 +66,9 @@ fn one_key_fills_the_form_from_an_old_record_and_six_more_keep_it() {
 #[test]
 fn marked_topics_go_into_it_and_it_goes_on_until_it_is_closed() {
     let mut robot = Robot::at_work(true);
-    robot.types("2  I");
+    robot.types("2");
+    robot.presses(Key::Down);
+    robot.types("  I");
     robot.site_answers(true);
     let Some(Popup::Form(Purpose::OpenIncident, form)) = robot.state.popups.last() else { panic!("no form") };
     assert_eq!(form.text(1), "10m");
@@ -89,7 +91,7 @@ fn what_is_refused_comes_back_as_it_was_filled_and_what_cannot_be_is_said_in_the
     assert!(error.contains("crash-1114 already"), "{error}");
     for (field, text, word) in [(1, "2024-01-01", "to come"), (2, "2h", "before it begins"), (3, "odom//", "odom")] {
         let mut robot = at_the_list();
-        robot.types("nbump");
+        robot.types("nother");
         for _ in 0..field {
             robot.presses(Key::Enter);
         }
@@ -102,12 +104,12 @@ fn what_is_refused_comes_back_as_it_was_filled_and_what_cannot_be_is_said_in_the
         assert!(robot.work().is_empty());
     }
     let mut robot = at_the_list();
-    robot.types("nbump");
+    robot.types("nother");
     (0..5).for_each(|_| robot.presses(Key::Enter));
-    robot.is_answered(&tag(Deed::Open, "bump"), Err(fixtures::failure(ErrorKind::Input, "there are 200 incidents")));
+    robot.is_answered(&tag(Deed::Open, "other"), Err(fixtures::failure(ErrorKind::Input, "there are 200 incidents")));
     assert_eq!(robot.form_error(), Some("there are 200 incidents"));
     let Some(Popup::Form(Purpose::OpenIncident, form)) = robot.state.popups.last() else { panic!("no form") };
-    assert_eq!(form.text(0), "bump");
+    assert_eq!(form.text(0), "other");
 }
 
 #[test]
