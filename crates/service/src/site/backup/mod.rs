@@ -74,9 +74,9 @@ impl Backup {
         if fs::symlink_metadata(&file).is_ok() {
             return Err(input(format!("{shown} exists; name a new file, no back-up is written over another")));
         }
+        let running = self.runs.begin(profile, &shown, "copying into", "files");
         self.log.write(profile, "back up", &shown, "begun").await?;
         let runtime = Handle::current();
-        let running = self.runs.begin(profile, &shown, "copying into", "files");
         // Whatever deletes ciphertext before the ledger says so waits until the moment is taken.
         let quiet = self.quarantine.quiet().await;
         let moment = blocking(self, move |backup| backup.moment(&runtime)).await?;
