@@ -32,6 +32,7 @@ mod plans;
 mod playing;
 mod policy;
 mod printed;
+mod progress;
 mod quarantine;
 mod recordings;
 mod serve;

@@ -1,23 +1,19 @@
 //! `bag import` and `shared export`: recordings in and out, with progress on stderr.
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use clap::{Args, Subcommand};
 
 use super::connect::{Context, ProfileNeed};
 use super::parse;
+use super::progress::{LOOK, Teller};
 use super::serve::Ending;
-use crate::app::progress::Progress;
-use crate::model::{ErrorKind, Timestamp};
+use crate::model::ErrorKind;
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
-use crate::service::command::{Ask, ExportWishes, ImportWishes, RecordingProgress, StopCapture};
+use crate::service::command::{Ask, ExportWishes, ImportWishes, StopCapture};
 use crate::service::reply::{ExportView, ImportView};
 use crate::service::{Client, Failure, Needs};
 use authros_output::{Output, table};
-
-/// Between two looks at the progress.
-const LOOK: Duration = Duration::from_secs(3);
 
 /// `bag …`
 #[derive(Debug, Subcommand)]
@@ -139,11 +135,11 @@ async fn run<A: Ask>(context: Context, ask: A, need: ProfileNeed, output: &Outpu
 async fn until_done<A: Ask>(client: &Client, ask: A, output: &Output) -> Result<A::Answer, Failure> {
     let answer = client.ask(ask);
     tokio::pin!(answer);
-    let (mut asked, mut told) = (false, (Progress::default(), String::new()));
+    let (mut asked, mut teller) = (false, Teller::default());
     loop {
         tokio::select! {
             view = &mut answer => return view,
-            () = tokio::time::sleep(LOOK) => tell_progress(client, &mut told, output).await,
+            () = tokio::time::sleep(LOOK) => teller.tell(client, output).await,
             ending = crate::cli::serve::asked_to_end() => {
                 if asked || ending == Ending::Ordered {
                     return Err(Failure::new(ErrorKind::Incomplete, "left before all was done; what is sealed is stored, repeat the command to go on"));
@@ -153,16 +149,6 @@ async fn until_done<A: Ask>(client: &Client, ask: A, output: &Output) -> Result<
                 client.ask(StopCapture).await?;
             }
         }
-    }
-}
-
-async fn tell_progress(client: &Client, (progress, told): &mut (Progress, String), output: &Output) {
-    let Ok(runs) = client.ask(RecordingProgress).await else { return };
-    let now = Timestamp::now();
-    progress.set(runs, now);
-    for line in progress.lines(now).into_iter().filter(|line| *line != *told).collect::<Vec<_>>() {
-        output.note(&line);
-        *told = line;
     }
 }
 

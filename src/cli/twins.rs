@@ -58,6 +58,8 @@ pub const TWINS: &[(&str, Twin)] = &[
     ("log-level", Runs("audit list")),
     ("read-line", OnlyLooks),
     ("log-source", OnlyLooks),
+    ("incident", Runs("incident open NAME --since -10m --topics TOPIC")),
+    ("incidents", Runs("incident list")),
     ("contacts", Runs("contacts list")),
     ("profile", Runs("profiles")),
     ("end-tour", OnlyLooks),

@@ -8,7 +8,7 @@ use super::args::{ConfigVerb, GrantsVerb, IdentityVerb, SharedVerb, TopicsVerb, 
 use super::connect::{Context, ProfileNeed};
 use super::quarantine::{self, QuarantineVerb};
 use super::show::Question;
-use super::{adopt, check, follow, lists, parse, passphrase, playing, recordings, site_file, viewing};
+use super::{adopt, check, follow, lists, parse, passphrase, playing, progress, recordings, site_file, viewing};
 use crate::service::command::{
     CheckShared, CompareFingerprint, CreateIdentity, ExportUpload, ExtendGrant, ForeseeKeyChange, ListGrants, ListPins,
     ListShared, ListTopics, Lock, NameRecovery, ShowIdentity, ShowUpload, UnpinTopic, UnwatchTopic, ViewPath,
@@ -57,7 +57,9 @@ pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Fa
         if let Some(first) = plan.first {
             connection.client.ask(first).await?.lines.iter().for_each(|line| output.note(line));
         }
-        Ok(plan.question.ask(&connection.client).await)
+        let long = progress::takes_long(&plan.question.command);
+        let answer = plan.question.ask(&connection.client);
+        Ok(if long { progress::told(&connection.client, answer, output).await } else { answer.await })
     };
     let told: Result<_, Failure> = told.await;
     connection.close().await;

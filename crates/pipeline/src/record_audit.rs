@@ -12,6 +12,8 @@ mod sequences;
 mod stored;
 
 use std::collections::HashMap;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
 use std::time::Instant;
 
 use tokio::runtime::Handle;
@@ -37,6 +39,8 @@ pub struct Scope {
     pub accounts: Vec<Address>,
     /// IK of the profiles whose keyrings are open: names are compared by their pseudonyms.
     pub indices: HashMap<Address, IndexKey>,
+    /// Counts the records that were given to the threads, which take a few at a time.
+    pub looked_at: Arc<AtomicU64>,
 }
 
 /// Audits the store. `chain` is what the rows are compared with, or why it cannot be queried (then the rest is done all

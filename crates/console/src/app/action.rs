@@ -3,10 +3,11 @@
 use zeroize::Zeroizing;
 
 use super::feed::Feed;
+use super::incidents::Deed;
 use super::key::Key;
 use super::screen::Screen;
 use super::verb::Verb;
-use crate::model::{Address, Party, ProfileName, Timestamp};
+use crate::model::{Address, IncidentName, Party, ProfileName, Timestamp};
 use crate::service::reply::ExportedFile;
 use crate::service::{Command, Event, Failure, KeyKind, Reply};
 
@@ -188,7 +189,9 @@ pub enum Tag {
     Export(String),
     /// A contact added, confirmed or removed.
     Contact(String),
-    /// Playing a topic into ROS, under this name.
+    /// Something done to an incident.
+    Incident(Deed, IncidentName),
+    /// Playing of a topic into ROS, under this name.
     Play(String),
     /// End of a playback.
     StopPlay,
@@ -237,6 +240,7 @@ impl Tag {
             Self::Path(id) => format!("reading the path to {id}"),
             Self::Check(id) => format!("checking {id}"),
             Self::Export(id) => format!("exporting {id}"),
+            Self::Incident(deed, name) => deed.words(name),
             Self::Contact(name) => format!("changing contact {name}"),
             Self::Play(topic) => format!("playing {topic} into ROS, live (4, then p: end it)"),
             Self::StopPlay => "ending what is played".to_owned(),

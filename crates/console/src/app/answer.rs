@@ -8,6 +8,7 @@ use super::action::{Contents, Effect, Tag};
 use super::detail;
 use super::feed::Feed;
 use super::identity_path;
+use super::incidents::{self, Deed};
 use super::opening;
 use super::playing;
 use super::popup::Popup;
@@ -66,6 +67,13 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Contact(_) => done(state, tag, ask::ListContacts::heard(result), |state, rows| {
             state.contacts = rows;
             say_done(state, tag);
+        }),
+        Tag::Incident(Deed::Remove, _) => done(state, tag, ask::RemoveIncident::heard(result), |state, rows| {
+            state.incidents.set(rows, state.now);
+            say_done(state, tag);
+        }),
+        Tag::Incident(deed, _) => done(state, tag, ask::OpenIncident::heard(result), |state, view| {
+            incidents::changed(state, *deed, view);
         }),
         Tag::Watch(topic) => done(state, tag, ask::WatchTopic::heard(result), |state, ()| {
             state.inform(format!("now watching {topic}"));
@@ -143,6 +151,7 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
         Feed::Chain => state.chain = Some(*ask::ChainStatus::heard(result)?),
         Feed::Audit => state.log.set_audit(ask::ListAudit::heard(result)?),
         Feed::Contacts => state.contacts = ask::ListContacts::heard(result)?,
+        Feed::Incidents => state.incidents.set(ask::ListIncidents::heard(result)?, state.now),
         Feed::Progress => {
             state.progress.set(ask::RecordingProgress::heard(result)?, state.now);
             state.progress_at = state.now;
@@ -237,7 +246,7 @@ fn failed(state: &mut State, tag: &Tag, failure: &Failure) {
             let text = format!("{}: {}", tag.words(), failure.message);
             state.log.notice(state.now, NoticeLevel::Error, &text);
             form.error = Some(failure.message.clone());
-            let above = matches!(state.popups.last(), Some(Popup::Contacts(_)));
+            let above = matches!(state.popups.last(), Some(Popup::Contacts(_) | Popup::Incidents(_)));
             let place = if above { state.popups.len() } else { 0 };
             state.popups.insert(place, Popup::Form(purpose, form));
         }
@@ -287,6 +296,7 @@ fn secret(name: String, secret: &SecretBytes) -> Effect {
 fn touched_by(tag: &Tag) -> &'static [Feed] {
     match tag {
         Tag::Watch(_) | Tag::Unwatch(_) | Tag::HoldCapture => &[Feed::Topics],
+        Tag::Incident(..) => &[Feed::Incidents, Feed::Uploads],
         Tag::Contact(_) => &[Feed::Contacts, Feed::Grants, Feed::Shared],
         Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
         Tag::LoadKey(_) | Tag::Rotate => &[Feed::Keys, Feed::Identity],

@@ -53,7 +53,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::EndTour => given(state.tour.is_some(), "no tour: authros tour begins one"),
         Verb::Period | Verb::FoldAll => given(entry.works_on(state.screen), "other screen"),
         Verb::Release | Verb::Discard => held(state),
-        Verb::BackUp => identity(state),
+        Verb::BackUp | Verb::Incident | Verb::Incidents => identity(state),
         Verb::Lock => lock(state),
         Verb::Undo => given(state.undo.is_some(), "nothing to undo"),
         Verb::Administer(act) => administer(state, act),

@@ -34,11 +34,13 @@ pub enum Feed {
     Contacts,
     /// `RecordingProgress`.
     Progress,
+    /// `ListIncidents`.
+    Incidents,
 }
 
 impl Feed {
     /// All feeds.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::Site,
         Self::Identity,
         Self::Keys,
@@ -51,6 +53,7 @@ impl Feed {
         Self::Gateway,
         Self::Contacts,
         Self::Progress,
+        Self::Incidents,
     ];
 
     /// What a change of `part` makes out of date.

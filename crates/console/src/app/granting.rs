@@ -6,6 +6,7 @@ use super::confirm;
 use super::field::Field;
 use super::form::Form;
 use super::forms::{self, GrantWish};
+use super::incidents;
 use super::perform;
 use super::popup::{Confirm, Popup, Purpose};
 use super::screen::Screen;
@@ -142,9 +143,14 @@ pub fn complete(state: &State, form: &mut Form) -> bool {
         TOPICS => state.topics.rows.iter().map(|row| row.topic.clone()).chain([forms::ALL_TOPICS.to_owned()]).collect(),
         _ => return false,
     };
+    complete_from(form, &names)
+}
+
+/// Completes one of the names at the end of the line with the focus; false where there is nothing to complete.
+pub fn complete_from(form: &mut Form, names: &[String]) -> bool {
     let text = form.text(form.focus).to_owned();
     let (before, begun) = text.rsplit_once([' ', ',']).map_or(("", text.as_str()), |(before, begun)| (before, begun));
-    let Some(whole) = common_beginning(begun, &names).filter(|whole| !begun.is_empty() && whole != begun) else {
+    let Some(whole) = common_beginning(begun, names).filter(|whole| !begun.is_empty() && whole != begun) else {
         return false;
     };
     let line = if before.is_empty() { whole } else { format!("{before} {whole}") };
@@ -207,10 +213,7 @@ fn sooner(row: &GrantRow, expires: Option<Timestamp>) -> Result<GrantWish, (usiz
 
 /// The same act as a command line, for a script.
 pub fn twin(state: &State, command: &Command) -> Option<String> {
-    let mut words = vec!["authros".to_owned()];
-    if state.settings.profile.as_str() != "default" {
-        words.push(format!("--profile {}", state.settings.profile));
-    }
+    let mut words = vec![program(state)];
     match command {
         Command::Grant { grantee, topics, epochs, expires } => {
             words.push(format!("grant {grantee}"));
@@ -227,9 +230,21 @@ pub fn twin(state: &State, command: &Command) -> Option<String> {
             let after = state.follow_up.as_ref().and_then(|(_, errand)| twin(state, &errand.command));
             return Some(after.map_or_else(|| revoke.clone(), |after| format!("{revoke} && {after}")));
         }
-        _ => return None,
+        _ => words.push(incidents::twin(command)?),
     }
     Some(words.join(" "))
+}
+
+/// The words behind `authros` as a command line of the profile.
+pub fn command_line(state: &State, words: &str) -> String {
+    format!("{} {words}", program(state))
+}
+
+fn program(state: &State) -> String {
+    match state.settings.profile.as_str() {
+        "default" => "authros".to_owned(),
+        profile => format!("authros --profile {profile}"),
+    }
 }
 
 /// Copies that command line.

@@ -24,6 +24,7 @@ pub mod fuzzy;
 pub mod granting;
 pub mod history;
 pub mod identity_path;
+pub mod incidents;
 pub mod key;
 pub mod keymap;
 pub mod leaving;

@@ -14,6 +14,7 @@ use super::feed::Feed;
 use super::forms;
 use super::granting;
 use super::identity_path::{self, Need};
+use super::incidents;
 use super::leaving::{self, Leaving};
 use super::lock;
 use super::mouse;
@@ -86,6 +87,8 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         }
         Verb::Readers => readers(state),
         Verb::Contacts => contacts::open(state),
+        Verb::Incident => incidents::begin(state),
+        Verb::Incidents => incidents::open(state),
         Verb::Profile => profiles::open(state),
         Verb::EndTour => state.tour = None,
         Verb::Browse => state.popups.push(Popup::Browse(Browse::default())),
@@ -112,7 +115,8 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
     Vec::new()
 }
 
-fn go(state: &mut State, screen: Screen) {
+/// Goes to a screen.
+pub(super) fn go(state: &mut State, screen: Screen) {
     if state.screen != screen {
         screen.feeds().iter().for_each(|feed| state.feeds.look(*feed));
     }

@@ -9,6 +9,7 @@ use super::contacts::Book;
 use super::field::Field;
 use super::form::Form;
 use super::fuzzy;
+use super::incidents::IncidentList;
 use super::key::Key;
 use super::leaving::Leaving;
 use super::opening::Opening;
@@ -51,6 +52,8 @@ pub enum Popup {
     Browse(Browse),
     /// The address book.
     Contacts(Book),
+    /// The incidents.
+    Incidents(IncidentList),
     /// Leaving while something would stop, or is not done.
     Quit(Leaving),
 }
@@ -74,6 +77,10 @@ pub enum Purpose {
     Administer(Act),
     /// A name for an account.
     AddContact,
+    /// A span to keep.
+    OpenIncident,
+    /// Words about an incident.
+    NoteIncident,
     /// Which profile to speak for.
     Profile,
     /// A publisher of this kind of topic that is no longer accepted.

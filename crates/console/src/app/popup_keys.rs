@@ -10,6 +10,7 @@ use super::form::{Form, FormStep};
 use super::forms;
 use super::granting::{self, Extension};
 use super::identity_path::{self, Need};
+use super::incidents;
 use super::key::{Key, chord_label};
 use super::keymap::Meaning;
 use super::leaving;
@@ -28,6 +29,7 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
         Popup::Palette(_) => vec![("enter", "run"), ("up down", "choose"), ("esc", "close")],
         Popup::Browse(_) => vec![("enter", "show these"), ("up down", "choose"), ("q", "close")],
         Popup::Contacts(_) => contacts::hints(state),
+        Popup::Incidents(list) => incidents::hints(state, list),
         Popup::Publishers(_) => vec![("up down", "scroll"), ("p", "pin"), ("P", "unpin"), ("q", "close")],
         Popup::Tasks | Popup::Readers(_) => vec![("q", "close")],
         Popup::Line(_) => vec![("y", "copy"), ("q", "close")],
@@ -50,7 +52,10 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
 /// Gives a key to the topmost popup.
 pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
     if key == Key::Char('?') && !takes_text(state) {
-        let window = state.popups.last().map(|popup| hints(state, popup));
+        let window = state.popups.last().map(|popup| match popup {
+            Popup::Incidents(list) => incidents::explained(state, list),
+            other => hints(state, other),
+        });
         state.popups.push(Popup::Help(Help { window, ..Help::default() }));
         return Vec::new();
     }
@@ -67,6 +72,7 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
         Popup::Record(opening) => opening::key(state, opening, key),
         Popup::Browse(browse) => browse::key(state, browse, key),
         Popup::Contacts(book) => contacts::key(state, book, key),
+        Popup::Incidents(list) => incidents::key(state, list, key),
         Popup::Publishers(lookup) => publishers_key(state, lookup, key),
         Popup::Tasks | Popup::Readers(_) => {
             if !matches!(key, Key::Escape | Key::Enter | Key::Char('q' | 't' | 'i')) {
@@ -259,7 +265,7 @@ fn unasked(state: &mut State) -> Vec<Effect> {
 fn need_of(confirm: &Confirm) -> Option<Need> {
     match confirm.errand.tag {
         Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Lock | Tag::BackUp => None,
-        Tag::HoldCapture | Tag::StopPlay | Tag::Contact(_) => None,
+        Tag::HoldCapture | Tag::StopPlay | Tag::Contact(_) | Tag::Incident(..) => None,
         Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Pin(_) | Tag::Unpin(_) => None,
         Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Deploy | Tag::Adopt => Some(Need::Unlocked),
         Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
@@ -277,6 +283,10 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
         state.popups.push(Popup::Form(purpose, form));
         return Vec::new();
     }
+    if purpose == Purpose::OpenIncident && key == Key::Tab && incidents::complete(state, &mut form) {
+        state.popups.push(Popup::Form(purpose, form));
+        return Vec::new();
+    }
     match form.key(key) {
         FormStep::Stay => state.popups.push(Popup::Form(purpose, form)),
         FormStep::Cancel if matches!(purpose, Purpose::CreateIdentity | Purpose::Unlock) => {
@@ -290,8 +300,9 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
                 return effects;
             }
             Ok(effects) => {
-                // A refused contact is asked for again.
-                if let Some(tag) = state.work.last().filter(|_| purpose == Purpose::AddContact).cloned() {
+                // A contact or an incident that is refused is asked for again.
+                let kept = matches!(purpose, Purpose::AddContact | Purpose::OpenIncident | Purpose::NoteIncident);
+                if let Some(tag) = state.work.last().filter(|_| kept).cloned() {
                     state.filled = Some((tag, purpose, form));
                 }
                 return effects;
@@ -330,6 +341,8 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
         },
         Purpose::Unpin => forms::read_unpin(form)?,
         Purpose::AddContact => contacts::read(form)?,
+        Purpose::OpenIncident => incidents::read(state, form)?,
+        Purpose::NoteIncident => incidents::read_note(form)?,
         Purpose::Profile => {
             let profile = profiles::read(form)?;
             return Ok(profiles::switch(state, profile));

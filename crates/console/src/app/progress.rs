@@ -1,4 +1,4 @@
-//! The progress of imports and exports, and how long they will take at the pace so far.
+//! How far imports, exports, audits, back-ups and adoptions are, and how long they take at the pace so far.
 
 use crate::model::Timestamp;
 use crate::service::reply::ProgressView;
@@ -6,7 +6,10 @@ use crate::service::reply::ProgressView;
 /// A shorter run says nothing about its pace, nanoseconds.
 const LEAST: u64 = 2_000_000_000;
 
-/// One import or export.
+/// The unit of work that is done in steps.
+const STEPS: &str = "steps";
+
+/// One piece of work.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Run {
     view: ProgressView,
@@ -45,10 +48,14 @@ impl Progress {
 
 impl Run {
     fn line(&self, now: Timestamp) -> String {
-        let ProgressView { step, file, done, of, messages } = &self.view;
+        let ProgressView { step, file, done, of, messages, unit } = &self.view;
+        // Steps take as long as they take: nothing is foretold of them.
+        if unit == STEPS {
+            return format!("{file}, step {messages} of {of}: {step}");
+        }
         let share = done.saturating_mul(100).checked_div(*of).map_or_else(String::new, |share| format!(" {share} %"));
         let left = self.left(now).map_or_else(String::new, |seconds| format!(", about {} left", length(seconds)));
-        format!("{step} {file}:{share} {messages} messages{left}")
+        format!("{step} {file}:{share} {messages} {unit}{left}")
     }
 
     /// Seconds at the pace since its step was first seen.
@@ -76,7 +83,8 @@ mod tests {
     use super::*;
 
     fn view(step: &str, done: u64) -> ProgressView {
-        ProgressView { step: step.to_owned(), file: "mission.bag".to_owned(), done, of: 1_000, messages: done / 10 }
+        let (step, file, unit) = (step.to_owned(), "mission.bag".to_owned(), "messages".to_owned());
+        ProgressView { step, file, done, of: 1_000, messages: done / 10, unit }
     }
 
     #[test]
@@ -92,6 +100,25 @@ mod tests {
         assert_eq!(progress.lines(at(188)), ["importing mission.bag: 99 % 99 messages, about 10 s left"]);
         progress.set(Vec::new(), at(190));
         assert!(!progress.any());
+    }
+
+    #[test]
+    fn records_and_files_are_counted_as_such_and_steps_by_their_number() {
+        let at = Timestamp::from_seconds;
+        let told = |step: &str, file: &str, unit: &str, done, messages| ProgressView {
+            file: file.to_owned(),
+            unit: unit.to_owned(),
+            messages,
+            ..view(step, done)
+        };
+        let mut progress = Progress::default();
+        progress.set(vec![told("auditing", "this home", "records", 0, 0)], at(0));
+        progress.set(vec![told("auditing", "this home", "records", 250, 250)], at(10));
+        assert_eq!(progress.lines(at(10)), ["auditing this home: 25 % 250 records, about 30 s left"]);
+        let adopting = ProgressView { of: 6, ..told("reaching the chain", "chain adopt", "steps", 0, 1) };
+        progress.set(vec![adopting.clone()], at(0));
+        progress.set(vec![adopting], at(60));
+        assert_eq!(progress.lines(at(60)), ["chain adopt, step 1 of 6: reaching the chain"]);
     }
 
     #[test]

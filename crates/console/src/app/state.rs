@@ -9,6 +9,7 @@ use super::feed::{Feed, Feeds};
 use super::form::Form;
 use super::history::{History, Period};
 use super::identity_path::IdentityPath;
+use super::incidents::{self, Incidents};
 use super::keymap::Keymap;
 use super::opening::Opening;
 use super::popup::{Popup, Purpose};
@@ -98,7 +99,7 @@ pub struct State {
     pub history: History,
     /// The period of the graphs.
     pub period: Period,
-    /// Current imports and exports.
+    /// Imports, exports, audits, back-ups and adoptions that run.
     pub progress: Progress,
     /// When they were reported.
     pub progress_at: Timestamp,
@@ -130,7 +131,9 @@ pub struct State {
     pub gateway: Gateway,
     /// The address book.
     pub contacts: Vec<ContactRow>,
-    /// The form behind the running act, to return to if it fails.
+    /// Spans that are kept.
+    pub incidents: Incidents,
+    /// The form behind the act that is under way, to come back to where it fails.
     pub filled: Option<(Tag, Purpose, Form)>,
     /// What is sent when the act of the tag is done, because one question asked for both.
     pub follow_up: Option<(Tag, Errand)>,
@@ -182,6 +185,7 @@ impl State {
             identity_path: None,
             gateway: Gateway::default(),
             contacts: Vec::new(),
+            incidents: Incidents::default(),
             filled: None,
             follow_up: None,
             undo: None,
@@ -224,6 +228,7 @@ impl State {
             self.alerts.forgotten_at(),
             super::detail::due(self),
             self.progress_asked_at(),
+            incidents::asked_at(self),
             self.graphs_move_at(),
             self.grants.nearer_at(self.now).filter(|_| self.screen == Screen::Grants && !self.is_frozen()),
         ];

@@ -5,6 +5,7 @@
 
 use super::action::{Effect, Errand, Tag};
 use super::confirm;
+use super::incidents;
 use super::popup::Popup;
 use super::state::State;
 use crate::model::TopicName;
@@ -53,6 +54,9 @@ pub fn note(state: &mut State, tag: &Tag) {
         | Tag::Lock
         | Tag::HoldCapture => None,
         Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
+        Tag::Incident(deed, name) => {
+            Some(deed.stays().map_or_else(|| Undo::By(incidents::taken_back(name)), Undo::Never))
+        }
         Tag::Play(_) | Tag::StopPlay | Tag::Contact(_) => None,
         Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => None,
     };

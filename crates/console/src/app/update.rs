@@ -6,6 +6,7 @@ use super::answer::answered;
 use super::cursor;
 use super::detail;
 use super::feed::Feed;
+use super::incidents;
 use super::key::Key;
 use super::keymap::Meaning;
 use super::leaving;
@@ -19,7 +20,7 @@ use super::state::State;
 use super::tour;
 use super::verb::Verb;
 use crate::model::{RecordState, Timestamp};
-use crate::service::command::{AuditQuery, RecordingProgress};
+use crate::service::command::{AuditQuery, ListIncidents, RecordingProgress};
 use crate::service::reply::{Caveat, ShownState};
 use crate::service::{Command, Event, NoticeLevel, Operation, Part};
 
@@ -166,6 +167,7 @@ fn tick(state: &mut State, now: Timestamp) -> Vec<Effect> {
     state.feeds.retry(now);
     state.rates.settle(now);
     state.ask_for_progress();
+    incidents::tick(state);
     lock::tick(state)
 }
 
@@ -182,7 +184,14 @@ fn wants_contacts(state: &State) -> impl Iterator<Item = Feed> + use<> {
     [Feed::Contacts, Feed::Topics].into_iter().filter(move |_| asked)
 }
 
-/// Requests what is on screen and out of date, with one request per feed at a time.
+/// The list tells of incidents, and the form of a new one knows the names that are taken.
+fn wants_incidents(state: &State) -> impl Iterator<Item = Feed> + use<> {
+    let asks = |popup: &Popup| matches!(popup, Popup::Incidents(_) | Popup::Form(Purpose::OpenIncident, _));
+    let asked = state.popups.iter().any(asks);
+    [Feed::Incidents, Feed::Topics].into_iter().filter(move |_| asked)
+}
+
+/// Asks for what is on screen and out of date, one question per feed at a time.
 fn pull(state: &mut State) -> Vec<Effect> {
     let always = [Feed::Site, Feed::Identity];
     let wanted = always
@@ -191,6 +200,7 @@ fn pull(state: &mut State) -> Vec<Effect> {
         .copied()
         .chain(wants_grants(state))
         .chain(wants_contacts(state))
+        .chain(wants_incidents(state))
         .chain(wants_tasks(state));
     let mut wanted: Vec<Feed> = wanted.collect();
     if state.is_frozen() {
@@ -232,6 +242,7 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
             exists.then(|| Command::ListShared(state.shared.query(&state.topics.rows, rows, state.now, state.frozen)))
         }
         Feed::Contacts => exists.then_some(Command::ListContacts),
+        Feed::Incidents => exists.then(|| ListIncidents.into()),
         Feed::Progress => Some(RecordingProgress.into()),
         Feed::Gateway => Some(Command::Operate(Operation::GatewayStatus)),
     }

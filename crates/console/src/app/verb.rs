@@ -82,6 +82,10 @@ pub enum Verb {
     Readers,
     /// The address book.
     Contacts,
+    /// A new incident.
+    Incident,
+    /// The incidents.
+    Incidents,
     /// Speak for another profile.
     Profile,
     /// Remove the tour's strip.
@@ -257,6 +261,9 @@ pub static VERBS: &[Entry] = &[
         Screen::Uploads,
         Screen::Grants,
     ]),
+    entry(Verb::Incident, "incident", "incident", &[Key::Char('I')], "Incident: keep what surrounds this row")
+        .on(&[Screen::Topics, Screen::Uploads])
+        .changing(),
     entry(Verb::Publishers, "publishers", "publishers", &[Key::Enter], "Publishers: pinned, suspect, quarantined")
         .on(&[Screen::Topics]),
     entry(Verb::Pin, "pin", "pin", &[Key::Char('p')], "Accept the publishers present now")
@@ -370,6 +377,8 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::LocalTime, "local-time", "", &[], "Show local time beside UTC, or UTC only")
         .chord(&[Key::Char('z'), Key::Char('l')]),
     entry(Verb::Freeze, "freeze", "freeze", &[Key::Char('f')], "Freeze the view (capture continues)"),
+    entry(Verb::Incidents, "incidents", "", &[], "Incidents: what each holds; notes, closing, export")
+        .chord(&[Key::Char('z'), Key::Char('i')]),
     entry(Verb::Profile, "profile", "", &[], "Speak for another profile of this home"),
     entry(Verb::EndTour, "end-tour", "", &[Key::Char('E')], "Take the tour's strip away"),
     entry(Verb::Palette, "palette", "commands", &[Key::Char(':')], "Every command by name").unlisted(),

@@ -65,6 +65,11 @@ fn situations(add: &mut Situations<'_>) {
         robot.types("c");
         robot.site_answers(true);
     });
+    add("incident opened", Screen::Uploads, &|robot| {
+        robot.presses(Key::Down);
+        robot.types("I");
+        robot.site_answers(true);
+    });
     add("browse", Screen::Shared, &|robot| robot.types("b"));
     add("suspend asked", Screen::Chain, &|robot| {
         robot.types(":suspend");
@@ -198,6 +203,21 @@ fn every_popup() {
     let pages: Vec<String> =
         popups().iter().map(|(name, robot)| format!("{name}\n{}", shown(&robot.state, &night()))).collect();
     compare("popups", &pages.join("\n"));
+}
+
+#[test]
+fn incidents_at_every_size() {
+    let pages = SIZES.into_iter().chain([(200, 50)]).map(|size| {
+        let mut robot = at(Screen::Uploads, size);
+        robot.types("zi");
+        robot.site_answers(true);
+        let list = shown(&robot.state, &night());
+        robot.types("?");
+        let help = shown(&robot.state, &night());
+        robot.types("?n");
+        format!("{}x{}\n{list}\n{help}\n{}", size.0, size.1, shown(&robot.state, &night()))
+    });
+    compare("incidents", &pages.collect::<Vec<_>>().join("\n"));
 }
 
 #[test]

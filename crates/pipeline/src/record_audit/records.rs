@@ -2,6 +2,7 @@
 //! thread reads pages, and one thread per core checks them.
 
 use std::collections::HashMap;
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
@@ -165,9 +166,11 @@ fn feed(
             }
         };
         for piece in cut(looked) {
+            let count = piece.len() as u64;
             if pieces.send(piece).is_err() {
                 return Ok(());
             }
+            scope.looked_at.fetch_add(count, Ordering::Relaxed);
         }
     }
     Ok(())

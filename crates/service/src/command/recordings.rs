@@ -51,11 +51,11 @@ pub enum RecordingCommand {
     Import(ImportWishes),
     /// Write records that this profile may read as a recording.
     Export(ExportWishes),
-    /// The progress of the profile's imports and exports.
+    /// How far what the profile asked for is, where that takes long; needs no keyring.
     Progress,
 }
 
-/// The progress of the profile's imports and exports.
+/// How far the profile's imports, exports, audits, back-ups and adoptions are.
 #[derive(Debug, Clone, Copy)]
 pub struct RecordingProgress;
 

@@ -113,19 +113,26 @@ pub struct ExportView {
     pub topics: Vec<ExportedTopic>,
 }
 
-/// The progress of an import or export.
+/// How far work is that takes long: an import, an export, an audit, a back-up, going over to another chain.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProgressView {
-    /// Its stage: `hashing`, `importing`, `verifying`, `exporting`.
+    /// What it does now: `hashing`, `importing`, `verifying`, `exporting`, `auditing`, `writing`, or a step in words.
     pub step: String,
-    /// The file, cleaned.
+    /// The file, or what it is about, cleaned.
     pub file: String,
-    /// Bytes (import) or records (export) done.
+    /// Bytes (import, back-up), records (export, audit) or steps done.
     pub done: u64,
     /// Their total; 0 if unknown.
     pub of: u64,
-    /// Messages sealed or written.
+    /// Messages sealed or written, or so many of another unit.
     pub messages: u64,
+    /// What is counted there: `messages`, `records`, `files`; `steps` = the number of the present step.
+    #[serde(default = "messages")]
+    pub unit: String,
+}
+
+fn messages() -> String {
+    "messages".to_owned()
 }
 
 /// Answers about recordings.

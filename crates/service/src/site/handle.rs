@@ -8,7 +8,9 @@ use super::Site;
 use super::consoles::{Claims, opened_by, until_released};
 use crate::model::ProfileName;
 use crate::pipeline::Owner;
-use crate::service::command::{self as ask, Ask, Command, Operation, Request, StoreCommand};
+use crate::service::command::{
+    self as ask, Ask, Command, Operation, RecordingCommand, RecordingProgress, Request, StoreCommand,
+};
 use crate::service::reply::{Failure, Reply};
 
 impl Site {
@@ -86,6 +88,9 @@ impl Site {
             Command::StopCapture => {
                 self.capture.stop(&profile);
                 Ok(ask::StopCapture::told(()))
+            }
+            Command::Recording { with: RecordingCommand::Progress } => {
+                Ok(RecordingProgress::told(self.parts.runs.of(&profile)))
             }
             Command::Recording { with } => self.recordings.answer(&owner()?, with).await,
             Command::ListUploads(query) => self.reading.list_own(&profile, query).await.map(ask::ListUploads::told),
@@ -212,7 +217,7 @@ impl Site {
         match command {
             StoreCommand::AuditRecords { deep, since } => self
                 .audit
-                .records(self.connection.pin()?.is_some(), deep, since)
+                .records(profile, self.connection.pin()?.is_some(), deep, since)
                 .await
                 .map(Box::new)
                 .map(ask::AuditRecords::told),

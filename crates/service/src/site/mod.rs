@@ -24,6 +24,7 @@ mod lifetime;
 mod mirror;
 mod parts;
 mod pins;
+mod progress;
 mod quarantine;
 mod reading;
 mod recordings;

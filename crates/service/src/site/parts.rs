@@ -8,6 +8,7 @@ use super::audit::Log;
 use super::chain::link::Link;
 use super::identity::owners::Owners;
 use super::lifetime::Lifetime;
+use super::progress::Runs;
 use super::storage::room::open_ledger;
 use super::supervision::Supervisor;
 use crate::chain::check_embedded_chain;
@@ -36,6 +37,8 @@ pub(super) struct Parts {
     pub supervisor: Arc<Supervisor>,
     /// Sends transactions.
     pub sender: Arc<Sender>,
+    /// Work that takes long.
+    pub runs: Runs,
 }
 
 /// Receives each owner as it is opened.
@@ -67,6 +70,7 @@ impl Parts {
             plant,
             hub,
             life,
+            runs: Runs::default(),
         };
         Ok((parts, opened, copied))
     }

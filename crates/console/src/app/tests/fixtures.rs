@@ -5,12 +5,13 @@ use crate::model::{
     SignerId, Timestamp, Token, Verdict,
 };
 use crate::pipeline::sender::{LaneState, PauseReason};
-use crate::service::command::RecordingCommand;
+use crate::service::command::{IncidentCommand, RecordingCommand};
 use crate::service::reply::{
     AdministrationView, AlarmView, AlertView, AuditView, ChainView, ContactRow, Direction, EpochView, GasView,
-    GatewayStatusView, GatewayView, GrantRow, GrantState, HealthLevel, IdentityView, KeysView, LifeLine, OpenedView,
-    PartHealth, PinView, PinsView, Provenance, QueueView, RecordPage, RecordView, RecordingReply, RefusedView,
-    SenderView, Severity, ShownState, SiteView, SystemKeyView, TopicRow, TransactionView,
+    GatewayStatusView, GatewayView, GrantRow, GrantState, HealthLevel, IdentityView, IncidentNoteView, IncidentView,
+    KeysView, LifeLine, OpenedView, PartHealth, PinView, PinsView, Provenance, QueueView, RecordPage, RecordView,
+    RecordingReply, RefusedView, SenderView, Severity, ShownState, SiteView, SpanCoverageView, SystemKeyView, TopicRow,
+    TransactionView,
 };
 use crate::service::{Command, Failure, Operation, Reply, UploadQuery};
 use authros_chain::Sealing;
@@ -38,6 +39,9 @@ pub fn reply(command: &Command, exists: bool) -> Reply {
         Command::ListAudit(_) => Reply::Audit(audit()),
         Command::Recording { with: RecordingCommand::Progress } => {
             Reply::Recording(RecordingReply::Progress(Vec::new()))
+        }
+        Command::OfIncident(IncidentCommand::ListIncidents) => {
+            Reply::Incidents(vec![incident("crash-1114", true), incident("bump", false)])
         }
         Command::Operate(Operation::GatewayStatus) => Reply::GatewayStatus(gateway()),
         Command::Operate(Operation::Lock) => Reply::Identity(identity(exists, false, exists)),
@@ -211,6 +215,44 @@ pub fn contact(name: &str) -> ContactRow {
         given: false,
         registered: None,
         state: "not noted".to_owned(),
+    }
+}
+
+/// An incident of the ten minutes before, with one topic that has records and one of which nothing is there.
+pub fn incident(name: &str, open: bool) -> IncidentView {
+    let since = Timestamp::from_seconds(NOW.seconds() - 600);
+    let some = SpanCoverageView {
+        topic: "/robot1/odom".to_owned(),
+        records: 1_234,
+        bytes: 898_352,
+        first: Some(since),
+        last: Some(Timestamp::from_seconds(NOW.seconds() - 1)),
+        deleted: 4,
+        quarantined: 2,
+        lost: 3,
+    };
+    let none = SpanCoverageView {
+        topic: "/robot1/odm".to_owned(),
+        records: 0,
+        bytes: 0,
+        first: None,
+        last: None,
+        deleted: 0,
+        quarantined: 0,
+        lost: 0,
+    };
+    IncidentView {
+        name: name.parse().expect("a name"),
+        open,
+        since,
+        until: (!open).then_some(NOW),
+        opened_at: NOW,
+        closed_at: (!open).then_some(NOW),
+        topics: vec![some.topic.clone(), none.topic.clone()],
+        notes: vec![IncidentNoteView { at: NOW, text: "hit the wall at bay 3".to_owned() }],
+        records: some.records,
+        bytes: some.bytes,
+        coverage: vec![none, some],
     }
 }
 

@@ -9,6 +9,7 @@ mod fleet;
 mod freezing;
 mod granting;
 mod helping;
+mod incidents;
 mod keys;
 mod leaving;
 mod logging;

@@ -17,6 +17,8 @@ const DESCRIBED: &[(&str, &[&str])] = &[
     ("0x and 40 hex", &["0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed"]),
     ("or a name of the address book", &["harbour-office"]),
     ("or a contact's name", &["harbour-office"]),
+    ("what happened", &["hit the wall"]),
+    ("what is known now", &["the bumper was off"]),
     ("topic names", &["/robot1/odom", "/robot1/odom /robot2/camera", "/robot1/odom,/robot2/camera"]),
     ("caller id", &["/driver"]),
     ("name of a profile of this home", &["bob"]),
@@ -55,7 +57,9 @@ fn purposes() -> Vec<Purpose> {
         P::LoadKey => Some(P::ExportKey),
         P::ExportKey => Some(P::Unpin),
         P::Unpin => Some(P::AddContact),
-        P::AddContact => Some(P::Profile),
+        P::AddContact => Some(P::OpenIncident),
+        P::OpenIncident => Some(P::NoteIncident),
+        P::NoteIncident => Some(P::Profile),
         P::Profile => Some(P::Administer(Act::Admit)),
         P::Administer(Act::Admit) => Some(P::Administer(Act::Suspend)),
         P::Administer(Act::Suspend) => Some(P::Administer(Act::Restore)),
@@ -93,6 +97,8 @@ fn asked(purpose: Purpose) -> Robot {
         Purpose::Grant => opens(Verb::Grant, "5"),
         Purpose::Extend => opens(Verb::Extend, "5"),
         Purpose::AddContact => opens(Verb::Contacts, "5"),
+        Purpose::OpenIncident => opens(Verb::Incident, "2"),
+        Purpose::NoteIncident => opens(Verb::Incidents, "3"),
         Purpose::Profile => opens(Verb::Profile, "1"),
         Purpose::LoadKey => opens(Verb::LoadKey, "6"),
         Purpose::ExportKey => opens(Verb::ExportKey, "6"),
@@ -115,8 +121,14 @@ fn asked(purpose: Purpose) -> Robot {
     }
     let effects = perform(&mut robot.state, verb);
     robot.note(effects);
-    if purpose == Purpose::AddContact {
-        robot.types("n");
+    match purpose {
+        Purpose::AddContact => robot.types("n"),
+        Purpose::NoteIncident => {
+            let rows = vec![fixtures::incident("bump", true)];
+            robot.state.incidents.set(rows, fixtures::NOW);
+            robot.types("a");
+        }
+        _ => {}
     }
     let opened = matches!(robot.state.popups.last(), Some(Popup::Form(open, _)) if *open == purpose);
     assert!(opened, "{purpose:?}: {}", robot.message());

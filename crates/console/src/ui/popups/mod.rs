@@ -5,6 +5,7 @@ mod chord;
 mod contacts;
 mod form;
 mod help;
+mod incidents;
 mod lookup;
 mod palette;
 mod record;
@@ -42,6 +43,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
         Popup::Tasks => situation::draw_tasks(canvas, area, state),
         Popup::Browse(browse) => browse::draw(canvas, area, state, browse),
         Popup::Contacts(book) => contacts::draw(canvas, area, state, book),
+        Popup::Incidents(list) => incidents::draw(canvas, area, state, list),
         Popup::Quit(leaving) => draw_quit(canvas, area, state, *leaving),
     }
 }

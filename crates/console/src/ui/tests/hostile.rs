@@ -47,6 +47,11 @@ fn infect(robot: &mut Robot, text: &str) {
     robot.state.topics.rows = vec![topic(text), topic("/robot1/odom")];
     robot.state.uploads.rows = vec![record(text)];
     robot.state.shared.rows = vec![record(text)];
+    let mut incident = fixtures::incident("bump", true);
+    incident.topics = vec![text.to_owned()];
+    incident.notes.iter_mut().for_each(|note| text.clone_into(&mut note.text));
+    incident.coverage.iter_mut().for_each(|one| text.clone_into(&mut one.topic));
+    robot.state.incidents.set(vec![incident], fixtures::NOW);
     let grant = fixtures::grant("given", fixtures::OTHER, "active", 1);
     robot.state.grants.rows = vec![GrantRow { topics: vec![text.to_owned()], ..grant }];
     robot.state.log.notice(fixtures::NOW, NoticeLevel::Error, text);
@@ -79,6 +84,9 @@ fn open_everything(robot: &mut Robot, text: &str) {
         assert_harmless(robot);
         robot.presses(Key::Escape);
     }
+    robot.types("3zi");
+    assert_harmless(robot);
+    robot.types("q");
     robot.types("2wg");
     assert_harmless(robot);
     robot.pastes(text);

@@ -23,6 +23,7 @@ use super::chain::link::Link;
 use super::identity::owners::Owners;
 use super::lifetime::Lifetime;
 use super::parts::Parts;
+use super::progress::Runs;
 use crate::config::Config;
 use crate::model::{Address, Timestamp, clean};
 use crate::pipeline::reader::Reader;
@@ -48,6 +49,7 @@ pub(super) struct Audit {
     owners: Arc<Owners>,
     link: Arc<Link>,
     life: Arc<Lifetime>,
+    runs: Runs,
     /// Space for a revoke on a full disk.
     reserve: Arc<Reserve>,
     /// When the numbers of an owner's topics were last looked at.
@@ -57,9 +59,9 @@ pub(super) struct Audit {
 impl Audit {
     /// From the shared parts, and the space set aside for a revoke.
     pub fn new(parts: &Parts, reserve: &Arc<Reserve>) -> Self {
-        let Parts { config, plant, hub, log, owners, link, life, .. } = parts.clone();
+        let Parts { config, plant, hub, log, owners, link, life, runs, .. } = parts.clone();
         let (reserve, seen) = (Arc::clone(reserve), Mutex::default());
-        Self { config, plant, hub, log, owners, link, life, reserve, seen }
+        Self { config, plant, hub, log, owners, link, life, runs, reserve, seen }
     }
 
     /// Writes the counters, anchors the heads of the log and of the recorder, sets a lost reserve aside again; until

@@ -7,7 +7,7 @@ use tokio::runtime::Handle;
 
 use super::Audit;
 
-use crate::model::Timestamp;
+use crate::model::{ProfileName, Timestamp};
 use crate::pipeline::record_audit::{self, RecordAudit, Scope, scrub_round};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
@@ -19,18 +19,23 @@ const SHARE_EVERY: Duration = Duration::from_secs(5);
 const MOST_AT_ONCE: usize = 256;
 
 impl Audit {
-    /// Audits all records of the home.
+    /// Audits all records of the home, for a profile that asks how far it is.
     pub(in crate::site) async fn records(
         self: &Arc<Self>,
+        profile: &ProfileName,
         is_pinned: bool,
         deep: bool,
         since: Option<Timestamp>,
     ) -> Result<RecordAudit, Failure> {
         let network = if is_pinned { Some(self.link.network().await) } else { None };
         let runtime = Handle::current();
+        let running = self.runs.begin_counted(profile, "this home", "auditing", "records");
         blocking(self, move |audit| {
             let indices = audit.owners.all().into_iter().map(|owner| (owner.address, owner.index())).collect();
-            let scope = Scope { deep, since: since.unwrap_or_default(), accounts: audit.owners.accounts(), indices };
+            // How many are younger is known when they are read.
+            running.run.expect(if since.is_none() { audit.plant.ledger.size()? } else { 0 });
+            let (since, looked_at) = (since.unwrap_or_default(), running.run.counter());
+            let scope = Scope { deep, since, accounts: audit.owners.accounts(), indices, looked_at };
             let chain = network.as_ref().map(|network| network.as_ref().map_err(|failure| failure.message.clone()));
             Ok(record_audit::audit(&audit.plant, chain, audit.log.lines(), &scope, &runtime)?)
         })

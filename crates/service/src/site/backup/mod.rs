@@ -9,9 +9,10 @@ use crate::pipeline::Plant;
 use crate::site::audit::Log;
 use crate::site::chain::link::Link;
 use crate::site::parts::Parts;
+use crate::site::progress::{Run, Runs};
 use crate::site::quarantine::Quarantine;
 use std::fs::{self, File};
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -44,13 +45,14 @@ pub(in crate::site) struct Backup {
     log: Arc<Log>,
     link: Arc<Link>,
     quarantine: Arc<Quarantine>,
+    runs: Runs,
 }
 
 impl Backup {
     /// From the shared parts.
     pub fn new(parts: &Parts, quarantine: &Arc<Quarantine>) -> Self {
-        let Parts { home, config, plant, log, link, .. } = parts.clone();
-        Self { home, config, plant, log, link, quarantine: Arc::clone(quarantine) }
+        let Parts { home, config, plant, log, link, runs, .. } = parts.clone();
+        Self { home, config, plant, log, link, quarantine: Arc::clone(quarantine), runs }
     }
 }
 
@@ -72,13 +74,14 @@ impl Backup {
         if fs::symlink_metadata(&file).is_ok() {
             return Err(input(format!("{shown} exists; name a new file, no back-up is written over another")));
         }
+        let running = self.runs.begin(profile, &shown, "copying into", "files");
         self.log.write(profile, "back up", &shown, "begun").await?;
         let runtime = Handle::current();
         // Work that deletes ciphertext before the ledger records it waits until the moment is taken.
         let quiet = self.quarantine.quiet().await;
         let moment = blocking(self, move |backup| backup.moment(&runtime)).await?;
         drop(quiet);
-        let written = blocking(self, move |backup| backup.pack(&moment, &file, &passphrase)).await;
+        let written = blocking(self, move |backup| backup.pack(&moment, &file, &passphrase, &running.run)).await;
         let outcome = if written.is_ok() { "done" } else { "failed" };
         self.log.write(profile, "back up", &shown, outcome).await?;
         written
@@ -103,7 +106,15 @@ impl Backup {
         Ok(Moment { folder, ledger, vault, chain })
     }
 
-    fn pack(&self, moment: &Moment, file: &Path, passphrase: &Passphrase) -> Result<BackupView, Failure> {
+    /// About so many bytes are to be written: the databases are nearly all of a home.
+    fn expected(&self, moment: &Moment) -> u64 {
+        let vault = moment.vault.as_ref().map(|_| self.home.vault().join("vault.db"));
+        let chain = moment.chain.then(|| moment.folder.path().join("chain.db"));
+        let all = [Some(self.home.ledger()), vault, chain].into_iter().flatten();
+        all.filter_map(|path| fs::metadata(path).ok()).map(|about| about.len()).sum()
+    }
+
+    fn pack(&self, moment: &Moment, file: &Path, passphrase: &Passphrase, run: &Run) -> Result<BackupView, Failure> {
         let directory = file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let failed = |error: io::Error| unwritten(file, &error);
         let target = tempfile::Builder::new()
@@ -120,17 +131,20 @@ impl Backup {
         };
         let mut sealed = SealedWriter::new(io::BufWriter::new(target), passphrase).map_err(failed)?;
         let copy = moment.folder.path().join("copy.db");
+        run.expect(self.expected(moment));
         for (name, snapshot) in [(LEDGER, Some(&moment.ledger)), (VAULT, moment.vault.as_ref())] {
             let Some(snapshot) = snapshot else { continue };
+            run.step("copying into");
             snapshot.copy_to(&copy)?;
-            add(&mut sealed, name, &copy, &mut view).map_err(failed)?;
+            run.step("writing");
+            add(&mut sealed, name, &copy, &mut view, run).map_err(failed)?;
             fs::remove_file(&copy).map_err(failed)?;
         }
         if moment.chain {
-            add(&mut sealed, CHAIN, &moment.folder.path().join("chain.db"), &mut view).map_err(failed)?;
+            add(&mut sealed, CHAIN, &moment.folder.path().join("chain.db"), &mut view, run).map_err(failed)?;
         }
         // After the ledger: the keyring must have the keys of every epoch that the ledger names.
-        let mut small = Small { sealed: &mut sealed, view: &mut view };
+        let mut small = Small { sealed: &mut sealed, view: &mut view, run };
         small.directory("", self.home.root()).map_err(failed)?;
         for (name, path) in self.home.outside() {
             small.outside(name, path).map_err(failed)?;
@@ -151,6 +165,7 @@ impl Backup {
 struct Small<'a, W> {
     sealed: &'a mut W,
     view: &'a mut BackupView,
+    run: &'a Run,
 }
 
 impl<W: Write> Small<'_, W> {
@@ -173,7 +188,7 @@ impl<W: Write> Small<'_, W> {
         if kind.is_dir() {
             self.directory(name, path)
         } else if kind.is_file() && archive::is_plain(name) {
-            add(self.sealed, name, path, self.view)
+            add(self.sealed, name, path, self.view, self.run)
         } else {
             self.view.notes.push(format!("{} is no plain file and is left out", clean(name, 100)));
             Ok(())
@@ -214,10 +229,25 @@ fn copy_chain(chain: Option<Chain>, runtime: &Handle, closed: &Path, copy: PathB
     Ok(true)
 }
 
-fn add(sealed: &mut impl Write, name: &str, path: &Path, view: &mut BackupView) -> io::Result<()> {
-    let mut file = File::open(path)?;
+/// A file whose reading is told.
+struct Told<'a> {
+    file: File,
+    run: &'a Run,
+}
+
+impl Read for Told<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.file.read(buffer)?;
+        self.run.more(count as u64);
+        Ok(count)
+    }
+}
+
+fn add(sealed: &mut impl Write, name: &str, path: &Path, view: &mut BackupView, run: &Run) -> io::Result<()> {
+    let file = File::open(path)?;
     let length = file.metadata()?.len();
-    archive::put(sealed, name, length, &mut file)?;
+    archive::put(sealed, name, length, &mut Told { file, run })?;
+    run.one_more();
     view.files += 1;
     view.bytes += length;
     Ok(())

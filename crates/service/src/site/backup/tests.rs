@@ -70,8 +70,11 @@ async fn the_moment_waits_for_what_deletes_ciphertext() {
             break;
         }
     }
+    let told = ground.parts.runs.of(&profile("alice"));
+    assert_eq!((told.len(), told[0].step.as_str(), told[0].messages), (1, "copying into", 0));
     assert!(!file.exists());
     drop(quiet);
     running.await.expect("written now");
+    assert!(ground.parts.runs.of(&profile("alice")).is_empty(), "it ended");
     assert!(file.exists());
 }

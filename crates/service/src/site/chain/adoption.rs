@@ -13,6 +13,7 @@ use crate::site::identity::Profiles;
 use crate::site::identity::owners::Owners;
 use crate::site::mirror::remote::Remote;
 use crate::site::parts::Parts;
+use crate::site::progress::Runs;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -39,7 +40,10 @@ const QUIET: usize = 5;
 /// The most contracts deployed until one has an address that is not taken.
 const DEPLOYMENTS: usize = 4;
 
-/// Moving to another chain or contract.
+/// In so many steps another chain is gone over to.
+const STEPS: u64 = 6;
+
+/// Going over to another chain or contract.
 pub(in crate::site) struct Adoption {
     home: Home,
     config: Arc<Config>,
@@ -52,6 +56,7 @@ pub(in crate::site) struct Adoption {
     connection: Arc<Connection>,
     profiles: Arc<Profiles>,
     remote: Option<Arc<Remote>>,
+    runs: Runs,
 }
 
 impl Adoption {
@@ -63,7 +68,7 @@ impl Adoption {
         profiles: &Arc<Profiles>,
         remote: Option<Arc<Remote>>,
     ) -> Self {
-        let Parts { home, config, plant, hub, log, owners, link, .. } = parts.clone();
+        let Parts { home, config, plant, hub, log, owners, link, runs, .. } = parts.clone();
         Self {
             home,
             config,
@@ -76,6 +81,7 @@ impl Adoption {
             connection: Arc::clone(connection),
             profiles: Arc::clone(profiles),
             remote,
+            runs,
         }
     }
 }
@@ -84,6 +90,9 @@ impl Adoption {
     /// Pins the chain that answers now, with its contract (deployed if there is none), registers the owner there, and
     /// anchors the owner's adoption record before anything else.
     pub(in crate::site) async fn adopt(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<TransactionView, Failure> {
+        let running = self.runs.begin(&owner.profile, "chain adopt", "reaching the chain", "steps");
+        running.run.expect(STEPS);
+        running.run.stage(1, "reaching the chain");
         // Until the first attempt to connect has ended, which needs the lock as well.
         let known = self.link.network().await;
         let left = {
@@ -94,11 +103,14 @@ impl Adoption {
                 Some(network) => network.chain.apart(),
                 None => self.chain_there().await?,
             };
+            running.run.stage(2, "finding the contract, or deploying one");
             let pin = self.contract_there(&chain, owner, &pinned).await?;
+            running.run.stage(3, "waiting for transactions on their way to the earlier contract");
             let moved = match &outgrown {
                 Some(network) => self.come_to_rest(network).await,
                 None => Ok(()),
             };
+            running.run.stage(4, "writing down what stays where it is and what is anchored anew");
             let left = match moved {
                 Ok(()) => self.leave(&chain, pinned, &pin).await,
                 Err(failure) => Err(failure),
@@ -113,6 +125,7 @@ impl Adoption {
             left
         };
         self.hub.changed(Part::Uploads);
+        running.run.stage(5, "registering the profiles");
         self.profiles.register(owner).await?;
         for other in self.owners.all().iter().filter(|other| !Arc::ptr_eq(other, owner)) {
             if let Err(failure) = self.profiles.register(other).await {
@@ -122,6 +135,7 @@ impl Adoption {
             }
         }
         let network = self.link.network().await?;
+        running.run.stage(6, "waiting until the adoption record is in a block");
         self.wait_for_word(owner, &network).await?;
         self.log.write(&owner.profile, "adopt chain", &network.domain.to_string(), "done").await?;
         let (kept, anew) = (left.kept, left.anew);

@@ -67,7 +67,7 @@ impl Recordings {
         let network = self.link.network().await?;
         self.sealer.begin()?;
         let file = clean(&wishes.path.display().to_string(), 300);
-        if self.is_running(&owner.profile, &file) {
+        if self.runs.has(&owner.profile, &file) {
             return Err(refused(format!("{file} is being imported already; wait for that to end")));
         }
         self.log.begin(owner, "import recording", &file).await?;

@@ -19,63 +19,15 @@ use crate::site::identity::Profiles;
 use crate::site::lifetime::Lifetime;
 use crate::site::mirror::Joined;
 use crate::site::parts::Parts;
+use crate::site::progress::{Run, Running, Runs};
 use crate::site::reading::Reading;
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
-use crate::model::{ProfileName, clean};
+use crate::model::ProfileName;
 use crate::pipeline::Owner;
 use crate::service::command::{Ask, ExportWishes, ImportWishes, RecordingCommand, RecordingProgress};
-use crate::service::reply::{Failure, ProgressView, Reply};
-
-/// A running import or export.
-pub(super) struct Run {
-    profile: ProfileName,
-    file: String,
-    step: Mutex<&'static str>,
-    done: AtomicU64,
-    of: AtomicU64,
-    messages: AtomicU64,
-}
-
-impl Run {
-    fn step(&self, word: &'static str) {
-        *self.step.lock().unwrap_or_else(PoisonError::into_inner) = word;
-    }
-
-    fn at(&self, done: u64, of: u64, messages: u64) {
-        self.done.store(done, Ordering::Relaxed);
-        self.of.store(of, Ordering::Relaxed);
-        self.messages.store(messages, Ordering::Relaxed);
-    }
-
-    fn view(&self) -> ProgressView {
-        ProgressView {
-            step: (*self.step.lock().unwrap_or_else(PoisonError::into_inner)).to_owned(),
-            file: self.file.clone(),
-            done: self.done.load(Ordering::Relaxed),
-            of: self.of.load(Ordering::Relaxed),
-            messages: self.messages.load(Ordering::Relaxed),
-        }
-    }
-}
-
-/// All runs at present.
-pub(super) type Runs = Mutex<Vec<Arc<Run>>>;
-
-/// Removes a run from the list when it ends, however it ends.
-struct Running<'a> {
-    recordings: &'a Recordings,
-    run: Arc<Run>,
-}
-
-impl Drop for Running<'_> {
-    fn drop(&mut self) {
-        let mut runs = self.recordings.runs.lock().unwrap_or_else(PoisonError::into_inner);
-        runs.retain(|run| !Arc::ptr_eq(run, &self.run));
-    }
-}
+use crate::service::reply::{Failure, Reply};
 
 /// Imports and exports of recordings.
 pub(in crate::site) struct Recordings {
@@ -110,7 +62,7 @@ impl Recordings {
     /// From the shared parts.
     pub fn new(parts: &Parts, asked: &Asked<'_>) -> Self {
         let Asked { contacts, reading, capture, profiles, joined, sealer, rings } = asked;
-        let Parts { config, plant, hub, log, link, life, .. } = parts.clone();
+        let Parts { config, plant, hub, log, link, life, runs, .. } = parts.clone();
         Self {
             config,
             plant,
@@ -125,29 +77,14 @@ impl Recordings {
             joined: Arc::clone(joined),
             sealer: Arc::clone(sealer),
             rings: Arc::clone(rings),
-            runs: Runs::default(),
+            runs,
         }
     }
 }
 
 impl Recordings {
-    fn begin_run(&self, profile: &ProfileName, path: &Path, step: &'static str) -> Running<'_> {
-        let run = Arc::new(Run {
-            profile: profile.clone(),
-            file: clean(&path.display().to_string(), 300),
-            step: Mutex::new(step),
-            done: AtomicU64::new(0),
-            of: AtomicU64::new(0),
-            messages: AtomicU64::new(0),
-        });
-        self.runs.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::clone(&run));
-        Running { recordings: self, run }
-    }
-
-    /// Whether this file is being read or written for the profile.
-    fn is_running(&self, profile: &ProfileName, file: &str) -> bool {
-        let runs = self.runs.lock().unwrap_or_else(PoisonError::into_inner);
-        runs.iter().any(|run| run.profile == *profile && run.file == file)
+    fn begin_run(&self, profile: &ProfileName, path: &Path, step: &'static str) -> Running {
+        self.runs.begin(profile, &path.display().to_string(), step, "messages")
     }
 
     /// Answers a command about recordings.
@@ -162,11 +99,7 @@ impl Recordings {
                 self.joined.caught_up(&owner.profile).await?;
                 self.export_recording(owner, wishes).await.map(ExportWishes::told)
             }
-            RecordingCommand::Progress => {
-                let runs = self.runs.lock().unwrap_or_else(PoisonError::into_inner);
-                let own = runs.iter().filter(|run| run.profile == owner.profile);
-                Ok(RecordingProgress::told(own.map(|run| run.view()).collect()))
-            }
+            RecordingCommand::Progress => Ok(RecordingProgress::told(self.runs.of(&owner.profile))),
         }
     }
 }

@@ -1,0 +1,422 @@
+//! Incidents on screen: opened from the row under the cursor, noted, closed, removed; what each holds.
+
+use super::action::{Effect, Errand, Tag};
+use super::cursor;
+use super::feed::Feed;
+use super::field::Field;
+use super::form::{Form, Line};
+use super::forms::ALL_TOPICS;
+use super::granting;
+use super::key::Key;
+use super::perform::{copy, go};
+use super::popup::{Confirm, Popup, Purpose};
+use super::screen::Screen;
+use super::screens::grants::day;
+use super::state::State;
+use crate::model::{IncidentName, Timestamp, TopicName};
+use crate::service::Command;
+use crate::service::command::filter::past;
+use crate::service::command::{CloseIncident, IncidentCommand, NoteIncident, OpenIncident, RemoveIncident};
+use crate::service::reply::IncidentView;
+
+/// How much before and after a record is kept with it, seconds.
+const AROUND: u64 = 600;
+/// The same before now, as it is written.
+const BEFORE_NOW: &str = "10m";
+/// How often it is asked again what those on screen hold, nanoseconds: nothing tells of it.
+const ASKED_EVERY: u64 = 10_000_000_000;
+/// The most characters of topics that a line of a form takes.
+const LONGEST_TOPICS: usize = 200;
+/// The line of the topics.
+const TOPICS: usize = 3;
+
+/// What is done to an incident.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Deed {
+    /// A new one.
+    Open,
+    /// Another note.
+    Note,
+    /// Its span ends.
+    Close,
+    /// It is forgotten.
+    Remove,
+}
+
+impl Deed {
+    /// What is under way, in words.
+    pub fn words(self, name: &IncidentName) -> String {
+        match self {
+            Self::Open => format!("opening incident {name}"),
+            Self::Note => format!("adding a note to incident {name}"),
+            Self::Close => format!("closing incident {name}"),
+            Self::Remove => format!("removing incident {name}"),
+        }
+    }
+
+    /// Why it cannot be taken back; `None` = removing takes it back.
+    pub fn stays(self) -> Option<&'static str> {
+        match self {
+            Self::Open => None,
+            Self::Note => Some("a note stays with its incident"),
+            Self::Close => Some("the span has ended; I opens another incident from there on"),
+            Self::Remove => Some("what it held may be deleted by now; I keeps again what is left"),
+        }
+    }
+}
+
+/// What is known of the profile's incidents.
+#[derive(Debug, Clone, Default)]
+pub struct Incidents {
+    /// In the order of the site.
+    pub rows: Vec<IncidentView>,
+    /// When that was told.
+    told_at: Timestamp,
+}
+
+impl Incidents {
+    /// Takes all of them over.
+    pub fn set(&mut self, rows: Vec<IncidentView>, now: Timestamp) {
+        (self.rows, self.told_at) = (rows, now);
+    }
+
+    /// Takes one over.
+    pub fn put(&mut self, view: IncidentView) {
+        match self.rows.iter_mut().find(|row| row.name == view.name) {
+            Some(row) => *row = view,
+            None => self.rows.push(view),
+        }
+    }
+}
+
+/// The list, with its cursor.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct IncidentList {
+    /// Which line.
+    pub selected: usize,
+    /// First line shown of what the incident under the cursor holds.
+    pub scroll: usize,
+}
+
+impl IncidentList {
+    /// The incident under the cursor.
+    pub fn chosen<'a>(&self, state: &'a State) -> Option<&'a IncidentView> {
+        let rows = &state.incidents.rows;
+        rows.get(self.selected.min(rows.len().saturating_sub(1)))
+    }
+}
+
+/// Opens the list.
+pub fn open(state: &mut State) {
+    state.feeds.slot_mut(Feed::Incidents).stale = true;
+    state.popups.push(Popup::Incidents(IncidentList::default()));
+}
+
+/// When it is asked again what the incidents on screen hold.
+pub fn asked_at(state: &State) -> Option<Timestamp> {
+    let seen = matches!(state.popups.last(), Some(Popup::Incidents(_))) && !state.is_frozen();
+    let goes_on = state.incidents.rows.iter().any(|row| row.open);
+    (seen && goes_on).then(|| Timestamp(state.incidents.told_at.0.saturating_add(ASKED_EVERY)))
+}
+
+/// Asks again when it is time.
+pub fn tick(state: &mut State) {
+    if asked_at(state).is_some_and(|at| at <= state.now) {
+        state.feeds.slot_mut(Feed::Incidents).stale = true;
+    }
+}
+
+/// What can be done here: key, the word of the bar, the sentence of the help.
+fn possible(state: &State, list: &IncidentList) -> Vec<[&'static str; 3]> {
+    let chosen = list.chosen(state);
+    let changes = !state.settings.read_only;
+    let (one, open) = (chosen.is_some(), chosen.is_some_and(|row| row.open));
+    let all = [
+        (["n", "new", "Open an incident, filled from the row below this window"], changes),
+        (["enter", "records", "Show its records: Uploads, narrowed to this incident"], one),
+        (["a", "note", "Add a note; notes stand in the bundles exported of it"], changes && one),
+        (["c", "close", "End its span now; what is in it stays held"], changes && open),
+        (["x", "remove", "Forget it: retention may then delete what only it held"], changes && one),
+        (["y", "copy command", "Copy the command line that shows the same"], one),
+        (["e", "copy export", "Copy the command line that exports it as one bundle of evidence"], one),
+        (["q", "back", "Back to the list"], true),
+        (["pgup pgdn", "scroll", "Scroll what the incident holds"], one),
+    ];
+    all.into_iter().filter(|(_, possible)| *possible).map(|(told, _)| told).collect()
+}
+
+/// The keys, for the bar.
+pub fn hints(state: &State, list: &IncidentList) -> Vec<(&'static str, &'static str)> {
+    possible(state, list).into_iter().map(|[key, word, _]| (key, word)).collect()
+}
+
+/// The keys, for the help of the window.
+pub fn explained(state: &State, list: &IncidentList) -> Vec<(&'static str, &'static str)> {
+    possible(state, list).into_iter().map(|[key, _, sentence]| (key, sentence)).collect()
+}
+
+/// A key while the list is open.
+pub fn key(state: &mut State, mut list: IncidentList, key: Key) -> Vec<Effect> {
+    let last = state.incidents.rows.len().saturating_sub(1);
+    let before = list.selected.min(last);
+    match key {
+        Key::Escape | Key::Char('q') => return Vec::new(),
+        Key::Up | Key::Char('k') => list.selected = before.saturating_sub(1),
+        Key::Down | Key::Char('j') => list.selected = (before + 1).min(last),
+        Key::Home => list.selected = 0,
+        Key::End | Key::Char('G') => list.selected = last,
+        Key::PageUp => list.scroll = list.scroll.saturating_sub(state.page_rows() / 2),
+        Key::PageDown | Key::Char(' ') => {
+            let most = list.chosen(state).map_or(0, |row| row.coverage.len() * 3 + row.notes.len() * 4);
+            list.scroll = (list.scroll + state.page_rows() / 2).min(most);
+        }
+        _ => {}
+    }
+    if list.selected != before {
+        list.scroll = 0;
+    }
+    let chosen = list.chosen(state).cloned();
+    if let (Key::Enter, Some(row)) = (key, &chosen) {
+        show_records(state, &row.name);
+        return Vec::new();
+    }
+    state.popups.push(Popup::Incidents(list));
+    let changes = !state.settings.read_only;
+    match (key, chosen) {
+        (Key::Char('n'), _) if changes => begin(state),
+        (Key::Char('a'), Some(row)) if changes => {
+            state.popups.push(Popup::Form(Purpose::NoteIncident, note_form(&row.name)));
+        }
+        (Key::Char('c'), Some(row)) if changes && row.open => state.popups.push(Popup::Confirm(closing(state, &row))),
+        (Key::Char('x'), Some(row)) if changes => state.popups.push(Popup::Confirm(removal(&row))),
+        (Key::Char('y'), Some(row)) => {
+            let line = granting::command_line(state, &format!("incident show {}", row.name));
+            return vec![copy(state, line)];
+        }
+        (Key::Char('e'), Some(row)) => {
+            let words = format!("evidence export {0}.authros --incident {0}", row.name);
+            let line = granting::command_line(state, &words);
+            return vec![copy(state, line)];
+        }
+        _ => {}
+    }
+    Vec::new()
+}
+
+/// Uploads, narrowed to what is in it.
+fn show_records(state: &mut State, name: &IncidentName) {
+    go(state, Screen::Uploads);
+    state.uploads.table.filter = Field::with(&format!("incident:{name}"));
+    state.uploads.table.filtering = false;
+    cursor::restart_records(state);
+}
+
+/// What the row under the cursor, or the marked ones, say of an incident.
+struct Around {
+    since: String,
+    until: String,
+    topics: Vec<String>,
+    at: Timestamp,
+}
+
+fn around(state: &State) -> Around {
+    let now = Around { since: BEFORE_NOW.to_owned(), until: String::new(), topics: Vec::new(), at: state.now };
+    match state.screen {
+        Screen::Topics => {
+            Around { topics: state.topics.targets().into_iter().map(|row| row.topic.clone()).collect(), ..now }
+        }
+        Screen::Uploads => {
+            let marks = &state.uploads.table.marks;
+            let key = state.row_key();
+            let is_it = |id: &String| if marks.is_empty() { Some(id) == key.as_ref() } else { marks.contains(id) };
+            let rows: Vec<_> = state.uploads.rows.iter().filter(|row| is_it(&row.id)).collect();
+            let times = || rows.iter().map(|row| row.captured_at);
+            let (Some(first), Some(last)) = (times().min(), times().max()) else { return now };
+            let until = Timestamp::from_seconds(last.seconds().saturating_add(AROUND));
+            let mut topics: Vec<String> = rows.iter().map(|row| row.topic.clone()).collect();
+            topics.sort();
+            topics.dedup();
+            Around {
+                since: Timestamp::from_seconds(first.seconds().saturating_sub(AROUND)).to_string(),
+                // What is younger goes on.
+                until: if until <= state.now { until.to_string() } else { String::new() },
+                topics,
+                at: first,
+            }
+        }
+        Screen::Overview
+        | Screen::Shared
+        | Screen::Grants
+        | Screen::Keys
+        | Screen::Chain
+        | Screen::Gateway
+        | Screen::Log => now,
+    }
+}
+
+/// Asks for a new incident, filled from the row under the cursor; marked rows go before it.
+pub fn begin(state: &mut State) {
+    let form = form(&around(state));
+    state.feeds.slot_mut(Feed::Incidents).stale = true;
+    state.popups.push(Popup::Form(Purpose::OpenIncident, form));
+}
+
+fn form(around: &Around) -> Form {
+    let (topics, left) = fitting(&around.topics);
+    let lines = vec![
+        Line::text("Name", "as crash-1114", Field::offering(&suggested(&around.topics, around.at))),
+        Line::text("From", "10m, 2h, 2023-05-31, 2023-05-31T08:30:00Z", Field::offering(&around.since)),
+        Line::text("To", "empty = when it is closed; 5m, 2036-12-31", Field::offering(&around.until)),
+        Line::text("Topics", "topic names; empty = all", Field::offering(&topics)),
+        Line::text("Note", "what happened", Field::default()),
+    ];
+    let mut notes = vec!["Keeps what was recorded in this time: retention leaves it alone.".to_owned()];
+    if left > 0 {
+        notes.push(format!("{left} more topics do not fit here; authros incident open takes them."));
+    }
+    Form::new("New incident", notes, lines)
+}
+
+/// Whole names only, and how many found no room.
+fn fitting(topics: &[String]) -> (String, usize) {
+    let mut line = String::new();
+    for (place, topic) in topics.iter().enumerate() {
+        let width = line.chars().count() + 1 + topic.chars().count();
+        if width > LONGEST_TOPICS {
+            return (line, topics.len() - place);
+        }
+        line = if line.is_empty() { topic.clone() } else { format!("{line} {topic}") };
+    }
+    (line, 0)
+}
+
+/// `odom-1114-2213`: what and when.
+fn suggested(topics: &[String], at: Timestamp) -> String {
+    let last = topics.first().and_then(|topic| topic.rsplit('/').find(|part| !part.is_empty())).unwrap_or_default();
+    let plain: String = last.chars().filter(|letter| letter.is_ascii_alphanumeric() || *letter == '_').collect();
+    let what: String = plain.trim_start_matches('_').chars().take(40).collect();
+    let what = if what.is_empty() { "incident" } else { &what };
+    let digits: String = day(at).chars().filter(char::is_ascii_digit).collect();
+    match (digits.get(4..8), digits.get(8..12)) {
+        (Some(date), Some(time)) => format!("{what}-{date}-{time}"),
+        _ => what.to_owned(),
+    }
+}
+
+/// Completes a topic's name; false where there is nothing to complete.
+pub fn complete(state: &State, form: &mut Form) -> bool {
+    let names: Vec<String> = state.topics.rows.iter().map(|row| row.topic.clone()).collect();
+    form.focus == TOPICS && granting::complete_from(form, &names)
+}
+
+/// The command of a filled form.
+///
+/// # Errors
+/// The line that is wrong, and why.
+pub fn read(state: &State, form: &Form) -> Result<Errand, (usize, String)> {
+    let name: IncidentName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
+    if state.incidents.rows.iter().any(|row| row.name == name) {
+        return Err((0, format!("there is an incident {name} already; write another name")));
+    }
+    let since = moment(form.text(1), state.now).map_err(|error| (1, error))?;
+    if since > state.now {
+        return Err((1, "that is to come; write a moment that has passed".to_owned()));
+    }
+    let until = Some(form.text(2)).filter(|text| !text.trim().is_empty());
+    let until = until.map(|text| moment(text, state.now)).transpose().map_err(|error| (2, error))?;
+    if until.is_some_and(|until| until <= since) {
+        return Err((2, "it would end before it begins; write a later moment".to_owned()));
+    }
+    let written = form.text(TOPICS).split([' ', ',']).filter(|topic| !topic.is_empty() && *topic != ALL_TOPICS);
+    let topics: Vec<TopicName> =
+        written.map(str::parse).collect::<Result<_, _>>().map_err(|error| (TOPICS, format!("{error}")))?;
+    let note = Some(form.text(4).trim().to_owned()).filter(|note| !note.is_empty());
+    let tag = Tag::Incident(Deed::Open, name.clone());
+    Ok(Errand { command: OpenIncident { name, since, until, topics, note }.into(), tag })
+}
+
+/// A moment; so long ago with or without the sign.
+fn moment(text: &str, now: Timestamp) -> Result<Timestamp, String> {
+    let text = text.trim();
+    past(text.strip_prefix('-').unwrap_or(text), now).map_err(|failure| failure.message)
+}
+
+fn note_form(name: &IncidentName) -> Form {
+    let lines = vec![
+        Line::text("Incident", "as crash-1114", Field::with(name.as_str())),
+        Line::text("Note", "what is known now", Field::default()),
+    ];
+    let notes = vec!["Notes stay with the incident and stand in the bundles exported of it.".to_owned()];
+    let mut form = Form::new("Note about an incident", notes, lines);
+    form.focus = 1;
+    form
+}
+
+/// The command of a filled form for a note.
+///
+/// # Errors
+/// The line that is wrong, and why.
+pub fn read_note(form: &Form) -> Result<Errand, (usize, String)> {
+    let name: IncidentName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
+    let text = form.text(1).trim().to_owned();
+    if text.is_empty() {
+        return Err((1, "write the note, or leave with esc".to_owned()));
+    }
+    let tag = Tag::Incident(Deed::Note, name.clone());
+    Ok(Errand { command: NoteIncident { name, text }.into(), tag })
+}
+
+fn closing(state: &State, row: &IncidentView) -> Confirm {
+    let ends = row.until.filter(|until| *until <= state.now);
+    let ends = ends.map_or_else(|| "now".to_owned(), |until| format!("{} UTC, as it was opened", day(until)));
+    let lines = vec![
+        format!("It ends    {ends}"),
+        "What is in it stays held until you remove it (x). It cannot be opened again.".to_owned(),
+    ];
+    let tag = Tag::Incident(Deed::Close, row.name.clone());
+    let errand = Errand { command: CloseIncident { name: row.name.clone() }.into(), tag };
+    Confirm { title: format!("Close incident {}?", row.name), lines, yes: "close it", typed: None, errand }
+}
+
+fn removal(row: &IncidentView) -> Confirm {
+    let lines = vec![
+        format!("It holds   {} records", row.records),
+        "Its notes are deleted, and retention may delete what no other incident holds.".to_owned(),
+        "What retention deletes does not come back: export it first (e copies the command).".to_owned(),
+    ];
+    let tag = Tag::Incident(Deed::Remove, row.name.clone());
+    let errand = Errand { command: RemoveIncident { name: row.name.clone() }.into(), tag };
+    Confirm { title: format!("Remove incident {}?", row.name), lines, yes: "remove", typed: None, errand }
+}
+
+/// The errand that takes an opened incident back.
+pub fn taken_back(name: &IncidentName) -> Errand {
+    let tag = Tag::Incident(Deed::Remove, name.clone());
+    Errand { command: RemoveIncident { name: name.clone() }.into(), tag }
+}
+
+/// An incident was opened, noted or closed.
+pub fn changed(state: &mut State, deed: Deed, view: IncidentView) {
+    let held = super::words::counted(view.records, "record");
+    let text = match deed {
+        Deed::Open => format!("incident {}: {held} kept so far (U: undo)", view.name),
+        Deed::Note => format!("incident {}: note added", view.name),
+        Deed::Close => format!("incident {} is closed; {held} stay kept", view.name),
+        Deed::Remove => format!("incident {} is removed", view.name),
+    };
+    state.incidents.put(view);
+    state.inform(text);
+}
+
+/// The same act as words behind `authros`; `None` = it is not done from a question.
+pub fn twin(command: &Command) -> Option<String> {
+    let Command::OfIncident(command) = command else { return None };
+    match command {
+        IncidentCommand::CloseIncident { name } => Some(format!("incident close {name}")),
+        IncidentCommand::RemoveIncident { name } => Some(format!("incident remove {name} --yes")),
+        IncidentCommand::OpenIncident { .. }
+        | IncidentCommand::ListIncidents
+        | IncidentCommand::ShowIncident { .. }
+        | IncidentCommand::NoteIncident { .. } => None,
+    }
+}

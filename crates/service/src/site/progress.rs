@@ -1,0 +1,168 @@
+//! How far work is that takes long: imports, exports, audits, back-ups, going over to another chain.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crate::model::{ProfileName, clean};
+use crate::service::reply::ProgressView;
+
+/// The longest subject kept, characters.
+const WIDEST: usize = 300;
+
+/// One piece of work.
+pub(super) struct Run {
+    profile: ProfileName,
+    subject: String,
+    unit: &'static str,
+    step: Mutex<&'static str>,
+    done: Arc<AtomicU64>,
+    of: AtomicU64,
+    units: Arc<AtomicU64>,
+}
+
+impl Run {
+    /// What it does now.
+    pub fn step(&self, word: &'static str) {
+        *self.step.lock().unwrap_or_else(PoisonError::into_inner) = word;
+    }
+
+    /// The step of that number, from 1, of work whose unit is `steps`.
+    pub fn stage(&self, number: u64, word: &'static str) {
+        self.step(word);
+        self.done.store(number.saturating_sub(1), Ordering::Relaxed);
+        self.units.store(number, Ordering::Relaxed);
+    }
+
+    /// So much is done, of so much, and with it so many units.
+    pub fn at(&self, done: u64, of: u64, units: u64) {
+        self.done.store(done, Ordering::Relaxed);
+        self.expect(of);
+        self.units.store(units, Ordering::Relaxed);
+    }
+
+    /// All that there is to do; 0 = not known.
+    pub fn expect(&self, of: u64) {
+        self.of.store(of, Ordering::Relaxed);
+    }
+
+    /// So much more is done.
+    pub fn more(&self, done: u64) {
+        self.done.fetch_add(done, Ordering::Relaxed);
+    }
+
+    /// One more unit is done.
+    pub fn one_more(&self) {
+        self.units.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// What is done, for work that counts by itself.
+    pub fn counter(&self) -> Arc<AtomicU64> {
+        Arc::clone(&self.done)
+    }
+
+    fn view(&self) -> ProgressView {
+        let (done, of) = (self.done.load(Ordering::Relaxed), self.of.load(Ordering::Relaxed));
+        ProgressView {
+            step: (*self.step.lock().unwrap_or_else(PoisonError::into_inner)).to_owned(),
+            file: self.subject.clone(),
+            // What comes in meanwhile was not expected.
+            done: if of > 0 { done.min(of) } else { done },
+            of,
+            messages: self.units.load(Ordering::Relaxed),
+            unit: self.unit.to_owned(),
+        }
+    }
+}
+
+/// All that run now.
+#[derive(Clone, Default)]
+pub(super) struct Runs(Arc<Mutex<Vec<Arc<Run>>>>);
+
+impl Runs {
+    /// Work begins that a profile asked for: what about, with which step, and what is counted besides.
+    pub fn begin(&self, profile: &ProfileName, subject: &str, step: &'static str, unit: &'static str) -> Running {
+        self.note(profile, subject, step, unit, (Arc::default(), Arc::default()))
+    }
+
+    /// The same for work that is done in its units.
+    pub fn begin_counted(
+        &self,
+        profile: &ProfileName,
+        subject: &str,
+        step: &'static str,
+        unit: &'static str,
+    ) -> Running {
+        let done = Arc::<AtomicU64>::default();
+        self.note(profile, subject, step, unit, (Arc::clone(&done), done))
+    }
+
+    fn note(
+        &self,
+        profile: &ProfileName,
+        subject: &str,
+        step: &'static str,
+        unit: &'static str,
+        (done, units): (Arc<AtomicU64>, Arc<AtomicU64>),
+    ) -> Running {
+        let (profile, subject, step, of) =
+            (profile.clone(), clean(subject, WIDEST), Mutex::new(step), AtomicU64::new(0));
+        let run = Arc::new(Run { profile, subject, unit, step, done, of, units });
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::clone(&run));
+        Running { runs: self.clone(), run }
+    }
+
+    /// Whether work about this is under way for the profile.
+    pub fn has(&self, profile: &ProfileName, subject: &str) -> bool {
+        let runs = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        runs.iter().any(|run| run.profile == *profile && run.subject == subject)
+    }
+
+    /// All that the profile asked for.
+    pub fn of(&self, profile: &ProfileName) -> Vec<ProgressView> {
+        let runs = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        runs.iter().filter(|run| run.profile == *profile).map(|run| run.view()).collect()
+    }
+}
+
+/// Takes a run off the list when it ends, however it ends.
+pub(super) struct Running {
+    runs: Runs,
+    /// What runs.
+    pub run: Arc<Run>,
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let mut runs = self.runs.0.lock().unwrap_or_else(PoisonError::into_inner);
+        runs.retain(|run| !Arc::ptr_eq(run, &self.run));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_runs_is_told_to_whom_it_belongs_until_it_ends() {
+        let (alice, bob): (ProfileName, ProfileName) =
+            ("alice".parse().expect("a name"), "bob".parse().expect("a name"));
+        let runs = Runs::default();
+        let audit = runs.begin_counted(&alice, "this home", "auditing", "records");
+        audit.run.expect(1_000);
+        audit.run.counter().fetch_add(250, Ordering::Relaxed);
+        assert!(runs.of(&bob).is_empty() && runs.has(&alice, "this home") && !runs.has(&bob, "this home"));
+        let told = runs.of(&alice);
+        assert_eq!((told[0].done, told[0].of, told[0].messages, told[0].unit.as_str()), (250, 1_000, 250, "records"));
+        audit.run.more(900);
+        assert_eq!(runs.of(&alice)[0].done, 1_000, "never more than all");
+        let adopt = runs.begin(&alice, "chain adopt", "reaching the chain", "steps");
+        adopt.run.expect(6);
+        adopt.run.stage(3, "waiting");
+        let told = runs.of(&alice);
+        assert_eq!((told[1].step.as_str(), told[1].done, told[1].messages), ("waiting", 2, 3));
+        drop(audit);
+        assert_eq!(runs.of(&alice).len(), 1);
+        drop(adopt);
+        assert!(runs.of(&alice).is_empty());
+    }
+}
