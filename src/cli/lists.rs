@@ -125,11 +125,13 @@ pub fn keys(view: &KeysView) -> String {
     format!("{head}\n\n{}", table(&["epoch", "state", "token"], &rows))
 }
 
-/// The graph.
+/// The graph; which ROS a topic is of where there are topics of ROS 2.
 pub fn topics(rows: &[TopicRow]) -> String {
+    let second = rows.iter().any(|row| row.ros == 2);
     let row = |row: &TopicRow| {
-        vec![
-            row.topic.clone(),
+        let mut cells = vec![row.topic.clone()];
+        cells.extend(second.then(|| row.ros.to_string()));
+        cells.extend([
             row.type_name.clone().unwrap_or_else(|| "-".to_owned()),
             row.publishers.join(" "),
             row.hz.map_or_else(|| "-".to_owned(), |hz| format!("{hz:.1}")),
@@ -137,10 +139,15 @@ pub fn topics(rows: &[TopicRow]) -> String {
             if row.watched { "watched" } else { "" }.to_owned(),
             if row.alarm { "ALARM" } else { "" }.to_owned(),
             if row.simulated { "SIMULATED" } else { "" }.to_owned(),
-        ]
+        ]);
+        cells
     };
     let rows: Vec<Vec<String>> = rows.iter().map(row).collect();
-    table(&["topic", "type", "publishers", "Hz", "", "", "", ""], &rows)
+    let mut head = vec!["topic", "type", "publishers", "Hz", "", "", "", ""];
+    if second {
+        head.insert(1, "ROS");
+    }
+    table(&head, &rows)
 }
 
 /// A page of records.

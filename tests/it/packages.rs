@@ -7,11 +7,11 @@ use std::process::Command;
 
 use crate::support::{Home, Running, list, skipped, system_program, text};
 
-/// Packs a small program, with the pages of the real one.
+/// Packs two small programs, with the pages of the real one.
 fn packed(folder: &Path) -> PathBuf {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("packaging/assemble");
     let mut command = Command::new(script);
-    command.args(["/bin/true", "x86_64"]).arg(folder).arg(env!("CARGO_BIN_EXE_authros"));
+    command.args(["/bin/true", "/bin/echo", "x86_64"]).arg(folder).arg(env!("CARGO_BIN_EXE_authros"));
     command.env("SOURCE_DATE_EPOCH", "1700000000");
     Running::start(command).wait(120).expect_code(0);
     folder.to_owned()
@@ -33,7 +33,7 @@ fn a_package_is_the_same_twice_and_holds_what_the_manual_says() {
     let second = packed(&home.root().join("second"));
     let sums = |folder: &Path| std::fs::read_to_string(folder.join("SHA256SUMS-x86_64")).expect("checksums");
     assert_eq!(sums(&first), sums(&second));
-    assert_eq!(sums(&first).lines().count(), 3);
+    assert_eq!(sums(&first).lines().count(), 6);
 
     let version = env!("CARGO_PKG_VERSION");
     let deb = first.join(format!("authros_{version}-1_amd64.deb"));
@@ -68,32 +68,82 @@ fn a_package_is_the_same_twice_and_holds_what_the_manual_says() {
 }
 
 #[test]
-fn every_library_of_the_program_is_in_the_list_with_the_checksum_of_the_lock_file() {
+fn the_program_that_reads_ros_2_comes_by_itself_and_only_with_its_own_version_of_the_site() {
     if system_program("dpkg-deb").is_none() {
         skipped!("no dpkg-deb");
     }
     let home = Home::new();
     let folder = packed(&home.root().join("packages"));
-    let name = format!("authros-{}-x86_64-linux.cdx.json", env!("CARGO_PKG_VERSION"));
+    let version = env!("CARGO_PKG_VERSION");
+    let deb = folder.join(format!("authros-ros2_{version}-1_amd64.deb"));
+    let facts = said("dpkg-deb", &["--field"], &deb);
+    let depends = format!("Depends: authros (= {version}-1), libc6 (>= 2.31)");
+    for fact in ["Package: authros-ros2", "Architecture: amd64", &depends] {
+        assert!(facts.contains(fact), "no '{fact}' in {facts}");
+    }
+    // The site looks beside its own executable.
+    let held = said("dpkg-deb", &["--contents"], &deb);
+    let documents = "./usr/share/doc/authros-ros2";
+    for file in ["copyright", "THIRD-PARTY.txt.gz", "authros-ros2.cdx.json.gz", "changelog.Debian.gz"] {
+        assert!(held.contains(&format!(" {documents}/{file}\n")), "no {file} in {held}");
+    }
+    for file in ["./usr/bin/authros-ros2", "./usr/share/man/man1/authros-ros2.1.gz"] {
+        assert!(held.contains(&format!(" {file}\n")), "no {file} in {held}");
+    }
+    assert!(!held.contains("systemd") && !held.contains("./etc"), "{held}");
+    let archive = folder.join(format!("authros-ros2-{version}-x86_64-linux.tar.gz"));
+    let archived = said("tar", &["-tzf"], &archive);
+    for file in ["authros-ros2", "LICENSE", "THIRD-PARTY.txt", "authros-ros2.1", "authros-ros2.cdx.json", "ros2.md"] {
+        assert!(archived.contains(&format!("authros-ros2-{version}-x86_64-linux/{file}\n")), "no {file} in {archived}");
+    }
+    // Each holds its own program, and neither the other's.
+    let program = format!("authros-ros2-{version}-x86_64-linux/authros-ros2");
+    let mut command = Command::new("tar");
+    command.arg("-xzf").arg(&archive).arg("-C").arg(home.root()).arg(&program);
+    Running::start(command).wait(60).expect_code(0);
+    let bytes = |path: &Path| std::fs::read(path).expect("a program");
+    assert_eq!(bytes(&home.root().join(program)), bytes(Path::new("/bin/echo")));
+    let first = said("dpkg-deb", &["--contents"], &folder.join(format!("authros_{version}-1_amd64.deb")));
+    assert!(!first.contains("usr/bin/authros-ros2"), "{first}");
+}
+
+/// The libraries in the list that came with `program`.
+fn components(folder: &Path, program: &str) -> Vec<serde_json::Value> {
+    let name = format!("{program}-{}-x86_64-linux.cdx.json", env!("CARGO_PKG_VERSION"));
     let bytes = std::fs::read(folder.join(name)).expect("the list");
     let bill: serde_json::Value = serde_json::from_slice(&bytes).expect("JSON");
-    let components = list(&bill, "components");
+    assert_eq!(bill["metadata"]["component"]["name"], program);
+    list(&bill, "components")
+}
+
+#[test]
+fn every_library_of_a_program_is_in_its_list_with_the_checksum_of_the_lock_file() {
+    if system_program("dpkg-deb").is_none() {
+        skipped!("no dpkg-deb");
+    }
+    let home = Home::new();
+    let folder = packed(&home.root().join("packages"));
     let lock =
         std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.lock")).expect("the lock file");
-    for expected in ["revm", "ethers", "rusqlite", "ratatui", "libsm"] {
-        assert!(components.iter().any(|one| text(one, "name") == expected), "no {expected}");
-    }
-    // Neither test-only dependencies nor our own crates.
-    for foreign in ["divan", "proptest", "authros-model"] {
-        assert!(components.iter().all(|one| text(one, "name") != foreign), "{foreign}");
-    }
-    for one in components {
-        let (name, version) = (text(&one, "name"), text(&one, "version"));
-        let checksum = text(&one["hashes"][0], "content");
-        let entry = format!("name = \"{name}\"\nversion = \"{version}\"\n");
-        let rest = lock.split(&entry).nth(1).unwrap_or_else(|| panic!("{name} {version} is not locked"));
-        let own = rest.split("[[package]]").next().expect("an entry");
-        assert!(own.contains(&format!("checksum = \"{checksum}\"")), "{name} {version}");
+    let site = ["revm", "ethers", "rusqlite", "ratatui", "libsm"];
+    // Neither test-only dependencies nor our own crates, nor those of the other program.
+    let held: [(&str, &[&str], &[&str]); 2] = [
+        ("authros", &site, &["divan", "proptest", "authros-model", "rustdds"]),
+        ("authros-ros2", &["rustdds", "mio", "serde_json"], &["revm", "ratatui", "libsm", "authros-pipe", "proptest"]),
+    ];
+    for (program, expected, foreign) in held {
+        let components = components(&folder, program);
+        let among = |name: &&str| components.iter().any(|one| text(one, "name") == *name);
+        assert!(expected.iter().all(among), "{program}: {expected:?} in {components:?}");
+        assert!(!foreign.iter().any(|name| among(name)), "{program}: {foreign:?} in {components:?}");
+        for one in &components {
+            let (name, version) = (text(one, "name"), text(one, "version"));
+            let checksum = text(&one["hashes"][0], "content");
+            let entry = format!("name = \"{name}\"\nversion = \"{version}\"\n");
+            let rest = lock.split(&entry).nth(1).unwrap_or_else(|| panic!("{name} {version} is not locked"));
+            let own = rest.split("[[package]]").next().expect("an entry");
+            assert!(own.contains(&format!("checksum = \"{checksum}\"")), "{name} {version}");
+        }
     }
 }
 

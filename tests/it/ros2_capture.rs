@@ -5,6 +5,7 @@
 use crate::support;
 
 use std::fs;
+use std::path::Path;
 use std::time::Duration;
 
 use serde_json::Value;
@@ -70,7 +71,44 @@ fn a_thousand_messages_a_second_arrive_whole_reliable_or_not() {
     assert_eq!((tag("encoding").as_str(), tag("mcap.channel.topic_type_hash").as_str()), ("cdr", STRING));
     assert!(tag("mcap.channel.offered_qos_profiles").contains("reliability: reliable"));
     assert_eq!(tag("mcap.channel.writer_id").len(), 32);
-    assert!(text(&opened, "note").contains("AMENT_PREFIX_PATH"), "why there are no fields: {opened}");
+    assert_eq!(opened["message"]["data"].as_str().map(str::len), Some(100), "{opened}");
+    assert!(text(&opened, "note").contains("its type hash is that of the message"), "{opened}");
+    let records = alice.records(&["uploads", "list", "--topic", "/loose"]);
+    let opened = alice.json(&["shared", "open", &text(&records[0], "id")]);
+    assert!(opened["message"]["data"].is_string(), "{opened}");
+    assert!(text(&opened, "note").contains("without a type hash"), "{opened}");
+    let shown = alice.run(&["topics", "list"]).expect_code(0).stdout;
+    let cells = |start: &str| {
+        let line = shown.lines().find(|line| line.starts_with(start)).unwrap_or_else(|| panic!("{start} in {shown}"));
+        line.split_whitespace().nth(1).map(str::to_owned)
+    };
+    assert_eq!((cells("topic").as_deref(), cells("/fast").as_deref()), (Some("ROS"), Some("2")), "{shown}");
+}
+
+#[test]
+fn what_the_site_was_given_open_is_not_open_in_the_reading_program() {
+    let network = match network() {
+        Ok(network) => network,
+        Err(reason) => skipped!(reason),
+    };
+    let home = Home::new();
+    let left = home.file("left-open", "not for everybody", 0o600);
+    let authros = home.authros();
+    let lines = format!("#!/bin/sh\nexec 7< {left}\nexec {} \"$@\"\n", authros.program().display());
+    let started = home.file("started", &lines, 0o700);
+    let site = network.inside(&authros.with_program(Path::new(&started)).with(&["--ros2", "0"])).serve(&home);
+    let open = |process: &str| -> Vec<String> {
+        let entries = fs::read_dir(format!("/proc/{process}/fd")).into_iter().flatten().flatten();
+        entries.filter_map(|entry| Some(fs::read_link(entry.path()).ok()?.display().to_string())).collect()
+    };
+    assert!(open(&site.id().to_string()).contains(&left), "the site has it");
+    let reader = reader_of(&site);
+    let own =
+        |link: &String| ["pipe:", "socket:", "anon_inode:", "/dev/null"].iter().any(|kind| link.starts_with(kind));
+    wait_until(20, "nothing open but its own", || {
+        let links = open(&reader);
+        (links.iter().any(|link| link.starts_with("socket:")) && links.iter().all(own)).then_some(())
+    });
 }
 
 #[test]

@@ -54,7 +54,7 @@ pub enum RosError {
     EmbeddedMaster(String),
     /// The program that reads ROS 2 is not installed.
     #[error(
-        "the program that reads ROS 2 is not at {0}; install authros-ros2 beside authros (from the source: cargo build \
+        "the program that reads ROS 2 is not at {0}; install the package authros-ros2 (from the source: cargo build \
          -p authros-ros2), or name it by ros.ros2_program"
     )]
     NoReader(String),

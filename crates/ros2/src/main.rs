@@ -1,6 +1,8 @@
 //! `authros-ros2 --domain N`: started by a site of AuthROS, with a pipe as its input and output. It has no keys, and is
 //! of no use alone.
 
+mod inherited;
+
 use std::fs::File;
 use std::os::fd::AsFd;
 use std::process::ExitCode;
@@ -16,6 +18,7 @@ const MOST_MEMORY: u64 = 2 << 30;
 const HIGHEST_DOMAIN: u16 = 232;
 
 fn main() -> ExitCode {
+    inherited::close();
     let Some(domain) = domain() else {
         return fail("usage: authros-ros2 --domain N (0 to 232); it is started by authros --ros2, not by hand");
     };

@@ -2,12 +2,13 @@
 //!
 //! They become the same layouts as ROS 1 messages; only bodies are laid out differently.
 
+mod built_in;
 mod folder;
 mod hash;
 mod line;
 mod schema;
 
-pub use folder::Folders;
+pub use folder::{Folders, Source};
 
 use super::definition::{Definition, Field, Kind, Layout, element_size};
 use super::line::Arity;

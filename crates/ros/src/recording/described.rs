@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::Encoding;
 use crate::ros::RosError;
-use crate::ros::message::{Definition, Folders, type_hash};
+use crate::ros::message::{Definition, Folders, Source, type_hash};
 
 /// MCAP's name for the hash of a channel's type.
 pub const TYPE_HASH: &str = "topic_type_hash";
@@ -32,20 +32,19 @@ pub struct Described {
 }
 
 impl Described {
-    /// The definition that came with the recording; for ROS 2 otherwise one found in `folders`.
+    /// The definition that came with the recording; for ROS 2 otherwise one found in `folders`, or built in.
     pub fn of(facts: TypeFacts<'_>, folders: &Folders) -> Self {
         match own(facts) {
             Ok(definition) => Self { definition: Some(Arc::new(definition)), note: differs(facts) },
-            Err(_) if facts.encoding != Encoding::Ros1 && !folders.is_empty() => match in_folders(facts, folders) {
-                Ok(definition) => Self {
-                    definition: Some(Arc::new(definition)),
-                    note: Some(format!(
-                        "fields are read by the definition in this machine's folders: {}",
-                        trust(facts)
-                    )),
-                },
-                Err(error) => Self { definition: None, note: Some(error.to_string()) },
-            },
+            Err(_) if facts.encoding != Encoding::Ros1 && folders.may_know(facts.name) => {
+                match elsewhere(facts, folders) {
+                    Ok((definition, source)) => Self {
+                        definition: Some(Arc::new(definition)),
+                        note: Some(format!("fields are read by {}: {}", words(source), trust(facts))),
+                    },
+                    Err(error) => Self { definition: None, note: Some(error.to_string()) },
+                }
+            }
             Err(error) => Self { definition: None, note: Some(error.to_string()) },
         }
     }
@@ -70,22 +69,45 @@ fn own(facts: TypeFacts<'_>) -> Result<Definition, RosError> {
     }
 }
 
-fn in_folders(facts: TypeFacts<'_>, folders: &Folders) -> Result<Definition, RosError> {
-    let text = folders.text_of(facts.name)?;
+/// By the definition in the folders; where that is none or another one, by the one that is built in.
+fn elsewhere(facts: TypeFacts<'_>, folders: &Folders) -> Result<(Definition, Source), RosError> {
+    let found = found_by(facts, folders);
+    if found.is_ok() || folders.is_empty() {
+        return found;
+    }
+    found_by(facts, &Folders::default()).or(found)
+}
+
+fn found_by(facts: TypeFacts<'_>, folders: &Folders) -> Result<(Definition, Source), RosError> {
+    let (text, source) = folders.text_of(facts.name)?;
     let found = type_hash(facts.name, &text)?;
     match facts.hash {
         Some(hash) if hash != found => {
-            let reason = format!("the definition in this machine's folders has the hash {found}, its own is {hash}");
+            let hash = crate::model::clean(hash, 80);
+            let help = match source {
+                Source::Folders => "",
+                Source::BuiltIn => {
+                    "; name the folder where its package is installed (ros.definitions, AMENT_PREFIX_PATH)"
+                }
+            };
+            let reason = format!("{} has the hash {found}, its own is {hash}{help}", words(source));
             Err(RosError::no_fields(facts.name, &reason))
         }
-        _ => Definition::parse_ros2(facts.name, &text),
+        _ => Ok((Definition::parse_ros2(facts.name, &text)?, source)),
+    }
+}
+
+fn words(source: Source) -> &'static str {
+    match source {
+        Source::Folders => "the definition in this machine's folders",
+        Source::BuiltIn => "the definition built into this program",
     }
 }
 
 fn trust(facts: TypeFacts<'_>) -> &'static str {
     match facts.hash {
-        Some(_) => "its type hash is that of the recording",
-        None => "the recording names no type hash to compare it with",
+        Some(_) => "its type hash is that of the message",
+        None => "the message came without a type hash to compare it with",
     }
 }
 
@@ -112,6 +134,13 @@ mod tests {
         (described.definition.is_some(), described.note.unwrap_or_default())
     }
 
+    /// A type that is not built in.
+    fn own_kind(encoding: Encoding, text: Option<&str>) -> (bool, String) {
+        let facts = TypeFacts { name: "a/msg/Own", encoding, text, hash: None };
+        let described = Described::of(facts, &Folders::default());
+        (described.definition.is_some(), described.note.unwrap_or_default())
+    }
+
     #[test]
     fn a_note_says_why_there_are_no_fields_or_what_speaks_against_them() {
         let none = Folders::default();
@@ -120,11 +149,25 @@ mod tests {
         assert_eq!(said(MSG, Some("string data"), None), (true, String::new()));
         let (found, note) = said(MSG, Some("string<=9 data"), Some(STRING));
         assert!(found && note.contains("values may be wrong") && note.contains(STRING), "{note}");
-        let (found, note) = said(IDL, Some("module std_msgs {};"), Some(STRING));
-        assert!(!found && note.contains("IDL") && note.contains("std_msgs/msg/String"), "{note}");
-        assert!(said(MSG, None, None).1.contains("none of the records"));
-        assert!(said(MSG, Some("line"), None).1.contains("no field name"));
+        let (found, note) = own_kind(IDL, Some("module a {};"));
+        assert!(!found && note.contains("IDL") && note.contains("a/msg/Own"), "{note}");
+        let (found, note) = own_kind(MSG, None);
+        assert!(!found && note.contains("none of the records") && note.contains("AMENT_PREFIX_PATH"), "{note}");
+        assert!(own_kind(MSG, Some("line")).1.contains("no field name"));
         assert!(!said(Encoding::Ros1, Some("string data"), None).0, "its name is none of ROS 1");
+    }
+
+    #[test]
+    fn common_interfaces_need_no_folder_but_their_own_hash() {
+        let none = Folders::default();
+        let said = |encoding, text, hash| described(encoding, text, hash, &none);
+        let (found, note) = said(IDL, Some("module std_msgs {};"), Some(STRING));
+        assert!(found && note.contains("built into") && note.contains("is that of the message"), "{note}");
+        let (found, note) = said(MSG, None, None);
+        assert!(found && note.contains("built into") && note.contains("without a type hash"), "{note}");
+        let (found, note) = said(MSG, None, Some("RIHS01_00\x1b"));
+        assert!(!found && note.contains("RIHS01_00") && note.contains(STRING) && !note.contains('\x1b'), "{note}");
+        assert!(note.contains("AMENT_PREFIX_PATH"), "what helps: {note}");
     }
 
     #[test]
@@ -132,14 +175,19 @@ mod tests {
         let home = tempfile::tempdir().expect("a folder");
         let folder = home.path().join("share/std_msgs/msg");
         std::fs::create_dir_all(&folder).expect("created");
-        std::fs::write(folder.join("String.msg"), "string data # text").expect("written");
+        let put = |text: &str| std::fs::write(folder.join("String.msg"), text).expect("written");
         let folders = Folders::of_prefixes(home.path().as_os_str());
         let said = |encoding, text, hash| described(encoding, text, hash, &folders);
+        put("string data # text");
         let (found, note) = said(IDL, Some("module x {};"), Some(STRING));
-        assert!(found && note.contains("is that of the recording"), "{note}");
+        assert!(found && note.contains("folders") && note.contains("is that of the message"), "{note}");
         let (found, note) = said(MSG, None, None);
-        assert!(found && note.contains("no type hash"), "{note}");
+        assert!(found && note.contains("folders") && note.contains("without a type hash"), "{note}");
         let (found, note) = said(IDL, None, Some("RIHS01_00"));
         assert!(!found && note.contains("RIHS01_00") && note.contains(STRING), "{note}");
+        // Another release than that of the message.
+        put("string<=5 data");
+        let (found, note) = said(MSG, None, Some(STRING));
+        assert!(found && note.contains("built into"), "{note}");
     }
 }

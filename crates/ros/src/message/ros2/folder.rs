@@ -1,4 +1,5 @@
-//! Definitions installed on this machine, as ROS 2 does it: `share/PACKAGE/msg/TYPE.msg` below a prefix.
+//! Definitions that no recording brought: installed on this machine, as ROS 2 does it (`share/PACKAGE/msg/TYPE.msg` below a
+//! prefix), else those built into this program.
 
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
@@ -7,9 +8,19 @@ use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use super::super::definition::{LONGEST_DEFINITION, MOST_TYPES};
+use super::built_in;
 use super::line::{Line, parse_line, plain};
 use super::schema::full_name;
 use crate::ros::RosError;
+
+/// Where a type's own lines were found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Source {
+    /// In a folder of this machine.
+    Folders,
+    /// Among the common interfaces that are built into this program.
+    BuiltIn,
+}
 
 /// Folders searched for definitions, in this order.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -26,33 +37,47 @@ impl Folders {
         self.0.is_empty()
     }
 
-    /// The text of a type with all the types it consists of, as in MCAP.
+    /// Whether there is any hope that [`Folders::text_of`] finds this type.
+    pub fn may_know(&self, type_name: &str) -> bool {
+        !self.is_empty() || full_name(type_name, None).is_some_and(|name| built_in::text_of(&name).is_some())
+    }
+
+    /// The text of a type with all the types it consists of, as in MCAP, and where the type itself was found. What no
+    /// folder has is taken from the common interfaces.
     ///
     /// # Errors
-    /// [`RosError::NoFields`] if a file is missing, cannot be read or is broken.
-    pub fn text_of(&self, type_name: &str) -> Result<String, RosError> {
+    /// [`RosError::NoFields`] if a definition is missing, cannot be read or is broken.
+    pub fn text_of(&self, type_name: &str) -> Result<(String, Source), RosError> {
         let failed = |reason: String| RosError::no_fields(type_name, &reason);
+        let missing = |name: &str| {
+            failed(format!(
+                "no {name}.msg was found where ROS 2 is installed (ros.definitions), nor is it built into this program"
+            ))
+        };
         let root = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;
-        let (mut known, mut waiting, mut whole) = (BTreeSet::from([root.clone()]), vec![root.clone()], String::new());
+        let (mut whole, source) = self.own_lines(&root).ok_or_else(|| missing(&root))?;
+        let mut waiting = nested_in(&root, &whole).map_err(|reason| failed(format!("{reason} in {root}.msg")))?;
+        let mut known = BTreeSet::from([root]);
         while let Some(name) = waiting.pop() {
-            let text = self
-                .file_of(&name)
-                .ok_or_else(|| failed(format!("no {name}.msg was found where ROS 2 is installed (ros.definitions)")))?;
-            if name != root {
-                whole.push_str(&format!("{}\nMSG: {}\n", "=".repeat(80), name.replacen("/msg/", "/", 1)));
+            if !known.insert(name.clone()) {
+                continue;
             }
-            whole.push_str(text.trim_end());
-            whole.push('\n');
-            for nested in nested_in(&name, &text).map_err(|reason| failed(format!("{reason} in {name}.msg")))? {
-                if known.insert(nested.clone()) {
-                    waiting.push(nested);
-                }
-            }
+            let (text, _) = self.own_lines(&name).ok_or_else(|| missing(&name))?;
+            whole.push_str(&format!("{}\nMSG: {}\n", "=".repeat(80), name.replacen("/msg/", "/", 1)));
+            whole.push_str(&text);
+            waiting.extend(nested_in(&name, &text).map_err(|reason| failed(format!("{reason} in {name}.msg")))?);
             if known.len() > MOST_TYPES || whole.len() > LONGEST_DEFINITION {
                 return Err(failed("its definition is too long".into()));
             }
         }
-        Ok(whole)
+        Ok((whole, source))
+    }
+
+    /// The lines of one type, with an end of line at their end.
+    fn own_lines(&self, name: &str) -> Option<(String, Source)> {
+        let here = self.file_of(name).map(|text| (text, Source::Folders));
+        let (text, source) = here.or_else(|| Some((built_in::text_of(name)?.to_owned(), Source::BuiltIn)))?;
+        Some((format!("{}\n", text.trim_end()), source))
     }
 
     /// The text of a `.msg` file; `None` if no folder has a readable one of bounded length.
@@ -102,11 +127,15 @@ mod tests {
         put("two", "b", "Other", "string<=5 text");
         let list = std::env::join_paths(["one", "two"].map(|prefix| home.path().join(prefix))).expect("a list");
         let folders = Folders::of_prefixes(&list);
-        let text = folders.text_of("a/msg/Root").expect("found");
+        let (text, source) = folders.text_of("a/msg/Root").expect("found");
+        assert_eq!(source, Source::Folders);
         assert_eq!(text.matches("MSG: ").count(), 2, "{text}");
         assert!(Definition::parse_ros2("a/msg/Root", &text).is_ok());
         assert!(folders.text_of("a/msg/Nothing").expect_err("missing").to_string().contains("a/msg/Nothing.msg"));
         assert!(folders.text_of("../x").is_err() && folders.text_of("a/msg/..").is_err());
+        put("one", "b", "Other", "std_msgs/Header header");
+        let (text, _) = folders.text_of("a/Root").expect("what is nested may be built in");
+        assert!(text.contains("MSG: builtin_interfaces/Time\nint32 sec\n"), "{text}");
         put("one", "b", "Other", "c/Missing x");
         assert!(folders.text_of("a/Root").expect_err("missing").to_string().contains("c/msg/Missing"));
     }

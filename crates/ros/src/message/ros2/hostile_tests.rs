@@ -112,4 +112,15 @@ proptest! {
             prop_assert!(value.flatten(usize::MAX).len() <= body.len());
         }
     }
+    /// Whatever a publisher calls its type, it is found whole or not at all.
+    #[test]
+    fn names_of_types_find_all_or_nothing(
+        name in "((std|nav|sensor|a|\\.\\.)(_msgs)?/(msg|srv|\\.\\.)?/?(String|Header|Odometry|[A-Za-z.]{0,9})|.{0,20})",
+    ) {
+        let folders = Folders::default();
+        match folders.text_of(&name) {
+            Ok((text, _)) => prop_assert!(folders.may_know(&name) && Definition::parse_ros2(&name, &text).is_ok()),
+            Err(_) => prop_assert!(!folders.may_know(&name)),
+        }
+    }
 }

@@ -101,6 +101,23 @@ fn every_type_of_jazzy_has_the_hash_and_the_values_that_others_find() {
     }
 }
 
+/// The expected hashes are rosbags', over its own texts.
+#[test]
+fn what_is_built_in_has_the_hashes_and_the_fields_that_others_find() {
+    let none = Folders::default();
+    for kind in fixture().types {
+        let (text, source) = none.text_of(&kind.name).expect("built in");
+        assert_eq!(source, Source::BuiltIn);
+        assert_eq!(type_hash(&kind.name, &text).as_ref(), Ok(&kind.hash), "{}", kind.name);
+        let definition = Definition::parse_ros2(&kind.name, &text).expect("a definition");
+        for sample in &kind.samples {
+            assert_eq!(json_of(&definition, &bytes(&sample.body)), sample.value, "{}", kind.name);
+        }
+    }
+    assert!(none.may_know("std_msgs/String") && !none.may_know("std_msgs/msg/Strings"));
+    assert!(none.text_of("std_msgs/msg/Strings").expect_err("unknown").to_string().contains("nor is it built"));
+}
+
 #[test]
 fn hashes_are_those_that_ros_2_publishes() {
     let known = [
