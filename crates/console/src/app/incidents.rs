@@ -139,7 +139,7 @@ fn possible(state: &State, list: &IncidentList) -> Vec<[&'static str; 3]> {
         (["x", "remove", "Forget it: retention may then delete what only it held"], changes && one),
         (["y", "copy command", "Copy the command line that shows the same"], one),
         (["e", "copy export", "Copy the command line that exports it as one bundle of evidence"], one),
-        (["q", "back", "Back to the list"], true),
+        (["q", "back", "Close this window"], true),
         (["pgup pgdn", "scroll", "Scroll what the incident holds"], one),
     ];
     all.into_iter().filter(|(_, possible)| *possible).map(|(told, _)| told).collect()
