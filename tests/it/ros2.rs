@@ -15,7 +15,6 @@ use serde_json::{Value, json};
 use support::{Authros, Home, count, heavy, list, text};
 
 /// The exit code for an invalid input.
-const INPUT: i32 = 3;
 
 fn recording() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support/ros2.mcap")
