@@ -14,8 +14,6 @@ use authros::ros::recording::RecordedMessage;
 use serde_json::{Value, json};
 use support::{Authros, Home, count, heavy, list, text};
 
-/// The exit code for an invalid input.
-
 fn recording() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support/ros2.mcap")
 }
