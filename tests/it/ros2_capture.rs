@@ -131,7 +131,7 @@ fn pictures_arrive_byte_for_byte_and_latched_messages_late() {
     assert_eq!(figures(&summary), (pictures, pictures, 0), "{summary}");
     let mut records = alice.records(&["uploads", "list", "--topic", "/camera"]);
     records.sort_by_key(|record| count(record, "seq"));
-    let (path, mut all) = (home.root().join("picture"), Vec::new());
+    let (path, mut all) = (home.root().join("picture.bin"), Vec::new());
     for record in &records {
         alice.json(&["shared", "open", &text(record, "id"), "--out", path.to_str().expect("UTF-8")]);
         all.extend(fs::read(&path).expect("written"));

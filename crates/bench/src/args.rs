@@ -12,7 +12,7 @@ pub struct BenchArguments {
     /// Print one line per result, comma-separated, on stdout
     #[arg(long, global = true)]
     pub csv: bool,
-    /// Also draw plots: writes DIR/<bench>.svg
+    /// Also draw plots: writes DIR/BENCH.svg
     #[arg(long, global = true, value_name = "DIR")]
     pub svg: Option<PathBuf>,
     /// End with an exit code that says whether what was promised was reached; else figures are figures, and it is 0

@@ -99,7 +99,7 @@ const REPLIES: &[&str] = &[
     r#"{"reply":"key","with":[1,2]}"#,
     r#"{"reply":"coverage","with":{"topic":"/odom","since":"2026-01-01T00:00:00Z","until":"2026-01-01T00:01:00Z","first":null,"last":null,"parts":[{"at":"2026-01-01T00:00:00Z","data":true,"quarantined":false,"tampered":false,"lost":2}]}}"#,
     r#"{"reply":"captured","with":{"captured":1,"verified":1,"quarantined":0,"lost":0,"skipped":0,"topics":[]}}"#,
-    r#"{"reply":"recording","with":{"progress":[{"step":"hashing","file":"a","done":1,"of":2,"messages":3}]}}"#,
+    r#"{"reply":"recording","with":{"progress":[{"step":"hashing","file":"a","done":1,"of":2,"messages":3,"unit":"messages"}]}}"#,
     r#"{"reply":"policy","with":{"topics":[],"idle":[],"learned":false}}"#,
     r#"{"reply":"records","with":{"records":[{"id":"0a","seq":1,"topic":"/odom","type":"nav_msgs/Odometry","kind":"data","state":"verified, names unchecked","digest":"0707070707070707070707070707070707070707070707070707070707070707","bytes":5,"captured_at":"2026-01-01T00:00:00Z","epoch":0,"simulated":true,"transaction":null,"block":null,"compared":"header"}],"next":null}}"#,
     r#"{"reply":"records","with":{"records":[{"id":"0a","seq":1,"topic":"/odom","type":"nav_msgs/Odometry","kind":"quarantine","state":"unread","digest":"0707070707070707070707070707070707070707070707070707070707070707","bytes":5,"captured_at":"2026-01-01T00:00:00Z","epoch":0,"simulated":true,"transaction":null,"block":7,"compared":"nothing"}],"next":"x"}}"#,
@@ -141,6 +141,14 @@ fn changed<T: Serialize + DeserializeOwned>(lines: &[&str]) -> Vec<String> {
 fn requests_and_answers_keep_their_form_on_the_wire() {
     let changed = [changed::<Command>(REQUESTS), changed::<Reply>(REPLIES)].concat();
     assert!(changed.is_empty(), "{}", changed.join("\n\n"));
+}
+
+#[test]
+fn progress_of_an_earlier_process_counts_messages() {
+    let line =
+        r#"{"reply":"recording","with":{"progress":[{"step":"hashing","file":"a","done":1,"of":2,"messages":3}]}}"#;
+    let read: Reply = serde_json::from_str(line).expect("read");
+    assert!(serde_json::to_string(&read).expect("written").contains(r#""messages":3,"unit":"messages"}"#));
 }
 
 #[test]

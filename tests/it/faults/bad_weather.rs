@@ -51,8 +51,9 @@ fn a_chain_that_answers_after_half_a_minute_costs_neither_memory_nor_messages() 
     proxy.spoil(EVERY, Spoil::Delay(Duration::from_secs(30)), u64::MAX);
     let length = Duration::from_secs(if long() { 600 } else { 60 });
     let (begun, before) = (Instant::now(), observer.seen().life.map_or(0, |life| life.captured));
-    // The first batches, and caches that fill once, are not counted against it; pages of files are the system's.
-    let warm = Duration::from_secs(20);
+    // The first batches, and caches that fill once within two minutes, are not counted against it; pages of files are the
+    // system's.
+    let warm = (length / 5).max(Duration::from_secs(20));
     let (mut least, mut most) = (u64::MAX, 0);
     while begun.elapsed() < length {
         std::thread::sleep(Duration::from_secs(1));

@@ -28,7 +28,7 @@ pub struct Column {
 }
 
 impl Column {
-    /// A column of names that takes what is left, up to [`WIDEST_NAME`]; it carries the cursor.
+    /// A column of names that takes what is left, up to `WIDEST_NAME`; it carries the cursor.
     pub const fn name(title: &'static str) -> Self {
         Self { title, width: 0, most: WIDEST_NAME, right: false, from: 0, below: u16::MAX }
     }
