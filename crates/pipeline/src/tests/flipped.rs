@@ -1,10 +1,9 @@
 //! A signature other than the sealed one: `verified` must hold up in court, so every own record is verified in full,
 //! whether its signer was seen before or not.
 
+use super::keeping::head;
 use super::*;
 use crate::crypto::{Provider, SealRequest, TopicKey, seal};
-use crate::model::Head;
-use crate::model::head::Compression;
 use crate::pipeline::fixture::Notes;
 use crate::pipeline::verifier::verify_round;
 
@@ -15,17 +14,7 @@ impl Line {
     /// Seals a record and stores it as the sealer does, but with this bit of its signature flipped.
     fn keep(&self, seq: u64, flipped: Option<usize>) {
         let body = seq.to_be_bytes();
-        let head = Head {
-            topic: "/robot1/odom".to_owned(),
-            type_name: "nav_msgs/Odometry".to_owned(),
-            md5sum: "cd5e73d190d741a2f92e81eda573aca7".to_owned(),
-            definition: Digest([4; 32]),
-            caller_id: "/robot1".to_owned(),
-            boot_id: [5; 16],
-            compression: Compression::None,
-            plain_length: body.len() as u64,
-            tags: std::collections::BTreeMap::new(),
-        };
+        let head = head(&body);
         let request = SealRequest {
             domain: self.network.domain,
             owner: self.owner.address,

@@ -72,7 +72,7 @@ fn forgetful(home: &Path) -> (Plant, Arc<Forgetful>) {
     (Plant { vault: Arc::clone(&vault) as _, backlog: 0, ..plant }, vault)
 }
 
-fn head(body: &[u8]) -> Head {
+pub(super) fn head(body: &[u8]) -> Head {
     Head {
         topic: "/robot1/odom".to_owned(),
         type_name: "nav_msgs/Odometry".to_owned(),
