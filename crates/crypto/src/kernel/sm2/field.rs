@@ -10,7 +10,7 @@ use super::limbs::{self, Limbs};
 #[cfg(target_arch = "x86_64")]
 use super::way::{multiply, square};
 #[cfg(target_arch = "x86_64")]
-use super::x86_64::{add, subtract};
+use super::x86_64::{add, halve, subtract};
 
 /// p.
 pub(super) const MODULUS: Limbs = [u64::MAX, 0xffff_ffff_0000_0000, u64::MAX, 0xffff_fffe_ffff_ffff];
@@ -83,6 +83,12 @@ impl Element {
     #[inline(always)]
     pub fn triple(&self) -> Self {
         self.double() + *self
+    }
+
+    /// Divided by two.
+    #[inline(always)]
+    pub fn half(&self) -> Self {
+        Self(halve(&self.0))
     }
 
     /// All ones if it is zero, otherwise zero.
@@ -175,7 +181,10 @@ impl Mul for Element {
 }
 
 #[cfg(not(target_arch = "x86_64"))]
-use self::{by_adding as add, by_multiplying as multiply, by_squaring as square, by_subtracting as subtract};
+use self::{
+    by_adding as add, by_halving as halve, by_multiplying as multiply, by_squaring as square,
+    by_subtracting as subtract,
+};
 
 /// `a + b` modulo p on any processor, for numbers below p.
 #[cfg(any(test, not(target_arch = "x86_64")))]
@@ -187,6 +196,15 @@ pub(super) fn by_adding(a: &Limbs, b: &Limbs) -> Limbs {
 #[cfg(any(test, not(target_arch = "x86_64")))]
 pub(super) fn by_subtracting(a: &Limbs, b: &Limbs) -> Limbs {
     limbs::subtract_modulo(a, b, &MODULUS)
+}
+
+/// `a / 2` modulo p on any processor, for a number below p: if it is odd, p is added first.
+#[cfg(any(test, not(target_arch = "x86_64")))]
+pub(super) fn by_halving(a: &Limbs) -> Limbs {
+    let odd = limbs::mask(a[0] & 1 == 1);
+    let (even, carry) = limbs::add(a, &MODULUS.map(|limb| limb & odd));
+    let next = [even[1], even[2], even[3], u64::from(carry)];
+    [0, 1, 2, 3].map(|at| even[at] >> 1 | next[at] << 63)
 }
 
 /// `a a / 2^256` modulo p on any processor, for a number below p.

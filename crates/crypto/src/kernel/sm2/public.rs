@@ -4,7 +4,7 @@
 use std::sync::OnceLock;
 
 use super::limbs::{self, Limbs};
-use super::point::{Affine, GENERATOR, Jacobian, is_above};
+use super::point::{Affine, GENERATOR, Jacobian, Summand, is_above};
 use super::rows::rows;
 use super::scalar::{HALF, ORDER, Scalar, digit, digits};
 
@@ -70,13 +70,15 @@ fn plus_digit<const BITS: usize>(
 impl Signer for Affine {
     fn times(&self, t: &Scalar) -> Multiple {
         let row = odd_multiples(self);
+        let digits = sparse_digits(t.limbs());
+        let length = digits.iter().rposition(|digit| *digit != 0).map_or(0, |last| last + 1);
         let mut sum = Jacobian::INFINITY;
-        for digit in sparse_digits(t.limbs()).into_iter().rev() {
+        for digit in digits.into_iter().take(length).rev() {
             sum = sum.double();
             let entry = row.get(usize::from(digit.unsigned_abs() / 2));
             match entry {
-                Some(entry) if digit > 0 => sum = sum.plus(entry),
-                Some(entry) if digit < 0 => sum = sum.plus(&entry.negated()),
+                Some(entry) if digit > 0 => sum = sum.plus_summand(entry),
+                Some(entry) if digit < 0 => sum = sum.plus_summand(&entry.negated()),
                 _ => {}
             }
         }
@@ -84,13 +86,13 @@ impl Signer for Affine {
     }
 }
 
-/// 1, 3, 5 to 15 times a point.
-fn odd_multiples(point: &Affine) -> [Jacobian; NAF_ROW] {
-    let one = Jacobian::from(*point);
-    let two = one.double();
-    let mut row = [one; NAF_ROW];
-    for at in 1..NAF_ROW {
-        row[at] = row[at - 1].plus(&two);
+/// 1, 3, 5 to 15 times a point. Twice the point has another x than its odd multiples, as the group's order is prime.
+fn odd_multiples(point: &Affine) -> [Summand; NAF_ROW] {
+    let mut row = [Summand::from(Jacobian::from(*point)); NAF_ROW];
+    let (mut two, mut multiple) = point.doubled_beside();
+    for entry in row.iter_mut().skip(1) {
+        (multiple, two) = two.plus_beside(&multiple);
+        *entry = Summand::from(multiple);
     }
     row
 }

@@ -75,6 +75,7 @@ fn the_field_is_that_of_num_bigint() {
         assert_eq!(big(&(a * b).to_limbs()), &one * &other % &modulus, "case {case}");
         assert_eq!(big(&a.square().to_limbs()), &one * &one % &modulus, "case {case}");
         assert_eq!(big(&(-a).to_limbs()), (&modulus - &one) % &modulus, "case {case}");
+        assert_eq!(big(&a.half().to_limbs()) * 2u8 % &modulus, one, "case {case}");
         if case % 64 == 0 {
             let inverse = one.modpow(&(&modulus - 2u8), &modulus);
             assert_eq!(big(&a.invert().to_limbs()), inverse, "case {case}");
@@ -95,6 +96,7 @@ fn both_ways_of_the_field_agree() {
         assert_eq!(*a.square().montgomery(), field::by_squaring(&one), "case {case}");
         assert_eq!(*(a + b).montgomery(), field::by_adding(&one, &other), "case {case}");
         assert_eq!(*(a - b).montgomery(), field::by_subtracting(&one, &other), "case {case}");
+        assert_eq!(*a.half().montgomery(), field::by_halving(&one), "case {case}");
     }
 }
 

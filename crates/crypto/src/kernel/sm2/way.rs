@@ -29,12 +29,18 @@ fn decide() -> bool {
     found
 }
 
+/// Tells the compiler which way to lay out of line.
+#[cold]
+#[inline(always)]
+fn cold() {}
+
 #[inline(always)]
 pub(super) fn multiply(a: &Limbs, b: &Limbs) -> Limbs {
     if has_adx() {
         // SAFETY: the features were detected.
         unsafe { x86_64::multiply(a, b) }
     } else {
+        cold();
         field::by_multiplying(a, b)
     }
 }
@@ -45,6 +51,7 @@ pub(super) fn square(a: &Limbs) -> Limbs {
         // SAFETY: the features were detected.
         unsafe { x86_64::square(a) }
     } else {
+        cold();
         field::by_squaring(a)
     }
 }

@@ -255,6 +255,43 @@ pub(super) fn add(a: &Limbs, b: &Limbs) -> Limbs {
     out
 }
 
+/// `a / 2` modulo p, for a number below p.
+#[inline(always)]
+pub(super) fn halve(a: &Limbs) -> Limbs {
+    let mut out = [0; 4];
+    // SAFETY: as for the sum.
+    unsafe {
+        asm!(
+            // p if the number is odd, otherwise zero.
+            "mov {first}, {a0}",
+            "and {first}, 1",
+            "neg {first}",
+            "mov {second}, {first}",
+            "mov {fourth}, {first}",
+            "shl {second}, 32",
+            "btr {fourth}, 32",
+            "add {a0}, {first}",
+            "adc {a1}, {second}",
+            "adc {a2}, {first}",
+            "adc {a3}, {fourth}",
+            "sbb {first}, {first}",
+            "shrd {a0}, {a1}, 1",
+            "shrd {a1}, {a2}, 1",
+            "shrd {a2}, {a3}, 1",
+            "shrd {a3}, {first}, 1",
+            a0 = inout(reg) a[0] => out[0],
+            a1 = inout(reg) a[1] => out[1],
+            a2 = inout(reg) a[2] => out[2],
+            a3 = inout(reg) a[3] => out[3],
+            first = out(reg) _,
+            second = out(reg) _,
+            fourth = out(reg) _,
+            options(pure, nomem, nostack),
+        );
+    }
+    out
+}
+
 /// `a - b` modulo p, for numbers below p.
 #[inline(always)]
 pub(super) fn subtract(a: &Limbs, b: &Limbs) -> Limbs {
