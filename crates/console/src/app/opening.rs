@@ -138,7 +138,7 @@ pub fn key(state: &mut State, mut opening: Opening, key: Key) -> Vec<Effect> {
         Key::Char('n') => return neighbour(state, Popup::Record(opening), 1),
         Key::Char('p') => return neighbour(state, Popup::Record(opening), -1),
         Key::Char('W') => match opening.lookup.found().map(writable) {
-            Some(Some(file)) => effects.push(Effect::WriteFiles { directory: None, files: vec![file] }),
+            Some(Some(file)) => effects.push(Effect::WriteFiles { base: None, directory: None, files: vec![file] }),
             Some(None) => state
                 .inform(format!("too large to save here; use: authros shared open {} --out FILE", opening.lookup.id)),
             None => {}

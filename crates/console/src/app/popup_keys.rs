@@ -4,8 +4,10 @@ use super::action::{Effect, Tag};
 use super::administration;
 use super::available::available;
 use super::browse;
+use super::columns;
 use super::confirm;
 use super::contacts;
+use super::exporting;
 use super::form::{Form, FormStep};
 use super::forms;
 use super::granting::{self, Extension};
@@ -15,6 +17,7 @@ use super::key::{Key, chord_label};
 use super::keymap::Meaning;
 use super::leaving;
 use super::opening;
+use super::paths;
 use super::perform::{copy, perform};
 use super::popup::{Confirm, Help, Lookup, Palette, Popup, Purpose};
 use super::profiles;
@@ -38,12 +41,20 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
         Popup::Help(_) => vec![("up down", "scroll"), ("/", "filter"), ("q", "close")],
         Popup::Chord(_) => vec![("esc", "close")],
         Popup::Themes(_) => vec![("up down", "preview"), ("enter", "keep"), ("esc", "cancel")],
+        Popup::Columns(_) => {
+            vec![("space", "show/hide"), ("< >", "move"), ("r", "usual"), ("enter", "keep"), ("esc", "cancel")]
+        }
         Popup::Confirm(confirm) if confirm.typed.is_some() => vec![("enter", confirm.yes), ("esc", "cancel")],
         Popup::Confirm(confirm) => {
             let twin = granting::twin(state, &confirm.errand.command).map(|_| ("Y", "copy as command"));
             [("y", confirm.yes)].into_iter().chain(twin).chain([("any other key", "cancels")]).collect()
         }
-        Popup::Form(..) => vec![("enter", "next field / submit"), ("up down", "move"), ("esc", "cancel")],
+        Popup::Form(_, form) => {
+            let path = form.lines.get(form.focus).is_some_and(|line| line.path.is_some());
+            let tab = path.then_some(("tab", "complete"));
+            let all = [("enter", "next field / submit"), ("up down", "move"), ("esc", "cancel")];
+            tab.into_iter().chain(all).collect()
+        }
         Popup::Record(opening) => opening.hints(),
         Popup::Quit(leaving) => leaving.hints(state),
     }
@@ -69,6 +80,7 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
         Popup::Quit(leaving) => leaving::key(state, leaving, key),
         Popup::Chord(begun) => chord_key(state, begun, key),
         Popup::Themes(choice) => themes::key(state, choice, key),
+        Popup::Columns(choice) => columns::key(state, choice, key),
         Popup::Record(opening) => opening::key(state, opening, key),
         Popup::Browse(browse) => browse::key(state, browse, key),
         Popup::Contacts(book) => contacts::key(state, book, key),
@@ -166,6 +178,9 @@ fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect>
             let words: Vec<&str> = palette.field.text().split_whitespace().collect();
             if let (Some(("grant", terms)), Ok(())) = (with_terms(&words), available(state, Verb::Grant)) {
                 return granting::spoken(state, terms);
+            }
+            if let (Some(("columns", names)), Ok(())) = (with_terms(&words), available(state, Verb::Columns)) {
+                return columns::spoken(state, names);
             }
             if let Some(("profile", [name])) = with_terms(&words)
                 && let Ok(profile) = name.parse()
@@ -287,6 +302,10 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
         state.popups.push(Popup::Form(purpose, form));
         return Vec::new();
     }
+    if let Some(asked) = paths::tab(state, &form, key) {
+        state.popups.push(Popup::Form(purpose, form));
+        return vec![asked];
+    }
     match form.key(key) {
         FormStep::Stay => state.popups.push(Popup::Form(purpose, form)),
         FormStep::Cancel if matches!(purpose, Purpose::CreateIdentity | Purpose::Unlock) => {
@@ -322,8 +341,10 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
         Purpose::Unlock => forms::read_unlock(form)?,
         Purpose::ExportKey => {
             let errand = forms::read_export(form)?;
+            exporting::goes_to(state, &errand.tag, form, 3);
             return Ok(identity_path::run(state, Need::Unlocked, vec![errand]));
         }
+        Purpose::Export => return Ok(exporting::submit(state, form)),
         Purpose::Grant => {
             let wish = forms::read_grant(form, state.address(), state.now)?;
             granting::check(state, &wish)?;
@@ -353,7 +374,7 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
             return Ok(Vec::new());
         }
         Purpose::LoadKey => {
-            let wish = forms::read_load(form, &state.settings.directory, state.settings.home.as_deref())?;
+            let wish = forms::read_load(form, &state.settings)?;
             state.popups.push(Popup::Confirm(confirm::load_key(wish)));
             return Ok(Vec::new());
         }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use super::action::{Effect, Errand, Tag};
 use super::alerts::AlertBook;
 use super::detail::Detail;
+use super::exporting::Exports;
 use super::feed::{Feed, Feeds};
 use super::form::Form;
 use super::history::{History, Period};
@@ -139,6 +140,8 @@ pub struct State {
     pub follow_up: Option<(Tag, Errand)>,
     /// What undoing would do.
     pub undo: Option<Undo>,
+    /// What is being exported, and where to.
+    pub exports: Exports,
     /// When a key was last pressed.
     pub touched: Timestamp,
     /// Whether local times are shown beside UTC.
@@ -189,6 +192,7 @@ impl State {
             filled: None,
             follow_up: None,
             undo: None,
+            exports: Exports::default(),
             touched: Timestamp::default(),
             local_time: false,
             former: None,

@@ -3,6 +3,7 @@
 pub mod fixtures;
 
 mod aiming;
+mod columns;
 mod contacts;
 mod first_use;
 mod fleet;
@@ -15,6 +16,7 @@ mod leaving;
 mod logging;
 mod operating;
 mod palette;
+mod paths;
 mod placeholders;
 mod profiles;
 mod pulling;
