@@ -24,7 +24,7 @@ TEN = {
     "topics": "night",
     "uploads-chosen-columns": "night",
     "provenance": "night",
-    "record-values": "night",
+    "record-plot": "night",
     "grant-asked": "contrast",
     "readers": "day",
     "in-trouble": "night",

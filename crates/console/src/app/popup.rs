@@ -150,6 +150,8 @@ pub struct Palette {
     pub field: Field,
     /// The selected match.
     pub selected: usize,
+    /// Which of the commands before is in the field, counted from the newest.
+    pub recalled: Option<usize>,
 }
 
 impl Palette {

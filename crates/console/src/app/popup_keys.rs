@@ -8,6 +8,7 @@ use super::columns;
 use super::confirm;
 use super::contacts;
 use super::exporting;
+use super::field::Field;
 use super::form::{Form, FormStep};
 use super::forms;
 use super::granting::{self, Extension};
@@ -29,7 +30,7 @@ use crate::service::reply::PinsView;
 /// A popup's keys, for the bottom bar: key and what it does.
 pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> {
     match popup {
-        Popup::Palette(_) => vec![("enter", "run"), ("up down", "choose"), ("esc", "close")],
+        Popup::Palette(_) => vec![("enter", "run"), ("up down", "choose, earlier"), ("esc", "close")],
         Popup::Browse(_) => vec![("enter", "show these"), ("up down", "choose"), ("q", "close")],
         Popup::Contacts(_) => contacts::hints(state),
         Popup::Incidents(list) => incidents::hints(state, list),
@@ -175,6 +176,7 @@ fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect>
     match key {
         Key::Escape => return Vec::new(),
         Key::Enter => {
+            remember(state, palette.field.text());
             let words: Vec<&str> = palette.field.text().split_whitespace().collect();
             if let (Some(("grant", terms)), Ok(())) = (with_terms(&words), available(state, Verb::Grant)) {
                 return granting::spoken(state, terms);
@@ -190,15 +192,45 @@ fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect>
             let Some(entry) = matches.get(palette.selected.min(last)) else { return Vec::new() };
             return perform(state, entry.verb);
         }
+        Key::Up | Key::Down if recalls(state, &mut palette, key == Key::Up) => {}
         Key::Up | Key::BackTab => palette.selected = palette.selected.min(last).saturating_sub(1),
         Key::Down | Key::Tab => palette.selected = (palette.selected + 1).min(last),
         _ => {
             palette.field.key(key);
-            palette.selected = 0;
+            (palette.selected, palette.recalled) = (0, None);
         }
     }
     state.popups.push(Popup::Palette(palette));
     Vec::new()
+}
+
+/// The most commands remembered.
+const MOST_COMMANDS: usize = 50;
+
+fn remember(state: &mut State, typed: &str) {
+    let typed = typed.trim();
+    if !typed.is_empty() {
+        state.commands.retain(|other| other != typed);
+        state.commands.push(typed.to_owned());
+        drop(state.commands.drain(..state.commands.len().saturating_sub(MOST_COMMANDS)));
+    }
+}
+
+/// In an empty palette, up brings the last command back, and then earlier ones; false if the arrow moves the cursor.
+fn recalls(state: &State, palette: &mut Palette, earlier: bool) -> bool {
+    let wanted = match (palette.recalled, earlier) {
+        (None, true) if palette.field.text().is_empty() && palette.selected == 0 => Some(0),
+        (None, _) => return false,
+        (Some(back), true) => Some((back + 1).min(state.commands.len().saturating_sub(1))),
+        (Some(back), false) => back.checked_sub(1),
+    };
+    let text = wanted.and_then(|back| state.commands.iter().rev().nth(back));
+    if text.is_none() && palette.recalled.is_none() {
+        return false;
+    }
+    palette.field = Field::with(text.map_or("", String::as_str));
+    (palette.recalled, palette.selected) = (wanted, 0);
+    true
 }
 
 /// A command's name and the terms after it, if there are any.

@@ -140,6 +140,8 @@ pub struct State {
     pub follow_up: Option<(Tag, Errand)>,
     /// What undoing would do.
     pub undo: Option<Undo>,
+    /// What was typed into the palette, the newest last.
+    pub commands: Vec<String>,
     /// What is being exported, and where to.
     pub exports: Exports,
     /// When a key was last pressed.
@@ -192,6 +194,7 @@ impl State {
             filled: None,
             follow_up: None,
             undo: None,
+            commands: Vec::new(),
             exports: Exports::default(),
             touched: Timestamp::default(),
             local_time: false,

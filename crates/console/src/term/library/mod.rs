@@ -21,7 +21,7 @@ const PICTURES: [&str; 10] = [
     "topics",
     "uploads-chosen-columns",
     "provenance",
-    "record-values",
+    "record-plot",
     "grant-asked",
     "readers",
     "in-trouble",

@@ -6,7 +6,8 @@ use crate::app::tests::{Robot, fixtures};
 use crate::app::tour::Cast;
 use crate::app::{Action, Effect, Key, Screen, Settings, Tag, Verb};
 use crate::model::{ErrorKind, ProfileName, Timestamp};
-use crate::service::reply::{CoveragePart, CoverageView, HealthLevel, HeldUp, LifeLine, SiteView};
+use crate::ros::readable::{Plot, Raster, Readable};
+use crate::service::reply::{CoveragePart, CoverageView, HealthLevel, HeldUp, LifeLine, OpenedView, SiteView};
 use crate::service::{Event, NoticeLevel, Part, Reply};
 
 /// Columns and rows.
@@ -104,9 +105,16 @@ const RECORDS: &[Situation] = &[
         robot.is_answered(&Tag::Show(id), Ok(Reply::Provenance(fixtures::provenance(1_000))));
         robot
     }),
-    ("record-values", |size| opened(size, 0)),
-    ("record-fields", |size| opened(size, 2)),
-    ("record-bytes", |size| opened(size, 3)),
+    ("record-values", |size| opened(size, 0, false)),
+    ("record-plot", |size| opened(size, 1, false)),
+    ("record-fields", |size| opened(size, 2, false)),
+    ("record-bytes", |size| opened(size, 3, false)),
+    ("record-picture", |size| opened(size, 0, true)),
+    ("record-picture-alone", |size| {
+        let mut robot = opened(size, 0, true);
+        robot.presses(Key::Enter);
+        robot
+    }),
     ("browse", |size| pressed(at(Screen::Shared, size), "b")),
 ];
 
@@ -273,10 +281,46 @@ fn on_tour(size: Size) -> Robot {
     robot
 }
 
-fn opened(size: Size, tabs: usize) -> Robot {
+/// A message in readable form: odometry with its path, or a picture of a slope under a sun.
+fn readable(camera: bool) -> Readable {
+    if camera {
+        let (width, height) = (96_usize, 72_usize);
+        let pixel = |place: usize| {
+            let (x, y) = (place % width, place / width);
+            let sun = (x.abs_diff(72)).pow(2) + (y.abs_diff(16)).pow(2) < 100;
+            let slope = y > 60 - x / 3;
+            match (sun, slope) {
+                (true, _) => [250, 220, 90],
+                (_, true) => [60, 110, 60],
+                (false, false) => [120, 170, 220],
+            }
+        };
+        let rgb = (0..width * height).flat_map(pixel).collect();
+        return Readable { picture: Some(Raster { width, height, rgb }), ..Readable::default() };
+    }
+    let line = |(label, value): (&str, &str)| (label.to_owned(), value.to_owned());
+    let lines = [
+        ("Frame", "odom to base_link"),
+        ("Position, m", "1.25  -0.50  0.00"),
+        ("Orientation", "yaw 45.0°"),
+        ("Linear velocity, m/s", "0.40  0.00  0.00"),
+        ("Angular velocity, rad/s", "0.00  0.00  0.10"),
+        ("Stamp (UTC)", "2023-11-14T22:13:20.123Z"),
+    ];
+    let turn = |step: u32| {
+        let angle = f64::from(step) / 12.0;
+        (angle.cos() * angle / 2.0, angle.sin() * angle / 2.0)
+    };
+    let points: Vec<(f64, f64)> = (0..80).map(turn).collect();
+    let (here, axes) = (points.last().copied(), ("x, m".to_owned(), "y, m".to_owned()));
+    let plot = Plot { title: "Path over 80 records".to_owned(), axes, points, path: true, here };
+    Readable { lines: lines.map(line).to_vec(), plot: Some(plot), ..Readable::default() }
+}
+
+fn opened(size: Size, tabs: usize, camera: bool) -> Robot {
     let mut robot = at(Screen::Shared, size);
     robot.presses(Key::Enter);
-    let view = fixtures::opened(1_000, false);
+    let view = OpenedView { readable: Some(readable(camera)), ..fixtures::opened(1_000, camera) };
     robot.is_answered(&Tag::Open(view.record.id.clone()), Ok(Reply::Opened(Box::new(view))));
     (0..tabs).for_each(|_| robot.presses(Key::Tab));
     robot
