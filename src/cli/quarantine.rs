@@ -2,7 +2,7 @@
 
 use clap::{Args, Subcommand};
 
-use super::parse;
+use super::{lists, parse};
 use super::show::Question;
 use crate::model::{ErrorKind, Publisher};
 use crate::service::Failure;
@@ -132,7 +132,7 @@ pub fn held(view: &QuarantineView) -> String {
             record.seq.to_string(),
             held.reason.clone(),
             held.publisher.clone(),
-            record.captured_at.to_string(),
+            lists::in_milliseconds(record.captured_at),
         ]
     });
     let list = table(&["id", "topic", "seq", "why", "publisher", "captured"], &rows.collect::<Vec<_>>());

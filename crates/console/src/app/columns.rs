@@ -124,12 +124,8 @@ pub fn open(state: &mut State) {
 /// `columns topic,state,size` of the palette; `columns usual` goes back to the usual ones.
 pub fn spoken(state: &mut State, words: &[&str]) -> Vec<Effect> {
     let screen = state.screen;
-    let names: Vec<String> = words
-        .iter()
-        .flat_map(|word| word.split(','))
-        .filter(|name| !name.is_empty())
-        .map(str::to_lowercase)
-        .collect();
+    let names: Vec<String> =
+        words.iter().flat_map(|word| word.split(',')).filter(|name| !name.is_empty()).map(str::to_lowercase).collect();
     let chosen = match names.as_slice() {
         [usual] if usual == "usual" => Ok(Vec::new()),
         names => known(screen, names.iter().map(String::as_str)),

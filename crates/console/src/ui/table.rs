@@ -103,7 +103,9 @@ impl Layout {
         let mut room = width.saturating_sub(GUTTER + taken + LEAST_NAME + 1);
         let mut layout = Self { columns: Vec::new(), places: Vec::new(), left_out: Vec::new() };
         for name in wanted(screen, table, width) {
-            let Some((place, column)) = all.iter().enumerate().find(|(_, column)| column.name == name) else { continue };
+            let Some((place, column)) = all.iter().enumerate().find(|(_, column)| column.name == name) else {
+                continue;
+            };
             let usual = table.columns.is_empty();
             if usual || column.width == 0 || column.width < room {
                 room = room.saturating_sub(if column.width == 0 { 0 } else { column.width + 1 });

@@ -78,7 +78,8 @@ fn each_screen_keeps_its_own_for_the_next_start() {
     assert_eq!(state.topics.table.columns, [ALWAYS, "hz"]);
     assert!(state.uploads.table.columns.is_empty());
     // A file of another version, or one that was edited.
-    let odd = r#"{"screen":"Topics","tables":[{"filter":"","sort":0,"columns":["hz","wheels"]},{"filter":"","sort":0}]}"#;
+    let odd =
+        r#"{"screen":"Topics","tables":[{"filter":"","sort":0,"columns":["hz","wheels"]},{"filter":"","sort":0}]}"#;
     recall(&mut state, &serde_json::from_str(odd).expect("reads"));
     assert!(state.topics.table.columns.is_empty(), "what it does not know is left out");
 }

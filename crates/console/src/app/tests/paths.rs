@@ -24,7 +24,8 @@ fn tab(robot: &mut Robot) -> Sought {
 }
 
 fn found(names: &[&str]) -> Found {
-    let candidate = |name: &&str| Candidate { name: name.trim_end_matches('/').to_owned(), folder: name.ends_with('/') };
+    let candidate =
+        |name: &&str| Candidate { name: name.trim_end_matches('/').to_owned(), folder: name.ends_with('/') };
     Found { names: names.iter().map(candidate).collect(), more: false }
 }
 
@@ -161,6 +162,9 @@ fn records_are_exported_into_the_folder_that_was_named_whatever_moves_meanwhile(
             (base, directory.is_some())
         })
         .collect();
-    assert_eq!(bases[..2], [(Some("/home/operator/cases/7".into()), true), (Some("/home/operator/cases/7".into()), true)]);
+    assert_eq!(
+        bases[..2],
+        [(Some("/home/operator/cases/7".into()), true), (Some("/home/operator/cases/7".into()), true)]
+    );
     assert!(bases[2..].iter().all(|(base, _)| base.is_none()), "{bases:?}");
 }

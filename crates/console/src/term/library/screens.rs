@@ -65,9 +65,7 @@ const STATES: &[Situation] = &[
 const GRANTS: &[Situation] = &[
     ("grant", |size| pressed(at(Screen::Topics, size), "jjg")),
     ("grant-refused", |size| submitted(pressed(at(Screen::Grants, size), "g0x12"))),
-    ("grant-asked", |size| {
-        submitted(pressed(at(Screen::Grants, size), "g0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed"))
-    }),
+    ("grant-asked", |size| submitted(pressed(at(Screen::Grants, size), "g0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed"))),
     ("revoke-asked", |size| pressed(at(Screen::Grants, size), "x")),
     ("readers", |size| pressed(at(Screen::Topics, size), "jji")),
     ("contacts", |size| pressed(at(Screen::Grants, size), "c")),

@@ -48,7 +48,11 @@ fn draw_column(canvas: &mut Canvas, line: Rect, column: &Offered, (here, shown, 
     };
     canvas.put(right_of(line, 1), mark, role);
     let rest = right_of(line, BOX);
-    canvas.put(Rect { width: NAME.min(rest.width), ..rest }, column.name, if here { Role::Selection } else { Role::Body });
+    canvas.put(
+        Rect { width: NAME.min(rest.width), ..rest },
+        column.name,
+        if here { Role::Selection } else { Role::Body },
+    );
     let words = right_of(rest, NAME + 1);
     if fits {
         canvas.put(words, column.words, Role::Dim);
