@@ -2,8 +2,8 @@
 
 use clap::{Args, Subcommand};
 
-use super::{lists, parse};
 use super::show::Question;
+use super::{lists, parse};
 use crate::model::{ErrorKind, Publisher};
 use crate::service::Failure;
 use crate::service::command::{DiscardHeld, Held, ListQuarantine, PinTopic, ReleaseHeld};

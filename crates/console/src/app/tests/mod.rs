@@ -12,6 +12,7 @@ mod granting;
 mod helping;
 mod incidents;
 mod keys;
+mod keystrokes;
 mod leaving;
 mod logging;
 mod operating;
