@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use super::action::{Effect, Errand, Tag};
 use super::field::Field;
 use super::form::{Form, Line};
+use super::forms;
 use super::paths::{self, PathKind};
 use super::popup::{Popup, Purpose};
 use super::state::State;
@@ -22,9 +23,15 @@ pub struct Exports {
 }
 
 /// The line that asks for a folder.
-pub fn folder_line(state: &State) -> Line {
+fn folder_line(state: &State) -> Line {
     let hint = "empty = where this console was started";
     Line::text("Folder", hint, Field::offering(&state.exports.last)).path(PathKind::Folder)
+}
+
+/// Asks which key to export, and where it goes.
+pub fn begin_key(state: &mut State) {
+    let form = forms::export_key(folder_line(state));
+    state.popups.push(Popup::Form(Purpose::ExportKey, form));
 }
 
 /// Asks where the marked records go, or the one under the cursor.

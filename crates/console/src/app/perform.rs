@@ -110,10 +110,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Extend => granting::begin_extension(state),
         Verb::Revoke => revoke(state),
         Verb::LoadKey => state.popups.push(Popup::Form(Purpose::LoadKey, forms::load_key())),
-        Verb::ExportKey => {
-            let form = forms::export_key(exporting::folder_line(state));
-            state.popups.push(Popup::Form(Purpose::ExportKey, form));
-        }
+        Verb::ExportKey => exporting::begin_key(state),
         Verb::Rotate => state.popups.push(Popup::Confirm(confirm::rotate())),
     }
     Vec::new()

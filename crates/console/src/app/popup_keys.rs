@@ -43,7 +43,8 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
         Popup::Chord(_) => vec![("esc", "close")],
         Popup::Themes(_) => vec![("up down", "preview"), ("enter", "keep"), ("esc", "cancel")],
         Popup::Columns(_) => {
-            vec![("space", "show/hide"), ("< >", "move"), ("r", "usual"), ("enter", "keep"), ("esc", "cancel")]
+            let moves = [("space", "show/hide"), ("<", "left"), (">", "right")];
+            moves.into_iter().chain([("r", "usual"), ("enter", "keep"), ("esc", "cancel")]).collect()
         }
         Popup::Confirm(confirm) if confirm.typed.is_some() => vec![("enter", confirm.yes), ("esc", "cancel")],
         Popup::Confirm(confirm) => {

@@ -7,18 +7,24 @@ use crate::service::KeyKind;
 struct Counter {
     robot: Robot,
     keys: usize,
+    exists: bool,
 }
 
 impl Counter {
     fn at_work() -> Self {
-        Self { robot: Robot::at_work(true), keys: 0 }
+        Self::with(Robot::at_work(true), true)
+    }
+
+    /// Whether an identity exists is what the site answers.
+    fn with(robot: Robot, exists: bool) -> Self {
+        Self { robot, keys: 0, exists }
     }
 
     /// Presses keys; the site answers what its screens ask for.
     fn presses(&mut self, keys: &[Key]) -> &mut Self {
         for key in keys {
             self.robot.presses(*key);
-            self.robot.site_answers(true);
+            self.robot.site_answers(self.exists);
             self.keys += 1;
         }
         self
@@ -32,7 +38,7 @@ impl Counter {
     /// Types a value, which does not count.
     fn types(&mut self, value: &str) -> &mut Self {
         self.robot.types(value);
-        self.robot.site_answers(true);
+        self.robot.site_answers(self.exists);
         self
     }
 
@@ -84,7 +90,7 @@ fn a_picture_of_a_given_topic_takes_four_keys_and_an_unlock_at_the_start_one() {
     let mut robot = Robot::opens(Settings { asks_passphrase: true, ..Settings::default() });
     let tag = Tag::Feed(crate::app::feed::Feed::Identity, 0);
     robot.is_answered(&tag, Ok(Reply::Identity(fixtures::identity(true, false, true))));
-    let mut counter = Counter { robot, keys: 0 };
+    let mut counter = Counter::with(robot, true);
     assert_eq!(counter.types("correct horse").presses(&[Key::Enter]).reaches(&Tag::Unlock), 1);
 }
 
@@ -94,7 +100,7 @@ fn a_key_file_is_loaded_with_six_keys_and_a_first_topic_watched_with_three() {
     counter.letters("6L").presses(&[Key::Enter]).types("k_c.hex");
     let keys = counter.presses(&[Key::Enter, Key::Enter]).letters("y").reaches(&Tag::LoadKey(KeyKind::Sm4));
     assert_eq!(keys, 6);
-    let mut counter = Counter { robot: Robot::at_work(false), keys: 0 };
+    let mut counter = Counter::with(Robot::at_work(false), false);
     counter.robot.types("2");
     counter.robot.site_answers(false);
     counter.robot.presses(Key::Down);

@@ -60,6 +60,7 @@ fn theme(name: &str, ascii: bool) -> Theme {
 fn rows(terminal: &Parser, mut of: impl FnMut(&Cell) -> String) -> String {
     let (rows, columns) = terminal.screen().size();
     let cell = |row, column| terminal.screen().cell(row, column).filter(|cell| !cell.is_wide_continuation());
+    let (rows, columns) = (rows.get(), columns.get());
     let mut line = |row| (0..columns).filter_map(|column| cell(row, column)).map(&mut of).collect::<String>();
     (0..rows).map(|row| line(row).trim_end().to_owned() + "\n").collect()
 }
