@@ -31,8 +31,8 @@ impl Counter {
     }
 
     fn letters(&mut self, keys: &str) -> &mut Self {
-        keys.chars().for_each(|key| drop(self.presses(&[Key::Char(key)])));
-        self
+        let keys: Vec<Key> = keys.chars().map(Key::Char).collect();
+        self.presses(&keys)
     }
 
     /// Types a value, which does not count.
