@@ -190,7 +190,7 @@ def rectangle(ink, left, top, right, bottom):
         for x in range(WIDE):
             wide, high = min(right, x + 1) - max(left, x), min(bottom, y + 1) - max(top, y)
             if wide > 0 and high > 0:
-                ink[y][x] = min(1.0, ink[y][x] + wide * high)
+                ink[y][x] = max(ink[y][x], wide * high)
 
 
 # Lines of box drawing: whether they reach up, down, left, right.
@@ -202,7 +202,7 @@ BRAILLE = [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2), (0, 3), (1, 3)]
 def drawn(character):
     """A character that is a figure: lines, blocks and braille; None for all others."""
     ink, code = [[0.0] * WIDE for _ in range(HIGH)], ord(character)
-    middle, centre, half = WIDE / 2, HIGH / 2, 0.75
+    middle, centre, half = WIDE / 2, HIGH / 2, 1
     if character in BOX:
         for way in BOX[character]:
             left, right = (0 if way == "l" else middle - half), (WIDE if way == "r" else middle + half)

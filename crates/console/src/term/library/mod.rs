@@ -13,6 +13,11 @@ use super::stage::{Scene, Wish};
 use crate::app::State;
 use crate::ui::Theme;
 
+/// What the sanitiser puts in place of hostile characters. The emulator drops it, which no terminal does.
+const REPLACED: &str = "\u{fffd}";
+/// Its stand-in inside the emulator.
+const STAND_IN: &str = "\u{e000}";
+
 const SIZES: [(u16, u16); 3] = [(80, 24), (120, 40), (200, 50)];
 
 /// Situations whose looks are kept: those drawn as pictures.
@@ -48,7 +53,7 @@ fn emulated(state: State, theme: Theme, depth: Depth) -> Parser {
     let mut terminal = Parser::new(size(rows), size(columns), 0);
     let mut scene =
         Scene { state, theme, wish: Wish::Now, anew: true, extra: String::new(), suspended: false, over: false };
-    terminal.process(painter.paint(&mut scene).as_bytes());
+    terminal.process(painter.paint(&mut scene).replace(REPLACED, STAND_IN).as_bytes());
     terminal
 }
 
@@ -66,7 +71,9 @@ fn rows(terminal: &Parser, mut of: impl FnMut(&Cell) -> String) -> String {
 }
 
 fn text(terminal: &Parser) -> String {
-    rows(terminal, |cell| if cell.has_contents() { cell.contents().to_owned() } else { " ".to_owned() })
+    let shown =
+        |cell: &Cell| if cell.has_contents() { cell.contents().replace(STAND_IN, REPLACED) } else { " ".into() };
+    rows(terminal, shown)
 }
 
 /// A letter for each style, none for plain cells; the styles come first.
