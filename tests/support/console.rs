@@ -121,7 +121,10 @@ impl Console {
         }
         let child = pair.slave.spawn_command(command).expect("the program starts");
         let keys = pair.master.take_writer().expect("the keyboard");
-        let keys = terminal.round_trip.map_or(keys, |round_trip| Box::new(Delayed::new(keys, round_trip / 2)));
+        let keys = match terminal.round_trip {
+            Some(round_trip) => Box::new(Delayed::new(keys, round_trip / 2)),
+            None => keys,
+        };
         let size = |cells| NonZeroU16::new(cells).expect("not zero");
         let received = Arc::new(Received {
             emulator: Mutex::new(Parser::new(size(rows), size(columns), 0)),
