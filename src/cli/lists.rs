@@ -4,7 +4,7 @@ use super::connect::Context;
 use super::parties;
 use crate::config::SettingView;
 use crate::crypto::{Fingerprint, read_public};
-use crate::model::{Address, ProfileName, Verdict};
+use crate::model::{Address, ProfileName, Timestamp, Verdict};
 use crate::pipeline::columns::Compared;
 use crate::pipeline::sender::LaneState;
 use crate::service::Failure;
@@ -162,7 +162,7 @@ pub fn records(page: &RecordPage) -> String {
                 record.topic.clone(),
                 record.state.word().to_owned(),
                 record.bytes.to_string(),
-                record.captured_at.to_string(),
+                in_milliseconds(record.captured_at),
                 or_dash(record.block),
                 if record.simulated { "SIMULATED" } else { "" }.to_owned(),
                 record.owner.map(|owner| parties::named(owner, record.owner_name.as_ref())).unwrap_or_default(),
@@ -176,6 +176,12 @@ pub fn records(page: &RecordPage) -> String {
     lines.extend(doubts(page));
     lines.extend(page.next.as_ref().map(|next| format!("more: --after {next}")));
     lines.join("\n")
+}
+
+/// A moment with three digits of its second, so that columns stand still.
+pub fn in_milliseconds(at: Timestamp) -> String {
+    let second = Timestamp::from_seconds(at.seconds()).to_string();
+    format!("{}.{:03}Z", second.trim_end_matches('Z'), at.0 / 1_000_000 % 1_000)
 }
 
 /// Which parts of a page come only from the ledger, or contradict the records.
@@ -269,4 +275,21 @@ pub fn deployed(view: &DeployedView) -> String {
         ("block", view.pin.deployed_at.to_string()),
         ("code hash", view.pin.code_hash.to_string()),
     ])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn moments_in_a_column_have_one_width() {
+        for (nanoseconds, text) in [
+            (0, "1970-01-01T00:00:00.000Z"),
+            (1_700_000_000_123_456_789, "2023-11-14T22:13:20.123Z"),
+            (1_700_000_000_999_999_999, "2023-11-14T22:13:20.999Z"),
+            (1_700_000_000_040_000_000, "2023-11-14T22:13:20.040Z"),
+        ] {
+            assert_eq!(in_milliseconds(Timestamp(nanoseconds)), text);
+        }
+    }
 }

@@ -2,8 +2,8 @@
 
 use clap::{Args, Subcommand};
 
-use super::parse;
 use super::show::Question;
+use super::{lists, parse};
 use crate::model::{ErrorKind, Publisher};
 use crate::service::Failure;
 use crate::service::command::{DiscardHeld, Held, ListQuarantine, PinTopic, ReleaseHeld};
@@ -132,7 +132,7 @@ pub fn held(view: &QuarantineView) -> String {
             record.seq.to_string(),
             held.reason.clone(),
             held.publisher.clone(),
-            record.captured_at.to_string(),
+            lists::in_milliseconds(record.captured_at),
         ]
     });
     let list = table(&["id", "topic", "seq", "why", "publisher", "captured"], &rows.collect::<Vec<_>>());

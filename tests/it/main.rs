@@ -21,6 +21,8 @@ mod command_line;
 mod completing;
 mod console;
 mod console_journey;
+mod console_line;
+mod console_situations;
 mod console_terminal;
 mod contacts;
 mod demo;

@@ -3,8 +3,9 @@
 use std::io::{Read, Write};
 use std::num::NonZeroU16;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use portable_pty::{Child, CommandBuilder, ExitStatus, MasterPty, PtyPair, PtySize, native_pty_system};
 use vt100::Parser;
@@ -24,12 +25,15 @@ pub struct Terminal {
     pub name: &'static str,
     /// How many bytes a second it accepts; no limit if not set.
     pub bytes_per_second: Option<u32>,
+    /// The time of a round trip on the line to it. The line takes in all that is sent, as a relay does, and delivers it
+    /// in order, at its rate.
+    pub round_trip: Option<Duration>,
 }
 
 impl Terminal {
     /// Of that size, with 256 colours.
     pub fn of(columns: u16, rows: u16) -> Self {
-        Self { rows, columns, name: "xterm-256color", bytes_per_second: None }
+        Self { rows, columns, name: "xterm-256color", bytes_per_second: None, round_trip: None }
     }
 }
 
@@ -38,6 +42,45 @@ struct Received {
     emulator: Mutex<Parser>,
     bytes: AtomicU64,
     kept: Mutex<Vec<u8>>,
+}
+
+impl Received {
+    fn take(&self, bytes: &[u8]) {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(bytes);
+        self.emulator.lock().unwrap_or_else(PoisonError::into_inner).process(bytes);
+        self.bytes.fetch_add(u64::try_from(bytes.len()).unwrap_or(0), Ordering::SeqCst);
+    }
+}
+
+/// Keys that arrive some time after they were pressed, in order.
+struct Delayed {
+    sent: Sender<(Instant, Vec<u8>)>,
+    delay: Duration,
+}
+
+impl Delayed {
+    fn new(mut keys: Box<dyn Write + Send>, delay: Duration) -> Self {
+        let (sent, pressed) = channel::<(Instant, Vec<u8>)>();
+        std::thread::spawn(move || {
+            for (due, bytes) in pressed {
+                std::thread::sleep(due.saturating_duration_since(Instant::now()));
+                // The program may have ended meanwhile.
+                drop(keys.write_all(&bytes).and_then(|()| keys.flush()));
+            }
+        });
+        Self { sent, delay }
+    }
+}
+
+impl Write for Delayed {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        drop(self.sent.send((Instant::now() + self.delay, bytes.to_vec())));
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
 }
 
 /// A running console; killed on drop.
@@ -78,6 +121,10 @@ impl Console {
         }
         let child = pair.slave.spawn_command(command).expect("the program starts");
         let keys = pair.master.take_writer().expect("the keyboard");
+        let keys = match terminal.round_trip {
+            Some(round_trip) => Box::new(Delayed::new(keys, round_trip / 2)),
+            None => keys,
+        };
         let size = |cells| NonZeroU16::new(cells).expect("not zero");
         let received = Arc::new(Received {
             emulator: Mutex::new(Parser::new(size(rows), size(columns), 0)),
@@ -85,7 +132,10 @@ impl Console {
             kept: Mutex::default(),
         });
         let source = pair.master.try_clone_reader().expect("the screen");
-        watch(source, Arc::clone(&received), terminal.bytes_per_second);
+        match (terminal.round_trip, terminal.bytes_per_second) {
+            (Some(round_trip), Some(rate)) => relay(source, Arc::clone(&received), rate, round_trip / 2),
+            (_, rate) => watch(source, Arc::clone(&received), rate),
+        }
         Self { child, pair, keys, received, modes_before }
     }
 
@@ -203,9 +253,32 @@ fn watch(mut source: Box<dyn Read + Send>, received: Arc<Received>, bytes_per_se
                 let bytes = u32::try_from(length).unwrap_or(u32::MAX);
                 std::thread::sleep(Duration::from_secs_f64(f64::from(bytes) / f64::from(rate)));
             }
-            received.kept.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(&buffer[..length]);
-            received.emulator.lock().unwrap_or_else(PoisonError::into_inner).process(&buffer[..length]);
-            received.bytes.fetch_add(u64::try_from(length).unwrap_or(0), Ordering::SeqCst);
+            received.take(&buffer[..length]);
+        }
+    });
+}
+
+/// Takes its output in at once, and delivers it at `rate` bytes a second, each byte `delay` after it left.
+fn relay(mut source: Box<dyn Read + Send>, received: Arc<Received>, rate: u32, delay: Duration) {
+    let (sent, line) = channel::<(Instant, Vec<u8>)>();
+    std::thread::spawn(move || {
+        let mut buffer = [0; 8192];
+        while let Ok(length @ 1..) = source.read(&mut buffer) {
+            drop(sent.send((Instant::now(), buffer[..length].to_vec())));
+        }
+    });
+    std::thread::spawn(move || {
+        // When the line is free again.
+        let mut free = Instant::now();
+        for (came, bytes) in line {
+            free = free.max(came);
+            // In pieces of a fiftieth of a second.
+            for piece in bytes.chunks(usize::try_from(rate / 50).unwrap_or(1).max(1)) {
+                let length = u32::try_from(piece.len()).unwrap_or(u32::MAX);
+                free += Duration::from_secs_f64(f64::from(length) / f64::from(rate));
+                std::thread::sleep((free + delay).saturating_duration_since(Instant::now()));
+                received.take(piece);
+            }
         }
     });
 }

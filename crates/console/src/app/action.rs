@@ -1,10 +1,13 @@
 //! The input of `update` and its output.
 
+use std::path::PathBuf;
+
 use zeroize::Zeroizing;
 
 use super::feed::Feed;
 use super::incidents::Deed;
 use super::key::Key;
+use super::paths::{Found, Sought};
 use super::screen::Screen;
 use super::verb::Verb;
 use crate::model::{Address, IncidentName, Party, ProfileName, Timestamp};
@@ -42,6 +45,8 @@ pub enum Action {
     Missed,
     /// Files were written (where), or why not.
     FilesWritten(Result<String, String>),
+    /// The paths that begin as was typed, or why they cannot be read.
+    PathsFound(Sought, Result<Found, String>),
     /// The theme is now this one.
     ThemeIs(String),
     /// The wheel was turned: up or down.
@@ -86,8 +91,12 @@ pub enum Effect {
     CopyText(String),
     /// Speak for this profile from now on.
     SpeakFor(ProfileName),
-    /// Write files into a new place below the working directory, 0600, never overwriting others.
+    /// Read which paths begin as typed.
+    FindPaths(Sought),
+    /// Write files into a new place below `base`, 0600, never overwriting others.
     WriteFiles {
+        /// An existing folder; `None` = the working directory.
+        base: Option<PathBuf>,
         /// Directory to create, if any.
         directory: Option<String>,
         /// The files.

@@ -2,10 +2,13 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
+use std::path::PathBuf;
+
 use zeroize::Zeroizing;
 
 use super::action::{Contents, Effect, Tag};
 use super::detail;
+use super::exporting;
 use super::feed::Feed;
 use super::identity_path;
 use super::incidents::{self, Deed};
@@ -50,16 +53,16 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         }),
         Tag::Lock => locked(state, ask::Lock::heard(result)),
         Tag::Export(id) => {
-            return written(state, tag, ask::ExportUpload::heard(result), |_, files| exported(id, files));
+            return written(state, tag, ask::ExportUpload::heard(result), |_, base, files| exported(id, base, files));
         }
         Tag::ExportKey(kind) => {
-            return written(state, tag, ask::ExportKey::heard(result), |state, key| {
-                secret(key_file(state, *kind), &key)
+            return written(state, tag, ask::ExportKey::heard(result), |state, base, key| {
+                secret(base, key_file(state, *kind), &key)
             });
         }
         Tag::BackUp => {
             let name = format!("{}.keyring", state.settings.profile);
-            return written(state, tag, ask::BackUpKeys::heard(result), |_, keys| secret(name, &keys));
+            return written(state, tag, ask::BackUpKeys::heard(result), |_, base, keys| secret(base, name, &keys));
         }
         Tag::Play(_) => done(state, tag, ask::Play::heard(result), |state, view| playing::ended(state, &view)),
         Tag::StopPlay => done(state, tag, ask::StopPlay::heard(result), |_, ()| {}),
@@ -271,10 +274,11 @@ fn written<T>(
     state: &mut State,
     tag: &Tag,
     result: Result<T, Failure>,
-    write: impl FnOnce(&State, T) -> Effect,
+    write: impl FnOnce(&State, Option<PathBuf>, T) -> Effect,
 ) -> Vec<Effect> {
+    let base = exporting::folder_of(state, tag);
     match result {
-        Ok(answer) => vec![write(state, answer)],
+        Ok(answer) => vec![write(state, base, answer)],
         Err(failure) => {
             state.complain_of(tag, &failure);
             Vec::new()
@@ -282,14 +286,14 @@ fn written<T>(
     }
 }
 
-fn exported(id: &str, files: Vec<ExportedFile>) -> Effect {
+fn exported(id: &str, base: Option<PathBuf>, files: Vec<ExportedFile>) -> Effect {
     let directory = Some(format!("authros-{}", crate::model::clean(id, 40).replace('/', "_")));
-    Effect::WriteFiles { directory, files: files.into_iter().map(Contents::from).collect() }
+    Effect::WriteFiles { base, directory, files: files.into_iter().map(Contents::from).collect() }
 }
 
-fn secret(name: String, secret: &SecretBytes) -> Effect {
+fn secret(base: Option<PathBuf>, name: String, secret: &SecretBytes) -> Effect {
     let bytes = Zeroizing::new(secret.expose().to_vec());
-    Effect::WriteFiles { directory: None, files: vec![Contents { name, bytes }] }
+    Effect::WriteFiles { base, directory: None, files: vec![Contents { name, bytes }] }
 }
 
 /// What an own command makes out of date, before the site's note of it arrives.

@@ -51,7 +51,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
             given(matches!(verb, Verb::Browse) || state.has_rows(), "nothing selected")
         }
         Verb::EndTour => given(state.tour.is_some(), "no tour: authros tour begins one"),
-        Verb::Period | Verb::FoldAll => given(entry.works_on(state.screen), "other screen"),
+        Verb::Period | Verb::FoldAll | Verb::Columns => given(entry.works_on(state.screen), "other screen"),
         Verb::Release | Verb::Discard => held(state),
         Verb::BackUp | Verb::Incident | Verb::Incidents => identity(state),
         Verb::Lock => lock(state),

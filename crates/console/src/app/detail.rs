@@ -12,6 +12,10 @@ use crate::service::{Command, Failure};
 
 /// Terminal width from which there is a pane, columns.
 pub const WIDE_FROM: u16 = 140;
+/// The fewest columns that the list beside a pane keeps.
+const LIST: u16 = 84;
+/// The greatest width of a pane, columns.
+const WIDEST: u16 = 84;
 /// How long the cursor rests before a record is requested, nanoseconds.
 const REST: u64 = 300_000_000;
 /// How often a topic's coverage in the pane is requested, nanoseconds.
@@ -60,6 +64,12 @@ fn may_ask(state: &State) -> bool {
 /// Whether there is a pane beside the list on screen.
 pub fn is_shown(state: &State) -> bool {
     state.size.0 >= WIDE_FROM && state.screen.has_table()
+}
+
+/// The width of the list on screen, columns: the terminal's, less the pane's.
+pub fn list_width(state: &State) -> u16 {
+    let whole = state.size.0;
+    if is_shown(state) { whole - (whole / 2).min(WIDEST).min(whole.saturating_sub(LIST)) } else { whole }
 }
 
 /// The record to show in the pane: one that the cursor was moved to, not just the newest.

@@ -5,7 +5,7 @@ use zeroize::Zeroizing;
 use super::key::Key;
 
 /// The most characters of a field.
-const LONGEST: usize = 200;
+pub const LONGEST: usize = 200;
 /// Space for [`LONGEST`] characters, so that a secret's buffer is never moved.
 const CAPACITY: usize = LONGEST * 4;
 

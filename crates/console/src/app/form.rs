@@ -2,6 +2,7 @@
 
 use super::field::Field;
 use super::key::Key;
+use super::paths::PathKind;
 
 /// The input of a line.
 #[derive(Debug)]
@@ -26,17 +27,25 @@ pub struct Line {
     pub hint: &'static str,
     /// Its input.
     pub input: Input,
+    /// What its text leads to, if it is a path: tab completes it.
+    pub path: Option<PathKind>,
 }
 
 impl Line {
     /// A line of text.
     pub fn text(label: &'static str, hint: &'static str, field: Field) -> Self {
-        Self { label, hint, input: Input::Text(field) }
+        Self { label, hint, input: Input::Text(field), path: None }
     }
 
     /// A choice, the first word chosen.
     pub fn choice(label: &'static str, options: &'static [&'static str]) -> Self {
-        Self { label, hint: "", input: Input::Choice { options, chosen: 0 } }
+        Self { label, hint: "", input: Input::Choice { options, chosen: 0 }, path: None }
+    }
+
+    /// The same as a path.
+    pub fn path(mut self, kind: PathKind) -> Self {
+        self.path = Some(kind);
+        self
     }
 }
 
@@ -53,6 +62,10 @@ pub struct Form {
     pub focus: usize,
     /// What is wrong with the submitted input.
     pub error: Option<String>,
+    /// What tab found, as lines below the fields.
+    pub told: Vec<String>,
+    /// The text that tab could not lengthen; pressed again, it lists the names.
+    pub tabbed: Option<String>,
 }
 
 /// The effect of a key on a form.
@@ -69,7 +82,7 @@ pub enum FormStep {
 impl Form {
     /// A form with the first field in focus.
     pub fn new(title: impl Into<String>, notes: Vec<String>, lines: Vec<Line>) -> Self {
-        Self { title: title.into(), notes, lines, focus: 0, error: None }
+        Self { title: title.into(), notes, lines, focus: 0, error: None, told: Vec::new(), tabbed: None }
     }
 
     /// The text of a field; empty for a choice.
@@ -108,6 +121,8 @@ impl Form {
 
     /// Takes a key.
     pub fn key(&mut self, key: Key) -> FormStep {
+        self.told.clear();
+        self.tabbed = None;
         match key {
             Key::Escape => return FormStep::Cancel,
             Key::Enter if self.focus + 1 >= self.lines.len() => return FormStep::Submit,
@@ -125,6 +140,7 @@ impl Form {
         if let Some(Line { input: Input::Text(field), .. }) = self.lines.get_mut(self.focus) {
             field.insert(text.trim());
             self.error = None;
+            self.told.clear();
         }
     }
 
@@ -135,6 +151,8 @@ impl Form {
             Some(Input::Choice { options, chosen }) => match key {
                 Key::Left => *chosen = chosen.checked_sub(1).unwrap_or(options.len().saturating_sub(1)),
                 Key::Right | Key::Char(' ') => *chosen = (*chosen + 1) % options.len().max(1),
+                // What is typed here would vanish without a word.
+                Key::Char(_) => self.error = Some("space changes this line; enter goes on to the next".to_owned()),
                 _ => {}
             },
             None => {}

@@ -1,10 +1,12 @@
 //! The console's forms, and the commands made from their input.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::action::{Errand, Tag};
 use super::field::Field;
 use super::form::{Form, Line};
+use super::paths::{self, PathKind};
+use super::state::Settings;
 use super::when;
 use crate::model::{Address, Party, Timestamp, TopicName, grant::MOST_TOPICS};
 use crate::service::{Command, Epochs, KeyKind, SecretText};
@@ -160,7 +162,7 @@ pub fn read_unpin(form: &Form) -> Result<Errand, (usize, String)> {
 pub fn load_key() -> Form {
     let lines = vec![
         Line::choice("Key", KIND_WORDS),
-        Line::text("File", "path to the key file (must be mode 0600)", Field::default()),
+        Line::text("File", "path to the key file (must be mode 0600)", Field::default()).path(PathKind::File),
         Line::text("Passphrase", "only for a V3 keystore", Field::masked()),
     ];
     Form::new("Load a key file", vec!["Replaces the current key with one of yours.".to_owned()], lines)
@@ -177,31 +179,25 @@ pub struct KeyWish {
     pub passphrase: Option<SecretText>,
 }
 
-/// The key file of a completed [`load_key`]; `~` is `home`, relative paths start at `directory`.
+/// The key file of a completed [`load_key`].
 ///
 /// # Errors
 /// The field in error, and why.
-pub fn read_load(form: &Form, directory: &Path, home: Option<&Path>) -> Result<KeyWish, (usize, String)> {
-    let path = form.text(1).trim();
-    if path.is_empty() {
-        return Err((1, "write the path of the key file".to_owned()));
-    }
-    let path = match (path.strip_prefix("~/"), home) {
-        (Some(rest), Some(home)) => home.join(rest),
-        _ => directory.join(path),
-    };
+pub fn read_load(form: &Form, settings: &Settings) -> Result<KeyWish, (usize, String)> {
+    let path = paths::of_line(form, 1, settings).ok_or((1, "write the path of the key file".to_owned()))?;
     let passphrase = (!form.text(2).is_empty()).then(|| secret(form, 2));
     Ok(KeyWish { kind: kind(form), path, passphrase })
 }
 
 /// Asks which key to export.
-pub fn export_key() -> Form {
+pub fn export_key(folder: Line) -> Form {
     let lines = vec![
         Line::choice("Key", KIND_WORDS),
         Line::text("Passphrase", "EOA: protects the V3 keystore", Field::masked()),
         Line::text("Repeat", "", Field::masked()),
+        folder,
     ];
-    let notes = vec!["Writes a secret key into a file here. Whoever has it can act or read as you.".to_owned()];
+    let notes = vec!["Writes a secret key into a file. Whoever has it can act or read as you.".to_owned()];
     Form::new("Export a key", notes, lines)
 }
 

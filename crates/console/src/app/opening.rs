@@ -68,6 +68,8 @@ pub struct Opening {
     pub lookup: Lookup<OpenedView>,
     /// The face in view.
     pub face: usize,
+    /// Whether a picture or a plot takes the whole window.
+    pub alone: bool,
     /// The path over its topic, once requested.
     pub path: Option<Lookup<PathView>>,
 }
@@ -75,7 +77,7 @@ pub struct Opening {
 impl Opening {
     /// Asked for, not yet here.
     pub fn new(id: &str) -> Self {
-        Self { lookup: Lookup::new(id), face: 0, path: None }
+        Self { lookup: Lookup::new(id), face: 0, alone: false, path: None }
     }
 
     /// The face in view.
@@ -87,12 +89,18 @@ impl Opening {
     /// Its keys, for the bottom bar.
     pub fn hints(&self) -> Vec<(&'static str, &'static str)> {
         let Some(view) = self.lookup.found() else { return vec![("q", "close")] };
-        let mut hints = vec![("tab", "next view"), ("n p", "next/prev"), ("up down", "scroll")];
+        let mut hints = vec![("tab", "next view"), ("n p", "next/prev")];
+        hints.push(if self.is_drawn() { ("enter", "larger") } else { ("up down", "scroll") });
         if writable(view).is_some() {
             hints.extend([("W", "save"), ("y", "copy digest")]);
         }
         hints.push(("q", "close"));
         hints
+    }
+
+    /// Whether the face in view is drawn, not written.
+    pub fn is_drawn(&self) -> bool {
+        matches!(self.shown(), Face::Picture | Face::Plot)
     }
 
     fn turn(&mut self, by: usize) {
@@ -135,10 +143,11 @@ pub fn key(state: &mut State, mut opening: Opening, key: Key) -> Vec<Effect> {
             let count = opening.lookup.found().map_or(1, |view| Face::of(view).len());
             opening.turn(count - 1);
         }
+        Key::Enter if opening.is_drawn() => opening.alone = !opening.alone,
         Key::Char('n') => return neighbour(state, Popup::Record(opening), 1),
         Key::Char('p') => return neighbour(state, Popup::Record(opening), -1),
         Key::Char('W') => match opening.lookup.found().map(writable) {
-            Some(Some(file)) => effects.push(Effect::WriteFiles { directory: None, files: vec![file] }),
+            Some(Some(file)) => effects.push(Effect::WriteFiles { base: None, directory: None, files: vec![file] }),
             Some(None) => state
                 .inform(format!("too large to save here; use: authros shared open {} --out FILE", opening.lookup.id)),
             None => {}

@@ -6,10 +6,12 @@ use super::action::{Contents, Effect, Errand, Tag};
 use super::administration;
 use super::available::available;
 use super::browse::Browse;
+use super::columns;
 use super::confirm;
 use super::contacts;
 use super::cursor;
 use super::detail;
+use super::exporting;
 use super::feed::Feed;
 use super::forms;
 use super::granting;
@@ -44,9 +46,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Details => return details(state),
         Verb::Open => return record(state, Tag::Open, |id| Command::OpenShared { id }, Need::Unlocked),
         Verb::Check => return send_for_rows(state, Tag::Check, |id| Command::CheckShared { id }),
-        Verb::Export => {
-            return send_for_rows(state, Tag::Export, |id| Command::ExportUpload { id, addresses: false });
-        }
+        Verb::Export => exporting::begin(state),
         Verb::CreateIdentity | Verb::Register => return identity_path::run(state, Need::Registered, Vec::new()),
         Verb::Unlock => return identity_path::run(state, Need::Unlocked, Vec::new()),
         Verb::Copy => return copied(state).map_or_else(Vec::new, |text| vec![copy(state, text)]),
@@ -78,6 +78,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Filter => drop(state.table_mut().map(|table| table.filtering = true)),
         Verb::Sort => cursor::sort(state),
         Verb::Reverse => cursor::reverse(state),
+        Verb::Columns => columns::open(state),
         Verb::Level => state.log.next_level(),
         Verb::Source => state.log.next_source(),
         Verb::Read => read_line(state),
@@ -109,7 +110,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Extend => granting::begin_extension(state),
         Verb::Revoke => revoke(state),
         Verb::LoadKey => state.popups.push(Popup::Form(Purpose::LoadKey, forms::load_key())),
-        Verb::ExportKey => state.popups.push(Popup::Form(Purpose::ExportKey, forms::export_key())),
+        Verb::ExportKey => exporting::begin_key(state),
         Verb::Rotate => state.popups.push(Popup::Confirm(confirm::rotate())),
     }
     Vec::new()
@@ -298,7 +299,7 @@ pub fn copy(state: &mut State, text: String) -> Effect {
 fn write_file(state: &State, text: &str) -> Effect {
     let name = format!("{}.txt", state.screen.title().to_lowercase());
     let file = Contents { name, bytes: format!("{text}\n").into_bytes().into() };
-    Effect::WriteFiles { directory: None, files: vec![file] }
+    Effect::WriteFiles { base: None, directory: None, files: vec![file] }
 }
 
 /// What `copy` would copy now.

@@ -4,6 +4,7 @@ use super::action::Errand;
 use super::administration::Act;
 use super::available::available;
 use super::browse::Browse;
+use super::columns::ColumnChoice;
 use super::confirm::Typed;
 use super::contacts::Book;
 use super::field::Field;
@@ -40,6 +41,8 @@ pub enum Popup {
     Chord(Vec<Key>),
     /// Choosing of a theme.
     Themes(ThemeChoice),
+    /// Choosing of a list's columns.
+    Columns(ColumnChoice),
     /// Publishers of a topic: pinned, suspect, quarantined.
     Publishers(Lookup<PinsView>),
     /// Who can read these topics now; empty = all.
@@ -73,6 +76,8 @@ pub enum Purpose {
     LoadKey,
     /// Which key to export.
     ExportKey,
+    /// Where records are exported to.
+    Export,
     /// The account of an administrator's act.
     Administer(Act),
     /// A name for an account.
@@ -145,6 +150,8 @@ pub struct Palette {
     pub field: Field,
     /// The selected match.
     pub selected: usize,
+    /// Which of the commands before is in the field, counted from the newest.
+    pub recalled: Option<usize>,
 }
 
 impl Palette {

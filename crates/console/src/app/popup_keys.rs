@@ -4,8 +4,11 @@ use super::action::{Effect, Tag};
 use super::administration;
 use super::available::available;
 use super::browse;
+use super::columns;
 use super::confirm;
 use super::contacts;
+use super::exporting;
+use super::field::Field;
 use super::form::{Form, FormStep};
 use super::forms;
 use super::granting::{self, Extension};
@@ -15,6 +18,7 @@ use super::key::{Key, chord_label};
 use super::keymap::Meaning;
 use super::leaving;
 use super::opening;
+use super::paths;
 use super::perform::{copy, perform};
 use super::popup::{Confirm, Help, Lookup, Palette, Popup, Purpose};
 use super::profiles;
@@ -26,7 +30,7 @@ use crate::service::reply::PinsView;
 /// A popup's keys, for the bottom bar: key and what it does.
 pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> {
     match popup {
-        Popup::Palette(_) => vec![("enter", "run"), ("up down", "choose"), ("esc", "close")],
+        Popup::Palette(_) => vec![("enter", "run"), ("up down", "choose, earlier"), ("esc", "close")],
         Popup::Browse(_) => vec![("enter", "show these"), ("up down", "choose"), ("q", "close")],
         Popup::Contacts(_) => contacts::hints(state),
         Popup::Incidents(list) => incidents::hints(state, list),
@@ -38,12 +42,21 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
         Popup::Help(_) => vec![("up down", "scroll"), ("/", "filter"), ("q", "close")],
         Popup::Chord(_) => vec![("esc", "close")],
         Popup::Themes(_) => vec![("up down", "preview"), ("enter", "keep"), ("esc", "cancel")],
+        Popup::Columns(_) => {
+            let moves = [("space", "show/hide"), ("<", "left"), (">", "right")];
+            moves.into_iter().chain([("r", "usual"), ("enter", "keep"), ("esc", "cancel")]).collect()
+        }
         Popup::Confirm(confirm) if confirm.typed.is_some() => vec![("enter", confirm.yes), ("esc", "cancel")],
         Popup::Confirm(confirm) => {
             let twin = granting::twin(state, &confirm.errand.command).map(|_| ("Y", "copy as command"));
             [("y", confirm.yes)].into_iter().chain(twin).chain([("any other key", "cancels")]).collect()
         }
-        Popup::Form(..) => vec![("enter", "next field / submit"), ("up down", "move"), ("esc", "cancel")],
+        Popup::Form(_, form) => {
+            let path = form.lines.get(form.focus).is_some_and(|line| line.path.is_some());
+            let tab = path.then_some(("tab", "complete"));
+            let all = [("enter", "next field / submit"), ("up down", "move"), ("esc", "cancel")];
+            tab.into_iter().chain(all).collect()
+        }
         Popup::Record(opening) => opening.hints(),
         Popup::Quit(leaving) => leaving.hints(state),
     }
@@ -69,6 +82,7 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
         Popup::Quit(leaving) => leaving::key(state, leaving, key),
         Popup::Chord(begun) => chord_key(state, begun, key),
         Popup::Themes(choice) => themes::key(state, choice, key),
+        Popup::Columns(choice) => columns::key(state, choice, key),
         Popup::Record(opening) => opening::key(state, opening, key),
         Popup::Browse(browse) => browse::key(state, browse, key),
         Popup::Contacts(book) => contacts::key(state, book, key),
@@ -163,9 +177,13 @@ fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect>
     match key {
         Key::Escape => return Vec::new(),
         Key::Enter => {
+            remember(state, palette.field.text());
             let words: Vec<&str> = palette.field.text().split_whitespace().collect();
             if let (Some(("grant", terms)), Ok(())) = (with_terms(&words), available(state, Verb::Grant)) {
                 return granting::spoken(state, terms);
+            }
+            if let (Some(("columns", names)), Ok(())) = (with_terms(&words), available(state, Verb::Columns)) {
+                return columns::spoken(state, names);
             }
             if let Some(("profile", [name])) = with_terms(&words)
                 && let Ok(profile) = name.parse()
@@ -175,15 +193,45 @@ fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect>
             let Some(entry) = matches.get(palette.selected.min(last)) else { return Vec::new() };
             return perform(state, entry.verb);
         }
+        Key::Up | Key::Down if recalls(state, &mut palette, key == Key::Up) => {}
         Key::Up | Key::BackTab => palette.selected = palette.selected.min(last).saturating_sub(1),
         Key::Down | Key::Tab => palette.selected = (palette.selected + 1).min(last),
         _ => {
             palette.field.key(key);
-            palette.selected = 0;
+            (palette.selected, palette.recalled) = (0, None);
         }
     }
     state.popups.push(Popup::Palette(palette));
     Vec::new()
+}
+
+/// The most commands remembered.
+const MOST_COMMANDS: usize = 50;
+
+fn remember(state: &mut State, typed: &str) {
+    let typed = typed.trim();
+    if !typed.is_empty() {
+        state.commands.retain(|other| other != typed);
+        state.commands.push(typed.to_owned());
+        drop(state.commands.drain(..state.commands.len().saturating_sub(MOST_COMMANDS)));
+    }
+}
+
+/// In an empty palette, up brings the last command back, and then earlier ones; false if the arrow moves the cursor.
+fn recalls(state: &State, palette: &mut Palette, earlier: bool) -> bool {
+    let wanted = match (palette.recalled, earlier) {
+        (None, true) if palette.field.text().is_empty() && palette.selected == 0 => Some(0),
+        (None, _) => return false,
+        (Some(back), true) => Some((back + 1).min(state.commands.len().saturating_sub(1))),
+        (Some(back), false) => back.checked_sub(1),
+    };
+    let text = wanted.and_then(|back| state.commands.iter().rev().nth(back));
+    if text.is_none() && palette.recalled.is_none() {
+        return false;
+    }
+    palette.field = Field::with(text.map_or("", String::as_str));
+    (palette.recalled, palette.selected) = (wanted, 0);
+    true
 }
 
 /// A command's name and the terms after it, if there are any.
@@ -287,6 +335,10 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
         state.popups.push(Popup::Form(purpose, form));
         return Vec::new();
     }
+    if let Some(asked) = paths::tab(state, &form, key) {
+        state.popups.push(Popup::Form(purpose, form));
+        return vec![asked];
+    }
     match form.key(key) {
         FormStep::Stay => state.popups.push(Popup::Form(purpose, form)),
         FormStep::Cancel if matches!(purpose, Purpose::CreateIdentity | Purpose::Unlock) => {
@@ -322,8 +374,10 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
         Purpose::Unlock => forms::read_unlock(form)?,
         Purpose::ExportKey => {
             let errand = forms::read_export(form)?;
+            exporting::goes_to(state, &errand.tag, form, 3);
             return Ok(identity_path::run(state, Need::Unlocked, vec![errand]));
         }
+        Purpose::Export => return Ok(exporting::submit(state, form)),
         Purpose::Grant => {
             let wish = forms::read_grant(form, state.address(), state.now)?;
             granting::check(state, &wish)?;
@@ -353,7 +407,7 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
             return Ok(Vec::new());
         }
         Purpose::LoadKey => {
-            let wish = forms::read_load(form, &state.settings.directory, state.settings.home.as_deref())?;
+            let wish = forms::read_load(form, &state.settings)?;
             state.popups.push(Popup::Confirm(confirm::load_key(wish)));
             return Ok(Vec::new());
         }

@@ -1,7 +1,8 @@
-//! What a console remembers of its last run: screen, filters, orders. Kept in a file, read at the next start.
+//! What a console remembers of its last run: screen, filters, orders, columns. Kept in a file, read at the next start.
 
 use serde::{Deserialize, Serialize};
 
+use super::columns;
 use super::field::Field;
 use super::screen::Screen;
 use super::screens::{gateway, grants, topics};
@@ -19,6 +20,9 @@ pub struct KeptTable {
     /// Whether the order is reversed.
     #[serde(default)]
     pub reversed: bool,
+    /// The columns chosen, in order; empty = the usual ones.
+    #[serde(default)]
+    pub columns: Vec<String>,
 }
 
 /// The remembered state.
@@ -36,7 +40,12 @@ pub struct Kept {
 }
 
 fn keep(table: &Table) -> KeptTable {
-    KeptTable { filter: table.filter.text().to_owned(), sort: table.sort, reversed: table.reversed }
+    KeptTable {
+        filter: table.filter.text().to_owned(),
+        sort: table.sort,
+        reversed: table.reversed,
+        columns: table.columns.iter().map(|name| (*name).to_owned()).collect(),
+    }
 }
 
 /// What the next run should know.
@@ -67,17 +76,19 @@ pub fn recall(state: &mut State, kept: &Kept) {
         state.screen = screen;
     }
     let tables = [
-        (&mut state.topics.table, topics::SORTS.len()),
-        (&mut state.uploads.table, 2),
-        (&mut state.shared.table, 2),
-        (&mut state.grants.table, grants::SORTS.len()),
-        (&mut state.gateway.table, gateway::SORTS.len()),
-        (&mut state.log.table, 1),
+        (&mut state.topics.table, Screen::Topics, topics::SORTS.len()),
+        (&mut state.uploads.table, Screen::Uploads, 2),
+        (&mut state.shared.table, Screen::Shared, 2),
+        (&mut state.grants.table, Screen::Grants, grants::SORTS.len()),
+        (&mut state.gateway.table, Screen::Gateway, gateway::SORTS.len()),
+        (&mut state.log.table, Screen::Log, 1),
     ];
-    for ((table, orders), kept) in tables.into_iter().zip(&kept.tables) {
+    for ((table, screen, orders), kept) in tables.into_iter().zip(&kept.tables) {
         table.filter = Field::with(&kept.filter);
         table.reversed = kept.reversed;
         table.sort = if kept.sort < orders { kept.sort } else { 0 };
+        let names = kept.columns.iter().map(String::as_str);
+        table.columns = columns::known(screen, names).unwrap_or_default();
     }
     state.log.least = match kept.level {
         1 => NoticeLevel::Warning,

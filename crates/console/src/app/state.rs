@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use super::action::{Effect, Errand, Tag};
 use super::alerts::AlertBook;
 use super::detail::Detail;
+use super::exporting::Exports;
 use super::feed::{Feed, Feeds};
 use super::form::Form;
 use super::history::{History, Period};
@@ -139,6 +140,10 @@ pub struct State {
     pub follow_up: Option<(Tag, Errand)>,
     /// What undoing would do.
     pub undo: Option<Undo>,
+    /// What was typed into the palette, the newest last.
+    pub commands: Vec<String>,
+    /// What is being exported, and where to.
+    pub exports: Exports,
     /// When a key was last pressed.
     pub touched: Timestamp,
     /// Whether local times are shown beside UTC.
@@ -189,6 +194,8 @@ impl State {
             filled: None,
             follow_up: None,
             undo: None,
+            commands: Vec::new(),
+            exports: Exports::default(),
             touched: Timestamp::default(),
             local_time: false,
             former: None,

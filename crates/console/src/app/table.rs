@@ -23,6 +23,8 @@ pub struct Table {
     pub sort: usize,
     /// Whether the order is reversed.
     pub reversed: bool,
+    /// The columns chosen, in order; empty = the usual ones.
+    pub columns: Vec<&'static str>,
     /// Keys of the marked rows.
     pub marks: BTreeSet<String>,
     /// Filters that were applied, the newest last.

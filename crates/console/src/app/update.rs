@@ -12,6 +12,7 @@ use super::keymap::Meaning;
 use super::leaving;
 use super::lock;
 use super::mouse;
+use super::paths;
 use super::perform::{perform, wants_grants};
 use super::popup::{Popup, Purpose};
 use super::popup_keys::{popup_key, popup_paste};
@@ -66,6 +67,7 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
             state.log.notice_about(state.now, NoticeLevel::Error, &error, None);
             state.toasts.push(NoticeLevel::Error, error, state.now);
         }
+        Action::PathsFound(sought, found) => paths::found(state, &sought, found),
         Action::ThemeIs(name) => state.theme = name,
         Action::Wheel { up } => return mouse::wheel(state, up),
         Action::Click { column, row } => mouse::click(state, column, row),

@@ -40,6 +40,8 @@ pub enum Verb {
     Sort,
     /// Reverse the order.
     Reverse,
+    /// Choose the columns of the list.
+    Columns,
     /// Watch or unwatch the marked topics, or the selected one.
     Watch,
     /// Provenance of the record.
@@ -367,6 +369,7 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::PreviousMatch, "previous-match", "", &[Key::Char('N')], "To the row of the filter before").on(TABLES),
     entry(Verb::Sort, "sort", "sort", &[Key::Char('s')], "Sort by the next column").on(SORTED),
     entry(Verb::Reverse, "reverse", "", &[Key::Char('S')], "Reverse the order").on(SORTED),
+    entry(Verb::Columns, "columns", "columns", &[Key::Char('C')], "Choose the columns of this list").on(MARKED),
     entry(Verb::Copy, "copy", "copy", &[Key::Char('y')], "Copy name, digest or address to clipboard").on(COPIED),
     entry(Verb::WriteFile, "write-file", "", &[Key::Char('W')], "Save to a file what y would copy").on(COPIED),
     entry(Verb::Tasks, "tasks", "", &[Key::Char('t')], "Running tasks and queues"),

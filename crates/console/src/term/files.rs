@@ -1,4 +1,5 @@
-//! Writing files for the operator: never overwriting an existing file, readable by the owner alone.
+//! Files of the operator: written without ever overwriting one, readable by the owner alone; and names in folders, to
+//! complete a path.
 
 use std::fs::{DirBuilder, OpenOptions};
 use std::io::{self, ErrorKind, Write};
@@ -6,8 +7,13 @@ use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use crate::app::Contents;
+use crate::app::paths::{Candidate, Found, PathKind, Sought};
 use crate::model::clean;
 
+/// The most entries of a folder that are read to complete a path.
+const MOST_READ: usize = 20_000;
+/// The most names given back.
+const MOST_FOUND: usize = 5_000;
 /// How many names are tried before giving up.
 const TRIES: u32 = 1_000;
 
@@ -26,6 +32,37 @@ pub fn write_all(base: &Path, directory: Option<&str>, files: &[Contents]) -> Re
     }
     let shown = if directory.is_some() || files.len() != 1 { place } else { written };
     Ok(shown.display().to_string())
+}
+
+/// The names in a folder that begin as wanted, by name; a bounded part of a large folder.
+///
+/// # Errors
+/// A sentence that says which folder cannot be read, and why.
+pub fn find(sought: &Sought) -> Result<Found, String> {
+    let cannot = |error: io::Error| format!("{} cannot be read: {error}", clean(&sought.folder.to_string_lossy(), 200));
+    let mut entries = std::fs::read_dir(&sought.folder).map_err(cannot)?;
+    let mut found = Found::default();
+    for entry in entries.by_ref().take(MOST_READ).filter_map(Result::ok) {
+        // A name that is not UTF-8 cannot be typed, and cannot begin as anything typed.
+        let Ok(name) = entry.file_name().into_string() else { continue };
+        let wanted = name.starts_with(&sought.begun) && (sought.begun.starts_with('.') || !name.starts_with('.'));
+        if !wanted {
+            continue;
+        }
+        // Follows links: one to a folder is a folder.
+        let folder = std::fs::metadata(entry.path()).is_ok_and(|metadata| metadata.is_dir());
+        if !folder && sought.kind == PathKind::Folder {
+            continue;
+        }
+        if found.names.len() == MOST_FOUND {
+            found.more = true;
+            break;
+        }
+        found.names.push(Candidate { name, folder });
+    }
+    found.more |= entries.next().is_some();
+    found.names.sort_by(|one, other| one.name.cmp(&other.name));
+    Ok(found)
 }
 
 fn write_one(place: &Path, file: &Contents) -> Result<PathBuf, String> {
@@ -64,7 +101,7 @@ fn file_name(name: &str) -> String {
 }
 
 fn cannot(path: &Path, error: &io::Error) -> String {
-    format!("{} cannot be written: {error}; start the console in a directory of your own", path.display())
+    format!("{} cannot be written: {error}; choose a directory of your own", path.display())
 }
 
 #[cfg(test)]
@@ -95,6 +132,45 @@ mod tests {
         assert!(Path::new(&place).starts_with(base.path()), "{place}");
         assert_eq!(std::fs::read_dir(&place).expect("listed").count(), 2);
         assert_eq!(std::fs::read_dir(base.path()).expect("listed").count(), 1);
+    }
+
+    fn sought(folder: &Path, begun: &str, kind: PathKind) -> Sought {
+        Sought { typed: begun.to_owned(), folder: folder.to_owned(), begun: begun.to_owned(), kind }
+    }
+
+    fn names(found: &Found) -> Vec<String> {
+        let shown = |one: &Candidate| format!("{}{}", one.name, if one.folder { "/" } else { "" });
+        found.names.iter().map(shown).collect()
+    }
+
+    #[test]
+    fn names_are_found_by_their_beginning_and_hidden_ones_only_on_request() {
+        let base = tempfile::tempdir().expect("a directory");
+        for name in ["keys.pem", "keys.old", ".keyring", "other", "evil\u{1b}[2J\u{202e}"] {
+            std::fs::write(base.path().join(name), b"").expect("written");
+        }
+        std::fs::create_dir(base.path().join("keyrings")).expect("a folder");
+        std::os::unix::fs::symlink(base.path().join("keyrings"), base.path().join("key-link")).expect("a link");
+        std::os::unix::fs::symlink("nowhere", base.path().join("key-gone")).expect("a link");
+        let found = |begun, kind| names(&find(&sought(base.path(), begun, kind)).expect("read"));
+        let keys = ["key-gone", "key-link/", "keyrings/", "keys.old", "keys.pem"];
+        assert_eq!(found("key", PathKind::File), keys);
+        assert_eq!(found("key", PathKind::Folder), ["key-link/", "keyrings/"]);
+        assert_eq!(found(".k", PathKind::File), [".keyring"]);
+        assert_eq!(found("", PathKind::File).len(), 7, "all but the hidden one");
+        let error = find(&sought(&base.path().join("none\u{1b}[2J"), "", PathKind::File)).expect_err("there is none");
+        assert!(error.contains("cannot be read") && !error.contains('\u{1b}'), "{error}");
+    }
+
+    #[test]
+    fn of_a_large_folder_a_bounded_part_is_read_and_said_to_be_one() {
+        let base = tempfile::tempdir().expect("a directory");
+        for number in 0..=MOST_FOUND {
+            std::fs::write(base.path().join(format!("f{number}")), b"").expect("written");
+        }
+        let found = find(&sought(base.path(), "f", PathKind::File)).expect("read");
+        assert!(found.more && found.names.len() == MOST_FOUND);
+        assert!(!find(&sought(base.path(), "f77", PathKind::File)).expect("read").more);
     }
 
     #[test]

@@ -21,6 +21,8 @@ pub mod signals;
 pub mod stage;
 
 mod kept;
+#[cfg(test)]
+mod library;
 mod session;
 
 use std::io::{self, IsTerminal};

@@ -9,6 +9,7 @@ use tokio::sync::broadcast::error::RecvError;
 use zeroize::Zeroizing;
 
 use super::files;
+use crate::app::paths::Sought;
 use crate::app::{Action, Contents, Tag};
 use crate::model::ProfileName;
 use crate::service::client::site_gone;
@@ -74,10 +75,20 @@ impl Outside {
     }
 
     /// Writes files; their paths come as an action.
-    pub fn write(&self, directory: Option<String>, contents: Vec<Contents>) {
-        let (base, say) = (self.directory.clone(), sender(&self.mouth, Heard::Act));
+    pub fn write(&self, base: Option<PathBuf>, directory: Option<String>, contents: Vec<Contents>) {
+        let base = base.unwrap_or_else(|| self.directory.clone());
+        let say = sender(&self.mouth, Heard::Act);
         self.handle.spawn_blocking(move || {
             say(Action::FilesWritten(files::write_all(&base, directory.as_deref(), &contents)));
+        });
+    }
+
+    /// Reads which paths begin as typed; they come as an action.
+    pub fn find(&self, sought: Sought) {
+        let say = sender(&self.mouth, Heard::Act);
+        self.handle.spawn_blocking(move || {
+            let found = files::find(&sought);
+            say(Action::PathsFound(sought, found));
         });
     }
 }

@@ -190,7 +190,8 @@ impl Session {
                     self.stage.change(Wish::Now, |scene| scene.extra.push_str(&clipboard::sequence(&text)));
                 }
                 Effect::SpeakFor(profile) => self.outside.speak_for(profile),
-                Effect::WriteFiles { directory, files } => self.outside.write(directory, files),
+                Effect::WriteFiles { base, directory, files } => self.outside.write(base, directory, files),
+                Effect::FindPaths(sought) => self.outside.find(sought),
             }
         }
         None

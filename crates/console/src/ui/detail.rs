@@ -17,10 +17,6 @@ use crate::app::{Screen, State, detail};
 use crate::model::{Timestamp, clean};
 use crate::service::reply::{GrantRow, TopicRow};
 
-/// The fewest columns that the list keeps.
-const LIST: u16 = 84;
-/// The greatest width of a pane.
-const WIDEST: u16 = 84;
 /// Columns of the names of facts.
 const LABEL: u16 = 12;
 /// Rows of a topic's graph.
@@ -31,8 +27,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) -> Rect {
     if !detail::is_shown(state) {
         return area;
     }
-    let width = (area.width / 2).min(WIDEST).min(area.width.saturating_sub(LIST));
-    let list = Rect { width: area.width - width, ..area };
+    let list = Rect { width: detail::list_width(state).min(area.width), ..area };
     let pane = right_of(area, list.width);
     for line in 0..pane.height {
         canvas.put(row(pane, line), "│", Role::Border);

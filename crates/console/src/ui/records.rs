@@ -3,45 +3,70 @@
 use ratatui::layout::Rect;
 
 use super::canvas::Canvas;
-use super::table::{Column, Sheet, draw as draw_table, with_local_time};
+use super::table::{Column, Layout, Sheet, draw as draw_table, with_local_time};
 use super::theme::Role;
 use super::topics::{empty, simulated};
 use super::words;
-use crate::app::State;
 use crate::app::feed::Feed;
 use crate::app::screens::grants::day;
 use crate::app::screens::records::{Records, Wanted};
+use crate::app::{Screen, State};
 use crate::model::{RecordKind, RecordState};
 use crate::service::reply::{Caveat, RecordView, ShownState};
 
+const STATE: Column = Column::text("State", 11).named("state");
+const TOPIC: Column = Column::name("Topic").named("topic");
+const TYPE: Column = Column::text("Type", 27).named("type");
+const SEQ: Column = Column::number("Seq", 7).named("seq");
+const SIZE: Column = Column::number("Size", 8).named("size");
+const TIME: Column = Column::text("UTC", 8).named("time");
+const EPOCH: Column = Column::number("Epoch", 5).named("epoch");
+const BLOCK: Column = Column::number("Block", 8).named("block");
+const ID: Column = Column::text("Id", 16).named("id");
+const DIGEST: Column = Column::text("SM3", 13).named("digest");
+const TRANSACTION: Column = Column::text("Transaction", 13).named("transaction");
+
+/// From which width the mark of simulated records is written out, columns.
+const UPLOADS_WIDE: u16 = 70;
+const SHARED_WIDE: u16 = 100;
+
 const UPLOADS: &[Column] = &[
-    Column::text("State", 11),
-    Column::name("Topic"),
-    Column::text("Type", 27).from(120),
-    Column::number("Seq", 7),
-    Column::number("Size", 8),
-    Column::text("UTC", 8),
-    Column::number("Epoch", 5).from(130),
-    Column::number("Block", 8).from(100),
-    Column::text("Id", 16).from(140),
-    Column::text("", 3).below(70),
-    Column::text("", 9).from(70),
+    STATE,
+    TOPIC,
+    TYPE,
+    SEQ,
+    SIZE,
+    TIME,
+    EPOCH,
+    BLOCK,
+    ID,
+    DIGEST,
+    TRANSACTION,
+    Column::text("", 3).below(UPLOADS_WIDE),
+    Column::text("", 9).from(UPLOADS_WIDE),
 ];
 
 const SHARED: &[Column] = &[
-    Column::text("State", 11),
-    Column::text("Owner", 13),
-    Column::name("Topic"),
-    Column::text("Type", 27).from(120),
-    Column::number("Seq", 7),
-    Column::number("Size", 8),
-    Column::text("UTC", 8).from(70),
-    Column::number("Epoch", 5).from(130),
-    Column::number("Block", 8).from(110),
-    Column::text("Id", 16).from(150),
-    Column::text("", 3).below(100),
-    Column::text("", 9).from(100),
+    STATE,
+    Column::text("Owner", 13).named("owner"),
+    TOPIC,
+    TYPE,
+    SEQ,
+    SIZE,
+    TIME,
+    EPOCH,
+    BLOCK,
+    ID,
+    DIGEST,
+    TRANSACTION,
+    Column::text("", 3).below(SHARED_WIDE),
+    Column::text("", 9).from(SHARED_WIDE),
 ];
+
+/// All columns of Uploads, or of Shared.
+pub(in crate::ui) fn all_columns(screen: Screen) -> &'static [Column] {
+    if screen == Screen::Shared { SHARED } else { UPLOADS }
+}
 
 /// Draws the Uploads screen.
 pub fn draw_uploads(canvas: &mut Canvas, area: Rect, state: &State) {
@@ -50,8 +75,8 @@ pub fn draw_uploads(canvas: &mut Canvas, area: Rect, state: &State) {
         canvas,
         area,
         state,
-        (&state.uploads, Feed::Uploads),
-        ("Uploads", UPLOADS, empty(state, Feed::Uploads, nothing)),
+        (&state.uploads, Feed::Uploads, Screen::Uploads),
+        ("Uploads", empty(state, Feed::Uploads, nothing)),
     );
 }
 
@@ -62,25 +87,28 @@ pub fn draw_shared(canvas: &mut Canvas, area: Rect, state: &State) {
         canvas,
         area,
         state,
-        (&state.shared, Feed::Shared),
-        ("Shared with me", SHARED, empty(state, Feed::Shared, nothing)),
+        (&state.shared, Feed::Shared, Screen::Shared),
+        ("Shared with me", empty(state, Feed::Shared, nothing)),
     );
 }
 
-fn draw(canvas: &mut Canvas, area: Rect, state: &State, list: (&Records, Feed), look: (&str, &[Column], &str)) {
-    let (records, feed) = list;
+fn draw(canvas: &mut Canvas, area: Rect, state: &State, list: (&Records, Feed, Screen), look: (&str, &str)) {
+    let (records, feed, screen) = list;
     let slot = state.feeds.slot(feed);
-    let (title, columns, empty) = look;
+    let (title, empty) = look;
     let rows = records.visible(&state.topics.rows, state.now);
     let keys: Vec<String> = rows.iter().map(|row| row.id.clone()).collect();
-    let with_owner = columns.iter().any(|column| column.title == "Owner");
-    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(state, row, with_owner));
+    let layout = Layout::new(&with_local_time(all_columns(screen), state), screen, &records.table, area.width);
+    let cells = |index: usize| {
+        rows.get(index).map_or_else(Vec::new, |row| layout.pick(cells(state, row, screen == Screen::Shared)))
+    };
     let empty = if records.table.filter.text().is_empty() { empty } else { "No record matches the filter." };
     let mut note = note(records, &Wanted::read(records.table.filter.text(), &state.topics.rows, state.now));
+    note.push_str(&layout.note());
     if slot.left || slot.told != slot.generation {
         note.push_str(", reading…");
     }
-    let columns = &with_local_time(columns, state);
+    let columns = &layout.columns;
     let sheet =
         Sheet { title, note, columns, keys: &keys, cells: &cells, table: &records.table, empty, old: slot.left };
     draw_table(canvas, area, &sheet);
@@ -138,10 +166,17 @@ fn cells(state: &State, row: &RecordView, with_owner: bool) -> Vec<(String, Role
         (row.epoch.to_string(), Role::Dim),
         (row.block.map(|block| block.to_string()).unwrap_or_default(), Role::Dim),
         (row.id.clone(), Role::Dim),
+        (beginning(&row.digest.to_hex()), Role::Dim),
+        (row.transaction.map(|hash| beginning(&hash.to_string())).unwrap_or_default(), Role::Dim),
         (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Warning),
         simulated(row.simulated),
     ]);
     cells
+}
+
+/// Enough of a digest or a hash to compare it by eye.
+fn beginning(text: &str) -> String {
+    text.chars().take(12).chain(['…']).collect()
 }
 
 /// A record's state, to fit into its column.

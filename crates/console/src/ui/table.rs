@@ -4,17 +4,22 @@ use ratatui::layout::Rect;
 
 use super::canvas::{Canvas, below, columns, right_of, row};
 use super::theme::Role;
-use crate::app::State;
+use crate::app::columns::wanted;
 use crate::app::table::Table;
+use crate::app::{Screen, State};
 
 /// The greatest width of a column of names.
 const WIDEST_NAME: u16 = 56;
+/// What chosen columns leave of it at least.
+const LEAST_NAME: u16 = 12;
 
 /// One column.
 #[derive(Debug, Clone, Copy)]
 pub struct Column {
     /// Its head.
     pub title: &'static str,
+    /// Its name in `:columns`; empty = it cannot be chosen.
+    pub name: &'static str,
     /// Its width; 0 = what is left (one column of a table).
     pub width: u16,
     /// Its greatest width.
@@ -30,28 +35,38 @@ pub struct Column {
 impl Column {
     /// A column of names that takes what is left, up to `WIDEST_NAME`; it carries the cursor.
     pub const fn name(title: &'static str) -> Self {
-        Self { title, width: 0, most: WIDEST_NAME, right: false, from: 0, below: u16::MAX }
+        Self { title, name: "", width: 0, most: WIDEST_NAME, right: false, from: 0, below: u16::MAX }
     }
 
     /// A column that takes all that is left; it carries the cursor.
     pub const fn wide(title: &'static str) -> Self {
-        Self { title, width: 0, most: u16::MAX, right: false, from: 0, below: u16::MAX }
+        Self { title, name: "", width: 0, most: u16::MAX, right: false, from: 0, below: u16::MAX }
     }
 
     /// A column of words.
     pub const fn text(title: &'static str, width: u16) -> Self {
-        Self { title, width, most: width, right: false, from: 0, below: u16::MAX }
+        Self { title, name: "", width, most: width, right: false, from: 0, below: u16::MAX }
     }
 
     /// A column of numbers.
     pub const fn number(title: &'static str, width: u16) -> Self {
-        Self { title, width, most: width, right: true, from: 0, below: u16::MAX }
+        Self { title, name: "", width, most: width, right: true, from: 0, below: u16::MAX }
+    }
+
+    /// The same, to be chosen by that name; its width says when it is usual.
+    pub const fn named(mut self, name: &'static str) -> Self {
+        self.name = name;
+        self
     }
 
     /// The same, only on terminals with fewer columns.
     pub const fn below(mut self, columns: u16) -> Self {
         self.below = columns;
         self
+    }
+
+    fn is_shown(&self, whole: u16) -> bool {
+        self.from <= whole && whole < self.below
     }
 
     /// The same, only on terminals with at least this many columns.
@@ -68,6 +83,62 @@ pub fn with_local_time(columns: &[Column], state: &State) -> Vec<Column> {
         _ => *column,
     };
     columns.iter().map(wide).collect()
+}
+
+/// The columns of a list as they are shown.
+pub struct Layout {
+    /// The columns, in order.
+    pub columns: Vec<Column>,
+    /// The place of each among all columns of the list.
+    places: Vec<usize>,
+    /// Names of the chosen ones for which there is no room.
+    pub left_out: Vec<&'static str>,
+}
+
+impl Layout {
+    /// The chosen columns of a list that fit into `width`, or its usual ones; columns that cannot be chosen follow.
+    pub fn new(all: &[Column], screen: Screen, table: &Table, width: u16) -> Self {
+        let marks = all.iter().filter(|column| column.name.is_empty() && column.is_shown(width));
+        let taken: u16 = marks.map(|column| column.width + 1).sum();
+        let mut room = width.saturating_sub(GUTTER + taken + LEAST_NAME + 1);
+        let mut layout = Self { columns: Vec::new(), places: Vec::new(), left_out: Vec::new() };
+        for name in wanted(screen, table, width) {
+            let Some((place, column)) = all.iter().enumerate().find(|(_, column)| column.name == name) else {
+                continue;
+            };
+            let usual = table.columns.is_empty();
+            if usual || column.width == 0 || column.width < room {
+                room = room.saturating_sub(if column.width == 0 { 0 } else { column.width + 1 });
+                layout.columns.push(*column);
+                layout.places.push(place);
+            } else {
+                layout.left_out.push(name);
+            }
+        }
+        for (place, column) in all.iter().enumerate().filter(|(_, column)| column.name.is_empty()) {
+            layout.columns.push(*column);
+            layout.places.push(place);
+        }
+        layout
+    }
+
+    /// The cells of a row, of those of all columns.
+    pub fn pick(&self, mut cells: Vec<(String, Role)>) -> Vec<(String, Role)> {
+        self.places.iter().map(|place| cells.get_mut(*place).map(std::mem::take).unwrap_or_default()).collect()
+    }
+
+    /// Whether the column of that name is shown.
+    pub fn has(&self, name: &str) -> bool {
+        self.columns.iter().any(|column| column.name == name)
+    }
+
+    /// What the title says of chosen columns that have no room; empty if all have.
+    pub fn note(&self) -> String {
+        match self.left_out.as_slice() {
+            [] => String::new(),
+            names => format!(", no room for {}", names.join(" ")),
+        }
+    }
 }
 
 /// The sort column of a table, with an arrow if its order is reversed.
@@ -177,7 +248,7 @@ fn draw_cells(
 
 /// The width of each column; 0 = not shown.
 fn widths(columns: &[Column], whole: u16) -> Vec<u16> {
-    let shown = |column: &Column| column.from <= whole && whole < column.below;
+    let shown = |column: &Column| column.is_shown(whole);
     let fixed: u16 = columns.iter().filter(|column| shown(column)).map(|column| column.width + 1).sum();
     let left = whole.saturating_sub(GUTTER + fixed).max(8);
     let width = |column: &Column| match (shown(column), column.width) {

@@ -3,27 +3,28 @@
 use ratatui::layout::Rect;
 
 use super::canvas::{Canvas, row};
-use super::table::{Column, Sheet, draw as draw_table, order};
+use super::table::{Column, Layout, Sheet, draw as draw_table, order};
 use super::theme::Role;
 use super::{graph, words};
-use crate::app::State;
 use crate::app::feed::Feed;
 use crate::app::screens::topics::{SAMPLES, SORTS};
 use crate::app::standing::Capture;
+use crate::app::{Screen, State};
 use crate::service::reply::TopicRow;
 
-const COLUMNS: &[Column] = &[
-    Column::name("Topic"),
-    Column::text("Type", 27).from(150),
-    Column::text("Publishers", 24).from(ALL_FROM),
-    Column::text("Pinned", 10).from(90),
-    Column::text("Watched", 13),
-    Column::number("Hz", 7),
-    Column::number("kB/s", 8),
-    Column::text("Last 8 s", 8).from(BARS_FROM),
-    Column::number("Captured", 9).from(130),
-    Column::number("Lost t/r", 8).from(70),
-    Column::number("Age", 6).from(80),
+/// All columns of the list.
+pub(in crate::ui) const COLUMNS: &[Column] = &[
+    Column::name("Topic").named("topic"),
+    Column::text("Type", 27).named("type"),
+    Column::text("Publishers", 24).named("publishers"),
+    Column::text("Pinned", 10).named("pinned"),
+    Column::text("Watched", 13).named("watched"),
+    Column::number("Hz", 7).named("hz"),
+    Column::number("kB/s", 8).named("rate"),
+    Column::text("Last 8 s", 8).named("bars"),
+    Column::number("Captured", 9).named("captured"),
+    Column::number("Lost t/r", 8).named("lost"),
+    Column::number("Age", 6).named("age"),
     Column::text("", 3).below(100),
     Column::text("", 9).from(100),
 ];
@@ -31,28 +32,27 @@ const COLUMNS: &[Column] = &[
 /// Terminal width from which all topic columns fit.
 const ALL_FROM: u16 = 170;
 
-/// Terminal width from which the rates of the last seconds are drawn.
-const BARS_FROM: u16 = 110;
-
 /// Draws the screen.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     let topics = &state.topics;
     let rows = topics.visible();
     let keys: Vec<String> = rows.iter().map(|row| row.topic.clone()).collect();
+    let layout = Layout::new(COLUMNS, Screen::Topics, &topics.table, area.width);
     let mut note = format!("{} of {}, by {}", rows.len(), topics.rows.len(), order(&SORTS, &topics.table));
     if !topics.table.marks.is_empty() {
         note.push_str(&format!(", {} marked", topics.table.marks.len()));
     }
-    let scale = if area.width >= BARS_FROM { topics.scale(state.shown_at()) } else { 0.0 };
+    let scale = if layout.has("bars") { topics.scale(state.shown_at()) } else { 0.0 };
     if scale > 0.0 {
         note.push_str(&format!(", bars to {} kB/s", words::kilobytes(Some(scale))));
     }
-    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(state, row, scale));
+    note.push_str(&layout.note());
+    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| layout.pick(cells(state, row, scale)));
     let empty = empty(state, Feed::Topics, "No topics published yet; they appear here automatically.");
     let sheet = Sheet {
         title: "Topics",
         note,
-        columns: COLUMNS,
+        columns: &layout.columns,
         keys: &keys,
         cells: &cells,
         table: &topics.table,

@@ -46,13 +46,13 @@ fn an_empty_path_is_refused_in_the_form() {
 fn an_eoa_leaves_only_under_a_passphrase_and_a_key_becomes_a_file() {
     let mut robot = at_keys();
     robot.types("e  ");
-    for _ in 0..3 {
+    for _ in 0..4 {
         robot.presses(Key::Enter);
     }
     assert!(robot.form_error().is_some_and(|error| error.contains("keystore")));
     robot.presses(Key::Escape);
     robot.types("e");
-    for _ in 0..3 {
+    for _ in 0..4 {
         robot.presses(Key::Enter);
     }
     let key = Reply::Key(SecretBytes::new(vec![7; 16]));

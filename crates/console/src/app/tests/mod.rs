@@ -3,6 +3,7 @@
 pub mod fixtures;
 
 mod aiming;
+mod columns;
 mod contacts;
 mod first_use;
 mod fleet;
@@ -11,10 +12,12 @@ mod granting;
 mod helping;
 mod incidents;
 mod keys;
+mod keystrokes;
 mod leaving;
 mod logging;
 mod operating;
 mod palette;
+mod paths;
 mod placeholders;
 mod profiles;
 mod pulling;

@@ -55,3 +55,30 @@ fn read_only_hides_what_changes_something() {
     let found = Palette::default().matches(&robot.state);
     assert!(!found.is_empty() && found.iter().all(|entry| !entry.changes));
 }
+
+#[test]
+fn up_in_an_empty_palette_brings_back_what_was_typed_before() {
+    let mut robot = Robot::at_work(true);
+    let typed = |robot: &Robot| match robot.state.popups.last() {
+        Some(Popup::Palette(palette)) => palette.field.text().to_owned(),
+        other => panic!("no palette, but {other:?}"),
+    };
+    robot.types(":");
+    robot.presses(Key::Up);
+    assert_eq!(typed(&robot), "", "there is none yet");
+    robot.presses(Key::Escape);
+    for command in [":go-topics", ":columns hz", ":go-topics"] {
+        robot.types(command);
+        robot.presses(Key::Enter);
+    }
+    robot.types(":");
+    let mut seen = Vec::new();
+    for key in [Key::Up, Key::Up, Key::Up, Key::Down, Key::Down] {
+        robot.presses(key);
+        seen.push(typed(&robot));
+    }
+    assert_eq!(seen, ["go-topics", "columns hz", "columns hz", "go-topics", ""]);
+    robot.types("re");
+    robot.presses(Key::Down);
+    assert_eq!(typed(&robot), "re", "what is typed is never replaced");
+}

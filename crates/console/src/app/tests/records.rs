@@ -4,6 +4,7 @@ use super::{Robot, fixtures, record_shown};
 use crate::app::popup::Popup;
 use crate::app::{Effect, Key, Tag};
 use crate::model::{ErrorKind, RecordState, Verdict};
+use crate::ros::readable::{Raster, Readable};
 use crate::service::reply::CheckView;
 use crate::service::{Command, Part, Reply, UploadQuery};
 
@@ -96,8 +97,32 @@ fn a_shared_record_is_opened_and_its_picture_written() {
     robot
         .is_answered(&Tag::Open("00000000000003e8".into()), Ok(Reply::Opened(Box::new(fixtures::opened(1_000, true)))));
     robot.types("W");
-    let Some(Effect::WriteFiles { directory: None, files }) = robot.effects.last() else { panic!("nothing written") };
+    let Some(Effect::WriteFiles { directory: None, files, .. }) = robot.effects.last() else {
+        panic!("nothing written")
+    };
     assert_eq!((files[0].name.as_str(), files[0].bytes.len()), ("robot1_camera_compressed-1000.jpg", 58_211));
+}
+
+#[test]
+fn enter_gives_a_picture_the_whole_window_and_takes_it_back() {
+    let mut robot = at('4');
+    robot.presses(Key::Enter);
+    let mut view = fixtures::opened(1_000, true);
+    view.readable =
+        Some(Readable { picture: Some(Raster { width: 1, height: 1, rgb: vec![0; 3] }), ..Readable::default() });
+    robot.is_answered(&Tag::Open("00000000000003e8".into()), Ok(Reply::Opened(Box::new(view))));
+    let alone = |robot: &Robot| match robot.state.popups.last() {
+        Some(Popup::Record(opening)) => (opening.is_drawn(), opening.alone),
+        other => panic!("no record, but {other:?}"),
+    };
+    assert_eq!(alone(&robot), (true, false));
+    robot.presses(Key::Enter);
+    assert_eq!(alone(&robot), (true, true));
+    robot.presses(Key::Enter);
+    assert_eq!(alone(&robot), (true, false));
+    robot.presses(Key::Tab);
+    robot.presses(Key::Enter);
+    assert_eq!(alone(&robot), (false, false), "text stays below its heading");
 }
 
 #[test]

@@ -173,7 +173,8 @@ impl Plain {
                 Effect::CopyText(_) => {
                     self.say("Output is no terminal, so nothing takes it; it stands in the next line.")
                 }
-                Effect::WriteFiles { directory, files } => self.outside.write(directory, files),
+                Effect::WriteFiles { base, directory, files } => self.outside.write(base, directory, files),
+                Effect::FindPaths(sought) => self.outside.find(sought),
                 Effect::SpeakFor(profile) => self.outside.speak_for(profile),
                 Effect::ShowTheme(_) | Effect::ToggleAscii | Effect::Mouse(_) => {
                     self.say("Lines have neither colours nor a mouse.");

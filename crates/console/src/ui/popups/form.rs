@@ -11,6 +11,10 @@ use crate::ui::words::wrap;
 
 /// Columns of the labels.
 const LABEL: u16 = 13;
+/// The most characters of what tab found.
+const MOST_TOLD: usize = 20_000;
+/// Rows that notes, fields and frame take at most.
+const ROWS: u16 = 12;
 /// Columns of a form.
 const WIDTH: u16 = 68;
 
@@ -19,7 +23,9 @@ pub fn draw(canvas: &mut Canvas, area: Rect, form: &Form) {
     let width = WIDTH.min(area.width.saturating_sub(6));
     let notes: Vec<String> = form.notes.iter().flat_map(|note| wrap(&clean(note, 500), width)).collect();
     let error: Vec<String> = form.error.iter().flat_map(|error| wrap(&clean(error, 500), width)).collect();
-    let rows = notes.len() + form.lines.len() + 2 + error.len();
+    let told: Vec<String> = form.told.iter().flat_map(|line| wrap(&clean(line, MOST_TOLD), width)).collect();
+    let told = shortened(told, area.height.saturating_sub(ROWS));
+    let rows = notes.len() + form.lines.len() + 2 + error.len() + told.len();
     let inner = framed(canvas, area, &form.title, WIDTH, u16::try_from(rows).unwrap_or(u16::MAX));
     let mut place = 0;
     for note in &notes {
@@ -32,10 +38,21 @@ pub fn draw(canvas: &mut Canvas, area: Rect, form: &Form) {
         place += 1;
     }
     place += 1;
-    for line in &error {
-        canvas.put(row(inner, place), line, Role::Bad);
+    for (line, role) in error.iter().map(|line| (line, Role::Bad)).chain(told.iter().map(|line| (line, Role::Dim))) {
+        canvas.put(row(inner, place), line, role);
         place += 1;
     }
+}
+
+/// As many lines as there is room for; the last says how many are missing.
+fn shortened(mut lines: Vec<String>, room: u16) -> Vec<String> {
+    let room = usize::from(room).max(2);
+    let left = lines.len().saturating_sub(room - 1);
+    if left > 1 {
+        lines.truncate(room - 1);
+        lines.push(format!("… {left} more lines"));
+    }
+    lines
 }
 
 fn draw_line(canvas: &mut Canvas, area: Rect, line: &Line, focused: bool) {

@@ -2,6 +2,7 @@
 
 mod browse;
 mod chord;
+mod columns;
 mod contacts;
 mod form;
 mod help;
@@ -37,6 +38,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
         Popup::Record(opening) => record::draw(canvas, area, opening),
         Popup::Chord(pressed) => chord::draw(canvas, area, state, pressed),
         Popup::Themes(choice) => themes::draw(canvas, area, state, choice),
+        Popup::Columns(choice) => columns::draw(canvas, area, state, choice),
         Popup::Publishers(lookup) => situation::draw_publishers(canvas, area, state, lookup),
         Popup::Readers(topics) => situation::draw_readers(canvas, area, state, topics),
         Popup::Line(line) => situation::draw_line(canvas, area, line),

@@ -46,7 +46,7 @@ fn whole(canvas: &mut Canvas, area: Rect, title: &str, opening: &Opening, view: 
 
 /// An opened record: its description, and below it the face in view.
 pub(in crate::ui) fn inside(canvas: &mut Canvas, inner: Rect, opening: &Opening, view: &OpenedView) {
-    let head = head(view, inner.height);
+    let head = if opening.alone && opening.is_drawn() { Vec::new() } else { head(view, inner.height) };
     put_lines(canvas, inner, &head, 0);
     let taken = u16::try_from(head.len()).unwrap_or(u16::MAX);
     faces(canvas, row(inner, taken), opening, view);

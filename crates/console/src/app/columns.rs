@@ -1,0 +1,207 @@
+//! Which columns a list shows: those that the operator chose, in their order, or the usual ones for the list's width.
+
+use super::action::Effect;
+use super::key::Key;
+use super::popup::Popup;
+use super::screen::Screen;
+use super::state::State;
+use super::table::Table;
+
+/// A column that can be chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Offered {
+    /// Its name, as in `:columns topic,state`.
+    pub name: &'static str,
+    /// What it shows.
+    pub words: &'static str,
+    /// The width of the list from which it is usually shown, columns.
+    pub from: u16,
+}
+
+/// The column that every list shows: the cursor is on it.
+pub const ALWAYS: &str = "topic";
+/// A column that is shown only if it is chosen.
+const NEVER: u16 = u16::MAX;
+
+const fn column(name: &'static str, from: u16, words: &'static str) -> Offered {
+    Offered { name, words, from }
+}
+
+const TOPICS: &[Offered] = &[
+    column("topic", 0, "Name of the topic (always shown)"),
+    column("type", 150, "Message type"),
+    column("publishers", 170, "Nodes that publish it"),
+    column("pinned", 90, "Whether its publishers are pinned"),
+    column("watched", 0, "Whether it is captured, or why not"),
+    column("hz", 0, "Messages a second"),
+    column("rate", 0, "Kilobytes a second"),
+    column("bars", 110, "The last 8 seconds as bars"),
+    column("captured", 130, "Messages captured so far"),
+    column("lost", 70, "Messages lost: in transport, in the recorder"),
+    column("age", 80, "Time since the last message"),
+];
+
+const UPLOADS: &[Offered] = &[
+    column("state", 0, "How far the record has come"),
+    column("topic", 0, "Name of the topic (always shown)"),
+    column("type", 120, "Message type"),
+    column("seq", 0, "Number of the record"),
+    column("size", 0, "Size of the message"),
+    column("time", 0, "When it was captured"),
+    column("epoch", 130, "Epoch of its key"),
+    column("block", 100, "Block that anchors it"),
+    column("id", 140, "Its id"),
+    column("digest", NEVER, "Beginning of its SM3 digest"),
+    column("transaction", NEVER, "Beginning of the transaction's hash"),
+];
+
+const SHARED: &[Offered] = &[
+    column("state", 0, "How far the record has come"),
+    column("owner", 0, "Who shares it"),
+    column("topic", 0, "Name of the topic (always shown)"),
+    column("type", 120, "Message type"),
+    column("seq", 0, "Number of the record"),
+    column("size", 0, "Size of the message"),
+    column("time", 70, "When it was captured"),
+    column("epoch", 130, "Epoch of its key"),
+    column("block", 110, "Block that anchors it"),
+    column("id", 150, "Its id"),
+    column("digest", NEVER, "Beginning of its SM3 digest"),
+    column("transaction", NEVER, "Beginning of the transaction's hash"),
+];
+
+/// The columns that a screen offers, in their usual order; none on screens without a choice.
+pub fn offered(screen: Screen) -> &'static [Offered] {
+    match screen {
+        Screen::Topics => TOPICS,
+        Screen::Uploads => UPLOADS,
+        Screen::Shared => SHARED,
+        Screen::Overview | Screen::Grants | Screen::Keys | Screen::Chain | Screen::Gateway | Screen::Log => &[],
+    }
+}
+
+/// The columns of a list that is `width` columns wide, in order: those chosen, or else the usual ones.
+pub fn wanted(screen: Screen, table: &Table, width: u16) -> Vec<&'static str> {
+    if !table.columns.is_empty() {
+        return table.columns.clone();
+    }
+    offered(screen).iter().filter(|column| column.from <= width).map(|column| column.name).collect()
+}
+
+/// Those of `names` that the screen offers, each once, and the one that is always shown.
+///
+/// # Errors
+/// The first name that it does not offer.
+pub fn known<'a>(screen: Screen, names: impl IntoIterator<Item = &'a str>) -> Result<Vec<&'static str>, &'a str> {
+    let mut found: Vec<&'static str> = Vec::new();
+    for name in names {
+        let column = offered(screen).iter().find(|column| column.name == name).ok_or(name)?;
+        if !found.contains(&column.name) {
+            found.push(column.name);
+        }
+    }
+    if !found.is_empty() && !found.contains(&ALWAYS) {
+        found.insert(0, ALWAYS);
+    }
+    Ok(found)
+}
+
+/// The choice of columns, with its cursor.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ColumnChoice {
+    /// The selected line.
+    pub selected: usize,
+    /// The columns chosen before, which esc restores.
+    pub before: Vec<&'static str>,
+}
+
+/// Opens the choice for the list on screen.
+pub fn open(state: &mut State) {
+    let before = state.table().map(|table| table.columns.clone()).unwrap_or_default();
+    state.popups.push(Popup::Columns(ColumnChoice { selected: 0, before }));
+}
+
+/// `columns topic,state,size` of the palette; `columns usual` goes back to the usual ones.
+pub fn spoken(state: &mut State, words: &[&str]) -> Vec<Effect> {
+    let screen = state.screen;
+    let names: Vec<String> =
+        words.iter().flat_map(|word| word.split(',')).filter(|name| !name.is_empty()).map(str::to_lowercase).collect();
+    let chosen = match names.as_slice() {
+        [usual] if usual == "usual" => Ok(Vec::new()),
+        names => known(screen, names.iter().map(String::as_str)),
+    };
+    match chosen {
+        Ok(chosen) => set(state, chosen),
+        Err(name) => {
+            let offered: Vec<&str> = offered(screen).iter().map(|column| column.name).collect();
+            state.inform(format!("no column is named '{name}'; there are {}, and usual", offered.join(" ")));
+        }
+    }
+    Vec::new()
+}
+
+fn set(state: &mut State, chosen: Vec<&'static str>) {
+    if let Some(table) = state.table_mut() {
+        table.columns = chosen;
+    }
+}
+
+/// A key while columns are chosen; each is shown or hidden at once.
+pub fn key(state: &mut State, mut choice: ColumnChoice, key: Key) -> Vec<Effect> {
+    let offered = offered(state.screen);
+    let last = offered.len().saturating_sub(1);
+    match key {
+        Key::Escape => {
+            set(state, choice.before);
+            return Vec::new();
+        }
+        Key::Enter | Key::Char('q') => return Vec::new(),
+        Key::Up | Key::BackTab | Key::Char('k') => choice.selected = choice.selected.saturating_sub(1),
+        Key::Down | Key::Tab | Key::Char('j') => choice.selected = (choice.selected + 1).min(last),
+        Key::Home => choice.selected = 0,
+        Key::End => choice.selected = last,
+        Key::Char('r') => set(state, Vec::new()),
+        Key::Char(' ' | '<' | '>') => {
+            let name = offered.get(choice.selected).map(|column| column.name);
+            let now = state.table().map(|table| wanted(state.screen, table, super::detail::list_width(state)));
+            if let (Some(name), Some(now)) = (name, now) {
+                let changed = if key == Key::Char(' ') {
+                    toggled(state.screen, now, name)
+                } else {
+                    moved(now, name, key == Key::Char('>'))
+                };
+                set(state, changed);
+            }
+        }
+        _ => {}
+    }
+    state.popups.push(Popup::Columns(choice));
+    Vec::new()
+}
+
+/// Takes the column away, or adds it: at its usual place if the others are at theirs, otherwise at the end.
+fn toggled(screen: Screen, mut now: Vec<&'static str>, name: &'static str) -> Vec<&'static str> {
+    if name == ALWAYS {
+        return now;
+    }
+    if let Some(place) = now.iter().position(|other| *other == name) {
+        now.remove(place);
+        return now;
+    }
+    let usual = |name: &&str| offered(screen).iter().position(|column| column.name == *name);
+    let in_order = now.is_sorted_by_key(usual);
+    now.push(name);
+    if in_order {
+        now.sort_by_key(usual);
+    }
+    now
+}
+
+/// Moves the column by one place.
+fn moved(mut now: Vec<&'static str>, name: &str, right: bool) -> Vec<&'static str> {
+    if let Some(place) = now.iter().position(|other| *other == name) {
+        let wanted = if right { (place + 1).min(now.len() - 1) } else { place.saturating_sub(1) };
+        now.swap(place, wanted);
+    }
+    now
+}

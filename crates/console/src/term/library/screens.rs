@@ -1,0 +1,365 @@
+//! The situations of the library, each reached by keys and answers as an operator and a site give them.
+
+use crate::app::feed::Feed;
+use crate::app::paths::{Candidate, Found};
+use crate::app::tests::{Robot, fixtures};
+use crate::app::tour::Cast;
+use crate::app::{Action, Effect, Key, Screen, Settings, Tag, Verb};
+use crate::model::{Digest, ErrorKind, ProfileName, Timestamp};
+use crate::ros::readable::{Plot, Raster, Readable};
+use crate::service::reply::{CoveragePart, CoverageView, HealthLevel, HeldUp, LifeLine, OpenedView, SiteView};
+use crate::service::{Event, NoticeLevel, Part, Reply};
+
+/// Columns and rows.
+type Size = (u16, u16);
+/// A situation: its name, and how it comes about.
+type Situation = (&'static str, fn(Size) -> Robot);
+
+const MINUTE: u64 = 60_000_000_000;
+const ODOMETRY: &str = "/robot1/odom";
+
+/// All situations.
+pub fn all() -> Vec<Situation> {
+    [SCREENS, STATES, GRANTS, RECORDS, WINDOWS].concat()
+}
+
+const SCREENS: &[Situation] = &[
+    ("overview", |size| flowing(size, 0)),
+    ("overview-after-a-stop", |size| flowing(size, 120)),
+    ("topics", |size| covered(size, Screen::Topics)),
+    ("topics-folded", |size| pressed(at(Screen::Topics, size), "H")),
+    ("topics-searched", |size| pressed(at(Screen::Topics, size), "/odom")),
+    ("uploads", |size| at(Screen::Uploads, size)),
+    ("shared", |size| at(Screen::Shared, size)),
+    ("grants", |size| at(Screen::Grants, size)),
+    ("keys", |size| at(Screen::Keys, size)),
+    ("chain", |size| at(Screen::Chain, size)),
+    ("gateway", |size| at(Screen::Gateway, size)),
+    ("log", |size| at(Screen::Log, size)),
+];
+
+const STATES: &[Situation] = &[
+    ("starting", |size| sized(Robot::opens(Settings::default()), size)),
+    ("new-profile", |size| sized(Robot::at_work(false), size)),
+    ("passphrase-of-a-new-identity", |size| pressed(sized(Robot::at_work(false), size), "ncorrect horse")),
+    ("unlock-asked", |size| locked(size, true)),
+    ("topics-that-wait-for-the-key", |size| locked(size, false)),
+    ("in-trouble", in_trouble),
+    ("frozen", |size| pressed(at(Screen::Uploads, size), "f")),
+    ("quit-asked", quit_asked),
+    ("read-only", |size| {
+        let mut robot = at(Screen::Grants, size);
+        robot.state.settings.read_only = true;
+        robot
+    }),
+    ("tour", on_tour),
+    ("list-that-failed", |size| {
+        let mut robot = sized(Robot::at_work(true), size);
+        robot.types("7");
+        let failure = fixtures::failure(ErrorKind::Unreachable, "http://127.0.0.1:8545 does not answer");
+        robot.is_answered(&Tag::Feed(Feed::Chain, 0), Err(failure));
+        robot
+    }),
+];
+
+const GRANTS: &[Situation] = &[
+    ("grant", |size| pressed(at(Screen::Topics, size), "jjg")),
+    ("grant-refused", |size| submitted(pressed(at(Screen::Grants, size), "g0x12"))),
+    ("grant-asked", |size| submitted(pressed(at(Screen::Grants, size), "g0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed"))),
+    ("revoke-asked", |size| pressed(at(Screen::Grants, size), "x")),
+    ("readers", |size| pressed(at(Screen::Topics, size), "jji")),
+    ("contacts", |size| pressed(at(Screen::Grants, size), "c")),
+];
+
+const RECORDS: &[Situation] = &[
+    ("uploads-searched", |size| {
+        let mut robot = pressed(at(Screen::Uploads, size), "/odom state:verified since:2h");
+        robot.presses(Key::Enter);
+        robot.site_answers(true);
+        robot
+    }),
+    ("uploads-page-of-the-past", |size| {
+        let mut robot = at(Screen::Uploads, size);
+        robot.presses(Key::PageDown);
+        robot.presses(Key::PageDown);
+        robot.site_answers(true);
+        robot
+    }),
+    ("uploads-chosen-columns", |size| {
+        let mut robot = pressed(at(Screen::Uploads, size), ":columns topic,time,size,digest,state");
+        robot.presses(Key::Enter);
+        for row in &mut robot.state.uploads.rows {
+            let mixed = row.seq.wrapping_mul(0x9e37_79b9_7f4a_7c15).to_be_bytes();
+            row.digest = Digest([mixed; 4].concat().try_into().expect("32 bytes"));
+        }
+        robot
+    }),
+    ("columns", |size| pressed(at(Screen::Uploads, size), "Cjjjj ")),
+    ("columns-without-room", |size| {
+        let mut robot = pressed(at(Screen::Shared, size), ":columns topic,id,digest,transaction,type,owner");
+        robot.presses(Key::Enter);
+        pressed(robot, "C")
+    }),
+    ("provenance", |size| {
+        let mut robot = at(Screen::Uploads, size);
+        robot.presses(Key::Enter);
+        let id = fixtures::record(1_000, "").id;
+        robot.is_answered(&Tag::Show(id), Ok(Reply::Provenance(fixtures::provenance(1_000))));
+        robot
+    }),
+    ("record-values", |size| opened(size, 0, false)),
+    ("record-plot", |size| opened(size, 1, false)),
+    ("record-fields", |size| opened(size, 2, false)),
+    ("record-bytes", |size| opened(size, 3, false)),
+    ("record-picture", |size| opened(size, 0, true)),
+    ("record-picture-alone", |size| {
+        let mut robot = opened(size, 0, true);
+        robot.presses(Key::Enter);
+        robot
+    }),
+    ("browse", |size| pressed(at(Screen::Shared, size), "b")),
+];
+
+const WINDOWS: &[Situation] = &[
+    ("palette", |size| pressed(sized(Robot::at_work(true), size), ":re")),
+    ("help", |size| pressed(at(Screen::Topics, size), "?")),
+    ("help-of-a-window", |size| pressed(at(Screen::Uploads, size), "zi?")),
+    ("chord", |size| pressed(at(Screen::Chain, size), "z")),
+    ("publishers", publishers),
+    ("tasks", |size| pressed(at(Screen::Chain, size), "t")),
+    ("load-key-with-listed-paths", listed),
+    ("export-records", |size| pressed(at(Screen::Uploads, size), "  e")),
+    ("rotation-asked", |size| pressed(at(Screen::Keys, size), "r")),
+    ("suspend-asked", |size| {
+        let mut robot = pressed(at(Screen::Chain, size), ":suspend");
+        robot.presses(Key::Enter);
+        submitted(pressed(robot, "0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed"))
+    }),
+    ("incident-opened", |size| pressed(at(Screen::Uploads, size), "jI")),
+    ("incidents", |size| pressed(at(Screen::Uploads, size), "zi")),
+    ("log-line", |size| {
+        let mut robot = at(Screen::Log, size);
+        robot.presses(Key::Enter);
+        robot
+    }),
+];
+
+fn sized(mut robot: Robot, (columns, rows): Size) -> Robot {
+    robot.act(Action::Resize { columns, rows });
+    robot
+}
+
+/// A console at work, on that screen.
+fn at(screen: Screen, size: Size) -> Robot {
+    let mut robot = sized(Robot::at_work(true), size);
+    robot.act(Action::Do(Verb::Go(screen)));
+    robot.site_answers(true);
+    robot
+}
+
+/// The same after these keys, and the answers to what they request.
+fn pressed(mut robot: Robot, keys: &str) -> Robot {
+    robot.types(keys);
+    robot.site_answers(true);
+    robot
+}
+
+/// A form after enter on each of its lines.
+fn submitted(mut robot: Robot) -> Robot {
+    (0..4).for_each(|_| robot.presses(Key::Enter));
+    robot.site_answers(true);
+    robot
+}
+
+/// Ten minutes at 44 records a second, then a number of seconds in which nothing came.
+fn flowing(size: Size, after: u64) -> Robot {
+    let mut robot = at(Screen::Overview, size);
+    for second in 1..=590 {
+        robot.waits(1);
+        let (captured, late) = (12_345 + 44 * second, 30 + 20 * (second / 60 % 2));
+        let verified = captured - late;
+        let life = LifeLine {
+            captured,
+            sealed: captured,
+            stored: captured,
+            anchored: verified,
+            confirmed: verified,
+            verified,
+            pending: late,
+            ..fixtures::site().life
+        };
+        let verified_after = vec![(400_000, 40 * second), (900_000, 4 * second)];
+        robot.hears_of(Part::Health);
+        let site = SiteView { life, verified_after, ..fixtures::site() };
+        robot.is_answered(&Tag::Feed(Feed::Site, 0), Ok(Reply::Site(site)));
+    }
+    robot.waits(after);
+    robot
+}
+
+/// With the coverage of the topic under the cursor, which a wide terminal asks for.
+fn covered(size: Size, screen: Screen) -> Robot {
+    let mut robot = at(screen, size);
+    robot.types("jj");
+    robot.waits(1);
+    let tag = Tag::Beside(Screen::Topics, robot.state.row_key().unwrap_or_default());
+    if robot.work().contains(&tag) {
+        let topic = robot.state.row_key().unwrap_or_default();
+        robot.is_answered(&tag, Ok(Reply::Coverage(coverage(&topic))));
+    }
+    robot
+}
+
+/// A day in 60 parts, with a gap and a loss.
+fn coverage(topic: &str) -> CoverageView {
+    let length = 24 * MINUTE;
+    let since = Timestamp(fixtures::NOW.0 - 60 * length);
+    let part = |place: u64| CoveragePart {
+        at: Timestamp(since.0 + place * length),
+        data: !(14..19).contains(&place),
+        quarantined: place == 50,
+        tampered: false,
+        lost: if place == 30 { 7 } else { 0 },
+    };
+    let parts = (0..60).map(part).collect();
+    let topic = topic.parse().expect("a topic");
+    CoverageView { topic, since, until: fixtures::NOW, first: Some(since), last: Some(fixtures::NOW), parts }
+}
+
+fn locked(size: Size, asks_passphrase: bool) -> Robot {
+    let mut robot = sized(Robot::opens(Settings { asks_passphrase, ..Settings::default() }), size);
+    let identity = || Reply::Identity(fixtures::identity(true, false, true));
+    robot.is_answered(&Tag::Feed(Feed::Identity, 0), Ok(identity()));
+    if !asks_passphrase {
+        robot.types("2");
+        let mut rows = fixtures::topics();
+        for row in &mut rows {
+            row.held_up = row.watched.then_some(HeldUp::WaitsForKey);
+        }
+        let tag = robot.sent.iter().find(|(_, tag)| matches!(tag, Tag::Feed(Feed::Topics, _)));
+        let tag = tag.map(|(_, tag)| tag.clone()).expect("asked for");
+        robot.is_answered(&tag, Ok(Reply::Topics(rows)));
+    }
+    robot
+}
+
+fn troubled(mut robot: Robot) -> Robot {
+    robot.hears_of(Part::Health);
+    let life = LifeLine {
+        captured: 12_403,
+        pending: 45,
+        tampered: 1,
+        dropped: 12,
+        lost_in_transport: 3,
+        ..fixtures::site().life
+    };
+    let mut site = SiteView { life, alerts: vec![fixtures::site_alert()], ..fixtures::site() };
+    site.health[1].level = HealthLevel::Waiting;
+    site.health[1].text = "retry in 4 s".to_owned();
+    site.health[2].level = HealthLevel::Failed;
+    site.health[2].text = "redis://127.0.0.1:6379 does not answer".to_owned();
+    robot.is_answered(&Tag::Feed(Feed::Site, 0), Ok(Reply::Site(site)));
+    robot
+}
+
+fn in_trouble(size: Size) -> Robot {
+    let mut robot = troubled(sized(Robot::at_work(true), size));
+    let text = "Vault unreachable: 45 records wait on disk".to_owned();
+    robot.act(Action::Told(Event::Notice { at: fixtures::NOW, level: NoticeLevel::Error, text, about: None }));
+    robot
+}
+
+fn quit_asked(size: Size) -> Robot {
+    let mut robot = troubled(sized(Robot::at_work(true), size));
+    robot.types("q");
+    robot
+}
+
+fn on_tour(size: Size) -> Robot {
+    let reader: ProfileName = "cura-b".parse().expect("a name");
+    let tour = Some(Cast { owner: ProfileName::default(), reader });
+    let mut robot = sized(Robot::opens(Settings { tour, ..Settings::default() }), size);
+    robot.site_answers(false);
+    robot
+}
+
+/// A message in readable form: odometry with its path, or a picture of a slope under a sun.
+fn readable(camera: bool) -> Readable {
+    if camera {
+        let (width, height) = (96_usize, 72_usize);
+        let pixel = |place: usize| {
+            let (x, y) = (place % width, place / width);
+            let sun = (x.abs_diff(72)).pow(2) + (y.abs_diff(16)).pow(2) < 100;
+            let slope = y > 60 - x / 3;
+            match (sun, slope) {
+                (true, _) => [250, 220, 90],
+                (_, true) => [60, 110, 60],
+                (false, false) => [120, 170, 220],
+            }
+        };
+        let rgb = (0..width * height).flat_map(pixel).collect();
+        return Readable { picture: Some(Raster { width, height, rgb }), ..Readable::default() };
+    }
+    let line = |(label, value): (&str, &str)| (label.to_owned(), value.to_owned());
+    let lines = [
+        ("Frame", "odom to base_link"),
+        ("Position, m", "1.25  -0.50  0.00"),
+        ("Orientation", "yaw 45.0°"),
+        ("Linear velocity, m/s", "0.40  0.00  0.00"),
+        ("Angular velocity, rad/s", "0.00  0.00  0.10"),
+        ("Stamp (UTC)", "2023-11-14T22:13:20.123Z"),
+    ];
+    let turn = |step: u32| {
+        let angle = f64::from(step) / 12.0;
+        (angle.cos() * angle / 2.0, angle.sin() * angle / 2.0)
+    };
+    let points: Vec<(f64, f64)> = (0..80).map(turn).collect();
+    let (here, axes) = (points.last().copied(), ("x, m".to_owned(), "y, m".to_owned()));
+    let plot = Plot { title: "Path over 80 records".to_owned(), axes, points, path: true, here };
+    Readable { lines: lines.map(line).to_vec(), plot: Some(plot), ..Readable::default() }
+}
+
+fn opened(size: Size, tabs: usize, camera: bool) -> Robot {
+    let mut robot = at(Screen::Shared, size);
+    robot.presses(Key::Enter);
+    let view = OpenedView { readable: Some(readable(camera)), ..fixtures::opened(1_000, camera) };
+    robot.is_answered(&Tag::Open(view.record.id.clone()), Ok(Reply::Opened(Box::new(view))));
+    (0..tabs).for_each(|_| robot.presses(Key::Tab));
+    robot
+}
+
+fn publishers(size: Size) -> Robot {
+    let mut robot = at(Screen::Topics, size);
+    robot.types("jj");
+    robot.presses(Key::Enter);
+    let topic = robot.state.row_key().unwrap_or_else(|| ODOMETRY.to_owned());
+    robot.is_answered(&Tag::Publishers(topic.clone()), Ok(Reply::Pins(fixtures::pins(&topic))));
+    let beside = Tag::Beside(Screen::Topics, topic.clone());
+    if robot.work().contains(&beside) {
+        robot.is_answered(&beside, Ok(Reply::Coverage(coverage(&topic))));
+    }
+    robot
+}
+
+/// The form of a key file after tab was pressed twice.
+fn listed(size: Size) -> Robot {
+    let mut robot = at(Screen::Keys, size);
+    robot.state.settings.directory = "/home/operator".into();
+    robot.types("L");
+    robot.presses(Key::Enter);
+    robot.types("keys/");
+    let candidate = |name: &str, folder| Candidate { name: name.to_owned(), folder };
+    let names = vec![
+        candidate("2025", true),
+        candidate("evil\u{1b}[2J\u{202e}.pem", false),
+        candidate("k_c.hex", false),
+        candidate("sm2.pem", false),
+        candidate("wallet.json", false),
+    ];
+    for _ in 0..2 {
+        robot.presses(Key::Tab);
+        let Some(Effect::FindPaths(sought)) = robot.effects.pop() else { panic!("no path is looked for") };
+        robot.act(Action::PathsFound(sought, Ok(Found { names: names.clone(), more: false })));
+    }
+    robot
+}
