@@ -100,12 +100,16 @@ pub fn free_port() -> u16 {
     listener.local_addr().expect("its address").port()
 }
 
-/// Polls until there is an answer, for at most `seconds`.
+/// Polls until there is an answer, for at most `seconds`: at first often, then less so, because most answers come from a
+/// process of their own.
 pub fn poll<T>(seconds: u64, mut answer: impl FnMut() -> Option<T>) -> Option<T> {
-    let end = Instant::now() + Duration::from_secs(seconds);
+    let begin = Instant::now();
     loop {
         match answer() {
-            None if Instant::now() < end => std::thread::sleep(Duration::from_millis(50)),
+            None if begin.elapsed() < Duration::from_secs(seconds) => {
+                let pause = (begin.elapsed() / 20).clamp(Duration::from_millis(20), Duration::from_millis(150));
+                std::thread::sleep(pause);
+            }
             found => return found,
         }
     }
