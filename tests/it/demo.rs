@@ -5,6 +5,7 @@ use crate::support;
 
 use std::fs;
 
+use authros::crypto::fault::CHECKS;
 use serde_json::Value;
 use support::{Authros, Home, count, heavy, skipped};
 
@@ -84,8 +85,7 @@ fn each_check_switched_off_makes_the_demo_say_that_it_is_not_ok() {
         authros.spawn(&["demo", "--seconds", "2", "--robots", "1"])
     };
     // Three at a time: each waits most of the time.
-    let checks = ["digest", "signature", "commit", "tag", "anchor", "proof", "revoke", "restore", "authorise"];
-    for faults in checks.chunks(3) {
+    for faults in CHECKS.chunks(3) {
         let homes = faults.iter().map(|_| Home::new()).collect::<Vec<_>>();
         let demos = faults.iter().zip(&homes).map(|(fault, home)| (fault, demo(fault, home))).collect::<Vec<_>>();
         for (fault, running) in demos {
