@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Runs all tests of the workspace, several at a time, and says which took longest.
 
-usage: tests/in_turn.py
+usage: tests/in_turn.py [WORD...]    only those whose name contains one of the words
 
 A flow (tests/it, tests/attacks) is a process of its own, and so are all unit tests of a crate. The longest begins
 first, by the seconds of the run before (target/tests.seconds). Of the flows that take `heavy()` one runs at a time,
@@ -83,7 +83,7 @@ def heavy_flows(program):
 
 
 def jobs():
-    """Everything there is to run, the longest first."""
+    """What is to run, the longest first; and the seconds known from earlier runs."""
     try:
         with open(SECONDS, encoding="utf-8") as file:
             known = json.load(file)
@@ -103,7 +103,9 @@ def jobs():
             kind = "heavy flow" if flow in heavy else "flow"
             found.append(Job(flow, [program, "--exact", flow, "--show-output"], folder, kind, known))
     found.append(Job("examples", ["cargo", "test", "--workspace", "--doc", "--quiet"], ROOT, "unit tests", known))
-    return sorted(found, key=lambda job: -job.expected)
+    words = sys.argv[1:] or [""]
+    wanted = [job for job in found if any(word in job.name for word in words)]
+    return sorted(wanted, key=lambda job: -job.expected), known
 
 
 class Turns:
@@ -174,7 +176,8 @@ class Turns:
 
 
 def main():
-    begin, turns = time.monotonic(), Turns(jobs())
+    waiting, known = jobs()
+    begin, turns = time.monotonic(), Turns(waiting)
     places = [threading.Thread(target=turns.work, daemon=True) for _ in range(PLACES)]
     for place in places:
         place.start()
@@ -185,7 +188,7 @@ def main():
                 with turns.lock:
                     print("still running:", ", ".join(job.name for job in turns.running), flush=True)
     with open(SECONDS, "w", encoding="utf-8") as file:
-        json.dump({job.name: round(job.seconds, 1) for job in turns.ended}, file, indent=0, sort_keys=True)
+        json.dump(known | {job.name: round(job.seconds, 1) for job in turns.ended}, file, indent=0, sort_keys=True)
     turns.report(time.monotonic() - begin)
     return int(turns.failed)
 
