@@ -6,7 +6,7 @@ use crate::support;
 use std::process::Command;
 
 use serde_json::{Value, json};
-use support::{Authros, Home, Running, count, free_port, heavy, is_verified, npm_program, skipped, text, wait_until};
+use support::{Authros, Home, Running, count, free_port, is_verified, npm_program, skipped, text, wait_until};
 
 const TOPIC: &str = "/robot1/odom";
 
@@ -16,7 +16,6 @@ fn steps_of(authros: &Authros, record: &Value) -> String {
 
 #[test]
 fn a_home_whose_embedded_chain_is_gone_adopts_the_new_one() {
-    let _alone = heavy();
     let home = Home::new();
     let authros = home.authros().with(&["--robots", "1"]);
     authros.enrol();
@@ -69,7 +68,6 @@ fn ask(port: u16, method: &str, parameters: &Value) {
 
 #[test]
 fn a_node_that_came_back_empty_is_adopted_while_records_wait() {
-    let _alone = heavy();
     let (home, port) = (Home::new(), free_port());
     let Some(node) = anvil(port, home.root()) else { skipped!("no anvil; tests/run installs it into target/peers") };
     if support::system_program("curl").is_none() {
@@ -130,7 +128,6 @@ fn expect_sound(authros: &Authros, records: &[Value]) {
 
 #[test]
 fn a_home_moves_to_a_newer_contract_on_its_chain_and_what_it_had_stays_verified() {
-    let _alone = heavy();
     let home = Home::new();
     let authros = home.authros().with(&["--robots", "1"]);
     authros.json(&["chain", "deploy", "--revision", "1"]);
@@ -168,7 +165,6 @@ fn a_home_moves_to_a_newer_contract_on_its_chain_and_what_it_had_stays_verified(
 
 #[test]
 fn a_site_moves_to_a_newer_contract_while_it_captures() {
-    let _alone = heavy();
     let home = Home::new();
     let authros = home.authros().with(&["--robots", "1"]);
     authros.json(&["chain", "deploy", "--revision", "1"]);

@@ -182,7 +182,6 @@ fn nothing_shows(bytes: &[u8], robots: &[Robot]) {
 
 #[test]
 fn the_outbox_outlives_gateway_and_agent() {
-    let _alone = heavy();
     let mut gateway = Gateway::new();
     let alice = gateway.owner("alice");
     let address = format!("127.0.0.1:{}", gateway.port);
@@ -222,7 +221,6 @@ fn the_outbox_outlives_gateway_and_agent() {
 
 #[test]
 fn a_gateway_that_comes_back_is_found_by_a_working_agent() {
-    let _alone = heavy();
     let mut gateway = Gateway::new();
     let alice = gateway.owner("alice");
     let address = format!("127.0.0.1:{}", gateway.port);
@@ -326,7 +324,6 @@ fn found(who: &Authros, arguments: &[&str], least: usize) -> Vec<String> {
 
 #[test]
 fn a_new_topic_and_a_new_tag_of_a_scoped_robot_are_found_by_owner_and_reader() {
-    let _alone = heavy();
     let gateway = Gateway::new();
     let (alice, bob) = (gateway.owner("alexandra"), gateway.owner("bartholomew"));
     let address = format!("127.0.0.1:{}", gateway.port);

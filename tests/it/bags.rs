@@ -69,7 +69,6 @@ fn a_recorded_robot_is_imported_shared_exported_and_played_message_by_message() 
 
 #[test]
 fn bags_of_every_compression_come_back_as_they_were() {
-    let _alone = heavy();
     if system_program("rosbag").is_none() {
         skipped!(NO_ROS);
     }
@@ -105,7 +104,6 @@ fn bags_of_every_compression_come_back_as_they_were() {
 
 #[test]
 fn damaged_bags_are_read_as_far_as_they_are_readable_and_nothing_twice() {
-    let _alone = heavy();
     if system_program("rosbag").is_none() {
         skipped!(NO_ROS);
     }
@@ -256,7 +254,6 @@ fn topics_by_names_that_ros_does_not_know_are_imported_and_come_back_under_them(
 
 #[test]
 fn an_import_needs_no_running_site() {
-    let _alone = heavy();
     let home = Home::new();
     let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/mcap/foreign_none");
     let summary = import(&home.authros(), &recording);
@@ -267,7 +264,6 @@ fn an_import_needs_no_running_site() {
 
 #[test]
 fn what_was_tampered_with_or_is_not_shared_is_never_exported() {
-    let _alone = heavy();
     let two = two_profiles(0);
     let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/mcap/foreign_lz4");
     let summary = import(&two.alice, &recording);
@@ -322,7 +318,6 @@ fn spoil(home: &Home, digest: &str) {
 
 #[test]
 fn rules_thin_out_topics_and_say_so() {
-    let _alone = heavy();
     let home = Home::new();
     fs::create_dir_all(home.path()).expect("a home");
     let rules = "[[topic]]\nmatch = \"/robot*/odom\"\ntype = \"nav_msgs/Odometry\"\nevery = 4\n\

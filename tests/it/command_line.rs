@@ -121,17 +121,24 @@ fn key_files_of_wrong_length_or_open_to_others_are_refused_and_change_nothing() 
 
 #[test]
 fn a_peer_that_is_set_but_does_not_answer_is_never_replaced_by_an_embedded_part() {
-    let home = Home::new();
     let closed = free_port();
     let mute = TcpListener::bind("127.0.0.1:0").expect("a listener that never answers");
     let mute = mute.local_addr().expect("its address").port();
+    // All at once: each waits until its patience ends.
+    let mut waiting = Vec::new();
     for port in [closed, mute] {
         for (flag, scheme) in [("--ros-master", "http"), ("--chain", "http"), ("--chain", "ws"), ("--vault", "redis")] {
-            let url = format!("{scheme}://127.0.0.1:{port}");
-            let message = home.authros().fails(UNREACHABLE, &["capture", "--topic", "/a", "--count", "1", flag, &url]);
-            assert!(message.contains(&port.to_string()), "names the peer {url}: {message}");
+            let (home, url) = (Home::new(), format!("{scheme}://127.0.0.1:{port}"));
+            let capture = ["capture", "--topic", "/a", "--count", "1", flag, &url, "--json"];
+            waiting.push((home.authros().spawn(&capture), home, port));
         }
     }
+    for (capture, _home, port) in waiting {
+        let outcome = capture.wait(120).expect_code(UNREACHABLE);
+        let message = text(&outcome.document()["error"], "message");
+        assert!(message.contains(&port.to_string()), "names the peer at {port}: {message}");
+    }
+    let home = Home::new();
     let socket = home.root().join("no.ipc");
     home.authros().fails(UNREACHABLE, &["chain", "status", "--chain", socket.to_str().expect("UTF-8")]);
 }

@@ -3,9 +3,7 @@
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 
-use crate::support::{
-    Authros, Home, Running, count, free_port, heavy, is_verified, list, text, two_profiles, wait_until,
-};
+use crate::support::{Authros, Home, Running, count, free_port, is_verified, list, text, two_profiles, wait_until};
 use serde_json::Value;
 
 /// d_C from a file, as 64 hex characters.
@@ -21,7 +19,6 @@ fn opens(reader: &Authros, record: &Value) {
 
 #[test]
 fn readers_open_old_and_new_records_after_a_new_signing_key() {
-    let _alone = heavy();
     let two = two_profiles(1);
     two.alice.capture(&["/robot1/odom"], 2);
     two.alice.json(&["keys", "rotate"]);
@@ -60,7 +57,6 @@ fn readers_open_old_and_new_records_after_a_new_signing_key() {
 
 #[test]
 fn a_new_envelope_key_is_wrapped_for_and_the_old_one_opens_what_was() {
-    let _alone = heavy();
     let two = two_profiles(1);
     two.alice.capture(&["/robot1/odom"], 2);
     two.alice.json(&["keys", "rotate"]);
@@ -106,7 +102,6 @@ fn serve(home: &Home, port: u16) -> (Running, String) {
 
 #[test]
 fn a_robot_goes_on_through_new_keys_of_its_owner_and_its_gateway() {
-    let _alone = heavy();
     let (home, robot, port) = (Home::new(), Home::new(), free_port());
     let (site, fingerprint) = serve(&home, port);
     let (keeper, alice, bob) = (home.profile("keeper"), home.profile("alice"), home.profile("bob"));

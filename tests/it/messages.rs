@@ -295,7 +295,6 @@ fn without_seq(body: &[u8]) -> &[u8] {
 
 #[test]
 fn a_raw_picture_is_compressed_sealed_and_restored() {
-    let _alone = heavy();
     let Some(roscore) = Roscore::start() else { skipped!(NO_ROS) };
     let home = Home::new();
     let file = home.root().join("picture");

@@ -84,7 +84,6 @@ impl Scene {
 
 #[test]
 fn a_second_publisher_is_quarantined_and_the_operator_decides() {
-    let _alone = heavy();
     let Some(mut scene) = Scene::open() else { skipped!(NO_ROS) };
     let pins = list(&scene.authros.json(&["topics", "pins"]), "pins");
     assert_eq!(
@@ -150,7 +149,6 @@ fn a_second_publisher_is_quarantined_and_the_operator_decides() {
 
 #[test]
 fn a_node_that_takes_the_pinned_ones_name_is_quarantined() {
-    let _alone = heavy();
     let Some(mut scene) = Scene::open() else { skipped!(NO_ROS) };
     // The master shuts down the older of two nodes with the same name, so this is all it takes in ROS 1.
     let _forger = scene.roscore.publish_as("driver", TOPIC, FORGED.0, 20);
@@ -168,7 +166,6 @@ fn a_node_that_takes_the_pinned_ones_name_is_quarantined() {
 
 #[test]
 fn a_restarted_node_is_accepted() {
-    let _alone = heavy();
     let Some(mut scene) = Scene::open() else { skipped!(NO_ROS) };
     for end in ["INT", "KILL"] {
         let before = scene.of(GOOD.1).len();
@@ -184,7 +181,6 @@ fn a_restarted_node_is_accepted() {
 
 #[test]
 fn a_raw_publisher_update_is_an_alarm_and_no_connection() {
-    let _alone = heavy();
     let Some(mut scene) = Scene::open() else { skipped!(NO_ROS) };
     // A real publisher of the topic, known only to another master.
     let elsewhere = Roscore::start().expect("a second roscore");

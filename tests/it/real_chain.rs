@@ -5,7 +5,7 @@ use crate::support;
 
 use serde_json::{Value, json};
 use support::anvil::{RICH_ADDRESS, RICH_KEY};
-use support::{Anvil, Authros, Home, count, heavy, is_verified, skipped, text, wait_until};
+use support::{Anvil, Authros, Home, count, is_verified, skipped, text, wait_until};
 
 const NO_NODE: &str = "no anvil; tests/run installs it into target/peers";
 const TOPIC: &str = "/robot1/odom";
@@ -60,28 +60,24 @@ fn expect_fifty_anchored(node: &Anvil, url: &str) {
 
 #[test]
 fn fifty_records_are_anchored_over_http() {
-    let _alone = heavy();
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     expect_fifty_anchored(&node, &node.http());
 }
 
 #[test]
 fn fifty_records_are_anchored_over_a_web_socket() {
-    let _alone = heavy();
     let Some(node) = Anvil::start(&["--block-time", "1"]) else { skipped!(NO_NODE) };
     expect_fifty_anchored(&node, &node.ws());
 }
 
 #[test]
 fn fifty_records_are_anchored_over_a_local_socket() {
-    let _alone = heavy();
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     expect_fifty_anchored(&node, node.ipc().to_str().expect("UTF-8"));
 }
 
 #[test]
 fn more_confirmations_are_waited_for() {
-    let _alone = heavy();
     let Some(node) = Anvil::start(&["--block-time", "1"]) else { skipped!(NO_NODE) };
     let home = Home::new();
     let authros = funded(&home, &node, &node.http()).with(&["--confirmations", "3"]);
@@ -93,7 +89,6 @@ fn more_confirmations_are_waited_for() {
 
 #[test]
 fn an_account_the_operator_already_has_is_used() {
-    let _alone = heavy();
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let home = Home::new();
     let authros = home.authros().with(&["--chain", &node.http(), "--robots", "1"]);
@@ -106,7 +101,6 @@ fn an_account_the_operator_already_has_is_used() {
 
 #[test]
 fn an_account_with_too_little_ether_is_told_so() {
-    let _alone = heavy();
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let home = Home::new();
     let authros = home.authros().with(&["--chain", &node.http(), "--robots", "0"]);
@@ -120,7 +114,6 @@ fn an_account_with_too_little_ether_is_told_so() {
 
 #[test]
 fn a_development_node_pays_for_a_newcomer() {
-    let _alone = heavy();
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let home = Home::new();
     let authros = home.authros().with(&["--chain", &node.http(), "--robots", "1"]);
@@ -131,7 +124,6 @@ fn a_development_node_pays_for_a_newcomer() {
 
 #[test]
 fn two_profiles_share_over_a_real_node() {
-    let _alone = heavy();
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let home = Home::new();
     let [(alice, _), (bob, bob_address)] = ["alice", "bob"].map(|name| {
@@ -156,7 +148,6 @@ fn two_profiles_share_over_a_real_node() {
 
 #[test]
 fn a_site_killed_between_blocks_anchors_the_rest_and_nothing_twice() {
-    let _alone = heavy();
     let Some(node) = Anvil::start(&["--block-time", "1"]) else { skipped!(NO_NODE) };
     let home = Home::new();
     let authros = funded(&home, &node, &node.http());

@@ -124,7 +124,6 @@ fn a_bag_played_at_its_own_speed_is_captured_whole() {
 
 #[test]
 fn a_topic_that_nobody_publishes_yet_is_waited_for() {
-    let _alone = heavy();
     let Some(roscore) = Roscore::start() else { skipped!(NO_ROS) };
     let home = Home::new();
     let authros = home.authros().with(&["--ros-master", &roscore.uri()]);
@@ -165,7 +164,6 @@ fn a_topic_of_another_type_than_asked_for_is_not_captured() {
 
 #[test]
 fn a_capture_survives_a_new_master() {
-    let _alone = heavy();
     let Some(mut roscore) = Roscore::start() else { skipped!(NO_ROS) };
     let home = Home::new();
     let authros = home.authros().with(&["--ros-master", &roscore.uri()]);

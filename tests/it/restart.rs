@@ -6,7 +6,7 @@ use crate::support;
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::Value;
-use support::{Authros, Home, heavy, is_verified, text, wait_until};
+use support::{Authros, Home, is_verified, text, wait_until};
 
 const TOPICS: [&str; 2] = ["/robot1/odom", "/robot2/camera/compressed"];
 
@@ -45,7 +45,6 @@ fn expect_dense(authros: &Authros) {
 
 #[test]
 fn a_site_killed_while_it_captures_loses_and_doubles_nothing() {
-    let _alone = heavy();
     let home = Home::new();
     let authros = home.authros().with(&["--robots", "2"]);
     let site = authros.serve(&home);
@@ -92,7 +91,6 @@ fn a_site_killed_while_it_captures_loses_and_doubles_nothing() {
 
 #[test]
 fn a_capture_whose_site_dies_says_so_and_its_records_are_completed_later() {
-    let _alone = heavy();
     let home = Home::new();
     let authros = home.authros().with(&["--robots", "2"]);
     let site = authros.serve(&home);

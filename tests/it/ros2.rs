@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use authros::ros::mcap::McapReader;
 use authros::ros::recording::RecordedMessage;
 use serde_json::{Value, json};
-use support::{Authros, Home, count, heavy, list, text};
+use support::{Authros, Home, count, list, text};
 
 fn recording() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support/ros2.mcap")
@@ -46,7 +46,6 @@ fn line(opened: &Value, label: &str) -> String {
 
 #[test]
 fn messages_of_ros_2_are_looked_at_like_those_of_ros_1() {
-    let _alone = heavy();
     let home = Home::new();
     let _site = home.authros().with(&["--robots", "0"]).serve(&home);
     let alice = home.profile("alice");
@@ -115,7 +114,6 @@ fn comes_out_as_it_went_in(alice: &Authros, home: &Home) {
 
 #[test]
 fn what_a_recording_describes_in_idl_is_read_by_the_definitions_of_this_machine_or_by_those_built_in() {
-    let _alone = heavy();
     let home = Home::new();
     let summary = home.authros().json_within(240, &["bag", "import", utf8(&recording()), "--topic", "/idl"]);
     assert_eq!(count(&summary, "verified"), 1, "{summary}");

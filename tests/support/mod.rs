@@ -23,10 +23,10 @@ pub mod source;
 pub mod two;
 pub mod wire;
 
+use std::fs::File;
 use std::io::Write;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 pub use anvil::Anvil;
@@ -59,10 +59,12 @@ pub fn tell_skipped(place: &str, reason: &str) {
     drop(std::io::stderr().write_all(line.as_bytes()));
 }
 
-/// Held by tests that fill both cores, so that they do not exceed each other's time limits.
-pub fn heavy() -> MutexGuard<'static, ()> {
-    static HEAVY: Mutex<()> = Mutex::new(());
-    HEAVY.lock().unwrap_or_else(PoisonError::into_inner)
+/// Held by tests that fill both cores, so that they do not exceed each other's time limits. A file, because tests are
+/// processes of their own (tests/in_turn.py, which looks for this call in a test's own body).
+pub fn heavy() -> File {
+    let file = File::create(Path::new(env!("CARGO_TARGET_TMPDIR")).join("heavy.lock")).expect("a file to lock");
+    file.lock().expect("locked");
+    file
 }
 
 /// Whether the long variants are requested (`tests/run --long`).
@@ -98,12 +100,16 @@ pub fn free_port() -> u16 {
     listener.local_addr().expect("its address").port()
 }
 
-/// Polls until there is an answer, for at most `seconds`.
+/// Polls until there is an answer, for at most `seconds`: at first often, then less so, because most answers come from a
+/// process of their own.
 pub fn poll<T>(seconds: u64, mut answer: impl FnMut() -> Option<T>) -> Option<T> {
-    let end = Instant::now() + Duration::from_secs(seconds);
+    let begin = Instant::now();
     loop {
         match answer() {
-            None if Instant::now() < end => std::thread::sleep(Duration::from_millis(50)),
+            None if begin.elapsed() < Duration::from_secs(seconds) => {
+                let pause = (begin.elapsed() / 20).clamp(Duration::from_millis(20), Duration::from_millis(150));
+                std::thread::sleep(pause);
+            }
             found => return found,
         }
     }

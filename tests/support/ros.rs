@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::OnceLock;
 
 use serde_json::Value;
 use tempfile::TempDir;
@@ -172,20 +171,19 @@ pub fn make_bag(arguments: &[&str]) {
     super::process::output_of("/usr/bin/python3", &[&[BAG_SCRIPT], arguments].concat());
 }
 
-/// A minute of a wheeled robot, written by ROS's own library once per run: 3,060 odometry messages, 3,061 of an
-/// inertial unit. `None` if ROS is not installed.
+/// A minute of a wheeled robot, written by ROS's own library once: 3,060 odometry messages, 3,061 of an inertial unit.
+/// `None` if ROS is not installed.
 pub fn robot_recording() -> Option<PathBuf> {
-    static MADE: OnceLock<Option<PathBuf>> = OnceLock::new();
-    let made = MADE.get_or_init(|| {
-        super::system_program("rosbag")?;
-        let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
-        // Renamed when it is complete: another run of the tests may read it.
-        let (path, new) = (folder.join("robot.bag"), folder.join(format!("robot-{}.bag", std::process::id())));
+    super::system_program("rosbag")?;
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let (path, new) = (folder.join("robot.bag"), folder.join(format!("robot-{}.bag", std::process::id())));
+    let changed = |file: &Path| std::fs::metadata(file).and_then(|about| about.modified()).ok();
+    if changed(&path).is_none() || changed(&path) < changed(Path::new(BAG_SCRIPT)) {
         super::process::output_of("/usr/bin/python3", &[BAG_SCRIPT, "robot", new.to_str().expect("UTF-8")]);
+        // Renamed when it is complete: another test may read it.
         std::fs::rename(&new, &path).expect("renamed");
-        Some(path)
-    });
-    made.clone()
+    }
+    Some(path)
 }
 
 /// All messages of a bag, read by ROS's own library: topic, type, md5sum, caller id, definition, nanoseconds, hex.

@@ -186,11 +186,6 @@ impl Client {
         self.session.is_spent(Instant::now() + self.endpoint.patience)
     }
 
-    /// Sets the token sent from now on.
-    pub fn set_token(&mut self, token: Token) {
-        self.token = token;
-    }
-
     /// The gateway's time.
     ///
     /// # Errors

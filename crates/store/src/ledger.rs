@@ -74,7 +74,7 @@ pub use query::{RecordPage, RecordQuery};
 pub use retention::{KeptTopic, OldRecord, Retained};
 pub use rights::WaitingSigner;
 pub use rows::{Foreign, NewRecord, RecordRow};
-pub use sightings::{KeptEvent, Sighting};
+pub use sightings::Sighting;
 pub use stamps::{KeptStamp, StampCounts};
 pub use transactions::{NewTransaction, TransactionOutcome, TransactionRow, TransactionState};
 pub use usage::OwnerUsage;

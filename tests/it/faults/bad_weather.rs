@@ -49,7 +49,7 @@ fn a_chain_that_answers_after_half_a_minute_costs_neither_memory_nor_messages() 
     watch(&authros, robots);
     observer.wait_for_capture_after(0, 60).expect("it captures");
     proxy.spoil(EVERY, Spoil::Delay(Duration::from_secs(30)), u64::MAX);
-    let length = Duration::from_secs(if long() { 600 } else { 60 });
+    let length = Duration::from_secs(if long() { 600 } else { 40 });
     let (begun, before) = (Instant::now(), observer.seen().life.map_or(0, |life| life.captured));
     // The first batches, and caches that fill once within two minutes, are not counted against it; pages of files are the
     // system's.

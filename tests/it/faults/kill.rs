@@ -118,7 +118,7 @@ impl Field {
     fn provoke(&self, place: &str, tries: u64) {
         match (place, &self.peers) {
             ("put-back", Some((redis, _))) => drop(redis.cli(&["FLUSHALL"])),
-            ("directory-kept", _) if tries % 40 == 1 && self.home.socket().is_some() => {
+            ("directory-kept", _) if tries % 15 == 1 && self.home.socket().is_some() => {
                 let name = format!("visitor{}", now() % 1_000_000_000);
                 drop(self.home.profile(&name).spawn(&["register"]).wait(60));
             }

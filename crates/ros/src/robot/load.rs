@@ -52,11 +52,6 @@ impl Load {
         self.outlets.iter().map(|outlet| outlet.topic().to_owned()).collect()
     }
 
-    /// Whether every topic has a subscriber.
-    pub fn is_heard(&self) -> bool {
-        self.heard() == self.outlets.len()
-    }
-
     /// How many topics have a subscriber.
     pub fn heard(&self) -> usize {
         self.outlets.iter().filter(|outlet| !outlet.links().is_empty()).count()

@@ -1,7 +1,6 @@
-//! What the watcher saw on the chain: anchors in blocks, depth, replaced blocks, events.
+//! What the watcher saw on the chain: anchors in blocks, depth, replaced blocks.
 
 use rusqlite::{Connection, OptionalExtension as _, params};
-use serde::{Deserialize, Serialize};
 
 use super::append::count;
 use super::edges::{By, may};
@@ -23,21 +22,6 @@ pub struct Sighting {
     pub block: u64,
     /// Its block's hash.
     pub block_hash: Hash,
-}
-
-/// An event of the contract, kept for later readers.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct KeptEvent {
-    /// Its block's number.
-    pub block: u64,
-    /// Its log index within the block.
-    pub position: u64,
-    /// The event's name in the contract.
-    pub name: String,
-    /// Its transaction.
-    pub transaction: Hash,
-    /// Its fields, as JSON.
-    pub body: String,
 }
 
 struct Standing {
@@ -125,7 +109,6 @@ impl Ledger {
                      WHERE state = 1 AND block >= ?1",
                 )?
                 .execute([block])?;
-            connection.prepare_cached("DELETE FROM events WHERE block >= ?1")?.execute([block])?;
             batches::take_back(connection, block)?;
             connection.prepare_cached("DELETE FROM passed_over WHERE block >= ?1")?.execute([block])?;
             connection
@@ -134,46 +117,6 @@ impl Ledger {
                 )?
                 .execute(params![RecordState::Tampered.code(), block])?;
             states.iter().try_fold(0, |moved, state| Ok(moved + unplace(connection, *state, block)?))
-        })
-    }
-
-    /// Stores events of the contract; one seen again replaces itself.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none is stored.
-    pub fn keep_events(&self, events: &[KeptEvent]) -> Result<(), StoreError> {
-        let events = events.to_vec();
-        self.write_many(events.len(), move |session| {
-            let mut statement = session.connection.prepare_cached("REPLACE INTO events VALUES (?1, ?2, ?3, ?4, ?5)")?;
-            for event in &events {
-                let (block, position) = (whole("block", event.block)?, whole("position", event.position)?);
-                statement.execute(params![block, position, event.name, event.transaction.0, event.body])?;
-            }
-            Ok(())
-        })
-    }
-
-    /// Stored events of one name from a block on, in the chain's order.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn kept_events(&self, name: &str, from_block: u64) -> Result<Vec<KeptEvent>, StoreError> {
-        let from = whole("block", from_block)?;
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT block, position, name, tx, body FROM events
-                 WHERE name = ?1 AND block >= ?2 ORDER BY block, position",
-            )?;
-            let events = statement.query_map(params![name, from], |row| {
-                Ok(KeptEvent {
-                    block: rows::unsigned(row, 0)?,
-                    position: rows::unsigned(row, 1)?,
-                    name: row.get(2)?,
-                    transaction: Hash(row.get(3)?),
-                    body: row.get(4)?,
-                })
-            })?;
-            Ok(events.collect::<Result<_, _>>()?)
         })
     }
 }

@@ -306,21 +306,10 @@ fn a_reorg_reopens_own_transactions_and_stores_the_rest_again() {
     ledger.mined(&[sighting(&all[0], 20), foreign, sighting(&all[2], 19), sighting(&all[3], 20)]).expect("seen");
     ledger.confirm(20).expect("confirmed");
     ledger.advance(&[all[3].digest], RecordState::Confirmed, RecordState::Verified).expect("verified");
-    let event = KeptEvent {
-        block: 20,
-        position: 0,
-        name: "Granted".to_owned(),
-        transaction: Hash([9; 32]),
-        body: "{}".to_owned(),
-    };
-    ledger.keep_events(std::slice::from_ref(&event)).expect("kept");
-    assert_eq!(ledger.kept_events("Granted", 0), Ok(vec![event]));
-
     assert_eq!((ledger.verified_from(20), ledger.unmine(20)), (Ok(1), Ok(2)));
     let states: Vec<_> = all.iter().map(|record| state_of(&ledger, record)).collect();
     assert_eq!(states, [Submitted, Stored, Confirmed, Verified]);
     assert_eq!(ledger.open_transactions(Address([1; 20])).expect("open").len(), 1);
-    assert_eq!(ledger.kept_events("Granted", 0), Ok(vec![]));
     assert_eq!((ledger.unverify(20), state_of(&ledger, &all[3])), (Ok(1), Submitted));
     assert_eq!(ledger.mined(&[sighting(&all[0], 21)]), Ok(1), "and it is mined again");
 }
