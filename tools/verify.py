@@ -502,6 +502,8 @@ class Bundle:
         of = lambda folder: {n: d for n, d in self.members.items() if n.startswith(folder)}
         self.identities = {keccak(data): data for data in of("identities/").values()}
         self.headers = {int(n[6:-4]): d for n, d in of("chain/").items() if n != "chain/nodes.rlp"}
+        if any(len(header) > 8192 for header in self.headers.values()):
+            raise Refused("a header is longer than any header")
         self.heights = self.listed_heights()
         self.stamped = self.listed_stamps()
         nodes = rlp(self.members["chain/nodes.rlp"]) if "chain/nodes.rlp" in self.members else []
