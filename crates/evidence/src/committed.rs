@@ -97,7 +97,7 @@ impl Committed {
             digits if digits.len() <= 3 && vote.is_list() => (Protocol::Qbft, digits),
             _ => return None,
         };
-        let round = digits.iter().fold(0, |number, digit| number << 8 | u32::from(*digit));
+        let round = digits.iter().fold(0, |number, digit| (number << 8) | u32::from(*digit));
         let address = |item: Rlp<'_>| Some(Address(item.data().ok()?.try_into().ok()?));
         let seal = |item: Rlp<'_>| item.data().ok()?.try_into().ok();
         let (validators, seals) = (list.at(1).ok()?, list.at(4).ok()?);
@@ -126,8 +126,12 @@ impl Committed {
         let header = Rlp::new(&self.header);
         let extra = header.at(EXTRA).ok()?.data().ok()?;
         let list = Rlp::new(extra);
-        let mut unsealed = RlpStream::new();
-        unsealed.begin_unbounded_list();
+        let items = match (self.protocol, round) {
+            (_, None) => 3,
+            (Protocol::Ibft2, Some(_)) => 4,
+            (Protocol::Qbft, Some(_)) => 5,
+        };
+        let mut unsealed = RlpStream::new_list(items);
         for at in 0..3 {
             unsealed.append_raw(list.at(at).ok()?.as_raw(), 1);
         }
@@ -140,7 +144,6 @@ impl Committed {
                 unsealed.append(&&round.to_be_bytes()[..]);
             }
         }
-        unsealed.finalize_unbounded_list();
         with_extra(&header, &unsealed.out())
     }
 
