@@ -502,6 +502,8 @@ class Bundle:
         of = lambda folder: {n: d for n, d in self.members.items() if n.startswith(folder)}
         self.identities = {keccak(data): data for data in of("identities/").values()}
         self.headers = {int(n[6:-4]): d for n, d in of("chain/").items() if n != "chain/nodes.rlp"}
+        if any(len(header) > 8192 for header in self.headers.values()):
+            raise Refused("a header is longer than any header")
         self.heights = self.listed_heights()
         self.stamped = self.listed_stamps()
         nodes = rlp(self.members["chain/nodes.rlp"]) if "chain/nodes.rlp" in self.members else []
@@ -582,6 +584,51 @@ def der(raw):
     return bytes([0x30, len(body)]) + body
 
 
+class Committed:
+    """The extra data of QBFT and IBFT 2.0: vanity, validators, vote, round, seals."""
+
+    def __init__(self, header, extra, is_ibft):
+        self.header, self.extra, self.is_ibft = header, extra, is_ibft
+        self.named, self.sealed = extra[1], extra[4]
+
+    @classmethod
+    def of(cls, header):
+        if header[13] != b"ctical byzantine fault tolerance":
+            return None
+        try:
+            extra = rlp(header[12])
+        except (Refused, IndexError):
+            return None
+        lists = isinstance(extra, list) and len(extra) == 5 and isinstance(extra[1], list) and isinstance(extra[4], list)
+        if not lists or not isinstance(extra[3], bytes) or isinstance(extra[0], list) or len(extra[0]) != 32:
+            return None
+        if any(len(one) != 20 or isinstance(one, list) for one in extra[1]) or any(len(one) != 65 or isinstance(one, list) for one in extra[4]):
+            return None
+        if len(extra[3]) == 4 and extra[3][0] == 0 and extra[2] != []:
+            return cls(header, extra, True)
+        if len(extra[3]) <= 3 and extra[3][:1] != b"\0" and isinstance(extra[2], list):
+            return cls(header, extra, False)
+        return None
+
+    def signed(self):
+        unsealed = self.extra[:4] + ([] if self.is_ibft else [[]])
+        return keccak(encode(self.header[:12] + [encode(unsealed)] + self.header[13:]))
+
+    def seals(self, pinned):
+        """The pinned who sealed the header, and the first who did; refused if two thirds of those it names did not."""
+        hash_, all_ = self.signed(), []
+        for seal in self.sealed:
+            sealer = recover(hash_, seal)
+            if sealer is None or (self.named and sealer not in self.named):
+                raise Refused("a seal in the header is of another round, or of no validator that it names")
+            if sealer in all_:
+                raise Refused("one has sealed the header twice")
+            all_.append(sealer)
+        if len(all_) < -(-2 * len(self.named) // 3):
+            raise Refused("too few of the validators that the header names have sealed it")
+        return {one for one in all_ if one in pinned}, all_[0] if all_ else None
+
+
 class Record:
     def __init__(self, bundle, trust, digest):
         self.bundle, self.trust, self.digest = bundle, trust, bytes.fromhex(digest)
@@ -644,8 +691,14 @@ class Record:
         if not self.trust:
             return "unproven"
         chain, pinned = self.trust["chain"], {unhex(one) for one in self.trust["chain"]["signers"]}
-        found, first = self.bundle.once(("seals", number), lambda: self.seals(number, pinned))
-        if len(found) < chain.get("quorum", len(pinned) // 2 + 1):
+        committed = Committed.of(header) if number else None
+        if committed:
+            found, first = self.bundle.once(("seals", number), lambda: committed.seals(pinned))
+            usual = max(1, -(-2 * len(pinned) // 3))
+        else:
+            found, first = self.bundle.once(("seals", number), lambda: self.seals(number, pinned))
+            usual = len(pinned) // 2 + 1
+        if len(found) < chain.get("quorum", usual):
             if not found and first is not None:
                 raise Refused("sealed by " + first.hex() + ", who is not pinned")
             return "unproven"

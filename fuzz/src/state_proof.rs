@@ -1,6 +1,6 @@
 //! Block headers and state nodes, from evidence bundles.
 
-use authros::evidence::{BlockHeader, Nodes, Storage};
+use authros::evidence::{BlockHeader, Nodes, Storage, seals};
 use authros::model::{Address, Hash};
 
 use crate::{Sample, way};
@@ -8,6 +8,8 @@ use crate::{Sample, way};
 const WAYS: u8 = 2;
 /// A sealed header of an embedded chain.
 const HEADER: &[u8] = include_bytes!("../corpus/state_proof/header");
+/// A header of a network of Besu, with the seals of three of its four validators (QBFT).
+const COMMITTED: &[u8] = include_bytes!("../corpus/state_proof/committed");
 /// The nodes of the states after it and after the next.
 const NODES: &[u8] = include_bytes!("../corpus/state_proof/nodes");
 
@@ -23,6 +25,9 @@ pub fn run(data: &[u8]) -> bool {
 /// A header that names the genuine signer is the genuine one.
 fn header(bytes: &[u8]) -> bool {
     let Some(found) = BlockHeader::parse(bytes) else { return false };
+    if found.committed().is_some() {
+        return committed(found);
+    }
     let genuine = HEADER.get(1..).and_then(BlockHeader::parse).expect("the kept one");
     if found.sealer() == genuine.sealer() {
         // The seal itself is not signed: r and s have one form; the vanity is.
@@ -33,6 +38,20 @@ fn header(bytes: &[u8]) -> bool {
         return true;
     }
     false
+}
+
+/// A header that three of the genuine validators sealed is the genuine one.
+fn committed(found: BlockHeader) -> bool {
+    let genuine = COMMITTED.get(1..).and_then(BlockHeader::parse).expect("the kept one");
+    let validators = &genuine.committed().expect("has seals").validators;
+    let (number, hash) = (found.number, found.hash);
+    let judged = seals(&[(number, found)].into(), number, validators);
+    assert!(judged.flaw.is_none() || judged.pinned.is_empty());
+    if judged.pinned.len() < 3 {
+        return false;
+    }
+    assert_eq!(hash, genuine.hash);
+    true
 }
 
 /// Nodes have one form, and what they show below a root is the same whatever other nodes are present.
@@ -52,5 +71,5 @@ fn nodes(bytes: &[u8]) -> bool {
 
 /// The stored ones.
 pub fn samples() -> Vec<Sample> {
-    vec![("header", HEADER.to_vec()), ("nodes", NODES.to_vec())]
+    vec![("header", HEADER.to_vec()), ("committed", COMMITTED.to_vec()), ("nodes", NODES.to_vec())]
 }

@@ -10,15 +10,15 @@ use std::process::Command;
 use serde_json::Value;
 use support::{Anvil, Home, Outcome, Running, list, skipped, system_program, text, wait_until};
 
-struct Exported {
-    home: Home,
-    bundle: PathBuf,
-    trust: PathBuf,
+pub(crate) struct Exported {
+    pub home: Home,
+    pub bundle: PathBuf,
+    pub trust: PathBuf,
     revealed: String,
     records: Vec<Value>,
 }
 
-fn export() -> Exported {
+pub(crate) fn export() -> Exported {
     let home = Home::new();
     let authros = home.authros().with(&["--robots", "1"]).with_variable("AUTHROS_AUDIT_ANCHOR_EVERY", "86400");
     authros.enrol();

@@ -29,6 +29,7 @@ mod demo;
 mod evidence;
 mod faults;
 mod fleet_metrics;
+mod foreign_proofs;
 mod gateway;
 mod identity;
 mod incidents;

@@ -4,10 +4,9 @@ use ethers::utils::rlp::RlpStream;
 use serde_json::{Value, json};
 
 use super::{Chain, ChainError};
-use crate::crypto::keccak256;
 use crate::model::Hash;
 use crate::model::bytes::unhex;
-use authros_evidence::{LONGEST_HEADER, Slot};
+use authros_evidence::{BlockHeader, Slot};
 
 /// The most slots requested at once; nodes limit it.
 const MOST_SLOTS: usize = 32;
@@ -59,9 +58,7 @@ impl Chain {
             return Ok(None);
         }
         let wrong = || self.misunderstood("eth_getBlockByNumber", "its fields do not give its hash");
-        let header = encode(&block).filter(|header| header.len() <= LONGEST_HEADER).ok_or_else(wrong)?;
-        let named = block.get("hash").and_then(Value::as_str).and_then(|hash| hash.parse::<Hash>().ok());
-        if named == Some(Hash(keccak256(&[&header]))) { Ok(Some(header)) } else { Err(wrong()) }
+        header_of(&block).map(Some).ok_or_else(wrong)
     }
 
     /// The nodes that prove slots of the contract's storage after a block (EIP-1186). The caller must check what they
@@ -89,6 +86,13 @@ impl Chain {
     }
 }
 
+/// The header of a block as a node shows it, RLP; `None` if its fields do not give its hash, as its consensus makes it.
+fn header_of(block: &Value) -> Option<Vec<u8>> {
+    let header = encode(block)?;
+    let named: Hash = block.get("hash")?.as_str()?.parse().ok()?;
+    (BlockHeader::parse(&header)?.hash == named).then_some(header)
+}
+
 fn encode(block: &Value) -> Option<Vec<u8>> {
     let text = |name: &str| block.get(name).and_then(Value::as_str);
     let there = FIELDS.iter().take_while(|(name, _)| text(name).is_some()).count();
@@ -108,4 +112,27 @@ fn number(text: &str) -> Option<Vec<u8>> {
     let even = if digits.len() % 2 == 0 { digits.to_owned() } else { format!("0{digits}") };
     let bytes = unhex(&even)?;
     Some(bytes.into_iter().skip_while(|byte| *byte == 0).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Their hash covers neither seals nor round: it is not that of their bytes.
+    #[test]
+    fn blocks_of_real_networks_of_besu_give_their_hash() {
+        let blocks: Value = serde_json::from_str(include_str!("../../evidence/src/tests/besu.json")).expect("JSON");
+        for name in ["qbft", "ibft2"] {
+            let header = header_of(&blocks[name]).expect("its hash");
+            let committed = BlockHeader::parse(&header).expect("a header");
+            assert!(committed.committed().is_some(), "{name}");
+            for field in ["stateRoot", "gasUsed", "timestamp", "parentHash"] {
+                let mut other = blocks[name].clone();
+                let text = other[field].as_str().expect("text").to_owned();
+                let last = if text.ends_with('7') { "8" } else { "7" };
+                other[field] = format!("{}{last}", &text[..text.len() - 1]).into();
+                assert_eq!(header_of(&other), None, "{name}, {field}");
+            }
+        }
+    }
 }

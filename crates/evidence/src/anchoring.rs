@@ -5,7 +5,7 @@ use authros_crypto::merkle::Leaf;
 use authros_model::{Address, Digest, Header, Timestamp};
 
 use crate::bundle::{AnchorClaim, Anchoring, BundledRecord};
-use crate::header::BlockHeader;
+use crate::header::{BlockHeader, Seals};
 use crate::report::{Level, Standing};
 use crate::state::{Storage, Unproven};
 use crate::verify::Check;
@@ -158,33 +158,18 @@ fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) ->
         format!(", as block {} has it", shown_at.number)
     };
     let Some(trust) = check.trust else {
-        let who =
-            shown_at.sealer().map_or_else(|| "nobody whose seal can be checked".to_owned(), |who| who.to_string());
+        let who = shown_at.sealed_by();
         let text = format!("{what}{at}, sealed by {who}: you pinned no signers, so this proves nothing yet");
         return Level::new(Standing::Unproven, text);
     };
     let found = check.known.seals(check, shown_at, &trust.chain.signers);
-    let (have, all, quorum) = (found.pinned.len(), trust.chain.signers.len(), trust.quorum());
+    let quorum = if found.committed.is_some() { trust.commit_quorum() } else { trust.quorum() };
+    let (have, all) = (found.pinned.len(), trust.chain.signers.len());
+    let how = found.committed.map_or_else(String::new, |protocol| format!(" in its own header ({protocol})"));
+    let text = format!("{what}{at}, sealed by {have} of {all} pinned signers{how}");
     if have < quorum {
-        return match (found.unsigned, found.stranger) {
-            (true, _) => Level::new(
-                Standing::Unproven,
-                format!(
-                    "{what}{at}; its header has no seal that this version checks (it checks Clique's): a development node, \
-                     proof of work or another consensus"
-                ),
-            ),
-            (_, Some(stranger)) if have == 0 => Level::new(
-                Standing::Refused,
-                format!("block {} is sealed by {stranger}, whom you did not pin", shown_at.number),
-            ),
-            _ => Level::new(
-                Standing::Unproven,
-                format!("{what}{at}, sealed by {have} of {all} pinned signers; {quorum} are needed"),
-            ),
-        };
+        return too_few(&found, shown_at, format!("{what}{at}"), format!("{text}; {quorum} are needed"));
     }
-    let text = format!("{what}{at}, sealed by {have} of {all} pinned signers");
     if trust.chain.sealed_by_exporter || shown_at.is_ours() {
         return Level::new(
             Standing::OwnChain,
@@ -192,4 +177,25 @@ fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) ->
         );
     }
     Level::new(Standing::Proven, text)
+}
+
+/// Why the seals on a block are not enough.
+fn too_few(found: &Seals, shown_at: &BlockHeader, what: String, counted: String) -> Level {
+    let number = shown_at.number;
+    match (found.flaw, found.committed, found.stranger) {
+        (Some(flaw), Some(protocol), _) => {
+            Level::new(Standing::Refused, format!("block {number} is not sealed as {protocol} demands: {flaw}"))
+        }
+        (_, _, Some(stranger)) if found.pinned.is_empty() => {
+            Level::new(Standing::Refused, format!("block {number} is sealed by {stranger}, whom you did not pin"))
+        }
+        _ if found.unsigned => Level::new(
+            Standing::Unproven,
+            format!(
+                "{what}; its header has no seal that this version checks (it checks those of Clique, QBFT and IBFT 2.0): a \
+                 development node, proof of work or another consensus"
+            ),
+        ),
+        _ => Level::new(Standing::Unproven, counted),
+    }
 }

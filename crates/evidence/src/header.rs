@@ -2,16 +2,20 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use authros_crypto::{AccountSignature, keccak256, recover_account};
+use authros_crypto::keccak256;
 use authros_model::{Address, Hash};
-use rlp::{Rlp, RlpStream};
+use rlp::Rlp;
 
-/// The longest header, bytes; including a list of a hundred signers.
-pub const LONGEST_HEADER: usize = 4096;
+use crate::committed::{Committed, Flaw, MIX, Protocol, recovered, with_extra};
+
+/// The longest header, bytes; including a list of a hundred validators and the seals of two thirds of them.
+pub const LONGEST_HEADER: usize = 8192;
 /// The part of the extra data before the seal.
-const VANITY: usize = 32;
+pub(crate) const VANITY: usize = 32;
 /// Length of a seal: r, s, parity.
-const SEAL: usize = 65;
+pub(crate) const SEAL: usize = 65;
+/// The field with the extra data.
+pub(crate) const EXTRA: usize = 12;
 /// Length of a signer's address.
 const ADDRESS: usize = 20;
 /// The vanity of a block of AuthROS's own chain.
@@ -33,36 +37,57 @@ pub struct BlockHeader {
     extra: Vec<u8>,
     /// The data signed by a Clique signer; `None` if it is of another consensus.
     seal_hash: Option<[u8; 32]>,
+    /// What QBFT and IBFT 2.0 add to it; `None` if it is of another consensus.
+    committed: Option<Committed>,
 }
 
 impl BlockHeader {
     /// From its RLP. Each fork of Ethereum adds fields at the end; they are hashed as they are.
     pub fn parse(bytes: &[u8]) -> Option<Self> {
         let list = Rlp::new(bytes);
-        let whole = list.payload_info().ok().and_then(|info| info.header_len.checked_add(info.value_len));
         let fields = list.item_count().ok()?;
-        if bytes.len() > LONGEST_HEADER || whole != Some(bytes.len()) || !(15..=32).contains(&fields) {
+        if bytes.len() > LONGEST_HEADER || !is_whole(&list, bytes) || !(15..=32).contains(&fields) {
             return None;
         }
         let hash = |at: usize| list.at(at).ok().and_then(|hash| Hash::from_slice(hash.data().ok()?));
-        let extra = list.at(12).ok()?.data().ok()?.to_vec();
+        let extra = list.at(EXTRA).ok()?.data().ok()?.to_vec();
+        let (number, mix) = (list.val_at(8).ok()?, list.at(13).ok()?.data().ok()?);
+        // The genesis block's hash is that of its bytes, whatever its extra data has.
+        let committed = if mix == MIX && number > 0 { Committed::parse(bytes, &extra) } else { None };
+        let block_hash = match &committed {
+            Some(committed) => committed.block_hash()?,
+            None => keccak256(&[bytes]),
+        };
         Some(Self {
-            hash: Hash(keccak256(&[bytes])),
+            hash: Hash(block_hash),
             parent: hash(0)?,
             state_root: hash(3)?,
-            number: list.val_at(8).ok()?,
+            number,
             timestamp: list.val_at(11).ok()?,
-            seal_hash: seal_hash(&list, fields, &extra),
+            seal_hash: if mix == [0; 32] { seal_hash(&list, &extra) } else { None },
             extra,
+            committed,
         })
     }
 
     /// Who sealed it, under proof of authority as in Clique (EIP-225); `None` if it has no such seal.
     pub fn sealer(&self) -> Option<Address> {
-        let mut seal: [u8; SEAL] = self.extra.get(self.extra.len().checked_sub(SEAL)?..)?.try_into().ok()?;
-        let parity = seal.last_mut()?;
-        *parity = parity.checked_add(27)?;
-        recover_account(&self.seal_hash?, &AccountSignature(seal)).ok()
+        let seal = self.extra.get(self.extra.len().checked_sub(SEAL)?..)?.try_into().ok()?;
+        recovered(&self.seal_hash?, seal)
+    }
+
+    /// What QBFT and IBFT 2.0 add to a header; `None` if it is of another consensus.
+    pub fn committed(&self) -> Option<&Committed> {
+        self.committed.as_ref()
+    }
+
+    /// Who sealed it, in words, whether pinned or not.
+    pub(crate) fn sealed_by(&self) -> String {
+        match (&self.committed, self.sealer()) {
+            (Some(committed), _) => format!("{} validators ({})", committed.count(), committed.protocol),
+            (None, Some(sealer)) => sealer.to_string(),
+            (None, None) => "nobody whose seal can be checked".to_owned(),
+        }
     }
 
     /// Whether it says that it is from one of AuthROS's own chains, which one program seals with the keys of one home.
@@ -71,22 +96,20 @@ impl BlockHeader {
     }
 }
 
-/// The data signed by a Clique signer: everything except the seal. Its mix hash is zero, and between vanity and seal
-/// there are whole addresses or nothing; QBFT and IBFT have other contents there.
-fn seal_hash(list: &Rlp<'_>, fields: usize, extra: &[u8]) -> Option<[u8; 32]> {
+/// Whether an item is all of these bytes.
+pub(crate) fn is_whole(item: &Rlp<'_>, bytes: &[u8]) -> bool {
+    let length = item.payload_info().ok().and_then(|info| info.header_len.checked_add(info.value_len));
+    length == Some(bytes.len())
+}
+
+/// The data signed by a Clique signer: everything except the seal. Between vanity and seal there are whole addresses or
+/// nothing.
+fn seal_hash(list: &Rlp<'_>, extra: &[u8]) -> Option<[u8; 32]> {
     let between = extra.len().checked_sub(VANITY + SEAL)?;
-    if between % ADDRESS != 0 || list.at(13).ok()?.data().ok()? != [0; 32] {
+    if between % ADDRESS != 0 {
         return None;
     }
-    let unsealed = extra.get(..VANITY + between)?;
-    let mut out = RlpStream::new_list(fields);
-    for at in 0..fields {
-        match at {
-            12 => out.append(&unsealed),
-            _ => out.append_raw(list.at(at).ok()?.as_raw(), 1),
-        };
-    }
-    Some(keccak256(&[&out.out()]))
+    with_extra(list, extra.get(..VANITY + between)?)
 }
 
 /// The pinned signers who sealed a block or built on it.
@@ -98,11 +121,19 @@ pub struct Seals {
     pub stranger: Option<Address>,
     /// Whether the block itself has no verifiable seal.
     pub unsigned: bool,
+    /// The protocol, if the seals are in the block's own header.
+    pub committed: Option<Protocol>,
+    /// What is wrong with these.
+    pub flaw: Option<Flaw>,
 }
 
-/// The seals on a block and on those that follow it in the bundle, each naming the previous one as its parent; until
-/// all pinned signers are found, over at most four headers for each of them and sixteen more.
+/// The seals on a block. Under QBFT and IBFT 2.0 its own header has them. Under Clique they are those on it and on the
+/// blocks that follow it in the bundle, each naming the previous one as its parent; until all pinned signers are found,
+/// over at most four headers for each of them and sixteen more.
 pub fn seals(headers: &BTreeMap<u64, BlockHeader>, first: u64, pinned: &[Address]) -> Seals {
+    if let Some(committed) = headers.get(&first).and_then(BlockHeader::committed) {
+        return committed.seals(pinned);
+    }
     let mut found = Seals::default();
     let mut parent = None;
     let most = pinned.len().saturating_mul(4).saturating_add(16);

@@ -1,8 +1,11 @@
 //! Bundles over a chain made here, so that every lie can be told in turn.
 
 mod authority;
+mod committed;
 mod complete;
+mod foreign;
 mod hostile;
+mod refusals;
 mod second;
 mod stamps;
 mod world;
@@ -263,7 +266,7 @@ fn every_flipped_byte_of_every_member_is_noticed() {
     let members = world.members();
     let trust = World::trust();
     for (name, bytes) in &members {
-        for at in (0..bytes.len()).step_by(bytes.len() / 40 + 1) {
+        for at in 0..bytes.len() {
             let mut changed = members.clone();
             changed.get_mut(name).expect("there")[at] ^= 1;
             let found =
@@ -382,5 +385,6 @@ proptest::proptest! {
         if let Some(parsed) = crate::BlockHeader::parse(&file) {
             proptest::prop_assert!(parsed.sealer() != Some(account(1).1));
         }
+        committed::noise(&noise, at);
     }
 }

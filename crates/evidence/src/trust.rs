@@ -6,6 +6,7 @@ use authros_crypto::domain;
 use authros_model::{Address, Domain, Hash, SignerId, clean};
 use serde::{Deserialize, Serialize};
 
+use crate::committed::two_thirds;
 use crate::time::Certificate;
 
 /// The longest file, bytes.
@@ -56,7 +57,8 @@ pub struct PinnedChain {
     pub code_hash: Hash,
     /// Who may seal blocks.
     pub signers: Vec<Address>,
-    /// How many of them must have sealed a block or built on it; by default more than half.
+    /// How many of them must have sealed a block or built on it; by default more than half, or two thirds where a header
+    /// itself has the seals (QBFT, IBFT 2.0).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quorum: Option<usize>,
     /// Whether the exporter also seals this chain: its word then proves nothing against the exporter. It has to be
@@ -116,9 +118,14 @@ impl Trust {
         toml::to_string(self).map_err(|error| TrustError(clean(&error.to_string(), 300)))
     }
 
-    /// The required number of signers.
+    /// The required number of signers, of whom each seals a block of its own (Clique).
     pub fn quorum(&self) -> usize {
         self.chain.quorum.unwrap_or(self.chain.signers.len() / 2 + 1)
+    }
+
+    /// The required number of signers in one header (QBFT, IBFT 2.0).
+    pub fn commit_quorum(&self) -> usize {
+        self.chain.quorum.unwrap_or_else(|| two_thirds(self.chain.signers.len()).max(1))
     }
 
     /// The domain of records of this chain and contract.

@@ -15,6 +15,8 @@ mod block;
 #[cfg(test)]
 mod contract_tests;
 mod file;
+#[cfg(test)]
+mod foreign_tests;
 mod founding;
 mod json;
 mod logs;

@@ -24,9 +24,9 @@ use crate::model::{Address, ErrorKind, Hash};
 const KEEPER: &str = "6040356013576020356000355560006000a0005b33ff";
 
 /// A chain with an account that writes to it.
-struct Site {
+pub(super) struct Site {
     node: Node,
-    wallet: LocalWallet,
+    pub wallet: LocalWallet,
     sent: u64,
 }
 
@@ -34,7 +34,7 @@ fn try_open(directory: &Path) -> Result<Node, ChainError> {
     Node::open(directory, None, Arc::new(|_| ()))
 }
 
-fn open(directory: &Path) -> Site {
+pub(super) fn open(directory: &Path) -> Site {
     let node = try_open(directory).map_err(|error| error.to_string()).expect("opens");
     let wallet = LocalWallet::from_bytes(&[7; 32]).expect("key");
     let sent = node.machine.nonce(Address(wallet.address().0)).expect("reads");
@@ -56,7 +56,7 @@ fn words(values: &[u64]) -> Vec<u8> {
 
 impl Site {
     /// Sends a transaction and mines it in the next block.
-    fn block(&mut self, to: Option<Address>, input: Vec<u8>) {
+    pub fn block(&mut self, to: Option<Address>, input: Vec<u8>) {
         let request = TransactionRequest::new().nonce(self.sent).gas(2_000_000).gas_price(0).data(input);
         let mut request = request.chain_id(self.node.chain_id);
         request.to = to.map(|to| H160(to.0).into());
@@ -71,7 +71,12 @@ impl Site {
 
     /// Deploys [`KEEPER`].
     fn keeper(&mut self) -> Address {
-        let runtime = crate::model::bytes::unhex(KEEPER).expect("hex");
+        self.deployed(KEEPER)
+    }
+
+    /// Deploys a contract, from its runtime code.
+    pub fn deployed(&mut self, runtime: &str) -> Address {
+        let runtime = crate::model::bytes::unhex(runtime).expect("hex");
         let length = u8::try_from(runtime.len()).expect("short");
         let creation = [0x60, length, 0x60, 12, 0x60, 0, 0x39, 0x60, length, 0x60, 0, 0xf3];
         let contract = created_address(Address(self.wallet.address().0), self.sent);
@@ -79,7 +84,7 @@ impl Site {
         contract
     }
 
-    fn ask(&mut self, method: &str, parameters: Value) -> Result<Value, super::Fault> {
+    pub fn ask(&mut self, method: &str, parameters: Value) -> Result<Value, super::Fault> {
         answer(&mut self.node, method, parameters)
     }
 

@@ -72,6 +72,19 @@ pub fn agree(members: &Members, trust: &Trust, outcome: Outcome) {
     assert_eq!(serde_json::Value::Array(completeness), theirs["complete"]);
 }
 
+/// How the second verifier ends over a file; `None` if it cannot run.
+pub fn exit_code(file: &[u8], trust: &Trust) -> Option<i32> {
+    let folder = tempfile::tempdir().expect("directory");
+    let (place, pins) = (folder.path().join("case.authros"), folder.path().join("trust.toml"));
+    std::fs::write(&place, file).expect("written");
+    std::fs::write(&pins, trust.to_text().expect("text")).expect("written");
+    let tool = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tools/verify.py");
+    let arguments = [tool, place.to_str().expect("UTF-8"), "--trust", pins.to_str().expect("UTF-8")];
+    let output = python(&arguments)?;
+    assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
+    output.status.code()
+}
+
 /// What both say about a topic.
 fn completeness(stretch: &Stretch) -> serde_json::Value {
     let Stretch { owner, recorder, topic_id, standing, first, last, missing, heads, gaps, .. } = stretch;

@@ -13,6 +13,7 @@ use authros_model::{
 };
 use rlp::RlpStream;
 
+use super::committed::Commit;
 use crate::archive::Members;
 use crate::{
     AnchorClaim, Anchoring, Bundle, BundledRecord, ClaimedChain, Disclosure, Nodes, Packing, PinnedChain, Report, Slot,
@@ -146,6 +147,8 @@ pub struct World {
     pub vanity: [u8; 32],
     pub sealers: Vec<u8>,
     pub shown_at: u64,
+    /// QBFT or IBFT 2.0 in place of Clique.
+    pub commit: Option<Commit>,
 }
 
 impl World {
@@ -179,6 +182,7 @@ impl World {
             vanity: [0; 32],
             sealers: vec![1, 2],
             shown_at: BLOCK,
+            commit: None,
         };
         world.put(Slot::anchor(anchorer, root), word(&[BLOCK, 5, TIME, 1]));
         world.put(Slot::account(owner), word(&[1, 0, 1]));
@@ -214,7 +218,10 @@ impl World {
         let mut packing = Packing::default();
         let mut parent = Hash([8; 32]);
         for (number, sealer) in (self.shown_at..).zip(&self.sealers) {
-            let bytes = header(number, parent, state, self.vanity, *sealer);
+            let bytes = match &self.commit {
+                Some(commit) => commit.header(number, parent, state),
+                None => header(number, parent, state, self.vanity, *sealer),
+            };
             parent = Hash(keccak256(&[&bytes]));
             packing.header(number, bytes);
         }

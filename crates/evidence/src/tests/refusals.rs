@@ -1,0 +1,321 @@
+//! The table of what is refused, or not proven, and in which words; by both verifiers. With `AUTHROS_LONG` it is printed,
+//! and far more bytes are flipped.
+
+use std::collections::BTreeMap;
+
+use authros_crypto::record::RecordSecret;
+use authros_crypto::signer_id;
+use authros_model::Hash;
+
+use super::committed::Commit;
+use super::hostile::unanchored;
+use super::second::exit_code;
+use super::world::{BLOCK, TIME, World, genesis, ours, pair, sealed, word};
+use crate::archive::Members;
+use crate::{Anchoring, Bundle, BundledRecord, Outcome, Packing, Slot, Trust, pack, verify};
+
+use Outcome::{Incomplete, Refused};
+
+fn is_long() -> bool {
+    std::env::var_os("AUTHROS_LONG").is_some()
+}
+
+/// Altered members, signed again by their exporter.
+fn signed_again(members: Members, world: &World) -> Members {
+    Packing::from(members).sign(genesis(), world.owner, &world.keys, ours()).expect("packs")
+}
+
+/// The outcome, with everything that is said about it.
+fn judged(file: &[u8], trust: &Trust) -> (Outcome, String) {
+    let bundle = match Bundle::parse(file, ours()) {
+        Ok(bundle) => bundle,
+        Err(error) => return (Refused, error.to_string()),
+    };
+    let report = verify(&bundle, Some(trust), ours());
+    let mut told = vec![report.exporter.text.clone()];
+    for record in &report.records {
+        told.extend(record.levels().map(|(letter, level)| format!("({letter}) {}", level.text)));
+    }
+    told.extend(report.complete.iter().map(|stretch| stretch.text.clone()));
+    told.extend(report.warnings.clone());
+    (report.outcome, told.join("\n"))
+}
+
+/// Both verifiers come to this outcome, and ours in these words.
+fn row(what: &str, members: &Members, trust: &Trust, outcome: Outcome, words: &str) {
+    let file = pack(members).expect("packs");
+    let (found, told) = judged(&file, trust);
+    assert_eq!(found, outcome, "{what}: {told}");
+    let line = told.lines().find(|line| line.contains(words));
+    let line = line.unwrap_or_else(|| panic!("{what}: nothing says '{words}' in\n{told}"));
+    if is_long() {
+        println!("| {what} | {found:?} | {line} |");
+    }
+    if let Some(code) = exit_code(&file, trust) {
+        assert_eq!(code, code_of(outcome), "{what}: the second verifier");
+    }
+}
+
+fn code_of(outcome: Outcome) -> i32 {
+    match outcome {
+        Outcome::Holds => 0,
+        Incomplete => 8,
+        Refused => 6,
+    }
+}
+
+fn name_of(members: &Members, part: &str) -> String {
+    members.keys().find(|name| name.contains(part)).unwrap_or_else(|| panic!("no {part}")).clone()
+}
+
+/// One member in place of another.
+fn swapped(mine: &World, theirs: &Members, part: &str) -> Members {
+    let mut members = mine.members();
+    let (name, other) = (name_of(&members, part), name_of(theirs, part));
+    members.insert(name, theirs[&other].clone());
+    signed_again(members, mine)
+}
+
+fn disclosing() -> World {
+    let mut world = World::new();
+    let secret = RecordSecret::of(&world.topic_key, &world.record.header);
+    world.disclose(&world.keys.clone(), secret);
+    world
+}
+
+#[test]
+fn members_of_another_bundle_are_noticed_though_they_are_signed_for() {
+    let (mine, other) = (disclosing(), disclosing());
+    let theirs = other.members();
+    let trust = World::trust();
+    for (part, outcome, words) in [
+        ("record.bin", Refused, "it is not the record that it is filed as"),
+        ("signature.der", Refused, "its signature is not one of the key"),
+        ("anchor.json", Refused, "its path does not lead to the root that it names"),
+        ("chain/40.rlp", Incomplete, "the state after block 40 is not in the bundle"),
+        ("chain/41.rlp", Incomplete, "sealed by 1 of 3 pinned signers; 2 are needed"),
+        ("chain/nodes.rlp", Incomplete, "the state after block 40 is not in the bundle"),
+        ("reveal.bin", Refused, "not signed by its owner"),
+        ("reveal.der", Refused, "not signed by its owner"),
+        ("keys/", Refused, "is filed under another key's name"),
+        ("identities/", Refused, "is filed under another identity's name"),
+    ] {
+        row(&format!("{part} of another bundle"), &swapped(&mine, &theirs, part), &trust, outcome, words);
+        let mut unsigned = mine.members();
+        let (name, source) = (name_of(&unsigned, part), name_of(&theirs, part));
+        unsigned.insert(name.clone(), theirs[&source].clone());
+        let (found, told) = judged(&pack(&unsigned).expect("packs"), &trust);
+        assert_eq!(found, Refused, "{told}");
+        assert!(told.contains(&name), "{told}");
+    }
+    let mut renamed = mine.members();
+    for part in ["keys/", "identities/"] {
+        let name = name_of(&renamed, part);
+        renamed.remove(&name);
+        let (name, pem) = theirs.iter().find(|(name, _)| name.starts_with(part)).expect("there");
+        renamed.insert(name.clone(), pem.clone());
+    }
+    let words = "is not in the bundle";
+    row("keys and identities of another bundle", &signed_again(renamed, &mine), &trust, Refused, words);
+}
+
+#[test]
+fn every_lie_about_the_chain_is_refused_by_both_in_its_own_words() {
+    let trust = World::trust();
+    let root = |world: &World| world.claim.inclusion().expect("a batch").root;
+    let say = |what: &str, world: &World, outcome: Outcome, words: &str| {
+        row(what, &world.members(), &trust, outcome, words);
+    };
+
+    let mut world = World::new();
+    if let Anchoring::Batch { index, .. } = &mut world.claim.anchor {
+        *index = 3;
+    }
+    say("another place in its batch", &world, Refused, "its path does not lead to the root that it names");
+
+    let (mut world, other) = (World::new(), World::new());
+    world.claim = other.claim.clone();
+    say("the path of another batch", &world, Refused, "its path does not lead to the root that it names");
+
+    let mut world = World::new();
+    if let Anchoring::Batch { root, count, index, path, .. } = &mut world.claim.anchor {
+        (*count, *index) = (1, 0);
+        path.clear();
+        *root = Hash([0x77; 32]);
+    }
+    say("the root of another batch", &world, Refused, "its path does not lead to the root that it names");
+
+    let mut world = World { shown_at: BLOCK + 9, ..World::new() };
+    world.put(Slot::anchor(world.owner, root(&world)), [0; 32]);
+    say("a later head whose slot is cleared", &world, Refused, "the state after block 49 does not have its anchor");
+
+    let mut world = World::new();
+    world.put(Slot::anchor(world.owner, root(&world)), word(&[BLOCK, 6, TIME, 1]));
+    say("another number of leaves", &world, Refused, "made for another number of leaves than the chain has");
+
+    let mut world = World::new();
+    world.put(Slot::anchor(world.owner, root(&world)), word(&[BLOCK - 1, 5, TIME, 1]));
+    say("another block", &world, Refused, "the chain has it in block 39, the bundle says 40");
+
+    let mut world = World::new();
+    world.put(Slot::anchor(world.owner, root(&world)), word(&[BLOCK, 5, TIME + 1, 1]));
+    say("an anchor later than its block", &world, Refused, "in a block that is later than itself");
+
+    let with = |sealers: &[u8]| World { sealers: sealers.to_vec(), ..World::new() };
+    say("unpinned signers", &with(&[9, 8]), Refused, "whom you did not pin");
+    say("1 of 3 seals", &with(&[1]), Incomplete, "sealed by 1 of 3 pinned signers; 2 are needed");
+    say("one signer twice", &with(&[1, 1]), Incomplete, "sealed by 1 of 3 pinned signers; 2 are needed");
+    say("a stranger builds on it", &with(&[1, 9]), Incomplete, "sealed by 1 of 3 pinned signers; 2 are needed");
+    say("no seal", &with(&[0]), Incomplete, "its header has no seal that this version checks");
+
+    // The exporter's own signers and clock: it claims to be ten days older than the message in it.
+    let mut world = with(&[9, 8]);
+    world.put(Slot::anchor(world.owner, root(&world)), word(&[BLOCK, 5, TIME - 864_000, 1]));
+    say("a forged chain of the exporter's, with an old clock", &world, Refused, "whom you did not pin");
+    let mut forged = World::trust();
+    forged.chain.signers = [9, 8].map(|secret| super::world::account(secret).1).to_vec();
+    forged.chain.sealed_by_exporter = true;
+    let words = "captured after the block that anchors it: a clock was wrong";
+    row("the same, its signers pinned as the exporter's", &world.members(), &forged, Incomplete, words);
+
+    let mut pins = World::trust();
+    pins.chain.code_hash = Hash([1; 32]);
+    row(
+        "another contract's code",
+        &World::new().members(),
+        &pins,
+        Refused,
+        "the contract's code is not the one you pinned",
+    );
+    let mut pins = World::trust();
+    pins.chain.genesis = Hash([1; 32]);
+    row(
+        "another chain",
+        &World::new().members(),
+        &pins,
+        Refused,
+        "bound to another chain or contract than the one you pinned",
+    );
+
+    let commit = Commit { named: vec![1, 2, 3], ..Commit::by(&[1, 2]) };
+    let qbft = |commit: Commit| World { commit: Some(commit), sealers: vec![0], ..World::new() };
+    row(
+        "QBFT: altered after it was sealed",
+        &qbft(Commit { later: 9, ..commit.clone() }).members(),
+        &trust,
+        Refused,
+        "altered",
+    );
+    row("QBFT: a seal twice", &qbft(Commit { sealers: vec![1, 1, 2], ..commit }).members(), &trust, Refused, "twice");
+}
+
+#[test]
+fn every_lie_about_keys_and_disclosures_is_refused_by_both_in_its_own_words() {
+    let trust = World::trust();
+    let say = |what: &str, world: &World, outcome: Outcome, words: &str| {
+        row(what, &world.members(), &trust, outcome, words);
+    };
+    let mut world = World::new();
+    let mut flags = word(&[1, 0, 1]);
+    flags[7] = 1;
+    world.put(Slot::account(world.owner), flags);
+    say("a suspended account", &world, Refused, "was suspended at block 40");
+
+    let World { owner, keys, identity, .. } = World::new();
+    let lent = |loan: [u64; 3]| {
+        let mut world = World::of(owner, keys.clone(), pair(), identity.clone(), owner);
+        let mut packed = [0; 32];
+        packed[31] = 1;
+        for (at, field) in loan.iter().enumerate() {
+            packed[23 - 8 * at..31 - 8 * at].copy_from_slice(&field.to_be_bytes());
+        }
+        world.put(Slot::loan(owner, &signer_id(&world.signer.public).0), packed);
+        let mut packing = world.packing();
+        packing.key(&keys.public).expect("a point");
+        packing.sign(genesis(), owner, &keys, ours()).expect("packs")
+    };
+    row("an expired device", &lent([TIME, 12, 0]), &trust, Refused, "the loan of the device was over");
+    row("a recalled device", &lent([0, 12, BLOCK]), &trust, Refused, "recalled the device in block 40");
+    row("a device lent later", &lent([0, 41, 0]), &trust, Refused, "lent the device only in block 41");
+    row("a device never lent", &lent([0, 0, 0]), &trust, Refused, "neither registered nor lent");
+
+    let mut world = World::new();
+    world.put(Slot::keys(world.owner, 2), [3; 32]);
+    world.put(Slot::keys(world.owner, 2).next(1), word(&[BLOCK, TIME]));
+    say("keys that were replaced", &world, Incomplete, "was not the one in force at block 40");
+
+    let mut world = World::new();
+    let other = sealed(world.owner, &world.keys, &world.topic_key, 4, b"another");
+    let wrong = RecordSecret::of(&world.topic_key, &other.header);
+    world.disclose(&world.keys.clone(), wrong);
+    say("a wrong reveal", &world, Refused, "does not open it");
+    let right = RecordSecret::of(&world.topic_key, &world.record.header);
+    world.disclose(&pair(), right);
+    say("a reveal by somebody else", &world, Refused, "not signed by its owner");
+
+    let world = World::new();
+    let mut twice = world.packing();
+    twice.record(other_of(&world).0, other_of(&world).1).expect("added");
+    let members = twice.sign(genesis(), world.owner, &world.keys, ours()).expect("packs");
+    row("two records with one number", &members, &trust, Refused, "TWO different records are number 3");
+}
+
+fn other_of(world: &World) -> (authros_model::Digest, BundledRecord) {
+    let other = sealed(world.owner, &world.keys, &world.topic_key, 3, b"another");
+    (other.digest, unanchored(other))
+}
+
+/// Its exporter signs for each flipped byte: it proves less, or is refused. What no verifier reads is left out.
+#[test]
+fn a_flipped_byte_that_its_exporter_signs_for_never_holds() {
+    let world = disclosing();
+    let (members, trust) = (world.members(), World::trust());
+    let file = pack(&members).expect("packs");
+    assert_eq!(judged(&file, &trust).0, Outcome::Holds);
+    let unread = ["mimetype", "manifest.json", "manifest.der", "VERIFY.txt"];
+    for (name, bytes) in members.iter().filter(|(name, _)| !unread.contains(&name.as_str())) {
+        let step = if is_long() { 1 } else { bytes.len() / 12 + 1 };
+        for at in (0..bytes.len()).step_by(step) {
+            let mut changed = members.clone();
+            changed.get_mut(name).expect("there")[at] ^= 1 << (at % 8);
+            let file = pack(&signed_again(changed, &world)).expect("packs");
+            let (outcome, told) = judged(&file, &trust);
+            // The two spellings of a letter in JSON's hex mean the same; nothing else does.
+            let spelling = at % 8 == 5 && bytes[at].is_ascii_alphabetic() && name.ends_with(".json");
+            assert!(outcome != Outcome::Holds || spelling, "{name}, byte {at}: {told}");
+            if at == step
+                && let Some(code) = exit_code(&file, &trust)
+            {
+                assert_eq!(code, code_of(outcome), "{name}, byte {at}: {told}");
+            }
+        }
+    }
+}
+
+/// Of the file itself; nobody signs for these.
+#[test]
+fn flipped_bytes_of_a_file_are_refused_each() {
+    let world = disclosing();
+    let mut packing = world.packing();
+    for seq in 10..60 {
+        let one = sealed(world.owner, &world.keys, &world.topic_key, seq, &[7; 600]);
+        packing.record(one.digest, unanchored(one)).expect("added");
+    }
+    let members = packing.sign(genesis(), world.owner, &world.keys, ours()).expect("packs");
+    let (file, trust) = (pack(&members).expect("packs"), World::trust());
+    let mut reasons: BTreeMap<String, usize> = BTreeMap::new();
+    let mut draw = 7u64;
+    for _ in 0..if is_long() { 100_000 } else { 500 } {
+        draw = draw.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let at = usize::try_from(draw >> 33).expect("small") % file.len();
+        let mut changed = file.clone();
+        changed[at] ^= 1 << (draw >> 20 & 7);
+        let (outcome, told) = judged(&changed, &trust);
+        assert_eq!(outcome, Refused, "byte {at}: {told}");
+        let (_, why) = told.lines().next().unwrap_or_default().split_once(": ").unwrap_or_default();
+        *reasons.entry(why.to_owned()).or_default() += 1;
+    }
+    if is_long() {
+        println!("{reasons:#?}");
+    }
+}
