@@ -1,6 +1,11 @@
 //! The console over a bad line: 4 kB/s, 300 ms for a round trip, 40 records a second. How long a key takes is printed,
 //! not judged.
-#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+#![allow(
+    clippy::expect_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "a test fails by panicking, a measurement prints"
+)]
 
 use crate::support;
 
