@@ -6,7 +6,8 @@
 It says of each record whether level (a), (b), (c) and (e) are proven, own_chain, unproven, absent or refused, and of each topic
 what (f) comes to, as JSON, and ends with 0 where (a) to (c) are proven for all by what was pinned, 8 where something is not
 proven or holds by the exporter's own chain alone, 6 where something is refused, 3 where the trust file cannot be used. It is
-slow, on purpose: it can be read in one sitting. Bodies packed by the matrix code are opened and not unpacked, and it says so.
+slow, on purpose: it can be read in one sitting. Bodies packed by the matrix code are opened and not unpacked, and it does not look at
+countersignatures of witnesses, level (g); it says both.
 """
 import hashlib
 import hmac
@@ -469,7 +470,8 @@ def packed(members):
 
 class Bundle:
     FORMS = re.compile(r"mimetype|manifest\.(json|der)|trust\.toml|VERIFY\.txt|report\.html|chain/(nodes|[0-9]+)\.rlp|"
-                       r"heights\.json|stamps/[0-9a-f]{64}/(roots\.json|[0-9a-f]{32}\.der)|keys/[0-9a-f]{64}\.pem|identities/[0-9a-f]{64}\.bin|definitions/[0-9a-f]{64}\.txt|"
+                       r"heights\.json|stamps/[0-9a-f]{64}/(roots\.json|[0-9a-f]{32}\.der)|"
+                       r"witnesses/[0-9a-f]{64}/(countersignature\.bin|roots\.json)|keys/[0-9a-f]{64}\.pem|identities/[0-9a-f]{64}\.bin|definitions/[0-9a-f]{64}\.txt|"
                        r"records/[0-9a-f]{64}/(record\.bin|signature\.der|anchor\.json|reveal\.(bin|der))")
 
     def __init__(self, path):
@@ -786,7 +788,7 @@ def read_trust(path):
     chain, persons = trust["chain"], trust.get("person", [])
     signers = [unhex(one) for one in chain["signers"]]
     required, optional = {"id", "genesis", "contract", "code_hash", "signers", "sealed_by_exporter"}, {"quorum"}
-    if not required <= set(chain) <= required | optional or not set(trust) <= {"chain", "person", "authority"}:
+    if not required <= set(chain) <= required | optional or not set(trust) <= {"chain", "person", "authority", "witness"}:
         raise ValueError("it has not the lines that docs/evidence.md shows")
     if not isinstance(chain["sealed_by_exporter"], bool) or isinstance(chain["id"], bool) or chain["id"] < 0:
         raise ValueError("sealed_by_exporter is true or false, and id a number")
@@ -897,7 +899,8 @@ def main(arguments):
     good = all(standing == "proven" for of in spoken or needed for standing in of)
     refused = any(one["standing"] == "refused" for one in complete) or any(standing == "refused" for _, standing in standings)
     outcome = "refused" if refused else "holds" if trust and records and good else "incomplete"
-    print(json.dumps({"outcome": outcome, "records": records, "complete": complete}, indent=1))
+    unseen = {"not_looked_at": ["(g): countersignatures of witnesses"]} if any(n.startswith("witnesses/") for n in bundle.members) else {}
+    print(json.dumps({"outcome": outcome, "records": records, "complete": complete} | unseen, indent=1))
     return {"holds": 0, "incomplete": 8, "refused": 6}[outcome]
 
 

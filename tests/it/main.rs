@@ -55,3 +55,4 @@ mod time_stamps;
 mod units;
 mod uploads_export;
 mod vault_faults;
+mod witnesses;

@@ -5,6 +5,7 @@ mod complete;
 mod hostile;
 mod second;
 mod stamps;
+mod witnesses;
 mod world;
 
 use authros_crypto::record::RecordSecret;
