@@ -70,6 +70,14 @@ fn time(at: Option<Timestamp>) -> String {
     at.map_or_else(|| "-".to_owned(), |at| at.to_string())
 }
 
+fn served(one: &WitnessView) -> String {
+    match (one.serves, one.chains) {
+        (false, _) => "not served".to_owned(),
+        (true, 0 | 1) => format!("served {}", one.served),
+        (true, chains) => format!("served {} on {chains} chains", one.served),
+    }
+}
+
 /// All parties of a profile.
 pub fn all(witnesses: &[WitnessView]) -> String {
     if witnesses.is_empty() {
@@ -81,7 +89,7 @@ pub fn all(witnesses: &[WitnessView]) -> String {
             one.gateway.clone().unwrap_or_else(|| "not asked".to_owned()),
             one.given.to_string(),
             time(one.newest),
-            if one.serves { format!("served {}", one.served) } else { "not served".to_owned() },
+            served(one),
             one.account.to_string(),
         ]
     };

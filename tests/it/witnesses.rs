@@ -16,7 +16,6 @@ use support::member::Gateway;
 use support::{Authros, Home, Running, count, list, system_program, text, unhex};
 
 const TOPIC: &str = "/robot1/odom";
-const USAGE: i32 = 2;
 const INPUT: i32 = 3;
 const UNREACHABLE: i32 = 4;
 const REFUSED: i32 = 5;
@@ -120,7 +119,6 @@ fn sites_are_each_others_witnesses_and_one_that_writes_its_chain_anew_is_exposed
     harbour.end();
     let message = restored.fails(UNREACHABLE, &["witness", "ask"]);
     assert!(message.contains("The harbour"), "{message}");
-    restored.fails(USAGE, &["witness"]);
     assert!(list(&restored.json(&["witness", "remove", "The harbour"]), "witnesses").is_empty());
 }
 
@@ -162,8 +160,9 @@ fn exposed(harbour: &Party, newest: &Value) {
     let (one, two) = (kept.stated.position, later.position);
     assert_eq!((one.key, one.owner, one.chain_id, one.genesis), (two.key, two.owner, two.chain_id, two.genesis));
     assert_eq!(one.block, count(newest, "block"), "what was countersigned last");
-    let (block, hash) = two.earlier.expect("it refers to that");
-    assert!(block == one.block && hash != one.block_hash, "{two:?}");
+    let blocks = two.earlier.into_iter().chain([(two.block, two.block_hash)]);
+    let differs = |(block, hash)| block == one.block && hash != one.block_hash;
+    assert!(blocks.into_iter().any(differs), "{one:?} {two:?}");
     let health = harbour.authros.json(&["status"]);
     let part = list(&health, "health").into_iter().find(|part| part["part"] == "witnesses").expect("a part");
     assert!(part["level"] == "failed" && text(&part, "text").contains("two histories"), "{part}");

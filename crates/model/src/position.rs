@@ -210,12 +210,14 @@ pub enum Contradiction {
 }
 
 impl std::fmt::Display for Contradiction {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
-            Self::TwoBlocks(block) => write!(f, "block {block} of its chain has two hashes"),
-            Self::BlockGone(block) => write!(f, "block {block} of its chain was there and is gone"),
-            Self::TwoHeads(number) => write!(f, "the head number {number} of its recorder is two"),
-            Self::HeadWentBack(number) => write!(f, "its recorder had stated the head number {number}, and goes back"),
+            Self::TwoBlocks(block) => write!(formatter, "block {block} of its chain has two hashes"),
+            Self::BlockGone(block) => write!(formatter, "block {block} of its chain was there and is gone"),
+            Self::TwoHeads(number) => write!(formatter, "the head number {number} of its recorder is two"),
+            Self::HeadWentBack(number) => {
+                write!(formatter, "its recorder had stated the head number {number}, and goes back")
+            }
         }
     }
 }

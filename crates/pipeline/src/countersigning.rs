@@ -183,6 +183,17 @@ pub fn countersigned(
             return Ok(last);
         }
     }
+    if last.is_none() && plant.ledger.countersigned_count(party).map_err(|error| failed(&error))?.0 > 0 {
+        // An owner may move to another chain; whoever relies on the one before has to know.
+        plant.observer.alert(
+            true,
+            format!(
+                "{name} ({}) states another chain than before, of id {}: nothing of the earlier one is contradicted, ask it \
+                 why it moved",
+                position.owner, position.chain_id
+            ),
+        );
+    }
     let answer = countersign(*stated, Timestamp::now(), (account, key), plant.provider);
     let answer = answer.map_err(|error| failed(&error))?;
     plant.ledger.keep_countersigned(party, network, answer).map_err(|error| failed(&error))?;

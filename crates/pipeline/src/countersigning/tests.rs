@@ -95,8 +95,8 @@ fn a_statement_is_countersigned_once_and_the_next_one_refers_to_it() {
     assert_eq!(stage.ask(&forgetful), Ok(given), "the last one, to refer to");
     let second = stage.signed(stage.position(20, Some((10, hash(10)))));
     assert_eq!(stage.ask(&second).expect("countersigned").stated, second);
-    assert_eq!(stage.plant.ledger.countersigned_count(signer_id(&stage.party.public)), Ok(2));
-    assert_eq!(stage.notes.all(), []);
+    assert_eq!(stage.plant.ledger.countersigned_count(signer_id(&stage.party.public)), Ok((2, 1)));
+    assert!(stage.notes.all().is_empty());
 }
 
 #[test]
@@ -116,7 +116,7 @@ fn strangers_and_forgeries_are_refused_each_for_its_own_reason() {
     assert!(matches!(stage.ask(&forged), Err(Unsigned::Forged(_))));
     stage.plant.ledger.put_witness(stage.row(false)).expect("changed");
     assert_eq!(stage.ask(&stage.signed(stage.position(10, None))), Err(Unsigned::Stranger(key)), "asked only");
-    assert_eq!(stage.plant.ledger.countersigned_count(key), Ok(0));
+    assert_eq!(stage.plant.ledger.countersigned_count(key), Ok((0, 0)));
 }
 
 #[test]
@@ -149,9 +149,10 @@ fn a_chain_written_anew_is_exposed_with_both_statements() {
     // What is true goes on.
     let next = stage.signed(stage.position(30, Some((10, hash(10)))));
     assert_eq!(stage.ask(&next).expect("countersigned").stated, next);
-    // Another chain of the same owner has blocks of its own.
+    // Another chain of the same owner has blocks of its own; that there is one is told.
     let elsewhere = stage.signed(Position { chain_id: 8, ..stage.position(5, None) });
     assert_eq!(stage.ask(&elsewhere).expect("countersigned").stated, elsewhere);
+    assert_eq!(stage.notes.with("states another chain than before, of id 8"), 1);
 }
 
 #[test]

@@ -25,6 +25,8 @@ pub struct WitnessView {
     pub newest: Option<Timestamp>,
     /// Statements of its own that were countersigned here.
     pub served: u64,
+    /// How many chains these are about.
+    pub chains: u64,
     /// Attempts without a countersignature since the site started.
     pub failures: u64,
     /// Why the last attempt gave none.

@@ -303,14 +303,15 @@ impl Ledger {
         })
     }
 
-    /// How many statements of a party were countersigned here.
+    /// How many statements of a party were countersigned here, and on how many networks.
     ///
     /// # Errors
     /// [`StoreError::Database`] and its kin.
-    pub fn countersigned_count(&self, party: SignerId) -> Result<u64, StoreError> {
+    pub fn countersigned_count(&self, party: SignerId) -> Result<(u64, u64), StoreError> {
         self.read(|connection| {
-            let sql = "SELECT count(*) FROM countersigned WHERE party = ?1";
-            Ok(connection.prepare_cached(sql)?.query_row([party.0], |row| unsigned(row, 0))?)
+            let sql = "SELECT count(*), count(DISTINCT network) FROM countersigned WHERE party = ?1";
+            let mut statement = connection.prepare_cached(sql)?;
+            Ok(statement.query_row([party.0], |row| Ok((unsigned(row, 0)?, unsigned(row, 1)?)))?)
         })
     }
 
@@ -347,11 +348,11 @@ impl Ledger {
             })?;
             Ok(rows.collect::<Result<_, _>>()?)
         })?;
-        let whole = |(party, at, what, kept, later): Found| {
+        let read = |(party, at, what, kept, later): Found| {
             let later = SignedPosition::parse(&later).map_err(|error| self.unreadable(&error))?;
             Ok(KeptContradiction { party, at, what, kept: self.parsed(&kept)?, later })
         };
-        found.into_iter().map(whole).collect()
+        found.into_iter().map(read).collect()
     }
 
     fn parsed(&self, bytes: &[u8]) -> Result<Countersignature, StoreError> {

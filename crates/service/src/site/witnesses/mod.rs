@@ -17,9 +17,7 @@ use crate::service::command::{self as ask, Ask, WitnessCommand};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::input;
 use crate::service::hub::Hub;
-use crate::service::reply::{
-    ContradictionView, Failure, HealthLevel, PartHealth, Reply, WitnessAnswers, WitnessView, WitnessesView,
-};
+use crate::service::reply::{ContradictionView, Failure, HealthLevel, PartHealth, Reply, WitnessView, WitnessesView};
 use crate::site::audit::Log;
 use crate::site::blocking;
 use crate::site::chain::link::Link;
@@ -149,12 +147,25 @@ impl Witnesses {
     fn view(&self, row: WitnessRow) -> Result<WitnessView, Failure> {
         let ledger = &self.plant.ledger;
         let counts = ledger.position_counts(row.owner, row.key)?;
-        let served = if row.serves { ledger.countersigned_count(row.key)? } else { 0 };
+        let (served, chains) = if row.serves { ledger.countersigned_count(row.key)? } else { (0, 0) };
         let last = self.with(|last| last.get(&(row.owner, row.key)).cloned()).unwrap_or_default();
         let WitnessRow { key, account, name, address: gateway, serves, added_at, .. } = row;
         let problem = last.trouble.map(|(_, why)| clean(&why, 300));
         let (given, newest, failures) = (counts.positions, counts.newest, last.failures);
-        Ok(WitnessView { name, account, key, gateway, serves, added_at, given, newest, served, failures, problem })
+        Ok(WitnessView {
+            name,
+            account,
+            key,
+            gateway,
+            serves,
+            added_at,
+            given,
+            newest,
+            served,
+            chains,
+            failures,
+            problem,
+        })
     }
 
     async fn status(self: &Arc<Self>, profile: &ProfileName, account: Address) -> Result<WitnessesView, Failure> {

@@ -136,7 +136,7 @@ fn a_party_that_is_removed_begins_anew_and_its_contradictions_stay() {
     for block in 1..=1003 {
         ledger.keep_countersigned(WITNESS, NETWORK, countersigned(block)).expect("kept");
     }
-    assert_eq!(ledger.countersigned_count(WITNESS), Ok(1000), "bounded");
+    assert_eq!(ledger.countersigned_count(WITNESS), Ok((1000, 1)), "bounded");
     assert_eq!(ledger.newest_countersigned(WITNESS, NETWORK), Ok(Some(countersigned(1003))));
     assert_eq!(ledger.newest_countersigned(WITNESS, Domain([0; 32])), Ok(None));
     let contradiction = |block| KeptContradiction {
@@ -151,10 +151,10 @@ fn a_party_that_is_removed_begins_anew_and_its_contradictions_stay() {
     let new = (2..60).filter(|block| ledger.keep_contradiction(contradiction(*block)).expect("kept")).count();
     assert_eq!(new, 15, "a flood of them is bounded");
     assert_eq!(ledger.remove_witness(Address([1; 20]), WITNESS), Ok(true));
-    assert_eq!(ledger.countersigned_count(WITNESS), Ok(1000), "another profile still serves it");
+    assert_eq!(ledger.countersigned_count(WITNESS), Ok((1000, 1)), "another profile still serves it");
     assert_eq!(ledger.remove_witness(Address([2; 20]), WITNESS), Ok(true));
     assert_eq!(ledger.remove_witness(Address([2; 20]), WITNESS), Ok(false));
-    assert_eq!((ledger.countersigned_count(WITNESS), ledger.witnesses()), (Ok(0), Ok(Vec::new())));
+    assert_eq!((ledger.countersigned_count(WITNESS), ledger.witnesses()), (Ok((0, 0)), Ok(Vec::new())));
     let kept = ledger.contradictions().expect("read");
     assert_eq!((kept.len(), &kept[0]), (16, &contradiction(1)));
 }
