@@ -83,13 +83,13 @@ fn expect(members: &Members, trust: &Trust, standing: Standing, words: &str) {
     assert!(level.text.contains(words), "'{}' does not say '{words}'", level.text);
     let outcome = if standing == Standing::Refused { Outcome::Refused } else { Outcome::Holds };
     assert_eq!(report.outcome, outcome, "(g) is not needed, and refuses");
+    agree(members, trust, outcome);
 }
 
 #[test]
 fn a_pinned_witness_saw_what_the_owner_stated() {
     let (world, witness) = (World::new(), pair());
     let (members, trust) = (with(&world, &[seen(stated(&world, position(&world)), &witness)]), trust(&witness));
-    agree(&members, &trust, Outcome::Holds);
     let words = format!("by {SEEN}, on the clock of The harbour whom you pinned");
     expect(&members, &trust, Standing::Proven, &words);
     expect(&members, &trust, Standing::Proven, "block 60 of the chain, the one that is here");
