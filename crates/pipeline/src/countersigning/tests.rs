@@ -137,7 +137,7 @@ fn a_chain_written_anew_is_exposed_with_both_statements() {
         for _ in 0..2 {
             assert_eq!(stage.ask(&later), Err(Unsigned::Contradicts(contradiction)));
         }
-        let found = stage.plant.ledger.contradictions().expect("read").pop().expect("one");
+        let found = stage.plant.ledger.two_histories().expect("read").pop().expect("one");
         assert_eq!((found.kept, found.later, found.what), (kept, later, contradiction.to_string()));
         check_countersignature(&found.kept, stage.plant.provider).expect("holds");
         check_position(&found.later, stage.plant.provider).expect("holds");

@@ -334,11 +334,11 @@ impl Ledger {
         })
     }
 
-    /// All contradictions, oldest first.
+    /// All contradictions of parties, oldest first.
     ///
     /// # Errors
     /// As [`Self::position`].
-    pub fn contradictions(&self) -> Result<Vec<KeptContradiction>, StoreError> {
+    pub fn two_histories(&self) -> Result<Vec<KeptContradiction>, StoreError> {
         type Found = (SignerId, Timestamp, String, Vec<u8>, Vec<u8>);
         let found: Vec<Found> = self.read(|connection| {
             let sql = "SELECT party, at, what, kept, later FROM contradictions ORDER BY key";

@@ -173,7 +173,7 @@ impl Witnesses {
         let key = self.owners.get(profile).map(|owner| own_key(&owner));
         let contradictions = blocking(self, |witnesses| {
             let ledger = &witnesses.plant.ledger;
-            let (found, rows) = (ledger.contradictions()?, ledger.witnesses()?);
+            let (found, rows) = (ledger.two_histories()?, ledger.witnesses()?);
             Ok(found.into_iter().map(|one| contradiction(one, &rows)).collect())
         });
         Ok(WitnessesView { account, key, witnesses, contradictions: contradictions.await? })
@@ -188,7 +188,7 @@ impl Witnesses {
         let part = |level, since, text: &str| {
             Some(PartHealth { part: ABOUT.to_owned(), level, text: clean(text, 300), since, retry: None })
         };
-        let contradictions = self.plant.ledger.contradictions()?;
+        let contradictions = self.plant.ledger.two_histories()?;
         let exposed = contradictions.iter().find_map(|found| {
             let row = rows.iter().find(|row| row.key == found.party && row.serves)?;
             Some((found.at, format!("{} stated two histories of its chain ({})", row.name, found.what)))

@@ -155,6 +155,6 @@ fn a_party_that_is_removed_begins_anew_and_its_contradictions_stay() {
     assert_eq!(ledger.remove_witness(Address([2; 20]), WITNESS), Ok(true));
     assert_eq!(ledger.remove_witness(Address([2; 20]), WITNESS), Ok(false));
     assert_eq!((ledger.countersigned_count(WITNESS), ledger.witnesses()), (Ok((0, 0)), Ok(Vec::new())));
-    let kept = ledger.contradictions().expect("read");
+    let kept = ledger.two_histories().expect("read");
     assert_eq!((kept.len(), &kept[0]), (16, &contradiction(1)));
 }
