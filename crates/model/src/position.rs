@@ -276,14 +276,14 @@ mod tests {
         }
     }
 
-    fn signed(position: Position) -> SignedPosition {
-        SignedPosition { position, signature: Signature([10; 64]) }
+    fn signed(position: &Position) -> SignedPosition {
+        SignedPosition { position: *position, signature: Signature([10; 64]) }
     }
 
     fn countersigned() -> Countersignature {
         let (at, witness) = (Timestamp(11), Address([12; 20]));
         Countersignature {
-            stated: signed(position()),
+            stated: signed(&position()),
             at,
             witness,
             key: PublicKey([13; 64]),
@@ -296,16 +296,16 @@ mod tests {
         let bytes = countersigned().encode();
         assert_eq!((bytes.len(), Countersignature::LENGTH, SignedPosition::LENGTH), (541, 541, 385));
         assert_eq!(Countersignature::parse(&bytes), Ok(countersigned()));
-        assert_eq!(SignedPosition::parse(&bytes[..385]), Ok(signed(position())));
+        assert_eq!(SignedPosition::parse(&bytes[..385]), Ok(signed(&position())));
         let long = [&bytes[..], &[0]].concat();
         assert_eq!(Countersignature::parse(&long), Err(WireError::Long(1)), "oversized");
         assert_eq!(Countersignature::parse(&bytes[..540]), Err(WireError::Short("countersignature")));
-        let bare = signed(Position { earlier: None, head: None, ..position() });
+        let bare = signed(&Position { earlier: None, head: None, ..position() });
         assert_eq!(SignedPosition::parse(&bare.encode()), Ok(bare));
         let with = |change: fn(&mut Position)| {
             let mut changed = position();
             change(&mut changed);
-            SignedPosition::parse(&signed(changed).encode())
+            SignedPosition::parse(&signed(&changed).encode())
         };
         assert_eq!(with(|position| position.block = 0), Err(WireError::Value("block")));
         assert_eq!(with(|position| position.count = 0), Err(WireError::Value("count")));
@@ -316,7 +316,7 @@ mod tests {
         );
         assert_eq!(with(|position| position.head = Some((0, Digest([1; 32])))), Err(WireError::Value("head")));
         assert_eq!(with(|position| position.head = Some((1, Digest([0; 32])))), Err(WireError::Value("head")));
-        let mut newer = signed(position()).encode();
+        let mut newer = signed(&position()).encode();
         newer[0] = 2;
         assert_eq!(SignedPosition::parse(&newer), Err(WireError::Value("version")));
     }

@@ -90,12 +90,12 @@ fn head(plant: &Plant, owner: Address) -> Result<Option<(u64, Digest)>, Pipeline
 }
 
 /// What a witness answered.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Answered {
     /// It countersigned the statement, and that is stored.
     Countersigned(Timestamp),
     /// It names what it countersigned last; the next statement has to refer to that.
-    Last(Countersignature),
+    Last(Box<Countersignature>),
 }
 
 /// Takes a witness's answer: checked, and stored if it is over the statement.
@@ -116,7 +116,7 @@ pub fn answered(
         if (found.owner, found.key, network_of(found)) != (asked.owner, asked.key, network_of(asked)) {
             return Err(refused("it is over a statement that was never made here".to_owned()));
         }
-        return Ok(Answered::Last(answer));
+        return Ok(Answered::Last(Box::new(answer)));
     }
     let network = network_of(asked);
     plant.ledger.keep_position((witness.owner, witness.key), network, stated.batches, answer)?;

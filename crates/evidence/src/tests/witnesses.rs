@@ -49,12 +49,12 @@ fn block_hash() -> Hash {
     Hash(authros_crypto::keccak256(&[&block()]))
 }
 
-fn stated(world: &World, position: Position) -> SignedPosition {
-    state(position, &world.keys, ours()).expect("signs")
+fn stated(world: &World, position: &Position) -> SignedPosition {
+    state(*position, &world.keys, ours()).expect("signs")
 }
 
-fn seen(stated: SignedPosition, witness: &SmKeyPair) -> Countersignature {
-    countersign(stated, SEEN, (WITNESS, witness), ours()).expect("signs")
+fn seen(stated: &SignedPosition, witness: &SmKeyPair) -> Countersignature {
+    countersign(*stated, SEEN, (WITNESS, witness), ours()).expect("signs")
 }
 
 fn with(world: &World, found: &[Countersignature]) -> Members {
@@ -89,7 +89,7 @@ fn expect(members: &Members, trust: &Trust, standing: Standing, words: &str) {
 #[test]
 fn a_pinned_witness_saw_what_the_owner_stated() {
     let (world, witness) = (World::new(), pair());
-    let (members, trust) = (with(&world, &[seen(stated(&world, position(&world)), &witness)]), trust(&witness));
+    let (members, trust) = (with(&world, &[seen(&stated(&world, &position(&world)), &witness)]), trust(&witness));
     let words = format!("by {SEEN}, on the clock of The harbour whom you pinned");
     expect(&members, &trust, Standing::Proven, &words);
     expect(&members, &trust, Standing::Proven, "block 60 of the chain, the one that is here");
@@ -98,7 +98,7 @@ fn a_pinned_witness_saw_what_the_owner_stated() {
     expect(&world.members(), &trust, Standing::Absent, "no witness's countersignature");
     // The owner as his own witness, under another account.
     let own = self::trust(&world.keys);
-    let members = with(&world, &[seen(stated(&world, position(&world)), &world.keys)]);
+    let members = with(&world, &[seen(&stated(&world, &position(&world)), &world.keys)]);
     expect(&members, &own, Standing::Unproven, "by its owner himself");
 }
 
@@ -106,12 +106,12 @@ fn a_pinned_witness_saw_what_the_owner_stated() {
 fn each_lie_about_a_witness_is_refused_for_its_own_reason() {
     let (world, witness) = (World::new(), pair());
     let trust = trust(&witness);
-    let good = seen(stated(&world, position(&world)), &witness);
+    let good = seen(&stated(&world, &position(&world)), &witness);
     let refused = |found: Countersignature, words: &str| {
         expect(&with(&world, &[found]), &trust, Standing::Refused, words);
     };
     // Forged: by another key in the witness's name; with no signature of anybody.
-    refused(seen(good.stated, &pair()), "not the one you pinned");
+    refused(seen(&good.stated, &pair()), "not the one you pinned");
     refused(Countersignature { key: pair().public, ..good }, "not signed by the key");
     // Altered: another time, another block.
     refused(Countersignature { at: Timestamp(1), ..good }, "not signed by the key");
@@ -120,33 +120,33 @@ fn each_lie_about_a_witness_is_refused_for_its_own_reason() {
     refused(altered, "not signed by the key");
     let mut unsigned = good.stated;
     unsigned.position.block = 61;
-    refused(seen(unsigned, &witness), "the statement is not signed by the key");
+    refused(seen(&unsigned, &witness), "the statement is not signed by the key");
     // Replayed for another owner, and from another chain.
-    let other = stated(&world, Position { owner: Address([0xee; 20]), ..position(&world) });
-    refused(seen(other, &witness), "who neither owns the record nor anchored it");
-    let elsewhere = stated(&world, Position { chain_id: 8, ..position(&world) });
-    refused(seen(elsewhere, &witness), "another chain or contract");
+    let other = stated(&world, &Position { owner: Address([0xee; 20]), ..position(&world) });
+    refused(seen(&other, &witness), "who neither owns the record nor anchored it");
+    let elsewhere = stated(&world, &Position { chain_id: 8, ..position(&world) });
+    refused(seen(&elsewhere, &witness), "another chain or contract");
     // A batch that the statement does not cover.
-    let bare = stated(&world, Position { top: Hash([5; 32]), ..position(&world) });
-    refused(seen(bare, &witness), "does not lead to what was countersigned");
+    let bare = stated(&world, &Position { top: Hash([5; 32]), ..position(&world) });
+    refused(seen(&bare, &witness), "does not lead to what was countersigned");
     // A chain that was written anew.
-    let rewritten = stated(&world, Position { block_hash: Hash([5; 32]), ..position(&world) });
-    refused(seen(rewritten, &witness), "block 60 is another one than its owner stated");
-    let before = stated(&world, Position { earlier: Some((BLOCK, Hash([5; 32]))), ..position(&world) });
-    refused(seen(before, &witness), "block 40 is another one");
+    let rewritten = stated(&world, &Position { block_hash: Hash([5; 32]), ..position(&world) });
+    refused(seen(&rewritten, &witness), "block 60 is another one than its owner stated");
+    let before = stated(&world, &Position { earlier: Some((BLOCK, Hash([5; 32]))), ..position(&world) });
+    refused(seen(&before, &witness), "block 40 is another one");
     let early = Position { block: BLOCK - 1, block_hash: Hash([5; 32]), ..position(&world) };
-    refused(seen(stated(&world, early), &witness), "its owner stated to");
+    refused(seen(&stated(&world, &early), &witness), "its owner stated to");
     // Two histories, each countersigned.
-    let one = stated(&world, Position { block: 70, block_hash: Hash([5; 32]), ..position(&world) });
-    let two = stated(&world, Position { block: 70, block_hash: Hash([6; 32]), ..position(&world) });
-    let both = with(&world, &[seen(one, &witness), seen(two, &witness)]);
+    let one = stated(&world, &Position { block: 70, block_hash: Hash([5; 32]), ..position(&world) });
+    let two = stated(&world, &Position { block: 70, block_hash: Hash([6; 32]), ..position(&world) });
+    let both = with(&world, &[seen(&one, &witness), seen(&two, &witness)]);
     expect(&both, &trust, Standing::Refused, "TWO histories of one owner are countersigned: block 70");
 }
 
 #[test]
 fn countersignatures_that_are_not_of_their_form_are_no_bundle() {
     let (world, witness) = (World::new(), pair());
-    let members = with(&world, &[seen(stated(&world, position(&world)), &witness)]);
+    let members = with(&world, &[seen(&stated(&world, &position(&world)), &witness)]);
     let name = |part: &str| {
         members.keys().find(|name| name.starts_with("witnesses/") && name.ends_with(part)).expect(part).clone()
     };
@@ -177,7 +177,7 @@ fn countersignatures_that_are_not_of_their_form_are_no_bundle() {
 #[test]
 fn every_flipped_bit_of_a_countersignature_is_refused() {
     let (world, witness) = (World::new(), pair());
-    let good = seen(stated(&world, position(&world)), &witness);
+    let good = seen(&stated(&world, &position(&world)), &witness);
     check_countersignature(&good, ours()).expect("both signatures hold");
     let bytes = good.encode();
     for at in 0..bytes.len() {

@@ -197,9 +197,9 @@ pub(crate) fn stated() -> SignedPosition {
     SignedPosition { position, signature: Signature([13; 64]) }
 }
 
-pub(crate) fn countersigned(stated: SignedPosition) -> Countersignature {
+pub(crate) fn countersigned(stated: &SignedPosition) -> Countersignature {
     let (witness, key) = (Address([14; 20]), PublicKey([15; 64]));
-    Countersignature { stated, at: Timestamp(16), witness, key, signature: Signature([17; 64]) }
+    Countersignature { stated: *stated, at: Timestamp(16), witness, key, signature: Signature([17; 64]) }
 }
 
 /// One answer of each shape.
@@ -221,7 +221,7 @@ pub(crate) fn sample_answers() -> Vec<Answer> {
         Answer::Time(Timestamp(5)),
         Answer::Relayed(Relayed::Result("\"0x7\"".into())),
         Answer::Relayed(Relayed::Fault { code: -32000, words: "reverted".into(), data: "\"0x08\"".into() }),
-        Answer::Countersigned(Box::new(countersigned(stated()))),
+        Answer::Countersigned(Box::new(countersigned(&stated()))),
         Answer::Event(Box::new((entry(), record))),
         Answer::End(Code::NotAuthorised),
         Answer::Refused(Code::Token),

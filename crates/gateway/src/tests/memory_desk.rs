@@ -295,7 +295,7 @@ impl Desk for MemoryDesk {
 
     async fn countersign(&self, position: &SignedPosition) -> Result<Countersignature, Refusal> {
         match position.position.owner == stated().position.owner {
-            true => Ok(countersigned(*position)),
+            true => Ok(countersigned(position)),
             false => Err(Refusal::new(Code::NotAuthorised, "nobody here is its witness")),
         }
     }

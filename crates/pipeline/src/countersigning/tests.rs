@@ -69,8 +69,8 @@ impl Stage {
         }
     }
 
-    fn signed(&self, position: Position) -> SignedPosition {
-        state(position, &self.party, self.plant.provider).expect("signs")
+    fn signed(&self, position: &Position) -> SignedPosition {
+        state(*position, &self.party, self.plant.provider).expect("signs")
     }
 
     fn ask(&self, stated: &SignedPosition) -> Result<Countersignature, Unsigned> {
@@ -85,15 +85,15 @@ fn hash(block: u64) -> Hash {
 #[test]
 fn a_statement_is_countersigned_once_and_the_next_one_refers_to_it() {
     let stage = Stage::new();
-    let first = stage.signed(stage.position(10, None));
+    let first = stage.signed(&stage.position(10, None));
     let given = stage.ask(&first).expect("countersigned");
     assert_eq!((given.stated, given.witness, given.key), (first, KEEPER, stage.keeper.public));
     check_countersignature(&given, stage.plant.provider).expect("both signatures hold");
     assert_eq!(stage.ask(&first), Ok(given), "an answer that was lost is given again");
     // One that refers to nothing, though there is something.
-    let forgetful = stage.signed(stage.position(20, None));
+    let forgetful = stage.signed(&stage.position(20, None));
     assert_eq!(stage.ask(&forgetful), Ok(given), "the last one, to refer to");
-    let second = stage.signed(stage.position(20, Some((10, hash(10)))));
+    let second = stage.signed(&stage.position(20, Some((10, hash(10)))));
     assert_eq!(stage.ask(&second).expect("countersigned").stated, second);
     assert_eq!(stage.plant.ledger.countersigned_count(signer_id(&stage.party.public)), Ok((2, 1)));
     assert!(stage.notes.all().is_empty());
@@ -107,22 +107,22 @@ fn strangers_and_forgeries_are_refused_each_for_its_own_reason() {
     assert_eq!(stage.ask(&strange), Err(Unsigned::Stranger(signer_id(&other.public))));
     let key = signer_id(&stage.party.public);
     let found = Address([9; 20]);
-    let borrowed = stage.signed(Position { owner: found, ..stage.position(10, None) });
+    let borrowed = stage.signed(&Position { owner: found, ..stage.position(10, None) });
     assert_eq!(stage.ask(&borrowed), Err(Unsigned::OtherAccount { key, found }));
-    let mut altered = stage.signed(stage.position(10, None));
+    let mut altered = stage.signed(&stage.position(10, None));
     altered.position.block = 11;
     assert!(matches!(stage.ask(&altered), Err(Unsigned::Forged(why)) if why.contains("not signed by the key")));
     let forged = SignedPosition { position: stage.position(10, None), signature: Signature([7; 64]) };
     assert!(matches!(stage.ask(&forged), Err(Unsigned::Forged(_))));
     stage.plant.ledger.put_witness(stage.row(false)).expect("changed");
-    assert_eq!(stage.ask(&stage.signed(stage.position(10, None))), Err(Unsigned::Stranger(key)), "asked only");
+    assert_eq!(stage.ask(&stage.signed(&stage.position(10, None))), Err(Unsigned::Stranger(key)), "asked only");
     assert_eq!(stage.plant.ledger.countersigned_count(key), Ok((0, 0)));
 }
 
 #[test]
 fn a_chain_written_anew_is_exposed_with_both_statements() {
     let stage = Stage::new();
-    let first = stage.signed(stage.position(10, None));
+    let first = stage.signed(&stage.position(10, None));
     let kept = stage.ask(&first).expect("countersigned");
     let rewritten = Position { block_hash: Hash([99; 32]), ..stage.position(20, Some((10, Hash([98; 32])))) };
     let shorter = Position { recorder: RecorderId([6; 16]), ..stage.position(7, Some((10, Hash([0; 32])))) };
@@ -133,7 +133,7 @@ fn a_chain_written_anew_is_exposed_with_both_statements() {
         (two_heads, Contradiction::TwoHeads(10)),
     ];
     for (position, contradiction) in lies {
-        let later = stage.signed(position);
+        let later = stage.signed(&position);
         for _ in 0..2 {
             assert_eq!(stage.ask(&later), Err(Unsigned::Contradicts(contradiction)));
         }
@@ -147,10 +147,10 @@ fn a_chain_written_anew_is_exposed_with_both_statements() {
     let lines = AuditLog::new(stage.plant.ledger.clone()).list(&query).expect("listed");
     assert!(lines.iter().all(|line| line.entry.outcome.contains(&kept.stated.signature.to_string())), "{lines:?}");
     // What is true goes on.
-    let next = stage.signed(stage.position(30, Some((10, hash(10)))));
+    let next = stage.signed(&stage.position(30, Some((10, hash(10)))));
     assert_eq!(stage.ask(&next).expect("countersigned").stated, next);
     // Another chain of the same owner has blocks of its own; that there is one is told.
-    let elsewhere = stage.signed(Position { chain_id: 8, ..stage.position(5, None) });
+    let elsewhere = stage.signed(&Position { chain_id: 8, ..stage.position(5, None) });
     assert_eq!(stage.ask(&elsewhere).expect("countersigned").stated, elsewhere);
     assert_eq!(stage.notes.with("states another chain than before, of id 8"), 1);
 }
@@ -158,7 +158,7 @@ fn a_chain_written_anew_is_exposed_with_both_statements() {
 #[test]
 fn an_answer_counts_only_if_it_is_the_witnesss_and_over_what_was_stated() {
     let stage = Stage::new();
-    let signed = stage.signed(stage.position(10, None));
+    let signed = stage.signed(&stage.position(10, None));
     let batches = Unwitnessed { upto: 3, roots: vec![Hash([3; 32])], block: 10 };
     let stated = Stated { batches, signed };
     let witness =
@@ -175,10 +175,10 @@ fn an_answer_counts_only_if_it_is_the_witnesss_and_over_what_was_stated() {
     expect(by(signed, (KEEPER, &stage.party)), "not by the witness that was asked");
     expect(by(signed, (OWNER, &stage.keeper)), "not by the witness that was asked");
     expect(Countersignature { at: Timestamp(6), ..good }, "not signed by the key");
-    let foreign = stage.signed(Position { owner: Address([3; 20]), ..stage.position(10, None) });
+    let foreign = stage.signed(&Position { owner: Address([3; 20]), ..stage.position(10, None) });
     expect(by(foreign, (KEEPER, &stage.keeper)), "never made here");
-    let last = by(stage.signed(stage.position(4, None)), (KEEPER, &stage.keeper));
-    assert_eq!(take(last), Ok(Answered::Last(last)));
+    let last = by(stage.signed(&stage.position(4, None)), (KEEPER, &stage.keeper));
+    assert_eq!(take(last), Ok(Answered::Last(Box::new(last))));
     assert_eq!(take(good), Ok(Answered::Countersigned(good.at)));
     let network = network_of(&signed.position);
     assert_eq!(stage.plant.ledger.newest_position((OWNER, witness.key), network), Ok(Some(good)));

@@ -104,7 +104,7 @@ impl Witnesses {
                 Answered::Last(_) if referred => {
                     return Err(refused(format!("the witness '{}' does not say what to refer to", row.name)));
                 }
-                Answered::Last(found) => (last, referred) = (Some(found), true),
+                Answered::Last(found) => (last, referred) = (Some(*found), true),
             }
         }
         Ok(given)
