@@ -95,6 +95,9 @@ pub enum Verb {
     /// Spans of time and topics that retention leaves alone: open, list, show, note, close, remove
     #[command(subcommand)]
     Incident(super::incidents::IncidentVerb),
+    /// Parties that countersign what this home states about its chain: add, list, remove, status, ask
+    #[command(subcommand)]
+    Witness(super::witnesses::WitnessVerb),
     /// Alerts: list those that stand, try whether they arrive
     #[command(subcommand)]
     Alerts(super::alerts::AlertsVerb),

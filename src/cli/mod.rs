@@ -44,6 +44,7 @@ mod tour;
 mod twins;
 mod verbs;
 mod viewing;
+mod witnesses;
 
 use std::process::ExitCode;
 
@@ -168,6 +169,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         }
         Verb::Alerts(verb) => asked(runtime, global, output, |_| Ok(alerts::plan(&verb))),
         Verb::Incident(verb) => asked(runtime, global, output, |_| incidents::plan(verb)),
+        Verb::Witness(verb) => asked(runtime, global, output, |_| witnesses::plan(verb)),
         Verb::Audit(arguments) => asked(runtime, global, output, |context| plans::audit(context, &arguments)),
     }
 }

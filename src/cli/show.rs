@@ -3,7 +3,9 @@
 use std::io::Write as _;
 use std::path::Path;
 
-use super::{adopt, alerts, audit, check, coverage, gateway, incidents, lists, parties, policy, quarantine, viewing};
+use super::{
+    adopt, alerts, audit, check, coverage, gateway, incidents, lists, parties, policy, quarantine, viewing, witnesses,
+};
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
 use crate::service::command::{Ask, Command, SecretBytes};
@@ -12,7 +14,7 @@ use crate::service::reply::{
     CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceRow, DeviceTopicsView,
     ExportedFile, GatewayStatusView, GrantRow, IdentityView, IncidentView, KeyChangeView, KeysView, OpenedView,
     PathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, Reply, TopicRow,
-    TransactionView,
+    TransactionView, WitnessView, WitnessesView,
 };
 use crate::service::{Client, Failure};
 use authros_output::Output;
@@ -118,6 +120,7 @@ documents! {
     CoverageView => coverage::strip;
     DeviceTopicsView => device_topics;
     IncidentView => incidents::incident;
+    WitnessesView => witnesses::status;
 }
 
 rows! {
@@ -128,6 +131,7 @@ rows! {
     AuditView, "audit" => audit::lines;
     AdmittedView, "admitted" => gateway::admitted;
     IncidentView, "incidents" => incidents::all;
+    WitnessView, "witnesses" => witnesses::all;
 }
 
 impl Printed for () {

@@ -58,3 +58,4 @@ mod time_stamps;
 mod units;
 mod uploads_export;
 mod vault_faults;
+mod witnesses;

@@ -8,6 +8,7 @@ mod hostile;
 mod refusals;
 mod second;
 mod stamps;
+mod witnesses;
 mod world;
 
 use authros_crypto::record::RecordSecret;

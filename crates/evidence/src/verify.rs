@@ -15,6 +15,7 @@ use crate::report::{Disclosed, Level, Outcome, RecordReport, Report, Standing};
 use crate::signing::signing_right;
 use crate::stamping::Stamps;
 use crate::trust::Trust;
+use crate::witnessing::Witnessed;
 
 /// The messages that were opened, by their records.
 pub(crate) type Messages = BTreeMap<Digest, Revealed>;
@@ -29,6 +30,8 @@ pub(crate) struct Check<'a> {
     pub contract: Address,
     /// Time stamps, by the pinned authorities.
     pub stamps: Stamps<'a>,
+    /// Countersignatures, by the pinned witnesses.
+    pub witnessed: Witnessed<'a>,
     /// Results found on the way.
     pub known: Known<'a>,
 }
@@ -41,7 +44,8 @@ pub fn verify(bundle: &Bundle, trust: Option<&Trust>, provider: &dyn Provider) -
         None => (domain(claimed.id, &claimed.genesis, &claimed.contract), claimed.contract),
     };
     let stamps = Stamps::new(bundle, trust);
-    let check = Check { bundle, trust, provider, domain: bound, contract, stamps, known: Known::default() };
+    let witnessed = Witnessed::new(bundle, trust, &bound, provider);
+    let check = Check { bundle, trust, provider, domain: bound, contract, stamps, witnessed, known: Known::default() };
     let mut messages = Messages::new();
     let records: Vec<RecordReport> =
         bundle.records.iter().map(|(digest, record)| check.record(*digest, record, &mut messages)).collect();
@@ -78,11 +82,13 @@ impl<'a> Check<'a> {
             block: None,
             seconds_to_anchor: None,
             existed_before: None,
+            witnessed_at: None,
             bytes: Level::new(Standing::Unproven, ""),
             key: Level::new(Standing::Unproven, "the bytes do not hold"),
             anchor: Level::new(Standing::Unproven, "the bytes do not hold"),
             time: Level::new(Standing::Unproven, "the bytes do not hold"),
             opened: Level::new(Standing::Absent, "sealed: its owner did not disclose it"),
+            witnessed: Level::new(Standing::Unproven, "the bytes do not hold"),
             disclosed: None,
         };
         let header = match self.bytes(digest, record) {
@@ -99,6 +105,7 @@ impl<'a> Check<'a> {
         report.captured_at = Some(header.captured_at);
         report.bytes = Level::new(Standing::Proven, format!("intact, and signed by the key {}", header.signer));
         (report.time, report.existed_before) = self.stamps.level(digest, &header, record);
+        (report.witnessed, report.witnessed_at) = self.witnessed.level(digest, &header, record);
         let (level, anchored) = anchored(self, digest, &header, record);
         report.anchor = level;
         let signed = anchored.as_ref().map(|anchored| signing_right(self, &header, anchored));
@@ -118,6 +125,9 @@ impl<'a> Check<'a> {
         let (level, revealed) = opened(self, digest, record, &header, owner_key);
         report.opened = capped(level, &report.anchor);
         if let Some(revealed) = revealed {
+            if let Some(why) = self.witnessed.other_head(digest, &header, &revealed) {
+                (report.witnessed, report.witnessed_at) = (Level::new(Standing::Refused, why), None);
+            }
             report.disclosed = Some(self.disclosed(&revealed));
             messages.insert(digest, revealed);
         }

@@ -78,6 +78,8 @@ commands! {
     DeviceNotice = 17;
     /// A JSON-RPC request, passed on to the chain.
     Relay = 18;
+    /// What an owner states about its chain, for the keeper's countersignature.
+    Countersign = 19;
 }
 
 impl Command {
@@ -104,7 +106,10 @@ impl Command {
 
     /// Whether a session without a transport key may use it.
     pub fn is_for_allocation(self) -> bool {
-        matches!(self, Self::SystemKeys | Self::KeyAllocation | Self::Register | Self::Ping | Self::Relay)
+        matches!(
+            self,
+            Self::SystemKeys | Self::KeyAllocation | Self::Register | Self::Ping | Self::Relay | Self::Countersign
+        )
     }
 }
 

@@ -10,10 +10,11 @@ use tokio::sync::mpsc;
 use crate::chain::RelayError;
 use crate::crypto::{SealedRecord, TransportKey};
 use crate::model::{
-    Address, Digest, Hash, Header, ProfileName, PublicKey, RecordKind, Signature, SignerId, Timestamp, Token, TopicId,
+    Address, Countersignature, Digest, Hash, Header, ProfileName, PublicKey, RecordKind, Signature, SignedPosition,
+    SignerId, Timestamp, Token, TopicId,
 };
 
-use super::code::Refusal;
+use super::code::{Code, Refusal};
 use super::command::{
     DeviceNotice, Entry, Fetched, GrantNotice, Page, Query, Registration, RevokeNotice, Selection, Standing,
 };
@@ -175,6 +176,13 @@ pub trait Desk: Send + Sync + 'static {
     /// both are stored durably, so that [`Self::signer`] can return the key as long as the device is lent, and the name
     /// ends with the loan. `Signature` if the chain has no such loan.
     async fn device(&self, caller: &Caller, notice: &DeviceNotice) -> Result<(), Refusal>;
+
+    /// Countersigns what an owner states, or returns the last countersignature if the statement does not refer to it:
+    /// `NotAuthorised` if nobody here is a witness for that key, `Tampered` if the statement contradicts an earlier one.
+    async fn countersign(&self, stated: &SignedPosition) -> Result<Countersignature, Refusal> {
+        let owner = stated.position.owner;
+        Err(Refusal::new(Code::NotAuthorised, format_args!("nobody here is a witness for {owner}")))
+    }
 
     /// Reports a refusal: for the log, counted by (peer, code, minute).
     fn refused(&self, peer: SocketAddr, refusal: &Refusal);

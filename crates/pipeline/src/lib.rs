@@ -18,6 +18,7 @@ pub mod author;
 pub mod authority;
 mod block_times;
 pub mod columns;
+pub mod countersigning;
 pub mod directory;
 pub mod epoch;
 pub mod equivocation;
@@ -25,6 +26,7 @@ pub mod error;
 pub mod evidence;
 mod evidence_heights;
 mod evidence_stamps;
+mod evidence_witnesses;
 pub mod export_folder;
 #[cfg(test)]
 mod fixture;

@@ -13,6 +13,7 @@ mod playing;
 mod recordings;
 mod secret;
 mod viewing;
+mod witnesses;
 
 use serde::{Deserialize, Serialize};
 
@@ -33,6 +34,7 @@ pub use self::playing::{Pace, PlayWishes, Remap};
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
+pub use self::witnesses::{AddWitness, AskWitnesses, ListWitnesses, RemoveWitness, WitnessCommand, WitnessStatus};
 use crate::chain::Revision;
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 use crate::service::reply::{
@@ -363,6 +365,8 @@ requests! {
         Operate(Operation),
         /// Incidents: spans of own records, kept together.
         OfIncident(IncidentCommand),
+        /// Witnesses: parties that countersign.
+        OfWitness(WitnessCommand),
     }
 }
 

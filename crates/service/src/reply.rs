@@ -16,6 +16,7 @@ mod site;
 mod tasks;
 mod topics;
 mod viewing;
+mod witnesses;
 
 use serde::{Deserialize, Serialize};
 
@@ -46,6 +47,7 @@ pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, CoveragePart, CoverageView, HeldUp, TopicRow, TopicSummary, WatchView};
 pub use self::viewing::PathView;
+pub use self::witnesses::{ContradictionView, GivenView, WitnessAnswers, WitnessView, WitnessesView};
 use super::command::SecretBytes;
 use crate::model::ErrorKind;
 
@@ -207,4 +209,10 @@ replies! {
     Incident(IncidentView);
     /// To `ListIncidents` and `RemoveIncident`.
     Incidents(Vec<IncidentView>);
+    /// To `AddWitness`, `RemoveWitness` and `ListWitnesses`.
+    Witnesses(Vec<WitnessView>);
+    /// To `WitnessStatus`.
+    WitnessStatus(WitnessesView);
+    /// To `AskWitnesses`.
+    WitnessAnswers(WitnessAnswers);
 }

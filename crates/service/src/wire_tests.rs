@@ -90,6 +90,11 @@ const REQUESTS: &[&str] = &[
     r#"{"command":"of_incident","incident":"note_incident","name":"crash","text":"n"}"#,
     r#"{"command":"of_incident","incident":"close_incident","name":"crash"}"#,
     r#"{"command":"of_incident","incident":"remove_incident","name":"crash"}"#,
+    r#"{"command":"of_witness","witness":"add_witness","name":"w","account":"0x0707070707070707070707070707070707070707","key":"0707070707070707070707070707070707070707070707070707070707070707","gateway":"h:1","serves":true}"#,
+    r#"{"command":"of_witness","witness":"remove_witness","name":"w"}"#,
+    r#"{"command":"of_witness","witness":"list_witnesses"}"#,
+    r#"{"command":"of_witness","witness":"witness_status"}"#,
+    r#"{"command":"of_witness","witness":"ask_witnesses"}"#,
     r#"{"command":"open_console"}"#,
 ];
 
@@ -125,6 +130,9 @@ const REPLIES: &[&str] = &[
     r#"{"reply":"backed_up","with":{"file":"/b","files":1,"bytes":2,"profiles":[],"notes":[]}}"#,
     r#"{"reply":"incident","with":{"name":"crash","open":true,"since":"2026-01-01T00:00:00Z","until":null,"opened_at":"2026-01-01T00:00:00Z","closed_at":null,"topics":["/odom"],"notes":[{"at":"2026-01-01T00:00:00Z","text":"n"}],"records":1,"bytes":2,"coverage":[{"topic":"/odom","records":1,"bytes":2,"first":null,"last":null,"deleted":0,"quarantined":0,"lost":0}]}}"#,
     r#"{"reply":"incidents","with":[]}"#,
+    r#"{"reply":"witnesses","with":[{"name":"w","account":"0x0707070707070707070707070707070707070707","key":"0707070707070707070707070707070707070707070707070707070707070707","gateway":null,"serves":true,"added_at":"2026-01-01T00:00:00Z","given":1,"newest":null,"served":2,"chains":1,"failures":3,"problem":"p"}]}"#,
+    r#"{"reply":"witness_status","with":{"account":"0x0707070707070707070707070707070707070707","key":null,"witnesses":[],"contradictions":[{"name":null,"key":"0707070707070707070707070707070707070707070707070707070707070707","account":"0x0707070707070707070707070707070707070707","chain_id":7,"what":"w","kept_at":"2026-01-01T00:00:00Z","at":"2026-01-01T00:00:01Z","kept":"0a","later":"0b"}]}}"#,
+    r#"{"reply":"witness_answers","with":{"given":[{"witness":"w","at":"2026-01-01T00:00:00Z","batches":1,"block":2}],"problem":null}}"#,
 ];
 
 fn changed<T: Serialize + DeserializeOwned>(lines: &[&str]) -> Vec<String> {

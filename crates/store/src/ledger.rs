@@ -40,6 +40,7 @@ mod tests;
 mod trail;
 mod transactions;
 mod usage;
+mod witnesses;
 mod writer;
 
 use std::path::{Path, PathBuf};
@@ -78,6 +79,7 @@ pub use sightings::Sighting;
 pub use stamps::{KeptStamp, StampCounts};
 pub use transactions::{NewTransaction, TransactionOutcome, TransactionRow, TransactionState};
 pub use usage::OwnerUsage;
+pub use witnesses::{KeptContradiction, KeptPosition, PositionCounts, Unwitnessed, WitnessRow};
 pub(super) use writer::Session;
 
 const SCHEMA: Schema = Schema {
@@ -96,6 +98,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_11.sql"),
         include_str!("ledger/schema_12.sql"),
         include_str!("ledger/schema_13.sql"),
+        include_str!("ledger/schema_14.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;

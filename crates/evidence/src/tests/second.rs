@@ -61,7 +61,7 @@ pub fn agree(members: &Members, trust: &Trust, outcome: Outcome) {
     assert_eq!(found.len(), report.records.len());
     for (record, found) in report.records.iter().zip(found) {
         let own = serde_json::to_value(record).expect("JSON");
-        for level in ["bytes", "key", "anchor", "opened"] {
+        for level in ["bytes", "key", "anchor", "opened", "witnessed"] {
             assert_eq!(own[level]["standing"], found[level], "{level}: {told}\n{levels:?}");
         }
         // It leaves the tokens themselves to openssl.

@@ -1,7 +1,7 @@
 //! The gateway's answers, by Command.
 
 use crate::model::wire::{Reader, WireError};
-use crate::model::{Hash, PublicKey, Signature, Timestamp};
+use crate::model::{Countersignature, Hash, PublicKey, Signature, Timestamp};
 
 use super::Command;
 use super::query::{Entry, Page};
@@ -106,6 +106,8 @@ pub enum Answer {
     Time(Timestamp),
     /// The chain's answer.
     Relayed(Relayed),
+    /// The keeper's countersignature: over what was sent, or the last one, to which the next statement has to refer.
+    Countersigned(Box<Countersignature>),
     /// A record of a subscription: entry || record.
     Event(Box<(Entry, Fetched)>),
     /// A subscription has ended: code (2).
@@ -126,6 +128,7 @@ impl Answer {
             Self::Record(_) => Command::Fetch,
             Self::Time(_) => Command::Ping,
             Self::Relayed(_) => Command::Relay,
+            Self::Countersigned(_) => Command::Countersign,
             Self::Event(_) => Command::Event,
             Self::End(_) => Command::End,
             Self::Refused(_) => Command::Refuse,
@@ -150,6 +153,7 @@ impl Answer {
             Self::Done(_) => Vec::new(),
             Self::Time(time) => time.0.to_be_bytes().to_vec(),
             Self::Relayed(relayed) => relayed.encode(),
+            Self::Countersigned(countersignature) => countersignature.encode(),
             Self::Event(event) => [event.0.encode(), event.1.encode()].concat(),
             Self::End(code) | Self::Refused(code) => code.number().to_be_bytes().to_vec(),
         }
@@ -184,6 +188,7 @@ impl Answer {
             }
             Command::Fetch => Self::Record(Box::new(Fetched::read(&mut reader)?)),
             Command::Subscribe | Command::Unsubscribe => Self::Done(command),
+            Command::Countersign => return countersigned(body),
             Command::Ping => Self::Time(Timestamp(reader.u64("time")?)),
             Command::Relay => Self::Relayed(Relayed::read(&mut reader)?),
             Command::Event => Self::Event(Box::new((Entry::read(&mut reader)?, Fetched::read(&mut reader)?))),
@@ -193,6 +198,10 @@ impl Answer {
         reader.end()?;
         Ok(answer)
     }
+}
+
+fn countersigned(body: &[u8]) -> Result<Answer, WireError> {
+    Ok(Answer::Countersigned(Box::new(Countersignature::parse(body)?)))
 }
 
 pub(crate) fn read_code(reader: &mut Reader<'_>) -> Result<Code, WireError> {

@@ -2,7 +2,7 @@
 
 use crate::crypto::SealedRecord;
 use crate::model::wire::{Reader, WireError};
-use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, Token, TopicId};
+use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, SignedPosition, Token, TopicId};
 
 use super::Command;
 use super::query::{Query, Selection};
@@ -133,6 +133,8 @@ pub enum Request {
     Ping,
     /// A request to the chain.
     Relay(RelayCall),
+    /// What an owner states, signed by it, for a countersignature.
+    Countersign(Box<SignedPosition>),
 }
 
 impl Request {
@@ -154,6 +156,7 @@ impl Request {
             Self::DeviceNotice(_) => Command::DeviceNotice,
             Self::Ping => Command::Ping,
             Self::Relay(_) => Command::Relay,
+            Self::Countersign(_) => Command::Countersign,
         }
     }
 
@@ -180,6 +183,7 @@ impl Request {
             Self::GrantNotice(notice) => notice.encode(),
             Self::RevokeNotice(notice) => notice.encode(),
             Self::Relay(call) => call.encode(),
+            Self::Countersign(stated) => stated.encode(),
             Self::DeviceNotice(notice) => notice.encode(),
         }
     }
@@ -213,6 +217,7 @@ impl Request {
             Command::DeviceNotice => Self::DeviceNotice(DeviceNotice::read(&mut reader)?),
             Command::Ping => Self::Ping,
             Command::Relay => Self::Relay(RelayCall::read(&mut reader)?),
+            Command::Countersign => Self::Countersign(Box::new(SignedPosition::read(&mut reader)?)),
             Command::Event | Command::End | Command::Refuse => return Err(WireError::Value("command")),
         };
         reader.end()?;

@@ -8,7 +8,7 @@ use async_trait::async_trait;
 use serde_json::Value;
 use tokio::sync::mpsc;
 
-use super::fixtures::{Member, network};
+use super::fixtures::{Member, countersigned, network, stated};
 use authros_chain::merkle::{Inclusion, Leaf};
 use authros_chain::{AnchorProof, RelayError};
 use authros_crypto::{SmKeyPair, signer_id};
@@ -17,7 +17,9 @@ use authros_gateway::command::{
 };
 use authros_gateway::desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
 use authros_gateway::{Code, NetworkName, Refusal, Stood};
-use authros_model::{Address, Digest, Hash, Header, ProfileName, PublicKey, SignerId, Timestamp, Token};
+use authros_model::{
+    Address, Countersignature, Digest, Hash, Header, ProfileName, PublicKey, SignedPosition, SignerId, Timestamp, Token,
+};
 
 #[derive(Default)]
 pub(crate) struct State {
@@ -289,6 +291,13 @@ impl Desk for MemoryDesk {
         }
         state.changes += 1;
         Ok(())
+    }
+
+    async fn countersign(&self, position: &SignedPosition) -> Result<Countersignature, Refusal> {
+        match position.position.owner == stated().position.owner {
+            true => Ok(countersigned(position)),
+            false => Err(Refusal::new(Code::NotAuthorised, "nobody here is its witness")),
+        }
     }
 
     fn refused(&self, _: SocketAddr, refusal: &Refusal) {

@@ -191,6 +191,7 @@ impl Site {
             Command::OfStore(command) => self.handle_store(&profile, command).await,
             Command::Operate(operation) => self.operate(&profile, operation).await,
             Command::OfIncident(command) => self.incidents.answer(&profile, command).await,
+            Command::OfWitness(command) => self.witnesses.answer(&profile, command).await,
         }
     }
 

@@ -36,6 +36,7 @@ mod supervision;
 mod supervision_tests;
 #[cfg(test)]
 mod testing;
+mod witnesses;
 mod workers;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -82,6 +83,7 @@ use reading::Reading;
 use recordings::Recordings;
 use sharing::Sharing;
 use storage::Storage;
+use witnesses::Witnesses;
 
 use super::client::{Call, Client};
 use super::event::Event;
@@ -134,6 +136,7 @@ pub struct Site {
     evidence: Arc<Evidence>,
     incidents: Arc<Incidents>,
     stamps: Arc<TimeStamps>,
+    witnesses: Arc<Witnesses>,
     bridge: Arc<Bridge>,
     capture: Arc<Capture>,
     recordings: Arc<Recordings>,
@@ -247,6 +250,7 @@ impl Site {
             evidence: Arc::new(Evidence::new(of, &reading, &stamps)),
             incidents: Arc::new(Incidents::new(of)),
             stamps,
+            witnesses: Arc::new(Witnesses::new(of)),
             bridge: Arc::new(Bridge::new(of, &contacts, &ros)),
             storage: Arc::new(Storage::new(of)),
             clock: Arc::new(Clock::new(of)),

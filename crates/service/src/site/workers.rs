@@ -16,6 +16,7 @@ use super::mirror::Joined;
 use super::quarantine::Quarantine;
 use super::sharing::Sharing;
 use super::storage::Storage;
+use super::witnesses::Witnesses;
 use super::{Needs, NetworkState, Site};
 use crate::chain::ChainError;
 use crate::model::Domain;
@@ -60,6 +61,7 @@ pub(super) fn start(
         if site.stamps.is_wanted() {
             site.parts.supervisor.keep("time stamps", &site.stamps, TimeStamps::keep);
         }
+        site.parts.supervisor.keep("witnesses", &site.witnesses, Witnesses::keep);
         site.parts.supervisor.keep("verifier", site, verify);
         site.parts.supervisor.keep("scrubber", &site.audit, Audit::keep_scrubbing);
         site.parts.supervisor.keep("expiry", &site.sharing, Sharing::keep_settled);
