@@ -121,7 +121,8 @@ mod tests {
             serde_json::to_string(&order).expect("JSON"),
             r#"{"order":"advertise","writer":3,"topic":{"name":"/a","type_name":"b/msg/C","encoding":1,"offer":{"reliable":true,"latched":false,"depth":5}},"size":9,"alone":true,"patient":false}"#
         );
-        let report = serde_json::from_str::<Report>(r#"{"report":"taken","messages":2,"dropped":1}"#).expect("a report");
+        let report =
+            serde_json::from_str::<Report>(r#"{"report":"taken","messages":2,"dropped":1}"#).expect("a report");
         assert_eq!(report, Report::Taken { messages: 2, dropped: 1 });
         assert_eq!(serde_json::to_string(&Order::Leave).expect("JSON"), r#"{"order":"leave"}"#);
     }

@@ -32,8 +32,11 @@ fn main() -> ExitCode {
     let pipes = (std::io::stdin().as_fd().try_clone_to_owned(), std::io::stdout().as_fd().try_clone_to_owned());
     let (Ok(from), Ok(to)) = pipes else { return fail("its input or output is closed; start it by authros --ros2") };
     let (from, to) = (File::from(from), File::from(to));
-    let work = if publishes { authros_ros2::publish } else { authros_ros2::run };
-    match work(domain, from, to, &stop) {
+    let done = match publishes {
+        true => authros_ros2::publish(domain, from, to, &stop),
+        false => authros_ros2::run(domain, from, to, &stop),
+    };
+    match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => fail(&error.to_string()),
     }

@@ -1,4 +1,4 @@
-//! The program that reads the network: found, started without environment, ended.
+//! The program that speaks with the network: found, started without environment, ended.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
@@ -21,15 +21,26 @@ pub fn find(named: Option<&Path>) -> Result<PathBuf, RosError> {
     if path.is_file() { Ok(path) } else { Err(RosError::no_reader(&path)) }
 }
 
+/// What it is started for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Purpose {
+    /// Reading a domain.
+    Read,
+    /// Publishing in it.
+    Publish,
+}
+
 /// Starts it: no environment, no terminal, a process group of its own, nothing open but the two pipes.
 ///
 /// # Errors
 /// [`RosError::System`] if it does not start.
-pub fn start(program: &Path, domain: u16) -> Result<(Child, ChildStdin, ChildStdout), RosError> {
+pub fn start(program: &Path, domain: u16, purpose: Purpose) -> Result<(Child, ChildStdin, ChildStdout), RosError> {
     use std::os::unix::process::CommandExt;
-    let system = |error: &std::io::Error| RosError::system("start the program that reads ROS 2", error);
+    let system = |error: &std::io::Error| RosError::system("start the program that speaks ROS 2", error);
+    let publish = (purpose == Purpose::Publish).then_some("--publish");
     let mut child = Command::new(program)
         .args(["--domain", &domain.to_string()])
+        .args(publish)
         .env_clear()
         .current_dir("/")
         .stdin(Stdio::piped())

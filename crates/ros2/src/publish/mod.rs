@@ -197,7 +197,6 @@ impl<'a, W: Write> Child<'a, W> {
             let others = self.writings.values().map(Writing::kept).sum();
             match Writing::begin((&self.participant, &self.publisher), &topic, (size, others)) {
                 Ok(writing) => {
-                    self.queue.know(writer);
                     self.writings.insert(writer, writing);
                     if patient {
                         let latched = topic.offer.latched;

@@ -49,9 +49,7 @@ pub struct Taken {
 #[derive(Default)]
 pub struct Queue {
     waiting: VecDeque<(u32, Bytes)>,
-    /// Writers that were announced; messages for others wait.
-    known: HashSet<u32>,
-    /// Writers that are no more, or never were.
+    /// Writers that are no more, or never were; messages for others that are not there yet wait.
     gone: HashSet<u32>,
     written: VecDeque<(Instant, usize)>,
     written_bytes: usize,
@@ -74,14 +72,8 @@ impl Queue {
         self.waiting.push_back((writer, Bytes::from(message)));
     }
 
-    /// A writer is there.
-    pub fn know(&mut self, writer: u32) {
-        self.known.insert(writer);
-    }
-
     /// A writer is gone: its messages leave the queue unwritten.
     pub fn forget(&mut self, writer: u32) {
-        self.known.remove(&writer);
         self.gone.insert(writer);
     }
 
