@@ -1,9 +1,10 @@
 """A DDS peer that publishes as a ROS 2 node would: Eclipse Cyclone DDS with ROS 2's names, types and QoS.
 
-usage: ros2_publisher.py TOPIC KIND COUNT HERTZ BYTES [best_effort] [latched] [hash] [foreign]
+usage: ros2_publisher.py TOPIC KIND COUNT HERTZ BYTES [best_effort] [latched] [hash] [foreign] [readersN]
 
 KIND `string`: text of BYTES characters that begins with its number; `image`: a picture of BYTES bytes. Waits for a
-subscriber, unless the topic is latched, publishes, prints one line of JSON about what it did, and stays until it is ended.
+subscriber, or N of them, unless the topic is latched, publishes, prints one line of JSON about what it did, and stays
+until it is ended.
 """
 
 import hashlib
@@ -85,7 +86,8 @@ def main():
     for message in messages:
         digest.update(message.serialize(use_version_2=False))
     print(json.dumps({"ready": True}), flush=True)
-    while not latched and "foreign" not in flags and len(writer.get_matched_subscriptions()) == 0:
+    readers = max([int(flag[len("readers"):]) for flag in flags if flag.startswith("readers")], default=1)
+    while not latched and "foreign" not in flags and len(writer.get_matched_subscriptions()) < readers:
         time.sleep(0.01)
     begin = time.monotonic()
     for number, message in enumerate(messages, 1):

@@ -19,6 +19,7 @@ use crate::model::TopicName;
 use crate::ros::{MessageSink, RosError};
 use supervision::Shared;
 
+pub use crate::pipe::LONGEST_PAYLOAD as LONGEST_MESSAGE;
 pub use crate::pipe::read::{Counts, Quality};
 pub use crate::pipe::write::{Offer, Topic as Offered};
 pub use child::PROGRAM;

@@ -119,8 +119,13 @@ impl Ros2Publisher {
                 self.latched_bytes -= announced.latched.pop_front().map_or(0, |oldest| oldest.len());
             }
         }
+        // Counted first: it may be confirmed at once.
         self.run.hand_out(message.len());
-        self.order(&Order::Publish { writer }, message).is_ok()
+        let sent = self.order(&Order::Publish { writer }, message).is_ok();
+        if !sent {
+            self.run.take_back();
+        }
+        sent
     }
 
     /// Takes a topic back at once; what is queued for its subscribers is no longer sent.
@@ -156,8 +161,9 @@ impl Ros2Publisher {
         if self.run.broken().is_none() {
             return Ok(());
         }
+        let run = Run::start(&self.program, self.domain)?;
         self.missed += self.run.missed();
-        self.run = Run::start(&self.program, self.domain)?;
+        self.run = run;
         self.joined()?;
         for (writer, announced) in &self.announced {
             let (writer, topic, size) = (*writer, announced.topic.clone(), announced.size);

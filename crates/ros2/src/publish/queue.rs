@@ -9,7 +9,7 @@ use super::writing::{Attempt, Writing};
 
 /// What was written is kept for repair by the network code, which clears away every six seconds: the most bytes written
 /// within that time.
-const MOST_KEPT: usize = 256 << 20;
+const MOST_KEPT: usize = 512 << 20;
 const KEPT_FOR: Duration = Duration::from_secs(7);
 
 /// What can be written to.
@@ -205,6 +205,7 @@ mod tests {
     fn memory_is_bounded_by_what_is_written_within_seconds() {
         let (mut queue, mut outlets, now) = (Queue::default(), outlets(&[9]), Instant::now());
         for _ in 0..3 {
+            // Zeros of which no page is touched.
             queue.push(1, vec![0; MOST_KEPT / 2]);
         }
         assert_eq!(queue.pump(&mut outlets, now), Taken { messages: 2, dropped: 0 });

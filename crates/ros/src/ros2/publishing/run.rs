@@ -84,6 +84,11 @@ impl State {
         self.unconfirmed_bytes += size;
     }
 
+    /// The message handed out last did not reach it.
+    pub fn take_back(&mut self) {
+        self.unconfirmed_bytes -= self.unconfirmed.pop_back().unwrap_or(0);
+    }
+
     /// Messages that it was handed and has not confirmed, and their bytes.
     pub fn unconfirmed(&self) -> (usize, usize) {
         (self.unconfirmed.len(), self.unconfirmed_bytes)
@@ -231,6 +236,11 @@ impl Run {
     /// See [`State::hand_out`].
     pub fn hand_out(&self, size: usize) {
         self.shared.state().hand_out(size);
+    }
+
+    /// See [`State::take_back`].
+    pub fn take_back(&self) {
+        self.shared.state().take_back();
     }
 
     /// See [`State::unconfirmed`].

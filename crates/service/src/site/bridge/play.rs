@@ -281,10 +281,12 @@ impl<'a> Play<'a> {
         if let Err(error) = allowed {
             return self.judge(error);
         }
-        if self.target.publish(form, source, &record.body) {
-            self.published += 1;
-            *self.topics.entry(clean(form.topic(), 255)).or_default() += 1;
+        if !self.target.publish(form, source, &record.body) {
+            let follows = self.wishes.pace == Pace::Follow;
+            return Ok(if follows { Taken::Later } else { self.refuse("nobody publishes it now".to_owned()) });
         }
+        self.published += 1;
+        *self.topics.entry(clean(form.topic(), 255)).or_default() += 1;
         if let Some(warning) = self.target.take_warning() {
             self.bridge.hub.notice(NoticeLevel::Warning, &warning);
             self.warnings.push(warning);

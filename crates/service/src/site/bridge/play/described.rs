@@ -9,7 +9,7 @@ use crate::pipeline::importer;
 use crate::ros::Advertised;
 use crate::ros::recording::Encoding;
 use crate::ros::recording::tags::CHANNEL;
-use crate::ros::ros2::{Offered, WRITER};
+use crate::ros::ros2::{LONGEST_MESSAGE, Offered, WRITER};
 use crate::service::reply::Failure;
 use crate::site::bridge::feed::Item;
 use crate::site::bridge::offer::offer;
@@ -82,6 +82,9 @@ fn of_two(record: &OpenedRecord, name: String) -> Result<Form, String> {
     let Some(([high, low, options @ ..], _)) = record.body.split_first_chunk::<4>() else {
         return Err("its message is shorter than the header of one".to_owned());
     };
+    if record.body.len() > LONGEST_MESSAGE as usize {
+        return Err(format!("its message is longer than the {} MiB that are published", LONGEST_MESSAGE >> 20));
+    }
     if options != &[0, 0] {
         return Err("the header of its message has options, which cannot be published unchanged".to_owned());
     }
