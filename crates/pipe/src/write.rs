@@ -86,6 +86,8 @@ pub enum Report {
         writer: u32,
         /// The reason.
         reason: String,
+        /// Whether it is that somebody else publishes it.
+        occupied: bool,
     },
     /// The oldest messages that were not confirmed yet have left the queue.
     Taken {

@@ -24,7 +24,7 @@ pub use crate::pipe::read::{Counts, Quality};
 pub use crate::pipe::write::{Offer, Topic as Offered};
 pub use child::PROGRAM;
 pub use publisher::{QUALITY, WRITER};
-pub use publishing::Ros2Publisher;
+pub use publishing::{Declined, Ros2Publisher};
 pub use standing::{INVISIBLE, Reading, Standing};
 
 /// A topic of the domain.

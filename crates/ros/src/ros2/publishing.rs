@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+pub use self::run::Declined;
 use self::run::Run;
 use super::child;
 use crate::pipe::write::{MOST_UNCONFIRMED, MOST_UNCONFIRMED_BYTES, Order};
@@ -84,7 +85,7 @@ impl Ros2Publisher {
         topic: &Offered,
         size: usize,
         (alone, patient): (bool, bool),
-    ) -> Result<Result<u32, String>, RosError> {
+    ) -> Result<Result<u32, Declined>, RosError> {
         let writer = self.next;
         self.next = self.next.wrapping_add(1);
         let size = u32::try_from(size).unwrap_or(u32::MAX);
@@ -95,7 +96,7 @@ impl Ros2Publisher {
                 self.announced.insert(writer, announced);
                 Ok(Ok(writer))
             }
-            Ok(Some(Err(reason))) => Ok(Err(reason)),
+            Ok(Some(Err(declined))) => Ok(Err(declined)),
             Ok(None) => {
                 self.run.kill();
                 Err(self.failed("the program that publishes does not answer"))

@@ -163,7 +163,7 @@ impl<'a, W: Write> Child<'a, W> {
     fn take_order(&mut self, order: Order, payload: Vec<u8>) -> Result<(), Ros2Error> {
         match order {
             Order::Advertise { writer, .. } if self.wanted.len() + self.writings.len() >= MOST_WRITERS => {
-                self.refuse(writer, format!("{MOST_WRITERS} publishers are announced already"))?;
+                self.refuse(writer, format!("{MOST_WRITERS} publishers are announced already"), false)?;
             }
             Order::Advertise { writer, topic, size, alone, patient } => {
                 let size = usize::try_from(size).unwrap_or(usize::MAX);
@@ -191,7 +191,7 @@ impl<'a, W: Write> Child<'a, W> {
             let Wanted { writer, topic, size, alone, patient } = wanted;
             if alone && let Some(other) = self.audience.rival(&self.participant, &topic.name) {
                 let name = &topic.name;
-                self.refuse(writer, format!("{name} is published by {other} there already; give a --prefix"))?;
+                self.refuse(writer, format!("{name} is published by {other} there already"), true)?;
                 continue;
             }
             let others = self.writings.values().map(Writing::kept).sum();
@@ -205,16 +205,16 @@ impl<'a, W: Write> Child<'a, W> {
                         send(self.out, &Report::Ready { writer }, &[])?;
                     }
                 }
-                Err(reason) => self.refuse(writer, reason)?,
+                Err(reason) => self.refuse(writer, reason, false)?,
             }
         }
         Ok(())
     }
 
-    fn refuse(&mut self, writer: u32, reason: String) -> Result<(), Ros2Error> {
+    fn refuse(&mut self, writer: u32, reason: String, occupied: bool) -> Result<(), Ros2Error> {
         self.queue.forget(writer);
         let reason = reason.chars().take(500).collect();
-        send(self.out, &Report::Refused { writer, reason }, &[])?;
+        send(self.out, &Report::Refused { writer, reason, occupied }, &[])?;
         Ok(())
     }
 

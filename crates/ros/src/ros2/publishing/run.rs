@@ -23,13 +23,22 @@ const SILENT_TICKS: u32 = 10;
 const LONGEST_REASON: usize = 400;
 const MOST_ANSWERS: usize = 4096;
 
+/// Why a topic is not published.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Declined {
+    /// In words.
+    pub reason: String,
+    /// Whether it is that somebody else publishes it.
+    pub occupied: bool,
+}
+
 /// What the program has reported.
 #[derive(Debug, Default)]
 pub struct State {
     /// It is in the domain.
     pub joined: bool,
     /// Its answers about topics, by their number.
-    pub answers: BTreeMap<u32, Result<(), String>>,
+    pub answers: BTreeMap<u32, Result<(), Declined>>,
     /// Sizes of the messages that it has not confirmed, oldest first.
     unconfirmed: VecDeque<usize>,
     unconfirmed_bytes: usize,
@@ -57,7 +66,9 @@ impl State {
                 self.joined = true;
             }
             Report::Ready { writer } => self.answer(writer, Ok(())),
-            Report::Refused { writer, reason } => self.answer(writer, Err(clean(&reason, LONGEST_REASON))),
+            Report::Refused { writer, reason, occupied } => {
+                self.answer(writer, Err(Declined { reason: clean(&reason, LONGEST_REASON), occupied }));
+            }
             Report::Taken { messages, dropped } => {
                 for _ in 0..messages {
                     let Some(size) = self.unconfirmed.pop_front() else { break };
@@ -72,7 +83,7 @@ impl State {
         Ok(())
     }
 
-    fn answer(&mut self, writer: u32, answer: Result<(), String>) {
+    fn answer(&mut self, writer: u32, answer: Result<(), Declined>) {
         if self.answers.len() < MOST_ANSWERS {
             self.answers.insert(writer, answer);
         }

@@ -34,9 +34,9 @@ fn another_release_or_domain_is_refused_and_reasons_are_cleaned() {
     }
     state.take(Report::Hello { version: VERSION, domain: 5 }, 5).expect("taken");
     assert!(state.joined);
-    state.take(Report::Refused { writer: 1, reason: "a\u{1b}[2Jb".into() }, 5).expect("taken");
+    state.take(Report::Refused { writer: 1, reason: "a\u{1b}[2Jb".into(), occupied: true }, 5).expect("taken");
     let answer = state.answers.remove(&1).expect("an answer").expect_err("refused");
-    assert!(!answer.contains('\u{1b}'), "{answer}");
+    assert!(answer.occupied && !answer.reason.contains('\u{1b}'), "{answer:?}");
     assert!(state.take(Report::Failed { reason: "x".repeat(9999) }, 5).expect_err("ends").len() <= 410);
 }
 

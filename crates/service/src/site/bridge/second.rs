@@ -120,8 +120,9 @@ impl Domain {
                 self.ways.insert(way, writer);
                 Ok(Ok(()))
             }
-            Err(why) => {
-                let why = clean(&why, 300);
+            Err(declined) => {
+                let advice = if declined.occupied { "; give a --prefix" } else { "" };
+                let why = format!("{}{advice}", clean(&declined.reason, 300));
                 if alone {
                     self.declined.insert(about.name.clone(), why.clone());
                 }
