@@ -86,7 +86,7 @@ pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output
 
 /// The robots of a mission.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Robots {
+pub struct Robots {
     /// Their number.
     pub number: u16,
     /// The ROS 2 domain in which they publish; `None` for the embedded master of ROS 1.

@@ -1,10 +1,10 @@
 """A DDS peer that publishes as a ROS 2 node would: Eclipse Cyclone DDS with ROS 2's names, types and QoS.
 
-usage: ros2_publisher.py TOPIC KIND COUNT HERTZ BYTES [best_effort] [latched] [hash] [foreign] [readersN]
+usage: ros2_publisher.py TOPIC KIND COUNT HERTZ BYTES [best_effort] [latched] [hash] [foreign] [readersN] [small_ends]
 
 KIND `string`: text of BYTES characters that begins with its number; `image`: a picture of BYTES bytes. Waits for a
 subscriber, or N of them, unless the topic is latched, publishes, prints one line of JSON about what it did, and stays
-until it is ended.
+until it is ended. With `small_ends` the first and the last picture have 100 bytes.
 """
 
 import hashlib
@@ -75,11 +75,12 @@ def main():
     made = String if kind == "string" else CompressedImage
     name = topic if "foreign" in flags else "rt" + topic
     writer = DataWriter(participant, Topic(participant, name, made, qos=Qos(*policies[:3])), qos=qos)
+    length = lambda number: 100 if "small_ends" in flags and number in (1, count) else size
     if kind == "string":
         messages = [String(text(number, size)) for number in range(1, count + 1)]
     else:
         messages = [
-            CompressedImage(Header(Time(number, 0), "camera"), "jpeg", picture(number, size))
+            CompressedImage(Header(Time(number, 0), "camera"), "jpeg", picture(number, length(number)))
             for number in range(1, count + 1)
         ]
     digest = hashlib.sha256()

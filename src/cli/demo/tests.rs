@@ -2,7 +2,7 @@
 
 use clap::Parser as _;
 
-use super::Mission;
+use super::{Mission, Robots};
 use crate::cli::args::Arguments;
 use crate::cli::connect::Context;
 use authros_output::Output;
