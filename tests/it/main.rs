@@ -47,6 +47,7 @@ mod restart;
 mod rights;
 mod ros2;
 mod ros2_capture;
+mod ros2_fastdds;
 mod ros2_losses;
 mod ros2_playing;
 mod sharing;

@@ -6,9 +6,8 @@ use crate::support;
 use std::path::Path;
 use std::process::Command;
 
-use support::process::system_program;
 use support::ros2::{Talker, network, reader_program};
-use support::{Home, count, heavy, skipped};
+use support::{Home, count, heavy, skipped, system_program};
 
 #[test]
 fn with_a_small_receive_buffer_what_is_reported_lost_is_what_was_sent_and_not_received() {

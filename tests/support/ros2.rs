@@ -105,6 +105,17 @@ impl Talker {
     pub fn start(network: &Network, arguments: &[&str]) -> Self {
         let mut command = network.command(&python().expect("asked before"));
         command.arg(PUBLISHER).args(arguments).env_remove("CYCLONEDDS_URI");
+        Self::ready(command)
+    }
+
+    /// The same by another program.
+    pub fn by(network: &Network, program: &Path, arguments: &[&str]) -> Self {
+        let mut command = network.command(program);
+        command.args(arguments);
+        Self::ready(command)
+    }
+
+    fn ready(command: Command) -> Self {
         let mut running = Running::start(command);
         running.wait_for_text("\"ready\"", 60);
         Self(running)
