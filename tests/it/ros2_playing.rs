@@ -125,6 +125,11 @@ fn what_is_played_live_into_a_domain_ends_with_the_grant_and_late_subscribers_ge
     let later = Listener::start(&network, OUT, &["/tf_static", "string", "latched"]);
     assert_eq!(later.hears(1, 60), original.heard());
 
+    // The program is started anew, with what was latched.
+    support::process::signal("KILL", &player_of(&plant.site));
+    let anew = Listener::start(&network, OUT, &["/tf_static", "string", "latched"]);
+    assert_eq!(anew.hears(1, 60), original.heard());
+
     // In the middle of another run of messages.
     let _running = Talker::start(&network, &["/words", "string", "6000", "50", "60"]);
     reader.hears(250, 60);
@@ -132,7 +137,7 @@ fn what_is_played_live_into_a_domain_ends_with_the_grant_and_late_subscribers_ge
     assert!(revoked["transaction"].is_string(), "{revoked}");
     let played = player.wait(60).expect_code(REFUSED).document();
     assert_eq!((&played["ended_by"], count(&played, "refused")), (&"revoked".into(), 0), "{played}");
-    for listener in [&reader, &later] {
+    for listener in [&reader, &later, &anew] {
         listener.meets(0, 20);
     }
     // What comes after the revoke is never heard, and nothing is latched any more.

@@ -32,9 +32,10 @@ fn main() -> ExitCode {
     let pipes = (std::io::stdin().as_fd().try_clone_to_owned(), std::io::stdout().as_fd().try_clone_to_owned());
     let (Ok(from), Ok(to)) = pipes else { return fail("its input or output is closed; start it by authros --ros2") };
     let (from, to) = (File::from(from), File::from(to));
-    let done = match publishes {
-        true => authros_ros2::publish(domain, from, to, &stop),
-        false => authros_ros2::run(domain, from, to, &stop),
+    let done = if publishes {
+        authros_ros2::publish(domain, from, to, &stop)
+    } else {
+        authros_ros2::run(domain, from, to, &stop)
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

@@ -42,7 +42,8 @@ impl Audience {
                 }
             }
             News::ParticipantLost { id, .. } => {
-                self.participants.retain(|known| known[..] != *id.as_ref());
+                let gone: &[u8] = id.as_ref();
+                self.participants.retain(|known| known[..] != *gone);
             }
             News::RemoteReaderMatched { local_writer, remote_reader }
             | News::RemoteReaderQosIncompatible { local_writer, remote_reader, .. } => {
