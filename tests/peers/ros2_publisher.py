@@ -1,6 +1,6 @@
 """A DDS peer that publishes as a ROS 2 node would: Eclipse Cyclone DDS with ROS 2's names, types and QoS.
 
-usage: ros2_publisher.py TOPIC KIND COUNT HERTZ BYTES [best_effort] [latched] [hash] [foreign] [readersN] [small_ends]
+usage: ros2_publisher.py TOPIC KIND COUNT HERTZ BYTES [best_effort] [latched] [hash] [foreign] [readersN] [small_ends] [domainN]
 
 KIND `string`: text of BYTES characters that begins with its number; `image`: a picture of BYTES bytes. Waits for a
 subscriber, or N of them, unless the topic is latched, publishes, prints one line of JSON about what it did, and stays
@@ -59,6 +59,10 @@ def picture(number, size):
     return (block * (size // len(block) + 1))[:size]
 
 
+def number_after(word, flags, usual):
+    return next((int(flag[len(word):]) for flag in flags if flag.startswith(word)), usual)
+
+
 def main():
     topic, kind, count, hertz, size, *flags = sys.argv[1:]
     count, hertz, size = int(count), float(hertz), int(size)
@@ -71,7 +75,7 @@ def main():
     if "hash" in flags:
         policies.append(Policy.Userdata(f"typehash={HASH};".encode()))
     qos = Qos(*policies)
-    participant = DomainParticipant()
+    participant = DomainParticipant(number_after("domain", flags, 0))
     made = String if kind == "string" else CompressedImage
     name = topic if "foreign" in flags else "rt" + topic
     writer = DataWriter(participant, Topic(participant, name, made, qos=Qos(*policies[:3])), qos=qos)
@@ -87,7 +91,7 @@ def main():
     for message in messages:
         digest.update(message.serialize(use_version_2=False))
     print(json.dumps({"ready": True}), flush=True)
-    readers = max([int(flag[len("readers"):]) for flag in flags if flag.startswith("readers")], default=1)
+    readers = number_after("readers", flags, 1)
     while not latched and "foreign" not in flags and len(writer.get_matched_subscriptions()) < readers:
         time.sleep(0.01)
     begin = time.monotonic()
