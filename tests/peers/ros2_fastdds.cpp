@@ -22,12 +22,12 @@
 #include <fastdds/dds/topic/TopicDataType.hpp>
 #include <fastdds/dds/topic/TypeSupport.hpp>
 
-namespace dds = eprosima::fastdds::dds;
+namespace fast = eprosima::fastdds::dds;
 namespace rtps = eprosima::fastrtps::rtps;
 using Bytes = std::vector<uint8_t>;
 
 // Messages that are serialised already, as rmw_fastrtps has them.
-class Raw : public dds::TopicDataType {
+class Raw : public fast::TopicDataType {
 public:
     Raw(const std::string &name, uint32_t longest) {
         setName(name.c_str());
@@ -97,27 +97,27 @@ int main(int count, char **words) {
     const std::string name =
         kind == "string" ? "std_msgs::msg::dds_::String_" : "sensor_msgs::msg::dds_::CompressedImage_";
 
-    auto *participant = dds::DomainParticipantFactory::get_instance()->create_participant(0, dds::PARTICIPANT_QOS_DEFAULT);
+    auto *participant = fast::DomainParticipantFactory::get_instance()->create_participant(0, fast::PARTICIPANT_QOS_DEFAULT);
     if (participant == nullptr) return 1;
-    dds::TypeSupport type(new Raw(name, static_cast<uint32_t>(size + 256)));
+    fast::TypeSupport type(new Raw(name, static_cast<uint32_t>(size + 256)));
     type.register_type(participant);
-    auto *made = participant->create_topic("rt" + topic, name, dds::TOPIC_QOS_DEFAULT);
-    auto *publisher = participant->create_publisher(dds::PUBLISHER_QOS_DEFAULT);
-    dds::DataWriterQos qos = dds::DATAWRITER_QOS_DEFAULT;
-    qos.reliability().kind = best_effort ? dds::BEST_EFFORT_RELIABILITY_QOS : dds::RELIABLE_RELIABILITY_QOS;
-    qos.durability().kind = dds::VOLATILE_DURABILITY_QOS;
-    qos.history().kind = dds::KEEP_LAST_HISTORY_QOS;
+    auto *made = participant->create_topic("rt" + topic, name, fast::TOPIC_QOS_DEFAULT);
+    auto *publisher = participant->create_publisher(fast::PUBLISHER_QOS_DEFAULT);
+    fast::DataWriterQos qos = fast::DATAWRITER_QOS_DEFAULT;
+    qos.reliability().kind = best_effort ? fast::BEST_EFFORT_RELIABILITY_QOS : fast::RELIABLE_RELIABILITY_QOS;
+    qos.durability().kind = fast::VOLATILE_DURABILITY_QOS;
+    qos.history().kind = fast::KEEP_LAST_HISTORY_QOS;
     qos.history().depth = kind == "string" ? 10000 : 20;
     qos.resource_limits().max_samples = 0;
     qos.resource_limits().max_samples_per_instance = 0;
     qos.resource_limits().max_instances = 0;
-    qos.publish_mode().kind = dds::ASYNCHRONOUS_PUBLISH_MODE;
+    qos.publish_mode().kind = fast::ASYNCHRONOUS_PUBLISH_MODE;
     auto *writer = publisher->create_datawriter(made, qos);
     if (writer == nullptr) return 1;
 
     std::printf("{\"ready\": true}\n");
     std::fflush(stdout);
-    dds::PublicationMatchedStatus matched;
+    fast::PublicationMatchedStatus matched;
     do {
         std::this_thread::sleep_for(std::chrono::milliseconds(10));
         writer->get_publication_matched_status(matched);
