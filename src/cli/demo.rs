@@ -1,4 +1,4 @@
-//! `authros demo`: the paper's crime-scene mission, told with figures. Four robots take odometry
+//! `authros demo`: the paper's crime-scene mission, told with figures. Four robots, of ROS 1 or ROS 2, take odometry
 //! and pictures; CURA A shares them with CURA B, a stranger and a forger are refused, B is
 //! revoked. Every figure is counted, none is assumed; `ok` says that all of them are right.
 
@@ -20,6 +20,9 @@ use crate::model::ErrorKind;
 use crate::paths::Home;
 use crate::service::Failure;
 use authros_output::Output;
+
+/// Robots of ROS 2, unless `--robots` says otherwise.
+const USUAL_ROBOTS: u16 = 4;
 
 /// Transactions and gas of the mission, including deployment and registration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
@@ -62,7 +65,7 @@ pub struct Story {
 /// # Errors
 /// If a step cannot be taken at all.
 pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output) -> Result<u8, Failure> {
-    if context.config.robots == 0 {
+    if context.config.robots == 0 && context.global.ros2.is_none() {
         return Err(Failure::new(
             ErrorKind::Usage,
             "the demo needs robots; give --robots 1 to 32, and no real ROS master",
@@ -72,12 +75,36 @@ pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output
         Some(_) => None,
         None => Some(temporary_home(&mut context, "authros-demo-")?),
     };
-    let mission = Mission::start(&context, arguments.seconds, *output).await?;
+    let robots = if context.global.ros2.is_some() { in_domain(&mut context) } else { Robots::of_one(&context.config) };
+    let mission = Mission::start(&context, robots, arguments.seconds, *output).await?;
     let told = mission.run().await;
     drop(temporary);
     let story = told?;
     output.result(&story, || text(&story));
     Ok(if story.ok { 0 } else { ErrorKind::Internal.exit_code() })
+}
+
+/// The robots of a mission.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Robots {
+    /// Their number.
+    pub number: u16,
+    /// The ROS 2 domain in which they publish; `None` for the embedded master of ROS 1.
+    pub domain: Option<u16>,
+}
+
+impl Robots {
+    /// As the settings say, at the embedded master.
+    pub fn of_one(config: &Config) -> Self {
+        Self { number: config.robots, domain: None }
+    }
+}
+
+/// The robots are in the domain that the site captures, and none at its master: one name is captured from one graph.
+fn in_domain(context: &mut Context) -> Robots {
+    let number = std::mem::take(&mut context.config.robots);
+    let number = if number == 0 { USUAL_ROBOTS } else { number };
+    Robots { number, domain: context.config.ros_domain }
 }
 
 /// Gives a context a home of its own, which is removed with the value, and default settings.

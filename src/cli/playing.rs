@@ -1,4 +1,4 @@
-//! `shared play`: shared records into a ROS graph, until everything is played or something ends it.
+//! `shared play`: shared records into a ROS graph or domain, until everything is played or something ends it.
 
 use clap::Args;
 
@@ -45,12 +45,17 @@ pub struct PlayArguments {
     #[arg(long = "remap", value_name = "A:=B")]
     pub remaps: Vec<String>,
     /// The ROS master to play into [default: ros.master, else the site's own]
-    #[arg(long, value_name = "URI")]
+    #[arg(long, value_name = "URI", conflicts_with = "ros2")]
     pub to: Option<String>,
+    /// The ROS 2 domain to play into, instead of a ROS 1 graph [default without a number: $ROS_DOMAIN_ID, else 0]
+    // In place of the flag of every command, which names the domain to capture from.
+    #[arg(long, value_name = "DOMAIN", num_args = 0..=1, default_missing_value = "")]
+    pub ros2: Option<String>,
 }
 
 impl PlayArguments {
-    fn wishes(&self) -> Result<PlayWishes, Failure> {
+    /// What is asked of the site; `domain` is the one that the flag means.
+    fn wishes(&self, domain: Option<u16>) -> Result<PlayWishes, Failure> {
         Ok(PlayWishes {
             owner: self.owner.as_deref().map(parse::value).transpose()?,
             topics: parse::values(&self.topics)?,
@@ -61,6 +66,7 @@ impl PlayArguments {
             prefix: self.prefix.as_deref().map(parse::value).transpose()?,
             remaps: parse::values(&self.remaps)?,
             master: self.to.clone(),
+            domain: domain.filter(|_| self.ros2.is_some() && self.to.is_none()),
         })
     }
 
@@ -79,9 +85,9 @@ impl PlayArguments {
 /// # Errors
 /// What the site or the arguments say.
 pub async fn run(context: Context, arguments: PlayArguments, output: &Output) -> Result<u8, Failure> {
-    let wishes = arguments.wishes()?;
+    let wishes = arguments.wishes(context.config.ros_domain)?;
     // If a graph is given, no capturing node of ours is needed.
-    let is_named = wishes.master.is_some() || context.config.ros_master.is_some();
+    let is_named = wishes.master.is_some() || wishes.domain.is_some() || context.config.ros_master.is_some();
     let live = Needs { ros: !is_named, chain: true };
     let connection = context.connect(live).await?;
     let result = async {
@@ -130,6 +136,9 @@ fn code(view: &PlayedView, output: &Output) -> u8 {
     }
     if view.dropped > 0 {
         output.note(&format!("authros: subscribers read too slowly and did not get {} messages", view.dropped));
+    }
+    for warning in &view.warnings {
+        output.note(&format!("authros: {warning}"));
     }
     match view.ended_by {
         PlayEnd::Revoked => output.note("authros: ended: the grant was revoked"),

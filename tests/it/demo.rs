@@ -44,6 +44,25 @@ fn the_demo_of_the_readme_shows_the_whole_mission() {
 }
 
 #[test]
+fn the_demo_with_robots_of_ros_2_shows_the_whole_mission() {
+    let _alone = heavy();
+    let network = match support::ros2::network() {
+        Ok(network) => network,
+        Err(reason) => skipped!(reason),
+    };
+    let home = Home::new();
+    let demo = ["demo", "--seconds", "4", "--robots", "2", "--ros2"];
+    let told = network.inside(&home.authros()).json_within(240, &demo);
+    expect_the_whole_story(&told);
+    // Two robots for four seconds at 20 Hz odometry and 2 Hz pictures: 176; a slow machine may be half behind.
+    assert!((88..=400).contains(&count(&told, "captured")), "{told}");
+
+    let absent = home.authros().with_variable("AUTHROS_ROS2_PROGRAM", "/nowhere/speaker");
+    let said = network.inside(&absent).run(&demo);
+    assert!(said.code != Some(0) && said.stderr.contains("cargo build -p authros-ros2"), "{said}");
+}
+
+#[test]
 fn a_home_with_foreign_files_is_kept_and_they_stay() {
     let _alone = heavy();
     let home = Home::new();

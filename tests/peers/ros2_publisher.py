@@ -1,9 +1,10 @@
 """A DDS peer that publishes as a ROS 2 node would: Eclipse Cyclone DDS with ROS 2's names, types and QoS.
 
-usage: ros2_publisher.py TOPIC KIND COUNT HERTZ BYTES [best_effort] [latched] [hash] [foreign]
+usage: ros2_publisher.py TOPIC KIND COUNT HERTZ BYTES [best_effort] [latched] [hash] [foreign] [readersN] [small_ends] [domainN]
 
 KIND `string`: text of BYTES characters that begins with its number; `image`: a picture of BYTES bytes. Waits for a
-subscriber, unless the topic is latched, publishes, prints one line of JSON about what it did, and stays until it is ended.
+subscriber, or N of them, unless the topic is latched, publishes, prints one line of JSON about what it did, and stays
+until it is ended. With `small_ends` the first and the last picture have 100 bytes.
 """
 
 import hashlib
@@ -58,6 +59,10 @@ def picture(number, size):
     return (block * (size // len(block) + 1))[:size]
 
 
+def number_after(word, flags, usual):
+    return next((int(flag[len(word):]) for flag in flags if flag.startswith(word)), usual)
+
+
 def main():
     topic, kind, count, hertz, size, *flags = sys.argv[1:]
     count, hertz, size = int(count), float(hertz), int(size)
@@ -70,22 +75,24 @@ def main():
     if "hash" in flags:
         policies.append(Policy.Userdata(f"typehash={HASH};".encode()))
     qos = Qos(*policies)
-    participant = DomainParticipant()
+    participant = DomainParticipant(number_after("domain", flags, 0))
     made = String if kind == "string" else CompressedImage
     name = topic if "foreign" in flags else "rt" + topic
     writer = DataWriter(participant, Topic(participant, name, made, qos=Qos(*policies[:3])), qos=qos)
+    length = lambda number: 100 if "small_ends" in flags and number in (1, count) else size
     if kind == "string":
         messages = [String(text(number, size)) for number in range(1, count + 1)]
     else:
         messages = [
-            CompressedImage(Header(Time(number, 0), "camera"), "jpeg", picture(number, size))
+            CompressedImage(Header(Time(number, 0), "camera"), "jpeg", picture(number, length(number)))
             for number in range(1, count + 1)
         ]
     digest = hashlib.sha256()
     for message in messages:
         digest.update(message.serialize(use_version_2=False))
     print(json.dumps({"ready": True}), flush=True)
-    while not latched and "foreign" not in flags and len(writer.get_matched_subscriptions()) == 0:
+    readers = number_after("readers", flags, 1)
+    while not latched and "foreign" not in flags and len(writer.get_matched_subscriptions()) < readers:
         time.sleep(0.01)
     begin = time.monotonic()
     for number, message in enumerate(messages, 1):

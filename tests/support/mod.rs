@@ -14,6 +14,7 @@ pub mod figures;
 pub mod gate;
 pub mod hostile;
 pub mod member;
+pub mod memory;
 pub mod process;
 pub mod proxy;
 pub mod redis;

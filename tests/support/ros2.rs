@@ -10,6 +10,7 @@ use super::{Authros, poll};
 
 const NOISE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_noise.py");
 const PUBLISHER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_publisher.py");
+const SUBSCRIBER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_subscriber.py");
 
 /// A network namespace with nothing but loopback, so that DDS neither leaks nor meets anybody; ends when dropped.
 #[derive(Debug)]
@@ -104,6 +105,17 @@ impl Talker {
     pub fn start(network: &Network, arguments: &[&str]) -> Self {
         let mut command = network.command(&python().expect("asked before"));
         command.arg(PUBLISHER).args(arguments).env_remove("CYCLONEDDS_URI");
+        Self::ready(command)
+    }
+
+    /// The same by another program.
+    pub fn by(network: &Network, program: &Path, arguments: &[&str]) -> Self {
+        let mut command = network.command(program);
+        command.args(arguments);
+        Self::ready(command)
+    }
+
+    fn ready(command: Command) -> Self {
         let mut running = Running::start(command);
         running.wait_for_text("\"ready\"", 60);
         Self(running)
@@ -120,5 +132,43 @@ impl Talker {
     pub fn kill(&mut self) {
         self.0.signal("KILL");
         poll(10, || (!self.0.is_running()).then_some(()));
+    }
+}
+
+/// A real DDS subscriber with ROS 2's names.
+#[derive(Debug)]
+pub struct Listener(Running);
+
+impl Listener {
+    /// Starts it in a domain. The arguments are the script's.
+    pub fn start(network: &Network, domain: &str, arguments: &[&str]) -> Self {
+        let mut command = network.command(&python().expect("asked before"));
+        command.args(["-B", SUBSCRIBER, domain]).args(arguments).env_remove("CYCLONEDDS_URI");
+        let mut running = Running::start(command);
+        running.wait_for_text("\"ready\"", 60);
+        Self(running)
+    }
+
+    fn said(&self, key: &str) -> Vec<Value> {
+        let text = self.0.stdout();
+        let lines = text.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+        lines.filter_map(|line| line.get(key).cloned()).collect()
+    }
+
+    /// SHA-256 of each message so far as it arrived, header included, in order.
+    pub fn heard(&self) -> Vec<Value> {
+        self.said("sha256")
+    }
+
+    /// Waits until it has heard so many messages; returns them as [`Self::heard`] does.
+    pub fn hears(&self, count: usize, seconds: u64) -> Vec<Value> {
+        let enough = || Some(self.heard()).filter(|heard| heard.len() >= count);
+        poll(seconds, enough).unwrap_or_else(|| panic!("{} of {count} heard: {}", self.heard().len(), self.0.stderr()))
+    }
+
+    /// Waits until it is connected to so many publishers.
+    pub fn meets(&self, publishers: u64, seconds: u64) {
+        let met = || (self.said("publishers").last() == Some(&publishers.into())).then_some(());
+        poll(seconds, met).unwrap_or_else(|| panic!("{publishers} publishers: {:?}", self.said("publishers")));
     }
 }

@@ -52,12 +52,22 @@ pub enum RosError {
     /// The embedded master did not start.
     #[error("the embedded ROS master did not start ({0}); name a running one by --ros-master instead")]
     EmbeddedMaster(String),
-    /// The program that reads ROS 2 is not installed.
+    /// The program that speaks ROS 2 is not installed.
     #[error(
-        "the program that reads ROS 2 is not at {0}; install the package authros-ros2 (from the source: cargo build \
+        "the program that speaks ROS 2 is not at {0}; install the package authros-ros2 (from the source: cargo build \
          -p authros-ros2), or name it by ros.ros2_program"
     )]
     NoReader(String),
+    /// The program that publishes into ROS 2 does not run.
+    #[error(
+        "ROS 2 domain {domain} cannot be published in: {reason}; look at the ports and the memory of this machine, and try again"
+    )]
+    NotPublished {
+        /// The domain.
+        domain: u16,
+        /// What happened.
+        reason: String,
+    },
     /// The operating system did not give what was needed.
     #[error("cannot {action} ({reason}); free some threads, sockets or memory and try again")]
     System {
@@ -105,7 +115,7 @@ impl RosError {
     /// The kind of failure.
     pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::Unreachable { .. } => ErrorKind::Unreachable,
+            Self::Unreachable { .. } | Self::NotPublished { .. } => ErrorKind::Unreachable,
             Self::Refused { .. } => ErrorKind::Refused,
             Self::Address(_) | Self::Robots(_) | Self::Rate(_) => ErrorKind::Usage,
             Self::OwnHost { .. }

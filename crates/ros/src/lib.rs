@@ -32,7 +32,7 @@ pub use graph::{Graph, LastLook, TopicInfo};
 pub use master::EmbeddedMaster;
 pub use message::{Definition, Limits, Value, md5sum};
 pub use publisher::{Advertised, Publisher};
-pub use robot::{Fleet, FleetOptions, MOST_ROBOTS};
+pub use robot::{DomainFleet, Fleet, FleetOptions, MOST_ROBOTS};
 
 #[cfg(test)]
 mod tests;

@@ -1,10 +1,12 @@
 //! Simulated robots: `/robotN/odom` (`nav_msgs/Odometry`) and `/robotN/camera/compressed`
-//! (`sensor_msgs/CompressedImage`), each robot a ROS node of its own.
+//! (`sensor_msgs/CompressedImage`), each robot a ROS node of its own, or all of them one participant of a ROS 2 domain.
 //!
-//! They speak TCPROS like any node, so that capture cannot tell them from real ones. Their messages are invented; they
+//! They speak TCPROS like any node, or DDS, so that capture cannot tell them from real ones. Their messages are invented; they
 //! are marked as simulated where they are shown and sealed.
 
+mod cdr;
 mod definitions;
+mod domain;
 mod letters;
 mod load;
 mod messages;
@@ -24,6 +26,7 @@ use crate::model::Timestamp;
 use picture::Camera;
 use track::Track;
 
+pub use domain::DomainFleet;
 pub use load::Load;
 
 pub use definitions::{COMPRESSED_IMAGE, ODOMETRY, compressed_image_definition, odometry_definition};
@@ -132,22 +135,8 @@ impl Fleet {
         period: Duration,
         mut make: impl FnMut(u32, f64) -> Option<Vec<u8>> + Send + 'static,
     ) -> Result<(), RosError> {
-        let stopping = Arc::clone(&self.stopping);
-        let work = move || {
-            let begun = Instant::now();
-            let mut due = begun;
-            let mut seq = 0u32;
-            while wait_until(due, &stopping) {
-                if let Some(body) = make(seq, begun.elapsed().as_secs_f64()) {
-                    outlet.publish(&body);
-                    seq = seq.wrapping_add(1);
-                }
-                // After the machine was suspended continue from now: no burst of missed messages.
-                due = (due + period).max(Instant::now().checked_sub(period).unwrap_or(due));
-            }
-        };
-        let thread = std::thread::Builder::new().name(name.into()).spawn(work);
-        self.threads.push(thread.map_err(|error| RosError::system("start a thread", &error))?);
+        let publish = move |seq, age| make(seq, age).inspect(|body| outlet.publish(body)).is_some();
+        self.threads.push(repeat(name, period, &self.stopping, publish)?);
         Ok(())
     }
 
@@ -167,6 +156,30 @@ impl Drop for Fleet {
             node.close(FAREWELL);
         }
     }
+}
+
+/// Does `work` with number and age (seconds) once per period, in a thread; what it does counts if it returns true.
+fn repeat(
+    name: &str,
+    period: Duration,
+    stopping: &Arc<AtomicBool>,
+    mut work: impl FnMut(u32, f64) -> bool + Send + 'static,
+) -> Result<JoinHandle<()>, RosError> {
+    let stopping = Arc::clone(stopping);
+    let work = move || {
+        let begun = Instant::now();
+        let mut due = begun;
+        let mut seq = 0u32;
+        while wait_until(due, &stopping) {
+            if work(seq, begun.elapsed().as_secs_f64()) {
+                seq = seq.wrapping_add(1);
+            }
+            // After the machine was suspended continue from now: no burst of missed messages.
+            due = (due + period).max(Instant::now().checked_sub(period).unwrap_or(due));
+        }
+    };
+    let thread = std::thread::Builder::new().name(name.into()).spawn(work);
+    thread.map_err(|error| RosError::system("start a thread", &error))
 }
 
 /// A topic of ours, by its definition.

@@ -59,7 +59,7 @@ pub fn run(domain: u16, from: impl Read + Send + 'static, to: impl Write, stop: 
 }
 
 /// Leaving waits for threads that may be gone: in the end the process ends without it.
-fn leave_soon() {
+pub(crate) fn leave_soon() {
     let end = || {
         std::thread::sleep(LEAVING);
         std::process::exit(3);
@@ -89,10 +89,7 @@ impl<'a, W: Write> Child<'a, W> {
         let poll = Poll::new().map_err(system)?;
         let waker = Arc::new(Waker::new(poll.registry(), WAKE).map_err(system)?);
         let wishes = wishes::listen(from, waker)?;
-        let join = |error: &dyn std::fmt::Debug| {
-            let port = 7400 + 250 * u32::from(domain);
-            Ros2Error::Join { domain, reason: format!("{error:?}"), port }
-        };
+        let join = |error: &dyn std::fmt::Debug| Ros2Error::join(domain, error);
         let participant = DomainParticipantBuilder::new(domain).build().map_err(|error| join(&error))?;
         let subscriber = participant.create_subscriber(&QosPolicies::qos_none()).map_err(|error| join(&error))?;
         let mut listener = participant.status_listener();

@@ -32,6 +32,11 @@ pub enum Ros2Error {
 }
 
 impl Ros2Error {
+    pub(crate) fn join(domain: u16, reason: &dyn std::fmt::Debug) -> Self {
+        let port = 7400 + 250 * u32::from(domain);
+        Self::Join { domain, reason: format!("{reason:?}"), port }
+    }
+
     pub(crate) fn system(action: &'static str, reason: &dyn std::fmt::Display) -> Self {
         Self::System { action, reason: reason.to_string() }
     }

@@ -1,4 +1,4 @@
-//! Reads ROS 2 topics for a site of AuthROS, in a process without keys.
+//! Reads and publishes ROS 2 topics for a site of AuthROS, in a process without keys.
 //!
 //! The network code is `rustdds`; its output leaves through a pipe ([`authros_pipe`]). The site starts the program,
 //! supervises it and counts losses.
@@ -10,6 +10,7 @@ mod error;
 mod graph;
 mod names;
 mod nodes;
+mod publish;
 mod quality;
 mod raw;
 mod reading;
@@ -18,3 +19,4 @@ mod wishes;
 
 pub use capture::run;
 pub use error::Ros2Error;
+pub use publish::run as publish;

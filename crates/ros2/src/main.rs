@@ -1,5 +1,5 @@
-//! `authros-ros2 --domain N`: started by a site of AuthROS, with a pipe as its input and output. It has no keys, and is
-//! of no use alone.
+//! `authros-ros2 --domain N [--publish]`: started by a site of AuthROS, with a pipe as its input and output. It reads the
+//! domain, or publishes in it. It has no keys, and is of no use alone.
 
 mod inherited;
 
@@ -19,7 +19,7 @@ const HIGHEST_DOMAIN: u16 = 232;
 
 fn main() -> ExitCode {
     inherited::close();
-    let Some(domain) = domain() else {
+    let Some((domain, publishes)) = purpose() else {
         return fail("usage: authros-ros2 --domain N (0 to 232); it is started by authros --ros2, not by hand");
     };
     let stop = Arc::new(AtomicBool::new(false));
@@ -31,16 +31,29 @@ fn main() -> ExitCode {
     bound_memory();
     let pipes = (std::io::stdin().as_fd().try_clone_to_owned(), std::io::stdout().as_fd().try_clone_to_owned());
     let (Ok(from), Ok(to)) = pipes else { return fail("its input or output is closed; start it by authros --ros2") };
-    match authros_ros2::run(domain, File::from(from), File::from(to), &stop) {
+    let (from, to) = (File::from(from), File::from(to));
+    let done = if publishes {
+        authros_ros2::publish(domain, from, to, &stop)
+    } else {
+        authros_ros2::run(domain, from, to, &stop)
+    };
+    match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => fail(&error.to_string()),
     }
 }
 
-fn domain() -> Option<u16> {
-    let mut arguments = std::env::args().skip(1);
-    let (Some(name), Some(value), None) = (arguments.next(), arguments.next(), arguments.next()) else { return None };
-    value.parse().ok().filter(|domain| name == "--domain" && *domain <= HIGHEST_DOMAIN)
+/// The domain, and whether to publish in it.
+fn purpose() -> Option<(u16, bool)> {
+    let arguments: Vec<String> = std::env::args().skip(1).take(4).collect();
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let (value, publishes) = match arguments[..] {
+        ["--domain", value] => (value, false),
+        ["--domain", value, "--publish"] => (value, true),
+        _ => return None,
+    };
+    let domain = value.parse().ok().filter(|domain| *domain <= HIGHEST_DOMAIN)?;
+    Some((domain, publishes))
 }
 
 /// A limit that cannot be set is no reason not to work.

@@ -32,6 +32,14 @@ pub fn type_name(dds: &str) -> Option<String> {
     known.then(|| format!("{package}/{kind}/{name}"))
 }
 
+/// The DDS name of a type, `nav_msgs::msg::dds_::Odometry_`; `None` for what is not the name of one.
+pub fn dds_type(type_name: &str) -> Option<String> {
+    let parts: Vec<&str> = type_name.split('/').collect();
+    let [package, kind, name] = parts[..] else { return None };
+    let dds = format!("{package}::{kind}::dds_::{name}_");
+    self::type_name(&dds).is_some_and(|back| back == type_name).then_some(dds)
+}
+
 /// The type's hash from a writer's user data, which is `key=value;` after a length, padded.
 pub fn type_hash(user_data: &[u8]) -> Option<String> {
     const KEY: &[u8] = b"typehash=";
@@ -73,6 +81,10 @@ mod tests {
             assert_eq!(topic(none), None, "{none}");
         }
         assert_eq!(type_name("nav_msgs::msg::dds_::Odometry_").as_deref(), Some("nav_msgs/msg/Odometry"));
+        assert_eq!(dds_type("nav_msgs/msg/Odometry").as_deref(), Some("nav_msgs::msg::dds_::Odometry_"));
+        for none in ["nav_msgs/Odometry", "a/b/c/d", "a//b", "a/msg/b::c", "a/msg/b c", ""] {
+            assert_eq!(dds_type(none), None, "{none}");
+        }
         for none in ["ShapeType", "a::msg::dds_::B", "a::msg::B_", "::msg::dds_::B_", "a::msg::dds_::B\u{7}_"] {
             assert_eq!(type_name(none), None, "{none}");
         }

@@ -7,12 +7,14 @@ use tokio::task::block_in_place;
 
 use super::locks::{self, Genuine};
 use super::witness::Witness;
-use super::{Story, Work};
+use super::{Robots, Story, Work};
 use crate::cli::connect::{Context, ProfileNeed};
 use crate::crypto::{Anchor, EpochKey, Expected, GrantedKeys, open, topic_key};
+use crate::model::head::SIMULATED;
 use crate::model::{Address, ErrorKind, ProfileName, Timestamp, TopicName, Verdict};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{Network, Owner, authority, proof};
+use crate::ros::{DomainFleet, FleetOptions};
 use crate::service::command::{Capture, CheckShared, Grant, ListShared, OpenShared, Register, Revoke};
 use crate::service::failure::internal;
 use crate::service::reply::{CaptureSummary, OpenedView, RecordView};
@@ -40,6 +42,9 @@ pub struct Mission {
     pub(super) topics: Vec<TopicName>,
     pictures: usize,
     witness: Witness,
+    /// Robots of ROS 2; those of ROS 1 are the site's.
+    _fleet: Option<DomainFleet>,
+    tags: Vec<(String, String)>,
     milliseconds: u64,
     output: Output,
 }
@@ -49,7 +54,7 @@ impl Mission {
     ///
     /// # Errors
     /// If the home is in use, or a part does not start.
-    pub async fn start(context: &Context, seconds: u64, output: Output) -> Result<Self, Failure> {
+    pub async fn start(context: &Context, robots: Robots, seconds: u64, output: Output) -> Result<Self, Failure> {
         let root = context.home.root().display();
         let in_use = || {
             Failure::new(
@@ -58,24 +63,37 @@ impl Mission {
             )
         };
         let lock = context.lock()?.ok_or_else(in_use)?;
+        let program = context.config.ros2_program.clone();
+        let fleet = |domain| DomainFleet::start(domain, program.as_deref(), robots.number, FleetOptions::default());
+        let fleet = robots.domain.map(|domain| block_in_place(|| fleet(domain))).transpose()?;
         let site = Site::start(context.home.clone(), context.config.clone(), lock, Needs { ros: true, chain: true })?;
         let first_block = site.chain().await?.head().await?.number + 1;
         let cura_a = person(context, &site, "cura-a", output).await?;
         let cura_b = person(context, &site, "cura-b", output).await?;
         let stranger = person(context, &site, "stranger", output).await?;
-        let robots = context.config.robots;
-        let names = (1..=robots)
-            .flat_map(|number| [format!("/robot{number}/odom"), format!("/robot{number}/camera/compressed")]);
+        let number = robots.number;
+        let names =
+            (1..=number).flat_map(|robot| [format!("/robot{robot}/odom"), format!("/robot{robot}/camera/compressed")]);
         let topics: Result<Vec<TopicName>, _> = names.map(|name| name.parse()).collect();
         let topics = topics
             .map_err(|error: crate::model::topic::NameError| crate::service::failure::internal(error.to_string()))?;
         let watched: Vec<String> =
             topics.iter().map(ToString::to_string).filter(|topic| topic.contains("camera")).collect();
-        let uri = site.ros_uri().await?;
-        let witness = block_in_place(|| Witness::start(&uri, &watched).inspect(Witness::listen))?;
+        let witness = match robots.domain {
+            Some(domain) => block_in_place(|| Witness::start_in(domain, program.as_deref(), &watched))?,
+            None => {
+                let uri = site.ros_uri().await?;
+                block_in_place(|| Witness::start(&uri, &watched))?
+            }
+        };
+        block_in_place(|| witness.listen());
         let network = site.network().await?;
-        output.note(&format!("{robots} SIMULATED robots; CURA A {}, CURA B {}", cura_a.address, cura_b.address));
+        let place = robots.domain.map(|domain| format!(" in ROS 2 domain {domain}")).unwrap_or_default();
+        output.note(&format!("{number} SIMULATED robots{place}; CURA A {}, CURA B {}", cura_a.address, cura_b.address));
         let milliseconds = seconds * 1000;
+        let mut tags = vec![("mission".to_owned(), "crime-scene".to_owned())];
+        // The site knows its own simulated robots; these are others' to it.
+        tags.extend(robots.domain.map(|_| (SIMULATED.0.to_owned(), SIMULATED.1.to_owned())));
         Ok(Self {
             site,
             network,
@@ -86,6 +104,8 @@ impl Mission {
             topics,
             pictures: 0,
             witness,
+            _fleet: fleet,
+            tags,
             milliseconds,
             output,
         })
@@ -171,7 +191,7 @@ impl Mission {
             type_name: None,
             count: None,
             milliseconds: Some(milliseconds),
-            tags: vec![("mission".to_owned(), "crime-scene".to_owned())],
+            tags: self.tags.clone(),
         };
         self.cura_a.client.ask(ask).await
     }
@@ -204,7 +224,7 @@ impl Mission {
 
     async fn open_all(&mut self, records: &[RecordView], story: &mut Story) -> Result<(), Failure> {
         for record in records {
-            if record.type_name == "sensor_msgs/CompressedImage" {
+            if ["sensor_msgs/CompressedImage", "sensor_msgs/msg/CompressedImage"].contains(&record.type_name.as_str()) {
                 self.pictures += 1;
             }
             let checked = self.cura_b.client.ask(CheckShared { id: record.id.clone() }).await?;

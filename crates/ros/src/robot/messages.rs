@@ -52,7 +52,8 @@ fn put_floats(body: &mut Vec<u8>, numbers: &[f64]) {
     }
 }
 
-fn covariance() -> [f64; 36] {
+/// The matrix of both messages' uncertainty.
+pub(super) fn covariance() -> [f64; 36] {
     let mut matrix = [0.0; 36];
     for (place, variance) in matrix.iter_mut().step_by(7).zip(VARIANCES) {
         *place = variance;

@@ -6,6 +6,7 @@
 mod child;
 mod numbers;
 mod publisher;
+mod publishing;
 mod standing;
 mod state;
 mod supervision;
@@ -18,9 +19,12 @@ use crate::model::TopicName;
 use crate::ros::{MessageSink, RosError};
 use supervision::Shared;
 
+pub use crate::pipe::LONGEST_PAYLOAD as LONGEST_MESSAGE;
 pub use crate::pipe::read::{Counts, Quality};
+pub use crate::pipe::write::{Offer, Topic as Offered};
 pub use child::PROGRAM;
-pub use publisher::WRITER;
+pub use publisher::{QUALITY, WRITER};
+pub use publishing::{Declined, Ros2Publisher};
 pub use standing::{INVISIBLE, Reading, Standing};
 
 /// A topic of the domain.

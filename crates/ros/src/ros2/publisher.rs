@@ -11,7 +11,7 @@ use crate::ros::ros2::numbers::Numbers;
 use crate::ros::{CaptureNotice, Message, Origin};
 
 /// MCAP's name for the QoS that a channel's publishers offer.
-const QUALITY: &str = "offered_qos_profiles";
+pub const QUALITY: &str = "offered_qos_profiles";
 /// The publisher's own id, 16 bytes as hex, among the channel's data.
 pub const WRITER: &str = "writer_id";
 

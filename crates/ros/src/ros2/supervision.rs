@@ -118,7 +118,7 @@ impl Shared {
 
     /// One run of the program, to its end; returns why it ended.
     fn run_once(&self) -> String {
-        let (child, to, from) = match child::start(&self.program, self.domain) {
+        let (child, to, from) = match child::start(&self.program, self.domain, child::Purpose::Read) {
             Ok(started) => started,
             Err(error) => return error.to_string(),
         };

@@ -1,4 +1,4 @@
-//! Requests about playing shared records into a ROS graph.
+//! Requests about playing shared records into a ROS graph or domain.
 
 use std::str::FromStr;
 
@@ -84,6 +84,9 @@ pub struct PlayWishes {
     pub remaps: Vec<Remap>,
     /// The ROS master; `None` = this site's own.
     pub master: Option<String>,
+    /// The ROS 2 domain, instead of a ROS 1 graph.
+    #[serde(default)]
+    pub domain: Option<u16>,
 }
 
 #[cfg(test)]

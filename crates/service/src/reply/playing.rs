@@ -44,7 +44,7 @@ impl PlayEnd {
 pub struct PlayedView {
     /// Messages published, each checked first.
     pub published: u64,
-    /// Records refused by a check, or that a ROS 1 graph cannot take; none of them was published.
+    /// Records refused by a check, or that the graph or domain cannot take; none of them was published.
     pub refused: u64,
     /// Records whose bytes are missing in the vault.
     pub missing: u64,
@@ -58,4 +58,7 @@ pub struct PlayedView {
     pub reasons: Vec<(String, u64)>,
     /// The topics as played, with their messages.
     pub topics: Vec<(String, u64)>,
+    /// Why some subscribers may not have received everything.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<String>,
 }

@@ -1,10 +1,14 @@
-//! Into the reader's ROS: records shared by others, each checked first, published in a graph as they were captured.
+//! Into the reader's ROS: records shared by others, each checked first, published in a graph or domain as they were
+//! captured.
 
 mod feed;
 mod names;
+mod offer;
 mod pacer;
 mod play;
+mod second;
 mod stage;
+mod target;
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -17,6 +21,7 @@ use crate::crypto::random_bytes;
 use crate::model::bytes::hex;
 use crate::model::{Address, ErrorKind, ProfileName, Scope, clean};
 use crate::pipeline::{Network, Owner, PipelineError, Plant, authority};
+use crate::ros::ros2::Ros2Publisher;
 use crate::ros::{Graph, Publisher};
 use crate::service::command::{Pace, PlayWishes};
 use crate::service::failure::{input, refused};
@@ -31,7 +36,9 @@ use crate::site::parts::Parts;
 
 use names::Names;
 use play::{Ends, Play};
+use second::Domain;
 use stage::Stage;
+use target::Target;
 
 /// The name prefix of nodes that play; nodes that capture have another.
 const NODE: &str = "/authros_play_";
@@ -92,8 +99,11 @@ impl Bridge {
         consistent(&wishes)?;
         let network = self.link.network().await?;
         let givers = self.givers(owner, &network, &wishes)?;
-        let stage = self.stage(&wishes, &names).await?;
-        let subject = subject(&wishes, stage.uri());
+        let target = match wishes.domain {
+            Some(domain) => Target::Domain(Box::new(self.domain(domain, &names)?)),
+            None => Target::Graph(Box::new(self.stage(&wishes, &names).await?)),
+        };
+        let subject = subject(&wishes, target.name());
         self.log.begin(owner, "play records", &subject).await?;
         let (stop, stopped) = watch::channel(false);
         let stop = Arc::new(stop);
@@ -101,7 +111,7 @@ impl Bridge {
         self.running.lock().unwrap_or_else(PoisonError::into_inner).push((profile, Arc::clone(&stop)));
         let _listed = Listed { running: &self.running, stop };
         let ends = Ends::new(gone, stopped, &self.life);
-        let played = Play::new(self, &network, owner, givers, &wishes, names, stage, ends).run().await;
+        let played = Play::new(self, &network, owner, givers, &wishes, names, target, ends).run().await;
         self.log.end(owner, "play records", &subject, played).await
     }
 
@@ -125,6 +135,16 @@ impl Bridge {
             }
             (true, None) => Err(refused("nobody shares records with this profile now; `authros grants list` shows it")),
         }
+    }
+
+    /// The participant that will publish, once it is certain that there is no loop.
+    fn domain(&self, domain: u16, names: &Names) -> Result<Domain, Failure> {
+        let is_captured = self.ros.is_wanted() && self.config.ros_domain == Some(domain);
+        if is_captured {
+            names.keep_apart().map_err(|why| refused(format!("ROS 2 domain {domain} is {why}")))?;
+        }
+        let publisher = block_in_place(|| Ros2Publisher::start(domain, self.config.ros2_program.as_deref()))?;
+        Ok(Domain::new(publisher, names.prefix(), is_captured))
     }
 
     /// The node that will publish, once it is certain that there is no loop.
@@ -155,6 +175,11 @@ impl Bridge {
 }
 
 fn consistent(wishes: &PlayWishes) -> Result<(), Failure> {
+    if wishes.domain.is_some() && wishes.master.is_some() {
+        return Err(input(
+            "messages are played into a ROS 1 graph or a ROS 2 domain; leave out one of --to and --ros2",
+        ));
+    }
     match wishes.pace {
         Pace::Follow if wishes.since.is_some() || wishes.until.is_some() => {
             Err(input("--follow plays what is verified from now on; leave out --since and --until"))

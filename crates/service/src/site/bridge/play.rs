@@ -8,20 +8,20 @@ use std::time::{Duration, Instant};
 use tokio::sync::{oneshot, watch};
 use tokio::task::block_in_place;
 
+mod described;
 mod rights;
 
 use super::Bridge;
 use super::feed::{Feed, Item};
 use super::names::Names;
-use super::pacer::{Pacer, TICK, clock_message, clock_topic};
-use super::stage::{Stage, source_of};
+use super::pacer::{Pacer, TICK};
+use super::target::{Form, Target};
 use crate::crypto::OpenedRecord;
-use crate::model::{Address, Digest, ErrorKind, Hash, Scope, Timestamp, Verdict, clean};
+use crate::model::{Address, Digest, ErrorKind, Hash, Scope, Timestamp, clean};
 use crate::pipeline::reader::{Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
-use crate::ros::Advertised;
-use crate::ros::recording::Encoding;
 use crate::service::command::{Pace, PlayWishes};
+use crate::service::event::NoticeLevel;
 use crate::service::reply::{Failure, PlayEnd, PlayedView};
 use crate::site::lifetime::Lifetime;
 
@@ -40,7 +40,7 @@ const CROWD: Duration = Duration::from_secs(5);
 /// How long subscribers get for the rest of their queues at an orderly end.
 const FAREWELL: Duration = Duration::from_secs(5);
 
-/// Interval between registrations at the master.
+/// Interval between registrations at the master, and between looks at the child process.
 const REGISTERING: Duration = Duration::from_secs(5);
 
 /// The most reasons of refusals reported, and the most definitions kept in memory.
@@ -83,7 +83,8 @@ enum Taken {
 /// A record that passed every check, with its source and name for playing.
 struct Checked {
     record: OpenedRecord,
-    about: Advertised,
+    form: Form,
+    source: u64,
 }
 
 /// A running playback.
@@ -96,7 +97,7 @@ pub(super) struct Play<'a> {
     granted: HashMap<Address, Hash>,
     wishes: &'a PlayWishes,
     names: Names,
-    stage: Stage,
+    target: Target,
     ends: Ends,
     pacer: Pacer,
     clock: Option<String>,
@@ -108,6 +109,7 @@ pub(super) struct Play<'a> {
     missing: u64,
     reasons: BTreeMap<String, u64>,
     topics: BTreeMap<String, u64>,
+    warnings: Vec<String>,
 }
 
 impl<'a> Play<'a> {
@@ -119,7 +121,7 @@ impl<'a> Play<'a> {
         givers: HashMap<Address, Scope>,
         wishes: &'a PlayWishes,
         names: Names,
-        stage: Stage,
+        target: Target,
         ends: Ends,
     ) -> Self {
         let now = Instant::now();
@@ -133,7 +135,7 @@ impl<'a> Play<'a> {
             granted,
             wishes,
             names,
-            stage,
+            target,
             ends,
             pacer: Pacer::new(wishes.pace),
             clock: None,
@@ -145,13 +147,14 @@ impl<'a> Play<'a> {
             missing: 0,
             reasons: BTreeMap::new(),
             topics: BTreeMap::new(),
+            warnings: Vec::new(),
         }
     }
 
     /// Plays to the end.
     ///
     /// # Errors
-    /// If chain, vault, ledger or master fail; what was queued is not sent then.
+    /// If chain, vault, ledger, master or child process fail; what was queued is not sent then.
     pub async fn run(mut self) -> Result<PlayedView, Failure> {
         let begun = Instant::now();
         let mut ended = self.rounds().await;
@@ -159,7 +162,7 @@ impl<'a> Play<'a> {
             *end = self.farewell(*end).await;
         }
         let by_right = ended.as_ref().map_or(true, |end| end.is_by_right());
-        let dropped = self.stage.finish(by_right);
+        let dropped = self.target.finish(by_right);
         let mut reasons: Vec<(String, u64)> = self.reasons.into_iter().collect();
         reasons.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
         Ok(PlayedView {
@@ -171,6 +174,7 @@ impl<'a> Play<'a> {
             ended_by: ended?,
             reasons,
             topics: self.topics.into_iter().collect(),
+            warnings: self.warnings,
         })
     }
 
@@ -179,9 +183,9 @@ impl<'a> Play<'a> {
         if end.is_by_right() {
             return end;
         }
-        self.stage.leave();
+        self.target.leave();
         let begun = Instant::now();
-        while begun.elapsed() < FAREWELL && !self.stage.is_sent() {
+        while begun.elapsed() < FAREWELL && !self.target.is_sent() {
             if let Some(end) = self.right_ended() {
                 return end;
             }
@@ -255,45 +259,13 @@ impl<'a> Play<'a> {
         }
     }
 
-    /// How a record is played, or why it is not.
-    async fn described(
-        &mut self,
-        item: &Item,
-        record: OpenedRecord,
-        latching: bool,
-    ) -> Result<Result<Checked, String>, Failure> {
-        if record.verdict != Verdict::Verified {
-            return Ok(Err("not verified yet".to_owned()));
-        }
-        if importer::encoding(&record.head.tags) != Encoding::Ros1 {
-            return Ok(Err("a message of ROS 2 is not translated into ROS 1".to_owned()));
-        }
-        let Some(topic) = self.names.played(&record.head.topic) else {
-            return Ok(Err(format!("{} makes no graph name with this prefix", clean(&record.head.topic, 255))));
-        };
-        if self.clock.as_ref() == Some(&topic) {
-            return Ok(Err(format!("--clock tells the time as {topic} instead")));
-        }
-        let Some(definition) = self.definition(item, &record).await? else {
-            return Ok(Err("no readable record holds the definition of its type".to_owned()));
-        };
-        let about = Advertised {
-            topic,
-            type_name: record.head.type_name.clone(),
-            md5sum: record.head.md5sum.clone(),
-            definition: definition.to_string(),
-            latching,
-        };
-        Ok(Ok(Checked { record, about }))
-    }
-
     async fn play(&mut self, item: &Item, checked: &Checked) -> Result<Taken, Failure> {
-        let Checked { record, about } = checked;
-        let source = source_of(item.row.owner, &record.head.caller_id);
-        match self.stage.show(about, item.row.owner, source) {
+        let Checked { record, form, source } = checked;
+        let source = (item.row.owner, *source);
+        match self.target.show(form, source, record.body.len()) {
             Ok(Ok(())) => {}
             Ok(Err(why)) => return Ok(self.refuse(why)),
-            // A master that restarts is back soon.
+            // A master or a child process that restarts is back soon.
             Err(_) if self.wishes.pace == Pace::Follow => return Ok(Taken::Later),
             Err(failure) => return Err(failure),
         }
@@ -309,9 +281,15 @@ impl<'a> Play<'a> {
         if let Err(error) = allowed {
             return self.judge(error);
         }
-        if self.stage.publish(&about.topic, source, &record.body) {
-            self.published += 1;
-            *self.topics.entry(clean(&about.topic, 255)).or_default() += 1;
+        if !self.target.publish(form, source, &record.body) {
+            let follows = self.wishes.pace == Pace::Follow;
+            return Ok(if follows { Taken::Later } else { self.refuse("nobody publishes it now".to_owned()) });
+        }
+        self.published += 1;
+        *self.topics.entry(clean(form.topic(), 255)).or_default() += 1;
+        if let Some(warning) = self.target.take_warning() {
+            self.bridge.hub.notice(NoticeLevel::Warning, &warning);
+            self.warnings.push(warning);
         }
         Ok(Taken::Done)
     }
@@ -333,9 +311,9 @@ impl<'a> Play<'a> {
             }
             self.tell_time();
             let left = due.map_or(Duration::ZERO, |due| self.pacer.wait(due, Instant::now()));
-            let mut crowded = self.stage.is_crowded();
+            let mut crowded = self.target.is_crowded();
             if crowded && crowded_since.get_or_insert_with(Instant::now).elapsed() >= CROWD {
-                self.stage.outrun();
+                self.target.outrun();
                 crowded = false;
             }
             if left.is_zero() && !crowded {
@@ -366,7 +344,7 @@ impl<'a> Play<'a> {
             return Some(end);
         }
         if self.registered_at.elapsed() >= REGISTERING {
-            self.stage.register_again();
+            self.target.come_back();
             self.registered_at = Instant::now();
         }
         self.right_ended()
@@ -401,37 +379,22 @@ impl<'a> Play<'a> {
         Taken::Done
     }
 
-    async fn definition(&mut self, item: &Item, record: &OpenedRecord) -> Result<Option<Arc<str>>, Failure> {
-        let key = (item.row.owner, record.head.definition);
-        if let Some(known) = self.definitions.get(&key) {
-            return Ok(Some(Arc::clone(known)));
-        }
-        let text: Option<Arc<str>> = self.reader().definition_text(&item.row, record).await?.map(Arc::from);
-        if self.definitions.len() >= MOST_DEFINITIONS {
-            self.definitions.clear();
-        }
-        if let Some(text) = &text {
-            self.definitions.insert(key, Arc::clone(text));
-        }
-        Ok(text)
-    }
-
     fn show_clock(&mut self) -> Result<(), Failure> {
         if !self.wishes.clock {
             return Ok(());
         }
         // Nodes read the time under this one name; on a graph this site captures from, it would be captured.
-        let prefixed = if self.stage.is_captured() { self.names.played("/clock") } else { None };
+        let prefixed = if self.target.is_captured() { self.names.played("/clock") } else { None };
         let topic = prefixed.unwrap_or_else(|| "/clock".to_owned());
-        let shown = self.stage.show_plain(&clock_topic(topic.clone()))?;
+        let shown = self.target.show_clock(&topic)?;
         shown.map_err(|why| Failure::new(ErrorKind::Refused, why))?;
         self.clock = Some(topic);
         Ok(())
     }
 
-    fn tell_time(&self) {
+    fn tell_time(&mut self) {
         if let (Some(topic), Some(now)) = (&self.clock, self.pacer.clock(Instant::now())) {
-            self.stage.publish(topic, 0, &clock_message(now));
+            self.target.tell_time(topic, now);
         }
     }
 }

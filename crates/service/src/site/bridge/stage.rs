@@ -123,14 +123,6 @@ impl Stage {
         Ok(capturing.map(|node| format!("{topic} is captured by {} there; give a --prefix", clean(node, 120))))
     }
 
-    /// Publishes a topic that is not a record's, `/clock`.
-    ///
-    /// # Errors
-    /// See [`Self::show`].
-    pub fn show_plain(&mut self, about: &Advertised) -> Result<Result<(), String>, Failure> {
-        self.show(about, Address([0; 20]), 0)
-    }
-
     /// Publishes one message of a published topic.
     pub fn publish(&self, topic: &str, source: u64, body: &[u8]) -> bool {
         self.publisher.publish(topic, source, body)

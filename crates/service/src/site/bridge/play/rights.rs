@@ -39,7 +39,7 @@ impl Play<'_> {
     /// An owner no longer shares: her queued and latched messages are not given out either.
     pub(super) fn take_back(&mut self, giver: Address) -> PlayEnd {
         self.givers.remove(&giver);
-        self.stage.silence(giver);
+        self.target.silence(giver);
         let grant = self.network.directory.grant_between(giver, self.owner.address);
         let is_same = |transaction| self.granted.get(&giver) == Some(&transaction);
         let is_expired = grant.is_some_and(|grant| grant.revoked.is_none() && is_same(grant.transaction));
@@ -51,7 +51,7 @@ impl Play<'_> {
 
     fn tell(&self, why: &str) {
         let text =
-            format!("playing into {} ended, {why}; {} messages were published", self.stage.uri(), self.published);
+            format!("playing into {} ended, {why}; {} messages were published", self.target.name(), self.published);
         self.bridge.hub.notice(NoticeLevel::Warning, &text);
     }
 }

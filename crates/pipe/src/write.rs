@@ -1,0 +1,131 @@
+//! Messages between a child that publishes topics and its site. Names and types are as the site uses them.
+
+use serde::{Deserialize, Serialize};
+
+/// The most messages, and about how many bytes of them, that a site hands out before the child has confirmed some.
+pub const MOST_UNCONFIRMED: usize = 256;
+/// See [`MOST_UNCONFIRMED`].
+pub const MOST_UNCONFIRMED_BYTES: usize = 16 << 20;
+
+/// What a publisher offers its subscribers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Offer {
+    /// Lost messages are repeated.
+    pub reliable: bool,
+    /// Messages are kept for those who subscribe later.
+    pub latched: bool,
+    /// How many messages are kept.
+    pub depth: u32,
+}
+
+/// A topic as published.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Topic {
+    /// Its name, `/robot1/odom`.
+    pub name: String,
+    /// Its type, `package/msg/Type`.
+    pub type_name: String,
+    /// The first two bytes of every message's encapsulation header, the first one high.
+    pub encoding: u16,
+    /// The offer.
+    pub offer: Offer,
+}
+
+/// From the site to the child. The end of the pipe tells the child to end.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "order", rename_all = "snake_case")]
+pub enum Order {
+    /// Announce a topic; answered by [`Report::Ready`] or [`Report::Refused`].
+    Advertise {
+        /// A number for it, not used before.
+        writer: u32,
+        /// The topic.
+        topic: Topic,
+        /// Bytes of its first message, a hint for how much room it needs.
+        size: u32,
+        /// Refuse if somebody else publishes it.
+        alone: bool,
+        /// Wait for the subscribers that are known, for a while.
+        patient: bool,
+    },
+    /// Publish a message; its bytes with their encapsulation header are the payload.
+    Publish {
+        /// The number of its topic.
+        writer: u32,
+    },
+    /// Take a topic back at once; what is queued for it is not published.
+    Withdraw {
+        /// Its number.
+        writer: u32,
+    },
+    /// Wait no longer for subscribers that are behind now.
+    Outrun,
+    /// Nothing more will be published; answered by [`Report::Left`] when subscribers have everything.
+    Leave,
+}
+
+/// From the child to the site.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "report", rename_all = "snake_case")]
+pub enum Report {
+    /// The first frame: the domain is joined.
+    Hello {
+        /// [`crate::VERSION`].
+        version: u32,
+        /// The domain.
+        domain: u16,
+    },
+    /// A topic is announced.
+    Ready {
+        /// Its number.
+        writer: u32,
+    },
+    /// A topic is not announced.
+    Refused {
+        /// Its number.
+        writer: u32,
+        /// The reason.
+        reason: String,
+        /// Whether it is that somebody else publishes it.
+        occupied: bool,
+    },
+    /// The oldest messages that were not confirmed yet have left the queue.
+    Taken {
+        /// Their number.
+        messages: u32,
+        /// Of these the ones that a subscriber did not get because it read too slowly.
+        dropped: u32,
+    },
+    /// Subscribers have everything.
+    Left,
+    /// Every half second.
+    Alive {
+        /// Other participants in the domain.
+        participants: u32,
+    },
+    /// The child is ending on its own.
+    Failed {
+        /// The reason.
+        reason: String,
+    },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_words_on_the_pipe_are_these() {
+        let offer = Offer { reliable: true, latched: false, depth: 5 };
+        let topic = Topic { name: "/a".into(), type_name: "b/msg/C".into(), encoding: 1, offer };
+        let order = Order::Advertise { writer: 3, topic, size: 9, alone: true, patient: false };
+        assert_eq!(
+            serde_json::to_string(&order).expect("JSON"),
+            r#"{"order":"advertise","writer":3,"topic":{"name":"/a","type_name":"b/msg/C","encoding":1,"offer":{"reliable":true,"latched":false,"depth":5}},"size":9,"alone":true,"patient":false}"#
+        );
+        let report =
+            serde_json::from_str::<Report>(r#"{"report":"taken","messages":2,"dropped":1}"#).expect("a report");
+        assert_eq!(report, Report::Taken { messages: 2, dropped: 1 });
+        assert_eq!(serde_json::to_string(&Order::Leave).expect("JSON"), r#"{"order":"leave"}"#);
+    }
+}

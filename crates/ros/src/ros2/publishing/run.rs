@@ -1,0 +1,292 @@
+//! One run of the program that publishes: its pipe, its reports, and its end if it falls silent.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::io::{BufReader, Read};
+use std::path::Path;
+use std::process::{Child, ChildStdin};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use super::child;
+use crate::model::clean;
+use crate::pipe::receive;
+use crate::pipe::write::Report;
+use crate::ros::RosError;
+
+/// Interval between checks that the program still reports.
+const TICK: Duration = Duration::from_millis(500);
+/// After this many checks without a report it is killed; checks are counted, not time, so that a machine that slept blames
+/// nobody.
+const SILENT_TICKS: u32 = 10;
+/// The longest reason taken, and the most answers kept.
+const LONGEST_REASON: usize = 400;
+const MOST_ANSWERS: usize = 4096;
+
+/// Why a topic is not published.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Declined {
+    /// In words.
+    pub reason: String,
+    /// Whether it is that somebody else publishes it.
+    pub occupied: bool,
+}
+
+/// What the program has reported.
+#[derive(Debug, Default)]
+pub struct State {
+    /// It is in the domain.
+    pub joined: bool,
+    /// Its answers about topics, by their number.
+    pub answers: BTreeMap<u32, Result<(), Declined>>,
+    /// Sizes of the messages that it has not confirmed, oldest first.
+    unconfirmed: VecDeque<usize>,
+    unconfirmed_bytes: usize,
+    dropped: u64,
+    left: bool,
+    reports: u64,
+    broken: Option<String>,
+}
+
+impl State {
+    /// Takes a report.
+    ///
+    /// # Errors
+    /// Why the program must be ended, in words.
+    pub fn take(&mut self, report: Report, domain: u16) -> Result<(), String> {
+        self.reports += 1;
+        match report {
+            Report::Hello { version, domain: joined } => {
+                if (version, joined) != (crate::pipe::VERSION, domain) {
+                    let own = crate::pipe::VERSION;
+                    return Err(format!(
+                        "it speaks version {version} of the pipe, {own} is needed; install both of one release"
+                    ));
+                }
+                self.joined = true;
+            }
+            Report::Ready { writer } => self.answer(writer, Ok(())),
+            Report::Refused { writer, reason, occupied } => {
+                self.answer(writer, Err(Declined { reason: clean(&reason, LONGEST_REASON), occupied }));
+            }
+            Report::Taken { messages, dropped } => {
+                for _ in 0..messages {
+                    let Some(size) = self.unconfirmed.pop_front() else { break };
+                    self.unconfirmed_bytes -= size;
+                }
+                self.dropped += u64::from(dropped.min(messages));
+            }
+            Report::Left => self.left = true,
+            Report::Alive { .. } => {}
+            Report::Failed { reason } => return Err(clean(&reason, LONGEST_REASON)),
+        }
+        Ok(())
+    }
+
+    fn answer(&mut self, writer: u32, answer: Result<(), Declined>) {
+        if self.answers.len() < MOST_ANSWERS {
+            self.answers.insert(writer, answer);
+        }
+    }
+
+    /// A message was handed to it.
+    pub fn hand_out(&mut self, size: usize) {
+        self.unconfirmed.push_back(size);
+        self.unconfirmed_bytes += size;
+    }
+
+    /// The message handed out last did not reach it.
+    pub fn take_back(&mut self) {
+        self.unconfirmed_bytes -= self.unconfirmed.pop_back().unwrap_or(0);
+    }
+
+    /// Messages that it was handed and has not confirmed, and their bytes.
+    pub fn unconfirmed(&self) -> (usize, usize) {
+        (self.unconfirmed.len(), self.unconfirmed_bytes)
+    }
+
+    /// Messages that subscribers missed; if it has ended, also those that it held.
+    pub fn missed(&self) -> u64 {
+        let held = if self.broken.is_some() { self.unconfirmed.len() as u64 } else { 0 };
+        self.dropped + held
+    }
+}
+
+#[derive(Default)]
+struct Shared {
+    state: Mutex<State>,
+    changed: Condvar,
+    to_child: Mutex<Option<ChildStdin>>,
+    child: Mutex<Option<Child>>,
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Shared {
+    fn state(&self) -> MutexGuard<'_, State> {
+        locked(&self.state)
+    }
+
+    fn read(&self, from: &mut impl Read, domain: u16) -> String {
+        loop {
+            match receive::<Report>(from) {
+                Ok(Some((report, _))) => {
+                    let taken = self.state().take(report, domain);
+                    self.changed.notify_all();
+                    if let Err(reason) = taken {
+                        return reason;
+                    }
+                }
+                Ok(None) => return "the program that publishes has ended".to_owned(),
+                Err(error) => return error.to_string(),
+            }
+        }
+    }
+
+    fn watch_over(&self) {
+        let (mut before, mut silent) = (0, 0);
+        let mut state = self.state();
+        while state.broken.is_none() {
+            let (next, waited) = self.changed.wait_timeout(state, TICK).unwrap_or_else(PoisonError::into_inner);
+            state = next;
+            if !waited.timed_out() && state.reports != before {
+                (before, silent) = (state.reports, 0);
+                continue;
+            }
+            silent = if state.reports == before && waited.timed_out() { silent + 1 } else { silent };
+            before = state.reports;
+            if silent >= SILENT_TICKS {
+                silent = 0;
+                drop(state);
+                self.kill();
+                state = self.state();
+            }
+        }
+    }
+
+    fn kill(&self) {
+        if let Some(child) = locked(&self.child).as_mut() {
+            drop(child.kill());
+        }
+    }
+}
+
+/// A run; the program is ended with it.
+pub struct Run {
+    shared: Arc<Shared>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Run {
+    /// Starts the program.
+    ///
+    /// # Errors
+    /// [`RosError::System`] if it, or a thread for it, does not start.
+    pub fn start(program: &Path, domain: u16) -> Result<Self, RosError> {
+        let (child, to, from) = child::start(program, domain, child::Purpose::Publish)?;
+        let shared = Arc::new(Shared::default());
+        *locked(&shared.child) = Some(child);
+        *locked(&shared.to_child) = Some(to);
+        let mut run = Self { shared: Arc::clone(&shared), threads: Vec::new() };
+        let reading = Arc::clone(&shared);
+        run.keep("ros2 out", move || {
+            let reason = reading.read(&mut BufReader::new(from), domain);
+            reading.state().broken.get_or_insert(reason);
+            reading.changed.notify_all();
+            // Whoever writes to it must not wait for it.
+            reading.kill();
+        })?;
+        run.keep("ros2 out watch", move || shared.watch_over())?;
+        Ok(run)
+    }
+
+    fn keep(&mut self, name: &str, work: impl FnOnce() + Send + 'static) -> Result<(), RosError> {
+        let started = std::thread::Builder::new().name(name.to_owned()).spawn(work);
+        self.threads.push(started.map_err(|error| RosError::system("start a thread for ROS 2", &error))?);
+        Ok(())
+    }
+
+    /// Waits until the state has something, at most for `patience`.
+    ///
+    /// # Errors
+    /// Why the program has ended.
+    pub fn wait<T>(
+        &self,
+        patience: Duration,
+        mut find: impl FnMut(&mut State) -> Option<T>,
+    ) -> Result<Option<T>, String> {
+        let begun = Instant::now();
+        let mut state = self.shared.state();
+        loop {
+            if let Some(found) = find(&mut state) {
+                return Ok(Some(found));
+            }
+            if let Some(reason) = &state.broken {
+                return Err(reason.clone());
+            }
+            let left = patience.saturating_sub(begun.elapsed());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            state = self.shared.changed.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    /// Its input, while there is one.
+    pub fn to_child(&self) -> MutexGuard<'_, Option<ChildStdin>> {
+        locked(&self.shared.to_child)
+    }
+
+    /// Ends it at once.
+    pub fn kill(&self) {
+        self.shared.kill();
+    }
+
+    /// See [`State::hand_out`].
+    pub fn hand_out(&self, size: usize) {
+        self.shared.state().hand_out(size);
+    }
+
+    /// See [`State::take_back`].
+    pub fn take_back(&self) {
+        self.shared.state().take_back();
+    }
+
+    /// See [`State::unconfirmed`].
+    pub fn unconfirmed(&self) -> (usize, usize) {
+        self.shared.state().unconfirmed()
+    }
+
+    /// Whether subscribers have everything.
+    pub fn has_left(&self) -> bool {
+        self.shared.state().left
+    }
+
+    /// Why it has ended, if it has.
+    pub fn broken(&self) -> Option<String> {
+        self.shared.state().broken.clone()
+    }
+
+    /// See [`State::missed`].
+    pub fn missed(&self) -> u64 {
+        self.shared.state().missed()
+    }
+}
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        // The end of its pipe tells it to leave.
+        self.to_child().take();
+        let child = locked(&self.shared.child).take();
+        if let Some(mut child) = child {
+            child::end(&mut child);
+        }
+        self.shared.state().broken.get_or_insert_with(|| "it was ended".to_owned());
+        self.shared.changed.notify_all();
+        for thread in self.threads.drain(..) {
+            drop(thread.join());
+        }
+    }
+}

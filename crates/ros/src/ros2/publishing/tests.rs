@@ -1,0 +1,64 @@
+//! The site's side of publishing in ROS 2, without a network: what reports do, and what a program that is none does.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::PathBuf;
+
+use super::Ros2Publisher;
+use super::run::State;
+use crate::model::ErrorKind;
+use crate::pipe::VERSION;
+use crate::pipe::write::Report;
+use crate::ros::RosError;
+
+#[test]
+fn what_is_confirmed_is_no_longer_waited_for_and_what_was_dropped_is_counted() {
+    let mut state = State::default();
+    for size in [10, 20, 30] {
+        state.hand_out(size);
+    }
+    state.take(Report::Taken { messages: 2, dropped: 1 }, 0).expect("taken");
+    assert_eq!((state.unconfirmed(), state.missed()), ((1, 30), 1));
+    // More than was handed out, and more drops than messages.
+    state.take(Report::Taken { messages: 9, dropped: u32::MAX }, 0).expect("taken");
+    assert_eq!((state.unconfirmed(), state.missed()), ((0, 0), 10));
+}
+
+#[test]
+fn another_release_or_domain_is_refused_and_reasons_are_cleaned() {
+    let mut state = State::default();
+    for (version, domain) in [(VERSION + 1, 5), (VERSION, 6)] {
+        let error = state.take(Report::Hello { version, domain }, 5).expect_err("refused");
+        assert!(error.contains("one release") && !state.joined, "{error}");
+    }
+    state.take(Report::Hello { version: VERSION, domain: 5 }, 5).expect("taken");
+    assert!(state.joined);
+    state.take(Report::Refused { writer: 1, reason: "a\u{1b}[2Jb".into(), occupied: true }, 5).expect("taken");
+    let answer = state.answers.remove(&1).expect("an answer").expect_err("refused");
+    assert!(answer.occupied && !answer.reason.contains('\u{1b}'), "{answer:?}");
+    assert!(state.take(Report::Failed { reason: "x".repeat(9999) }, 5).expect_err("ends").len() <= 410);
+}
+
+fn program(lines: &str) -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("authros-ros2");
+    fs::write(&path, format!("#!/bin/sh\n{lines}\n")).expect("written");
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o700)).expect("allowed");
+    (folder, path)
+}
+
+#[test]
+fn a_program_that_is_missing_or_none_is_told_of() {
+    let missing = Ros2Publisher::start(0, Some("/nowhere/authros-ros2".as_ref())).err().expect("missing");
+    assert!(
+        matches!(missing, RosError::NoReader(_)) && missing.to_string().contains("install the package"),
+        "{missing}"
+    );
+    for lines in ["exit 1", "echo this is no frame at all, but it is long enough"] {
+        let (_folder, path) = program(lines);
+        let error = Ros2Publisher::start(3, Some(&path)).err().expect("it does not join");
+        assert_eq!(error.kind(), ErrorKind::Unreachable, "{error}");
+        assert!(error.to_string().contains("domain 3"), "{error}");
+    }
+}

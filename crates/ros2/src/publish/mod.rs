@@ -1,0 +1,269 @@
+//! Publishing: orders of the site, in their order, to the writers of the domain. A topic that is taken back is gone at
+//! once, with what was queued for it.
+
+mod audience;
+mod queue;
+mod writing;
+
+use std::collections::BTreeMap;
+use std::io::{BufWriter, Read, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::time::{Duration, Instant};
+
+use rustdds::{
+    DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusListener, Publisher, QosPolicies, RTPSEntity,
+};
+
+use self::audience::Audience;
+use self::queue::Queue;
+use self::writing::Writing;
+use crate::pipe::write::{MOST_UNCONFIRMED, Order, Report, Topic};
+use crate::pipe::{VERSION, receive, send};
+use crate::{Ros2Error, capture, threads};
+
+/// The longest wait for an order, and the longest while something waits for subscribers.
+const BEAT: Duration = Duration::from_millis(50);
+const SHORT_BEAT: Duration = Duration::from_millis(1);
+/// Interval between signs of life, and between looks at the threads.
+const ALIVE: Duration = Duration::from_millis(500);
+/// How long is looked around before anything is announced: Fast DDS is found after up to 1.3 s.
+const LOOK_AROUND: Duration = Duration::from_millis(1500);
+/// The longest that a topic waits for its subscribers.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// How long what was written last is given to leave this machine.
+const SENDING: Duration = Duration::from_millis(200);
+/// The most topics announced at once.
+const MOST_WRITERS: usize = 4096;
+
+/// Publishes in `domain` what the site orders, until the orders end or `stop` is set. Leaves the domain on every way out.
+///
+/// # Errors
+/// [`Ros2Error`] if the domain cannot be joined, the pipe breaks or the network threads are gone.
+pub fn run(domain: u16, from: impl Read + Send + 'static, to: impl Write, stop: &AtomicBool) -> Result<(), Ros2Error> {
+    let mut out = BufWriter::new(to);
+    let result = Child::begin(domain, from, &mut out).and_then(|mut child| {
+        let result = child.run(domain, stop);
+        capture::leave_soon();
+        result
+    });
+    if let Err(error) = &result {
+        // If the pipe itself broke, nobody hears it.
+        drop(send(&mut out, &Report::Failed { reason: error.to_string() }, &[]));
+    }
+    drop(out.flush());
+    result
+}
+
+/// A topic that is to be announced.
+struct Wanted {
+    writer: u32,
+    topic: Topic,
+    size: usize,
+    alone: bool,
+    patient: bool,
+}
+
+/// A topic that waits for its subscribers.
+struct Welcome {
+    writer: u32,
+    since: Instant,
+    /// A latched topic needs not wait for the other side.
+    latched: bool,
+}
+
+struct Child<'a, W: Write> {
+    // In drop order.
+    writings: BTreeMap<u32, Writing>,
+    publisher: Publisher,
+    listener: DomainParticipantStatusListener,
+    participant: DomainParticipant,
+    orders: Receiver<Option<(Order, Vec<u8>)>>,
+    joined: Instant,
+    wanted: Vec<Wanted>,
+    welcomes: Vec<Welcome>,
+    audience: Audience,
+    queue: Queue,
+    /// When it was ordered to leave.
+    leaving: Option<Instant>,
+    has_left: bool,
+    out: &'a mut W,
+}
+
+impl<'a, W: Write> Child<'a, W> {
+    fn begin(domain: u16, from: impl Read + Send + 'static, out: &'a mut W) -> Result<Self, Ros2Error> {
+        let join = |error: &dyn std::fmt::Debug| Ros2Error::join(domain, error);
+        let participant = DomainParticipantBuilder::new(domain).build().map_err(|error| join(&error))?;
+        let publisher = participant.create_publisher(&QosPolicies::qos_none()).map_err(|error| join(&error))?;
+        let listener = participant.status_listener();
+        let audience = Audience::new(participant.guid());
+        Ok(Self {
+            writings: BTreeMap::new(),
+            publisher,
+            listener,
+            participant,
+            orders: listen(from)?,
+            joined: Instant::now(),
+            wanted: Vec::new(),
+            welcomes: Vec::new(),
+            audience,
+            queue: Queue::default(),
+            leaving: None,
+            has_left: false,
+            out,
+        })
+    }
+
+    fn run(&mut self, domain: u16, stop: &AtomicBool) -> Result<(), Ros2Error> {
+        send(self.out, &Report::Hello { version: VERSION, domain }, &[])?;
+        let mut alive = None::<Instant>;
+        loop {
+            self.out.flush().map_err(crate::pipe::PipeError::from)?;
+            if !self.take_orders()? || stop.load(Ordering::Acquire) {
+                return Ok(());
+            }
+            while let Some(news) = self.listener.try_recv_status() {
+                self.audience.hear(news);
+            }
+            self.announce()?;
+            self.welcome()?;
+            let taken = self.queue.pump(&mut self.writings, Instant::now());
+            if taken.messages > 0 {
+                send(self.out, &Report::Taken { messages: taken.messages, dropped: taken.dropped }, &[])?;
+            }
+            self.leave()?;
+            if alive.is_none_or(|last| last.elapsed() >= ALIVE) {
+                if !threads::run() {
+                    return Err(Ros2Error::Threads);
+                }
+                send(self.out, &Report::Alive { participants: self.audience.participants() }, &[])?;
+                alive = Some(Instant::now());
+            }
+        }
+    }
+
+    /// Takes all orders that are there; false if there will be no more.
+    fn take_orders(&mut self) -> Result<bool, Ros2Error> {
+        let waits = !self.queue.is_empty() || !self.welcomes.is_empty() || self.leaving.is_some() && !self.has_left;
+        let mut next = match self.orders.recv_timeout(if waits { SHORT_BEAT } else { BEAT }) {
+            Ok(next) => next,
+            Err(RecvTimeoutError::Timeout) => return Ok(true),
+            Err(RecvTimeoutError::Disconnected) => None,
+        };
+        loop {
+            let Some((order, payload)) = next else { return Ok(false) };
+            self.take_order(order, payload)?;
+            next = match self.orders.try_recv() {
+                Ok(next) => next,
+                Err(_) => return Ok(true),
+            };
+        }
+    }
+
+    fn take_order(&mut self, order: Order, payload: Vec<u8>) -> Result<(), Ros2Error> {
+        match order {
+            Order::Advertise { writer, .. } if self.wanted.len() + self.writings.len() >= MOST_WRITERS => {
+                self.refuse(writer, format!("{MOST_WRITERS} publishers are announced already"), false)?;
+            }
+            Order::Advertise { writer, topic, size, alone, patient } => {
+                let size = usize::try_from(size).unwrap_or(usize::MAX);
+                self.wanted.push(Wanted { writer, topic, size, alone, patient });
+            }
+            Order::Publish { writer } => self.queue.push(writer, payload),
+            Order::Withdraw { writer } => {
+                self.queue.forget(writer);
+                self.wanted.retain(|wanted| wanted.writer != writer);
+                self.welcomes.retain(|welcome| welcome.writer != writer);
+                self.writings.remove(&writer);
+            }
+            Order::Outrun => self.queue.outrun(&mut self.writings),
+            Order::Leave => self.leaving = Some(Instant::now()),
+        }
+        Ok(())
+    }
+
+    /// Announces what is wanted, once there was time to look around.
+    fn announce(&mut self) -> Result<(), Ros2Error> {
+        if self.wanted.is_empty() || self.joined.elapsed() < LOOK_AROUND {
+            return Ok(());
+        }
+        for wanted in std::mem::take(&mut self.wanted) {
+            let Wanted { writer, topic, size, alone, patient } = wanted;
+            if alone && let Some(other) = self.audience.rival(&self.participant, &topic.name) {
+                let name = &topic.name;
+                self.refuse(writer, format!("{name} is published by {other} there already"), true)?;
+                continue;
+            }
+            let others = self.writings.values().map(Writing::kept).sum();
+            match Writing::begin((&self.participant, &self.publisher), &topic, (size, others)) {
+                Ok(writing) => {
+                    self.writings.insert(writer, writing);
+                    if patient {
+                        let latched = topic.offer.latched;
+                        self.welcomes.push(Welcome { writer, since: Instant::now(), latched });
+                    } else {
+                        send(self.out, &Report::Ready { writer }, &[])?;
+                    }
+                }
+                Err(reason) => self.refuse(writer, reason, false)?,
+            }
+        }
+        Ok(())
+    }
+
+    fn refuse(&mut self, writer: u32, reason: String, occupied: bool) -> Result<(), Ros2Error> {
+        self.queue.forget(writer);
+        let reason = reason.chars().take(500).collect();
+        send(self.out, &Report::Refused { writer, reason, occupied }, &[])?;
+        Ok(())
+    }
+
+    /// Reports topics whose subscribers have found them.
+    fn welcome(&mut self) -> Result<(), Ros2Error> {
+        if self.welcomes.is_empty() {
+            return Ok(());
+        }
+        let readers = self.participant.discovered_readers();
+        let (audience, writings) = (&self.audience, &self.writings);
+        let is_ready = |welcome: &Welcome| {
+            let Some(writing) = writings.get(&welcome.writer) else { return true };
+            let found = audience.has_found(&readers, writing);
+            let settled = |known: usize| known == 0 || welcome.latched || welcome.since.elapsed() >= SENDING;
+            found.is_some_and(settled) || welcome.since.elapsed() >= PATIENCE
+        };
+        let (ready, waiting): (Vec<Welcome>, Vec<Welcome>) = self.welcomes.drain(..).partition(is_ready);
+        self.welcomes = waiting;
+        for Welcome { writer, .. } in ready {
+            send(self.out, &Report::Ready { writer }, &[])?;
+        }
+        Ok(())
+    }
+
+    /// Reports once when everything has arrived.
+    fn leave(&mut self) -> Result<(), Ros2Error> {
+        let Some(since) = self.leaving.filter(|_| !self.has_left && self.queue.is_empty()) else { return Ok(()) };
+        let last = self.queue.last_written().map_or(since, |last| last.max(since));
+        if last.elapsed() >= SENDING && self.writings.values().all(Writing::is_acknowledged) {
+            self.has_left = true;
+            send(self.out, &Report::Left, &[])?;
+        }
+        Ok(())
+    }
+}
+
+/// Reads orders in a thread of its own; `None` when there will be no more.
+fn listen(mut from: impl Read + Send + 'static) -> Result<Receiver<Option<(Order, Vec<u8>)>>, Ros2Error> {
+    let (sender, receiver) = sync_channel(4 * MOST_UNCONFIRMED);
+    let read = move || {
+        loop {
+            let order = receive::<Order>(&mut from).ok().flatten();
+            let ended = order.is_none();
+            if sender.send(order).is_err() || ended {
+                break;
+            }
+        }
+    };
+    let started = std::thread::Builder::new().name("orders".into()).spawn(read);
+    started.map_err(|error| Ros2Error::system("start a thread", &error))?;
+    Ok(receiver)
+}

@@ -1,0 +1,238 @@
+//! Shared records of ROS 2 in the reader's own domain: what a real DDS subscriber (Eclipse Cyclone DDS with ROS 2's names and
+//! QoS) hears there, and when it ends. All in a network namespace of the test's own.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use crate::support;
+
+use std::fs;
+use std::os::unix::fs::MetadataExt as _;
+use std::process::{Command, Stdio};
+
+use serde_json::Value;
+use support::memory::{found_in, memory_of, secrets_below};
+use support::ros2::{Listener, Network, Talker, network, reader_program};
+use support::{Authros, Home, Running, count, heavy, is_verified, skipped, tell_skipped, wait_until};
+
+const INCOMPLETE: i32 = 8;
+const REFUSED: i32 = 5;
+/// Where the reader plays; the robots are in domain 0.
+const OUT: &str = "7";
+
+/// A site that captures ROS 2 of domain 0, with two profiles.
+struct Plant {
+    home: Home,
+    site: Running,
+    alice: Authros,
+    bob: Authros,
+    bob_address: String,
+}
+
+fn plant(network: &Network, options: &[&str]) -> Plant {
+    let home = Home::new();
+    let site = network.inside(&home.authros().with(&["--ros2", "0"]).with(options)).serve(&home);
+    let (alice, bob) = (home.profile("alice"), home.profile("bob"));
+    alice.enrol();
+    let bob_address = bob.enrol();
+    Plant { home, site, alice, bob, bob_address }
+}
+
+fn figures(played: &Value) -> [u64; 4] {
+    ["published", "refused", "missing", "dropped"].map(|figure| count(played, figure))
+}
+
+/// Waits until so many records of a topic are verified.
+fn expect_verified(alice: &Authros, topic: &str, number: usize) {
+    wait_until(120, "all is verified", || {
+        let records = alice.records(&["uploads", "list", "--topic", topic]);
+        (records.len() == number && records.iter().all(is_verified)).then_some(())
+    });
+}
+
+#[test]
+fn a_real_subscriber_in_the_reader_s_domain_hears_what_the_robot_said() {
+    let _alone = heavy();
+    let network = match network() {
+        Ok(network) => network,
+        Err(reason) => skipped!(reason),
+    };
+    let plant = plant(&network, &[]);
+    // The lengths are no multiples of four, which DDS fills up.
+    let kinds = [
+        ("/words", "string", "300", "300", "37", ""),
+        ("/loose", "string", "300", "300", "121", "best_effort"),
+        ("/camera", "image", "10", "20", "60001", ""),
+    ];
+    let originals = kinds.map(|(topic, kind, .., flag)| Listener::start(&network, "0", &[topic, kind, flag]));
+    for (topic, ..) in kinds {
+        plant.alice.json(&["topics", "watch", topic]);
+    }
+    let talkers = kinds.map(|(topic, kind, number, hertz, size, flag)| {
+        Talker::start(&network, &[topic, kind, number, hertz, size, flag, "readers2"])
+    });
+    for (topic, _, number, ..) in kinds {
+        expect_verified(&plant.alice, topic, number.parse().expect("a number"));
+    }
+    drop(talkers);
+
+    let refused = plant.bob.fails(REFUSED, &["shared", "play", "--ros2", OUT]);
+    assert!(refused.contains("shares"), "without a grant there is nothing to play: {refused}");
+    plant.alice.json(&["grant", &plant.bob_address]);
+    let refused = plant.bob.fails(REFUSED, &["shared", "play", "--ros2", "0"]);
+    assert!(refused.contains("--prefix"), "a loop is refused: {refused}");
+
+    let readers = kinds.map(|(topic, kind, .., flag)| Listener::start(&network, OUT, &[topic, kind, flag]));
+    let played = plant.bob.run(&["--json", "shared", "play", "--ros2", OUT]).expect_code(0).document();
+    assert_eq!((figures(&played), &played["ended_by"]), ([610, 0, 0, 0], &"whole".into()), "{played}");
+    for ((original, reader), (topic, _, number, ..)) in originals.iter().zip(&readers).zip(kinds) {
+        let expected = original.hears(number.parse().expect("a number"), 20);
+        let heard = reader.hears(expected.len(), 20);
+        assert!(heard == expected, "{topic}: the same bytes, header included, in the same order");
+        reader.meets(0, 20);
+    }
+
+    // Somebody else publishes the name there; and the domain that is captured, under a prefix.
+    let _other = Talker::start(&network, &["/words", "string", "1", "1", "20", "latched", "domain7"]);
+    let played = plant.bob.run(&["--json", "shared", "play", "--ros2", OUT]).expect_code(INCOMPLETE).document();
+    assert_eq!(figures(&played), [310, 300, 0, 0], "{played}");
+    assert!(played["reasons"].to_string().contains("published by a cyclonedds publisher there already"), "{played}");
+    let under = Listener::start(&network, "0", &["/shared/alice/words", "string"]);
+    let arguments = ["--json", "shared", "play", "--ros2", "0", "--prefix", "/shared/alice", "--topic", "/words"];
+    let played = plant.bob.run(&arguments).expect_code(0).document();
+    assert_eq!(figures(&played), [300, 0, 0, 0], "{played}");
+    assert!(under.hears(300, 20) == originals[0].heard(), "under the prefix, too");
+}
+
+#[test]
+fn what_is_played_live_into_a_domain_ends_with_the_grant_and_late_subscribers_get_what_was_latched() {
+    let _alone = heavy();
+    let network = match network() {
+        Ok(network) => network,
+        Err(reason) => skipped!(reason),
+    };
+    let plant = plant(&network, &[]);
+    for topic in ["/words", "/tf_static"] {
+        plant.alice.json(&["topics", "watch", topic]);
+    }
+    let original = Listener::start(&network, "0", &["/tf_static", "string", "latched"]);
+    let _latched = Talker::start(&network, &["/tf_static", "string", "1", "1", "50", "latched"]);
+    expect_verified(&plant.alice, "/tf_static", 1);
+    plant.alice.json(&["grant", &plant.bob_address]);
+
+    let reader = Listener::start(&network, OUT, &["/words", "string"]);
+    let player = plant.bob.spawn(&["--json", "shared", "play", "--follow", "--ros2", OUT]);
+    let late = Listener::start(&network, OUT, &["/tf_static", "string", "latched"]);
+    assert_eq!(late.hears(1, 60), original.hears(1, 20));
+    expect_no_key_in(&plant, &player_of(&plant.site));
+
+    let heard = Listener::start(&network, "0", &["/words", "string"]);
+    let talker = Talker::start(&network, &["/words", "string", "200", "100", "60", "readers2"]);
+    assert!(reader.hears(200, 60) == heard.hears(200, 20), "the same bytes in the same order");
+    drop(talker);
+    let later = Listener::start(&network, OUT, &["/tf_static", "string", "latched"]);
+    assert_eq!(later.hears(1, 60), original.heard());
+
+    // The program is started anew, with what was latched.
+    support::process::signal("KILL", &player_of(&plant.site));
+    let anew = Listener::start(&network, OUT, &["/tf_static", "string", "latched"]);
+    assert_eq!(anew.hears(1, 60), original.heard());
+
+    // In the middle of another run of messages.
+    let _running = Talker::start(&network, &["/words", "string", "6000", "50", "60"]);
+    reader.hears(250, 60);
+    let revoked = plant.alice.json(&["revoke", &plant.bob_address]);
+    assert!(revoked["transaction"].is_string(), "{revoked}");
+    let played = player.wait(60).expect_code(REFUSED).document();
+    assert_eq!((&played["ended_by"], count(&played, "refused")), (&"revoked".into(), 0), "{played}");
+    for listener in [&reader, &later, &anew] {
+        listener.meets(0, 20);
+    }
+    // What comes after the revoke is never heard, and nothing is latched any more.
+    let (before, seen) = (reader.heard().len(), plant.alice.records(&["uploads", "list", "--topic", "/words"]).len());
+    wait_until(60, "more is verified", || {
+        let records = plant.alice.records(&["uploads", "list", "--topic", "/words"]);
+        (records.iter().filter(|record| is_verified(record)).count() > seen + 50).then_some(())
+    });
+    assert_eq!(reader.heard().len(), before);
+    assert!(u64::try_from(before).is_ok_and(|before| before <= count(&played, "published")), "{before} {played}");
+}
+
+#[test]
+fn records_of_ros_1_are_not_translated_and_a_missing_program_is_told_of() {
+    let network = match network() {
+        Ok(network) => network,
+        Err(reason) => skipped!(reason),
+    };
+    let home = Home::new();
+    let mut site = network.inside(&home.authros().with(&["--robots", "1"])).serve(&home);
+    let (alice, bob) = (home.profile("alice"), home.profile("bob"));
+    alice.enrol();
+    let bob_address = bob.enrol();
+    alice.json(&["grant", &bob_address]);
+    alice.capture(&["/robot1/odom"], 3);
+    let outcome = bob.run(&["--json", "shared", "play", "--ros2", OUT]).expect_code(INCOMPLETE);
+    let played = outcome.document();
+    assert_eq!((figures(&played), &played["ended_by"]), ([0, 3, 0, 0], &"whole".into()), "{played}");
+    assert!(played["reasons"].to_string().contains("a message of ROS 1 is not translated into ROS 2"), "{played}");
+    let said = bob.run(&["shared", "play", "--ros2", "7", "--to", "http://127.0.0.1:1"]);
+    assert!(said.code != Some(0) && said.stderr.contains("--to"), "{said}");
+
+    site.stop("TERM", 20).expect_code(0);
+    let absent = home.authros().with_variable("AUTHROS_ROS2_PROGRAM", "/nowhere/speaker");
+    let _site = network.inside(&absent).serve(&home);
+    let said = bob.run(&["shared", "play", "--ros2", OUT]);
+    assert!(said.stderr.contains("/nowhere/speaker") && said.stderr.contains("cargo build -p authros-ros2"), "{said}");
+}
+
+/// The process that publishes for a site.
+fn player_of(site: &Running) -> String {
+    let own = |folder: &std::path::Path| -> Option<String> {
+        let stat = fs::read_to_string(folder.join("stat")).ok()?;
+        let (before, after) = stat.rsplit_once(')')?;
+        let parent = after.split_whitespace().nth(1)?;
+        let arguments = fs::read_to_string(folder.join("cmdline")).ok()?;
+        let is_player = before.ends_with("(authros-ros2") && arguments.contains("--publish");
+        (is_player && parent == site.id().to_string()).then(|| before.split(' ').next().unwrap_or_default().to_owned())
+    };
+    let find = || fs::read_dir("/proc").expect("/proc").flatten().find_map(|entry| own(&entry.path()));
+    wait_until(20, "the process that publishes", find)
+}
+
+/// Searches environment, arguments, descriptors and memory of the process that publishes for what only the site may know.
+fn expect_no_key_in(plant: &Plant, process: &str) {
+    let folder = std::path::Path::new("/proc").join(process);
+    let read = |name: &str| fs::read(folder.join(name)).expect("of a process of ours");
+    assert_eq!(read("environ"), b"", "no environment");
+    let arguments = String::from_utf8_lossy(&read("cmdline")).replace('\0', " ");
+    assert!(arguments.ends_with("authros-ros2 --domain 7 --publish "), "{arguments}");
+    let entries = fs::read_dir(folder.join("fd")).expect("descriptors").flatten();
+    let links: Vec<String> =
+        entries.filter_map(|entry| Some(fs::read_link(entry.path()).ok()?.display().to_string())).collect();
+    let own =
+        |link: &String| ["pipe:", "socket:", "anon_inode:", "/dev/null"].iter().any(|kind| link.starts_with(kind));
+    assert!(links.len() > 3 && links.iter().all(own), "{links:?}");
+    // Where the site may choose a user for it, and that one can read the program.
+    let status = String::from_utf8_lossy(&read("status")).into_owned();
+    let user = status.lines().find_map(|line| line.strip_prefix("Uid:")).expect("its user").split_whitespace().next();
+    let own = fs::metadata("/proc/self").expect("Linux").uid();
+    if own == 0 && can_run_as_nobody() {
+        assert_eq!(user, Some("65534"));
+    }
+    let Some(memory) = memory_of(process) else {
+        tell_skipped("expect_no_key_in", "this user may not read the memory of a process of its own");
+        return;
+    };
+    let known = [("a topic that it publishes".to_owned(), b"/tf_static".to_vec())];
+    assert!(!found_in(&memory, &known).is_empty(), "what it does hold is found");
+    let secrets = secrets_below(&plant.home.path());
+    assert!(secrets.len() >= 2 * 6 + 2, "two profiles with passphrase, keys and epochs: {}", secrets.len());
+    assert_eq!(found_in(&memory, &secrets), Vec::<&str>::new());
+}
+
+/// Whether the program may be run by the user who owns nothing, as it is where it is installed.
+fn can_run_as_nobody() -> bool {
+    use std::os::unix::process::CommandExt as _;
+    let Some(program) = reader_program() else { return false };
+    let mut command = Command::new(program);
+    command.gid(65534).uid(65534).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    command.status().is_ok()
+}
