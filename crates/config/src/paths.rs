@@ -210,7 +210,17 @@ impl Home {
         self.root.join("gateway-trust.json")
     }
 
-    /// The transport key of a profile at that gateway, sealed under its keyring.
+    /// What was seen of a further gateway of the fleet that is joined.
+    pub fn gateway_trust_of(&self, gateway: &SignerId) -> PathBuf {
+        self.root.join(format!("gateway-trust-{}.json", short(gateway)))
+    }
+
+    /// The transport key of a profile at such a gateway, sealed under its keyring.
+    pub fn transport_key_at(&self, profile: &ProfileName, gateway: &SignerId) -> PathBuf {
+        self.profile(profile).join(format!("transport-key-{}", short(gateway)))
+    }
+
+    /// The transport key of a profile at the first gateway, sealed under its keyring.
     pub fn transport_key(&self, profile: &ProfileName) -> PathBuf {
         self.profile(profile).join("transport-key")
     }
