@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use directories::ProjectDirs;
 
-use crate::model::{ErrorKind, ProfileName};
+use crate::model::bytes::hex;
+use crate::model::{ErrorKind, ProfileName, SignerId};
 
 /// The name of our folder inside each of the user's folders.
 const FOLDER: &str = "authros";
@@ -250,6 +251,11 @@ impl Home {
         names.sort();
         names
     }
+}
+
+/// The beginning of a gateway's fingerprint, for the name of a file.
+fn short(gateway: &SignerId) -> String {
+    hex(gateway.0.get(..8).unwrap_or_default())
 }
 
 #[cfg(test)]

@@ -8,10 +8,10 @@ use std::sync::Arc;
 use tokio::task::block_in_place;
 
 use crate::crypto::{EpochIssue, IssuedKeys, IssuedTopic, Pseudonyms, SealingKey, filter_key, topic_id, topic_key};
-use crate::model::{ProfileName, SignerId};
+use crate::model::{ProfileName, PublicKey, SignerId, clean};
 use crate::pipeline::{Network, Owner, quarantine, recorder_heads};
 use crate::service::failure::refused;
-use crate::service::reply::Failure;
+use crate::service::reply::{Failure, RobotGatewayView};
 use crate::site::sharing::overdue::earliest_expiry;
 
 /// An enrolled device, as its owner's ledger stores it: no secret.
@@ -29,6 +29,30 @@ pub(crate) struct Enrolled {
     /// Whether it was recalled.
     #[serde(default)]
     pub ended: bool,
+    /// Its public key; none where an earlier version of this program enrolled it.
+    #[serde(default)]
+    pub key: Option<PublicKey>,
+    /// Its gateways, in order; none where an earlier version of this program enrolled it.
+    #[serde(default)]
+    pub gateways: Vec<EnrolledGateway>,
+}
+
+/// A gateway of an enrolled robot.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct EnrolledGateway {
+    /// Host:port.
+    pub address: String,
+    /// SM3 of its identity key.
+    pub key: SignerId,
+    /// Whether it knows the robot, and the robot it.
+    pub known: bool,
+}
+
+impl From<EnrolledGateway> for RobotGatewayView {
+    fn from(gateway: EnrolledGateway) -> Self {
+        let EnrolledGateway { address, key, known } = gateway;
+        Self { address: clean(&address, 255), key, known }
+    }
 }
 
 fn first() -> u8 {

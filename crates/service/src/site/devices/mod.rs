@@ -4,6 +4,7 @@ pub(super) mod enrolled;
 pub(super) mod enrolling;
 #[cfg(test)]
 mod loan_tests;
+mod seat;
 mod telling;
 
 use crate::pipeline::Plant;
