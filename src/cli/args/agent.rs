@@ -21,7 +21,7 @@ pub struct EnrolArguments {
     #[arg(long = "gateway", value_name = "HOST:PORT", required = true)]
     pub gateways: Vec<String>,
     /// The gateway's fingerprint (64 hex), as its operator shows it; one for each gateway, in the same order
-    #[arg(long = "gateway-key", value_name = "FINGERPRINT", group = "trust")]
+    #[arg(id = "gateway_key", long = "gateway-key", value_name = "FINGERPRINT", group = "trust")]
     pub gateway_keys: Vec<String>,
     /// Pin whatever gateway answers; compare the fingerprint afterwards
     #[arg(long, group = "trust")]

@@ -11,6 +11,7 @@ use super::chain::administration::Administering;
 use super::chain::connection::Connection;
 use super::chain::lanes::Lanes;
 use super::clock::Clock;
+use super::devices::Devices;
 use super::evidence::TimeStamps;
 use super::mirror::Joined;
 use super::quarantine::Quarantine;
@@ -202,6 +203,9 @@ impl Site {
             let work = move |lanes: Arc<Lanes>| lanes.keep_witnesses(Arc::clone(&given));
             self.parts.supervisor.keep_while(&format!("witnesses {name}"), &self.lanes, while_open(self, owner), work);
         }
+        let given = Arc::clone(owner);
+        let work = move |devices: Arc<Devices>| devices.keep_attending(Arc::clone(&given));
+        self.parts.supervisor.keep_while(&format!("courier {name}"), &self.devices, while_open(self, owner), work);
         for place in 0..self.joined.gateways() {
             let given = Arc::clone(owner);
             let work = move |joined: Arc<Joined>| joined.mirror(Arc::clone(&given), place);

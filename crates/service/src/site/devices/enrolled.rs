@@ -129,6 +129,18 @@ impl Enrolments {
         self.write(owner, &all)
     }
 
+    /// Changes what is noted of a device.
+    pub(super) fn change(
+        &self,
+        owner: &Owner,
+        device: SignerId,
+        change: impl Fn(&mut Enrolled),
+    ) -> Result<(), Failure> {
+        let mut all = self.of(owner)?;
+        all.iter_mut().filter(|enrolled| enrolled.device == device).for_each(change);
+        self.write(owner, &all)
+    }
+
     pub(super) fn write(&self, owner: &Owner, all: &[Enrolled]) -> Result<(), Failure> {
         let text = serde_json::to_string(all).unwrap_or_default();
         Ok(block_in_place(|| self.plant.ledger.put_setting(&place(owner), &text))?)

@@ -79,7 +79,7 @@ impl Enrolments {
         Ok(self.plant.ledger.put_setting(&place(owner, device), &summary(keys))?)
     }
 
-    fn seal_notice(
+    pub(super) fn seal_notice(
         &self,
         owner: &Owner,
         network: &Network,
