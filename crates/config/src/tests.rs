@@ -59,7 +59,8 @@ fn a_remote_site_is_an_address_and_whom_to_trust() {
     let named = site(&text).expect("file").expect("a site");
     assert_eq!((named.address.as_str(), named.trust_first), ("gate.example:4222", false));
     assert_eq!(named.gateway_key, Some(SignerId([0xab; 32])));
-    let also = |text: &str| site(&format!("[site]\naddress = \"gate:1\"\ngateway_key = \"{key}\"\nalso = \"{text}\"\n"));
+    let also =
+        |text: &str| site(&format!("[site]\naddress = \"gate:1\"\ngateway_key = \"{key}\"\nalso = \"{text}\"\n"));
     let (one, two) = ("01".repeat(32), "02".repeat(32));
     let named = also(&format!("b.example:1={one}, [::1]:2={two}")).expect("file").expect("a site");
     let keys: Vec<_> = named.also.iter().map(|other| (other.address.as_str(), other.key.0[0])).collect();

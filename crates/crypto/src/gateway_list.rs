@@ -134,7 +134,11 @@ fn encoded(gateways: &[ListedGateway]) -> Zeroizing<Vec<u8>> {
 }
 
 fn signed_hash(domain: &Domain, owner: &Address, device: &SignerId, gateways: &[ListedGateway]) -> [u8; 32] {
-    TypedStructure::new(TYPE).address(owner).word(&device.0).word(&keccak256(&[&encoded(gateways)])).signing_hash(domain)
+    TypedStructure::new(TYPE)
+        .address(owner)
+        .word(&device.0)
+        .word(&keccak256(&[&encoded(gateways)]))
+        .signing_hash(domain)
 }
 
 #[cfg(test)]

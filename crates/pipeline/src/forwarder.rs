@@ -171,8 +171,7 @@ impl Robot {
             let fingerprint = access.fingerprint;
             let trust_file = if number == place { first.clone() } else { self.note_of(&fingerprint) };
             let (trust, address) = (trust_in(&trust_file, fingerprint)?, access.address.clone());
-            let credentials =
-                Credentials { name: self.name.clone(), key: access.transport.clone(), token: self.token };
+            let credentials = Credentials { name: self.name.clone(), key: access.transport.clone(), token: self.token };
             let endpoint = Endpoint { address, context: self.context, patience };
             Ok(Gate { fingerprint, endpoint, credentials, trust, trust_file })
         };

@@ -10,7 +10,9 @@ use async_trait::async_trait;
 use tokio::sync::watch;
 use tokio::task::block_in_place;
 
-use crate::crypto::{Anchor, Expected, Fingerprint, GatewayAccess, IssuedKeys, Notice, Provider, SealedEnrolment, notice_topic, open};
+use crate::crypto::{
+    Anchor, Expected, Fingerprint, GatewayAccess, IssuedKeys, Notice, Provider, SealedEnrolment, notice_topic, open,
+};
 use crate::gateway::{Client, Entry, Fetched, GatewayError, Query, Selection};
 use crate::model::{Header, RecordKind, Timestamp, clean};
 

@@ -37,9 +37,10 @@ use crate::chain::Revision;
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 use crate::service::reply::{
     AdministrationView, AuditCheck, AuditView, CaptureSummary, ChainView, CheckView, CompareView, ContactRow,
-    CoverageView, DecidedView, DeployedView, DeviceGatewaysView, DeviceRow, DeviceTopicsView, EnrolledView, EvidenceView, ExportedFile,
-    GatewayView, GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PinsView, PlayedView, PolicyView,
-    Provenance, QuarantineView, RecordPage, ServedView, SiteView, StampView, TopicRow, TransactionView,
+    CoverageView, DecidedView, DeployedView, DeviceGatewaysView, DeviceRow, DeviceTopicsView, EnrolledView,
+    EvidenceView, ExportedFile, GatewayView, GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PinsView,
+    PlayedView, PolicyView, Provenance, QuarantineView, RecordPage, ServedView, SiteView, StampView, TopicRow,
+    TransactionView,
 };
 pub use crate::store::AuditQuery;
 

@@ -154,9 +154,8 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn placed_counts(&self) -> Result<BTreeMap<SignerId, u64>, StoreError> {
         self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT id, count(*) FROM placed JOIN gateways ON key = gateway GROUP BY gateway",
-            )?;
+            let mut statement = connection
+                .prepare_cached("SELECT id, count(*) FROM placed JOIN gateways ON key = gateway GROUP BY gateway")?;
             let found = statement.query_map([], |row| Ok((SignerId(row.get(0)?), rows::unsigned(row, 1)?)))?;
             Ok(found.collect::<Result<_, _>>()?)
         })

@@ -67,7 +67,9 @@ impl Devices {
 
     /// Attends to an owner's robots until the owner is closed or the site ends.
     pub(in crate::site) async fn keep_attending(self: Arc<Self>, owner: Arc<Owner>) {
+        let mut sealed = self.enrolments.sealed.subscribe();
         while !self.life.is_stopping() && self.owners.is_open(&owner) {
+            sealed.mark_unchanged();
             let mut left = true;
             if let Some(network) = self.link.network_now().filter(|_| !owner.is_locked()) {
                 left = match self.attend(&owner, &network).await {
@@ -81,8 +83,8 @@ impl Devices {
             let pause = if left { PAUSES.0 } else { PAUSES.1 };
             tokio::select! {
                 () = tokio::time::sleep(pause) => {}
-                // A notice may have been sealed.
-                () = self.hub.stored.notified(), if !left => tokio::time::sleep(Duration::from_secs(1)).await,
+                // An error cannot be: the sender is in the enrolments.
+                _ = sealed.changed() => {}
                 () = self.life.stopped() => return,
             }
         }

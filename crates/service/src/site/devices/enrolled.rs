@@ -5,6 +5,7 @@ use crate::service::hub::Hub;
 use crate::site::parts::Parts;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+use tokio::sync::watch;
 use tokio::task::block_in_place;
 
 use crate::crypto::{EpochIssue, IssuedKeys, IssuedTopic, Pseudonyms, SealingKey, filter_key, topic_id, topic_key};
@@ -63,13 +64,15 @@ fn first() -> u8 {
 pub(in crate::site) struct Enrolments {
     pub(super) plant: Plant,
     pub(super) hub: Arc<Hub>,
+    /// Changes whenever a notice was sealed.
+    pub(super) sealed: watch::Sender<()>,
 }
 
 impl Enrolments {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         let Parts { plant, hub, .. } = parts.clone();
-        Self { plant, hub }
+        Self { plant, hub, sealed: watch::channel(()).0 }
     }
 }
 

@@ -187,5 +187,12 @@ fn enrolled_view(enrolled: Enrolled, file: SecretBytes) -> Result<EnrolledView, 
     let used = gateways.iter().find(|gateway| gateway.known);
     let used = used.ok_or_else(|| refused("no gateway was told of the device"))?;
     let (gateway, gateway_key) = (clean(&used.address, 255), used.key);
-    Ok(EnrolledView { name, device, gateway, gateway_key, gateways: gateways.into_iter().map(Into::into).collect(), file })
+    Ok(EnrolledView {
+        name,
+        device,
+        gateway,
+        gateway_key,
+        gateways: gateways.into_iter().map(Into::into).collect(),
+        file,
+    })
 }

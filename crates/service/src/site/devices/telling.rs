@@ -97,7 +97,9 @@ impl Enrolments {
             topic_key: &notice_key(&owner.eoa(), &network.domain, &device.device),
         };
         let statement = Statement { kind: RecordKind::Key, topic: &name, type_name: TYPE, body: &body };
-        Ok(statement::put(&self.plant, &speaker, statement, |row| self.plant.ledger.append(vec![row]))?)
+        statement::put(&self.plant, &speaker, statement, |row| self.plant.ledger.append(vec![row]))?;
+        self.sealed.send_replace(());
+        Ok(())
     }
 }
 

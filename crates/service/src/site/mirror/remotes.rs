@@ -133,7 +133,8 @@ impl Joined {
                 Some(Err(failure)) => failed = failed.or(Some(failure)),
                 None => {
                     let address = remote.address();
-                    let text = format!("the records of the gateway {address} are still coming in; ask again in a while");
+                    let text =
+                        format!("the records of the gateway {address} are still coming in; ask again in a while");
                     return Err(Failure::new(ErrorKind::Incomplete, text));
                 }
             }
