@@ -26,6 +26,7 @@ mod contacts;
 mod demo;
 mod evidence;
 mod faults;
+mod fleet;
 mod fleet_metrics;
 mod gateway;
 mod identity;
