@@ -7,9 +7,7 @@ use crate::model::wire::{Reader, WireError, put_text};
 use crate::model::{Address, Domain, SignerId};
 
 use super::enrolment::{GatewayAccess, LONGEST_GATEWAY, MOST_GATEWAYS};
-use super::{
-    AccountSignature, CryptoError, EoaSecret, TransportKey, TypedStructure, keccak256, recover_account, sign_hash,
-};
+use super::{AccountSignature, CryptoError, EoaSecret, TransportKey, TypedStructure, recover_account, sign_hash};
 
 /// The EIP-712 type that the account signs.
 const TYPE: &str = "Gateways(address owner,bytes32 device,bytes gateways)";
@@ -134,11 +132,7 @@ fn encoded(gateways: &[ListedGateway]) -> Zeroizing<Vec<u8>> {
 }
 
 fn signed_hash(domain: &Domain, owner: &Address, device: &SignerId, gateways: &[ListedGateway]) -> [u8; 32] {
-    TypedStructure::new(TYPE)
-        .address(owner)
-        .word(&device.0)
-        .word(&keccak256(&[&encoded(gateways)]))
-        .signing_hash(domain)
+    TypedStructure::new(TYPE).address(owner).word(&device.0).bytes(&encoded(gateways)).signing_hash(domain)
 }
 
 #[cfg(test)]
