@@ -4,7 +4,7 @@ use crate::pipeline::Plant;
 use crate::service::hub::Hub;
 use crate::site::parts::Parts;
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::watch;
 use tokio::task::block_in_place;
 
@@ -66,13 +66,17 @@ pub(in crate::site) struct Enrolments {
     pub(super) hub: Arc<Hub>,
     /// Changes whenever a notice was sealed.
     pub(super) sealed: watch::Sender<()>,
+    /// Notices are numbered one at a time.
+    pub(super) sealing: Mutex<()>,
+    /// What is noted is changed one change at a time.
+    noting: Mutex<()>,
 }
 
 impl Enrolments {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         let Parts { plant, hub, .. } = parts.clone();
-        Self { plant, hub, sealed: watch::channel(()).0 }
+        Self { plant, hub, sealed: watch::channel(()).0, sealing: Mutex::default(), noting: Mutex::default() }
     }
 }
 
@@ -120,6 +124,7 @@ impl Enrolments {
     }
 
     pub(super) fn add(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
+        let _alone = self.noting.lock().unwrap_or_else(PoisonError::into_inner);
         let mut all = self.of(owner)?;
         all.push(enrolled);
         self.write(owner, &all)
@@ -127,9 +132,7 @@ impl Enrolments {
 
     /// Notes that a device was recalled.
     pub(in crate::site) fn note_recalled(&self, owner: &Owner, device: SignerId) -> Result<(), Failure> {
-        let mut all = self.of(owner)?;
-        all.iter_mut().filter(|enrolled| enrolled.device == device).for_each(|enrolled| enrolled.ended = true);
-        self.write(owner, &all)
+        self.change(owner, device, |enrolled| enrolled.ended = true)
     }
 
     /// Changes what is noted of a device.
@@ -139,12 +142,13 @@ impl Enrolments {
         device: SignerId,
         change: impl Fn(&mut Enrolled),
     ) -> Result<(), Failure> {
+        let _alone = self.noting.lock().unwrap_or_else(PoisonError::into_inner);
         let mut all = self.of(owner)?;
         all.iter_mut().filter(|enrolled| enrolled.device == device).for_each(change);
         self.write(owner, &all)
     }
 
-    pub(super) fn write(&self, owner: &Owner, all: &[Enrolled]) -> Result<(), Failure> {
+    fn write(&self, owner: &Owner, all: &[Enrolled]) -> Result<(), Failure> {
         let text = serde_json::to_string(all).unwrap_or_default();
         Ok(block_in_place(|| self.plant.ledger.put_setting(&place(owner), &text))?)
     }

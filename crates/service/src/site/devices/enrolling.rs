@@ -121,9 +121,8 @@ impl Devices {
     ) -> Result<DeviceTopicsView, Failure> {
         let network = self.link.network().await?;
         let device = self.lent_device(&network, owner, device)?;
-        let mut all = self.enrolments.of(owner)?;
-        let enrolled = all.iter_mut().rfind(|enrolled| enrolled.device == device);
-        let enrolled = enrolled.ok_or_else(|| {
+        let found = self.enrolments.of(owner)?.into_iter().rfind(|enrolled| enrolled.device == device);
+        let mut enrolled = found.ok_or_else(|| {
             refused(format!("device {device} was not enrolled from this home, so its topics are not known here"))
         })?;
         if enrolled.topics.is_empty() {
@@ -141,9 +140,8 @@ impl Devices {
         if enrolled.topics.len() > MOST_NAMED {
             return Err(input(TOO_MANY));
         }
-        let enrolled = enrolled.clone();
         self.log.begin(owner, "device topics", &format!("{device}: {}", added.join(" "))).await?;
-        self.enrolments.write(owner, &all)?;
+        self.enrolments.change(owner, device, |noted| noted.topics.clone_from(&enrolled.topics))?;
         block_in_place(|| self.enrolments.tell_devices(owner, &network))?;
         Ok(DeviceTopicsView { name: enrolled.name, device, added, topics: enrolled.topics })
     }

@@ -1,5 +1,7 @@
 //! The owner's side of notices: when what an enrolled robot should seal under has changed, it gets a record of its own.
 
+use std::sync::PoisonError;
+
 use super::enrolled::Enrolled;
 use super::enrolled::Enrolments;
 use crate::crypto::{IssuedKeys, Notice, OwnerKeyChange, notice_key, notice_topic};
@@ -87,6 +89,7 @@ impl Enrolments {
         epoch: u64,
         notice: &Notice,
     ) -> Result<(), Failure> {
+        let _alone = self.sealing.lock().unwrap_or_else(PoisonError::into_inner);
         let (name, body) = (notice_topic(&device.device), notice.encode());
         let speaker = Speaker {
             domain: network.domain,
