@@ -26,9 +26,9 @@ pub use ledger::{
     CoverageQuery, EarlierAnchor, FilterChoice, Foreign, GapRow, Glance, HeldMinute, HeldQuery, HeldRow, Hold,
     IncidentNote, IncidentRow, IncidentSpan, KeptBinding, KeptEnvelope, KeptEvent, KeptReceipt, KeptRight, KeptStamp,
     KeptStanding, KeptTopic, LaneCount, LastSeen, Ledger, Left, Loss, NewBatch, NewRecord, NewTransaction, OldRecord,
-    OpenTransaction, PinRow, RecordPage, RecordQuery, RecordRow, RecordsHeld, Reissue, Retained, RightEvent, RightKind,
-    RootSighting, Sequence, Sighting, SpanCoverage, StampCounts, StandingRights, StateCounts, TopicCounts,
-    TransactionOutcome, TransactionRow, TransactionState, WaitingBatch, WaitingSigner,
+    OpenTransaction, OverduePlace, PinRow, PlacedPage, RecordPage, RecordQuery, RecordRow, RecordsHeld, Reissue,
+    Retained, RightEvent, RightKind, RootSighting, Sequence, Sighting, SpanCoverage, StampCounts, StandingRights,
+    StateCounts, TopicCounts, TransactionOutcome, TransactionRow, TransactionState, WaitingBatch, WaitingSigner,
 };
 pub use reserve::{RESERVE_BYTES, Reserve};
 pub use vault::{Stored, Usage, Vault, open_vault};
