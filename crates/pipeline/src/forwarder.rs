@@ -351,10 +351,12 @@ impl Forwarder {
 
 /// Waits until the owner has sent another list of gateways.
 async fn changed(told: &mut Option<watch::Receiver<Vec<GatewayAccess>>>) {
-    match told {
-        Some(told) if told.changed().await.is_ok() => {}
-        _ => std::future::pending().await,
+    if let Some(told) = told
+        && told.changed().await.is_ok()
+    {
+        return;
     }
+    std::future::pending().await
 }
 
 /// Whether a refusal concerns the record itself, so that others may pass.
