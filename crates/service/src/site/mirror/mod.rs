@@ -95,11 +95,6 @@ impl Joined {
 }
 
 impl Joined {
-    /// Whether this site joins another one.
-    pub fn is_joined(&self) -> bool {
-        self.remotes.is_some()
-    }
-
     /// How many gateways this site joins.
     pub fn gateways(&self) -> usize {
         self.remotes.as_ref().map_or(0, |remotes| remotes.all().len())
