@@ -40,9 +40,8 @@ pub(super) struct Line {
     on_duty: bool,
     /// When the gateway last answered.
     heard: Instant,
-    /// Whether records of other gateways wait for this one, and when that was looked up.
-    pub overdue: bool,
-    pub looked: Option<Instant>,
+    /// When it was last looked whether records of other gateways wait for this one, and whether any did.
+    pub overdue: Option<(Instant, bool)>,
     /// How many of them are sent one by one, because one is refused.
     pub singly: usize,
 }
@@ -61,8 +60,7 @@ impl Line {
             moved: false,
             on_duty: false,
             heard: Instant::now(),
-            overdue: false,
-            looked: None,
+            overdue: None,
             singly: 0,
         }
     }

@@ -23,12 +23,13 @@ impl Line {
             return false;
         }
         let every = (self.outbox.resend_after / 4).max(self.outbox.pace.check).min(LONGEST_LOOK);
-        if self.looked.is_none_or(|at| at.elapsed() >= every) {
-            self.looked = Some(Instant::now());
-            // If the ledger cannot be read, whoever writes to it says so.
-            self.overdue = block_in_place(|| self.overdue_here()).map(|found| !found.is_empty()).unwrap_or(false);
+        if let Some((_, any)) = self.overdue.filter(|(looked, _)| looked.elapsed() < every) {
+            return any;
         }
-        self.overdue
+        // If the ledger cannot be read, whoever writes to it says so.
+        let any = block_in_place(|| self.overdue_here()).is_ok_and(|found| !found.is_empty());
+        self.overdue = Some((Instant::now(), any));
+        any
     }
 
     /// The records that are to come here next.
@@ -61,7 +62,7 @@ impl Line {
         })?;
         let (digests, uploads): (Vec<Digest>, Vec<Upload>) = window.into_iter().unzip();
         let Some(first) = digests.first() else {
-            self.overdue = false;
+            self.overdue = Some((Instant::now(), false));
             return Ok(0);
         };
         let (count, address) = (digests.len(), &self.gate.endpoint.address);
