@@ -84,11 +84,11 @@ impl Line {
         }
     }
 
-    /// Waits until this gateway is wanted.
+    /// Waits until this gateway is wanted. One that was away counts as there again after a while: nobody knows better.
     async fn rest(&mut self) {
-        let mut conditions = self.roster.follow();
+        let (mut conditions, begun) = (self.roster.follow(), Instant::now());
         while !self.is_wanted() {
-            if !self.roster.is_away(self.place) {
+            if !self.roster.is_away(self.place) || begun.elapsed() >= self.outbox.pace.longest_pause * 2 {
                 self.roster.set(self.place, Condition::Resting);
             }
             tokio::select! {

@@ -123,6 +123,21 @@ async fn a_receipt_of_a_gateway_that_never_comes_back_is_not_the_end() {
     scene.until_state(RecordState::Verified, 23).await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_gateway_that_was_away_is_tried_again_for_what_another_does_not_prove() {
+    let mut scene = Scene::new().await;
+    let second = Second::beside(&scene).await;
+    let there = second.stage.server.address();
+    second.relay.lead_to(nowhere().await);
+    let list = [scene.access(), second.access()];
+    let work = start(&scene, scene.forwarder_to(&list).resending_after(Duration::from_millis(200)));
+    scene.capture(10, 100);
+    scene.until("the next one was tried", |scene| scene.notes.with("does not take records") > 0).await;
+    assert_eq!((scene.at_gateway(), second.holds(), work.link.borrow().clone()), (10, 0, Link::Up));
+    second.relay.lead_to(there);
+    scene.until("it is tried again", |_| second.holds() == 10).await;
+}
+
 fn enrolment(scene: &Scene) -> Enrolment {
     let key = SealingKey::Epoch(EpochKey::new([1; 32]));
     let issue = EpochIssue { epoch: 1, token: Token([9; 32]), ends: None, key };
