@@ -68,8 +68,8 @@ impl Ledger {
         })
     }
 
-    /// Submitted records whose latest receipt was taken before a time, and which fewer than `most` gateways signed for;
-    /// oldest receipts first.
+    /// Submitted records whose latest receipt was taken before a time, and which fewer than `most` gateways signed for,
+    /// in the order of this ledger.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
@@ -79,7 +79,7 @@ impl Ledger {
         self.read(|connection| {
             let mut late = connection.prepare_cached(
                 "SELECT digest, record FROM placed JOIN records ON n = record WHERE state = ?1
-                 GROUP BY record HAVING max(at) < ?2 AND count(*) < ?3 ORDER BY max(at), record LIMIT ?4",
+                 GROUP BY record HAVING max(at) < ?2 AND count(*) < ?3 ORDER BY record LIMIT ?4",
             )?;
             let mut holders = connection.prepare_cached(
                 "SELECT id FROM placed JOIN gateways ON key = gateway WHERE record = ?1 ORDER BY at DESC, gateway",
