@@ -10,7 +10,7 @@ use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
 use crate::crypto::{ProviderName, SmKeyPair, provider, signer_id};
 use crate::model::{ErrorKind, PublicKey, SignerId, Timestamp, bytes::unhex};
 use crate::service::Failure;
-use crate::service::command::{AddDeviceTopics, LendDevice, ListDevices, RecallDevice};
+use crate::service::command::{AddDeviceGateway, AddDeviceTopics, LendDevice, ListDevices, RecallDevice};
 use crate::service::reply::DeviceRow;
 use authros_output::table;
 
@@ -38,6 +38,9 @@ pub enum DevicesVerb {
     /// What an enrolled robot may record
     #[command(subcommand)]
     Topics(TopicsVerb),
+    /// Which gateways an enrolled robot may use
+    #[command(subcommand)]
+    Gateways(GatewaysVerb),
     /// Devices lent, and those recalled
     List,
 }
@@ -56,6 +59,23 @@ pub enum TopicsVerb {
     },
 }
 
+/// `devices gateways …`
+#[derive(Debug, Subcommand)]
+pub enum GatewaysVerb {
+    /// Give a robot a further gateway; it takes it up by itself
+    Add {
+        /// Name of the robot, or the device's id, its beginning, or its fingerprint
+        #[arg(value_name = "DEVICE")]
+        device: String,
+        /// The gateway
+        #[arg(value_name = "HOST:PORT")]
+        address: String,
+        /// The gateway's fingerprint (64 hex), as its operator shows it
+        #[arg(value_name = "FINGERPRINT")]
+        key: String,
+    },
+}
+
 /// The command for a verb.
 ///
 /// # Errors
@@ -68,6 +88,10 @@ pub fn question(verb: &DevicesVerb) -> Result<Question, Failure> {
         DevicesVerb::Recall { device } => RecallDevice { device: device.clone() }.into(),
         DevicesVerb::Topics(TopicsVerb::Add { device, topics }) => {
             AddDeviceTopics { device: device.clone(), topics: parse::values(topics)? }.into()
+        }
+        DevicesVerb::Gateways(GatewaysVerb::Add { device, address, key }) => {
+            let (device, address) = (device.clone(), address.clone());
+            AddDeviceGateway { device, address, key: parse::fingerprint(key)? }.into()
         }
         DevicesVerb::List => ListDevices.into(),
     })

@@ -9,7 +9,7 @@ use super::args::{AgentVerb, EnrolArguments, Global, RunArguments};
 use super::connect::{Context, ProfileNeed};
 use super::{parse, passphrase};
 use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, private_file};
-use crate::model::ErrorKind;
+use crate::model::{ErrorKind, SignerId};
 use crate::service::command::EnrolDevice;
 use crate::service::{Agent, AgentEnd, AgentFigures, AgentWishes, EnrolWishes, Failure, Needs, SecretText, Site};
 use crate::store::TopicCounts;
@@ -40,9 +40,11 @@ async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> 
         Some(file) => passphrase::from_file(file)?,
         None => SecretText::new(Passphrase::random()?.expose().to_owned()),
     };
+    let (gateway, fingerprint, further) = gateways(&arguments.gateways, &arguments.gateway_keys)?;
     let wishes = EnrolWishes {
-        gateway: arguments.gateway,
-        fingerprint: arguments.gateway_key.as_deref().map(parse::fingerprint).transpose()?,
+        gateway,
+        fingerprint,
+        further,
         name: parse::value(&arguments.name)?,
         topics: parse::values(&arguments.topics)?,
         all_topics: arguments.all_topics,
@@ -65,8 +67,12 @@ async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> 
     }
     let document = serde_json::json!({
         "name": view.name, "device": view.device, "gateway": view.gateway, "gateway_key": view.gateway_key,
+        "gateways": view.gateways,
         "file": out.display().to_string(),
     });
+    for away in view.gateways.iter().filter(|gateway| !gateway.known) {
+        output.note(&format!("the gateway {} is away; it and the robot are told when it is back", away.address));
+    }
     output.result(&document, || {
         format!(
             "robot '{}' enrolled: device {}, gateway {} with fingerprint {}\nits enrolment is {}; start it with `authros agent run`",
@@ -78,6 +84,23 @@ async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> 
         )
     });
     Ok(0)
+}
+
+type Gateways = (String, Option<SignerId>, Vec<(String, SignerId)>);
+
+/// The first gateway, with its key if one is given, and the further ones with theirs.
+fn gateways(addresses: &[String], keys: &[String]) -> Result<Gateways, Failure> {
+    let keys = keys.iter().map(|key| parse::fingerprint(key)).collect::<Result<Vec<_>, _>>()?;
+    let (Some((first, further)), true) = (addresses.split_first(), keys.is_empty() || keys.len() == addresses.len())
+    else {
+        return Err(Failure::new(ErrorKind::Usage, "give one --gateway-key for each --gateway, in the same order"));
+    };
+    if keys.is_empty() && !further.is_empty() {
+        let why = "of several gateways each is named with its key: give a --gateway-key for each --gateway";
+        return Err(Failure::new(ErrorKind::Usage, why));
+    }
+    let further = further.iter().cloned().zip(keys.iter().skip(1).copied()).collect();
+    Ok((first.clone(), keys.first().copied(), further))
 }
 
 fn beside(enrolment: &Path) -> PathBuf {

@@ -78,7 +78,7 @@ pub enum Verb {
     /// Records shared with this profile: list, check, open, export, play
     #[command(subcommand)]
     Shared(SharedVerb),
-    /// Devices that may sign: lend, recall, topics, list
+    /// Devices that may sign: lend, recall, topics, gateways, list
     #[command(subcommand)]
     Devices(super::adopt::DevicesVerb),
     /// A robot's side: enrol it, capture on it and pass on to a gateway

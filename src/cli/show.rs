@@ -11,10 +11,10 @@ use crate::model::ErrorKind;
 use crate::service::command::{Ask, Command, SecretBytes};
 use crate::service::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, Answer, AuditCheck, AuditView, BackupView, ChainView,
-    CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceRow, DeviceTopicsView,
-    ExportedFile, GatewayStatusView, GrantRow, IdentityView, IncidentView, KeyChangeView, KeysView, OpenedView,
-    PathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, Reply, TopicRow,
-    TransactionView, WitnessView, WitnessesView,
+    CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceGatewaysView, DeviceRow,
+    DeviceTopicsView, ExportedFile, GatewayStatusView, GrantRow, IdentityView, IncidentView, KeyChangeView, KeysView,
+    OpenedView, PathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, Reply,
+    RobotGatewayView, TopicRow, TransactionView, WitnessView, WitnessesView,
 };
 use crate::service::{Client, Failure};
 use authros_output::Output;
@@ -118,6 +118,7 @@ documents! {
     DecidedView => decided;
     PathView => viewing::path;
     CoverageView => coverage::strip;
+    DeviceGatewaysView => device_gateways;
     DeviceTopicsView => device_topics;
     IncidentView => incidents::incident;
     WitnessesView => witnesses::status;
@@ -236,6 +237,15 @@ fn decided(view: &DecidedView) -> String {
 fn device_topics(view: &DeviceTopicsView) -> String {
     let (added, topics) = (view.added.join(", "), view.topics.join(", "));
     format!("'{}' is sent the keys of {added}; it covers {topics}", view.name)
+}
+
+fn device_gateways(view: &DeviceGatewaysView) -> String {
+    let gateway = |gateway: &RobotGatewayView| match gateway.known {
+        true => gateway.address.clone(),
+        false => format!("{} (away; told when it is back)", gateway.address),
+    };
+    let gateways: Vec<String> = view.gateways.iter().map(gateway).collect();
+    format!("'{}' uses the first that answers of {}", view.name, gateways.join(", "))
 }
 
 fn not_written(path: &Path, error: &std::io::Error) -> Failure {

@@ -28,6 +28,7 @@ mod contacts;
 mod demo;
 mod evidence;
 mod faults;
+mod fleet;
 mod fleet_metrics;
 mod foreign_proofs;
 mod gateway;

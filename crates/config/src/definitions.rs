@@ -126,6 +126,13 @@ pub const DEFINITIONS: &[Definition] = &[
                time as 0s, 12h, 30d; below half more than disk.reserve it is given up earlier, oldest first",
     },
     Definition {
+        name: "resend.after",
+        variable: "AUTHROS_RESEND_AFTER",
+        default: "10m",
+        text: "a record that a gateway signed for and has not proven for so long goes from the robot to its next gateway \
+               too: a time as 30s, 10m, 1h",
+    },
+    Definition {
         name: "retention",
         variable: "AUTHROS_RETENTION",
         default: "",
@@ -328,6 +335,13 @@ pub const DEFINITIONS: &[Definition] = &[
         variable: "AUTHROS_TRUST_FIRST",
         default: "no",
         text: "yes = pin whatever gateway answers the first time",
+    },
+    Definition {
+        name: "site.also",
+        variable: "AUTHROS_SITE_ALSO",
+        default: "",
+        text: "further gateways of the fleet joined, in order: HOST:PORT=KEY, separated by commas; the chain comes through the \
+               first that answers, records from all",
     },
     Definition {
         name: "console.theme",

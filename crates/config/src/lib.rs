@@ -29,7 +29,7 @@ pub use self::definitions::{DEFINITIONS, Definition};
 pub use self::error::ConfigError;
 pub use self::metrics::{FiguresPlace, MetricsSettings};
 pub use self::read::without_password;
-use self::read::{Values, bytes, find, number, parsed, read_file, span, switch, url, value, wrong};
+use self::read::{Values, bytes, find, number, parsed, period, read_file, span, switch, url, value, wrong};
 pub use self::site_file::{
     Decisions, Difference, Here, HomeSettings, KnownAccount, MOST_CONTACTS, Settings, SiteFile, Stays,
 };
@@ -94,6 +94,8 @@ pub struct Config {
     pub vault_local: Option<Duration>,
     /// How long a robot keeps ciphertext that its gateway has proven to hold; `None` = always.
     pub outbox_keep: Option<Duration>,
+    /// After how long without a proof a record also goes to the robot's next gateway.
+    pub resend_after: Duration,
     /// The retention setting; see [`Config::keeping`].
     pub retention: RetentionRules,
     /// Disk space that records must leave free, bytes.
@@ -150,6 +152,17 @@ pub struct RemoteSite {
     pub gateway_key: Option<SignerId>,
     /// Whether to pin whichever gateway answers first.
     pub trust_first: bool,
+    /// Further gateways of the same fleet, in order.
+    pub also: Vec<FurtherGateway>,
+}
+
+/// A further gateway of the fleet that is joined.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FurtherGateway {
+    /// HOST:PORT.
+    pub address: String,
+    /// SM3 of its identity key.
+    pub key: SignerId,
 }
 
 impl Config {
@@ -212,6 +225,7 @@ impl Config {
             vault_backlog: bytes(&values, "vault.backlog", 0)?,
             vault_local: span(&values, "vault.local", "always")?,
             outbox_keep: span(&values, "outbox.keep", "always")?,
+            resend_after: period(&values, "resend.after")?,
             retention: parsed(&values, "retention")?.unwrap_or_default(),
             disk_reserve: bytes(&values, "disk.reserve", 0)?,
             compression: switch(&values, "record.compression", ("auto", "off"))?,
@@ -277,14 +291,41 @@ fn remote_site(values: &Values) -> Result<Option<RemoteSite>, ConfigError> {
         Some("no") | None => false,
         Some(_) => return Err(wrong(values, "site.trust_first", "write yes or no")),
     };
-    let Some(address) = value(values, "site.address") else { return Ok(None) };
-    let parts = address.rsplit_once(':').filter(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok());
-    let plain = address.len() <= 260 && address.bytes().all(|byte| byte.is_ascii_graphic() && byte != b'/');
-    if parts.is_none() || !plain {
+    let also = further_gateways(values)?;
+    let Some(address) = value(values, "site.address") else {
+        let missing = || wrong(values, "site.also", "it is beside site.address, which is empty");
+        return if also.is_empty() { Ok(None) } else { Err(missing()) };
+    };
+    if !is_place(address) {
         return Err(wrong(values, "site.address", "write HOST:PORT"));
     }
     if value(values, "chain.url").is_some() {
         return Err(wrong(values, "chain.url", "leave it empty where site.address is set: the chain comes through it"));
     }
-    Ok(Some(RemoteSite { address: address.to_owned(), gateway_key, trust_first }))
+    let twice = |key: SignerId| gateway_key == Some(key) || also.iter().filter(|other| other.key == key).count() > 1;
+    if also.iter().any(|other| twice(other.key)) {
+        return Err(wrong(values, "site.also", "two gateways have one key; name each gateway once"));
+    }
+    Ok(Some(RemoteSite { address: address.to_owned(), gateway_key, trust_first, also }))
+}
+
+/// The most gateways beside the first.
+const MOST_FURTHER: usize = 7;
+
+fn further_gateways(values: &Values) -> Result<Vec<FurtherGateway>, ConfigError> {
+    let Some(text) = value(values, "site.also") else { return Ok(Vec::new()) };
+    let wrong = || wrong(values, "site.also", "write HOST:PORT=KEY, separated by commas, KEY of 64 hex, at most seven");
+    let read = |part: &str| {
+        let (address, key) = part.trim().split_once('=')?;
+        let key = key.parse().ok()?;
+        is_place(address).then(|| FurtherGateway { address: address.to_owned(), key })
+    };
+    let found: Option<Vec<FurtherGateway>> = text.split(',').map(read).collect();
+    found.filter(|found| found.len() <= MOST_FURTHER).ok_or_else(wrong)
+}
+
+/// Whether this is HOST:PORT.
+fn is_place(address: &str) -> bool {
+    let parts = address.rsplit_once(':').filter(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok());
+    parts.is_some() && address.len() <= 260 && address.bytes().all(|byte| byte.is_ascii_graphic() && byte != b'/')
 }

@@ -146,6 +146,12 @@ pub(super) fn span(values: &Values, name: &'static str, endless: &str) -> Result
     }
 }
 
+/// A time that is not without end, above zero.
+pub(super) fn period(values: &Values, name: &'static str) -> Result<Duration, ConfigError> {
+    let found = value(values, name).and_then(|text| time_span(text).ok()).filter(|time| !time.is_zero());
+    found.ok_or_else(|| wrong(values, name, "write a time as 30s, 10m, 1h"))
+}
+
 pub(super) fn parsed<T: FromStr<Err: fmt::Display>>(
     values: &Values,
     name: &'static str,

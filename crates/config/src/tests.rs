@@ -59,6 +59,16 @@ fn a_remote_site_is_an_address_and_whom_to_trust() {
     let named = site(&text).expect("file").expect("a site");
     assert_eq!((named.address.as_str(), named.trust_first), ("gate.example:4222", false));
     assert_eq!(named.gateway_key, Some(SignerId([0xab; 32])));
+    let also =
+        |text: &str| site(&format!("[site]\naddress = \"gate:1\"\ngateway_key = \"{key}\"\nalso = \"{text}\"\n"));
+    let (one, two) = ("01".repeat(32), "02".repeat(32));
+    let named = also(&format!("b.example:1={one}, [::1]:2={two}")).expect("file").expect("a site");
+    let keys: Vec<_> = named.also.iter().map(|other| (other.address.as_str(), other.key.0[0])).collect();
+    assert_eq!(keys, [("b.example:1", 1), ("[::1]:2", 2)]);
+    for bad in ["b:1", &format!("b={one}"), &format!("b:1={one},c:1={one}"), &format!("b:1={key}"), "b:1=ab"] {
+        assert!(also(bad).is_err(), "{bad}");
+    }
+    assert!(site(&format!("[site]\nalso = \"b:1={one}\"\n")).is_err(), "beside nothing");
     assert!(site("[site]\naddress = \"[::1]:4222\"\ntrust_first = \"yes\"").expect("file").is_some());
     for bad in ["host", ":1", "host:", "host:70000", "ho st:1", "http://host:1"] {
         assert!(site(&format!("[site]\naddress = \"{bad}\"")).is_err(), "{bad}");

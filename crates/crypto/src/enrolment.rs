@@ -44,7 +44,7 @@ pub struct Enrolment {
     pub domain: Domain,
     /// Its chain id, shown to people.
     pub chain_id: u64,
-    /// The gateways, at least one; the first is used.
+    /// The gateways, at least one, in the order in which they are used.
     pub gateways: Vec<GatewayAccess>,
     /// N: the name by which the gateways know the robot.
     pub name: ProfileName,
@@ -79,7 +79,7 @@ impl Enrolment {
         signer_id(&self.device.public)
     }
 
-    /// The gateway in use.
+    /// The first gateway.
     ///
     /// # Errors
     /// [`WireError`] if there is none; an enrolment that was parsed always has one.

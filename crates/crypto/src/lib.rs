@@ -16,6 +16,7 @@ pub mod enrolment;
 pub mod envelope;
 pub mod error;
 mod file_key;
+mod gateway_list;
 mod gcm;
 pub mod identity;
 pub mod kdf;
@@ -60,6 +61,7 @@ pub use enrolment::{
 };
 pub use envelope::{GrantedKeys, WrappedKeys, unwrap, wrap};
 pub use error::CryptoError;
+pub use gateway_list::{GatewayList, ListedGateway};
 pub use identity::{check_identity, prove};
 pub use kdf::{hkdf_sm3, hmac_sm3};
 pub use kept_key::{open_transport_key, seal_transport_key};

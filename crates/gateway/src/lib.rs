@@ -12,6 +12,7 @@ extern crate self as authros_gateway;
 
 pub mod allocation;
 pub mod chain_line;
+pub mod chain_lines;
 pub mod client;
 pub mod code;
 pub mod command;
@@ -34,6 +35,7 @@ pub mod trust;
 
 pub use allocation::Applicant;
 pub use chain_line::ChainLine;
+pub use chain_lines::ChainLines;
 pub use client::{Client, Credentials, Endpoint};
 pub use code::{Code, Refusal};
 pub use command::{

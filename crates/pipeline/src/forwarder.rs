@@ -1,34 +1,41 @@
 //! Passes stored records on to a gateway and follows them until they are verified there: the durable outbox of a robot.
-//! A function of the ledger: `stored` waits to be sent, `submitted` has the gateway's signed receipt, `verified` is
-//! verified there, and only then is the local ciphertext deleted. After a lost connection or receipt, or a restart,
-//! records without a receipt are sent again.
+//! A function of the ledger: `stored` waits to be sent, `submitted` has a gateway's signed receipt, `verified` is
+//! verified there, and only then is the local ciphertext deleted. Of several gateways the first that answers takes the
+//! records; what stays without a proof goes to the next. Each has a line of its own.
 
 use std::collections::HashSet;
-use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use tokio::sync::{Notify, watch};
-use tokio::task::block_in_place;
-use tokio::time::{sleep, timeout};
+use tokio::task::{JoinSet, block_in_place};
 
-use crate::crypto::CryptoError;
-use crate::gateway::{Client, Code, Credentials, Endpoint, GatewayError, Trust, Upload};
-use crate::model::{Digest, ErrorKind, RecordState};
-use crate::store::{KeptReceipt, RecordQuery};
+use crate::crypto::{CryptoError, GatewayAccess};
+use crate::gateway::{Client, Code, Context, Credentials, Endpoint, GatewayError, Trust};
+use crate::model::bytes::hex;
+use crate::model::{Digest, ErrorKind, ProfileName, SignerId, Timestamp, Token};
 
 use super::{PipelineError, Plant};
 
+mod line;
+mod outbox;
+mod resend;
+mod roster;
 mod standing;
 #[cfg(test)]
 mod tests;
 
-/// The most records in one upload.
-const WINDOW: usize = 256;
-/// The most bytes in one upload, unless a single record is larger.
-const WINDOW_BYTES: usize = 4 * 1024 * 1024;
+use line::Line;
+use outbox::{Aside, Outbox};
+use roster::Roster;
+
 /// The longest pause before a record refused for its own sake is sent again.
 const LONGEST_RETRY: Duration = Duration::from_secs(3600);
+/// How long a record with a receipt may be without a proof before another gateway gets it too, unless set.
+const RESEND_AFTER: Duration = Duration::from_secs(600);
+/// How long one of several gateways may take to answer: robots turn to the next within ten seconds.
+pub const PATIENCE_OF_SEVERAL: Duration = Duration::from_secs(5);
 
 /// How long the robot keeps ciphertext that its gateway also holds.
 #[derive(Debug, Clone)]
@@ -79,6 +86,8 @@ pub enum Link {
     Connecting,
     /// Connected.
     Up,
+    /// Connected to a gateway that is not the first of the list: which, and in place of which.
+    InPlace(String),
     /// It does not answer; meanwhile the outbox grows.
     Away(String),
     /// It answers but refuses this robot as such; it is asked again at long intervals.
@@ -123,58 +132,94 @@ impl ForwardError {
     }
 }
 
+/// A gateway, and what this robot knows of it.
+#[derive(Clone)]
+struct Gate {
+    /// SM3 of its identity key.
+    fingerprint: SignerId,
+    endpoint: Endpoint,
+    /// The robot's name and K_T there.
+    credentials: Credentials,
+    trust: Trust,
+    /// The file that records what was seen of it.
+    trust_file: PathBuf,
+}
+
+/// A robot, as it presents itself to its gateways.
+#[derive(Clone)]
+pub struct Robot {
+    /// The network, and the crypto provider.
+    pub context: Context,
+    /// N.
+    pub name: ProfileName,
+    /// A token of its owner.
+    pub token: Token,
+    /// How long a gateway may take to answer; one of several gets at most [`PATIENCE_OF_SEVERAL`].
+    pub patience: Duration,
+    /// Its directory, with its notes of gateways.
+    pub home: PathBuf,
+}
+
+impl Robot {
+    fn gates(&self, list: &[GatewayAccess]) -> Result<Vec<Gate>, CryptoError> {
+        // A robot of one gateway has always had one note; the others have their own.
+        let first = self.home.join("gateway.json");
+        let noted = if first.exists() { Trust::load(&first)?.pinned } else { None };
+        let place = list.iter().position(|access| Some(access.fingerprint) == noted).unwrap_or(0);
+        let patience = if list.len() > 1 { self.patience.min(PATIENCE_OF_SEVERAL) } else { self.patience };
+        let gate = |(number, access): (usize, &GatewayAccess)| {
+            let fingerprint = access.fingerprint;
+            let trust_file = if number == place { first.clone() } else { self.note_of(&fingerprint) };
+            let (trust, address) = (trust_in(&trust_file, fingerprint)?, access.address.clone());
+            let credentials = Credentials { name: self.name.clone(), key: access.transport.clone(), token: self.token };
+            let endpoint = Endpoint { address, context: self.context, patience };
+            Ok(Gate { fingerprint, endpoint, credentials, trust, trust_file })
+        };
+        list.iter().enumerate().map(gate).collect()
+    }
+
+    fn note_of(&self, gateway: &SignerId) -> PathBuf {
+        self.home.join(format!("gateway-{}.json", hex(gateway.0.get(..8).unwrap_or_default())))
+    }
+}
+
 /// Sends records of an outbox, oldest first.
 pub struct Forwarder {
     plant: Plant,
-    endpoint: Endpoint,
-    credentials: Credentials,
-    trust: Trust,
-    /// The file that records what was seen of the gateway.
-    trust_file: PathBuf,
+    robot: Robot,
+    /// In the order in which they are used.
+    gates: Vec<Gate>,
     pace: Pace,
     link: watch::Sender<Link>,
-    errand: Option<Box<dyn Errand>>,
-    /// Records that the gateway refuses for their own sake: sent again after a pause, and at the next start.
+    errand: Arc<tokio::sync::Mutex<Option<Box<dyn Errand>>>>,
+    /// Records that a gateway refuses for their own sake: sent again after a pause, and at the next start.
     refused: Arc<Mutex<HashSet<Digest>>>,
-    /// Since when the first of them has been waiting.
-    refused_at: Option<Instant>,
-    /// How many of the next uploads are sent one by one, because one of them is refused.
-    singly: usize,
-    /// Where the next check of standings begins.
-    cursor: Option<String>,
-    checked: Option<Instant>,
-    /// Whether the present session achieved anything.
-    moved: bool,
-    /// What happens to ciphertext that the gateway also has.
+    /// What happens to ciphertext that a gateway also has.
     keeping: CopyKeeping,
-    /// When copies were last searched.
-    tidied: Option<Instant>,
-    /// Whether the gateway signs standings; earlier versions do not.
-    signs: bool,
+    /// How long a record may be without a proof before the next gateway gets it too.
+    resend_after: Duration,
+    /// The owner's newest list of gateways.
+    told: Option<watch::Receiver<Vec<GatewayAccess>>>,
 }
 
 impl Forwarder {
-    /// A forwarder to one gateway.
-    pub fn new(plant: Plant, endpoint: Endpoint, credentials: Credentials, trust: Trust, trust_file: PathBuf) -> Self {
-        Self {
+    /// A forwarder of a robot to these gateways, the first that answers before the others.
+    ///
+    /// # Errors
+    /// Errors of the notes of gateways; [`CryptoError::NotAKey`] if the home is another robot's.
+    pub fn new(plant: Plant, robot: Robot, list: &[GatewayAccess]) -> Result<Self, CryptoError> {
+        Ok(Self {
             plant,
-            endpoint,
-            credentials,
-            trust,
-            trust_file,
+            gates: robot.gates(list)?,
+            robot,
             pace: Pace::default(),
             link: watch::channel(Link::Connecting).0,
-            errand: None,
+            errand: Arc::default(),
             refused: Arc::default(),
-            refused_at: None,
-            singly: 0,
-            cursor: None,
-            checked: None,
-            moved: false,
             keeping: CopyKeeping::default(),
-            tidied: None,
-            signs: true,
-        }
+            resend_after: RESEND_AFTER,
+            told: None,
+        })
     }
 
     /// The same with other timing.
@@ -189,162 +234,129 @@ impl Forwarder {
         Self { keeping, ..self }
     }
 
+    /// The same with another time after which a record without a proof goes to the next gateway.
+    #[must_use]
+    pub fn resending_after(self, resend_after: Duration) -> Self {
+        Self { resend_after, ..self }
+    }
+
     /// The same with additional work.
     #[must_use]
     pub fn with_errand(self, errand: Box<dyn Errand>) -> Self {
-        Self { errand: Some(errand), ..self }
+        Self { errand: Arc::new(tokio::sync::Mutex::new(Some(errand))), ..self }
     }
 
-    /// The state of the connection to the gateway, from now on.
+    /// The same, taking up each list of gateways that the owner sends.
+    #[must_use]
+    pub fn following(self, told: watch::Receiver<Vec<GatewayAccess>>) -> Self {
+        Self { told: Some(told), ..self }
+    }
+
+    /// The state of the connection to the gateways, from now on.
     pub fn link(&self) -> watch::Receiver<Link> {
         self.link.subscribe()
     }
 
-    /// Records that the gateway refuses for their own sake, as they become known.
+    /// Records that a gateway refuses for their own sake, as they become known.
     pub fn refused(&self) -> Arc<Mutex<HashSet<Digest>>> {
         Arc::clone(&self.refused)
     }
 
+    fn outbox(&self) -> Outbox {
+        Outbox {
+            plant: self.plant.clone(),
+            home: self.robot.home.clone(),
+            pace: self.pace,
+            link: self.link.clone(),
+            errand: Arc::clone(&self.errand),
+            refused: Arc::clone(&self.refused),
+            aside: Mutex::new(Aside::new(self.pace.retry)),
+            tidied: Mutex::default(),
+            keeping: self.keeping.clone(),
+            resend_after: self.resend_after,
+        }
+    }
+
+    /// Deletes ciphertext whose proof was checked and signed long enough ago; on a full disk the oldest of it early.
+    /// Whatever no gateway has signed for stays.
+    ///
+    /// # Errors
+    /// Errors of ledger and vault.
+    pub fn tidy(&self) -> Result<(), PipelineError> {
+        self.outbox().tidy()
+    }
+
     /// Works until it is dropped; `stored` signals when records wait. Can be cancelled at any point.
     pub async fn run(&mut self, stored: &Notify) {
-        let mut pause = self.pace.first_pause;
+        let ring = Arc::new(Notify::new());
+        let ringing = stored.notified();
+        tokio::pin!(ringing);
+        ringing.as_mut().enable();
         loop {
-            self.moved = false;
-            if let Err(error) = self.session(stored).await {
-                self.tell(&error);
+            let mut lines = self.begin(&ring);
+            loop {
+                tokio::select! {
+                    () = ringing.as_mut() => {
+                        ringing.set(stored.notified());
+                        ringing.as_mut().enable();
+                        ring.notify_waiters();
+                    }
+                    () = changed(&mut self.told) => break,
+                    Some(ended) = lines.join_next() => if let Err(error) = ended
+                        && let Ok(panic) = error.try_into_panic()
+                    {
+                        // For the supervisor to report and to recover from.
+                        std::panic::resume_unwind(panic);
+                    },
+                }
             }
-            if self.moved {
-                pause = self.pace.first_pause;
-            }
-            sleep(pause).await;
-            pause = (pause * 2).min(self.pace.longest_pause);
+            lines.shutdown().await;
+            self.take_up();
         }
     }
 
-    fn tell(&self, error: &ForwardError) {
-        let link = error.link();
-        let urgent = matches!(link, Link::Refused(_));
-        let text = match &link {
-            Link::Refused(text) => format!(
-                "records wait in the outbox: {text}; where its owner recalled this robot, or the loan has ended, the owner \
-                 has to enrol it again"
-            ),
-            _ => format!("records wait in the outbox until the gateway is back: {error}"),
-        };
-        self.link.send_replace(link);
-        self.plant.observer.alert(urgent, text);
+    /// Starts a line to each gateway.
+    fn begin(&self, ring: &Arc<Notify>) -> JoinSet<()> {
+        let outbox = Arc::new(self.outbox());
+        let names = self.gates.iter().map(|gate| (gate.fingerprint, gate.endpoint.address.clone())).collect();
+        let roster = Arc::new(Roster::new(names));
+        if let Some(first) = self.gates.first() {
+            let (ledger, now) = (&self.plant.ledger, Timestamp::now());
+            if let Err(error) = block_in_place(|| ledger.place_unplaced(first.fingerprint, now)) {
+                self.plant.observer.alert(true, format!("receipts of earlier runs cannot be assigned: {error}"));
+            }
+        }
+        let mut lines = JoinSet::new();
+        for (place, gate) in self.gates.iter().enumerate() {
+            let line = Line::new(Arc::clone(&outbox), Arc::clone(&roster), Arc::clone(ring), place, gate.clone());
+            lines.spawn(line.run());
+        }
+        lines
     }
 
-    /// One session: connects, then sends and checks until the connection breaks or the session is used up.
-    async fn session(&mut self, stored: &Notify) -> Result<(), ForwardError> {
-        let mut client = Client::connect(&self.endpoint, &mut self.trust, &self.credentials).await?;
-        // It may have been upgraded meanwhile.
-        self.signs = true;
-        block_in_place(|| self.trust.save(&self.trust_file)).map_err(PipelineError::from)?;
-        if let Some(errand) = &mut self.errand {
-            errand.begin(&mut client).await?;
-        }
-        while !client.is_spent() {
-            let ringing = stored.notified();
-            tokio::pin!(ringing);
-            ringing.as_mut().enable();
-            if let Some(errand) = &mut self.errand {
-                errand.run(&mut client).await?;
-            }
-            self.retry_refused();
-            let sent = self.upload(&mut client).await?;
-            self.link.send_if_modified(|link| std::mem::replace(link, Link::Up) != Link::Up);
-            let due = self.checked.is_none_or(|at| at.elapsed() >= self.pace.check);
-            if due {
-                self.check(&mut client).await?;
-                self.checked = Some(Instant::now());
-            }
-            if self.tidied.is_none_or(|at| at.elapsed() >= self.pace.tidy) {
-                block_in_place(|| self.tidy())?;
-                self.tidied = Some(Instant::now());
-            }
-            if sent == 0 {
-                // Both outcomes mean: check again.
-                drop(timeout(self.pace.check, ringing).await);
+    /// Takes the owner's newest list of gateways up.
+    fn take_up(&mut self) {
+        let Some(told) = &mut self.told else { return };
+        let list = told.borrow_and_update().clone();
+        match self.robot.gates(&list) {
+            Ok(gates) if gates.is_empty() => {}
+            Ok(gates) => self.gates = gates,
+            Err(error) => {
+                let text = format!("the owner's list of gateways cannot be used, the one before stays: {error}");
+                self.plant.observer.alert(true, text);
             }
         }
-        Ok(())
     }
+}
 
-    /// Sends the oldest waiting records; returns how many the gateway took over, or refused for their own sake.
-    async fn upload(&mut self, client: &mut Client) -> Result<usize, ForwardError> {
-        let window = block_in_place(|| self.window())?;
-        let (digests, uploads): (Vec<Digest>, Vec<Upload>) = window.into_iter().unzip();
-        if uploads.is_empty() {
-            return Ok(0);
-        }
-        self.singly = self.singly.saturating_sub(1);
-        match client.upload(uploads).await {
-            Ok(receipt) => {
-                let kept = KeptReceipt { time: receipt.time, digests: receipt.digests, signature: receipt.signature };
-                let ledger = &self.plant.ledger;
-                block_in_place(|| ledger.accept(kept))?;
-                self.moved = true;
-                self.plant.observer.records_changed();
-                Ok(digests.len())
-            }
-            Err(error) if is_about_a_record(&error) => {
-                self.set_aside(&digests, &error);
-                Ok(digests.len())
-            }
-            Err(error) => Err(error.into()),
-        }
+/// Waits until the owner has sent another list of gateways.
+async fn changed(told: &mut Option<watch::Receiver<Vec<GatewayAccess>>>) {
+    if let Some(told) = told
+        && told.changed().await.is_ok()
+    {
+        return;
     }
-
-    /// One of these records is refused: if it is the only one it is set aside, otherwise it is searched for.
-    fn set_aside(&mut self, digests: &[Digest], error: &GatewayError) {
-        let [digest] = digests else {
-            self.singly = digests.len();
-            return;
-        };
-        self.refused.lock().unwrap_or_else(PoisonError::into_inner).insert(*digest);
-        self.refused_at.get_or_insert_with(Instant::now);
-        self.plant.observer.alert(true, format!("record {digest} stays in the outbox: {error}"));
-    }
-
-    /// Records refused for their own sake are sent again when their pause is over: gateways get repaired, and settings
-    /// change.
-    fn retry_refused(&mut self) {
-        if self.refused_at.is_some_and(|at| at.elapsed() >= self.pace.retry) {
-            self.refused.lock().unwrap_or_else(PoisonError::into_inner).clear();
-            self.refused_at = None;
-            self.pace.retry = (self.pace.retry * 2).min(LONGEST_RETRY);
-        }
-    }
-
-    /// The next records to send, their bytes compared with their digests.
-    fn window(&self) -> Result<Vec<(Digest, Upload)>, PipelineError> {
-        let refused = self.refused.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let most = if self.singly > 0 { 1 } else { WINDOW };
-        let limit = most + refused.len();
-        let query = RecordQuery { state: Some(RecordState::Stored), limit, ..RecordQuery::default() };
-        let rows = self.plant.ledger.list(&query)?.rows;
-        let (mut window, mut bytes, mut spoilt) = (Vec::new(), 0, Vec::new());
-        for row in rows.into_iter().filter(|row| !refused.contains(&row.digest)).take(most) {
-            let blob = self.plant.vault.get(row.digest)?;
-            let Some(blob) = blob.filter(|blob| self.plant.provider.sm3(&[blob]) == row.digest.0) else {
-                spoilt.push(row.digest);
-                continue;
-            };
-            if !window.is_empty() && bytes + blob.len() > WINDOW_BYTES {
-                break;
-            }
-            bytes += blob.len();
-            window.push((row.digest, Upload { signature: row.signature, blob }));
-        }
-        if !spoilt.is_empty() {
-            self.plant.ledger.advance(&spoilt, RecordState::Stored, RecordState::Tampered)?;
-            self.plant.observer.tampered(&spoilt);
-            let count = spoilt.len();
-            self.plant.observer.alert(true, format!("{count} records in the outbox are damaged or gone; not sent"));
-        }
-        Ok(window)
-    }
+    std::future::pending().await
 }
 
 /// Whether a refusal concerns the record itself, so that others may pass.
@@ -359,7 +371,7 @@ fn is_about_a_record(error: &GatewayError) -> bool {
 ///
 /// # Errors
 /// Errors of the file; [`CryptoError::NotAKey`] if it belongs to another gateway.
-pub fn trust_in(file: &std::path::Path, fingerprint: crate::model::SignerId) -> Result<Trust, CryptoError> {
+fn trust_in(file: &Path, fingerprint: crate::model::SignerId) -> Result<Trust, CryptoError> {
     if !file.exists() {
         return Ok(Trust::pinned(fingerprint));
     }

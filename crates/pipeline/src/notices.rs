@@ -1,5 +1,5 @@
-//! Notices of an owner to its robots: keys of a new epoch or of more topics, sealed for one device, signed by d_C and
-//! numbered. This is the robot's side: it subscribes at its gateway, takes notices newer than those it has, saves them
+//! Notices of an owner to its robots: keys of a new epoch or of more topics, other gateways, sealed for one device,
+//! signed by d_C and numbered. This is the robot's side: it subscribes at its gateway, takes notices newer than those it has, saves them
 //! and applies them.
 
 use std::path::PathBuf;
@@ -7,9 +7,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
+use tokio::sync::watch;
 use tokio::task::block_in_place;
 
-use crate::crypto::{Anchor, Expected, Fingerprint, IssuedKeys, Notice, Provider, SealedEnrolment, notice_topic, open};
+use crate::crypto::{
+    Anchor, Expected, Fingerprint, GatewayAccess, IssuedKeys, Notice, Provider, SealedEnrolment, notice_topic, open,
+};
 use crate::gateway::{Client, Entry, Fetched, GatewayError, Query, Selection};
 use crate::model::{Header, RecordKind, Timestamp, clean};
 
@@ -29,6 +32,8 @@ pub struct Notices {
     sealed: SealedEnrolment,
     /// Where the enrolment is stored with later changes.
     kept: PathBuf,
+    /// Told when the owner has named other gateways.
+    gateways: watch::Sender<Vec<GatewayAccess>>,
     subscribed: bool,
     looked: Option<Instant>,
 }
@@ -42,7 +47,13 @@ impl Notices {
         sealed: SealedEnrolment,
         kept: PathBuf,
     ) -> Self {
-        Self { provider, observer, author, sealed, kept, subscribed: false, looked: None }
+        let gateways = watch::channel(sealed.enrolment.gateways.clone()).0;
+        Self { provider, observer, author, sealed, kept, gateways, subscribed: false, looked: None }
+    }
+
+    /// The gateways to use, as the owner names them from now on.
+    pub fn gateways(&self) -> watch::Receiver<Vec<GatewayAccess>> {
+        self.gateways.subscribe()
     }
 
     fn selection(&self) -> Selection {
@@ -125,6 +136,10 @@ impl Notices {
                 change.check(self.provider, &enrolment.domain, &enrolment.owner, &enrolment.owner_key)?;
                 true
             }
+            Notice::Gateways(list) => {
+                list.check(&enrolment.domain, &enrolment.owner, &enrolment.device_id())?;
+                true
+            }
             Notice::Unknown(_) => true,
         };
         if fits && opened.header.kind == RecordKind::Key {
@@ -148,6 +163,16 @@ impl Notices {
                 let fingerprint = Fingerprint::of(&change.new);
                 format!("the owner's SM2 key is {fingerprint} from now on; the old one and the account signed it")
             }
+            Notice::Gateways(list) => {
+                let gateways = list.applied(&enrolment.gateways);
+                if gateways.is_empty() {
+                    return Err(PipelineError::Refused("it names no gateway that this robot has a key for".to_owned()));
+                }
+                let places: Vec<&str> = gateways.iter().map(|gateway| gateway.address.as_str()).collect();
+                let told = format!("the owner names the gateways {} from now on", clean(&places.join(", "), 300));
+                enrolment.gateways.clone_from(&gateways);
+                told
+            }
             Notice::Unknown(kind) => {
                 let text =
                     format!("the owner sent a notice of kind {kind}, which this version does not know; update it");
@@ -159,6 +184,12 @@ impl Notices {
         enrolment.noticed = Some((header.recorder, header.seq));
         block_in_place(|| self.sealed.save(&self.kept))?;
         self.observer.alert(false, told);
+        let gateways = &self.sealed.enrolment.gateways;
+        self.gateways.send_if_modified(|known| {
+            let changed = known != gateways;
+            known.clone_from(gateways);
+            changed
+        });
         Ok(())
     }
 }

@@ -39,9 +39,10 @@ use crate::chain::Revision;
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 use crate::service::reply::{
     AdministrationView, AuditCheck, AuditView, CaptureSummary, ChainView, CheckView, CompareView, ContactRow,
-    CoverageView, DecidedView, DeployedView, DeviceRow, DeviceTopicsView, EnrolledView, EvidenceView, ExportedFile,
-    GatewayView, GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PinsView, PlayedView, PolicyView,
-    Provenance, QuarantineView, RecordPage, ServedView, SiteView, StampView, TopicRow, TransactionView,
+    CoverageView, DecidedView, DeployedView, DeviceGatewaysView, DeviceRow, DeviceTopicsView, EnrolledView,
+    EvidenceView, ExportedFile, GatewayView, GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PinsView,
+    PlayedView, PolicyView, Provenance, QuarantineView, RecordPage, ServedView, SiteView, StampView, TopicRow,
+    TransactionView,
 };
 pub use crate::store::AuditQuery;
 
@@ -265,7 +266,16 @@ requests! {
         /// The topics.
         topics: Vec<TopicName>,
     } => DeviceTopicsView;
-    /// Make a robot a device of the profile, known to a gateway.
+    /// Give an enrolled robot a further gateway; the notice goes out at once, or when the gateway is there.
+    AddDeviceGateway {
+        /// Its name, the device's id, or the beginning of it.
+        device: String,
+        /// The gateway, host:port.
+        address: String,
+        /// SM3 of its identity key.
+        key: SignerId,
+    } => DeviceGatewaysView;
+    /// Make a robot a device of the profile, known to its gateways.
     EnrolDevice(wishes: super::site::EnrolWishes) => EnrolledView;
     /// Devices lent and recalled.
     ListDevices => Vec<DeviceRow>;

@@ -26,7 +26,8 @@ pub use self::chain::{ChainView, DeployedView, GasView, GatewayView, ServedView}
 pub use self::check::{BackupView, CheckStatus, DoctorCheck, DoctorView, FindingKind, RecordAudit, RecordFinding};
 pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
 pub use self::identity::{
-    DeviceTopicsView, EnrolledView, EpochView, IdentityView, KeyChangeView, KeysView, TransactionView,
+    DeviceGatewaysView, DeviceTopicsView, EnrolledView, EpochView, IdentityView, KeyChangeView, KeysView,
+    RobotGatewayView, TransactionView,
 };
 pub use self::incidents::{IncidentNoteView, IncidentView, SpanCoverageView};
 pub use self::operate::{AdmittedView, GatewayStatusView, RefusedView, SenderView, SystemKeyView};
@@ -157,6 +158,8 @@ replies! {
     Devices(Vec<DeviceRow>);
     /// To `AddDeviceTopics`.
     DeviceTopics(DeviceTopicsView);
+    /// To `AddDeviceGateway`.
+    DeviceGateways(DeviceGatewaysView);
     /// To `EnrolDevice`.
     Enrolled(EnrolledView);
     /// To `CompareFingerprint`.

@@ -25,6 +25,7 @@ mod lanes;
 mod named;
 mod pins;
 mod place;
+mod placed;
 mod proven;
 mod quarantine;
 mod query;
@@ -69,6 +70,7 @@ pub use inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Sequence
 pub use kept::KeptBinding;
 pub use lanes::{LaneCount, OpenTransaction, Reissue};
 pub use pins::{AlarmRow, PinRow};
+pub use placed::{OverduePlace, PlacedPage};
 pub use proven::KeptStanding;
 pub use quarantine::{HeldMinute, HeldQuery, HeldRow, Hold};
 pub use query::{RecordPage, RecordQuery};
@@ -99,6 +101,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_12.sql"),
         include_str!("ledger/schema_13.sql"),
         include_str!("ledger/schema_14.sql"),
+        include_str!("ledger/schema_15.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;

@@ -26,10 +26,10 @@ pub use ledger::{
     CoverageQuery, EarlierAnchor, FilterChoice, Foreign, GapRow, Glance, HeldMinute, HeldQuery, HeldRow, Hold,
     IncidentNote, IncidentRow, IncidentSpan, KeptBinding, KeptContradiction, KeptEnvelope, KeptPosition, KeptReceipt,
     KeptRight, KeptStamp, KeptStanding, KeptTopic, LaneCount, LastSeen, Ledger, Left, Loss, NewBatch, NewRecord,
-    NewTransaction, OldRecord, OpenTransaction, PinRow, PositionCounts, RecordPage, RecordQuery, RecordRow,
-    RecordsHeld, Reissue, Retained, RightEvent, RightKind, RootSighting, Sequence, Sighting, SpanCoverage, StampCounts,
-    StandingRights, StateCounts, TopicCounts, TransactionOutcome, TransactionRow, TransactionState, Unwitnessed,
-    WaitingBatch, WaitingSigner, WitnessRow,
+    NewTransaction, OldRecord, OpenTransaction, OverduePlace, PinRow, PlacedPage, PositionCounts, RecordPage,
+    RecordQuery, RecordRow, RecordsHeld, Reissue, Retained, RightEvent, RightKind, RootSighting, Sequence, Sighting,
+    SpanCoverage, StampCounts, StandingRights, StateCounts, TopicCounts, TransactionOutcome, TransactionRow,
+    TransactionState, Unwitnessed, WaitingBatch, WaitingSigner, WitnessRow,
 };
 pub use reserve::{RESERVE_BYTES, Reserve};
 pub use vault::{Stored, Usage, Vault, open_vault};

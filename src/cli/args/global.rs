@@ -64,6 +64,9 @@ pub struct Global {
     /// Pin whatever gateway answers the first time
     #[arg(long, global = true)]
     pub trust_first: bool,
+    /// A further gateway of the fleet that is joined; may be repeated
+    #[arg(long, global = true, value_name = "HOST:PORT=KEY")]
+    pub also: Vec<String>,
     /// batch (Merkle roots) or each (one transaction per record)
     #[arg(long, global = true, value_name = "MODE")]
     pub anchor_mode: Option<String>,
@@ -86,6 +89,7 @@ impl Global {
             "site.address" => self.site.clone(),
             "site.gateway_key" => self.gateway_key.clone(),
             "site.trust_first" => self.trust_first.then(|| "yes".to_owned()),
+            "site.also" => (!self.also.is_empty()).then(|| self.also.join(",")),
             _ => None,
         }
     }

@@ -1,10 +1,10 @@
 //! The content of an owner's notice to a device. The first byte is the kind: 0 for keys (whose first field, an epoch,
-//! is far below 2^56), 1 for another P_C of the owner; further kinds take the next numbers.
+//! is far below 2^56), 1 for another P_C of the owner, 2 for its gateways; further kinds take the next numbers.
 
 use zeroize::Zeroizing;
 
 use super::IssuedKeys;
-use crate::crypto::OwnerKeyChange;
+use crate::crypto::{GatewayList, OwnerKeyChange};
 use crate::model::wire::WireError;
 
 /// What an owner tells a device.
@@ -14,6 +14,8 @@ pub enum Notice {
     Keys(IssuedKeys),
     /// The key the owner signs with from now on.
     OwnerKey(OwnerKeyChange),
+    /// The gateways to use from now on, in order.
+    Gateways(GatewayList),
     /// A kind that this version does not know, by its number; it is ignored.
     Unknown(u8),
 }
@@ -23,12 +25,21 @@ impl Notice {
     const KEYS: u8 = 0;
     /// The kind of [`Self::OwnerKey`].
     const OWNER_KEY: u8 = 1;
+    /// The kind of [`Self::Gateways`].
+    const GATEWAYS: u8 = 2;
 
     /// Its encoding, the body of the record.
     pub fn encode(&self) -> Zeroizing<Vec<u8>> {
         match self {
             Self::Keys(keys) => keys.encode(),
             Self::OwnerKey(change) => Zeroizing::new([&[Self::OWNER_KEY], &change.encode()[..]].concat()),
+            Self::Gateways(list) => {
+                let list = list.encode();
+                let mut out = Zeroizing::new(Vec::with_capacity(1 + list.len() + 16));
+                out.push(Self::GATEWAYS);
+                out.extend_from_slice(&list);
+                out
+            }
             Self::Unknown(kind) => Zeroizing::new(vec![*kind]),
         }
     }
@@ -41,6 +52,7 @@ impl Notice {
         match body.split_first() {
             Some((&Self::KEYS, _)) | None => IssuedKeys::parse(body).map(Self::Keys),
             Some((&Self::OWNER_KEY, change)) => OwnerKeyChange::parse(change).map(Self::OwnerKey),
+            Some((&Self::GATEWAYS, list)) => GatewayList::parse(list).map(Self::Gateways),
             Some((kind, _)) => Ok(Self::Unknown(*kind)),
         }
     }

@@ -16,22 +16,29 @@ pub(crate) struct Stage {
     pub server: Server,
     pub endpoint: Endpoint,
     limits: Limits,
+    /// What its identity key is made of.
+    identity: u8,
     home: tempfile::TempDir,
 }
 
 impl Stage {
     pub async fn with(limits: Limits) -> Self {
+        Self::known_by(0x21, limits).await
+    }
+
+    /// A gateway with an identity key of its own.
+    pub async fn known_by(identity: u8, limits: Limits) -> Self {
         let home = tempfile::tempdir().expect("directory");
         let desk = Arc::new(MemoryDesk::default());
-        let server = serve(home.path(), &desk, limits).await;
+        let server = serve(home.path(), &desk, limits, identity).await;
         let address = server.address().to_string();
         let endpoint = Endpoint { address, context: context(), patience: Duration::from_secs(30) };
-        Self { desk, server, endpoint, limits, home }
+        Self { desk, server, endpoint, limits, identity, home }
     }
 
     /// Stops the server, then starts it again on another port with the same keys and desk.
     pub async fn restart(&mut self) {
-        let server = serve(self.home.path(), &self.desk, self.limits).await;
+        let server = serve(self.home.path(), &self.desk, self.limits, self.identity).await;
         std::mem::replace(&mut self.server, server).stop(Duration::from_secs(5)).await;
         self.endpoint.address = self.server.address().to_string();
     }
@@ -62,9 +69,9 @@ impl Stage {
     }
 }
 
-async fn serve(home: &std::path::Path, desk: &Arc<MemoryDesk>, limits: Limits) -> Server {
+async fn serve(home: &std::path::Path, desk: &Arc<MemoryDesk>, limits: Limits, identity: u8) -> Server {
     let (path, context, schedule) = (home.join("gateway"), context(), Schedule::default());
-    let cabinet = Cabinet::open(&path, context.provider, context.domain, pair(0x21), schedule, Timestamp::now());
+    let cabinet = Cabinet::open(&path, context.provider, context.domain, pair(identity), schedule, Timestamp::now());
     let desk = Arc::clone(desk) as Arc<dyn Desk>;
     Server::start("127.0.0.1:0", desk, context, cabinet.expect("opens"), limits).await.expect("listens")
 }

@@ -6,28 +6,25 @@ use crate::chain::AnchorProof;
 use crate::chain::merkle::Leaf;
 use crate::gateway::standings::statement;
 use crate::gateway::{Client, Code, GatewayError, SignedStandings, Standing};
-use crate::model::{Digest, Header, RecordState, Timestamp};
+use crate::model::{Digest, Header, RecordState};
 use crate::pipeline::PipelineError;
-use crate::store::files::free_bytes;
-use crate::store::{KeptStanding, RecordQuery, RecordRow};
+use crate::store::{KeptStanding, RecordRow};
 
-use super::{ForwardError, Forwarder};
+use super::ForwardError;
+use super::line::Line;
 
 /// Records asked about at once; with their proofs they fit into one message.
 const PAGE: usize = 256;
 
-impl Forwarder {
-    /// Asks for the standings of the next page of submitted records, and moves those that the gateway has decided.
-    pub(super) async fn check(&mut self, client: &mut Client) -> Result<(), ForwardError> {
-        let query = RecordQuery {
-            state: Some(RecordState::Submitted),
-            limit: PAGE,
-            after: self.cursor.take(),
-            ..RecordQuery::default()
-        };
-        let page = block_in_place(|| self.plant.ledger.list(&query))?;
+impl Line {
+    /// Asks for the standings of the next page of records that this gateway signed for, and moves those that it has
+    /// decided. Returns whether there were any.
+    pub(super) async fn check(&mut self, client: &mut Client) -> Result<bool, ForwardError> {
+        let after = self.cursor.take();
+        let (ledger, gateway) = (&self.outbox.plant.ledger, self.gate.fingerprint);
+        let page = block_in_place(|| ledger.placed_at(gateway, after, PAGE))?;
         if page.rows.is_empty() {
-            return Ok(());
+            return Ok(false);
         }
         let stood = self.standings(client, &page.rows).await?;
         let of = |wanted: Standing| -> Vec<Digest> {
@@ -42,12 +39,12 @@ impl Forwarder {
         self.cursor = page.next;
         self.moved |= !verified.is_empty();
         if let Some(proven) = stood.proven {
-            let ledger = &self.plant.ledger;
+            let ledger = &self.outbox.plant.ledger;
             // Before its state changes: a verified record without it would be kept forever.
             block_in_place(|| ledger.keep_proven(proven)).map_err(PipelineError::from)?;
         }
         block_in_place(|| self.decide(&verified, &unknown, &tampered))?;
-        Ok(())
+        Ok(true)
     }
 
     /// The standings of these records: signed, and verified only those whose proof is valid; for an earlier gateway,
@@ -61,7 +58,7 @@ impl Forwarder {
                     self.signs = false;
                     let text = "the gateway is of a version that does not sign how records stand: this robot keeps the \
                                 ciphertext of all its records until the gateway is brought up to date";
-                    self.plant.observer.alert(false, text.to_owned());
+                    self.outbox.plant.observer.alert(false, text.to_owned());
                 }
                 Err(error) => return Err(error.into()),
             }
@@ -88,9 +85,9 @@ impl Forwarder {
                 "the gateway says that {doubted} records are verified, but its proofs do not show them in an anchored \
                  batch; they are kept here as not verified"
             );
-            self.plant.observer.alert(true, text);
+            self.outbox.plant.observer.alert(true, text);
         }
-        let statement = statement(self.plant.provider, signed.time, digests, &signed.stood);
+        let statement = statement(self.outbox.plant.provider, signed.time, digests, &signed.stood);
         let proven = KeptStanding { time: signed.time, statement, signature: signed.signature, proofs };
         Standings { each, proven: (!proven.proofs.is_empty()).then_some(proven) }
     }
@@ -98,20 +95,20 @@ impl Forwarder {
     /// Whether a proof leads from the very bytes stored here to the root of an anchored batch.
     fn holds(&self, row: &RecordRow, proof: &[u8]) -> bool {
         let Ok(AnchorProof { inclusion: Some(inclusion), .. }) = AnchorProof::parse(proof) else { return false };
-        let Ok(Some(blob)) = self.plant.vault.get(row.digest) else { return false };
+        let Ok(Some(blob)) = self.outbox.plant.vault.get(row.digest) else { return false };
         let Ok((header, _)) = Header::parse(&blob) else { return false };
         let Header { owner, recorder, topic_id, seq, .. } = header;
-        let digest = Digest(self.plant.provider.sm3(&[&blob]));
+        let digest = Digest(self.outbox.plant.provider.sm3(&[&blob]));
         digest == row.digest && inclusion.proves(&Leaf { owner, recorder, topic_id, seq, digest })
     }
 
     fn decide(&self, verified: &[Digest], unknown: &[Digest], tampered: &[Digest]) -> Result<(), PipelineError> {
-        let (ledger, observer) = (&self.plant.ledger, &self.plant.observer);
+        let (ledger, observer) = (&self.outbox.plant.ledger, &self.outbox.plant.observer);
         if !verified.is_empty() {
             ledger.settle_forwarded(verified, RecordState::Verified)?;
             observer.verified(verified);
         }
-        if !unknown.is_empty() && ledger.settle_forwarded(unknown, RecordState::Stored)? > 0 {
+        if !unknown.is_empty() && ledger.unplace(self.gate.fingerprint, unknown)? > 0 {
             let count = unknown.len();
             observer.alert(
                 true,
@@ -134,42 +131,6 @@ impl Forwarder {
             observer.records_changed();
         }
         Ok(())
-    }
-
-    /// Deletes ciphertext whose proof was checked and signed long enough ago; on a full disk the oldest of it early.
-    /// Whatever no gateway has signed for stays.
-    ///
-    /// # Errors
-    /// Errors of ledger and vault.
-    pub fn tidy(&self) -> Result<(), PipelineError> {
-        let time = u64::try_from(self.keeping.time.as_nanos()).unwrap_or(u64::MAX);
-        let due = Timestamp(Timestamp::now().0.saturating_sub(time));
-        loop {
-            let old = self.plant.ledger.proven_before(due, PAGE)?;
-            if old.is_empty() {
-                break;
-            }
-            self.give_up(&old)?;
-        }
-        // A little more than the reserve, so that records are still accepted.
-        let wanted = self.keeping.reserve.saturating_add(self.keeping.reserve / 2);
-        let home = self.trust_file.parent().unwrap_or(&self.trust_file);
-        if wanted > 0 && free_bytes(home)? < wanted {
-            let oldest = self.plant.ledger.proven_before(Timestamp(i64::MAX.unsigned_abs()), PAGE)?;
-            if !oldest.is_empty() {
-                self.give_up(&oldest)?;
-                let text =
-                    format!("the disk is nearly full: {} proven records were given up before their time", oldest.len());
-                self.plant.observer.alert(false, text);
-            }
-        }
-        Ok(())
-    }
-
-    fn give_up(&self, digests: &[Digest]) -> Result<(), PipelineError> {
-        // Deleted first: after an interruption it is deleted again.
-        self.plant.vault.discard(digests)?;
-        Ok(self.plant.ledger.proven_gone(digests)?)
     }
 }
 

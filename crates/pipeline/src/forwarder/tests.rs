@@ -1,16 +1,20 @@
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
+use std::time::Instant;
+
+use tokio::time::sleep;
 
 use super::*;
 use crate::crypto::SmKeyPair;
-use crate::gateway::Standing;
+use crate::gateway::{Standing, Upload};
 use crate::gateway_stage::{Member, Stage, context, pair};
-use crate::model::{Header, RecordKind};
+use crate::model::{Header, RecordKind, RecordState};
 use crate::pipeline::fixture::Notes;
 use crate::store::{Ledger, NewRecord, StateCounts, open_vault};
 use relay::Relay;
 
 mod notices;
 mod relay;
+mod several;
 
 const QUICK: Pace = Pace {
     first_pause: Duration::from_millis(10),
@@ -75,15 +79,29 @@ impl Scene {
         Self { stage, relay, alice, device, credentials, home, plant, notes, stored, numbers: 0, keep: Duration::ZERO }
     }
 
+    fn robot(&self) -> Robot {
+        Robot {
+            context: context(),
+            name: self.credentials.name.clone(),
+            token: self.credentials.token,
+            patience: Duration::from_secs(2),
+            home: self.home.path().to_owned(),
+        }
+    }
+
+    fn access(&self) -> GatewayAccess {
+        let (address, fingerprint) = (self.relay.address.to_string(), self.stage.server.id());
+        GatewayAccess { address, fingerprint, transport: self.credentials.key.clone() }
+    }
+
     fn forwarder(&self) -> Forwarder {
-        let address = self.relay.address.to_string();
-        let endpoint = Endpoint { address, context: context(), patience: Duration::from_secs(2) };
-        let file = self.home.path().join("gateway.json");
-        let trust = trust_in(&file, self.stage.server.id()).expect("trusts");
+        self.forwarder_to(&[self.access()])
+    }
+
+    fn forwarder_to(&self, list: &[GatewayAccess]) -> Forwarder {
         let keeping = CopyKeeping { time: self.keep, reserve: 0 };
-        Forwarder::new(self.plant.clone(), endpoint, self.credentials.clone(), trust, file)
-            .paced(QUICK)
-            .keeping(keeping)
+        let forwarder = Forwarder::new(self.plant.clone(), self.robot(), list).expect("trusts");
+        forwarder.paced(QUICK).keeping(keeping)
     }
 
     fn work(&self) -> Work {

@@ -1,5 +1,5 @@
 //! The agent: a site without a chain, on a robot or its host. It captures in its owner's name, within its enrolment,
-//! and forwards everything to a gateway.
+//! and forwards everything to one of its gateways.
 
 use std::collections::HashSet;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -10,9 +10,9 @@ use tokio::task::{JoinHandle, block_in_place};
 
 use super::Site;
 use crate::crypto::{Enrolment, SealedEnrolment};
-use crate::gateway::{Context, Credentials, Endpoint};
+use crate::gateway::Context;
 use crate::model::{Digest, ErrorKind, ProfileName, RecordState, TopicName, clean};
-use crate::pipeline::forwarder::{CopyKeeping, Forwarder, Link, trust_in};
+use crate::pipeline::forwarder::{CopyKeeping, Forwarder, Link, Robot};
 use crate::pipeline::notices::Notices;
 use crate::pipeline::session::TopicFigures;
 use crate::pipeline::{Author, CaptureSession, Observer as _, recorder_heads};
@@ -21,7 +21,7 @@ use crate::service::failure::{input, internal, refused};
 use crate::service::reply::Failure;
 use crate::store::{StateCounts, TopicCounts};
 
-/// How long the gateway may take to answer.
+/// How long the only gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Interval between looks at the figures.
 const LOOK: Duration = Duration::from_millis(200);
@@ -60,7 +60,7 @@ pub struct AgentFigures {
     /// Verified only by the gateway's word, which an earlier version does not sign: their ciphertext stays here. Looked
     /// up every few seconds.
     pub unproven: u64,
-    /// Whether the gateway answers, in words.
+    /// Whether a gateway answers, in words.
     pub gateway: String,
 }
 
@@ -115,7 +115,8 @@ impl Agent {
         let (name, forwarder) = (enrolment.name.clone(), block_in_place(|| forwarder(site, enrolment))?);
         let (provider, observer) = (site.plant.provider, Arc::clone(&site.plant.observer));
         let notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept);
-        let forwarder = forwarder.with_errand(Box::new(notices));
+        let told = notices.gateways();
+        let forwarder = forwarder.with_errand(Box::new(notices)).following(told);
         let before = block_in_place(|| site.plant.ledger.counts(None))?.acknowledged;
         let session = Arc::new(CaptureSession::unfollowed(&topics, wishes.count, wishes.tags.clone()));
         for topic in &topics {
@@ -279,7 +280,7 @@ impl Agent {
             gateway: match &*self.link.borrow() {
                 Link::Connecting => "connecting".to_owned(),
                 Link::Up => "connected".to_owned(),
-                Link::Away(text) | Link::Refused(text) => clean(text, 300),
+                Link::InPlace(text) | Link::Away(text) | Link::Refused(text) => clean(text, 300),
             },
         }
     }
@@ -316,20 +317,20 @@ async fn forward(site: Arc<Site>, forwarder: Arc<tokio::sync::Mutex<Forwarder>>)
 }
 
 fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {
-    let trust_file = site.parts.home.root().join("gateway.json");
     let damaged = |_| internal("the enrolment names no gateway; have its owner enrol the robot again");
-    let gateway = enrolment.gateway().map_err(damaged)?;
-    let trust = trust_in(&trust_file, gateway.fingerprint)?;
-    let context = Context { provider: site.plant.provider, domain: enrolment.domain };
-    let endpoint = Endpoint { address: gateway.address.clone(), context, patience: PATIENCE };
-    let credentials =
-        Credentials { name: enrolment.name.clone(), key: gateway.transport.clone(), token: enrolment.token };
-    let forwarder = Forwarder::new(site.plant.clone(), endpoint, credentials, trust, trust_file);
-    let keeping = CopyKeeping {
-        time: site.parts.config.outbox_keep.unwrap_or(Duration::MAX),
-        reserve: site.parts.config.disk_reserve,
+    enrolment.gateway().map_err(damaged)?;
+    let robot = Robot {
+        context: Context { provider: site.plant.provider, domain: enrolment.domain },
+        name: enrolment.name.clone(),
+        token: enrolment.token,
+        patience: PATIENCE,
+        home: site.parts.home.root().to_owned(),
     };
-    let forwarder = forwarder.keeping(keeping);
+    let forwarder = Forwarder::new(site.plant.clone(), robot, &enrolment.gateways)?;
+    let config = &site.parts.config;
+    let time = config.outbox_keep.unwrap_or(Duration::MAX);
+    let forwarder = forwarder.keeping(CopyKeeping { time, reserve: config.disk_reserve });
+    let forwarder = forwarder.resending_after(config.resend_after);
     forwarder.tidy()?;
     Ok(forwarder)
 }

@@ -142,6 +142,10 @@ impl Site {
             Command::AddDeviceTopics { device, topics } => {
                 self.devices.add_topics(&owner()?, &device, &topics).await.map(ask::AddDeviceTopics::told)
             }
+            Command::AddDeviceGateway { device, address, key } => {
+                let added = self.devices.add_gateway(&owner()?, &device, (address, key)).await;
+                added.map(ask::AddDeviceGateway::told)
+            }
             Command::EnrolDevice(wishes) => self.devices.enrol(&owner()?, wishes).await.map(ask::EnrolDevice::told),
             Command::ListDevices => self.devices.rows(&owner()?).await.map(ask::ListDevices::told),
             Command::CompareFingerprint { fingerprint, account } => {

@@ -75,7 +75,7 @@ use gateway::admissions::Admissions;
 use identity::Profiles;
 use incidents::Incidents;
 use mirror::Joined;
-use mirror::remote::Remote;
+use mirror::remotes::Remotes;
 use parts::Parts;
 use pins::Pinning;
 use quarantine::Quarantine;
@@ -203,7 +203,7 @@ impl Site {
         let losses = Arc::new(Losses::default());
         let (recorder, judges) = recorder(&parts, &rings, &losses);
         let remote =
-            config.site.as_ref().map(|site| Remote::new(site, &parts.home, plant.provider)).transpose()?.map(Arc::new);
+            config.site.as_ref().map(|site| Remotes::new(site, &parts.home, plant.provider)).transpose()?.map(Arc::new);
         let ros = Arc::new(RosSide::new(of, &recorder, needs.ros));
         let sealer = Arc::new(SealerThread::new(of, &rings, &losses));
         let lanes = Arc::new(Lanes::new(of));

@@ -123,6 +123,7 @@ impl Site {
         match self.gateway.line() {
             Some(Line::Connecting) => return part("gateway", HealthLevel::Waiting, "connecting"),
             Some(Line::Up) => return part("gateway", HealthLevel::Ok, "connected"),
+            Some(Line::InPlace(text)) => return part("gateway", HealthLevel::Ok, &text),
             Some(Line::Away(text)) => return part("gateway", HealthLevel::Waiting, &text),
             Some(Line::Refused(text)) => return part("gateway", HealthLevel::Failed, &text),
             None => {}

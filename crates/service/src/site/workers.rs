@@ -11,6 +11,7 @@ use super::chain::administration::Administering;
 use super::chain::connection::Connection;
 use super::chain::lanes::Lanes;
 use super::clock::Clock;
+use super::devices::Devices;
 use super::evidence::TimeStamps;
 use super::mirror::Joined;
 use super::quarantine::Quarantine;
@@ -204,10 +205,14 @@ impl Site {
             let work = move |lanes: Arc<Lanes>| lanes.keep_witnesses(Arc::clone(&given));
             self.parts.supervisor.keep_while(&format!("witnesses {name}"), &self.lanes, while_open(self, owner), work);
         }
-        if self.joined.is_joined() {
+        let given = Arc::clone(owner);
+        let work = move |devices: Arc<Devices>| devices.keep_attending(Arc::clone(&given));
+        self.parts.supervisor.keep_while(&format!("courier {name}"), &self.devices, while_open(self, owner), work);
+        for place in 0..self.joined.gateways() {
             let given = Arc::clone(owner);
-            let work = move |joined: Arc<Joined>| joined.mirror(Arc::clone(&given));
-            self.parts.supervisor.keep_while(&format!("mirror {name}"), &self.joined, while_open(self, owner), work);
+            let work = move |joined: Arc<Joined>| joined.mirror(Arc::clone(&given), place);
+            let task = if place == 0 { format!("mirror {name}") } else { format!("mirror {name} {}", place + 1) };
+            self.parts.supervisor.keep_while(&task, &self.joined, while_open(self, owner), work);
         }
     }
 }

@@ -6,8 +6,8 @@ use rusqlite::{OptionalExtension as _, params};
 
 use super::append::count;
 use super::edges::{By, may};
-use super::{Ledger, Session};
-use crate::model::{Digest, RecordState, Signature, Timestamp};
+use super::{Ledger, Session, placed};
+use crate::model::{Digest, RecordState, Signature, SignerId, Timestamp};
 use crate::store::StoreError;
 use crate::store::database::whole;
 
@@ -26,12 +26,12 @@ pub struct KeptReceipt {
 const MOVE: &str = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND tx IS NULL AND block IS NULL";
 
 impl Ledger {
-    /// A gateway took records over: the receipt is stored, and those in state stored become submitted. Returns how many
-    /// changed.
+    /// A gateway took records over at a time of this machine: the receipt is stored, and those in state stored become
+    /// submitted. Returns how many changed.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then nothing changes, and they are passed on again.
-    pub fn accept(&self, receipt: KeptReceipt) -> Result<u64, StoreError> {
+    pub fn accept(&self, gateway: SignerId, at: Timestamp, receipt: KeptReceipt) -> Result<u64, StoreError> {
         self.write(move |session| {
             let digests: Vec<u8> = receipt.digests.iter().flat_map(|digest| digest.0).collect();
             session
@@ -49,6 +49,7 @@ impl Ledger {
                 bind.execute(params![digest.0, key])?;
             }
             sweep(session, before)?;
+            placed::put(session, gateway, at, &receipt.digests)?;
             Ok(moved)
         })
     }
@@ -66,6 +67,7 @@ impl Ledger {
         let digests = digests.to_vec();
         self.write_many(digests.len(), move |session| {
             let moved = shift(session, &digests, from, to)?;
+            placed::clear(session, &digests)?;
             if to == RecordState::Verified {
                 let before = held(session, &digests)?;
                 let mut release = session
@@ -102,7 +104,12 @@ impl Ledger {
     }
 }
 
-fn shift(session: &Session<'_>, digests: &[Digest], from: RecordState, to: RecordState) -> Result<u64, StoreError> {
+pub(super) fn shift(
+    session: &Session<'_>,
+    digests: &[Digest],
+    from: RecordState,
+    to: RecordState,
+) -> Result<u64, StoreError> {
     let mut statement = session.connection.prepare_cached(MOVE)?;
     digests
         .iter()
@@ -132,7 +139,7 @@ fn sweep(session: &Session<'_>, receipts: BTreeSet<i64>) -> Result<(), StoreErro
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::{Address, RecordKind, SignerId, TopicId};
+    use crate::model::{Address, RecordKind, TopicId};
     use crate::store::NewRecord;
 
     fn record(number: u8) -> NewRecord {
@@ -162,6 +169,8 @@ mod tests {
         KeptReceipt { time: Timestamp(7), digests, signature: Signature([number_of(numbers); 64]) }
     }
 
+    const GATEWAY: SignerId = SignerId([5; 32]);
+
     fn number_of(numbers: &[u8]) -> u8 {
         numbers.iter().sum()
     }
@@ -171,8 +180,8 @@ mod tests {
         let home = tempfile::tempdir().expect("folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
         ledger.append((1..=4).map(record).collect()).expect("acknowledged");
-        assert_eq!(ledger.accept(receipt(&[1, 2, 9])), Ok(2), "one is not of this ledger");
-        assert_eq!(ledger.accept(receipt(&[2, 3])), Ok(1), "acknowledged again");
+        assert_eq!(ledger.accept(GATEWAY, Timestamp(1), receipt(&[1, 2, 9])), Ok(2), "one is not of this ledger");
+        assert_eq!(ledger.accept(GATEWAY, Timestamp(1), receipt(&[2, 3])), Ok(1), "acknowledged again");
         let state = |number: u8| ledger.record(Digest([number; 32])).expect("reads").map(|row| row.state);
         assert_eq!(
             [1, 2, 3, 4].map(state),
@@ -184,7 +193,7 @@ mod tests {
         assert_eq!(ledger.settle_forwarded(&[Digest([2; 32])], RecordState::Stored), Ok(1));
         assert_eq!(ledger.receipt_of(Digest([2; 32])), Ok(Some(receipt(&[2, 3]))), "evidence");
         assert!(ledger.settle_forwarded(&[Digest([2; 32])], RecordState::Mined).is_err());
-        assert_eq!(ledger.accept(receipt(&[2])), Ok(1));
+        assert_eq!(ledger.accept(GATEWAY, Timestamp(1), receipt(&[2])), Ok(1));
         assert_eq!(ledger.settle_forwarded(&[Digest([2; 32]), Digest([3; 32])], RecordState::Verified), Ok(2));
         let left: i64 = ledger
             .read(|connection| Ok(connection.query_row("SELECT count(*) FROM receipts", [], |row| row.get(0))?))

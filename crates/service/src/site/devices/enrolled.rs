@@ -4,14 +4,15 @@ use crate::pipeline::Plant;
 use crate::service::hub::Hub;
 use crate::site::parts::Parts;
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
+use tokio::sync::watch;
 use tokio::task::block_in_place;
 
 use crate::crypto::{EpochIssue, IssuedKeys, IssuedTopic, Pseudonyms, SealingKey, filter_key, topic_id, topic_key};
-use crate::model::{ProfileName, SignerId};
+use crate::model::{ProfileName, PublicKey, SignerId, clean};
 use crate::pipeline::{Network, Owner, quarantine, recorder_heads};
 use crate::service::failure::refused;
-use crate::service::reply::Failure;
+use crate::service::reply::{Failure, RobotGatewayView};
 use crate::site::sharing::overdue::earliest_expiry;
 
 /// An enrolled device, as its owner's ledger stores it: no secret.
@@ -29,6 +30,30 @@ pub(crate) struct Enrolled {
     /// Whether it was recalled.
     #[serde(default)]
     pub ended: bool,
+    /// Its public key; none where an earlier version of this program enrolled it.
+    #[serde(default)]
+    pub key: Option<PublicKey>,
+    /// Its gateways, in order; none where an earlier version of this program enrolled it.
+    #[serde(default)]
+    pub gateways: Vec<EnrolledGateway>,
+}
+
+/// A gateway of an enrolled robot.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct EnrolledGateway {
+    /// Host:port.
+    pub address: String,
+    /// SM3 of its identity key.
+    pub key: SignerId,
+    /// Whether it knows the robot, and the robot it.
+    pub known: bool,
+}
+
+impl From<EnrolledGateway> for RobotGatewayView {
+    fn from(gateway: EnrolledGateway) -> Self {
+        let EnrolledGateway { address, key, known } = gateway;
+        Self { address: clean(&address, 255), key, known }
+    }
 }
 
 fn first() -> u8 {
@@ -39,13 +64,19 @@ fn first() -> u8 {
 pub(in crate::site) struct Enrolments {
     pub(super) plant: Plant,
     pub(super) hub: Arc<Hub>,
+    /// Changes whenever a notice was sealed.
+    pub(super) sealed: watch::Sender<()>,
+    /// Notices are numbered one at a time.
+    pub(super) sealing: Mutex<()>,
+    /// What is noted is changed one change at a time.
+    noting: Mutex<()>,
 }
 
 impl Enrolments {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         let Parts { plant, hub, .. } = parts.clone();
-        Self { plant, hub }
+        Self { plant, hub, sealed: watch::channel(()).0, sealing: Mutex::default(), noting: Mutex::default() }
     }
 }
 
@@ -93,6 +124,7 @@ impl Enrolments {
     }
 
     pub(super) fn add(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
+        let _alone = self.noting.lock().unwrap_or_else(PoisonError::into_inner);
         let mut all = self.of(owner)?;
         all.push(enrolled);
         self.write(owner, &all)
@@ -100,12 +132,23 @@ impl Enrolments {
 
     /// Notes that a device was recalled.
     pub(in crate::site) fn note_recalled(&self, owner: &Owner, device: SignerId) -> Result<(), Failure> {
+        self.change(owner, device, |enrolled| enrolled.ended = true)
+    }
+
+    /// Changes what is noted of a device.
+    pub(super) fn change(
+        &self,
+        owner: &Owner,
+        device: SignerId,
+        change: impl Fn(&mut Enrolled),
+    ) -> Result<(), Failure> {
+        let _alone = self.noting.lock().unwrap_or_else(PoisonError::into_inner);
         let mut all = self.of(owner)?;
-        all.iter_mut().filter(|enrolled| enrolled.device == device).for_each(|enrolled| enrolled.ended = true);
+        all.iter_mut().filter(|enrolled| enrolled.device == device).for_each(change);
         self.write(owner, &all)
     }
 
-    pub(super) fn write(&self, owner: &Owner, all: &[Enrolled]) -> Result<(), Failure> {
+    fn write(&self, owner: &Owner, all: &[Enrolled]) -> Result<(), Failure> {
         let text = serde_json::to_string(all).unwrap_or_default();
         Ok(block_in_place(|| self.plant.ledger.put_setting(&place(owner), &text))?)
     }

@@ -1,28 +1,22 @@
-//! Making a robot a device of its owner: its own key pair, K_T for its name at a gateway, the loan on the chain, its
-//! public key sent to the gateway, and the file with everything the robot needs.
+//! Making a robot a device of its owner: its own key pair, K_T for its name at each gateway, the loan on the chain, its
+//! public key sent to the gateways, and the file with everything the robot needs.
 
 use super::Devices;
 use std::sync::Arc;
-use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use tokio::task::block_in_place;
 
-use super::enrolled::Enrolled;
-use crate::crypto::{
-    Enrolment, GatewayAccess, Passphrase, SealedEnrolment, SmKeyPair, TransportKey, notice_key, notice_topic, signer_id,
-};
-use crate::gateway::{Applicant, Client, Code, Context, Credentials, DeviceNotice, Endpoint, GatewayError, Trust};
+use super::enrolled::{Enrolled, EnrolledGateway};
+use super::seat::{self, Seat};
+use crate::crypto::enrolment::{LONGEST_GATEWAY, MOST_GATEWAYS};
+use crate::crypto::{Enrolment, Passphrase, SealedEnrolment, SmKeyPair, notice_key, notice_topic, signer_id};
+use crate::gateway::{Context, DeviceNotice};
 use crate::model::{ErrorKind, ProfileName, SignerId, Timestamp, TopicName, clean};
 use crate::pipeline::{Network, Owner};
 use crate::service::command::{SecretBytes, SecretText};
 use crate::service::failure::{input, refused};
 use crate::service::reply::{DeviceTopicsView, EnrolledView, Failure};
-
-/// How long a gateway may take to answer.
-const PATIENCE: Duration = Duration::from_secs(20);
-/// How often the gateway is told of a device before the loan is on its chain.
-const ATTEMPTS: u32 = 20;
 
 /// The most topics that a robot can be limited to; one place is reserved for its own statements.
 const MOST_NAMED: usize = crate::crypto::enrolment::MOST_TOPICS - 1;
@@ -31,10 +25,13 @@ const TOO_MANY: &str = "a robot can be limited to at most 1,023 topics; use --al
 /// An owner's request to enrol a robot.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct EnrolWishes {
-    /// The gateway, host:port.
+    /// The first gateway, host:port.
     pub gateway: String,
     /// SM3 of its identity key; `None` to trust whatever answers.
     pub fingerprint: Option<SignerId>,
+    /// Further gateways, in order, with the fingerprints of their identity keys.
+    #[serde(default)]
+    pub further: Vec<(String, SignerId)>,
     /// N.
     pub name: ProfileName,
     /// Only these topics.
@@ -65,33 +62,30 @@ impl Devices {
         network.directory.identity(owner.address)?;
         let passphrase = Passphrase::new(wishes.passphrase.expose().to_owned())?;
         let topics = covered(&wishes)?;
-        if wishes.gateway.len() > crate::crypto::enrolment::LONGEST_GATEWAY {
-            return Err(input("a gateway's address has at most 255 characters"));
-        }
+        check_gateways(&wishes)?;
         let device = SmKeyPair::generate(self.plant.provider)?;
         let id = signer_id(&device.public);
         self.log.begin(owner, "enrol device", &format!("{} {id}", wishes.name)).await?;
         let context = Context { provider: self.plant.provider, domain: network.domain };
-        let endpoint = Endpoint { address: wishes.gateway.clone(), context, patience: PATIENCE };
-        let mut trust = wishes.fingerprint.map_or_else(Trust::on_first_use, Trust::pinned);
-        let transport = allocate(owner, &endpoint, &mut trust, &wishes.name).await?;
+        let mut seats = Seat::allocate_all(owner, context, &wishes).await?;
         self.lend(owner, id, wishes.until).await?;
         let notice_id = owner.topic_id(&notice_topic(&id));
         let notice = DeviceNotice { key: device.public, notices: Some(notice_id) };
-        let told = self.tell_gateway(owner, &network, &endpoint, &mut trust, (&wishes.name, &transport), notice);
-        if let Err(failure) = told.await {
+        let token = self.known_token(owner, &network)?;
+        if let Err(failure) = seat::tell_all(&mut seats, owner, (&wishes.name, token), notice).await {
             // A device that nobody will ever use should not stay lent; if this fails too, `devices list` shows it.
             drop(self.unlend_device(owner, id).await);
             return Err(failure);
         }
         let version = Enrolment::NEWEST;
-        let enrolled = Enrolled { name: wishes.name.clone(), device: id, topics, version, ended: false };
+        let gateways: Vec<EnrolledGateway> = seats.iter().map(Seat::noted).collect();
+        let (key, name, ended) = (Some(device.public), wishes.name.clone(), false);
+        let enrolled = Enrolled { name, device: id, topics, version, ended, key, gateways };
         let keys = self.enrolments.issue(owner, &network, &enrolled)?;
-        let fingerprint = trust.pinned.ok_or_else(|| refused("the gateway did not show who it is"))?;
         let enrolment = Enrolment {
             domain: network.domain,
             chain_id: network.chain.chain_id(),
-            gateways: vec![GatewayAccess { address: wishes.gateway, fingerprint, transport }],
+            gateways: seats.iter().filter_map(Seat::access).collect(),
             name: wishes.name,
             owner: owner.address,
             owner_key: owner.public_keys().0,
@@ -100,64 +94,22 @@ impl Devices {
             index: wishes.all_topics.then(|| owner.index()),
             notice_id,
             notice_key: notice_key(&owner.eoa(), &network.domain, &id),
-            token: self.known_token(owner, &network)?,
+            token,
             noticed: None,
             keys,
             version,
         };
         block_in_place(|| self.enrolments.note_told(owner, &enrolled, &enrolment.keys))?;
-        self.enrolments.add(owner, enrolled)?;
+        self.enrolments.add(owner, enrolled.clone())?;
         let file = block_in_place(|| SealedEnrolment::new(enrolment, &passphrase).and_then(|sealed| sealed.seal()))?;
-        self.enrolled_view(&endpoint, fingerprint, id, owner, SecretBytes::new(file))
-    }
-
-    fn enrolled_view(
-        &self,
-        endpoint: &Endpoint,
-        gateway_key: SignerId,
-        device: SignerId,
-        owner: &Owner,
-        file: SecretBytes,
-    ) -> Result<EnrolledView, Failure> {
-        let enrolled = self.enrolments.of(owner)?;
-        let name = enrolled.iter().find(|other| other.device == device).map(|other| other.name.clone());
-        let name = name.ok_or_else(|| refused("the device was not noted"))?;
-        Ok(EnrolledView { name, device, gateway: clean(&endpoint.address, 255), gateway_key, file })
+        enrolled_view(enrolled, SecretBytes::new(file))
     }
 
     /// A token of the owner that is on the chain.
-    fn known_token(&self, owner: &Owner, network: &Network) -> Result<crate::model::Token, Failure> {
+    pub(super) fn known_token(&self, owner: &Owner, network: &Network) -> Result<crate::model::Token, Failure> {
         let account = network.directory.account(owner.address);
         let token = account.and_then(|account| account.token);
         token.ok_or_else(|| refused("the chain has no token of this account; run `authros register` first"))
-    }
-
-    async fn tell_gateway(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        endpoint: &Endpoint,
-        trust: &mut Trust,
-        (name, key): (&ProfileName, &TransportKey),
-        mut notice: DeviceNotice,
-    ) -> Result<(), Failure> {
-        let token = self.known_token(owner, network)?;
-        let credentials = Credentials { name: name.clone(), key: key.clone(), token };
-        let mut client = Client::connect(endpoint, trust, &credentials).await?;
-        for attempt in 1.. {
-            match client.device(&owner.signing(), notice).await {
-                // A gateway of an earlier version is told only the key.
-                Err(GatewayError::Refused(Code::Malformed)) if notice.notices.is_some() => notice.notices = None,
-                // Its node may be behind ours.
-                Err(GatewayError::Refused(Code::Signature | Code::NotRegistered | Code::Stale))
-                    if attempt < ATTEMPTS =>
-                {
-                    tokio::time::sleep(Duration::from_secs(1)).await;
-                }
-                told => return Ok(told.map(|_| ())?),
-            }
-        }
-        Ok(())
     }
 
     /// Gives an enrolled robot the keys for more topics; its next notice tells it.
@@ -169,9 +121,8 @@ impl Devices {
     ) -> Result<DeviceTopicsView, Failure> {
         let network = self.link.network().await?;
         let device = self.lent_device(&network, owner, device)?;
-        let mut all = self.enrolments.of(owner)?;
-        let enrolled = all.iter_mut().rfind(|enrolled| enrolled.device == device);
-        let enrolled = enrolled.ok_or_else(|| {
+        let found = self.enrolments.of(owner)?.into_iter().rfind(|enrolled| enrolled.device == device);
+        let mut enrolled = found.ok_or_else(|| {
             refused(format!("device {device} was not enrolled from this home, so its topics are not known here"))
         })?;
         if enrolled.topics.is_empty() {
@@ -189,12 +140,29 @@ impl Devices {
         if enrolled.topics.len() > MOST_NAMED {
             return Err(input(TOO_MANY));
         }
-        let enrolled = enrolled.clone();
         self.log.begin(owner, "device topics", &format!("{device}: {}", added.join(" "))).await?;
-        self.enrolments.write(owner, &all)?;
+        self.enrolments.change(owner, device, |noted| noted.topics.clone_from(&enrolled.topics))?;
         block_in_place(|| self.enrolments.tell_devices(owner, &network))?;
         Ok(DeviceTopicsView { name: enrolled.name, device, added, topics: enrolled.topics })
     }
+}
+
+fn check_gateways(wishes: &EnrolWishes) -> Result<(), Failure> {
+    let mut addresses = wishes.further.iter().map(|(address, _)| address).chain([&wishes.gateway]);
+    if addresses.any(|address| address.len() > LONGEST_GATEWAY) {
+        return Err(input("a gateway's address has at most 255 characters"));
+    }
+    if wishes.further.len() >= MOST_GATEWAYS {
+        return Err(input("a robot has at most eight gateways"));
+    }
+    if !wishes.further.is_empty() && wishes.fingerprint.is_none() {
+        return Err(input("of several gateways each is named with its key: give a --gateway-key for each --gateway"));
+    }
+    let mut keys: Vec<SignerId> = wishes.further.iter().map(|(_, key)| *key).chain(wishes.fingerprint).collect();
+    let all = keys.len();
+    keys.sort();
+    keys.dedup();
+    if keys.len() < all { Err(input("two gateways have one key; name each gateway once")) } else { Ok(()) }
 }
 
 /// The requested topics, in order; none for all.
@@ -212,13 +180,17 @@ fn covered(wishes: &EnrolWishes) -> Result<Vec<String>, Failure> {
     if topics.len() > MOST_NAMED { Err(input(TOO_MANY)) } else { Ok(topics) }
 }
 
-async fn allocate(
-    owner: &Owner,
-    endpoint: &Endpoint,
-    trust: &mut Trust,
-    name: &ProfileName,
-) -> Result<TransportKey, Failure> {
-    let (signing, account) = (owner.signing(), owner.eoa());
-    let applicant = Applicant { name, signing: &signing, envelope: owner.envelope().public, account: &account };
-    Ok(Client::allocate(endpoint, trust, &applicant).await?.0)
+fn enrolled_view(enrolled: Enrolled, file: SecretBytes) -> Result<EnrolledView, Failure> {
+    let Enrolled { name, device, gateways, .. } = enrolled;
+    let used = gateways.iter().find(|gateway| gateway.known);
+    let used = used.ok_or_else(|| refused("no gateway was told of the device"))?;
+    let (gateway, gateway_key) = (clean(&used.address, 255), used.key);
+    Ok(EnrolledView {
+        name,
+        device,
+        gateway,
+        gateway_key,
+        gateways: gateways.into_iter().map(Into::into).collect(),
+        file,
+    })
 }

@@ -1,17 +1,22 @@
 //! Devices that may sign for their owner: lent and recalled on the chain.
 
+mod courier;
 pub(super) mod enrolled;
 pub(super) mod enrolling;
 #[cfg(test)]
 mod loan_tests;
+mod seat;
 mod telling;
 
+use crate::paths::Home;
 use crate::pipeline::Plant;
 use crate::pipeline::Sender;
 use crate::service::hub::Hub;
 use crate::site::audit::Log;
 use crate::site::chain::link::Link;
 use crate::site::devices::enrolled::Enrolments;
+use crate::site::identity::owners::Owners;
+use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
 use crate::site::sharing::Sharing;
 use std::sync::Arc;
@@ -37,6 +42,11 @@ pub(in crate::site) struct Devices {
     sender: Arc<Sender>,
     sharing: Arc<Sharing>,
     enrolments: Arc<Enrolments>,
+    home: Home,
+    owners: Arc<Owners>,
+    life: Arc<Lifetime>,
+    /// Robots are attended to one round at a time.
+    attending: tokio::sync::Mutex<()>,
     /// Whether the chain is known only from a gateway's word.
     is_joined: bool,
 }
@@ -44,7 +54,7 @@ pub(in crate::site) struct Devices {
 impl Devices {
     /// From the shared parts.
     pub fn new(parts: &Parts, sharing: &Arc<Sharing>, enrolments: &Arc<Enrolments>) -> Self {
-        let Parts { plant, hub, log, link, sender, .. } = parts.clone();
+        let Parts { home, plant, hub, log, owners, link, life, sender, .. } = parts.clone();
         Self {
             plant,
             hub,
@@ -53,6 +63,10 @@ impl Devices {
             sender,
             sharing: Arc::clone(sharing),
             enrolments: Arc::clone(enrolments),
+            home,
+            owners,
+            life,
+            attending: tokio::sync::Mutex::default(),
             is_joined: parts.config.site.is_some(),
         }
     }

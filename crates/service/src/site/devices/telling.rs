@@ -1,5 +1,7 @@
 //! The owner's side of notices: when what an enrolled robot should seal under has changed, it gets a record of its own.
 
+use std::sync::PoisonError;
+
 use super::enrolled::Enrolled;
 use super::enrolled::Enrolments;
 use crate::crypto::{IssuedKeys, Notice, OwnerKeyChange, notice_key, notice_topic};
@@ -79,7 +81,7 @@ impl Enrolments {
         Ok(self.plant.ledger.put_setting(&place(owner, device), &summary(keys))?)
     }
 
-    fn seal_notice(
+    pub(super) fn seal_notice(
         &self,
         owner: &Owner,
         network: &Network,
@@ -87,6 +89,7 @@ impl Enrolments {
         epoch: u64,
         notice: &Notice,
     ) -> Result<(), Failure> {
+        let _alone = self.sealing.lock().unwrap_or_else(PoisonError::into_inner);
         let (name, body) = (notice_topic(&device.device), notice.encode());
         let speaker = Speaker {
             domain: network.domain,
@@ -97,7 +100,9 @@ impl Enrolments {
             topic_key: &notice_key(&owner.eoa(), &network.domain, &device.device),
         };
         let statement = Statement { kind: RecordKind::Key, topic: &name, type_name: TYPE, body: &body };
-        Ok(statement::put(&self.plant, &speaker, statement, |row| self.plant.ledger.append(vec![row]))?)
+        statement::put(&self.plant, &speaker, statement, |row| self.plant.ledger.append(vec![row]))?;
+        self.sealed.send_replace(());
+        Ok(())
     }
 }
 

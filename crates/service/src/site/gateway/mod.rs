@@ -22,7 +22,7 @@ use crate::site::chain::link::Link;
 use crate::site::gateway::admissions::Admissions;
 use crate::site::identity::owners::Owners;
 use crate::site::lifetime::Lifetime;
-use crate::site::mirror::remote::Remote;
+use crate::site::mirror::remotes::Remotes;
 use crate::site::parts::Parts;
 use crate::site::sharing::Sharing;
 use crate::site::supervision::Supervisor;
@@ -112,7 +112,7 @@ pub(in crate::site) struct Gateway {
     admissions: Arc<Admissions>,
     /// The running one, if there is one.
     serving: Mutex<Option<Serving>>,
-    remote: Option<Arc<Remote>>,
+    remote: Option<Arc<Remotes>>,
     /// The connection of the agent that works here, if there is one.
     passed_on: OnceLock<watch::Receiver<Line>>,
 }
@@ -123,7 +123,7 @@ impl Gateway {
         parts: &Parts,
         sharing: &Arc<Sharing>,
         admissions: &Arc<Admissions>,
-        remote: Option<Arc<Remote>>,
+        remote: Option<Arc<Remotes>>,
     ) -> Self {
         let Parts { home, config, plant, hub, log, owners, link, life, supervisor, .. } = parts.clone();
         Self {

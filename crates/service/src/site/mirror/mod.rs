@@ -1,7 +1,8 @@
-//! Mirrors a gateway's records of a profile here: lists and fetches what is missing, then takes records as they come. A
+//! Mirrors each gateway's records of a profile here: lists and fetches what is missing, then takes records as they come. A
 //! lost connection is opened again, with pauses that grow to five seconds.
 
-pub(super) mod remote;
+mod remote;
+pub(super) mod remotes;
 
 use crate::paths::Home;
 use crate::pipeline::Plant;
@@ -25,6 +26,7 @@ use crate::pipeline::{Network, Owner, PipelineError};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::Failure;
 use remote::{Mirrored, Remote};
+use remotes::Remotes;
 
 /// The first pause after a failure, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(5));
@@ -81,31 +83,31 @@ pub(in crate::site) struct Joined {
     owners: Arc<Owners>,
     link: Arc<Link>,
     life: Arc<Lifetime>,
-    remote: Option<Arc<Remote>>,
+    remotes: Option<Arc<Remotes>>,
 }
 
 impl Joined {
     /// From the shared parts.
-    pub fn new(parts: &Parts, remote: Option<Arc<Remote>>) -> Self {
+    pub fn new(parts: &Parts, remotes: Option<Arc<Remotes>>) -> Self {
         let Parts { home, plant, hub, owners, link, life, .. } = parts.clone();
-        Self { home, plant, hub, owners, link, life, remote }
+        Self { home, plant, hub, owners, link, life, remotes }
     }
 }
 
 impl Joined {
-    /// Whether this site joins another one.
-    pub fn is_joined(&self) -> bool {
-        self.remote.is_some()
+    /// How many gateways this site joins.
+    pub fn gateways(&self) -> usize {
+        self.remotes.as_ref().map_or(0, |remotes| remotes.all().len())
     }
 
     /// Where the chain comes from, in words, if that is the other site.
     pub fn chain_text(&self) -> Option<String> {
-        self.remote.as_ref().map(|remote| remote.chain_text())
+        self.remotes.as_ref().map(|remotes| remotes.chain_text())
     }
 
-    /// Mirrors a profile's records until its owner is closed or the site ends.
-    pub(super) async fn mirror(self: Arc<Self>, owner: Arc<Owner>) {
-        let Some(remote) = &self.remote else { return };
+    /// Mirrors a profile's records of the gateway at a place of the list until its owner is closed or the site ends.
+    pub(super) async fn mirror(self: Arc<Self>, owner: Arc<Owner>, place: usize) {
+        let Some(remote) = self.remotes.as_ref().and_then(|remotes| remotes.all().get(place)) else { return };
         let mut pause = PAUSES.0;
         while !self.life.is_stopping() && self.owners.is_open(&owner) {
             let Some(network) = self.link.network_now() else {
@@ -142,7 +144,7 @@ impl Joined {
             Broken::Gateway(error) => {
                 // The chain has other keys by now than those the transport key was allocated under: allocate again.
                 if matches!(error, GatewayError::Refused(Code::NotRegistered)) {
-                    drop(std::fs::remove_file(self.home.transport_key(&owner.profile)));
+                    drop(std::fs::remove_file(remote.transport_key(&self.home, &owner.profile)));
                 }
                 error.into()
             }
@@ -150,8 +152,10 @@ impl Joined {
         };
         let seconds = pause.as_secs();
         let text = format!(
-            "the records of '{}' do not come in from the gateway, retry in {seconds} s: {}",
-            owner.profile, failure.message
+            "the records of '{}' do not come in from the gateway {}, retry in {seconds} s: {}",
+            owner.profile,
+            crate::model::clean(remote.address(), 255),
+            failure.message
         );
         self.hub.notice(NoticeLevel::Error, &text);
         remote.note(&owner.profile, Mirrored::Failed(failure));

@@ -1,35 +1,28 @@
-//! A site that joins another one through its gateway: the chain and the records come from there, and that operator's
-//! word has to be trusted for the chain. What follows from signatures and digests is still checked here.
+//! One gateway of the site that this one joins: records come from there, and the chain may, for which that operator's
+//! word has to be trusted. What follows from signatures and digests is still checked here.
 
-use super::Joined;
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::watch;
 use tokio::task::block_in_place;
 
-use crate::chain::{Chain, ChainOptions, Endpoint, Pin, RelayLine};
-use crate::config::RemoteSite;
 use crate::crypto::transport_file::{TransportUse, load_transport_key, save_transport_key};
 use crate::crypto::{Provider, TransportKey};
 use crate::gateway::{
-    Applicant, ChainLine, Client, Context, Credentials, Endpoint as GatewayEndpoint, GatewayError, GrantNotice,
-    KeptTrust, NetworkName, RevokeNotice,
+    Applicant, ChainLine, Client, Context, Credentials, Endpoint as GatewayEndpoint, GatewayError, KeptTrust,
+    NetworkName,
 };
 use crate::model::{Address, Domain, ErrorKind, ProfileName, SignerId};
 use crate::paths::Home;
 use crate::pipeline::{Network, Owner};
-use crate::service::event::NoticeLevel;
 use crate::service::failure::{internal, refused};
 use crate::service::reply::Failure;
-use crate::site::chain::connection::Lost;
 
 /// How long a gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// How long a command waits until the gateway's records are here.
-const FIRST_ROUND: Duration = Duration::from_secs(90);
-
 /// The progress of a profile's mirror.
 #[derive(Debug, Clone)]
 pub(in crate::site) enum Mirrored {
@@ -44,6 +37,8 @@ pub(in crate::site) enum Mirrored {
 /// The link to the gateway.
 pub(crate) struct Remote {
     address: String,
+    /// Its key, if it is not the first gateway: what is kept of it has a name of its own.
+    named: Option<SignerId>,
     provider: &'static dyn Provider,
     trust: Arc<KeptTrust>,
     line: Mutex<Option<Arc<ChainLine>>>,
@@ -51,21 +46,42 @@ pub(crate) struct Remote {
 }
 
 impl Remote {
-    /// As named in the settings; nothing is sent yet.
-    pub fn new(site: &RemoteSite, home: &Home, provider: &'static dyn Provider) -> Result<Self, Failure> {
-        let trust = KeptTrust::open(home.gateway_trust(), site.gateway_key, site.trust_first)?;
-        Ok(Self {
-            address: site.address.clone(),
+    /// The gateway at `address`, trusted according to the note in a file; nothing is sent yet.
+    pub fn new(address: &str, named: Option<SignerId>, trust: KeptTrust, provider: &'static dyn Provider) -> Self {
+        Self {
+            address: address.to_owned(),
+            named,
             provider,
             trust: Arc::new(trust),
             line: Mutex::default(),
             mirrored: watch::channel(BTreeMap::new()).0,
-        })
+        }
     }
 
-    /// Where the chain comes from, in words.
-    pub fn chain_text(&self) -> String {
-        format!("through the gateway {}; its word, not your own node's", self.address)
+    /// Host and port.
+    pub fn address(&self) -> &str {
+        &self.address
+    }
+
+    /// Where a profile's transport key for this gateway is kept.
+    pub fn transport_key(&self, home: &Home, profile: &ProfileName) -> PathBuf {
+        match &self.named {
+            None => home.transport_key(profile),
+            Some(gateway) => home.transport_key_at(profile, gateway),
+        }
+    }
+
+    /// The progress of each profile's mirror, from now on.
+    pub fn follow(&self) -> watch::Receiver<BTreeMap<ProfileName, Mirrored>> {
+        self.mirrored.subscribe()
+    }
+
+    /// The network that the gateway says it is on; nothing is proven yet.
+    ///
+    /// # Errors
+    /// If it does not answer.
+    pub async fn inquire(&self) -> Result<NetworkName, GatewayError> {
+        Client::inquire(&self.address, PATIENCE).await
     }
 
     fn endpoint(&self, domain: Domain) -> GatewayEndpoint {
@@ -73,7 +89,8 @@ impl Remote {
         GatewayEndpoint { address: self.address.clone(), context, patience: PATIENCE }
     }
 
-    fn line(&self, domain: Domain) -> Result<Arc<ChainLine>, Failure> {
+    /// The line to the chain behind it.
+    pub fn line(&self, domain: Domain) -> Result<Arc<ChainLine>, Failure> {
         let mut slot = self.line.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(line) = slot.as_ref().filter(|line| line.endpoint().context.domain == domain) {
             return Ok(Arc::clone(line));
@@ -82,32 +99,6 @@ impl Remote {
         let line = Arc::new(ChainLine::new(self.endpoint(domain), Arc::clone(&self.trust), visitor));
         *slot = Some(Arc::clone(&line));
         Ok(line)
-    }
-
-    /// The chain behind the gateway; it must be the pinned one if there is a pin.
-    ///
-    /// # Errors
-    /// If the gateway or its chain does not answer, or is a different one.
-    pub async fn chain(
-        &self,
-        pinned: Option<Pin>,
-        contract: Option<Address>,
-        confirmations: u64,
-    ) -> Result<Chain, Lost> {
-        let named = match &pinned {
-            Some(pin) => NetworkName { chain_id: pin.chain_id, genesis: pin.genesis, contract: pin.contract },
-            None => Client::inquire(&self.address, PATIENCE).await.map_err(Failure::from)?,
-        };
-        let line = self.line(named.domain())?;
-        line.meet().await.map_err(Failure::from)?;
-        let contract = Some(contract.unwrap_or(named.contract));
-        let endpoint = Endpoint::Relay(RelayLine(line));
-        let chain = Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?;
-        if (chain.chain_id(), chain.genesis()) != (named.chain_id, named.genesis) {
-            let what = "passes on another chain than it stands on; do not go on, its operator must explain";
-            return Err(refused(format!("the gateway {} {what}", self.address)).into());
-        }
-        Ok(chain)
     }
 
     /// The account that registered the gateway's identity key.
@@ -134,7 +125,7 @@ impl Remote {
 
     /// A session in the owner's name; allocates the transport key if there is none, or none that is accepted.
     pub async fn connect(&self, home: &Home, owner: &Owner, network: &Network) -> Result<Client, GatewayError> {
-        let (path, gateway) = (home.transport_key(&owner.profile), self.trust.current().pinned);
+        let (path, gateway) = (self.transport_key(home, &owner.profile), self.trust.current().pinned);
         let endpoint = self.endpoint(network.domain);
         let unmet = GatewayError::Unexpected("no gateway was met yet");
         let usage = TransportUse { domain: &network.domain, gateway: &gateway.ok_or(unmet)?, name: &owner.profile };
@@ -179,49 +170,5 @@ impl Remote {
         self.mirrored.send_modify(|all| {
             all.insert(profile.clone(), mirrored);
         });
-    }
-}
-
-impl Joined {
-    /// Waits until the gateway's records for a profile are here; returns at once if this site joins none.
-    ///
-    /// # Errors
-    /// Why the last attempt failed.
-    pub(in crate::site) async fn caught_up(&self, profile: &ProfileName) -> Result<(), Failure> {
-        let Some(remote) = &self.remote else { return Ok(()) };
-        self.link.network().await?;
-        let mut mirrored = remote.mirrored.subscribe();
-        let settled = mirrored.wait_for(|all| matches!(all.get(profile), Some(Mirrored::Caught | Mirrored::Failed(_))));
-        match tokio::time::timeout(FIRST_ROUND, settled).await {
-            Ok(Ok(all)) => match all.get(profile) {
-                Some(Mirrored::Failed(failure)) => Err(failure.clone()),
-                _ => Ok(()),
-            },
-            _ => Err(Failure::new(
-                ErrorKind::Incomplete,
-                format!("the records of the gateway {} are still coming in; ask again in a while", remote.address),
-            )),
-        }
-    }
-
-    /// Tells the gateway of a grant, so that it need not wait for the chain.
-    pub(in crate::site) async fn tell_of_grant(&self, owner: &Owner, network: &Network, notice: GrantNotice) {
-        let Some(remote) = &self.remote else { return };
-        let told = async { remote.connect(&self.home, owner, network).await?.grant(&owner.signing(), notice).await };
-        self.warn_untold(told.await.err());
-    }
-
-    /// Tells the gateway of a revoke, so that it obeys at once.
-    pub(in crate::site) async fn tell_of_revoke(&self, owner: &Owner, network: &Network, notice: RevokeNotice) {
-        let Some(remote) = &self.remote else { return };
-        let told = async { remote.connect(&self.home, owner, network).await?.revoke(&owner.signing(), notice).await };
-        self.warn_untold(told.await.err());
-    }
-
-    fn warn_untold(&self, error: Option<GatewayError>) {
-        if let Some(error) = error {
-            let text = format!("the gateway will learn of it from the chain alone, it could not be told: {error}");
-            self.hub.notice(NoticeLevel::Warning, &text);
-        }
     }
 }

@@ -1,0 +1,237 @@
+//! A robot of two gateways: one takes over when the other is gone, and nothing rests on one gateway's word alone.
+
+use super::*;
+use crate::crypto::{
+    Enrolment, EoaSecret, EpochIssue, EpochKey, GatewayList, IndexKey, IssuedKeys, ListedGateway, Notice, Passphrase,
+    SealRequest, SealedEnrolment, SealingKey, TopicKey, notice_topic, seal, signer_id, topic_id,
+};
+use crate::gateway::Limits;
+use crate::model::head::Compression;
+use crate::model::{Head, RecorderId, Token};
+use crate::pipeline::Author;
+use crate::pipeline::notices::Notices;
+
+/// The second gateway, which knows the robot as well.
+struct Second {
+    stage: Stage,
+    relay: Relay,
+    credentials: Credentials,
+}
+
+impl Second {
+    async fn beside(scene: &Scene) -> Self {
+        let stage = Stage::known_by(0x24, Limits::default()).await;
+        let credentials = stage.enrol(&scene.alice).await;
+        let mut owner = stage.connect(&credentials).await.expect("connects");
+        stage.desk.lend(&scene.alice, &scene.device);
+        owner.device(&scene.alice.signing, scene.device.public).await.expect("told");
+        let relay = Relay::to(stage.server.address()).await;
+        Self { stage, relay, credentials }
+    }
+
+    fn access(&self) -> GatewayAccess {
+        let (address, fingerprint) = (self.relay.address.to_string(), self.stage.server.id());
+        GatewayAccess { address, fingerprint, transport: self.credentials.key.clone() }
+    }
+
+    fn holds(&self) -> usize {
+        self.stage.desk.record_count()
+    }
+}
+
+fn start(scene: &Scene, mut forwarder: Forwarder) -> Work {
+    let (link, refused, stored) = (forwarder.link(), forwarder.refused(), Arc::clone(&scene.stored));
+    Work { link, refused, task: tokio::spawn(async move { forwarder.run(&stored).await }) }
+}
+
+/// Where nobody listens.
+async fn nowhere() -> std::net::SocketAddr {
+    tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("port").local_addr().expect("address")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_next_gateway_takes_over_and_the_first_takes_back() {
+    let mut scene = Scene::new().await;
+    let second = Second::beside(&scene).await;
+    let forwarder = scene.forwarder_to(&[scene.access(), second.access()]);
+    let work = start(&scene, forwarder.resending_after(Duration::from_secs(3600)));
+    scene.capture(30, 100);
+    scene.until_state(RecordState::Submitted, 30).await;
+    assert_eq!((scene.at_gateway(), second.holds()), (30, 0), "the first alone");
+
+    let first = scene.stage.server.address();
+    scene.relay.lead_to(nowhere().await);
+    scene.relay.cut();
+    scene.capture(40, 100);
+    scene.until_state(RecordState::Submitted, 70).await;
+    assert_eq!((scene.at_gateway(), second.holds()), (30, 40), "none twice");
+    assert!(matches!(&*work.link.borrow(), Link::InPlace(text) if text.contains("in place of")));
+
+    // Each gateway answers for what it signed for.
+    second.stage.desk.state().standing = Some(Standing::Verified);
+    scene.until_state(RecordState::Verified, 40).await;
+    scene.verify();
+    scene.relay.lead_to(first);
+    scene.until_state(RecordState::Verified, 70).await;
+    scene.until("home again", |_| *work.link.borrow() == Link::Up).await;
+    scene.capture(5, 100);
+    scene.until_state(RecordState::Verified, 75).await;
+    assert_eq!((scene.at_gateway(), second.holds()), (35, 40));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_one_gateway_does_not_prove_goes_to_the_next_once() {
+    let mut scene = Scene::new().await;
+    let second = Second::beside(&scene).await;
+    let list = [scene.access(), second.access()];
+    let after = Duration::from_millis(300);
+    let work = start(&scene, scene.forwarder_to(&list).resending_after(after));
+    scene.capture(300, 100);
+    scene.until("the next one has them", |_| second.holds() == 300).await;
+    // Both have all of them, and neither gets one again.
+    sleep(after * 4).await;
+    assert_eq!((scene.at_gateway(), second.holds(), scene.counts().data_in(RecordState::Submitted)), (300, 300, 300));
+    drop(work);
+
+    // The first one's disk is gone; whoever proves them first decides.
+    scene.stage.desk.state().records.clear();
+    scene.stage.desk.state().standing = Some(Standing::Unknown);
+    second.stage.desk.state().standing = Some(Standing::Verified);
+    let _work = start(&scene, scene.forwarder_to(&list).resending_after(after));
+    scene.until_state(RecordState::Verified, 300).await;
+    assert_eq!(scene.counts().data_in(RecordState::Tampered), 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_receipt_of_a_gateway_that_never_comes_back_is_not_the_end() {
+    let mut scene = Scene::new().await;
+    let second = Second::beside(&scene).await;
+    let list = [scene.access(), second.access()];
+    let work = start(&scene, scene.forwarder_to(&list).resending_after(Duration::from_millis(200)));
+    scene.until("connected", |_| *work.link.borrow() == Link::Up).await;
+    scene.capture(20, 100);
+    scene.until_state(RecordState::Submitted, 20).await;
+    scene.relay.lead_to(nowhere().await);
+    scene.relay.cut();
+    second.stage.desk.state().standing = Some(Standing::Verified);
+    scene.until_state(RecordState::Verified, 20).await;
+    assert_eq!(second.holds(), 20);
+    // A robot that starts again without the first one knows what the second one proved.
+    drop(work);
+    let _work = start(&scene, scene.forwarder_to(&list));
+    scene.capture(3, 100);
+    scene.until_state(RecordState::Verified, 23).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_gateway_that_was_away_is_tried_again_for_what_another_does_not_prove() {
+    let mut scene = Scene::new().await;
+    let second = Second::beside(&scene).await;
+    let there = second.stage.server.address();
+    second.relay.lead_to(nowhere().await);
+    let list = [scene.access(), second.access()];
+    let work = start(&scene, scene.forwarder_to(&list).resending_after(Duration::from_millis(200)));
+    scene.capture(10, 100);
+    scene.until("the next one was tried", |scene| scene.notes.with("does not take records") > 0).await;
+    assert_eq!((scene.at_gateway(), second.holds(), work.link.borrow().clone()), (10, 0, Link::Up));
+    second.relay.lead_to(there);
+    scene.until("it is tried again", |_| second.holds() == 10).await;
+}
+
+fn enrolment(scene: &Scene) -> Enrolment {
+    let key = SealingKey::Epoch(EpochKey::new([1; 32]));
+    let issue = EpochIssue { epoch: 1, token: Token([9; 32]), ends: None, key };
+    Enrolment {
+        domain: context().domain,
+        chain_id: 1,
+        gateways: vec![scene.access()],
+        name: scene.credentials.name.clone(),
+        owner: scene.alice.account(),
+        owner_key: scene.alice.signing.public,
+        device: scene.device.clone(),
+        index: Some(IndexKey::new([3; 32])),
+        notice_id: topic_id(&IndexKey::new([3; 32]), &notice_topic(&signer_id(&scene.device.public))),
+        notice_key: TopicKey::new([4; 32]),
+        token: scene.credentials.token,
+        noticed: None,
+        keys: IssuedKeys { now: issue, next: None },
+        version: 2,
+    }
+}
+
+/// A notice of gateways, signed by the owner's d_C and within it by an account.
+fn notice(scene: &Scene, account: &EoaSecret, seq: u64, gateways: Vec<ListedGateway>) -> Upload {
+    let device = signer_id(&scene.device.public);
+    let list = GatewayList::sign(&context().domain, account, device, gateways).expect("signs");
+    let (name, body) = (notice_topic(&device), Notice::Gateways(list).encode());
+    let head = Head {
+        topic: name.clone(),
+        type_name: "authros/Keys".into(),
+        md5sum: String::new(),
+        definition: Digest([0; 32]),
+        caller_id: String::new(),
+        boot_id: [0; 16],
+        compression: Compression::None,
+        plain_length: body.len() as u64,
+        tags: std::collections::BTreeMap::new(),
+    };
+    let request = SealRequest {
+        domain: context().domain,
+        owner: scene.alice.account(),
+        signer: &scene.alice.signing,
+        epoch: 1,
+        topic_key: &TopicKey::new([4; 32]),
+        recorder: RecorderId([8; 16]),
+        seq,
+        topic_id: topic_id(&IndexKey::new([3; 32]), &name),
+        kind: RecordKind::Key,
+        filters: Vec::new(),
+        captured_at: Timestamp(seq),
+        head: &head,
+        body: &body,
+    };
+    Upload::from(&seal(context().provider, &request).expect("seals"))
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_gateway_added_by_the_owner_is_used_and_one_added_by_a_thief_is_not() {
+    let mut scene = Scene::new().await;
+    let second = Second::beside(&scene).await;
+    let passphrase = Passphrase::new("correct horse".to_owned()).expect("long enough");
+    let sealed = SealedEnrolment::new(enrolment(&scene), &passphrase).expect("stretches");
+    let (kept, given) = (SealedEnrolment::kept_in(scene.home.path()), scene.home.path().join("given"));
+    sealed.create(&given).expect("writes");
+    let author = Arc::new(Author::new(scene.alice.account()));
+    let observer = Arc::clone(&scene.plant.observer);
+    let notices = Notices::new(context().provider, observer, author, sealed, kept.clone());
+    let told = notices.gateways();
+    let forwarder = scene.forwarder().with_errand(Box::new(notices)).following(told);
+    let work = start(&scene, forwarder);
+    let known = || {
+        let mut robot = SealedEnrolment::open(&given, &passphrase).expect("opens");
+        robot.catch_up(&kept).expect("reads");
+        robot.enrolment.gateways
+    };
+
+    let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
+    let listed = |access: GatewayAccess, with_key: bool| ListedGateway {
+        address: access.address,
+        fingerprint: access.fingerprint,
+        transport: with_key.then_some(access.transport),
+    };
+    // Whoever has d_C alone leads no robot away.
+    let thief = EoaSecret::generate().expect("an account");
+    owner.upload(vec![notice(&scene, &thief, 1, vec![listed(second.access(), true)])]).await.expect("taken");
+    scene.until("passed over", |scene| scene.notes.with("was passed over") > 0).await;
+    assert_eq!(known(), [scene.access()]);
+
+    let both = vec![listed(scene.access(), false), listed(second.access(), true)];
+    owner.upload(vec![notice(&scene, &scene.alice.eoa, 2, both)]).await.expect("taken");
+    scene.until("both are kept", |_| known() == [scene.access(), second.access()]).await;
+    scene.until("connected", |_| *work.link.borrow() == Link::Up).await;
+    scene.relay.lead_to(nowhere().await);
+    scene.relay.cut();
+    scene.capture(10, 100);
+    scene.until("the new one has them", |_| second.holds() == 10).await;
+    scene.until_state(RecordState::Submitted, 10).await;
+}

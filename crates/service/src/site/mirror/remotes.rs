@@ -1,0 +1,169 @@
+//! The gateways of the site that this one joins, in order: the chain comes through the first that answers, the records
+//! from all of them.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::Joined;
+use super::remote::{Mirrored, Remote};
+use crate::chain::{Chain, ChainOptions, Endpoint, Pin, RelayLine};
+use crate::config::RemoteSite;
+use crate::crypto::Provider;
+use crate::gateway::{ChainLine, ChainLines, GatewayError, GrantNotice, KeptTrust, NetworkName, RevokeNotice};
+use crate::model::{Address, ErrorKind, ProfileName};
+use crate::paths::Home;
+use crate::pipeline::{Network, Owner};
+use crate::service::event::NoticeLevel;
+use crate::service::failure::refused;
+use crate::service::reply::Failure;
+use crate::site::chain::connection::Lost;
+
+/// How long a command waits until the gateways' records are here.
+const FIRST_ROUND: Duration = Duration::from_secs(90);
+
+/// The gateways that this site joins; at least one.
+pub(crate) struct Remotes(Vec<Arc<Remote>>);
+
+impl Remotes {
+    /// As named in the settings; nothing is sent yet.
+    pub fn new(site: &RemoteSite, home: &Home, provider: &'static dyn Provider) -> Result<Self, Failure> {
+        let trust = KeptTrust::open(home.gateway_trust(), site.gateway_key, site.trust_first)?;
+        let mut all = vec![Arc::new(Remote::new(&site.address, None, trust, provider))];
+        for further in &site.also {
+            let trust = KeptTrust::open(home.gateway_trust_of(&further.key), Some(further.key), false)?;
+            all.push(Arc::new(Remote::new(&further.address, Some(further.key), trust, provider)));
+        }
+        Ok(Self(all))
+    }
+
+    /// The gateways, in order.
+    pub fn all(&self) -> &[Arc<Remote>] {
+        &self.0
+    }
+
+    fn addresses(&self) -> String {
+        let addresses: Vec<&str> = self.0.iter().map(|remote| remote.address()).collect();
+        addresses.join(", ")
+    }
+
+    /// Where the chain comes from, in words.
+    pub fn chain_text(&self) -> String {
+        match self.0.len() {
+            1 => format!("through the gateway {}; its word, not your own node's", self.addresses()),
+            _ => format!("through one of the gateways {}; its word, not your own node's", self.addresses()),
+        }
+    }
+
+    /// The network of the first gateway that says it.
+    async fn inquire(&self) -> Result<NetworkName, GatewayError> {
+        let mut failed = GatewayError::Closed;
+        for remote in &self.0 {
+            match remote.inquire().await {
+                Ok(named) => return Ok(named),
+                Err(error) => failed = error,
+            }
+        }
+        Err(failed)
+    }
+
+    /// The place of the first gateway that answers.
+    async fn meet(lines: &[Arc<ChainLine>]) -> Result<usize, GatewayError> {
+        let mut failed = None;
+        for (place, line) in lines.iter().enumerate() {
+            match line.meet().await {
+                Ok(_) => return Ok(place),
+                Err(error) => failed = failed.or(Some(error)),
+            }
+        }
+        Err(failed.unwrap_or(GatewayError::Closed))
+    }
+
+    /// The chain behind the gateways; it must be the pinned one if there is a pin.
+    ///
+    /// # Errors
+    /// If no gateway answers, or its chain does not, or is a different one.
+    pub async fn chain(
+        &self,
+        pinned: Option<Pin>,
+        contract: Option<Address>,
+        confirmations: u64,
+    ) -> Result<Chain, Lost> {
+        let named = match &pinned {
+            Some(pin) => NetworkName { chain_id: pin.chain_id, genesis: pin.genesis, contract: pin.contract },
+            None => self.inquire().await.map_err(Failure::from)?,
+        };
+        let lines = self.0.iter().map(|remote| remote.line(named.domain())).collect::<Result<Vec<_>, _>>()?;
+        let place = Self::meet(&lines).await.map_err(Failure::from)?;
+        let contract = Some(contract.unwrap_or(named.contract));
+        let endpoint = Endpoint::Relay(RelayLine(Arc::new(ChainLines::new(lines, place))));
+        let chain = Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?;
+        if (chain.chain_id(), chain.genesis()) != (named.chain_id, named.genesis) {
+            let what = "passes on another chain than it stands on; do not go on, its operator must explain";
+            let address = self.0.get(place).map_or_else(String::new, |remote| remote.address().to_owned());
+            return Err(refused(format!("the gateway {address} {what}")).into());
+        }
+        Ok(chain)
+    }
+
+    /// Waits until the mirror of one gateway has settled for a profile.
+    async fn settled(remote: &Remote, profile: &ProfileName) -> Option<Result<(), Failure>> {
+        let mut mirrored = remote.follow();
+        let settled = mirrored.wait_for(|all| matches!(all.get(profile), Some(Mirrored::Caught | Mirrored::Failed(_))));
+        let all = tokio::time::timeout(FIRST_ROUND, settled).await.ok()?.ok()?;
+        Some(match all.get(profile) {
+            Some(Mirrored::Failed(failure)) => Err(failure.clone()),
+            _ => Ok(()),
+        })
+    }
+}
+
+impl Joined {
+    /// Waits until the gateways' records for a profile are here; returns at once if this site joins none. Of several
+    /// gateways one that answers is enough: the others' records come when those are back.
+    ///
+    /// # Errors
+    /// Why the last attempt failed.
+    pub(in crate::site) async fn caught_up(&self, profile: &ProfileName) -> Result<(), Failure> {
+        let Some(remotes) = &self.remotes else { return Ok(()) };
+        self.link.network().await?;
+        let (mut caught, mut failed) = (false, None);
+        for remote in remotes.all() {
+            match Remotes::settled(remote, profile).await {
+                Some(Ok(())) => caught = true,
+                Some(Err(failure)) => failed = failed.or(Some(failure)),
+                None => {
+                    let address = remote.address();
+                    let text =
+                        format!("the records of the gateway {address} are still coming in; ask again in a while");
+                    return Err(Failure::new(ErrorKind::Incomplete, text));
+                }
+            }
+        }
+        failed.filter(|_| !caught).map_or(Ok(()), Err)
+    }
+
+    /// Tells the gateways of a grant, so that they need not wait for the chain.
+    pub(in crate::site) async fn tell_of_grant(&self, owner: &Owner, network: &Network, notice: GrantNotice) {
+        for remote in self.remotes.iter().flat_map(|remotes| remotes.all()) {
+            let told =
+                async { remote.connect(&self.home, owner, network).await?.grant(&owner.signing(), notice).await };
+            self.warn_untold(told.await.err());
+        }
+    }
+
+    /// Tells the gateways of a revoke, so that they obey at once.
+    pub(in crate::site) async fn tell_of_revoke(&self, owner: &Owner, network: &Network, notice: RevokeNotice) {
+        for remote in self.remotes.iter().flat_map(|remotes| remotes.all()) {
+            let told =
+                async { remote.connect(&self.home, owner, network).await?.revoke(&owner.signing(), notice).await };
+            self.warn_untold(told.await.err());
+        }
+    }
+
+    fn warn_untold(&self, error: Option<GatewayError>) {
+        if let Some(error) = error {
+            let text = format!("a gateway will learn of it from the chain alone, it could not be told: {error}");
+            self.hub.notice(NoticeLevel::Warning, &text);
+        }
+    }
+}
