@@ -3,7 +3,9 @@
 use std::io::Write as _;
 use std::path::Path;
 
-use super::{adopt, alerts, audit, check, coverage, gateway, incidents, lists, parties, policy, quarantine, viewing};
+use super::{
+    adopt, alerts, audit, check, coverage, gateway, incidents, lists, parties, policy, quarantine, robots, viewing,
+};
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
 use crate::service::command::{Ask, Command, SecretBytes};
@@ -11,7 +13,7 @@ use crate::service::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, Answer, AuditCheck, AuditView, BackupView, ChainView,
     CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceRow, DeviceTopicsView,
     ExportedFile, GatewayStatusView, GrantRow, IdentityView, IncidentView, KeyChangeView, KeysView, OpenedView,
-    PathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, Reply, TopicRow,
+    PathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, Reply, RingPullView, TopicRow,
     TransactionView,
 };
 use crate::service::{Client, Failure};
@@ -118,6 +120,7 @@ documents! {
     CoverageView => coverage::strip;
     DeviceTopicsView => device_topics;
     IncidentView => incidents::incident;
+    RingPullView => robots::pulled;
 }
 
 rows! {

@@ -126,6 +126,20 @@ pub const DEFINITIONS: &[Definition] = &[
                time as 0s, 12h, 30d; below half more than disk.reserve it is given up earlier, oldest first",
     },
     Definition {
+        name: "ring.keep",
+        variable: "AUTHROS_RING_KEEP",
+        default: "",
+        text: "how much a robot keeps of topics that nobody watches, sealed on its own disk, until its owner asks for it: \
+               TIME, SIZE, as \"5m, 500MiB\"; empty = no ring",
+    },
+    Definition {
+        name: "ring.topics",
+        variable: "AUTHROS_RING_TOPICS",
+        default: "",
+        text: "topics of a robot's ring: [\"/camera/**\", \"/imu\"], or with commas between; those its enrolment covers and \
+               --topic does not name",
+    },
+    Definition {
         name: "retention",
         variable: "AUTHROS_RETENTION",
         default: "",

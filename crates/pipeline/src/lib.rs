@@ -19,6 +19,7 @@ pub mod authority;
 mod block_times;
 pub mod columns;
 pub mod directory;
+pub mod disk_ring;
 pub mod epoch;
 pub mod equivocation;
 pub mod error;

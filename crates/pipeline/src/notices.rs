@@ -11,10 +11,11 @@ use tokio::task::block_in_place;
 
 use crate::crypto::{Anchor, Expected, Fingerprint, IssuedKeys, Notice, Provider, SealedEnrolment, notice_topic, open};
 use crate::gateway::{Client, Entry, Fetched, GatewayError, Query, Selection};
-use crate::model::{Header, RecordKind, Timestamp, clean};
+use crate::model::{Header, RecordKind, RingSpan, Timestamp, clean};
+use crate::store::Ledger;
 
 use super::forwarder::{Errand, ForwardError};
-use super::{Author, Observer, PipelineError};
+use super::{Author, Observer, PipelineError, disk_ring};
 
 /// The time between two checks of the whole list, in case a subscription missed something.
 const LOOK: Duration = Duration::from_secs(300);
@@ -29,6 +30,8 @@ pub struct Notices {
     sealed: SealedEnrolment,
     /// Where the enrolment is stored with later changes.
     kept: PathBuf,
+    /// Notes what is asked of the ring, where this robot has one.
+    ring: Option<Ledger>,
     subscribed: bool,
     looked: Option<Instant>,
 }
@@ -42,7 +45,13 @@ impl Notices {
         sealed: SealedEnrolment,
         kept: PathBuf,
     ) -> Self {
-        Self { provider, observer, author, sealed, kept, subscribed: false, looked: None }
+        Self { provider, observer, author, sealed, kept, ring: None, subscribed: false, looked: None }
+    }
+
+    /// The same for a robot with a ring: what is asked of it is noted in the ledger.
+    #[must_use]
+    pub fn with_ring(self, ledger: Ledger) -> Self {
+        Self { ring: Some(ledger), ..self }
     }
 
     fn selection(&self) -> Selection {
@@ -125,7 +134,7 @@ impl Notices {
                 change.check(self.provider, &enrolment.domain, &enrolment.owner, &enrolment.owner_key)?;
                 true
             }
-            Notice::Unknown(_) => true,
+            Notice::Pull(_) | Notice::Unknown(_) => true,
         };
         if fits && opened.header.kind == RecordKind::Key {
             return Ok((opened.header, notice));
@@ -148,6 +157,7 @@ impl Notices {
                 let fingerprint = Fingerprint::of(&change.new);
                 format!("the owner's SM2 key is {fingerprint} from now on; the old one and the account signed it")
             }
+            Notice::Pull(span) => asked(self.ring.as_ref(), header.seq, &span)?,
             Notice::Unknown(kind) => {
                 let text =
                     format!("the owner sent a notice of kind {kind}, which this version does not know; update it");
@@ -161,6 +171,19 @@ impl Notices {
         self.observer.alert(false, told);
         Ok(())
     }
+}
+
+/// Notes what is asked of the ring before the notice counts as taken; what was done, in words.
+fn asked(ring: Option<&Ledger>, number: u64, span: &RingSpan) -> Result<String, PipelineError> {
+    let RingSpan { since, until, .. } = span;
+    let Some(ledger) = ring else {
+        return Ok(format!(
+            "the owner asks for what was captured from {since} to {until} and nobody watched, but this robot keeps no ring; \
+             ring.keep and ring.topics give it one"
+        ));
+    };
+    block_in_place(|| disk_ring::ask(ledger, number, span))?;
+    Ok(format!("the owner asks for what the ring has from {since} to {until}; it goes into the outbox"))
 }
 
 /// What changes with these keys, in words.

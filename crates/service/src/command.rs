@@ -11,6 +11,7 @@ mod incidents;
 mod operate;
 mod playing;
 mod recordings;
+mod robots;
 mod secret;
 mod viewing;
 
@@ -31,6 +32,7 @@ pub use self::operate::{
 };
 pub use self::playing::{Pace, PlayWishes, Remap};
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
+pub use self::robots::{PullRing, RobotCommand};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
 use crate::chain::Revision;
@@ -363,6 +365,8 @@ requests! {
         Operate(Operation),
         /// Incidents: spans of own records, kept together.
         OfIncident(IncidentCommand),
+        /// Robots: what is asked of them.
+        OfRobot(RobotCommand),
     }
 }
 

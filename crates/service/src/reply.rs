@@ -12,6 +12,7 @@ mod parties;
 mod playing;
 mod recordings;
 mod records;
+mod robots;
 mod site;
 mod tasks;
 mod topics;
@@ -42,6 +43,7 @@ pub use self::records::{
     Caveat, CheckView, EvidenceView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView, ShownState,
     StampView, StampedView,
 };
+pub use self::robots::RingPullView;
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, CoveragePart, CoverageView, HeldUp, TopicRow, TopicSummary, WatchView};
@@ -207,4 +209,6 @@ replies! {
     Incident(IncidentView);
     /// To `ListIncidents` and `RemoveIncident`.
     Incidents(Vec<IncidentView>);
+    /// To `PullRing`.
+    RingPull(RingPullView);
 }

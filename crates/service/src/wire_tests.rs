@@ -85,7 +85,9 @@ const REQUESTS: &[&str] = &[
     r#"{"command":"operate","operation":"dismiss","owner":"bob"}"#,
     r#"{"command":"operate","operation":"list_admitted"}"#,
     r#"{"command":"of_incident","incident":"open_incident","name":"crash","since":"2026-01-01T00:00:00Z","until":null,"topics":["/odom"],"note":"n"}"#,
+    r#"{"command":"of_incident","incident":"open_incident","name":"crash","since":"2026-01-01T00:00:00Z","until":null,"topics":[],"note":null,"robots":["scout"]}"#,
     r#"{"command":"of_incident","incident":"list_incidents"}"#,
+    r#"{"command":"of_robot","robot":"pull_ring","name":"scout","since":"2026-01-01T00:00:00Z","until":null,"topics":["/camera/**"],"incident":"crash"}"#,
     r#"{"command":"of_incident","incident":"show_incident","name":"crash"}"#,
     r#"{"command":"of_incident","incident":"note_incident","name":"crash","text":"n"}"#,
     r#"{"command":"of_incident","incident":"close_incident","name":"crash"}"#,
@@ -125,6 +127,7 @@ const REPLIES: &[&str] = &[
     r#"{"reply":"backed_up","with":{"file":"/b","files":1,"bytes":2,"profiles":[],"notes":[]}}"#,
     r#"{"reply":"incident","with":{"name":"crash","open":true,"since":"2026-01-01T00:00:00Z","until":null,"opened_at":"2026-01-01T00:00:00Z","closed_at":null,"topics":["/odom"],"notes":[{"at":"2026-01-01T00:00:00Z","text":"n"}],"records":1,"bytes":2,"coverage":[{"topic":"/odom","records":1,"bytes":2,"first":null,"last":null,"deleted":0,"quarantined":0,"lost":0}]}}"#,
     r#"{"reply":"incidents","with":[]}"#,
+    r#"{"reply":"ring_pull","with":{"robot":"scout","device":"0707070707070707070707070707070707070707070707070707070707070707","since":"2026-01-01T00:00:00Z","until":"2026-01-01T00:05:00Z","topics":["/camera/**"]}}"#,
 ];
 
 fn changed<T: Serialize + DeserializeOwned>(lines: &[&str]) -> Vec<String> {

@@ -36,6 +36,8 @@ fn examples() -> Vec<(&'static str, String)> {
             "vault.backlog" => "1GiB",
             "vault.local" => "12h",
             "outbox.keep" => "always",
+            "ring.keep" => "5m, 500MiB",
+            "ring.topics" => "[\"/camera/**\", \"/imu\"]",
             "retention" => "/tf=1h, **=90d+10GiB",
             "disk.reserve" => "128MiB",
             "record.compression" => "off",

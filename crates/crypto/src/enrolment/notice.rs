@@ -1,10 +1,12 @@
 //! The content of an owner's notice to a device. The first byte is the kind: 0 for keys (whose first field, an epoch,
-//! is far below 2^56), 1 for another P_C of the owner; further kinds take the next numbers.
+//! is far below 2^56), 1 for another P_C of the owner, 3 for a span of the device's ring; further kinds take other
+//! numbers.
 
 use zeroize::Zeroizing;
 
 use super::IssuedKeys;
 use crate::crypto::OwnerKeyChange;
+use crate::model::RingSpan;
 use crate::model::wire::WireError;
 
 /// What an owner tells a device.
@@ -14,6 +16,8 @@ pub enum Notice {
     Keys(IssuedKeys),
     /// The key the owner signs with from now on.
     OwnerKey(OwnerKeyChange),
+    /// A span of its ring is to be sent like other records.
+    Pull(RingSpan),
     /// A kind that this version does not know, by its number; it is ignored.
     Unknown(u8),
 }
@@ -23,12 +27,15 @@ impl Notice {
     const KEYS: u8 = 0;
     /// The kind of [`Self::OwnerKey`].
     const OWNER_KEY: u8 = 1;
+    /// The kind of [`Self::Pull`].
+    const PULL: u8 = 3;
 
     /// Its encoding, the body of the record.
     pub fn encode(&self) -> Zeroizing<Vec<u8>> {
         match self {
             Self::Keys(keys) => keys.encode(),
             Self::OwnerKey(change) => Zeroizing::new([&[Self::OWNER_KEY], &change.encode()[..]].concat()),
+            Self::Pull(span) => Zeroizing::new([&[Self::PULL], &span.encode()[..]].concat()),
             Self::Unknown(kind) => Zeroizing::new(vec![*kind]),
         }
     }
@@ -41,6 +48,7 @@ impl Notice {
         match body.split_first() {
             Some((&Self::KEYS, _)) | None => IssuedKeys::parse(body).map(Self::Keys),
             Some((&Self::OWNER_KEY, change)) => OwnerKeyChange::parse(change).map(Self::OwnerKey),
+            Some((&Self::PULL, span)) => RingSpan::parse(span).map(Self::Pull),
             Some((kind, _)) => Ok(Self::Unknown(*kind)),
         }
     }

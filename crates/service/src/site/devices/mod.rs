@@ -4,6 +4,7 @@ pub(super) mod enrolled;
 pub(super) mod enrolling;
 #[cfg(test)]
 mod loan_tests;
+pub(super) mod pulling;
 mod telling;
 
 use crate::pipeline::Plant;
