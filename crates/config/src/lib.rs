@@ -121,16 +121,7 @@ pub struct Config {
     pub alerts: AlertSettings,
     /// Required confirmations.
     pub confirmations: u64,
-    /// The ring of a robot.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct RingSettings {
-    /// How much it keeps.
-    pub limits: RingLimits,
-    /// Of which topics.
-    pub topics: TopicPatterns,
-}
-
-/// Who may use this home's gateway.
+    /// Who may use this home's gateway.
     pub gateway: GatewayRules,
     /// The gateway of the remote site that this one joins.
     pub site: Option<RemoteSite>,
@@ -138,6 +129,15 @@ pub struct RingSettings {
     pub topic_rules: TopicRules,
     /// The console's appearance.
     pub console: ConsoleSettings,
+}
+
+/// The ring of a robot.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RingSettings {
+    /// How much it keeps.
+    pub limits: RingLimits,
+    /// Of which topics.
+    pub topics: TopicPatterns,
 }
 
 /// Who may use this home's gateway.
