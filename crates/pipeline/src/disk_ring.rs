@@ -55,6 +55,14 @@ pub fn ask(ledger: &Ledger, number: u64, span: &RingSpan) -> Result<(), Pipeline
     Ok(note(ledger, &asked)?)
 }
 
+/// The spans asked for and not brought in yet, the oldest request first.
+///
+/// # Errors
+/// Errors of the ledger.
+pub fn waiting(ledger: &Ledger) -> Result<Vec<RingSpan>, StoreError> {
+    Ok(all(ledger)?.into_iter().map(|asked| asked.span).collect())
+}
+
 /// What was brought in for one request.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Brought {
