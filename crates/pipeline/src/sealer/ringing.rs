@@ -64,7 +64,7 @@ impl Sealer {
     /// Like the plan of the ledger's records, with the ring's numbers, and with its definitions in every file.
     fn ring_plan<'a>(&mut self, ring: &mut DiskRing, items: &[&'a CapturedMessage]) -> Plan<'a> {
         let mut plan = Plan::default();
-        for item in items {
+        for item in items.iter().copied() {
             if ring.is_too_large(item.message.body.len()) {
                 ring.refuse(&item.message.topic);
                 continue;

@@ -140,18 +140,7 @@ fn beginning(reader: &mut BufReader<&File>, left: u64) -> std::io::Result<Option
         return Ok(None);
     }
     reader.read_exact(&mut fixed)?;
-    let mut fields = Reader::new(&fixed);
-    let parsed = (|| {
-        let (length, captured_at) = (fields.u32("length")?, Timestamp(fields.u64("time")?));
-        Ok::<_, WireError>((
-            u64::from(length),
-            captured_at,
-            fields.u8("flags")?,
-            fields.u64("plain length")?,
-            fields.u16("topic")?,
-        ))
-    })();
-    let Ok((length, captured_at, flags, plain_length, topic_length)) = parsed else { return Ok(None) };
+    let Ok((length, captured_at, flags, plain_length, topic_length)) = fields(&fixed) else { return Ok(None) };
     let whole = FIXED as u64 - 4 + 2 + u64::from(topic_length);
     if length > LONGEST || length < whole || left < 4 + length {
         return Ok(None);
@@ -162,16 +151,25 @@ fn beginning(reader: &mut BufReader<&File>, left: u64) -> std::io::Result<Option
     Ok(Some(Beginning { length, captured_at, flags, plain_length, topic }))
 }
 
+/// Length, time, flags, plain length and length of the topic.
+fn fields(fixed: &[u8]) -> Result<(u64, Timestamp, u8, u64, u16), WireError> {
+    let mut fields = Reader::new(fixed);
+    let (length, captured_at) = (fields.u32("length")?, Timestamp(fields.u64("time")?));
+    Ok((u64::from(length), captured_at, fields.u8("flags")?, fields.u64("plain length")?, fields.u16("topic")?))
+}
+
+/// Type, digest and signature.
+fn signed(fields: &mut Reader<'_>) -> Result<(String, Digest, Signature), WireError> {
+    let (type_name, digest) = (fields.text("type")?, Digest(fields.array("digest")?));
+    Ok((type_name, digest, Signature(fields.array("signature")?)))
+}
+
 /// The rest of a record; `None` if it is malformed.
 fn read(reader: &mut BufReader<&File>, beginning: Beginning) -> std::io::Result<Option<RingRecord>> {
     let mut rest = vec![0; usize::try_from(beginning.rest()).unwrap_or(0)];
     reader.read_exact(&mut rest)?;
     let mut fields = Reader::new(&rest);
-    let parsed = (|| {
-        let (type_name, digest) = (fields.text("type")?, Digest(fields.array("digest")?));
-        Ok::<_, WireError>((type_name, digest, Signature(fields.array("signature")?)))
-    })();
-    let Ok((type_name, digest, signature)) = parsed else { return Ok(None) };
+    let Ok((type_name, digest, signature)) = signed(&mut fields) else { return Ok(None) };
     Ok(Some(RingRecord {
         digest,
         signature,
