@@ -209,6 +209,8 @@ impl Site {
         if let Some((owner, robots, _)) = &asked {
             self.devices.check_robots(owner, robots).await?;
         }
+        // What a topic's records are counted by is its name.
+        self.reading.learn_own_names(profile).await?;
         let told = self.incidents.answer(profile, command).await?;
         if let Some((owner, robots, span)) = &asked {
             for robot in robots {

@@ -28,12 +28,7 @@ impl Reading {
         query: UploadQuery,
     ) -> Result<RecordPage, Failure> {
         let owner = self.owners.address_of(profile)?;
-        if let (Some(reader), Some(network)) =
-            (self.owners.get(profile).filter(|owner| !owner.is_locked()), self.link.network_now())
-        {
-            let reader = Reader { plant: &self.plant, network: &network, reader: &reader };
-            self.learn_names(&reader, owner).await?;
-        }
+        self.learn_own_names(profile).await?;
         let filters = self.own_tag_filters(profile, &query.tags)?;
         let incident = query.incident.clone();
         let query = RecordQuery { owner: Some(owner), filters: filters.clone(), ..record_query(query) };
