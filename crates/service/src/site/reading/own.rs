@@ -11,7 +11,6 @@ use crate::model::bytes::hex;
 use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId};
 use crate::pipeline::columns::{self, Caveat, ShownState};
 use crate::pipeline::epoch::tag_choice;
-use crate::pipeline::reader::Reader;
 use crate::pipeline::{Owner, PipelineError, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal};
