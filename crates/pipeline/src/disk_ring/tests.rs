@@ -1,3 +1,5 @@
+//! From capture into the ring, and out of it into the outbox, when its owner asks.
+
 use std::path::Path;
 use std::sync::OnceLock;
 use std::time::Duration;

@@ -1,3 +1,5 @@
+//! A ring on the disk: what comes back of it, what falls out, and what a crash leaves.
+
 use super::*;
 use crate::model::TopicPatterns;
 use std::io::Write as _;
