@@ -31,8 +31,8 @@ pub enum IncidentVerb {
         #[arg(long, value_name = "TEXT")]
         note: Option<String>,
         /// Robots whose rings are asked for it: names of enrolled devices
-        #[arg(long, visible_alias = "robot", value_name = "NAME", num_args = 1.., value_delimiter = ',')]
-        robots: Vec<String>,
+        #[arg(long = "robot", value_name = "NAME", num_args = 1.., value_delimiter = ',')]
+        rings_of: Vec<String>,
     },
     /// All of them, each with what it holds
     List,
@@ -70,8 +70,8 @@ pub enum IncidentVerb {
 pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
     let kept = |question: super::show::Question| Plan::new(NEITHER, ProfileNeed::None, question);
     Ok(match verb {
-        IncidentVerb::Open { name, since, until, topics, note, robots } => {
-            let (needs, profile) = match robots.is_empty() {
+        IncidentVerb::Open { name, since, until, topics, note, rings_of } => {
+            let (needs, profile) = match rings_of.is_empty() {
                 true => (NEITHER, ProfileNeed::None),
                 // Robots are asked by notices that the owner signs.
                 false => (CHAIN, ProfileNeed::Unlocked),
@@ -82,7 +82,7 @@ pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
                 until: until.as_deref().map(moment).transpose()?,
                 topics: parse::values(&topics)?,
                 note,
-                robots,
+                robots: rings_of,
             };
             Plan::new(needs, profile, question)
         }
