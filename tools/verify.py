@@ -1005,10 +1005,12 @@ def completeness(bundle, records, twice):
         standing = "refused" if refused else "unproven" if not numbers else "own_chain" if own else "proven"
         counted = [found for _, found in ones if believed(found)]
         own_statements = bool(counted) and all(is_statement(found) for found in counted)
-        to = named[-1] if named and not own_statements else None
+        # The recorder of a ring numbers what was mostly not asked for, or fell out: no number of it is missing.
+        nothing_claimed = own_statements or recorder.startswith(b"authring")
+        to = named[-1] if named and not nothing_claimed else None
         if to is not None and not (numbers and first <= to == first - 1 + sum(one <= to for one in numbers)):
             to = None
-        missing = 0 if own_statements else missing
+        missing = 0 if nothing_claimed else missing
         result.append({"owner": "0x" + owner.hex(), "recorder": recorder.hex(), "topic_id": topic.hex(), "standing": standing,
                        "first": first, "last": last, "missing": missing,
                        "complete_to": to})

@@ -9,7 +9,7 @@ use super::args::{AgentVerb, EnrolArguments, Global, RunArguments};
 use super::connect::{Context, ProfileNeed};
 use super::{parse, passphrase};
 use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, private_file};
-use crate::model::{ErrorKind, SignerId};
+use crate::model::{ByteSize, ErrorKind, SignerId};
 use crate::service::command::EnrolDevice;
 use crate::service::{Agent, AgentEnd, AgentFigures, AgentWishes, EnrolWishes, Failure, Needs, SecretText, Site};
 use crate::store::TopicCounts;
@@ -192,8 +192,11 @@ fn text(figures: &AgentFigures) -> String {
         0 => String::new(),
         count => format!(", {count} of these kept here until the gateway signs for it"),
     };
+    let ring = figures.ring.map_or_else(String::new, |ring| {
+        format!("; ring: {} messages, {}, {} fell out", ring.messages, ByteSize(ring.bytes), ring.fallen)
+    });
     format!(
-        "{}: captured {}, accepted {}, verified {}{kept}, pending {}, lost {}; gateway: {}",
+        "{}: captured {}, accepted {}, verified {}{kept}, pending {}, lost {}{ring}; gateway: {}",
         figures.name,
         figures.captured,
         figures.accepted,

@@ -84,6 +84,9 @@ pub enum Verb {
     /// A robot's side: enrol it, capture on it and pass on to a gateway
     #[command(subcommand)]
     Agent(AgentVerb),
+    /// Enrolled robots: bring in what their rings keep
+    #[command(subcommand)]
+    Robots(super::robots::RobotsVerb),
     /// The chain
     #[command(subcommand)]
     Chain(ChainVerb),

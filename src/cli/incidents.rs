@@ -4,7 +4,7 @@ use clap::Subcommand;
 
 use super::connect::ProfileNeed;
 use super::parse;
-use super::verbs::{NEITHER, Plan};
+use super::verbs::{CHAIN, NEITHER, Plan};
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::Failure;
 use crate::service::command::{CloseIncident, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident};
@@ -30,6 +30,9 @@ pub enum IncidentVerb {
         /// What it is about, in words
         #[arg(long, value_name = "TEXT")]
         note: Option<String>,
+        /// Robots whose rings are asked for it: names of enrolled devices
+        #[arg(long = "robot", value_name = "NAME", num_args = 1.., value_delimiter = ',')]
+        rings_of: Vec<String>,
     },
     /// All of them, each with what it holds
     List,
@@ -67,16 +70,22 @@ pub enum IncidentVerb {
 pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
     let kept = |question: super::show::Question| Plan::new(NEITHER, ProfileNeed::None, question);
     Ok(match verb {
-        IncidentVerb::Open { name, since, until, topics, note } => kept(
-            OpenIncident {
+        IncidentVerb::Open { name, since, until, topics, note, rings_of } => {
+            let (needs, profile) = match rings_of.is_empty() {
+                true => (NEITHER, ProfileNeed::None),
+                // Robots are asked by notices that the owner signs.
+                false => (CHAIN, ProfileNeed::Unlocked),
+            };
+            let question = OpenIncident {
                 name: parse::value(&name)?,
                 since: moment(&since)?,
                 until: until.as_deref().map(moment).transpose()?,
                 topics: parse::values(&topics)?,
                 note,
-            }
-            .into(),
-        ),
+                robots: rings_of,
+            };
+            Plan::new(needs, profile, question)
+        }
         IncidentVerb::List => kept(ListIncidents.into()),
         IncidentVerb::Show { name } => kept(ShowIncident { name: parse::value(&name)? }.into()),
         IncidentVerb::Note { name, text } => kept(NoteIncident { name: parse::value(&name)?, text }.into()),
@@ -92,7 +101,7 @@ pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
 }
 
 /// A moment; so long ago with or without the sign.
-fn moment(text: &str) -> Result<Timestamp, Failure> {
+pub(super) fn moment(text: &str) -> Result<Timestamp, Failure> {
     parse::past(text.strip_prefix('-').unwrap_or(text))
 }
 

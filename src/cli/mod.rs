@@ -35,6 +35,7 @@ mod printed;
 mod progress;
 mod quarantine;
 mod recordings;
+mod robots;
 mod serve;
 mod show;
 mod site_file;
@@ -168,6 +169,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
             asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, adopt::question(&verb)?)))
         }
         Verb::Alerts(verb) => asked(runtime, global, output, |_| Ok(alerts::plan(&verb))),
+        Verb::Robots(verb) => asked(runtime, global, output, |_| robots::plan(verb)),
         Verb::Incident(verb) => asked(runtime, global, output, |_| incidents::plan(verb)),
         Verb::Witness(verb) => asked(runtime, global, output, |_| witnesses::plan(verb)),
         Verb::Audit(arguments) => asked(runtime, global, output, |context| plans::audit(context, &arguments)),

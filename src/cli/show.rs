@@ -4,7 +4,8 @@ use std::io::Write as _;
 use std::path::Path;
 
 use super::{
-    adopt, alerts, audit, check, coverage, gateway, incidents, lists, parties, policy, quarantine, viewing, witnesses,
+    adopt, alerts, audit, check, coverage, gateway, incidents, lists, parties, policy, quarantine, robots, viewing,
+    witnesses,
 };
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
@@ -14,7 +15,7 @@ use crate::service::reply::{
     CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceGatewaysView, DeviceRow,
     DeviceTopicsView, ExportedFile, GatewayStatusView, GrantRow, IdentityView, IncidentView, KeyChangeView, KeysView,
     OpenedView, PathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, Reply,
-    RobotGatewayView, TopicRow, TransactionView, WitnessView, WitnessesView,
+    RingPullView, RobotGatewayView, TopicRow, TransactionView, WitnessView, WitnessesView,
 };
 use crate::service::{Client, Failure};
 use authros_output::Output;
@@ -122,6 +123,7 @@ documents! {
     DeviceTopicsView => device_topics;
     IncidentView => incidents::incident;
     WitnessesView => witnesses::status;
+    RingPullView => robots::pulled;
 }
 
 rows! {

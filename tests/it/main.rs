@@ -49,6 +49,7 @@ mod real_ros;
 mod remote;
 mod restart;
 mod rights;
+mod robots;
 mod ros2;
 mod ros2_capture;
 mod ros2_fastdds;

@@ -133,6 +133,20 @@ pub const DEFINITIONS: &[Definition] = &[
                too: a time as 30s, 10m, 1h",
     },
     Definition {
+        name: "ring.keep",
+        variable: "AUTHROS_RING_KEEP",
+        default: "",
+        text: "how much a robot keeps of topics that nobody watches, sealed on its own disk, until its owner asks for it: \
+               TIME, SIZE, as \"5m, 500MiB\"; empty = no ring",
+    },
+    Definition {
+        name: "ring.topics",
+        variable: "AUTHROS_RING_TOPICS",
+        default: "",
+        text: "topics of a robot's ring: [\"/camera/**\", \"/imu\"], or with commas between; those its enrolment covers and \
+               --topic does not name",
+    },
+    Definition {
         name: "retention",
         variable: "AUTHROS_RETENTION",
         default: "",

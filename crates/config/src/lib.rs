@@ -37,7 +37,8 @@ pub use self::source::{SettingView, Source};
 pub use self::time::TimeAuthority;
 use crate::crypto::{Kernel, ProviderName};
 use crate::model::{
-    Address, AnchorMode, Consensus, Keeping, ListedPublishers, PinMode, RetentionRules, SignerId, TopicRules, clean,
+    Address, AnchorMode, Consensus, Keeping, ListedPublishers, PinMode, RetentionRules, RingLimits, SignerId,
+    TopicPatterns, TopicRules, clean,
 };
 
 /// Prefixes of a vault's URL.
@@ -96,6 +97,8 @@ pub struct Config {
     pub outbox_keep: Option<Duration>,
     /// After how long without a proof a record also goes to the robot's next gateway.
     pub resend_after: Duration,
+    /// What a robot keeps of topics that nobody watches.
+    pub ring: Option<RingSettings>,
     /// The retention setting; see [`Config::keeping`].
     pub retention: RetentionRules,
     /// Disk space that records must leave free, bytes.
@@ -128,6 +131,15 @@ pub struct Config {
     pub topic_rules: TopicRules,
     /// The console's appearance.
     pub console: ConsoleSettings,
+}
+
+/// The ring of a robot.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RingSettings {
+    /// How much it keeps.
+    pub limits: RingLimits,
+    /// Of which topics.
+    pub topics: TopicPatterns,
 }
 
 /// Who may use this home's gateway.
@@ -226,6 +238,7 @@ impl Config {
             vault_local: span(&values, "vault.local", "always")?,
             outbox_keep: span(&values, "outbox.keep", "always")?,
             resend_after: period(&values, "resend.after")?,
+            ring: ring(&values)?,
             retention: parsed(&values, "retention")?.unwrap_or_default(),
             disk_reserve: bytes(&values, "disk.reserve", 0)?,
             compression: switch(&values, "record.compression", ("auto", "off"))?,
@@ -278,6 +291,18 @@ impl Config {
 
 /// Hex digits of a key's fingerprint: half of the key's.
 const FINGERPRINT_DIGITS: usize = 32;
+
+fn ring(values: &Values) -> Result<Option<RingSettings>, ConfigError> {
+    let topics: TopicPatterns = parsed(values, "ring.topics")?.unwrap_or_default();
+    match parsed(values, "ring.keep")? {
+        Some(_) if topics.0.is_empty() => {
+            Err(wrong(values, "ring.topics", "with ring.keep, write which topics: [\"/camera/**\"]"))
+        }
+        Some(limits) => Ok(Some(RingSettings { limits, topics })),
+        None if topics.0.is_empty() => Ok(None),
+        None => Err(wrong(values, "ring.keep", "with ring.topics, write how much: \"5m, 500MiB\"")),
+    }
+}
 
 fn remote_site(values: &Values) -> Result<Option<RemoteSite>, ConfigError> {
     let digits = |text: &str| text.chars().filter(char::is_ascii_hexdigit).count();

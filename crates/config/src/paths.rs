@@ -191,6 +191,11 @@ impl Home {
         self.root.join("vault")
     }
 
+    /// The ring of a robot: sealed records of topics that nobody watches.
+    pub fn ring(&self) -> PathBuf {
+        self.root.join("ring")
+    }
+
     /// System keys of the gateway.
     pub fn gateway(&self) -> PathBuf {
         self.root.join("gateway")

@@ -39,7 +39,11 @@ pub(crate) fn stretches(heights: &[Height], records: &[RecordReport], messages: 
             // They were included for the sake of other topics: nobody claims that these are all.
             (stretch.gaps, stretch.missing, stretch.heads) = (Vec::new(), 0, None);
         }
-        stretch.text = told(&stretch, own);
+        stretch.text = if of.1.is_ring() { told_of_ring(&stretch) } else { told(&stretch, own) };
+        if of.1.is_ring() {
+            // What is not there fell out of the ring, or was not asked for: no number of it is missing.
+            (stretch.gaps, stretch.missing, stretch.heads) = (Vec::new(), 0, None);
+        }
         stretch
     };
     topics.into_iter().map(stretch).collect()
@@ -145,6 +149,31 @@ fn told(stretch: &Stretch, own_statements: bool) -> String {
         }
         _ => text,
     }
+}
+
+/// The numbers of a ring, of whose other numbers nobody claims anything.
+fn told_of_ring(stretch: &Stretch) -> String {
+    let Some((first, last)) = stretch.first.zip(stretch.last).filter(|_| stretch.standing != Standing::Refused) else {
+        return told(stretch, true);
+    };
+    let mut parts = Vec::new();
+    let mut from = first;
+    for (gap, behind) in &stretch.gaps {
+        parts.push(range(from, gap.saturating_sub(1)));
+        from = behind.saturating_add(1);
+    }
+    parts.push(range(from, last));
+    let more = if parts.len() > 10 { " and more" } else { "" };
+    parts.truncate(10);
+    let mut text = format!(
+        "of a robot's ring every number of {}{more}; other numbers of a ring fell out, or were not asked for: nothing is \
+         claimed of them",
+        parts.join(", ")
+    );
+    if stretch.uncounted > 0 {
+        text.push_str(&format!("; and {} records whose signer is not proven, not counted", stretch.uncounted));
+    }
+    text
 }
 
 /// How far the recorder's own head goes, and from where nothing is claimed.

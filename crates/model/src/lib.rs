@@ -11,7 +11,8 @@ pub mod base64_text;
 pub mod byte_size;
 pub mod bytes;
 pub mod consensus;
-pub mod display;
+pub mod disk_ring;
+mod display;
 pub mod error_kind;
 pub mod gap;
 pub mod grant;
@@ -42,6 +43,7 @@ pub use bytes::{
     Commit, Digest, Domain, FilterId, Hash, PublicKey, RecorderId, Salt, Signature, SignerId, Token, TopicId,
 };
 pub use consensus::Consensus;
+pub use disk_ring::{RingLimits, RingSpan, TopicPatterns};
 pub use display::{clean, clean_lines, is_shown, spelt_out};
 pub use error_kind::ErrorKind;
 pub use gap::{GapReport, LossReason};

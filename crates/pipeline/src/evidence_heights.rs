@@ -33,7 +33,8 @@ pub(super) struct Shown {
 /// Errors of the ledger; a statement that does not open is skipped.
 pub(super) async fn shown(reader: &Reader<'_>, rows: &[RecordRow]) -> Result<Shown, PipelineError> {
     let mut topics: BTreeMap<RecorderId, BTreeSet<TopicId>> = BTreeMap::new();
-    for row in rows.iter().filter(|row| row.topic != TOPIC) {
+    // The recorder of a ring states nothing: its id says that its numbers may be missing.
+    for row in rows.iter().filter(|row| row.topic != TOPIC && !row.recorder.is_ring()) {
         topics.entry(row.recorder).or_default().insert(row.topic_id);
     }
     let mut shown = Shown::default();

@@ -157,8 +157,15 @@ impl<'a> Importer<'a> {
             body,
         };
         let message = Arc::new(message);
-        let mut item =
-            CapturedMessage { author, message, simulated: false, sessions: vec![session], doubt: None, rule };
+        let mut item = CapturedMessage {
+            author,
+            message,
+            simulated: false,
+            sessions: vec![session],
+            doubt: None,
+            rule,
+            ring: false,
+        };
         let share = SHARE.min(self.rings.capacity() / 4);
         loop {
             match self.rings.push_within(topic, item, share, TICK) {

@@ -20,6 +20,7 @@ mod block_times;
 pub mod columns;
 pub mod countersigning;
 pub mod directory;
+pub mod disk_ring;
 pub mod epoch;
 pub mod equivocation;
 pub mod error;

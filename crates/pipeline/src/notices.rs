@@ -14,10 +14,11 @@ use crate::crypto::{
     Anchor, Expected, Fingerprint, GatewayAccess, IssuedKeys, Notice, Provider, SealedEnrolment, notice_topic, open,
 };
 use crate::gateway::{Client, Entry, Fetched, GatewayError, Query, Selection};
-use crate::model::{Header, RecordKind, Timestamp, clean};
+use crate::model::{Header, RecordKind, RingSpan, Timestamp, clean};
+use crate::store::Ledger;
 
 use super::forwarder::{Errand, ForwardError};
-use super::{Author, Observer, PipelineError};
+use super::{Author, Observer, PipelineError, disk_ring};
 
 /// The time between two checks of the whole list, in case a subscription missed something.
 const LOOK: Duration = Duration::from_secs(300);
@@ -34,6 +35,8 @@ pub struct Notices {
     kept: PathBuf,
     /// Told when the owner has named other gateways.
     gateways: watch::Sender<Vec<GatewayAccess>>,
+    /// Notes what is asked of the ring, where this robot has one.
+    ring: Option<Ledger>,
     subscribed: bool,
     looked: Option<Instant>,
 }
@@ -48,12 +51,18 @@ impl Notices {
         kept: PathBuf,
     ) -> Self {
         let gateways = watch::channel(sealed.enrolment.gateways.clone()).0;
-        Self { provider, observer, author, sealed, kept, gateways, subscribed: false, looked: None }
+        Self { provider, observer, author, sealed, kept, gateways, ring: None, subscribed: false, looked: None }
     }
 
     /// The gateways to use, as the owner names them from now on.
     pub fn gateways(&self) -> watch::Receiver<Vec<GatewayAccess>> {
         self.gateways.subscribe()
+    }
+
+    /// The same for a robot with a ring: what is asked of it is noted in the ledger.
+    #[must_use]
+    pub fn with_ring(self, ledger: Ledger) -> Self {
+        Self { ring: Some(ledger), ..self }
     }
 
     fn selection(&self) -> Selection {
@@ -140,7 +149,7 @@ impl Notices {
                 list.check(&enrolment.domain, &enrolment.owner, &enrolment.device_id())?;
                 true
             }
-            Notice::Unknown(_) => true,
+            Notice::Pull(_) | Notice::Unknown(_) => true,
         };
         if fits && opened.header.kind == RecordKind::Key {
             return Ok((opened.header, notice));
@@ -173,6 +182,7 @@ impl Notices {
                 enrolment.gateways.clone_from(&gateways);
                 told
             }
+            Notice::Pull(span) => asked(self.ring.as_ref(), header.seq, &span)?,
             Notice::Unknown(kind) => {
                 let text =
                     format!("the owner sent a notice of kind {kind}, which this version does not know; update it");
@@ -192,6 +202,19 @@ impl Notices {
         });
         Ok(())
     }
+}
+
+/// Notes what is asked of the ring before the notice counts as taken; what was done, in words.
+fn asked(ring: Option<&Ledger>, number: u64, span: &RingSpan) -> Result<String, PipelineError> {
+    let RingSpan { since, until, .. } = span;
+    let Some(ledger) = ring else {
+        return Ok(format!(
+            "the owner asks for what was captured from {since} to {until} and nobody watched, but this robot keeps no ring; \
+             ring.keep and ring.topics give it one"
+        ));
+    };
+    block_in_place(|| disk_ring::ask(ledger, number, span))?;
+    Ok(format!("the owner asks for what the ring has from {since} to {until}; it goes into the outbox"))
 }
 
 /// What changes with these keys, in words.

@@ -28,6 +28,8 @@ pub struct CapturedMessage {
     pub doubt: Option<Doubt>,
     /// The rule of its topic, whose tags it gets.
     pub rule: Option<Arc<TopicRule>>,
+    /// Nobody watches its topic: it goes into the ring on the disk, not into the ledger.
+    pub ring: bool,
 }
 
 impl Weighted for CapturedMessage {
@@ -39,6 +41,8 @@ impl Weighted for CapturedMessage {
 struct Interest {
     author: Arc<Author>,
     watched: bool,
+    /// What nobody wants of it goes into the ring on the disk.
+    ringed: bool,
     type_name: Option<TypeName>,
     sessions: Vec<Arc<CaptureSession>>,
     rule: Option<Arc<TopicRule>>,
@@ -135,12 +139,20 @@ impl Recorder {
         if !list.iter().any(|interest| interest.author.address == author.address) {
             let rule = self.rules.of(topic).cloned();
             let (author, sampler) = (Arc::clone(author), Mutex::default());
-            list.push(Interest { author, watched: false, type_name: None, sessions: Vec::new(), rule, sampler });
+            list.push(Interest {
+                author,
+                watched: false,
+                ringed: false,
+                type_name: None,
+                sessions: Vec::new(),
+                rule,
+                sampler,
+            });
         }
         if let Some(interest) = list.iter_mut().find(|interest| interest.author.address == author.address) {
             change(interest);
         }
-        list.retain(|interest| interest.watched || !interest.sessions.is_empty());
+        list.retain(|interest| interest.watched || interest.ringed || !interest.sessions.is_empty());
         if list.is_empty() {
             interests.remove(topic);
         }
@@ -157,6 +169,11 @@ impl Recorder {
     /// The author no longer wants the topic; running sessions continue.
     pub fn unwatch(&self, topic: &str, author: &Arc<Author>) {
         self.change(topic, author, |interest| interest.watched = false);
+    }
+
+    /// What nobody wants of the topic goes into the ring on the disk from now on, or no longer.
+    pub fn keep_in_ring(&self, topic: &str, author: &Arc<Author>, ringed: bool) {
+        self.change(topic, author, |interest| interest.ringed = ringed);
     }
 
     /// Whether the author wants every message of the topic now.
@@ -213,12 +230,15 @@ impl Recorder {
             Some(_) => session.hold(&message.topic),
         };
         let sessions: Vec<_> = interest.sessions.iter().filter(takes).cloned().collect();
-        if sessions.is_empty() && !interest.watched {
+        let watched = interest.watched || !sessions.is_empty();
+        // What a publisher that is not the pinned one sends is quarantined, watched or not.
+        if !watched && !interest.ringed {
             return;
         }
+        let ring = !watched && doubt.is_none();
         let author = Arc::clone(&interest.author);
         let rule = interest.rule.clone();
-        let item = CapturedMessage { author, message: Arc::clone(message), simulated, sessions, doubt, rule };
+        let item = CapturedMessage { author, message: Arc::clone(message), simulated, sessions, doubt, rule, ring };
         if let Err(refused) = self.rings.push(&message.topic, item) {
             self.losses.note(&refused.author, Lost::message(message), self.losses.cause());
             refused.sessions.iter().for_each(|session| session.dropped(&message.topic, refused.doubt.is_some()));

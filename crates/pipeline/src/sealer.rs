@@ -3,16 +3,18 @@
 //! and tried again; the rings fill meanwhile.
 
 mod plan;
+mod ringing;
 mod sealing;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use crate::crypto::fault;
 use crate::model::{LossReason, Timestamp};
 use crate::store::StoreError;
 
+use super::disk_ring::SharedRing;
 use super::losses::{GATHERED, Losses, Lost};
 use super::recorder::CapturedMessage;
 use super::ring::{Rings, Weighted};
@@ -47,19 +49,27 @@ pub struct Sealer {
     losses_at: Instant,
     boot_id: [u8; 16],
     planner: Planner,
+    /// Where messages of topics go that nobody watches, once there is one.
+    ring: Arc<OnceLock<SharedRing>>,
 }
 
 impl Sealer {
     /// A sealer over `plant`; `sessions` learn which records they wait for, `losses` what did not become one.
     pub fn new(plant: Plant, sessions: Arc<Sessions>, losses: Arc<Losses>) -> Self {
         let (losses_at, planner) = (Instant::now(), Planner::new());
-        Self { plant, sessions, losses, losses_at, boot_id: boot_id(), planner }
+        Self { plant, sessions, losses, losses_at, boot_id: boot_id(), planner, ring: Arc::default() }
     }
 
     /// Seals messages without compression.
     pub fn without_compression(mut self) -> Self {
         self.planner.packing = None;
         self
+    }
+
+    /// The same with a ring on the disk, now or later.
+    #[must_use]
+    pub fn with_ring(self, ring: Arc<OnceLock<SharedRing>>) -> Self {
+        Self { ring, ..self }
     }
 
     /// Works until the rings are closed and empty. `acknowledged` is called after each round.
@@ -70,6 +80,7 @@ impl Sealer {
             let bytes = items.iter().map(Weighted::weight).sum();
             if !items.is_empty() {
                 self.store(&items, rings, &mut closed_at);
+                self.keep_in_ring(&items);
                 acknowledged();
             }
             drop(items);
@@ -82,7 +93,7 @@ impl Sealer {
     /// Tries until the messages are acknowledged. If that panics, each is tried alone, and one that panics again is
     /// given up and counted: it must not take the others with it.
     fn store(&mut self, items: &[CapturedMessage], rings: &Rings<CapturedMessage>, closed_at: &mut Option<Instant>) {
-        if self.try_to_store(items, rings, closed_at).is_ok() {
+        if items.iter().all(|item| item.ring) || self.try_to_store(items, rings, closed_at).is_ok() {
             return;
         }
         self.plant.observer.alert(true, "sealing failed by a fault of the program, it is tried again".to_owned());

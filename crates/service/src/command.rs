@@ -11,6 +11,7 @@ mod incidents;
 mod operate;
 mod playing;
 mod recordings;
+mod robots;
 mod secret;
 mod viewing;
 mod witnesses;
@@ -32,6 +33,7 @@ pub use self::operate::{
 };
 pub use self::playing::{Pace, PlayWishes, Remap};
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
+pub use self::robots::{PullRing, RobotCommand};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
 pub use self::witnesses::{AddWitness, AskWitnesses, ListWitnesses, RemoveWitness, WitnessCommand, WitnessStatus};
@@ -377,6 +379,8 @@ requests! {
         OfIncident(IncidentCommand),
         /// Witnesses: parties that countersign.
         OfWitness(WitnessCommand),
+        /// Robots: what is asked of them.
+        OfRobot(RobotCommand),
     }
 }
 

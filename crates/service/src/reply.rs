@@ -12,6 +12,7 @@ mod parties;
 mod playing;
 mod recordings;
 mod records;
+mod robots;
 mod site;
 mod tasks;
 mod topics;
@@ -44,6 +45,7 @@ pub use self::records::{
     Caveat, CheckView, EvidenceView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView, ShownState,
     StampView, StampedView,
 };
+pub use self::robots::RingPullView;
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, CoveragePart, CoverageView, HeldUp, TopicRow, TopicSummary, WatchView};
@@ -218,4 +220,6 @@ replies! {
     WitnessStatus(WitnessesView);
     /// To `AskWitnesses`.
     WitnessAnswers(WitnessAnswers);
+    /// To `PullRing`.
+    RingPull(RingPullView);
 }

@@ -85,7 +85,9 @@ const REQUESTS: &[&str] = &[
     r#"{"command":"operate","operation":"dismiss","owner":"bob"}"#,
     r#"{"command":"operate","operation":"list_admitted"}"#,
     r#"{"command":"of_incident","incident":"open_incident","name":"crash","since":"2026-01-01T00:00:00Z","until":null,"topics":["/odom"],"note":"n"}"#,
+    r#"{"command":"of_incident","incident":"open_incident","name":"crash","since":"2026-01-01T00:00:00Z","until":null,"topics":[],"note":null,"robots":["scout"]}"#,
     r#"{"command":"of_incident","incident":"list_incidents"}"#,
+    r#"{"command":"of_robot","robot":"pull_ring","name":"scout","since":"2026-01-01T00:00:00Z","until":null,"topics":["/camera/**"],"incident":"crash"}"#,
     r#"{"command":"of_incident","incident":"show_incident","name":"crash"}"#,
     r#"{"command":"of_incident","incident":"note_incident","name":"crash","text":"n"}"#,
     r#"{"command":"of_incident","incident":"close_incident","name":"crash"}"#,
@@ -133,6 +135,7 @@ const REPLIES: &[&str] = &[
     r#"{"reply":"witnesses","with":[{"name":"w","account":"0x0707070707070707070707070707070707070707","key":"0707070707070707070707070707070707070707070707070707070707070707","gateway":null,"serves":true,"added_at":"2026-01-01T00:00:00Z","given":1,"newest":null,"served":2,"chains":1,"failures":3,"problem":"p"}]}"#,
     r#"{"reply":"witness_status","with":{"account":"0x0707070707070707070707070707070707070707","key":null,"witnesses":[],"contradictions":[{"name":null,"key":"0707070707070707070707070707070707070707070707070707070707070707","account":"0x0707070707070707070707070707070707070707","chain_id":7,"what":"w","kept_at":"2026-01-01T00:00:00Z","at":"2026-01-01T00:00:01Z","kept":"0a","later":"0b"}]}}"#,
     r#"{"reply":"witness_answers","with":{"given":[{"witness":"w","at":"2026-01-01T00:00:00Z","batches":1,"block":2}],"problem":null}}"#,
+    r#"{"reply":"ring_pull","with":{"robot":"scout","device":"0707070707070707070707070707070707070707070707070707070707070707","since":"2026-01-01T00:00:00Z","until":"2026-01-01T00:05:00Z","topics":["/camera/**"]}}"#,
 ];
 
 fn changed<T: Serialize + DeserializeOwned>(lines: &[&str]) -> Vec<String> {

@@ -11,6 +11,7 @@ use authros_model as model;
 pub mod archive;
 pub mod audit;
 mod database;
+mod disk_ring;
 mod error;
 pub mod files;
 pub mod ledger;
@@ -19,6 +20,7 @@ pub mod snapshot;
 pub mod vault;
 
 pub use audit::{AuditEntry, AuditFault, AuditLine, AuditLog, AuditQuery};
+pub use disk_ring::{DiskRing, KnownDefinition, RingFigures, RingRecord};
 pub use error::StoreError;
 pub use files::{ConsoleLock, SiteLock, atomic_write};
 pub use ledger::{

@@ -37,6 +37,8 @@ fn examples() -> Vec<(&'static str, String)> {
             "vault.local" => "12h",
             "outbox.keep" => "always",
             "resend.after" => "30s",
+            "ring.keep" => "5m, 500MiB",
+            "ring.topics" => "[\"/camera/**\", \"/imu\"]",
             "retention" => "/tf=1h, **=90d+10GiB",
             "disk.reserve" => "128MiB",
             "record.compression" => "off",

@@ -332,7 +332,7 @@ pub fn read(state: &State, form: &Form) -> Result<Errand, (usize, String)> {
         written.map(str::parse).collect::<Result<_, _>>().map_err(|error| (TOPICS, format!("{error}")))?;
     let note = Some(form.text(4).trim().to_owned()).filter(|note| !note.is_empty());
     let tag = Tag::Incident(Deed::Open, name.clone());
-    Ok(Errand { command: OpenIncident { name, since, until, topics, note }.into(), tag })
+    Ok(Errand { command: OpenIncident { name, since, until, topics, note, robots: Vec::new() }.into(), tag })
 }
 
 /// A moment; so long ago with or without the sign.

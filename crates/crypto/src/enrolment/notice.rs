@@ -1,10 +1,12 @@
 //! The content of an owner's notice to a device. The first byte is the kind: 0 for keys (whose first field, an epoch,
-//! is far below 2^56), 1 for another P_C of the owner, 2 for its gateways; further kinds take the next numbers.
+//! is far below 2^56), 1 for another P_C of the owner, 2 for its gateways, 3 for a span of the device's ring; further
+//! kinds take the next numbers.
 
 use zeroize::Zeroizing;
 
 use super::IssuedKeys;
 use crate::crypto::{GatewayList, OwnerKeyChange};
+use crate::model::RingSpan;
 use crate::model::wire::WireError;
 
 /// What an owner tells a device.
@@ -16,6 +18,8 @@ pub enum Notice {
     OwnerKey(OwnerKeyChange),
     /// The gateways to use from now on, in order.
     Gateways(GatewayList),
+    /// A span of its ring is to be sent like other records.
+    Pull(RingSpan),
     /// A kind that this version does not know, by its number; it is ignored.
     Unknown(u8),
 }
@@ -27,6 +31,8 @@ impl Notice {
     const OWNER_KEY: u8 = 1;
     /// The kind of [`Self::Gateways`].
     const GATEWAYS: u8 = 2;
+    /// The kind of [`Self::Pull`].
+    const PULL: u8 = 3;
 
     /// Its encoding, the body of the record.
     pub fn encode(&self) -> Zeroizing<Vec<u8>> {
@@ -40,6 +46,7 @@ impl Notice {
                 out.extend_from_slice(&list);
                 out
             }
+            Self::Pull(span) => Zeroizing::new([&[Self::PULL], &span.encode()[..]].concat()),
             Self::Unknown(kind) => Zeroizing::new(vec![*kind]),
         }
     }
@@ -53,6 +60,7 @@ impl Notice {
             Some((&Self::KEYS, _)) | None => IssuedKeys::parse(body).map(Self::Keys),
             Some((&Self::OWNER_KEY, change)) => OwnerKeyChange::parse(change).map(Self::OwnerKey),
             Some((&Self::GATEWAYS, list)) => GatewayList::parse(list).map(Self::Gateways),
+            Some((&Self::PULL, span)) => RingSpan::parse(span).map(Self::Pull),
             Some((kind, _)) => Ok(Self::Unknown(*kind)),
         }
     }

@@ -8,7 +8,7 @@ use authros_model::head::Compression;
 use authros_model::{Birth, Digest, Head, Heads, RecordKind, RecorderId, Timestamp, TopicId};
 
 use super::second::agree;
-use super::world::{BLOCK, TIME, World, bound, genesis, ours, pair, sealed, word};
+use super::world::{BLOCK, TIME, World, bound, genesis, ours, pair, sealed, sealed_by, word};
 use crate::archive::Members;
 use crate::{
     AnchorClaim, Anchoring, Bundle, BundledRecord, Height, Outcome, Packing, Slot, Standing, Stretch, disclose, pack,
@@ -229,6 +229,23 @@ fn with_a_head_held_back_an_older_one_counts_and_with_none_nothing_is_claimed() 
     let bundle = Bundle::of_members(&members, ours()).expect("reads");
     let report = verify(&bundle, Some(&World::trust()), ours());
     assert!(report.complete.iter().all(|stretch| stretch.heads.is_none()), "{:?}", report.complete);
+}
+
+#[test]
+fn the_numbers_of_a_ring_have_no_holes_and_nothing_is_claimed_of_others() {
+    let (mut case, ring) = (Case::of(&[3], &[]), RecorderId::of_ring([6; 8]));
+    for seq in [20, 37, 38, 39] {
+        let whose = (case.world.owner, &case.world.signer, &case.world.topic_key);
+        let record = sealed_by(ring, whose, seq, (b"before the button", 17, Compression::None));
+        case.put(record, false);
+    }
+    let members = case.members();
+    agree(&members, &World::trust(), Outcome::Holds);
+    let report = verify(&Bundle::of_members(&members, ours()).expect("reads"), Some(&World::trust()), ours());
+    let stretch = report.complete.iter().find(|stretch| stretch.recorder == ring).expect("the ring's");
+    assert_eq!((stretch.missing, stretch.gaps.len(), stretch.standing), (0, 0, Standing::Proven));
+    let begun = "of a robot's ring every number of 20, 37-39; other numbers of a ring fell out";
+    assert!(stretch.text.starts_with(begun), "{}", stretch.text);
 }
 
 #[test]

@@ -293,6 +293,16 @@ pub fn sealed_as(
     signer: &SmKeyPair,
     topic_key: &TopicKey,
     seq: u64,
+    body: (&[u8], u64, Compression),
+) -> SealedRecord {
+    sealed_by(RecorderId([4; 16]), (owner, signer, topic_key), seq, body)
+}
+
+/// The same, numbered by this recorder.
+pub fn sealed_by(
+    recorder: RecorderId,
+    (owner, signer, topic_key): (Address, &SmKeyPair, &TopicKey),
+    seq: u64,
     (body, plain_length, compression): (&[u8], u64, Compression),
 ) -> SealedRecord {
     let head = Head {
@@ -312,7 +322,7 @@ pub fn sealed_as(
         signer,
         epoch: 1,
         topic_key,
-        recorder: RecorderId([4; 16]),
+        recorder,
         seq,
         topic_id: TopicId([8; 16]),
         kind: RecordKind::Data,

@@ -4,7 +4,7 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use crate::model::{Address, Digest, Domain, TopicId};
+use crate::model::{Address, Digest, Domain, RecorderId, TopicId};
 use crate::pipeline::epoch::{EpochKeys, TopicKeys};
 use crate::pipeline::packing::{Packing, Try};
 use crate::pipeline::recorder::CapturedMessage;
@@ -45,6 +45,13 @@ pub enum Content {
     Message(Option<Try>),
 }
 
+impl Content {
+    /// A definition on its way into the ring, of (network, owner, epoch).
+    pub fn ring_definition((domain, owner, epoch): (Domain, Address, u64), topic: TopicId, digest: Digest) -> Self {
+        Self::Definition(DefinitionId { domain, owner, epoch, topic, digest, held: false })
+    }
+}
+
 /// One record to be sealed.
 pub struct Task<'a> {
     /// The message.
@@ -55,6 +62,8 @@ pub struct Task<'a> {
     pub keys: Arc<EpochKeys>,
     /// The topic's keys.
     pub topic: Arc<TopicKeys>,
+    /// The recorder that numbers it.
+    pub recorder: RecorderId,
     /// Its seq.
     pub seq: u64,
     /// SM3 of the message's definition.
@@ -120,7 +129,8 @@ impl Planner {
     /// Errors of the ledger.
     pub fn plan<'a>(&mut self, plant: &Plant, items: &'a [CapturedMessage]) -> Result<Plan<'a>, PipelineError> {
         let mut plan = Plan::default();
-        for item in items {
+        let recorder = plant.ledger.recorder();
+        for item in items.iter().filter(|item| !item.ring) {
             let keys = item.author.sealing();
             let Some((topic, keys)) = keys.and_then(|keys| Some((keys.topic(&item.message.topic)?, keys))) else {
                 plan.keyless.push(item);
@@ -130,7 +140,7 @@ impl Planner {
             let add = |planner: &Self, plan: &mut Plan<'a>, content| {
                 let seq = planner.next_seq(plant, (item.author.address, topic.id), plan)?;
                 let (keys, topic) = (Arc::clone(&keys), Arc::clone(&topic));
-                plan.tasks.push(Task { item, content, keys, topic, seq, definition });
+                plan.tasks.push(Task { item, content, keys, topic, recorder, seq, definition });
                 Ok::<(), PipelineError>(())
             };
             if let Some(unsent) = self.unsent(plant, &plan, item, (&*keys, topic.id, definition))? {
@@ -164,7 +174,7 @@ impl Planner {
     }
 
     /// SM3 of a definition; a text at the same address as the topic's last one is the same.
-    fn definition_digest(&mut self, plant: &Plant, topic: &Arc<str>, definition: &Arc<str>) -> Digest {
+    pub fn definition_digest(&mut self, plant: &Plant, topic: &Arc<str>, definition: &Arc<str>) -> Digest {
         if let Some((_, digest)) = self.last.get(topic).filter(|(last, _)| Arc::ptr_eq(last, definition)) {
             return *digest;
         }

@@ -67,7 +67,7 @@ impl Task<'_> {
             signer: &self.keys.signing,
             epoch: self.keys.epoch,
             topic_key: &self.topic.key,
-            recorder: plant.ledger.recorder(),
+            recorder: self.recorder,
             seq: self.seq,
             topic_id: self.topic.id,
             kind: self.kind(),

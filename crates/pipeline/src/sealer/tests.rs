@@ -100,7 +100,15 @@ impl Line {
     fn item(&self, topic: &str, number: usize, body: Vec<u8>) -> CapturedMessage {
         let message = message(topic, Timestamp(number as u64 + 1), body);
         let (author, message) = (Arc::clone(&self.author), Arc::new(message));
-        CapturedMessage { author, message, simulated: false, sessions: Vec::new(), doubt: None, rule: None }
+        CapturedMessage {
+            author,
+            message,
+            simulated: false,
+            sessions: Vec::new(),
+            doubt: None,
+            rule: None,
+            ring: false,
+        }
     }
 
     /// All records of a topic by number, opened.

@@ -25,6 +25,9 @@ requests! {
         /// A description.
         #[serde(default)]
         note: Option<String>,
+        /// Robots whose rings are asked for it; then the keyring is needed.
+        #[serde(default, skip_serializing_if = "Vec::is_empty")]
+        robots: Vec<String>,
     } => IncidentView;
     /// All incidents of the profile, each with what it holds.
     ListIncidents => Vec<IncidentView>;

@@ -1,6 +1,8 @@
 //! The agent: a site without a chain, on a robot or its host. It captures in its owner's name, within its enrolment,
 //! and forwards everything to one of its gateways.
 
+mod ring;
+
 use std::collections::HashSet;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -8,10 +10,12 @@ use std::time::Duration;
 use serde::Serialize;
 use tokio::task::{JoinHandle, block_in_place};
 
+use self::ring::AgentRing;
+
 use super::Site;
 use crate::crypto::{Enrolment, SealedEnrolment};
 use crate::gateway::Context;
-use crate::model::{Digest, ErrorKind, ProfileName, RecordState, TopicName, clean};
+use crate::model::{Digest, ErrorKind, ProfileName, RecordState, TopicName, TopicPatterns, clean};
 use crate::pipeline::forwarder::{CopyKeeping, Forwarder, Link, Robot};
 use crate::pipeline::notices::Notices;
 use crate::pipeline::session::TopicFigures;
@@ -19,7 +23,7 @@ use crate::pipeline::{Author, CaptureSession, Observer as _, recorder_heads};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, internal, refused};
 use crate::service::reply::Failure;
-use crate::store::{StateCounts, TopicCounts};
+use crate::store::{RingFigures, StateCounts, TopicCounts};
 
 /// How long the only gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -62,6 +66,9 @@ pub struct AgentFigures {
     pub unproven: u64,
     /// Whether a gateway answers, in words.
     pub gateway: String,
+    /// What it keeps of topics that nobody watches, if it keeps a ring.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ring: Option<RingFigures>,
 }
 
 /// Why an agent's work is over.
@@ -83,6 +90,7 @@ pub struct Agent {
     /// The first covers all topics at the start; there is another for each topic that the owner has added since.
     sessions: Vec<Arc<CaptureSession>>,
     topics: Vec<String>,
+    ring: Option<AgentRing>,
     wishes: AgentWishes,
     length: Option<Duration>,
     link: tokio::sync::watch::Receiver<Link>,
@@ -108,13 +116,18 @@ impl Agent {
         let kept = SealedEnrolment::kept_in(site.parts.home.root());
         sealed.catch_up(&kept)?;
         let enrolment = &sealed.enrolment;
-        let topics = topics(enrolment, &wishes.topics)?;
+        let ring = site.parts.config.ring.as_ref().map(|ring| &ring.topics);
+        let topics = topics(enrolment, &wishes.topics, ring)?;
         site.parts.log.write(&enrolment.name, "agent", &enrolment.device_id().to_string(), "begun").await?;
         let author = Arc::new(Author::new(enrolment.owner));
         author.obey(enrolment);
         let (name, forwarder) = (enrolment.name.clone(), block_in_place(|| forwarder(site, enrolment))?);
         let (provider, observer) = (site.plant.provider, Arc::clone(&site.plant.observer));
-        let notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept);
+        let mut notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept);
+        let mut ring = AgentRing::begin(site, &author)?;
+        if ring.is_some() {
+            notices = notices.with_ring(site.plant.ledger.clone());
+        }
         let told = notices.gateways();
         let forwarder = forwarder.with_errand(Box::new(notices)).following(told);
         let before = block_in_place(|| site.plant.ledger.counts(None))?.acknowledged;
@@ -129,6 +142,9 @@ impl Agent {
                 site.parts.hub.notice(NoticeLevel::Warning, &text);
             }
         }
+        if let Some(ring) = &mut ring {
+            ring.follow(site, &author, &topics);
+        }
         site.ros.wishes_changed();
         let (link, refused) = (forwarder.link(), forwarder.refused());
         site.gateway.passes_on(link.clone());
@@ -142,6 +158,7 @@ impl Agent {
             author,
             sessions,
             topics,
+            ring,
             wishes,
             length,
             link,
@@ -193,6 +210,11 @@ impl Agent {
             looks = looks.wrapping_add(1);
             self.warn_of_epoch();
             self.follow_topics();
+            if let Some(ring) = &mut self.ring {
+                ring.follow(&self.site, &self.author, &self.topics);
+                // They are in the outbox, but this run did not capture them for it.
+                self.before += ring.work(&self.site);
+            }
             self.state_heads();
             if let Some(end) = self.end(&counts) {
                 return Ok(end);
@@ -221,7 +243,8 @@ impl Agent {
         }
         let covered = self.author.sealing().and_then(|keys| keys.names()).unwrap_or_default();
         for topic in covered.into_iter().filter(|topic| topic.parse::<TopicName>().is_ok()) {
-            if self.topics.contains(&topic) {
+            let is_for_ring = self.ring.as_ref().is_some_and(|ring| ring.takes(&topic));
+            if is_for_ring || self.topics.contains(&topic) {
                 continue;
             }
             let (topics, tags) = ([topic.clone()], self.wishes.tags.clone());
@@ -282,6 +305,7 @@ impl Agent {
                 Link::Up => "connected".to_owned(),
                 Link::InPlace(text) | Link::Away(text) | Link::Refused(text) => clean(text, 300),
             },
+            ring: self.ring.as_ref().map(AgentRing::figures),
         }
     }
 
@@ -306,6 +330,9 @@ impl Agent {
             for topic in &self.topics {
                 self.site.recorder.leave(topic, &self.author, session);
             }
+        }
+        if let Some(ring) = &self.ring {
+            ring.end(&self.site, &self.author);
         }
         self.forwarder.abort();
         Arc::clone(&self.site).stop().await;
@@ -335,9 +362,9 @@ fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {
     Ok(forwarder)
 }
 
-/// The topics to capture: those requested, or all with keys. Some requested ones may lack a key as yet: their messages
+/// The topics to capture: those requested, or all with keys that are not for the ring. Some requested ones may lack a key as yet: their messages
 /// are refused and counted until the owner sends it.
-fn topics(enrolment: &Enrolment, asked: &[TopicName]) -> Result<Vec<String>, Failure> {
+fn topics(enrolment: &Enrolment, asked: &[TopicName], ring: Option<&TopicPatterns>) -> Result<Vec<String>, Failure> {
     let covered = enrolment.keys.now.key.topics();
     if let (Some(covered), Some(strange)) = (&covered, asked.first())
         && !asked.iter().any(|topic| covered.iter().any(|name| name == topic.as_str()))
@@ -350,12 +377,14 @@ fn topics(enrolment: &Enrolment, asked: &[TopicName]) -> Result<Vec<String>, Fai
         )));
     }
     let mut topics: Vec<String> = match covered {
-        Some(covered) if asked.is_empty() => covered,
+        Some(covered) if asked.is_empty() => {
+            covered.into_iter().filter(|topic| !ring.is_some_and(|ring| ring.matches(topic))).collect()
+        }
         _ => asked.iter().map(ToString::to_string).collect(),
     };
     topics.sort();
     topics.dedup();
-    if topics.is_empty() {
+    if topics.is_empty() && ring.is_none() {
         return Err(Failure::new(
             ErrorKind::Usage,
             "name what to capture with --topic; this enrolment covers all topics",

@@ -9,9 +9,10 @@ use super::consoles::{Claims, opened_by, until_released};
 use crate::model::ProfileName;
 use crate::pipeline::Owner;
 use crate::service::command::{
-    self as ask, Ask, Command, Operation, RecordingCommand, RecordingProgress, Request, StoreCommand,
+    self as ask, Ask, Command, IncidentCommand, Operation, RecordingCommand, RecordingProgress, Request, StoreCommand,
 };
 use crate::service::reply::{Failure, Reply};
+use crate::site::devices::pulling::span;
 
 impl Site {
     /// Answers one request. Each variant has its arm here, so a request that nothing answers does not compile.
@@ -194,9 +195,34 @@ impl Site {
             }
             Command::OfStore(command) => self.handle_store(&profile, command).await,
             Command::Operate(operation) => self.operate(&profile, operation).await,
-            Command::OfIncident(command) => self.incidents.answer(&profile, command).await,
             Command::OfWitness(command) => self.witnesses.answer(&profile, command).await,
+            Command::OfIncident(command) => self.of_incident(&profile, command).await,
+            Command::OfRobot(command) => self.devices.answer(&owner()?, command).await,
         }
+    }
+
+    /// Answers a request about incidents; the rings of robots are asked once the incident is there.
+    async fn of_incident(self: &Arc<Self>, profile: &ProfileName, command: IncidentCommand) -> Result<Reply, Failure> {
+        let asked = if let IncidentCommand::OpenIncident { since, until, topics, robots, .. } = &command
+            && !robots.is_empty()
+        {
+            let topics = topics.iter().filter_map(|topic| topic.as_str().parse().ok()).collect();
+            Some((self.parts.owners.unlocked(profile)?, robots.clone(), span(*since, *until, topics)?))
+        } else {
+            None
+        };
+        if let Some((owner, robots, _)) = &asked {
+            self.devices.check_robots(owner, robots).await?;
+        }
+        // What a topic's records are counted by is its name.
+        self.reading.learn_own_names(profile).await?;
+        let told = self.incidents.answer(profile, command).await?;
+        if let Some((owner, robots, span)) = &asked {
+            for robot in robots {
+                self.devices.pull(owner, robot, span).await?;
+            }
+        }
+        Ok(told)
     }
 
     /// Answers one of an operator's requests; none needs the keyring open.

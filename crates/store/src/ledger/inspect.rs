@@ -90,6 +90,8 @@ pub struct Sequence {
     pub name: String,
     /// The account that anchors it instead of its owner.
     pub keeper: Option<Address>,
+    /// Who gave the numbers.
+    pub recorder: RecorderId,
     /// Records.
     pub count: u64,
     /// Lowest sequence number.
@@ -311,7 +313,8 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn sequences(&self) -> Result<Vec<Sequence>, StoreError> {
         self.read(|connection| {
-            let sql = "SELECT topics.key, owner, coalesce(nullif(name, ''), lower(hex(topic_id))), keeper, held, low, high
+            let sql = "SELECT topics.key, owner, coalesce(nullif(name, ''), lower(hex(topic_id))), keeper, held, low, high,
+                       (SELECT id FROM recorders WHERE key = topics.recorder)
                        FROM (SELECT topic, count(*) AS held, min(seq) AS low, max(seq) AS high FROM records GROUP BY topic)
                        JOIN topics ON topics.key = topic ORDER BY topics.key";
             let mut statement = connection.prepare_cached(sql)?;
@@ -324,6 +327,7 @@ impl Ledger {
                     count: unsigned(row, 4)?,
                     first: unsigned(row, 5)?,
                     last: unsigned(row, 6)?,
+                    recorder: RecorderId(row.get(7)?),
                 })
             })?;
             Ok(rows.collect::<Result<_, _>>()?)

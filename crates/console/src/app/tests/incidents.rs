@@ -51,7 +51,7 @@ fn one_key_fills_the_form_from_an_old_record_and_six_more_keep_it() {
     robot.types("hit the wall, bay 3?");
     robot.presses(Key::Enter);
     // Record 999 was captured 49.95 s after the beginning: ten whole minutes before and after it.
-    let IncidentCommand::OpenIncident { name, since, until, topics, note } = sent(&robot) else { panic!() };
+    let IncidentCommand::OpenIncident { name, since, until, topics, note, robots: _ } = sent(&robot) else { panic!() };
     assert_eq!(name.as_str(), "crash");
     assert_eq!(since.to_string(), "2023-11-14T22:04:09Z");
     assert_eq!(until.map(|until| until.to_string()).as_deref(), Some("2023-11-14T22:24:09Z"));
@@ -76,7 +76,9 @@ fn marked_topics_go_into_it_and_it_goes_on_until_it_is_closed() {
     assert_eq!(form.text(3).split(' ').count(), 2, "{}", form.text(3));
     let offered = form.text(0).to_owned();
     (0..5).for_each(|_| robot.presses(Key::Enter));
-    let IncidentCommand::OpenIncident { name, since, until: None, topics, note: None } = sent(&robot) else { panic!() };
+    let IncidentCommand::OpenIncident { name, since, until: None, topics, note: None, robots: _ } = sent(&robot) else {
+        panic!()
+    };
     assert!(name.as_str() == offered && offered.ends_with("-1114-2213"), "{offered}");
     assert_eq!((since.0, topics.len()), (fixtures::NOW.0 - 10 * MINUTE, 2));
 }

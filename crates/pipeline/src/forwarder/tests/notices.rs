@@ -6,9 +6,9 @@ use crate::crypto::{
     Passphrase, SealRequest, SealedEnrolment, SealingKey, TopicKey, notice_topic, seal, signer_id, topic_id,
 };
 use crate::model::head::Compression;
-use crate::model::{Head, RecorderId, SignerId, Timestamp, Token};
-use crate::pipeline::Author;
+use crate::model::{Head, RecorderId, RingSpan, SignerId, Timestamp, Token};
 use crate::pipeline::notices::Notices;
+use crate::pipeline::{Author, disk_ring};
 
 fn issued(epoch: u64) -> IssuedKeys {
     let key = SealingKey::Epoch(EpochKey::new([u8::try_from(epoch).expect("small"); 32]));
@@ -166,6 +166,38 @@ async fn another_key_of_the_owner_needs_the_old_one_and_the_account() {
     scene.until("the old key says nothing any more", |scene| scene.notes.with("was passed over") >= 4).await;
     owner.upload(vec![notice(&scene, &new, own, 7, 5)]).await.expect("receipt");
     scene.until("the new key's keys", |_| epoch() == 5).await;
+    work.abort();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_ring_is_asked_for_by_its_owner_alone_and_each_request_counts_once() {
+    let scene = Scene::new().await;
+    let passphrase = Passphrase::new("correct horse".to_owned()).expect("long enough");
+    let sealed = SealedEnrolment::new(enrolment(&scene), &passphrase).expect("stretches");
+    let (kept, author) = (SealedEnrolment::kept_in(scene.home.path()), Arc::new(Author::new(scene.alice.account())));
+    let observer = Arc::clone(&scene.plant.observer);
+    let notices = Notices::new(context().provider, observer, author, sealed, kept);
+    let mut forwarder = scene.forwarder().with_errand(Box::new(notices.with_ring(scene.plant.ledger.clone())));
+    let stored = Arc::clone(&scene.stored);
+    let span = |since: u64| {
+        let topics = "/camera/**".parse().expect("a pattern");
+        RingSpan { since: Timestamp(since), until: Timestamp(100), topics }
+    };
+    let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
+    let own = signer_id(&scene.device.public);
+    let asked = |seq: u64, signer: &SmKeyPair, device: SignerId| {
+        record(&scene, signer, device, (seq, 1), &Notice::Pull(span(seq)))
+    };
+    let waiting = |scene: &Scene| disk_ring::waiting(&scene.plant.ledger).expect("noted");
+    owner.upload(vec![asked(2, &scene.alice.signing, own)]).await.expect("receipt");
+    let work = tokio::spawn(async move { forwarder.run(&stored).await });
+    scene.until("asked", |scene| waiting(scene) == [span(2)]).await;
+    owner.upload(vec![asked(3, &scene.device, own)]).await.expect("the gateway takes it");
+    scene.until("passed over", |scene| scene.notes.with("was passed over") > 0).await;
+    owner.upload(vec![asked(4, &scene.alice.signing, SignerId([1; 32]))]).await.expect("another robot's");
+    owner.upload(vec![asked(1, &scene.alice.signing, own)]).await.expect("an old number");
+    owner.upload(vec![asked(5, &scene.alice.signing, own)]).await.expect("receipt");
+    scene.until("asked again", |scene| waiting(scene) == [span(2), span(5)]).await;
     work.abort();
 }
 

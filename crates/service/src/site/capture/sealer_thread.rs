@@ -1,10 +1,11 @@
 //! The thread that seals what is captured or imported, started on first use.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use crate::config::Config;
+use crate::pipeline::disk_ring::SharedRing;
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Rings;
 use crate::pipeline::sealer::Sealer;
@@ -22,6 +23,8 @@ pub(in crate::site) struct SealerThread {
     supervisor: Arc<Supervisor>,
     rings: Arc<Rings<CapturedMessage>>,
     losses: Arc<Losses>,
+    /// The ring on the disk, on a robot that keeps one.
+    ring: Arc<OnceLock<SharedRing>>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
@@ -36,8 +39,15 @@ impl SealerThread {
             supervisor,
             rings: Arc::clone(rings),
             losses: Arc::clone(losses),
+            ring: Arc::default(),
             thread: Mutex::default(),
         }
+    }
+
+    /// From now on messages of topics that nobody watches go into this ring; the first one counts.
+    pub fn fill(&self, ring: &SharedRing) {
+        // A second ring in one run is not asked for by anybody.
+        drop(self.ring.set(Arc::clone(ring)));
     }
 
     /// Starts if it has not started yet: a run that captures nothing may still import.
@@ -54,9 +64,10 @@ impl SealerThread {
 
     fn start(&self) -> Result<JoinHandle<()>, Failure> {
         let (plant, hub, losses) = (self.plant.clone(), Arc::clone(&self.hub), Arc::clone(&self.losses));
-        let (rings, compression) = (Arc::clone(&self.rings), self.config.compression);
+        let (rings, compression, ring) = (Arc::clone(&self.rings), self.config.compression, Arc::clone(&self.ring));
         self.supervisor.keep_thread("sealer", move || {
             let sealer = Sealer::new(plant.clone(), Arc::clone(&hub.sessions), Arc::clone(&losses));
+            let sealer = sealer.with_ring(Arc::clone(&ring));
             let mut sealer = if compression { sealer } else { sealer.without_compression() };
             sealer.run(&rings, &|| hub.stored.notify_waiters());
         })

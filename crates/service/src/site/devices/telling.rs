@@ -5,7 +5,7 @@ use std::sync::PoisonError;
 use super::enrolled::Enrolled;
 use super::enrolled::Enrolments;
 use crate::crypto::{IssuedKeys, Notice, OwnerKeyChange, notice_key, notice_topic};
-use crate::model::{PublicKey, RecordKind, Timestamp};
+use crate::model::{PublicKey, RecordKind, RingSpan, Timestamp};
 use crate::pipeline::authority::{Moment, may_sign};
 use crate::pipeline::statement::{self, Speaker, Statement};
 use crate::pipeline::{Network, Owner};
@@ -68,6 +68,25 @@ impl Enrolments {
             self.plant.ledger.put_setting(&place, &told)?;
             self.hub.stored.notify_waiters();
         }
+        Ok(())
+    }
+
+    /// Seals a notice that asks a robot for a span of its ring.
+    ///
+    /// # Errors
+    /// Errors of ledger and vault.
+    pub(super) fn ask_for_ring(
+        &self,
+        owner: &Owner,
+        network: &Network,
+        device: &Enrolled,
+        span: &RingSpan,
+    ) -> Result<(), Failure> {
+        // A robot hears only notices of the epoch it seals under, or of a later one.
+        let known = network.directory.epoch(owner.address);
+        let epoch = owner.sealing().map_or(known, |keys| keys.epoch.max(known));
+        self.seal_notice(owner, network, device, epoch, &Notice::Pull(span.clone()))?;
+        self.hub.stored.notify_waiters();
         Ok(())
     }
 

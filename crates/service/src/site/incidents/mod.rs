@@ -55,7 +55,7 @@ impl Incidents {
     pub async fn answer(self: &Arc<Self>, profile: &ProfileName, command: IncidentCommand) -> Result<Reply, Failure> {
         let owner = self.owners.address_of(profile)?;
         match command {
-            IncidentCommand::OpenIncident { name, since, until, topics, note } => {
+            IncidentCommand::OpenIncident { name, since, until, topics, note, robots: _ } => {
                 let wanted = wanted(name, (since, until), &topics, note.as_deref())?;
                 self.open(profile, owner, wanted).await.map(ask::OpenIncident::told)
             }

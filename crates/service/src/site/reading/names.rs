@@ -4,13 +4,21 @@
 use super::Reading;
 use std::sync::Arc;
 
-use crate::model::Address;
 use crate::model::bytes::hex;
+use crate::model::{Address, ProfileName};
 use crate::pipeline::reader::Reader;
 use crate::service::reply::Failure;
 use crate::site::blocking;
 
 impl Reading {
+    /// Learns what can be learned now of the profile's own topics: those of its robots arrive without names.
+    pub(in crate::site) async fn learn_own_names(self: &Arc<Self>, profile: &ProfileName) -> Result<(), Failure> {
+        let owner = self.owners.get(profile).filter(|owner| !owner.is_locked());
+        let (Some(owner), Some(network)) = (owner, self.link.network_now()) else { return Ok(()) };
+        let reader = Reader { plant: &self.plant, network: &network, reader: &owner };
+        self.learn_names(&reader, owner.address).await
+    }
+
     /// Opens one record of each stream of `owner` that has no name yet, as far as the reader may.
     pub(in crate::site) async fn learn_names(
         self: &Arc<Self>,

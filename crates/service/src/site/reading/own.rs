@@ -11,7 +11,6 @@ use crate::model::bytes::hex;
 use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId};
 use crate::pipeline::columns::{self, Caveat, ShownState};
 use crate::pipeline::epoch::tag_choice;
-use crate::pipeline::reader::Reader;
 use crate::pipeline::{Owner, PipelineError, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal};
@@ -28,12 +27,7 @@ impl Reading {
         query: UploadQuery,
     ) -> Result<RecordPage, Failure> {
         let owner = self.owners.address_of(profile)?;
-        if let (Some(reader), Some(network)) =
-            (self.owners.get(profile).filter(|owner| !owner.is_locked()), self.link.network_now())
-        {
-            let reader = Reader { plant: &self.plant, network: &network, reader: &reader };
-            self.learn_names(&reader, owner).await?;
-        }
+        self.learn_own_names(profile).await?;
         let filters = self.own_tag_filters(profile, &query.tags)?;
         let incident = query.incident.clone();
         let query = RecordQuery { owner: Some(owner), filters: filters.clone(), ..record_query(query) };

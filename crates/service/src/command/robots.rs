@@ -1,0 +1,30 @@
+//! Commands about robots: enrolled devices with an agent.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Ask, Command};
+use crate::model::{IncidentName, Timestamp, TopicPattern};
+use crate::service::reply::RingPullView;
+
+requests! {
+    /// One of these; needs the keyring.
+    #[serde(rename_all = "snake_case", tag = "robot")]
+    enum RobotCommand by Command::OfRobot;
+    /// Ask a robot for a span of its ring; it sends that like other records.
+    PullRing {
+        /// Its name, or the beginning of its device's id.
+        name: String,
+        /// What was captured at this time or later; `None` = since the incident begins.
+        #[serde(default)]
+        since: Option<Timestamp>,
+        /// Before this time; `None` = until the incident ends, or until now.
+        #[serde(default)]
+        until: Option<Timestamp>,
+        /// Of these topics; empty = of those of the incident, or of all.
+        #[serde(default)]
+        topics: Vec<TopicPattern>,
+        /// Takes from this incident what is not named here.
+        #[serde(default)]
+        incident: Option<IncidentName>,
+    } => RingPullView;
+}

@@ -1,0 +1,102 @@
+//! What an owner asks of the ring of a robot.
+
+use std::sync::Arc;
+
+use tokio::task::block_in_place;
+
+use super::Devices;
+use super::enrolled::Enrolled;
+use crate::model::{RingSpan, Timestamp, TopicPattern, TopicPatterns, clean};
+use crate::pipeline::{Network, Owner};
+use crate::service::command::{self as ask, Ask as _, RobotCommand};
+use crate::service::failure::{input, refused};
+use crate::service::reply::{Failure, Reply, RingPullView};
+use crate::site::incidents;
+
+/// The widest topic shown, characters.
+const WIDEST: usize = 255;
+
+impl Devices {
+    /// Answers one request about robots.
+    pub(in crate::site) async fn answer(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        command: RobotCommand,
+    ) -> Result<Reply, Failure> {
+        match command {
+            RobotCommand::PullRing { name, since, until, topics, incident } => {
+                let incident = incident
+                    .map(|incident| block_in_place(|| incidents::view(&self.plant.ledger, owner.address, &incident)));
+                let incident = incident.transpose()?;
+                let of_incident = incident.as_ref();
+                let since = since.or(of_incident.map(|incident| incident.since));
+                let since = since.ok_or_else(|| input("say from when: --since 10m, or --incident NAME"))?;
+                let until = until.or(of_incident.and_then(|incident| incident.until));
+                let topics = if topics.is_empty() { of_incident.map_or_else(Vec::new, patterns) } else { topics };
+                let span = span(since, until, topics)?;
+                self.pull(owner, &name, &span).await.map(ask::PullRing::told)
+            }
+        }
+    }
+
+    /// Asks a robot for a span of its ring: it hears of it with its next contact.
+    pub(in crate::site) async fn pull(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        name: &str,
+        span: &RingSpan,
+    ) -> Result<RingPullView, Failure> {
+        let network = self.link.network().await?;
+        let robot = self.robot(&network, owner, name)?;
+        let RingSpan { since, until, topics } = span;
+        let told = if topics.0.is_empty() { "all topics".to_owned() } else { topics.to_string() };
+        let subject = clean(&format!("{}: {since} to {until}, {told}", robot.device), 400);
+        self.log.begin(owner, "pull ring", &subject).await?;
+        block_in_place(|| self.enrolments.ask_for_ring(owner, &network, &robot, span))?;
+        let topics = topics.0.iter().map(|topic| clean(topic.as_str(), WIDEST)).collect();
+        Ok(RingPullView { robot: robot.name, device: robot.device, since: *since, until: *until, topics })
+    }
+
+    /// The robots of these names, before anything is done for any of them.
+    ///
+    /// # Errors
+    /// One of them is not known here, or its loan has ended.
+    pub(in crate::site) async fn check_robots(&self, owner: &Owner, names: &[String]) -> Result<(), Failure> {
+        let network = self.link.network().await?;
+        names.iter().try_for_each(|name| self.robot(&network, owner, name).map(drop))
+    }
+
+    /// The lent robot that a person names.
+    fn robot(&self, network: &Network, owner: &Owner, name: &str) -> Result<Enrolled, Failure> {
+        let device = self.lent_device(network, owner, name)?;
+        let known = self.enrolments.of(owner)?.into_iter().rfind(|robot| robot.device == device);
+        known
+            .ok_or_else(|| refused(format!("device {device} was not enrolled from this home, so it is no robot of it")))
+    }
+}
+
+/// A span that has been: what is to come is not in a ring yet.
+///
+/// # Errors
+/// It ends before it begins, or names too many topics.
+pub(in crate::site) fn span(
+    since: Timestamp,
+    until: Option<Timestamp>,
+    topics: Vec<TopicPattern>,
+) -> Result<RingSpan, Failure> {
+    let until = until.unwrap_or_else(Timestamp::now).min(Timestamp::now());
+    if since >= until {
+        return Err(input(format!(
+            "the span would end at {until}, before it begins; a ring has what was, not what comes"
+        )));
+    }
+    if topics.len() > TopicPatterns::MOST {
+        return Err(input(format!("a robot is asked for at most {} topics at once", TopicPatterns::MOST)));
+    }
+    Ok(RingSpan { since, until, topics: TopicPatterns(topics) })
+}
+
+/// The topics of an incident; a name that is no pattern is one that no robot has.
+fn patterns(incident: &crate::service::reply::IncidentView) -> Vec<TopicPattern> {
+    incident.topics.iter().filter_map(|topic| topic.parse().ok()).collect()
+}

@@ -1,0 +1,164 @@
+//! A ring on the disk: what comes back of it, what falls out, and what a crash leaves.
+
+use super::*;
+use crate::model::TopicPatterns;
+use std::io::Write as _;
+
+const SECOND: u64 = 1_000_000_000;
+const CAMERA: &str = "/camera";
+const LASER: &str = "/laser";
+
+fn limits(seconds: u64, bytes: u64) -> RingLimits {
+    RingLimits { time: Duration::from_secs(seconds), bytes }
+}
+
+fn ring(folder: &Path, limits: RingLimits) -> DiskRing {
+    DiskRing::open(folder, limits, RecorderId::of_ring([1; 8])).expect("a ring")
+}
+
+fn topic_id(topic: &str) -> TopicId {
+    TopicId([topic.as_bytes()[1]; 16])
+}
+
+fn all(since: u64, until: u64) -> RingSpan {
+    RingSpan { since: Timestamp(since), until: Timestamp(until), topics: TopicPatterns::default() }
+}
+
+/// A message at this time, with its definition where the file lacks it.
+fn add(ring: &mut DiskRing, topic: &str, at: u64, length: usize) {
+    let definition = (topic_id(topic), 1, Digest([9; 32]));
+    ring.begin_round(length as u64 + 500, Timestamp(at)).expect("a round");
+    let mut number = ring.next_number(topic_id(topic));
+    let mut records = Vec::new();
+    let mut one = |is_definition: bool, blob: Vec<u8>| {
+        let record = RingRecord {
+            digest: Digest([u8::try_from(number % 251).expect("small"); 32]),
+            signature: Signature([3; 64]),
+            topic: topic.to_owned(),
+            type_name: "a/B".to_owned(),
+            captured_at: Timestamp(at),
+            is_definition,
+            simulated: !is_definition,
+            plain_length: 77,
+            blob,
+        };
+        records.push((record, number, is_definition.then_some(definition), topic_id(topic)));
+        number += 1;
+    };
+    if !ring.has_definition(&definition) {
+        one(true, b"the definition".to_vec());
+    }
+    one(false, vec![5; length]);
+    ring.append(&records).expect("appended");
+}
+
+fn found(ring: &DiskRing, span: &RingSpan) -> Vec<RingRecord> {
+    ring.parts_of(span).into_iter().flat_map(|part| ring.select(part, span).expect("read")).collect()
+}
+
+fn times(records: &[RingRecord]) -> Vec<u64> {
+    records.iter().filter(|record| !record.is_definition).map(|record| record.captured_at.0 / SECOND).collect()
+}
+
+fn now() -> u64 {
+    Timestamp::now().0
+}
+
+#[test]
+fn a_span_comes_back_as_it_went_in_after_the_process_was_killed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let begun = now() - 100 * SECOND;
+    let mut first = ring(folder.path(), limits(3600, 1 << 24));
+    for second in 0..20 {
+        add(&mut first, CAMERA, begun + second * SECOND, 100);
+        add(&mut first, LASER, begun + second * SECOND, 10);
+    }
+    assert_eq!((first.figures().messages, first.figures().fallen), (40, 0));
+    // Nothing is closed or flushed, as with SIGKILL.
+    std::mem::forget(first);
+    let again = ring(folder.path(), limits(3600, 1 << 24));
+    assert_eq!((again.figures().messages, again.figures().since), (40, Some(Timestamp(begun))));
+    let span = RingSpan { topics: CAMERA.parse().expect("a pattern"), ..all(begun + 5 * SECOND, begun + 8 * SECOND) };
+    let taken = found(&again, &span);
+    let seconds = begun / SECOND;
+    assert_eq!(times(&taken), [seconds + 5, seconds + 6, seconds + 7]);
+    assert!(taken.iter().all(|record| record.topic == CAMERA));
+    assert_eq!((taken[0].is_definition, &taken[0].blob[..]), (true, &b"the definition"[..]), "definitions go first");
+    let message = &taken[1];
+    assert_eq!((message.blob.clone(), message.simulated, message.plain_length), (vec![5; 100], true, 77));
+    assert_eq!((message.type_name.as_str(), message.signature), ("a/B", Signature([3; 64])));
+    assert_eq!(again.next_number(topic_id(CAMERA)), 1, "with a recorder of its own, numbers begin anew");
+}
+
+#[test]
+fn what_is_older_or_does_not_fit_falls_out_and_is_counted() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let begun = now() - 1000 * SECOND;
+    let mut by_time = ring(folder.path(), limits(160, 1 << 24));
+    for second in 0..400 {
+        add(&mut by_time, CAMERA, begun + second * SECOND, 50);
+    }
+    let figures = by_time.figures();
+    assert_eq!(figures.messages + figures.fallen, 400, "never a hole");
+    // A sixteenth more at most: files go as a whole.
+    assert!((160..=172).contains(&figures.messages), "{figures:?}");
+    let kept = times(&found(&by_time, &all(0, u64::MAX)));
+    assert_eq!(kept.len() as u64, figures.messages);
+    assert!(kept.windows(2).all(|two| two[1] == two[0] + 1), "the newest, without a gap");
+    drop(by_time);
+    let later = ring(folder.path(), limits(160, 1 << 24));
+    assert_eq!((later.figures().messages, later.figures().fallen), (0, 400), "all of it is old by now");
+
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut by_size = ring(folder.path(), limits(1_000_000, 1 << 20));
+    let begun = now();
+    for number in 0..200 {
+        add(&mut by_size, LASER, begun + number, 20_000);
+        let on_disk: u64 = segment::list(folder.path())
+            .expect("files")
+            .iter()
+            .map(|(_, path)| fs::metadata(path).expect("a file").len())
+            .sum();
+        assert!(on_disk <= 1 << 20 && by_size.figures().bytes == on_disk, "{on_disk}");
+    }
+    let figures = by_size.figures();
+    assert_eq!(figures.messages + figures.fallen, 200);
+    assert!(figures.messages >= 40, "{figures:?}");
+    assert!(by_size.is_too_large(300_000) && !by_size.is_too_large(100_000));
+    by_size.refuse(LASER);
+    assert_eq!((by_size.figures().fallen, by_size.fallen()[LASER]), (figures.fallen + 1, figures.fallen + 1));
+}
+
+#[test]
+fn every_file_stands_alone_and_a_torn_or_foreign_one_hides_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut begun = ring(folder.path(), limits(3600, 1 << 20));
+    let start = now();
+    for number in 0..20 {
+        add(&mut begun, CAMERA, start + number, 10_000);
+    }
+    let parts = begun.parts_of(&all(0, u64::MAX));
+    assert!(parts.len() > 2, "{parts:?}");
+    for part in &parts {
+        let records = begun.select(*part, &all(0, u64::MAX)).expect("read");
+        assert!(records[0].is_definition && !records[1].is_definition, "each file has its definitions");
+    }
+    drop(begun);
+    let files = segment::list(folder.path()).expect("files");
+    let last = &files.last().expect("one").1;
+    let whole = fs::metadata(last).expect("a file").len();
+    // Half a record, as a machine without power leaves it; and a file that is none.
+    let torn = [0, 1, 0, 0, 7, 7, 7].repeat(3);
+    fs::OpenOptions::new().append(true).open(last).and_then(|mut file| file.write_all(&torn)).expect("written");
+    files::atomic_write(&folder.path().join("0000000000000000.ring"), b"something else").expect("written");
+    let again = ring(folder.path(), limits(3600, 1 << 20));
+    assert_eq!(again.figures().messages, 20);
+    assert_eq!(fs::metadata(last).expect("a file").len(), whole, "what was not whole is cut off");
+    let file = fs::read(last).expect("a file");
+    for cut in [1, 3, 9, 10, 40, 200] {
+        let folder = tempfile::tempdir().expect("a folder");
+        files::atomic_write(&folder.path().join("1.ring"), &file[..file.len() - cut]).expect("written");
+        let cut = ring(folder.path(), limits(3600, 1 << 20));
+        assert!(found(&cut, &all(0, u64::MAX)).iter().all(|record| !record.blob.is_empty()));
+    }
+}

@@ -1,0 +1,145 @@
+//! Robots from their owner's site: what a ring kept of topics that nobody watched is there when somebody asks, also
+//! after a crash of the robot, and stands in an incident and its bundle like any other record.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use crate::support;
+
+use std::collections::BTreeSet;
+
+use serde_json::Value;
+use support::{Authros, Home, Running, count, free_port, heavy, is_verified, list, text, wait_until};
+
+const INPUT: i32 = 3;
+const USAGE: i32 = 2;
+const WATCHED: &str = "/robot1/odom";
+const UNWATCHED: &str = "/robot1/camera/compressed";
+/// "authring" in hex: the beginning of the recorder id of a ring.
+const RING: &str = "6175746872696e67";
+
+/// A gateway in a home with the robot's owner.
+struct Site {
+    home: Home,
+    address: String,
+    key: String,
+    _serving: Running,
+}
+
+impl Site {
+    fn new() -> Self {
+        let (home, address) = (Home::new(), format!("127.0.0.1:{}", free_port()));
+        let keeper = home.profile("keeper").with(&["--json"]);
+        let mut serving = keeper.spawn(&["gateway", "serve", "--listen", &address]);
+        let said = serving.wait_for_text("\"gateway\"", 120);
+        let line = said.lines().find(|line| line.contains("\"gateway\"")).expect("a document");
+        let document: Value = serde_json::from_str(line).expect("JSON");
+        let key = text(&document["gateway"], "gateway");
+        Self { home, address, key, _serving: serving }
+    }
+
+    fn owner(&self, name: &str) -> Authros {
+        let owner = self.home.profile(name);
+        owner.enrol();
+        owner
+    }
+}
+
+/// A robot with a ring.
+struct Robot {
+    home: Home,
+    enrolment: String,
+}
+
+impl Robot {
+    fn enrol(site: &Site, owner: &Authros, name: &str, topics: &[&str]) -> Self {
+        let home = Home::new();
+        let enrolment = home.root().join("robot.enrolment").to_str().expect("UTF-8").to_owned();
+        let mut arguments = vec!["agent", "enrol", "--gateway", &site.address, "--gateway-key", &site.key];
+        arguments.extend(["--name", name, "--out", &enrolment]);
+        arguments.extend(topics.iter().flat_map(|topic| ["--topic", topic]));
+        owner.json(&arguments);
+        Self { home, enrolment }
+    }
+
+    fn run(&self, keep: &str, topics: &str) -> Running {
+        let agent = self.home.authros().with(&["--json", "--robots", "1"]);
+        let agent = agent.with_variable("AUTHROS_RING_KEEP", keep).with_variable("AUTHROS_RING_TOPICS", topics);
+        agent.spawn(&["agent", "run", &self.enrolment])
+    }
+}
+
+/// The newest document of a running agent that passes.
+fn when(agent: &Running, what: &str, test: impl Fn(&Value) -> bool) -> Value {
+    wait_until(120, what, || {
+        let newest = agent.stdout().lines().rev().find_map(|line| serde_json::from_str::<Value>(line).ok());
+        newest.filter(|figures| test(figures))
+    })
+}
+
+fn in_ring(figures: &Value) -> u64 {
+    count(&figures["ring"], "messages")
+}
+
+fn texts(records: &[Value], field: &str) -> BTreeSet<String> {
+    records.iter().map(|record| text(record, field)).collect()
+}
+
+#[test]
+fn what_a_ring_kept_before_the_button_is_in_the_incident_though_nobody_watched_it() {
+    let _alone = heavy();
+    let site = Site::new();
+    let alice = site.owner("alice");
+    let robot = Robot::enrol(&site, &alice, "scout", &[WATCHED, UNWATCHED]);
+    let agent = robot.run("5m, 64MiB", "[\"/robot1/camera/**\"]");
+    when(&agent, "the gateway has what is watched", |figures| count(figures, "verified") >= 3);
+    let before = when(&agent, "the ring fills", |figures| in_ring(figures) >= 15);
+    // Without a chance to write anything.
+    agent.stop("KILL", 10);
+    assert_eq!(alice.records(&["uploads", "list", "--topic", UNWATCHED]).len(), 0, "nobody reads a ring unasked");
+
+    let agent = robot.run("5m, 64MiB", "[\"/robot1/camera/**\"]");
+    let kept = in_ring(&before);
+    let after = when(&agent, "the ring goes on", |figures| in_ring(figures) >= kept + 10);
+    assert_eq!(count(&after["ring"], "fallen"), 0, "{after}");
+    let opened = ["incident", "open", "crash", "--since", "-10m", "--topics", UNWATCHED, "--robot", "scout"];
+    let told = alice.fails(INPUT, &[&opened[..], &["another"]].concat());
+    assert!(told.contains("a device is named by"), "{told}");
+    assert!(list(&alice.json(&["incident", "list"]), "incidents").is_empty(), "of two robots one is not known");
+    alice.json(&opened);
+    let least = usize::try_from(kept + 10).expect("few");
+    let records = wait_until(180, "the minutes before are here and proven", || {
+        let records = alice.records(&["uploads", "list", "--incident", "crash"]);
+        (records.len() >= least && records.iter().all(is_verified)).then_some(records)
+    });
+    assert_eq!(texts(&records, "topic"), BTreeSet::from([UNWATCHED.to_owned()]));
+    let shown = alice.json(&["incident", "show", "crash"]);
+    let coverage = list(&shown, "coverage");
+    assert_eq!((coverage.len(), count(&coverage[0], "records") >= least as u64), (1, true), "{shown}");
+    assert_eq!(coverage[0]["first"], records.iter().map(|record| text(record, "captured_at")).min().expect("some"));
+    let read = alice.json(&["shared", "open", &text(&records[0], "id")]);
+    assert_eq!((text(&read, "verdict"), text(&read, "topic")), ("verified".to_owned(), UNWATCHED.to_owned()), "{read}");
+
+    // What is asked for once more comes once.
+    alice.json(&["robots", "pull", "scout", "--incident", "crash"]);
+    alice.json(&["robots", "pull", "scout", "--since", "10m", "--topic", "/nothing/**"]);
+    alice.fails(INPUT, &["robots", "pull", "nobody-here", "--since", "10m"]);
+    alice.fails(USAGE, &["robots", "pull", "scout"]);
+    alice.fails(INPUT, &["robots", "pull", "scout", "--since", "1m", "--until", "2m"]);
+    when(&agent, "nothing waits any more but the newest", |figures| count(figures, "pending") < 20);
+    agent.stop("TERM", 30).expect_code(0);
+
+    let bundle = site.home.root().join("crash.authros");
+    let place = bundle.to_str().expect("UTF-8");
+    alice.json(&["evidence", "export", place, "--incident", "crash"]);
+    // Without pins it is proven by the exporter's own chain alone.
+    let report = alice.with(&["--json"]).run(&["verify", place]).expect_code(8).document();
+    let bytes = list(&report, "records");
+    assert!(bytes.len() >= least && bytes.iter().all(|record| record["bytes"]["standing"] == "proven"), "{report}");
+    let stretches = list(&report, "complete");
+    let of_ring: Vec<&Value> = stretches.iter().filter(|one| text(one, "recorder").starts_with(RING)).collect();
+    assert_eq!((of_ring.len(), stretches.len()), (2, 2), "a recorder for each run of the robot: {report}");
+    assert!(of_ring.iter().all(|one| count(one, "missing") == 0), "{report}");
+    assert!(of_ring.iter().all(|one| text(one, "text").contains("a robot's ring")), "{report}");
+    crate::evidence::expect_agreement(&bundle, None);
+    // A ring has no holes: its numbers are whole wherever somebody asked.
+    alice.run(&["audit"]).expect_code(0);
+}
