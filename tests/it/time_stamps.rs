@@ -137,9 +137,9 @@ fn batches_are_stamped_by_an_authority_and_the_stamps_are_checked_offline() {
     authros.capture(&["/robot1/odom"], 2);
     assert!(authros.fails(5, &["evidence", "stamp"]).contains("answered 503"));
     becomes(Mood::Other);
-    assert!(authros.fails(5, &["evidence", "stamp"]).contains("no certificate in it leads from stranger"));
+    assert!(authros.fails(5, &["evidence", "stamp"]).contains("no certificate in it links stranger"));
     becomes(Mood::Same);
-    assert!(authros.fails(5, &["evidence", "stamp"]).contains("its nonce is another one"));
+    assert!(authros.fails(5, &["evidence", "stamp"]).contains("its nonce differs"));
     let case = |name: &str| home.root().join(name).to_str().expect("UTF-8").to_owned();
     let export = |name: &str| authros.json(&["evidence", "export", &case(name), "--topic", "/robot1/odom"]);
     let without = export("without.authros");

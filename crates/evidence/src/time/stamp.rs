@@ -144,25 +144,25 @@ impl DraftStamp {
         if part == ROOTS {
             let listed: Listed = serde_json::from_slice(bytes).map_err(|error| wrong(&error.to_string()))?;
             if listed.format != FORMAT {
-                return Err(wrong(&format!("its form is not {FORMAT}")));
+                return Err(wrong(&format!("its format is not {FORMAT}")));
             }
             if listed.count > MOST_ROOTS as u64 || listed.roots.len() > MOST_ROOTS {
                 return Err(wrong(&format!("it has more than {MOST_ROOTS} roots")));
             }
             if !listed.roots.is_sorted_by(|one, next| one.root < next.root) {
-                return Err(wrong("its roots are not in their order, each once"));
+                return Err(wrong("its roots are not in order, each once"));
             }
             if listed.roots.iter().any(|place| place.path.len() > LONGEST_PATH) {
-                return Err(wrong("a path is longer than any stamp has"));
+                return Err(wrong("a path is longer than in any stamp"));
             }
             self.listed = Some(listed);
             return Ok(());
         }
         if bytes.len() > LARGEST_DER || part != token_name(bytes) {
-            return Err(wrong("is no token by its SHA-256"));
+            return Err(wrong("is not a token named by its SHA-256"));
         }
         if self.tokens.len() >= MOST_TOKENS {
-            return Err(wrong(&format!("is one more than {MOST_TOKENS} tokens")));
+            return Err(wrong(&format!("exceeds the limit of {MOST_TOKENS} tokens")));
         }
         self.tokens.push(bytes.to_vec());
         Ok(())
@@ -175,7 +175,7 @@ impl DraftStamp {
             return Err(BundleError::of(&name, "is filed under another stamp's imprint"));
         }
         if self.tokens.is_empty() {
-            return Err(BundleError::of(&name, "has no token beside it"));
+            return Err(BundleError::of(&name, "has no token with it"));
         }
         let Listed { top, count, roots, .. } = listed;
         Ok(BundledStamp { top, count, roots, tokens: self.tokens })

@@ -115,7 +115,7 @@ fn the_page_says_that_it_proves_nothing_and_has_the_levels_and_the_lines_for_ope
         "openssl pkeyutl -verify",
         "2023-11-14T22:13:20",
         "(a)",
-        "it was on no chain when it was exported",
+        "it was not on a chain when it was exported",
         "data",
     ] {
         assert!(shown.contains(part), "no {part} in {shown}");
