@@ -127,11 +127,11 @@ fn what_a_recording_describes_in_idl_is_read_by_the_definitions_of_this_machine_
         let view = authros.json(&["shared", "open", &id]);
         assert_eq!(view["message"], json!({"data": "kept /idl"}), "{view}");
         let note = text(&view, "note");
-        assert!(note.contains(source) && note.contains("its type hash is that of the message"), "{view}");
+        assert!(note.contains(source) && note.contains("its type hash matches the message"), "{view}");
     };
     opened(&home.authros(), "built into this program");
     fs::write(share.join("String.msg"), "# The text.\nstring data\n").expect("written");
-    opened(&there, "in this machine's folders");
+    opened(&there, "installed on this machine");
     // Another definition with that name is not accepted for it.
     fs::write(share.join("String.msg"), "string<=5 data\n").expect("written");
     opened(&there, "built into this program");

@@ -162,7 +162,7 @@ fn a_succession_waits_and_the_recovery_account_stops_it() {
     let seen = waiting(&at(&heir, 8));
     assert_eq!((text(&seen[0], "lost"), text(&seen[0], "recovery")), (lost.clone(), recovery.clone()));
     let early = at(&boss, 8).fails(REFUSED, &["chain", "succession", "complete", &lost]);
-    assert!(early.contains("still waits"), "{early}");
+    assert!(early.contains("still pending"), "{early}");
     let thief = at(&owner, 9).fails(REFUSED, &["chain", "succession", "cancel", &lost]);
     assert!(thief.contains("recovery account"), "{thief}");
     at(&friend, 9).json(&["chain", "succession", "cancel", &lost]);

@@ -58,7 +58,7 @@ impl Chain {
         if block.is_null() {
             return Ok(None);
         }
-        let wrong = || self.misunderstood("eth_getBlockByNumber", "its fields do not give its hash");
+        let wrong = || self.misunderstood("eth_getBlockByNumber", "its fields do not match its hash");
         let header = encode(&block).filter(|header| header.len() <= LONGEST_HEADER).ok_or_else(wrong)?;
         let named = block.get("hash").and_then(Value::as_str).and_then(|hash| hash.parse::<Hash>().ok());
         if named == Some(Hash(keccak256(&[&header]))) { Ok(Some(header)) } else { Err(wrong()) }
@@ -75,7 +75,7 @@ impl Chain {
         for some in slots.chunks(MOST_SLOTS) {
             let keys: Vec<String> = some.iter().map(|slot| Hash(slot.0).to_string()).collect();
             let answer: Value = self.rpc("eth_getProof", json!([contract, keys, format!("{number:#x}")])).await?;
-            let wrong = || self.misunderstood("eth_getProof", "it is no proof");
+            let wrong = || self.misunderstood("eth_getProof", "it is not a proof");
             let storage = answer.get("storageProof").and_then(Value::as_array).ok_or_else(wrong)?;
             let ways = std::iter::once(answer.get("accountProof")).chain(storage.iter().map(|one| one.get("proof")));
             for way in ways {

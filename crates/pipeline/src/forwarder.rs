@@ -226,8 +226,8 @@ impl Forwarder {
         let urgent = matches!(link, Link::Refused(_));
         let text = match &link {
             Link::Refused(text) => format!(
-                "records wait in the outbox: {text}; where its owner recalled this robot, or the loan has ended, the owner \
-                 has to enrol it again"
+                "records wait in the outbox: {text}; if the owner recalled this robot or its loan has ended, the owner \
+                 must enrol it again"
             ),
             _ => format!("records wait in the outbox until the gateway is back: {error}"),
         };
@@ -341,7 +341,9 @@ impl Forwarder {
             self.plant.ledger.advance(&spoilt, RecordState::Stored, RecordState::Tampered)?;
             self.plant.observer.tampered(&spoilt);
             let count = spoilt.len();
-            self.plant.observer.alert(true, format!("{count} records in the outbox are damaged or gone; not sent"));
+            self.plant
+                .observer
+                .alert(true, format!("{count} records in the outbox are damaged or missing; they were not sent"));
         }
         Ok(window)
     }
@@ -367,6 +369,6 @@ pub fn trust_in(file: &std::path::Path, fingerprint: crate::model::SignerId) -> 
     if trust.pinned == Some(fingerprint) {
         return Ok(trust);
     }
-    let found = "it names another gateway than the enrolment; use another --home for this enrolment".to_owned();
+    let found = "it names a different gateway than the enrolment; use another --home for this enrolment".to_owned();
     Err(CryptoError::NotAKey { path: crate::crypto::error::shown(file), wanted: "the note of this gateway", found })
 }

@@ -59,8 +59,8 @@ impl Forwarder {
                 Ok(signed) => return Ok(block_in_place(|| self.proven(rows, &digests, signed))),
                 Err(GatewayError::Refused(Code::Malformed)) => {
                     self.signs = false;
-                    let text = "the gateway is of a version that does not sign how records stand: this robot keeps the \
-                                ciphertext of all its records until the gateway is brought up to date";
+                    let text = "this gateway version does not sign the state of records: this robot keeps the \
+                                ciphertext of all its records until the gateway is updated";
                     self.plant.observer.alert(false, text.to_owned());
                 }
                 Err(error) => return Err(error.into()),
@@ -85,8 +85,8 @@ impl Forwarder {
         let each = each.collect();
         if doubted > 0 {
             let text = format!(
-                "the gateway says that {doubted} records are verified, but its proofs do not show them in an anchored \
-                 batch; they are kept here as not verified"
+                "the gateway claims that {doubted} records are verified, but its proofs do not show them in an \
+                 anchored batch; they are kept here as unverified"
             );
             self.plant.observer.alert(true, text);
         }
@@ -116,7 +116,8 @@ impl Forwarder {
             observer.alert(
                 true,
                 format!(
-                    "the gateway signed for {count} records and no longer knows them; they are sent again, its receipts are kept"
+                    "the gateway signed for {count} records but no longer has them; they are sent again, and its \
+                     receipts are kept"
                 ),
             );
         }
@@ -158,8 +159,7 @@ impl Forwarder {
             let oldest = self.plant.ledger.proven_before(Timestamp(i64::MAX.unsigned_abs()), PAGE)?;
             if !oldest.is_empty() {
                 self.give_up(&oldest)?;
-                let text =
-                    format!("the disk is nearly full: {} proven records were given up before their time", oldest.len());
+                let text = format!("the disk is nearly full: {} proven records were deleted early", oldest.len());
                 self.plant.observer.alert(false, text);
             }
         }

@@ -16,7 +16,7 @@ pub(super) fn odometry(value: &Value, _: &Body) -> Readable {
     out.line("TS", text(value, "header.stamp"));
     out.line("Frames", format!("{} -> {}", text(value, "header.frame_id"), text(value, "child_frame_id")));
     out.line("Pose, m", triple(value, "pose.pose.position"));
-    out.line("Pose, turned", turned(value, "pose.pose.orientation"));
+    out.line("Orientation", turned(value, "pose.pose.orientation"));
     out.line("LV, m/s", triple(value, "twist.twist.linear"));
     out.line("AV, rad/s", triple(value, "twist.twist.angular"));
     out.tables.extend(square("Cov of Pose", &POSE, value, "pose.covariance"));
