@@ -270,7 +270,7 @@ fn expect_seen(reader: &Authros) {
     console.press("o");
     console.wait_for("LV, m/s", 30);
     console.press("\t");
-    console.wait_for("Path over", 30);
+    console.wait_for("Path: last", 30);
     assert!(console.shown().contains("this record"), "{}", console.shown());
     console.press("qq");
     console.wait(30);

@@ -71,7 +71,7 @@ fn a_lost_account_has_the_successor_that_the_administrator_names_for_all_to_see(
         assert!(refused.contains("this contract is of revision 1") && refused.contains("chain adopt"), "{refused}");
     }
     let refused = heir.fails(REFUSED, &["chain", "succeed", &gone, &next]);
-    assert!(refused.contains("administers this contract"), "{refused}");
+    assert!(refused.contains("the administrator of this contract"), "{refused}");
     let boss = home.authros();
     boss.fails(REFUSED, &["chain", "succeed", &gone, "0x00000000000000000000000000000000000000aa"]);
     let told = boss.json(&["chain", "succeed", &gone, "the-heir"]);

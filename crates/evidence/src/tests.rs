@@ -318,7 +318,7 @@ fn an_unpacked_bundle_is_read_as_the_file_is() {
     let read = Bundle::read(folder.path(), ours()).expect("reads");
     assert_eq!(verify(&read, Some(&World::trust()), ours()).outcome, Outcome::Holds);
     std::os::unix::fs::symlink("/etc/hostname", folder.path().join("more")).expect("linked");
-    assert!(Bundle::read(folder.path(), ours()).expect_err("refused").to_string().contains("no plain file"));
+    assert!(Bundle::read(folder.path(), ours()).expect_err("refused").to_string().contains("not a regular file"));
 }
 
 #[test]

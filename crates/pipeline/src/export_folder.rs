@@ -308,7 +308,7 @@ mod tests {
         std::os::unix::fs::symlink("/etc/hostname", folder.path().join("link")).expect("linked");
         std::fs::create_dir(folder.path().join("folder")).expect("made");
         std::fs::write(folder.path().join("long"), [0; 11]).expect("written");
-        assert!(read("link").contains("no plain file") && read("folder").contains("no plain file"));
+        assert!(read("link").contains("not a regular file") && read("folder").contains("not a regular file"));
         assert!(read("long").contains("longer"));
         for text in ["", "{}", "[]", "{\"format\":1}", "\u{0}", &"[".repeat(100_000)] {
             assert!(ClaimedProof::parse(text.as_bytes()).is_err());

@@ -87,7 +87,7 @@ fn a_stranger_checks_an_exported_record_step_by_step() {
     assert_eq!((&found["sealed_by"]["kind"], &found["sealed_by"]["alone"]), (&"embedded".into(), &true.into()));
     assert!(found["anchored"]["time"].is_string() && holds(&found, "time") == true, "{found}");
     let trusting =
-        |found: &Value| list(found, "warnings").iter().any(|text| text.to_string().contains("folder's word"));
+        |found: &Value| list(found, "warnings").iter().any(|text| text.to_string().contains("folder's own claim"));
     assert!(trusting(&found), "{found}");
     let folder = case.folder.to_str().expect("UTF-8");
     let genesis = text(

@@ -47,7 +47,7 @@ const REGISTERING: Duration = Duration::from_secs(5);
 const MOST_REASONS: usize = 20;
 const MOST_DEFINITIONS: usize = 1024;
 
-const NO_RIGHT: &str = "no grant in force covers it, or no key of this profile opens it";
+const NO_RIGHT: &str = "no active grant covers it, or no key of this profile opens it";
 
 /// What may end it from outside.
 pub(super) struct Ends {
@@ -111,7 +111,7 @@ pub(super) struct Play<'a> {
 }
 
 impl<'a> Play<'a> {
-    #[allow(clippy::too_many_arguments, reason = "its parts, made one by one")]
+    #[allow(clippy::too_many_arguments, reason = "its parts, created one by one")]
     pub fn new(
         bridge: &'a Bridge,
         network: &Network,
@@ -266,16 +266,16 @@ impl<'a> Play<'a> {
             return Ok(Err("not verified yet".to_owned()));
         }
         if importer::encoding(&record.head.tags) != Encoding::Ros1 {
-            return Ok(Err("a message of ROS 2 is not translated into ROS 1".to_owned()));
+            return Ok(Err("ROS 2 messages are not translated into ROS 1".to_owned()));
         }
         let Some(topic) = self.names.played(&record.head.topic) else {
-            return Ok(Err(format!("{} makes no graph name with this prefix", clean(&record.head.topic, 255))));
+            return Ok(Err(format!("{} is not a valid graph name with this prefix", clean(&record.head.topic, 255))));
         };
         if self.clock.as_ref() == Some(&topic) {
-            return Ok(Err(format!("--clock tells the time as {topic} instead")));
+            return Ok(Err(format!("--clock publishes the time as {topic} instead")));
         }
         let Some(definition) = self.definition(item, &record).await? else {
-            return Ok(Err("no readable record holds the definition of its type".to_owned()));
+            return Ok(Err("no readable record contains the definition of its type".to_owned()));
         };
         let about = Advertised {
             topic,

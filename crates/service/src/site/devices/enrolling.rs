@@ -26,7 +26,7 @@ const ATTEMPTS: u32 = 20;
 
 /// The most topics that a robot can be limited to; one place is reserved for its own statements.
 const MOST_NAMED: usize = crate::crypto::enrolment::MOST_TOPICS - 1;
-const TOO_MANY: &str = "a robot can be limited to at most 1,023 topics; use --all-topics to cover all";
+const TOO_MANY: &str = "a robot can be limited to at most 1,023 topics; use --all-topics to cover everything";
 
 /// An owner's request to enrol a robot.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -57,8 +57,8 @@ impl Devices {
     ) -> Result<EnrolledView, Failure> {
         if self.is_joined && wishes.fingerprint.is_none() {
             return Err(refused(
-                "a site that joins another one enrols robots only at a gateway whose fingerprint was compared: have its \
-                 keeper tell it, and give it as --gateway-key",
+                "a site that has joined another one can only enrol robots at a gateway whose key you confirmed: ask \
+                 its operator for it and pass it as --gateway-key",
             ));
         }
         let network = self.link.network().await?;
@@ -66,7 +66,7 @@ impl Devices {
         let passphrase = Passphrase::new(wishes.passphrase.expose().to_owned())?;
         let topics = covered(&wishes)?;
         if wishes.gateway.len() > crate::crypto::enrolment::LONGEST_GATEWAY {
-            return Err(input("a gateway's address has at most 255 characters"));
+            return Err(input("a gateway's address can have at most 255 characters"));
         }
         let device = SmKeyPair::generate(self.plant.provider)?;
         let id = signer_id(&device.public);
@@ -87,7 +87,7 @@ impl Devices {
         let version = Enrolment::NEWEST;
         let enrolled = Enrolled { name: wishes.name.clone(), device: id, topics, version, ended: false };
         let keys = self.enrolments.issue(owner, &network, &enrolled)?;
-        let fingerprint = trust.pinned.ok_or_else(|| refused("the gateway did not show who it is"))?;
+        let fingerprint = trust.pinned.ok_or_else(|| refused("the gateway did not identify itself"))?;
         let enrolment = Enrolment {
             domain: network.domain,
             chain_id: network.chain.chain_id(),
@@ -121,7 +121,7 @@ impl Devices {
     ) -> Result<EnrolledView, Failure> {
         let enrolled = self.enrolments.of(owner)?;
         let name = enrolled.iter().find(|other| other.device == device).map(|other| other.name.clone());
-        let name = name.ok_or_else(|| refused("the device was not noted"))?;
+        let name = name.ok_or_else(|| refused("the device was not stored"))?;
         Ok(EnrolledView { name, device, gateway: clean(&endpoint.address, 255), gateway_key, file })
     }
 
@@ -175,14 +175,14 @@ impl Devices {
             refused(format!("device {device} was not enrolled from this home, so its topics are not known here"))
         })?;
         if enrolled.topics.is_empty() {
-            return Err(refused(format!("'{}' covers all topics already", enrolled.name)));
+            return Err(refused(format!("'{}' already covers all topics", enrolled.name)));
         }
         let names = topics.iter().map(ToString::to_string);
         let mut added: Vec<String> = names.filter(|topic| !enrolled.topics.contains(topic)).collect();
         added.sort();
         added.dedup();
         if added.is_empty() {
-            return Err(refused(format!("'{}' covers these topics already", enrolled.name)));
+            return Err(refused(format!("'{}' already covers these topics", enrolled.name)));
         }
         enrolled.topics.extend(added.iter().cloned());
         enrolled.topics.sort();
@@ -202,8 +202,8 @@ fn covered(wishes: &EnrolWishes) -> Result<Vec<String>, Failure> {
     if wishes.all_topics != wishes.topics.is_empty() {
         return Err(Failure::new(
             ErrorKind::Usage,
-            "say what the robot may record: --topic /robot/odom (may be repeated) for some topics, or --all-topics for \
-             all, which hands it the epoch's key and the index key: whoever steals it reads what it could",
+            "choose what the robot may record: --topic /robot/odom (repeatable) for some topics, or --all-topics, \
+             which gives it the epoch's key and the index key, so that anyone who steals it can read all it could",
         ));
     }
     let mut topics: Vec<String> = wishes.topics.iter().map(ToString::to_string).collect();

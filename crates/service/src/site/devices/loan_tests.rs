@@ -24,7 +24,7 @@ async fn a_loan_is_given_once_and_its_recall_begins_an_epoch() {
     assert_eq!((recalled.epoch, alice.sealing().map(|keys| keys.epoch)), (2, Some(2)));
     assert!(devices.rows(&alice).await.expect("rows").iter().all(|row| row.recalled.is_some()));
     let twice = devices.recall(&alice, &ROBOT.to_string()).await.expect_err("no longer on loan");
-    assert!(twice.message.contains("no such device is lent"), "{}", twice.message);
+    assert!(twice.message.contains("no such device is on loan"), "{}", twice.message);
     site.stop().await;
 }
 

@@ -150,7 +150,7 @@ impl Joined {
         };
         let seconds = pause.as_secs();
         let text = format!(
-            "the records of '{}' do not come in from the gateway, retry in {seconds} s: {}",
+            "the records of '{}' cannot be fetched from the gateway, retry in {seconds} s: {}",
             owner.profile, failure.message
         );
         self.hub.notice(NoticeLevel::Error, &text);

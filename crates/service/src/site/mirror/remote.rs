@@ -65,7 +65,7 @@ impl Remote {
 
     /// Where the chain comes from, in words.
     pub fn chain_text(&self) -> String {
-        format!("through the gateway {}; its word, not your own node's", self.address)
+        format!("as reported by the gateway {}, not by your own node", self.address)
     }
 
     fn endpoint(&self, domain: Domain) -> GatewayEndpoint {
@@ -104,7 +104,7 @@ impl Remote {
         let endpoint = Endpoint::Relay(RelayLine(line));
         let chain = Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?;
         if (chain.chain_id(), chain.genesis()) != (named.chain_id, named.genesis) {
-            let what = "passes on another chain than it stands on; do not go on, its operator must explain";
+            let what = "forwards a different chain than its own; do not continue, ask its operator to explain";
             return Err(refused(format!("the gateway {} {what}", self.address)).into());
         }
         Ok(chain)
@@ -115,7 +115,7 @@ impl Remote {
         let gateway = self.gateway()?;
         network.directory.registered_as(gateway).ok_or_else(|| {
             refused(format!(
-                "the gateway {} is not registered on the chain it shows: no account has its key {gateway}; ask its \
+                "the gateway {} is not registered on the chain it presents: no account has its key {gateway}; ask its \
                  operator, and compare the fingerprint",
                 self.address
             ))
@@ -124,7 +124,7 @@ impl Remote {
 
     fn gateway(&self) -> Result<SignerId, Failure> {
         let pinned = self.trust.current().pinned;
-        pinned.ok_or_else(|| Failure::new(ErrorKind::Unreachable, "no gateway was met yet"))
+        pinned.ok_or_else(|| Failure::new(ErrorKind::Unreachable, "no gateway has been contacted yet"))
     }
 
     fn token(owner: &Owner, network: &Network) -> Result<crate::model::Token, Failure> {
@@ -136,7 +136,7 @@ impl Remote {
     pub async fn connect(&self, home: &Home, owner: &Owner, network: &Network) -> Result<Client, GatewayError> {
         let (path, gateway) = (home.transport_key(&owner.profile), self.trust.current().pinned);
         let endpoint = self.endpoint(network.domain);
-        let unmet = GatewayError::Unexpected("no gateway was met yet");
+        let unmet = GatewayError::Unexpected("no gateway has been contacted yet");
         let usage = TransportUse { domain: &network.domain, gateway: &gateway.ok_or(unmet)?, name: &owner.profile };
         let secret = owner.envelope().secret;
         let known = block_in_place(|| load_transport_key(&path, self.provider, &secret, usage))?;
@@ -199,7 +199,7 @@ impl Joined {
             },
             _ => Err(Failure::new(
                 ErrorKind::Incomplete,
-                format!("the records of the gateway {} are still coming in; ask again in a while", remote.address),
+                format!("the records of the gateway {} are still being fetched; try again in a while", remote.address),
             )),
         }
     }
@@ -220,7 +220,7 @@ impl Joined {
 
     fn warn_untold(&self, error: Option<GatewayError>) {
         if let Some(error) = error {
-            let text = format!("the gateway will learn of it from the chain alone, it could not be told: {error}");
+            let text = format!("the gateway could not be notified and will learn of it from the chain: {error}");
             self.hub.notice(NoticeLevel::Warning, &text);
         }
     }

@@ -141,5 +141,5 @@ fn a_picture_is_within_the_page() {
     body.extend([255, 0, 0, 0, 0, 255]);
     let (bundle, report) = told("sensor_msgs/Image", &definition, &body);
     let page = page(&bundle, &report, None);
-    assert!(page.contains("<img alt=\"the picture, made small\" src=\"data:image/png;base64,iVBORw0KGgo"), "{page}");
+    assert!(page.contains("<img alt=\"the picture, reduced\" src=\"data:image/png;base64,iVBORw0KGgo"), "{page}");
 }
