@@ -68,7 +68,7 @@ fn a_lost_account_has_the_successor_that_the_administrator_names_for_all_to_see(
         &["identity", "recovery", &next],
     ] {
         let refused = home.authros().fails(REFUSED, lacking);
-        assert!(refused.contains("this contract is of revision 1") && refused.contains("chain adopt"), "{refused}");
+        assert!(refused.contains("this contract has revision 1") && refused.contains("chain adopt"), "{refused}");
     }
     let refused = heir.fails(REFUSED, &["chain", "succeed", &gone, &next]);
     assert!(refused.contains("the administrator of this contract"), "{refused}");
@@ -170,7 +170,7 @@ fn a_succession_waits_and_the_recovery_account_stops_it() {
 
     at(&boss, 16).json(&["chain", "succession", "propose", &lost, &next]);
     let shown = at(&heir, 16).run(&["chain", "status"]).expect_code(0).stdout;
-    assert!(shown.contains(&format!("{next} is to continue for {lost}")), "{shown}");
+    assert!(shown.contains(&format!("{next} can continue for {lost}")), "{shown}");
     at(&heir, 24).json(&["chain", "succession", "complete", &lost]);
     assert_eq!(text(&list(&administration(&at(&heir, 24)), "successions")[0], "successor"), next);
     assert!(waiting(&at(&heir, 24)).is_empty());

@@ -66,7 +66,7 @@ mod tests {
         look(&home, &mut sheet);
         let [found] = &sheet.checks[..] else { panic!("one line: {:?}", sheet.checks) };
         assert_eq!((found.name.as_str(), found.status), ("robots", CheckStatus::Warn));
-        assert!(found.detail.contains("in their files: scout-1; they go on"), "{}", found.detail);
+        assert!(found.detail.contains("in their files: scout-1; they keep working"), "{}", found.detail);
         assert!(found.advice.contains("agent enrol") && found.advice.contains("devices recall"), "{}", found.advice);
 
         // On the robot itself: its enrolment states its version in clear.
