@@ -45,7 +45,7 @@ const SHARED: &[Column] = &[
 
 /// Draws the Uploads screen.
 pub fn draw_uploads(canvas: &mut Canvas, area: Rect, state: &State) {
-    let nothing = "No record yet: watch a topic (2, then w).";
+    let nothing = "No records yet: watch a topic (2, then w).";
     draw(
         canvas,
         area,
@@ -75,7 +75,7 @@ fn draw(canvas: &mut Canvas, area: Rect, state: &State, list: (&Records, Feed), 
     let keys: Vec<String> = rows.iter().map(|row| row.id.clone()).collect();
     let with_owner = columns.iter().any(|column| column.title == "Owner");
     let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(state, row, with_owner));
-    let empty = if records.table.filter.text().is_empty() { empty } else { "No record matches the filter." };
+    let empty = if records.table.filter.text().is_empty() { empty } else { "No records match the filter." };
     let mut note = note(records, &Wanted::read(records.table.filter.text(), &state.topics.rows, state.now));
     if slot.left || slot.told != slot.generation {
         note.push_str(", reading…");

@@ -128,7 +128,7 @@ async fn a_base_fee_that_rose_a_hundredfold_is_paid_up_to_the_cap() {
     node.call("evm_mine", json!([])).await;
     expect_all_once(&process, 5).await;
     process.rounds_until("it goes on", |process| paused(process).is_none()).await;
-    assert_eq!(process.notes.with("goes on"), 1);
+    assert_eq!(process.notes.with("resumes"), 1);
 }
 
 #[tokio::test(flavor = "multi_thread")]
