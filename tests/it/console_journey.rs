@@ -159,7 +159,7 @@ fn a_locked_console_captures_on_and_opens_nothing_until_it_is_unlocked() {
     let refused = authros.fails(5, &["shared", "open", &id]);
     assert!(refused.contains("locked"), "{refused}");
 
-    operator.presses("u").sees("Unlock").presses("not the passphrase\r").sees("does not open");
+    operator.presses("u").sees("Unlock").presses("not the passphrase\r").sees("wrong passphrase");
     operator.presses("\u{15}").presses(PASSPHRASE).presses("\r");
     wait_until(PATIENCE, "the keyring to be open again", || {
         Some(()).filter(|()| authros.json(&["identity", "show"])["unlocked"] == true)

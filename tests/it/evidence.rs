@@ -210,7 +210,7 @@ fn refused(home: &Home, bundle: &Path, trust: &Path) {
     let pinned = "signers = [\"0x0101010101010101010101010101010101010101\"]";
     fs::write(&other, pins.replace(signer, pinned)).expect("written");
     let report = verified(bundle, Some(&other)).expect_code(6).document();
-    assert!(report.to_string().contains("whom you did not pin"), "{report}");
+    assert!(report.to_string().contains("who is not a signer you pinned"), "{report}");
     expect_agreement(bundle, Some(&other));
 }
 

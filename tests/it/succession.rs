@@ -77,7 +77,7 @@ fn a_lost_account_has_the_successor_that_the_administrator_names_for_all_to_see(
     let told = boss.json(&["chain", "succeed", &gone, "the-heir"]);
     assert!(text(&told, "text").contains(&gone) && told["transaction"].is_string(), "{told}");
 
-    let alert = site.wait_for_text("the successor of", 30);
+    let alert = site.wait_for_text("its successor", 30);
     assert!(alert.contains(&gone) && alert.contains(&next), "{alert}");
     let seen = list(&administration(&lost), "successions");
     assert_eq!((text(&seen[0], "lost"), text(&seen[0], "successor")), (gone.clone(), next.clone()));

@@ -84,7 +84,7 @@ fn seals_that_are_not_enough_are_counted() {
     with(&[1]).expect('c', Unproven, "sealed by 1 of 3 pinned signers; 2 are needed");
     with(&[1, 1]).expect('c', Unproven, "sealed by 1 of 3");
     with(&[1, 9]).expect('c', Unproven, "sealed by 1 of 3");
-    with(&[9, 9]).expect('c', Refused, "whom you did not pin");
+    with(&[9, 9]).expect('c', Refused, "who is not a signer you pinned");
     with(&[0]).expect('c', Unproven, "no seal that this version can check");
     with(&[3, 1, 2]).expect('c', Proven, "sealed by 3 of 3");
     assert_eq!(with(&[1]).report().outcome, Outcome::Incomplete);
