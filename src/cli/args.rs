@@ -75,7 +75,7 @@ pub enum Verb {
     /// Grants given and received
     #[command(subcommand)]
     Grants(GrantsVerb),
-    /// List records shared with this profile: list, check, open, export, play
+    /// Records shared with this profile: list, check, open, export, play
     #[command(subcommand)]
     Shared(SharedVerb),
     /// Devices that may sign for this profile: lend, recall, topics, list
