@@ -21,7 +21,7 @@ pub struct EnrolArguments {
     #[arg(long, value_name = "HOST:PORT")]
     pub gateway: String,
     /// The gateway's identity key (64 hex digits), confirmed with its operator
-    #[arg(long, value_name = "FINGERPRINT", group = "trust")]
+    #[arg(long, value_name = "KEY", group = "trust")]
     pub gateway_key: Option<String>,
     /// Pin the first gateway that answers; confirm its key afterwards
     #[arg(long, group = "trust")]
