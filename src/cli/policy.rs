@@ -63,7 +63,7 @@ fn text(view: &PolicyView) -> String {
         ]
     };
     let rows: Vec<Vec<String>> = view.topics.iter().map(row).collect();
-    let mut text = table(&["topic", "rule", "is taken", "", "left out"], &rows);
+    let mut text = table(&["topic", "rule", "kept", "", "skipped"], &rows);
     for rule in &view.idle {
         text.push_str(&format!("\nno topic now: {} (line {})", rule.pattern, rule.line));
     }

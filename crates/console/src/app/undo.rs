@@ -37,7 +37,7 @@ pub fn note(state: &mut State, tag: &Tag) {
         Tag::Grant(grantee) => Some(Undo::Granted(grantee.to_string())),
         Tag::Extend(_) => Some(Undo::Never("it was a transaction; e changes the end of the grant (5)")),
         Tag::Revoke(_) => Some(Undo::Never("a revoke is a transaction: to share again, make a new grant (5, then g)")),
-        Tag::Rotate => Some(Undo::Never("a new epoch cannot be taken back")),
+        Tag::Rotate => Some(Undo::Never("a new epoch cannot be undone")),
         Tag::LoadKey(_) => Some(Undo::Never("the replaced key is no longer in the keyring; load its file again")),
         Tag::Release(_) => Some(Undo::Never("released messages are already being anchored; they keep their tag")),
         Tag::Discard(_) => Some(Undo::Never("discarded messages are deleted; their count is on the chain")),
