@@ -322,7 +322,7 @@ class Storage:
     def __init__(self, nodes, state, contract):
         account = look_up(nodes, state, contract)
         if account is None:
-            raise Refused("the state has no contract there")
+            raise Refused("the state has no contract at that address")
         _, _, self.root, self.code = rlp(account)
         self.nodes = nodes
 
@@ -387,7 +387,7 @@ def fields(data, *widths):
 
 def parse_header(record):
     if record[:10] != b"\x89AuthROS\x01\x01":
-        raise Refused("no record of this version and suite")
+        raise Refused("not a record of this version and suite")
     names = ("kind", "domain", "owner", "signer", "epoch", "recorder", "seq", "topic_id", "count")
     header = dict(zip(names, fields(record[10:], 1, 32, 20, 32, 8, 16, 8, 16, 1)))
     at = 10 + 134
@@ -483,7 +483,7 @@ class Bundle:
         with open(path, "rb") as file:
             data = file.read(LARGEST_ARCHIVE + 1)
         if len(data) > LARGEST_ARCHIVE:
-            raise Refused("it is longer than any bundle")
+            raise Refused("it is longer than any bundle can be")
         self.members, self.plain_left, self.known = unpacked(data), 256 * 2 ** 20, {}
         names = list(self.members)
         large = lambda name: name in ("manifest.json", "heights.json", "chain/nodes.rlp") or name.endswith(("/record.bin", "/roots.json"))
@@ -492,7 +492,7 @@ class Bundle:
         if len({name.split("/")[1] for name in names if name.startswith("records/")}) > 10_000:
             raise Refused("it has too many records")
         if self.members["mimetype"] != b"application/vnd.authros.evidence+zip":
-            raise Refused("no evidence bundle")
+            raise Refused("not an evidence bundle")
         text = self.members["manifest.json"]
         self.manifest = json.loads(text)
         listed = {name for name in names if name not in ("mimetype", "manifest.json", "manifest.der")}
@@ -502,7 +502,7 @@ class Bundle:
             data = self.members[member["name"]]
             found = len(data), sm3(data), hashlib.sha256(data).digest()
             if found != (member["bytes"], unhex(member["sm3"]), unhex(member["sha256"])):
-                raise Refused(member["name"] + " is not what the manifest says")
+                raise Refused(member["name"] + " does not match the manifest")
         self.keys = {name[5:69]: self.pem(data) for name, data in self.members.items() if name.startswith("keys/")}
         if any(sm3(b"\4" + key).hex() != name for name, key in self.keys.items()):
             raise Refused("a key is filed under another's name")
@@ -519,7 +519,7 @@ class Bundle:
             raise Refused("a node of the state is longer than any node")
         self.nodes = {keccak(node): node for node in nodes}
         if list(self.nodes) != sorted(self.nodes) or len(self.nodes) != len(nodes):
-            raise Refused("the nodes of the state are not each once, by their hashes")
+            raise Refused("the nodes of the state are not distinct and in order of their hashes")
         key, kind = self.keys.get(self.manifest["exporter"]["key"]), b"application/vnd.authros.evidence+zip"
         signed = b"DSSEv1 %d %s %d %s" % (len(kind), kind, len(text), text)
         if key is None or not sm2_verify(key, signed, self.members["manifest.der"]):
@@ -534,11 +534,11 @@ class Bundle:
             count, top, roots = listed["count"], unhex(listed["top"]), listed["roots"]
             named = hashlib.sha256(b"AuthROS/stamp/1" + top + struct.pack(">Q", count)).hexdigest() == folder
             if listed["format"] != "authros-stamp/1" or not named or len(top) != 32 or not 1 <= len(tokens) <= 4 or count > 16_384:
-                raise Refused("a time stamp is not of its form")
+                raise Refused("a time stamp is malformed")
             if any(hashlib.sha256(self.members[n]).hexdigest()[:32] != n.split("/")[2][:-4] for n in tokens):
                 raise Refused("a token is filed under another's name")
             if any(unhex(one["root"]) >= unhex(next_["root"]) for one, next_ in zip(roots, roots[1:])):
-                raise Refused("roots of a time stamp are not in their order")
+                raise Refused("roots of a time stamp are not in order")
             for one in roots:
                 root, path = unhex(one["root"]), [unhex(step) for step in one["path"]]
                 leads = one["index"] < count and root_of(sm3(b"\0AuthROS/stamp/1" + root), one["index"], count, path) == top
@@ -574,13 +574,13 @@ class Bundle:
             return []
         listed = json.loads(self.members["heights.json"])
         if set(listed) != {"format", "heights"} or listed["format"] != "authros-heights/1" or len(listed["heights"]) > 10_000:
-            raise Refused("heights.json is not of its form")
+            raise Refused("heights.json is malformed")
         found = []
         for one in listed["heights"]:
             heads, topic, path = unhex(one["heads"]), unhex(one["topic"]), [unhex(step) for step in one["path"]]
             whole = all(type(one[name]) is int and 0 <= one[name] < 2 ** 64 for name in ("number", "index"))
             if len(one) != 5 or not whole or (len(heads), len(topic)) != (32, 16) or len(path) > 14 or any(len(s) != 32 for s in path):
-                raise Refused("heights.json is not of its form")
+                raise Refused("heights.json is malformed")
             found.append((heads, topic, one["number"], one["index"], path))
         return found
 
@@ -671,11 +671,11 @@ class Record:
     def bytes(self):  # (a)
         self.record = self.member("record.bin")
         if self.record is None or sm3(self.record) != self.digest:
-            raise Refused("it is not the record that it is filed as")
+            raise Refused("it is not the record it is filed as")
         self.header, self.length = parse_header(self.record)
         sizes = sum(int.from_bytes(self.header[name], "big") for name in ("head_length", "body_length"))
         if len(self.record) != self.length + sizes or self.header["domain"] != self.domain:
-            raise Refused("its length, or the chain that it is bound to, is another")
+            raise Refused("its length, or the chain it is bound to, differs")
         persons = self.trust.get("person", []) if self.trust else []
         owner = self.header["owner"]
         self.pinned = [p["key"].removeprefix("0x") for p in persons if unhex(p["account"]) == owner and "key" in p]
@@ -683,12 +683,12 @@ class Record:
         key = self.bundle.keys.get(self.header["signer"].hex())
         signed = b"AuthROS/signature/1" + self.domain + self.digest
         if key is None or not sm2_verify(key, signed, self.member("signature.der") or b""):
-            raise Refused("its signature does not hold")
+            raise Refused("its signature is invalid")
         return "proven"
 
     def anchor(self):  # (c)
         if self.member("anchor.json") is None:
-            raise Unproven("it was on no chain")
+            raise Unproven("it was not on a chain")
         claim = json.loads(self.member("anchor.json"))
         how, owner = claim["anchor"], self.header["owner"]
         if how["mode"] == "batch":
@@ -712,7 +712,7 @@ class Record:
         if not block:
             raise Refused("the state does not have its anchor")
         if count == how.get("count") == 1 and block < claim["block"]:
-            raise Unproven("the state keeps a root's first block alone")
+            raise Unproven("the state keeps only the first block of a root")
         if block != claim["block"] or count != how.get("count") or number != claim["shown_at"] or block > number:
             raise Refused("the state has another anchor")
         self.time = self.time or (time if block == number else 0)
@@ -731,7 +731,7 @@ class Record:
             usual = len(pinned) // 2 + 1
         if len(found) < chain.get("quorum", usual):
             if not found and first is not None:
-                raise Refused("sealed by " + first.hex() + ", who is not pinned")
+                raise Refused("sealed by " + first.hex() + ", who is not a pinned signer")
             return "unproven"
         own = header[12].startswith(b"AuthROS chain file version ")
         return "own_chain" if own or chain["sealed_by_exporter"] else "proven"
@@ -777,11 +777,11 @@ class Record:
             loan = storage.word(mapped(self.header["signer"], mapped(owner, 9)))
             recalled, lent, until = struct.unpack(">3Q", loan[7:31])
             if lent > self.block and self.shown_at > self.block:
-                raise Unproven("lent anew since; what held at the block is not shown")
+                raise Unproven("lent again later; what applied at the block is not shown")
             if not lent or lent > self.block or 0 < recalled <= self.block or (until and self.time >= until):
                 raise Refused("the key was neither the owner's nor lent")
             if until and not self.time:
-                raise Unproven("the loan had an end, and the block's time is not shown")
+                raise Unproven("the loan had an end, but the block's time is not shown")
         suspended = storage.word(mapped(owner, 10))[7] != 0
         if self.account == owner and self.block != self.shown_at and not suspended:
             return "proven"  # for the moment of anchoring: the contract lets no suspended account anchor
@@ -808,7 +808,7 @@ class Record:
         info = b"AuthROS/record/1" + b"".join(self.header[n] for n in ("domain", "owner", "recorder", "epoch", "seq"))
         body_key, body_nonce, head_key, head_nonce, commit = fields(expand(secret, info, 88), 16, 12, 16, 12, 32)
         if commit != self.header["commit"]:
-            raise Refused("the secret is not the record's")
+            raise Refused("the secret does not belong to the record")
         aad, sealed = self.record[:self.length], self.record[self.length:]
         split = int.from_bytes(self.header["head_length"], "big")
         self.head = parse_head(gcm_open(head_key, head_nonce, aad, sealed[:split]))
@@ -817,11 +817,11 @@ class Record:
         if how > 2 or (len(body) != length if how == 0 else not len(body) < length <= LARGEST_MESSAGE):
             raise Refused("the message has another length")
         if length > self.bundle.plain_left:
-            raise Unproven("its message is not opened: too much is disclosed in one file")
+            raise Unproven("its message is not opened: too much is disclosed in a single file")
         self.bundle.plain_left -= length
         self.body = lz4(body, length) if how == 1 else body
         if not by_owner:
-            raise Unproven("it opens; that its owner disclosed it is not shown")
+            raise Unproven("it opens; there is no proof that its owner disclosed it")
         return "proven"
 
     def leaf(self):
@@ -834,7 +834,7 @@ class Record:
             return "absent"
         path = [unhex(one) for one in anchor["path"]]
         if not anchor["index"] < anchor["count"] or root_of(self.leaf(), anchor["index"], anchor["count"], path) != unhex(anchor["root"]):
-            raise Refused("its path does not lead to the root that was stamped")
+            raise Refused("its path does not lead to the stamped root")
         if not all(leads for _, leads in places):
             raise Refused("the path of its batch's root does not lead to what was stamped")
         raise Unproven("its batch is under " + " and ".join(sorted(imprint for imprint, _ in places))
@@ -912,7 +912,7 @@ class Record:
             except Refused as why:
                 found[name], notes[name] = "refused", str(why)
             except Exception as why:  # a stranger's file: whatever it breaks, it is no evidence
-                found[name], notes[name] = "refused", f"not of its form: {why!r}"
+                found[name], notes[name] = "refused", f"malformed: {why!r}"
         # A state is worth as much as the seals on it.
         for name in ("key", "opened"):
             if found[name] == "proven":
@@ -936,10 +936,10 @@ def read_trust(path):
     if not isinstance(chain["sealed_by_exporter"], bool) or isinstance(chain["id"], bool) or chain["id"] < 0:
         raise ValueError("sealed_by_exporter is true or false, and id a number")
     if any(len(one) != 20 for one in [*signers, unhex(chain["contract"])]) or len(set(signers)) != len(signers):
-        raise ValueError("a signer or the contract is no account, or a signer is named twice")
+        raise ValueError("a signer or the contract is not an account, or a signer is named twice")
     quorum = chain.get("quorum", 1)
     if type(quorum) is not int or ("quorum" in chain and not 1 <= quorum <= len(signers)):
-        raise ValueError("its quorum is none of its signers, or more than there are")
+        raise ValueError("its quorum is zero, or more than the number of signers")
     if any(not {"account", "name"} <= set(one) <= {"account", "name", "key"} for one in persons):
         raise ValueError("a person has an account and a name, and a key or none")
     if any(len(unhex(one)) != 32 for one in [chain["genesis"], chain["code_hash"], *(p["key"] for p in persons if "key" in p)]):
@@ -950,7 +950,7 @@ def read_trust(path):
     if len({unhex(one["account"]) for one in witnesses}) != len(witnesses) or len(witnesses) > 16:
         raise ValueError("a witness is named twice, or there are more than 16")
     if len({unhex(one["account"]) for one in persons}) != len(persons):
-        raise ValueError("an account is two persons'")
+        raise ValueError("an account is given to two people")
     return trust
 
 
@@ -1025,7 +1025,7 @@ def main(arguments):
             trust = read_trust(arguments[at + 1])
             arguments = arguments[:at] + arguments[at + 2:]
         if not pathlib.Path(arguments[0]).is_file():
-            raise OSError(arguments[0] + " is no file")
+            raise OSError(arguments[0] + " is not a file")
     except IndexError:
         print("usage: verify.py NAME.authros [--trust trust.toml]", file=sys.stderr)
         return 2

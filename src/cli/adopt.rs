@@ -20,37 +20,37 @@ const LONGEST: u64 = 16 * 1024;
 /// `devices …`
 #[derive(Debug, Subcommand)]
 pub enum DevicesVerb {
-    /// Let a device sign for this profile
+    /// Let a device sign for this profile (a loan)
     Lend {
         /// Id of the device (64 hex), or the file of its SM2 key (public PEM, or private 0600)
         #[arg(value_name = "ID_OR_KEYFILE")]
         device: String,
-        /// End of the loan: 30d, 12h, or a time as 2027-01-31T12:00:00Z
+        /// End of the loan: 30d, 12h, or a time such as 2027-01-31T12:00:00Z
         #[arg(long, value_name = "TIME")]
         until: Option<String>,
     },
-    /// Take a loan back: the device signs and reads no more, its sessions end, a new epoch begins
+    /// Recall a device: it can no longer sign or read, its sessions end, and a new epoch begins
     Recall {
-        /// Id of the device, or its beginning, or its fingerprint, or the name it was enrolled under
+        /// Id of the device or its first characters, its fingerprint, or the name it was enrolled under
         #[arg(value_name = "ID")]
         device: String,
     },
-    /// What an enrolled robot may record
+    /// The topics an enrolled robot may record
     #[command(subcommand)]
     Topics(TopicsVerb),
     /// Which gateways an enrolled robot may use
     #[command(subcommand)]
     Gateways(GatewaysVerb),
-    /// Devices lent, and those recalled
+    /// List devices on loan and recalled ones
     List,
 }
 
 /// `devices topics …`
 #[derive(Debug, Subcommand)]
 pub enum TopicsVerb {
-    /// Give a robot the keys of more topics; it takes them up by itself
+    /// Give a robot the keys of more topics; it picks them up automatically
     Add {
-        /// Name of the robot, or the device's id, its beginning, or its fingerprint
+        /// Name of the robot, or the device's id, its first characters, or its fingerprint
         #[arg(value_name = "DEVICE")]
         device: String,
         /// The topics
@@ -114,15 +114,18 @@ fn device_of(text: &str) -> Result<SignerId, Failure> {
         return Ok(signer_id(&public_key(path)?));
     }
     unhex(text).and_then(|bytes| SignerId::from_slice(&bytes)).ok_or_else(|| {
-        let advice = "a fingerprint alone is too short to lend to, give the key file";
-        Failure::new(ErrorKind::Input, format!("a device is 64 hex characters or the file of its SM2 key; {advice}"))
+        let advice = "a fingerprint alone is not enough to lend to; give the key file";
+        Failure::new(
+            ErrorKind::Input,
+            format!("give a device as 64 hex characters or as the file of its SM2 key; {advice}"),
+        )
     })
 }
 
 fn public_key(path: &Path) -> Result<PublicKey, Failure> {
     let broken = |error: std::io::Error| Failure::new(ErrorKind::Input, format!("{}: {error}", path.display()));
     if std::fs::metadata(path).map_err(broken)?.len() > LONGEST {
-        return Err(Failure::new(ErrorKind::Input, format!("{} is too long for a key", path.display())));
+        return Err(Failure::new(ErrorKind::Input, format!("{} is too long to be a key", path.display())));
     }
     let bytes = std::fs::read(path).map_err(broken)?;
     if String::from_utf8_lossy(&bytes).contains("BEGIN PUBLIC KEY") {

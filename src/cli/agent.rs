@@ -33,7 +33,7 @@ pub async fn run(global: Global, verb: AgentVerb, output: &Output) -> Result<u8,
 async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> Result<u8, Failure> {
     let out = arguments.out;
     if out.exists() {
-        let advice = "name another --out, an enrolment is never overwritten";
+        let advice = "choose another --out, enrolments are never overwritten";
         return Err(Failure::new(ErrorKind::Input, format!("{} exists; {advice}", out.display())));
     }
     let passphrase = match &arguments.robot_passphrase_file {
@@ -63,7 +63,7 @@ async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> 
     if arguments.robot_passphrase_file.is_none() {
         let beside = beside(&out);
         private_file::create_private(&beside, format!("{}\n", passphrase.expose()).as_bytes())?;
-        output.note(&format!("its passphrase was written to {}; bring it to the robot another way", beside.display()));
+        output.note(&format!("its passphrase was written to {}; bring it to the robot separately", beside.display()));
     }
     let document = serde_json::json!({
         "name": view.name, "device": view.device, "gateway": view.gateway, "gateway_key": view.gateway_key,
@@ -75,7 +75,8 @@ async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> 
     }
     output.result(&document, || {
         format!(
-            "robot '{}' enrolled: device {}, gateway {} with fingerprint {}\nits enrolment is {}; start it with `authros agent run`",
+            "robot '{}' enrolled: device {}, gateway {} with fingerprint {}\nits enrolment file is {}; start it with \
+             `authros agent run`",
             view.name,
             view.device,
             view.gateway,
@@ -111,7 +112,7 @@ fn beside(enrolment: &Path) -> PathBuf {
 
 fn open(global: &Global, path: &Path) -> Result<SealedEnrolment, Failure> {
     let secret = passphrase::of_file(global, &beside(path))?.ok_or_else(|| {
-        let advice = "give --passphrase-file or --passphrase-fd";
+        let advice = "pass --passphrase-file or --passphrase-fd";
         Failure::new(ErrorKind::Refused, format!("{} is protected by a passphrase; {advice}", path.display()))
     })?;
     Ok(SealedEnrolment::open(path, &Passphrase::new(secret.expose().to_owned())?)?)
@@ -190,7 +191,7 @@ async fn follow(mut events: tokio::sync::broadcast::Receiver<crate::service::Eve
 fn text(figures: &AgentFigures) -> String {
     let kept = match figures.unproven {
         0 => String::new(),
-        count => format!(", {count} of these kept here until the gateway signs for it"),
+        count => format!(", {count} of these kept here until the gateway signs for them"),
     };
     let ring = figures.ring.map_or_else(String::new, |ring| {
         format!("; ring: {} messages, {}, {} fell out", ring.messages, ByteSize(ring.bytes), ring.fallen)

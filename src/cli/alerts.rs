@@ -13,9 +13,9 @@ use authros_output::table;
 /// `alerts …`
 #[derive(Debug, Subcommand)]
 pub enum AlertsVerb {
-    /// Those that stand, and what of them is not delivered yet
+    /// Active alerts, and deliveries still pending
     List,
-    /// Send one that says that it is none, and tell what came back
+    /// Send a test alert and print the reply
     Test,
 }
 
@@ -33,22 +33,22 @@ pub fn standing(view: &AlertsView) -> String {
         vec![alert.begun.to_string(), alert.severity.word().to_owned(), alert.key.clone(), alert.text.clone()]
     };
     let mut lines = match view.alerts.is_empty() {
-        true => vec!["no alert stands".to_owned()],
+        true => vec!["no active alerts".to_owned()],
         false => {
             vec![table(&["since", "severity", "alert", "what"], &view.alerts.iter().map(row).collect::<Vec<_>>())]
         }
     };
     lines.extend(view.over.iter().map(over));
-    lines.push(format!("told: {}; {} deliveries wait, {} found no room", view.told, view.waiting, view.dropped));
+    lines.push(format!("sent to: {}; {} deliveries pending, {} dropped", view.told, view.waiting, view.dropped));
     lines.join("\n")
 }
 
 /// One that is over, for people.
 pub fn over(ended: &EndedAlert) -> String {
-    format!("over since {}: {}, which began {}", ended.ended, ended.alert.key, ended.alert.begun)
+    format!("resolved {}: {}, which began {}", ended.ended, ended.alert.key, ended.alert.begun)
 }
 
 /// What came back, for people.
 pub fn tested(view: &AlertTestView) -> String {
-    format!("{} took it: {}", view.place, view.text)
+    format!("{} accepted it: {}", view.place, view.text)
 }

@@ -32,7 +32,7 @@ pub struct Arguments {
     /// What applies to every command.
     #[command(flatten)]
     pub global: Global,
-    /// What is printed instead of done.
+    /// What is printed instead of run.
     #[command(flatten)]
     pub print: PrintArguments,
     /// What to do; nothing = the console.
@@ -43,21 +43,21 @@ pub struct Arguments {
 /// The verbs.
 #[derive(Debug, Subcommand)]
 pub enum Verb {
-    /// Make or show an identity
+    /// Create or show an identity
     #[command(subcommand)]
     Identity(IdentityVerb),
     /// Show, load, rotate or export keys
     #[command(subcommand)]
     Keys(KeysVerb),
-    /// Put the identity on the chain
+    /// Register the identity on the chain
     Register,
-    /// ROS topics: list, watch, unwatch, pin
+    /// ROS topics: list, watch, unwatch, pin publishers
     #[command(subcommand)]
     Topics(TopicsVerb),
-    /// Messages of publishers that are not pinned: list, release, discard
+    /// Quarantined messages (their publisher is not pinned): list, release, discard
     #[command(subcommand)]
     Quarantine(super::quarantine::QuarantineVerb),
-    /// Capture topics; ends when all captured is verified
+    /// Capture topics; ends when everything captured is verified
     Capture(CaptureArguments),
     /// Recordings (bag, MCAP): import
     #[command(subcommand)]
@@ -65,11 +65,11 @@ pub enum Verb {
     /// Own records: list, show, export
     #[command(subcommand)]
     Uploads(UploadsVerb),
-    /// Share with an account
+    /// Share records with an account
     Grant(GrantArguments),
     /// Stop sharing with an account (begins a new epoch)
     Revoke {
-        /// Account, as 0x and 40 hex, or a name of the address book
+        /// Account: 0x and 40 hex digits, or a name from the address book
         address: String,
     },
     /// Grants given and received
@@ -78,10 +78,10 @@ pub enum Verb {
     /// Records shared with this profile: list, check, open, export, play
     #[command(subcommand)]
     Shared(SharedVerb),
-    /// Devices that may sign: lend, recall, topics, gateways, list
+    /// Devices that may sign for this profile: lend, recall, topics, gateways, list
     #[command(subcommand)]
     Devices(super::adopt::DevicesVerb),
-    /// A robot's side: enrol it, capture on it and pass on to a gateway
+    /// Robots without a chain: enrol one, or run the agent on it
     #[command(subcommand)]
     Agent(AgentVerb),
     /// Enrolled robots: bring in what their rings keep
@@ -90,23 +90,23 @@ pub enum Verb {
     /// The chain
     #[command(subcommand)]
     Chain(ChainVerb),
-    /// Address book: names for accounts, and the keys they are known by
+    /// Address book: names for accounts, and their keys
     #[command(subcommand)]
     Contacts(super::parties::ContactsVerb),
-    /// All records against proofs and chain; who did what: list, verify, export
+    /// Check all records against proofs and chain; audit log: list, verify, export
     Audit(super::audit::AuditArguments),
-    /// Spans of time and topics that retention leaves alone: open, list, show, note, close, remove
+    /// Incidents: records that retention must keep: open, list, show, note, close, remove
     #[command(subcommand)]
     Incident(super::incidents::IncidentVerb),
     /// Parties that countersign what this home states about its chain: add, list, remove, status, ask
     #[command(subcommand)]
     Witness(super::witnesses::WitnessVerb),
-    /// Alerts: list those that stand, try whether they arrive
+    /// Alerts: list active ones, send a test
     #[command(subcommand)]
     Alerts(super::alerts::AlertsVerb),
-    /// Whether everything a home depends on is as it should be, and what to do
+    /// Check everything a home depends on, and say what to fix
     Doctor,
-    /// Bundles of evidence for somebody who trusts nobody: export
+    /// Evidence bundles that can be checked without trusting anyone: export, stamp
     #[command(subcommand)]
     Evidence(super::evidence::EvidenceVerb),
     /// Check a bundle of `evidence export` offline against --trust, or a folder of `uploads export` against the chain at
@@ -114,60 +114,60 @@ pub enum Verb {
     Verify {
         /// The bundle, unpacked or not, or the folder
         path: PathBuf,
-        /// For a bundle: what you know by another way of chain, signers and people (docs/evidence.md)
+        /// For a bundle: what you know about chain, signers and people from an independent source (docs/evidence.md)
         #[arg(long, value_name = "FILE", conflicts_with = "genesis")]
         trust: Option<PathBuf>,
-        /// Hash of the chain's block 0, as you know it by another way than from the folder
+        /// Hash of the chain's block 0, from a source other than the folder
         #[arg(long, value_name = "HASH")]
         genesis: Option<String>,
     },
     /// Write profiles, ledger, embedded vault and chain, settings and pins into one encrypted file
     Backup(BackupArguments),
-    /// Make a home out of a back-up, where none is
+    /// Restore a home from a backup, into an empty place
     Restore {
-        /// The file; its passphrase is given by --passphrase-file or --passphrase-fd
+        /// The file; give its passphrase with --passphrase-file or --passphrase-fd
         file: PathBuf,
-        /// Only try it: make a home of it in a folder of its own, audit all of it, and remove that folder
+        /// Only test it: restore it into a temporary folder, audit all of it, and remove that folder
         #[arg(long)]
         check: bool,
     },
-    /// The profiles of this home
+    /// List the profiles of this home
     Profiles,
-    /// Settings and where they come from
+    /// Settings: show, check, dump, apply
     #[command(subcommand)]
     Config(ConfigVerb),
-    /// Health of the site's parts, and where this profile's records stand
+    /// Health of the site's parts, and the states of this profile's records
     Status {
-        /// Look at a running site again and again, and print what has changed; Ctrl-C ends it
+        /// Watch a running site and print changes; stop with Ctrl-C
         #[arg(long)]
         watch: bool,
     },
     /// Run the site without a console
     Serve,
-    /// Serve robots and operators that run no chain client
+    /// Gateway: serve robots and operators that have no chain client
     #[command(subcommand)]
     Gateway(GatewayVerb),
     /// The paper's crime-scene mission, from capture to refusal, on embedded parts
     Demo(DemoArguments),
-    /// The same mission by your own hand, in the console: what to do next and why stands at the bottom; five minutes
+    /// The same mission done by you in the console, with instructions at the bottom; five minutes
     Tour(TourArguments),
     /// The paper's measurements, repeated on this machine
     Bench(authros_bench::args::BenchArguments),
     /// The operator console (also without any command)
     Console(ConsoleArguments),
-    /// Print what a shell needs to complete these commands
+    /// Print the completion script for a shell
     Completions {
-        /// For this shell
+        /// The shell
         #[arg(value_enum)]
         shell: clap_complete::Shell,
     },
-    /// What a word of a command line can go on as; for the shells' completions
+    /// Candidates for a word of a command line; used by the completion scripts
     #[command(hide = true)]
     Complete {
-        /// What kind of word it is
+        /// Kind of word
         #[arg(value_enum)]
         what: super::complete::Word,
-        /// Its beginning
+        /// First characters of the word
         #[arg(default_value = "", allow_hyphen_values = true)]
         begun: String,
     },
@@ -178,13 +178,13 @@ pub enum Verb {
 /// `backup …`
 #[derive(Debug, Args)]
 pub struct BackupArguments {
-    /// The file; its passphrase is given by --passphrase-file or --passphrase-fd
+    /// The file; give its passphrase with --passphrase-file or --passphrase-fd
     #[arg(required_unless_present = "to")]
     pub file: Option<PathBuf>,
-    /// Instead: a folder that gets one more file, named by the time
+    /// Instead: a folder in which to write one more file, named by the time
     #[arg(long, value_name = "DIR", conflicts_with = "file")]
     pub to: Option<PathBuf>,
-    /// How many files of --to stay, the newest; older ones that have such a name are removed
+    /// How many of the newest files in --to to keep; older backups there are removed
     #[arg(long, value_name = "N", requires = "to", value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=10_000))]
     pub keep: Option<usize>,
 }
@@ -192,28 +192,28 @@ pub struct BackupArguments {
 /// Which epochs a grant opens.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum EpochsChoice {
-    /// From the current epoch on
+    /// Records from the current epoch on
     Current,
-    /// Earlier ones too
+    /// All epochs, including earlier records
     All,
 }
 
 /// `grant …`
 #[derive(Debug, Args)]
 pub struct GrantArguments {
-    /// Account to share with, as 0x and 40 hex, or a name of the address book
+    /// Account to share with: 0x and 40 hex digits, or a name from the address book
     #[arg(required_unless_present = "to")]
     pub address: Option<String>,
-    /// The same, by its own flag
+    /// The same, as an option
     #[arg(long, value_name = "ADDRESS_OR_NAME", conflicts_with = "address")]
     pub to: Option<String>,
-    /// Only this topic; may be repeated [default: all topics]
+    /// Only this topic; repeatable [default: all topics]
     #[arg(long = "topic", value_name = "TOPIC")]
     pub topics: Vec<String>,
-    /// Which epochs
+    /// Epochs to share
     #[arg(long, value_enum, default_value = "current")]
     pub epochs: EpochsChoice,
-    /// End of the grant: 30d, 12h, 2w, or a time as 2027-01-31T12:00:00Z
+    /// End of the grant: 30d, 12h, 2w, or a time such as 2027-01-31T12:00:00Z
     #[arg(long, value_name = "TIME")]
     pub expires: Option<String>,
 }
@@ -221,16 +221,16 @@ pub struct GrantArguments {
 /// `grants …`
 #[derive(Debug, Subcommand)]
 pub enum GrantsVerb {
-    /// Given and received
+    /// List grants given and received
     List,
-    /// Let an active grant end later; keys and epoch stay as they are
+    /// Extend an active grant; keys and epoch stay the same
     Extend {
-        /// Account that reads, or its name
+        /// The reader's account, or its name
         grantee: String,
-        /// Its new end: 30d, 12h, or a time as 2027-01-31T12:00:00Z
+        /// New end: 30d, 12h, or a time such as 2027-01-31T12:00:00Z
         #[arg(long, value_name = "TIME", required_unless_present = "endless")]
         expires: Option<String>,
-        /// Without end
+        /// Never expires
         #[arg(long, conflicts_with = "expires")]
         endless: bool,
     },
@@ -239,17 +239,17 @@ pub enum GrantsVerb {
 /// `config …`
 #[derive(Debug, Subcommand)]
 pub enum ConfigVerb {
-    /// Every setting, its value and where it comes from
+    /// Show every setting, its value and its source
     Show,
-    /// Whether the settings can be used
+    /// Check the settings
     Check,
-    /// Print all that makes this site, without secrets, as one TOML file that a repository can hold
+    /// Print this site's configuration, without secrets, as one TOML file to keep in a repository
     Dump,
-    /// Make this home's site the one of a file; what differs is shown first
+    /// Apply a configuration file to this home; differences are shown first
     Apply {
-        /// The file, as `config dump` writes it
+        /// The file, as written by `config dump`
         file: PathBuf,
-        /// Only show what differs; exit code 8 where something does
+        /// Only show the differences; exit code 8 if there are any
         #[arg(long)]
         check: bool,
     },
@@ -258,7 +258,7 @@ pub enum ConfigVerb {
 /// `demo …`
 #[derive(Debug, Args)]
 pub struct DemoArguments {
-    /// Capture time in all, seconds, 2 to 600
+    /// Total capture time in seconds, 2 to 600
     #[arg(long, default_value_t = 10, value_name = "N", value_parser = clap::value_parser!(u64).range(2..=600))]
     pub seconds: u64,
 }
@@ -274,7 +274,7 @@ pub struct TourArguments {
     pub ascii: bool,
 }
 
-/// What is printed instead of done: defaults to write one's own files from.
+/// What is printed instead of run: defaults to start your own files from.
 #[derive(Debug, Default, Args)]
 #[command(next_help_heading = "Instead of a command")]
 pub struct PrintArguments {
@@ -299,10 +299,10 @@ pub struct ConsoleArguments {
     /// Plain ASCII glyphs
     #[arg(long)]
     pub ascii: bool,
-    /// Lines instead of a screen: words in, sentences out, for screen readers and pipes
+    /// Line mode for screen readers and pipes: words in, sentences out
     #[arg(long)]
     pub plain: bool,
-    /// Look, do not touch
+    /// Read-only: nothing can be changed
     #[arg(long)]
     pub read_only: bool,
 }

@@ -12,13 +12,13 @@ use authros_output::table;
 /// `audit`
 #[derive(Debug, Args)]
 pub struct AuditArguments {
-    /// The log of deeds instead of the records
+    /// The audit log instead of the records
     #[command(subcommand)]
     pub verb: Option<AuditVerb>,
-    /// Also re-hash every stored ciphertext and check every signature
+    /// Also re-hash all stored ciphertext and check every signature
     #[arg(long)]
     pub deep: bool,
-    /// Only records captured at or after: a time as 2026-11-21T08:30:00Z, or so long ago, as 10m
+    /// Only records captured at or after: a time such as 2026-11-21T08:30:00Z, or a duration ago such as 10m
     #[arg(long, value_name = "TIME")]
     pub since: Option<String>,
 }
@@ -41,36 +41,36 @@ impl AuditArguments {
 /// `audit …`
 #[derive(Debug, Subcommand)]
 pub enum AuditVerb {
-    /// The newest lines, newest first
+    /// List the newest lines, newest first
     List {
-        /// Written at or after: a time as 2026-11-21T08:30:00Z, or so long ago, as 10m
+        /// Written at or after: a time such as 2026-11-21T08:30:00Z, or a duration ago such as 10m
         #[arg(long, value_name = "TIME")]
         since: Option<String>,
-        /// Only what was done so: grant, decrypt, refused, …
+        /// Only this action: grant, decrypt, refused, …
         #[arg(long, value_name = "WORD")]
         action: Option<String>,
-        /// Only what this profile (for refusals: this peer) did
+        /// Only by this profile (refusals: by this peer)
         #[arg(long, value_name = "NAME")]
         by: Option<String>,
-        /// Only lines before this number: pages going back
+        /// Only lines before this number, to page back
         #[arg(long, value_name = "N")]
         before: Option<u64>,
-        /// At most so many lines, 1 to 1000
+        /// Maximum number of lines, 1 to 1000
         #[arg(long, value_name = "N", default_value_t = 100)]
         limit: usize,
     },
-    /// Recompute the chain of hashes; compare it with the heads this profile anchored
+    /// Recompute the hash chain and compare it with the heads this profile anchored
     Verify {
-        /// Only the hashes: needs neither keyring nor chain, and does not see lines cut off at the end
+        /// Check only the hashes: needs neither keyring nor chain, but cannot detect lines cut off at the end
         #[arg(long)]
         without_heads: bool,
     },
-    /// Write the whole log to a file for others: one JSON document a line
+    /// Export the whole log for others, one JSON document per line
     Export {
         /// Directory to write audit.jsonl to
         #[arg(long, value_name = "DIR")]
         dir: std::path::PathBuf,
-        /// Addresses in full, which the hashes of the lines need to be recomputed
+        /// Write full addresses, which are needed to recompute the line hashes
         #[arg(long)]
         addresses: bool,
     },

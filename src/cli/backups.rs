@@ -27,7 +27,7 @@ pub async fn run(context: Context, folder: &Path, keep: Option<usize>, output: &
     let folder = absolute(folder)?;
     if !folder.is_dir() {
         let shown = folder.display();
-        return Err(input(format!("{shown} is no folder; make it, or mount the disk that holds it")));
+        return Err(input(format!("{shown} is not a folder; create it, or mount the disk that holds it")));
     }
     let file = folder.join(name_at(Timestamp::now()));
     let Connection { client, site } = context.connect(NEITHER).await?;
@@ -37,9 +37,12 @@ pub async fn run(context: Context, folder: &Path, keep: Option<usize>, output: &
     if let Some(keep) = keep {
         let removed = remove_old(&folder, keep).map_err(|error| {
             let shown = folder.display();
-            Failure::new(ErrorKind::Home, format!("the backup was written, but old ones in {shown} stay: {error}"))
+            Failure::new(
+                ErrorKind::Home,
+                format!("the backup was written, but old ones in {shown} could not be removed: {error}"),
+            )
         })?;
-        view.notes.extend(removed.iter().map(|name| format!("{name} was removed, {keep} newer ones are there")));
+        view.notes.extend(removed.iter().map(|name| format!("{name} was removed; {keep} newer ones remain")));
     }
     output.result(&view, || backed_up(&view));
     Ok(0)
@@ -87,7 +90,7 @@ pub async fn check(context: Context, file: &Path, output: &Output) -> Result<u8,
     let passphrase = backup_passphrase(&context.global)?;
     let beside = absolute(context.home.root())?.parent().map_or_else(std::env::temp_dir, Path::to_path_buf);
     let unmade = |error: std::io::Error| {
-        Failure::new(ErrorKind::Home, format!("a folder in {} cannot be made: {error}", beside.display()))
+        Failure::new(ErrorKind::Home, format!("a folder in {} cannot be created: {error}", beside.display()))
     };
     std::fs::create_dir_all(&beside).map_err(unmade)?;
     let folder = tempfile::Builder::new().prefix(".authros-drill-").tempdir_in(&beside).map_err(unmade)?;

@@ -48,10 +48,11 @@ async fn until_done(client: &Client, ask: Capture, output: &Output) -> Result<Ca
             summary = &mut answer => return summary,
             ending = crate::cli::serve::asked_to_end() => {
                 if asked || ending == Ending::Ordered {
-                    return Err(Failure::new(ErrorKind::Incomplete, "left before all that was captured is verified; it is stored, and goes on at the next start"));
+                    return Err(Failure::new(ErrorKind::Incomplete, "stopped before everything captured was verified; \
+                                                                    it is stored and continues at the next start"));
                 }
                 asked = true;
-                output.note("ending the capture; waiting until all is verified (again to leave at once)");
+                output.note("capture stopped; waiting until everything is verified (Ctrl-C again to quit now)");
                 client.ask(StopCapture).await?;
             }
         }
@@ -80,7 +81,7 @@ fn text(summary: &CaptureSummary) -> String {
 fn code(summary: &CaptureSummary, output: &Output) -> u8 {
     if summary.verified + summary.quarantined < summary.captured {
         output.note(
-            "authros: some records differ from what was anchored; `authros uploads list --state tampered` names them",
+            "authros: some records differ from what was anchored; `authros uploads list --state tampered` lists them",
         );
         return ErrorKind::Tampered.exit_code();
     }
@@ -89,24 +90,22 @@ fn code(summary: &CaptureSummary, output: &Output) -> u8 {
     if !unseen.is_empty() || summary.lost > 0 || summary.quarantined > 0 || summary.skipped > 0 {
         if summary.quarantined > 0 {
             output.note(&format!(
-                "authros: {} messages are quarantined, their publisher is not a pinned one; look at `authros quarantine list`",
+                "authros: {} messages are quarantined because their publisher is not pinned; see `authros quarantine \
+                 list`",
                 summary.quarantined
             ));
         }
         if summary.lost > 0 {
-            output.note(&format!(
-                "authros: {} messages were lost before capture; they are counted, not hidden",
-                summary.lost
-            ));
+            output.note(&format!("authros: {} messages were lost before capture; the loss is recorded", summary.lost));
         }
         if summary.skipped > 0 {
             output.note(&format!(
-                "authros: {} messages are of another type than asked for and were not captured",
+                "authros: {} messages have a different type than requested and were not captured",
                 summary.skipped
             ));
         } else if !unseen.is_empty() {
             output.note(&format!(
-                "authros: nothing arrived on {}; check the name with `authros topics list`",
+                "authros: nothing arrived on {}; check its name with `authros topics list`",
                 unseen.join(", ")
             ));
         }

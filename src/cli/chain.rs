@@ -104,7 +104,7 @@ async fn serve(context: Context, listen: SocketAddr, output: &Output) -> Result<
     };
     let place = if joined { "the running site" } else { "this process, the site" };
     output.result(&serde_json::json!({ "serving": &served, "joined": joined }), || {
-        format!("chain {} at {}, by {place}; end it with Ctrl-C", served.chain_id, served.url)
+        format!("chain {} at {}, served by {place}; stop it with Ctrl-C", served.chain_id, served.url)
     });
     let ended = tokio::select! {
         () = site::follow(events, output, end) => Ok(0),
@@ -173,7 +173,7 @@ fn write_new(path: &Path, text: &str) -> Result<(), Failure> {
     let mut file = match OpenOptions::new().write(true).create_new(true).open(path) {
         Ok(file) => file,
         Err(error) if error.kind() == IoKind::AlreadyExists => {
-            let what = format!("{} is there already; name another directory with --out", path.display());
+            let what = format!("{} already exists; choose another directory with --out", path.display());
             return Err(Failure::new(ErrorKind::Input, what));
         }
         Err(error) => return Err(not_written(path, &error)),

@@ -41,17 +41,17 @@ pub fn audit(audit: &RecordAudit) -> String {
     let mut lines = vec![
         format!("{} records {how}, {} bytes, in {:.1} s", audit.records, audit.bytes, audit.seconds),
         format!(
-            "{} records/s, {megabytes} MB/s on {} threads; SM3 alone does {} MB/s on as many",
+            "{} records/s, {megabytes} MB/s on {} threads; SM3 alone reaches {} MB/s on as many",
             rounded(audit.records_per_second),
             audit.threads,
             rounded(audit.sm3_megabytes_per_second)
         ),
-        format!("{} batches against the chain, {} lines of the audit log", audit.batches, audit.audit_lines),
+        format!("{} batches checked against the chain, {} audit log lines", audit.batches, audit.audit_lines),
     ];
     let counted = [
-        (audit.pending, "on no chain yet"),
-        (audit.given_up, "given up on purpose"),
-        (audit.unchecked, "signed by keys that are not known here"),
+        (audit.pending, "not on a chain yet"),
+        (audit.given_up, "deliberately discarded"),
+        (audit.unchecked, "signed with keys unknown here"),
     ];
     lines.extend(counted.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} records {what}")));
     lines.extend(audit.notes.iter().map(|note| format!("note: {note}")));
@@ -64,8 +64,8 @@ pub fn audit(audit: &RecordAudit) -> String {
     }
     let (missing, tampered, gaps) = (audit.missing, audit.tampered, audit.gaps);
     lines.push(match audit.ok {
-        true => "nothing is missing, nothing was tampered with".to_owned(),
-        false => format!("{missing} missing, {tampered} tampered, {gaps} numbers not there; keep a copy of the home"),
+        true => "nothing missing, nothing tampered with".to_owned(),
+        false => format!("{missing} missing, {tampered} tampered, {gaps} numbers absent; keep a copy of the home"),
     });
     lines.join("\n")
 }
@@ -101,7 +101,7 @@ async fn running_site(context: &Context) -> Option<Result<SiteView, String>> {
     }
     let joined = match socket::join(&context.home, context.profile.clone()).await {
         Ok(Some((client, _))) => client.ask(SiteStatus).await,
-        Ok(None) => return Some(Err("its socket is not there".to_owned())),
+        Ok(None) => return Some(Err("its socket is missing".to_owned())),
         Err(failure) => Err(failure),
     };
     Some(joined.map_err(|failure| failure.message))
@@ -142,8 +142,8 @@ fn verify_text(check: &FolderCheck) -> String {
     let row = |step: &crate::pipeline::export_folder::VerifyStep| {
         let word = match step.ok {
             Some(true) => "holds",
-            Some(false) => "DOES NOT HOLD",
-            None => "not asked",
+            Some(false) => "FAILED",
+            None => "not checked",
         };
         vec![step.name.clone(), word.to_owned(), step.text.clone()]
     };
@@ -157,10 +157,7 @@ fn verify_text(check: &FolderCheck) -> String {
 /// If none was given, or errors of its file.
 pub fn backup_passphrase(global: &Global) -> Result<SecretText, Failure> {
     passphrase::of_file(global, Path::new(""))?.ok_or_else(|| {
-        Failure::new(
-            ErrorKind::Usage,
-            "a back-up has a passphrase of its own: give --passphrase-file or --passphrase-fd",
-        )
+        Failure::new(ErrorKind::Usage, "a backup needs its own passphrase: pass --passphrase-file or --passphrase-fd")
     })
 }
 

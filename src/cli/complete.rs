@@ -12,9 +12,9 @@ use crate::service::completing::{self, Completed};
 /// A kind of word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Word {
-    /// A topic that there are records of
+    /// A topic that has records
     Topic,
-    /// A name of the address book
+    /// A name from the address book
     Contact,
     /// A record's id
     Record,

@@ -61,7 +61,7 @@ fn misplaced(error: PlaceError) -> Failure {
 fn say_without_home(home: &Home, output: &Output) {
     if std::env::var_os("HOME").is_none_or(|value| value.is_empty()) {
         let root = home.root().display();
-        output.note(&format!("HOME is not set: this site and its settings lie in {root}; set HOME or give --home"));
+        output.note(&format!("HOME is not set: using {root} for this site and its settings; set HOME or pass --home"));
     }
 }
 
@@ -132,7 +132,7 @@ impl Context {
         let root = self.home.root().display();
         Err(Failure::new(
             ErrorKind::Home,
-            format!("{root} is in use by another process that does not answer; end it, or use another --home"),
+            format!("{root} is in use by another process that does not answer; stop it, or use another --home"),
         ))
     }
 
@@ -157,7 +157,8 @@ impl Context {
                 return Err(Failure::new(
                     ErrorKind::Usage,
                     format!(
-                        "the running site of this home has {name} = '{theirs}'; leave the flag out, or end that site first"
+                        "the running site of this home has {name} = '{theirs}'; omit the option, or stop that site \
+                         first"
                     ),
                 ));
             }
@@ -178,7 +179,7 @@ impl Context {
             let passphrase = passphrase::given_or_new(&self.global, &self.home, &self.profile, output)?;
             let made = client.ask(CreateIdentity { passphrase }).await?;
             if let Some(address) = made.address {
-                output.note(&format!("identity '{}' made: {address}", self.profile));
+                output.note(&format!("identity '{}' created: {address}", self.profile));
             }
             return Ok(());
         }
@@ -187,7 +188,7 @@ impl Context {
                 Failure::new(
                     ErrorKind::Refused,
                     format!(
-                        "the keyring of profile '{}' is locked; give --passphrase-file or --passphrase-fd",
+                        "the keyring of profile '{}' is locked; pass --passphrase-file or --passphrase-fd",
                         self.profile
                     ),
                 )

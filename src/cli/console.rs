@@ -28,7 +28,8 @@ pub fn run(
     if !arguments.plain && !term::is_interactive() {
         return Err(Failure::new(
             ErrorKind::Usage,
-            "the console needs a terminal, and this is none; without one use `authros console --plain`, `authros demo`, `authros capture` or `authros serve`",
+            "the console needs a terminal; without one, use `authros console --plain`, `authros demo`, `authros \
+             capture` or `authros serve`",
         ));
     }
     let plain = arguments.plain;
@@ -81,7 +82,7 @@ async fn serve(
 /// The reader of the tour; if there is none, that is said on screen.
 async fn prepare(client: Client, reader: ProfileName, events: broadcast::Sender<Event>) {
     if let Err(failure) = tour::prepare(&client, reader).await {
-        let text = format!("the tour has nobody to share with: {}", failure.message);
+        let text = format!("the tour has no one to share with: {}", failure.message);
         drop(events.send(Event::Notice { at: Timestamp::now(), level: NoticeLevel::Error, text, about: None }));
     }
 }

@@ -16,13 +16,13 @@ const MOST_LISTED: usize = 20;
 pub struct CoverageArguments {
     /// Topic
     pub topic: String,
-    /// From then on: a time, a day, or so long ago, as 24h [default: from its first record on]
+    /// Start: a time, a date, or a duration ago such as 24h [default: its first record]
     #[arg(long, value_name = "TIME")]
     pub since: Option<String>,
-    /// Before then, written in the same way [default: now]
+    /// End; same format [default: now]
     #[arg(long, value_name = "TIME")]
     pub until: Option<String>,
-    /// Into so many parts, 1 to 1000
+    /// Number of parts to divide the span into, 1 to 1000
     #[arg(long, value_name = "N", default_value_t = 60)]
     pub parts: usize,
 }
@@ -50,15 +50,15 @@ pub fn strip(view: &CoverageView) -> String {
     let last = view.last.unwrap_or(first);
     let mut lines = vec![
         format!("{}  first record {}, last {}", view.topic, seconds(first), seconds(last)),
-        format!("{} to {}, {} a part", seconds(view.since), seconds(view.until), length(view)),
+        format!("{} to {}, {} per part", seconds(view.since), seconds(view.until), length(view)),
         view.strip(),
         view.legend(),
     ];
     let lossy: Vec<&CoveragePart> = view.parts.iter().filter(|part| part.lost > 0).collect();
     let listed = lossy.iter().take(MOST_LISTED);
-    lines.extend(listed.map(|part| format!("{}  {} messages were noticed to be lost", seconds(part.at), part.lost)));
+    lines.extend(listed.map(|part| format!("{}  {} messages lost", seconds(part.at), part.lost)));
     if lossy.len() > MOST_LISTED {
-        lines.push(format!("and {} more parts with losses: --json has them all", lossy.len() - MOST_LISTED));
+        lines.push(format!("and {} more parts with losses; --json shows all", lossy.len() - MOST_LISTED));
     }
     lines.join("\n")
 }
@@ -103,10 +103,10 @@ mod tests {
         };
         let text = strip(&view);
         let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(lines[1], "2023-11-14T22:13:20Z to 2023-11-14T22:17:20Z, 60 s a part");
+        assert_eq!(lines[1], "2023-11-14T22:13:20Z to 2023-11-14T22:17:20Z, 60 s per part");
         assert_eq!(lines[2], "█·QL");
         assert_eq!(lines[3], "█ recorded  · nothing  L messages lost  Q quarantined");
-        assert_eq!(lines[4], "2023-11-14T22:16:20Z  7 messages were noticed to be lost");
+        assert_eq!(lines[4], "2023-11-14T22:16:20Z  7 messages lost");
         let none = CoverageView { first: None, last: None, ..view };
         assert_eq!(strip(&none), "/robot1/odom: no record yet");
     }

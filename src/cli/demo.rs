@@ -68,7 +68,7 @@ pub async fn run(mut context: Context, arguments: DemoArguments, output: &Output
     if context.config.robots == 0 && context.global.ros2.is_none() {
         return Err(Failure::new(
             ErrorKind::Usage,
-            "the demo needs robots; give --robots 1 to 32, and no real ROS master",
+            "the demo needs robots; use --robots 1 to 32 and no real ROS master",
         ));
     }
     let temporary = match context.global.home {
@@ -114,7 +114,7 @@ fn in_domain(context: &mut Context) -> Robots {
 pub(super) fn temporary_home(context: &mut Context, prefix: &str) -> Result<tempfile::TempDir, Failure> {
     let directory = tempfile::Builder::new().prefix(prefix).tempdir();
     let directory = directory
-        .map_err(|error| Failure::new(ErrorKind::Home, format!("no temporary directory can be made: {error}")))?;
+        .map_err(|error| Failure::new(ErrorKind::Home, format!("no temporary directory can be created: {error}")))?;
     context.home = Home::new(directory.path().to_owned());
     // The settings of the standard home do not apply to this one.
     let global = context.global.clone();
@@ -139,7 +139,7 @@ fn text(story: &Story) -> String {
         format!("  tampering refused    {:>8}", yes(story.refused_tampered)),
         format!("  opened after revoke  {:>8}", story.opened_after_revoke),
         format!("  chain                {:>8}  transactions, {} gas", story.chain.transactions, story.chain.gas),
-        format!("  {}", if story.ok { "all as it must be" } else { "NOT as it must be" }),
+        format!("  {}", if story.ok { "everything as expected" } else { "NOT as expected" }),
     ]
     .join("\n")
 }

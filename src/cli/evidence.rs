@@ -22,31 +22,31 @@ const MOST_SHOWN: usize = 4000;
 /// `evidence …`
 #[derive(Debug, Subcommand)]
 pub enum EvidenceVerb {
-    /// Write own records, with all that proves them, into one file for `verify`; all records where nothing narrows it
+    /// Write your records and everything that proves them into one file for `verify`; all records unless narrowed
     Export {
-        /// The file, NAME.authros; must not exist
+        /// File to write, NAME.authros; must not exist
         file: PathBuf,
-        /// Only this record, by its id; may be repeated
+        /// Only this record, by id; repeatable
         #[arg(long = "record", value_name = "ID")]
         records: Vec<String>,
-        /// Only of this topic
+        /// Only this topic
         #[arg(long, value_name = "TOPIC")]
         topic: Option<String>,
-        /// Only in this incident: its name, span and notes stand on the bundle's page
+        /// Only this incident; its name, span and notes are included in the bundle's page
         #[arg(long, value_name = "NAME")]
         incident: Option<String>,
-        /// Captured at or after: a time as 2026-11-21T08:30:00Z, a day, or so long ago, as 10m
+        /// Captured at or after: a time such as 2026-11-21T08:30:00Z, a date, or a duration ago such as 10m
         #[arg(long, value_name = "TIME")]
         since: Option<String>,
-        /// Captured before, written in the same way
+        /// Captured before; same format
         #[arg(long, value_name = "TIME")]
         until: Option<String>,
-        /// Disclose this record, by its id: whoever has the file reads its topic, its type and its message, for ever, and
-        /// nothing else of the topic; may be repeated
+        /// Disclose this record, by id: anyone with the file can read its topic, type and message, permanently, but
+        /// nothing else of the topic; repeatable
         #[arg(long = "reveal", value_name = "ID")]
         reveal: Vec<String>,
     },
-    /// Have the authorities of `time.authorities` stamp what is not stamped yet, now; a running site does so each hour
+    /// Have `time.authorities` stamp everything not stamped yet, now; a running site does this every hour
     Stamp,
 }
 
@@ -88,11 +88,14 @@ async fn stamp(context: Context, output: &Output) -> Result<u8, Failure> {
 
 /// What authorities gave, for people.
 pub fn stamped(view: &StampView) -> String {
-    let mut lines = vec![format!("{} batches put under a stamp, {} stamps wait", view.roots, view.waiting)];
+    let mut lines = vec![format!("{} batches stamped, {} stamps pending", view.roots, view.waiting)];
     lines.extend(view.tokens.iter().map(|token| {
-        format!("{} batches existed before {}, by the stamp of {}", token.roots, token.before, token.authority)
+        format!(
+            "{} batches existed before {}, according to the stamp of {}",
+            token.roots, token.before, token.authority
+        )
     }));
-    lines.extend(view.problem.iter().map(|problem| format!("note: {problem}; it is tried again")));
+    lines.extend(view.problem.iter().map(|problem| format!("note: {problem}; it will be retried")));
     lines.join("\n")
 }
 
@@ -115,14 +118,16 @@ pub fn is_bundle(path: &Path) -> bool {
 /// Where it is no bundle, or the trust file is none.
 pub fn run_verify(path: &Path, trust: Option<&Path>, output: &Output) -> Result<u8, Failure> {
     if !path.exists() {
-        let text =
-            format!("{} is not there; name a bundle (NAME.authros) or a folder of `uploads export`", path.display());
+        let text = format!(
+            "{} does not exist; give a bundle (NAME.authros) or a folder from `uploads export`",
+            path.display()
+        );
         return Err(Failure::new(ErrorKind::Input, text));
     }
     let provider = provider(ProviderName::default());
     let trust = trust.map(read_trust).transpose()?;
     let failed = |error: authros_evidence::BundleError| {
-        let text = format!("{}: {error}; nothing of it is shown, ask its exporter for another copy", path.display());
+        let text = format!("{}: {error}; nothing in it is shown, ask its exporter for another copy", path.display());
         Failure::new(ErrorKind::Tampered, text)
     };
     let bundle = Bundle::read(path, provider).map_err(failed)?;
@@ -186,8 +191,8 @@ fn whose(record: &RecordReport) -> String {
     match (&record.person, record.owner) {
         (Some(person), Some(owner)) if record.is_believed() => format!("of {person} ({owner})"),
         (None, Some(owner)) if record.is_believed() => format!("of {owner}"),
-        (_, Some(owner)) => format!("says it is of {owner}"),
-        (_, None) => "of nobody that can be read".to_owned(),
+        (_, Some(owner)) => format!("claims to be of {owner}"),
+        (_, None) => "owner unreadable".to_owned(),
     }
 }
 
@@ -195,7 +200,7 @@ fn whose(record: &RecordReport) -> String {
 fn bounded(fields: &serde_json::Value) -> String {
     let text = serde_json::to_string_pretty(fields).unwrap_or_default();
     let first: String = text.chars().take(MOST_SHOWN).collect();
-    let more = if first.len() < text.len() { "\nand more of it; --json has all" } else { "" };
+    let more = if first.len() < text.len() { "\ntruncated; --json shows all" } else { "" };
     clean_lines(&first, MOST_SHOWN) + more
 }
 
@@ -206,7 +211,7 @@ fn text(bundle: &Bundle, report: &Report) -> String {
         if let (Some(seq), Some(captured)) = (record.seq, record.captured_at) {
             let gap =
                 record.seconds_to_anchor.map_or(String::new(), |seconds| format!(", {seconds} s before its anchor"));
-            lines.push(format!("number {seq}, captured {captured} as its owner says{gap}"));
+            lines.push(format!("number {seq}, captured {captured} according to its owner{gap}"));
         }
         let rows: Vec<Vec<String>> = record
             .levels()
@@ -222,7 +227,7 @@ fn text(bundle: &Bundle, report: &Report) -> String {
             ));
             let fields = message(bundle, report, record.digest, &mut limits);
             let unread =
-                "its fields are not shown: the message's definition is not in the bundle, or there is too much of it";
+                "its fields are not shown: the message's definition is not in the bundle, or the message is too large";
             lines.push(fields.map_or_else(|| unread.to_owned(), |fields| bounded(&fields)));
         }
         lines.push(String::new());

@@ -18,7 +18,7 @@ const WINDOW: u64 = 60_000_000_000;
 pub enum Which {
     /// Own records.
     Uploads,
-    /// Records shared with this profile.
+    /// List records shared with this profile.
     Shared,
 }
 

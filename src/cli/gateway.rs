@@ -57,7 +57,7 @@ async fn serve(context: Context, listen: SocketAddr, open: bool, output: &Output
     };
     output.result(&serde_json::json!({ "gateway": &view, "joined": joined }), || {
         format!(
-            "gateway at {}, key {} (fingerprint {}), anchoring as {}; end it with Ctrl-C",
+            "gateway at {}, key {} (fingerprint {}), anchoring as {}; stop it with Ctrl-C",
             view.address, view.gateway, view.fingerprint, view.account
         )
     });
@@ -85,8 +85,7 @@ async fn begin(
 /// Who may use a gateway, for people.
 pub fn admitted(rows: &[AdmittedView]) -> String {
     if rows.is_empty() {
-        return "nobody but this home's own profiles; `authros gateway admit OWNER` lets an owner use its gateway"
-            .to_owned();
+        return "only this home's own profiles; `authros gateway admit OWNER` admits others".to_owned();
     }
     let name = |row: &AdmittedView| row.name.clone().unwrap_or_default();
     let rows: Vec<Vec<String>> = rows
@@ -104,7 +103,7 @@ pub fn status(view: &GatewayStatusView) -> String {
             "gateway at {}, key {} (fingerprint {}), anchoring as {}; {} connections",
             served.address, served.gateway, served.fingerprint, served.account, view.connections
         )),
-        (None, Some(through)) => lines.push(format!("no gateway here; this site joins another one: {through}")),
+        (None, Some(through)) => lines.push(format!("no gateway here; this site has joined another one: {through}")),
         (None, None) => lines.push("no gateway here; `authros gateway serve` starts one".to_owned()),
     }
     lines.extend(view.keys.iter().map(|key| {

@@ -14,50 +14,50 @@ use authros_output::table;
 /// `incident …`
 #[derive(Debug, Subcommand)]
 pub enum IncidentVerb {
-    /// Keep a span of time and topics together: retention leaves its records alone until it is removed
+    /// Open an incident: retention keeps the records of this time span and these topics until it is removed
     Open {
-        /// Its name: letters, digits, '.', '-' and '_'
+        /// Name: letters, digits, '.', '-' and '_'
         name: String,
-        /// Where it begins: a time as 2026-11-21T08:30:00Z, a day, or so long ago, as 10m or -10m
+        /// Start: a time such as 2026-11-21T08:30:00Z, a date, or a duration ago such as 10m or -10m
         #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
         since: String,
-        /// Where it ends, written in the same way [default: when it is closed]
+        /// End; same format [default: when it is closed]
         #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
         until: Option<String>,
-        /// Its topics, one or more [default: all]
+        /// Topics, one or more [default: all]
         #[arg(long, visible_alias = "topic", value_name = "TOPIC", num_args = 1.., value_delimiter = ',')]
         topics: Vec<String>,
-        /// What it is about, in words
+        /// Description
         #[arg(long, value_name = "TEXT")]
         note: Option<String>,
         /// Robots whose rings are asked for it: names of enrolled devices
         #[arg(long = "robot", value_name = "NAME", num_args = 1.., value_delimiter = ',')]
         rings_of: Vec<String>,
     },
-    /// All of them, each with what it holds
+    /// List incidents and what each holds
     List,
-    /// One of them: its notes, and what there is of each topic
+    /// Show an incident: its notes, and its records by topic
     Show {
         /// Its name
         name: String,
     },
-    /// Add a note
+    /// Add a note to an incident
     Note {
         /// Its name
         name: String,
-        /// The note
+        /// Text of the note
         text: String,
     },
-    /// End its span now; what is in it stays held
+    /// Close an incident: its span ends now, its records stay held
     Close {
         /// Its name
         name: String,
     },
-    /// Forget it: retention takes what only this one held
+    /// Remove an incident: retention may then delete what only it held
     Remove {
         /// Its name
         name: String,
-        /// Yes, forget it
+        /// Confirm the removal
         #[arg(long)]
         yes: bool,
     },
@@ -94,7 +94,7 @@ pub fn plan(verb: IncidentVerb) -> Result<Plan, Failure> {
         IncidentVerb::Remove { .. } => {
             return Err(Failure::new(
                 ErrorKind::Usage,
-                "what retention then deletes cannot be brought back; say --yes to do it",
+                "what retention then deletes cannot be restored; add --yes to confirm",
             ));
         }
     })
@@ -116,7 +116,7 @@ fn state(incident: &IncidentView) -> &'static str {
 /// All incidents of a profile.
 pub fn all(incidents: &[IncidentView]) -> String {
     if incidents.is_empty() {
-        return "no incident; `authros incident open NAME --since 10m` keeps one".to_owned();
+        return "no incidents; open one with `authros incident open NAME --since 10m`".to_owned();
     }
     let row = |incident: &IncidentView| {
         vec![
@@ -148,11 +148,11 @@ pub fn incident(view: &IncidentView) -> String {
     };
     let rows: Vec<Vec<String>> = view.coverage.iter().map(row).collect();
     if !rows.is_empty() {
-        lines.push(table(&["topic", "records", "first", "last", "lost", "quarantined", "deleted before"], &rows));
+        lines.push(table(&["topic", "records", "first", "last", "lost", "quarantined", "deleted earlier"], &rows));
     }
     let empty = view.coverage.iter().filter(|one| one.records + one.quarantined == 0);
-    lines.extend(
-        empty.map(|one| format!("nothing of {} is here in that span; is the name right, is it watched?", one.topic)),
-    );
+    lines.extend(empty.map(|one| {
+        format!("there are no records of {} in that span; check the name and whether it is watched", one.topic)
+    }));
     lines.join("\n")
 }

@@ -55,7 +55,7 @@ pub fn profiles(context: &Context, output: &Output) -> u8 {
         all.iter().map(|profile| serde_json::json!({ "profile": profile, "used": is_used(profile) })).collect();
     let line = |profile: &ProfileName| format!("{} {profile}", if is_used(profile) { "*" } else { " " });
     output.result(&json, || match all.as_slice() {
-        [] => "no profile yet; make one: authros identity create".to_owned(),
+        [] => "no profile yet; create one with authros identity create".to_owned(),
         all => all.iter().map(line).collect::<Vec<_>>().join("\n"),
     });
     0
@@ -79,7 +79,7 @@ pub fn identities(context: &Context, output: &Output) -> Result<u8, Failure> {
         .collect();
     output.result(&serde_json::json!({ "identities": json }), || {
         if rows.is_empty() {
-            return "no identity yet; make one: authros identity create".to_owned();
+            return "no identity yet; create one with authros identity create".to_owned();
         }
         let line = |(used, profile, address, fingerprint): &(bool, ProfileName, Address, String)| {
             let mark = if *used { "*" } else { " " };
@@ -195,14 +195,17 @@ fn doubts(page: &RecordPage) -> Vec<String> {
     let mut lines = Vec::new();
     if !altered.is_empty() {
         let which = altered.join(", ");
-        lines.push(format!("the ledger was altered, what the records say is shown: {which}; run `authros audit`"));
+        lines.push(format!(
+            "the ledger was altered; the values from the records themselves are shown: {which}; run `authros audit`"
+        ));
     }
     if unread > 0 {
-        lines.push(format!("unread: the bytes of {unread} are not here, so the ledger's word was not compared"));
+        lines.push(format!("unread: the bytes of {unread} are not here, so the ledger's values were not compared"));
     }
     if sealed > 0 {
         lines.push(format!(
-            "topic, type, bytes and SIMULATED of {sealed} are the ledger's word: they lie sealed, and no key is open"
+            "topic, type, bytes and SIMULATED of {sealed} are only the ledger's claim: they are sealed, and no keyring \
+             is open"
         ));
     }
     lines
@@ -248,7 +251,7 @@ pub fn chain(view: &ChainView) -> String {
         ("nonce", view.nonce.to_string()),
         ("pending", view.pending.to_string()),
         ("period", or_dash(view.sealing.period.map(|period| format!("at least {period} ms between blocks")))),
-        ("difficulty", or_dash(view.sealing.difficulty.as_ref().map(|hashes| format!("{hashes} hashes a block")))),
+        ("difficulty", or_dash(view.sealing.difficulty.as_ref().map(|hashes| format!("{hashes} hashes per block")))),
         ("sealers", listed(&view.sealing.sealers)),
     ];
     rows.extend(view.through.clone().map(|text| ("seen", text)));

@@ -12,7 +12,7 @@ pub enum LogForm {
     /// For people
     #[default]
     Text,
-    /// One JSON object a line: time, level, source, message
+    /// One JSON object per line: time, level, source, message
     Json,
 }
 

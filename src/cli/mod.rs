@@ -181,7 +181,7 @@ async fn back_up(context: Context, backup: args::BackupArguments, output: &Outpu
     match (backup.file, backup.to) {
         (Some(file), _) => check::run_backup(context, &file, output).await,
         (None, Some(folder)) => backups::run(context, &folder, backup.keep, output).await,
-        (None, None) => Err(Failure::new(ErrorKind::Usage, "name a file, or a folder by --to")),
+        (None, None) => Err(Failure::new(ErrorKind::Usage, "give a file, or a folder with --to")),
     }
 }
 
@@ -209,7 +209,8 @@ async fn run_bench(
     tokio::select! {
         done = authros_bench::run(global, arguments, output) => done,
         _ = serve::asked_to_end() => {
-            Err(Failure::new(ErrorKind::Incomplete, "the bench was ended before it was done; run it again for its figures"))
+            Err(Failure::new(ErrorKind::Incomplete, "the benchmark was stopped before it finished; run it again for \
+                                                     its figures"))
         }
     }
 }

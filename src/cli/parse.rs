@@ -43,10 +43,10 @@ pub fn fingerprint(text: &str) -> Result<SignerId, Failure> {
     let digits: String = text.chars().filter(|character| !character.is_whitespace()).collect();
     unhex(&digits).and_then(|bytes| SignerId::from_slice(&bytes)).ok_or_else(|| {
         let advice = match digits.len() {
-            32 => "that is the fingerprint; give the key of 64 hex characters that the gateway shows beside it",
-            _ => "a gateway's operator shows it as 64 hex characters",
+            32 => "that is the fingerprint; give the 64-digit hex key that the gateway prints beside it",
+            _ => "its operator can give it to you as 64 hex characters",
         };
-        Failure::new(ErrorKind::Input, format!("'{}' is no gateway's key; {advice}", clean(text, 80)))
+        Failure::new(ErrorKind::Input, format!("'{}' is not a gateway key; {advice}", clean(text, 80)))
     })
 }
 

@@ -13,28 +13,28 @@ use authros_output::table;
 /// `contacts …`
 #[derive(Debug, Subcommand)]
 pub enum ContactsVerb {
-    /// Enter an account; names then stand for addresses in every command
+    /// Add an account; its name can then be used instead of the address in every command
     Add {
-        /// Name, as bob or lab-2
+        /// Name, such as bob or lab-2
         name: String,
-        /// Account, as 0x and 40 hex
+        /// Account, as 0x and 40 hex digits
         address: String,
-        /// Fingerprint of its SM2 key, as its owner told it [default: what it has registered]
+        /// Fingerprint of its SM2 key, as confirmed by its owner [default: the registered one]
         #[arg(long, value_name = "FINGERPRINT")]
         fingerprint: Option<String>,
     },
-    /// Every contact, and whether its key is still the one noted
+    /// List contacts, and whether each key is still the one noted
     List,
-    /// Take an account out
+    /// Remove an account
     Remove {
         /// Name
         name: String,
     },
-    /// Take the key that the account has registered now for the right one
+    /// Accept the key that the account has registered now
     Confirm {
         /// Name
         name: String,
-        /// Only where it has this fingerprint
+        /// Only if it has this fingerprint
         #[arg(long, value_name = "FINGERPRINT")]
         fingerprint: Option<String>,
     },
@@ -103,25 +103,25 @@ pub fn administration(view: &AdministrationView) -> Vec<(&'static str, String)> 
 }
 
 fn paused(view: &AdministrationView) -> String {
-    const WHAT: &str = "all changes but those that take rights away";
+    const WHAT: &str = "all changes except those that withdraw rights";
     view.paused_until.map_or_else(|| WHAT.to_owned(), |until| format!("{WHAT}, until {until}"))
 }
 
 fn waiting(delay: u64) -> String {
     let days = |seconds: u64| format!("{} days", seconds / 86_400);
-    format!("waits {}, or {} where no recovery account was named", days(delay), days(2 * delay))
+    format!("delay {}, or {} if no recovery account was named", days(delay), days(2 * delay))
 }
 
 /// Successions and the own recovery account, for people.
 pub fn successions(view: &AdministrationView) -> String {
     let mut lines = vec![match view.delay {
         Some(delay) => format!("a succession {}", waiting(delay)),
-        None => "this contract is of revision 1: the administrator names successors at once".to_owned(),
+        None => "this contract has revision 1: the administrator names successors with immediate effect".to_owned(),
     }];
     let recovery = &view.recovery;
     if view.delay.is_some() {
         let now = recovery.account.map_or_else(|| "nobody".to_owned(), |account| account.to_string());
-        lines.push(format!("who may stop one of this profile's account: {now}"));
+        lines.push(format!("recovery account of this profile: {now}"));
     }
     lines.extend(recovery.from.map(|from| {
         let next = recovery.next.map_or_else(|| "nobody".to_owned(), |account| account.to_string());
@@ -136,7 +136,7 @@ fn proposal(one: &ProposalView) -> String {
     let (lost, successor) =
         (named(one.lost, one.lost_name.as_ref()), named(one.successor, one.successor_name.as_ref()));
     let stop = one.recovery.map_or_else(|| "nobody".to_owned(), |recovery| recovery.to_string());
-    format!("{successor} is to continue for {lost} from {} on; who may stop it: {stop}", one.due)
+    format!("{successor} can continue for {lost} from {} on; recovery account: {stop}", one.due)
 }
 
 fn succession(one: &SuccessionView) -> String {

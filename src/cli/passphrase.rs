@@ -77,7 +77,7 @@ pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -
     }
     let old = match given(global, home, profile)? {
         Some(old) => old,
-        None => asked(&format!("Present passphrase of profile '{profile}'"), "--passphrase-file")?,
+        None => asked(&format!("Current passphrase of profile '{profile}'"), "--passphrase-file")?,
     };
     let new = match (file, descriptor) {
         (Some(path), _) => from_file(path)?,
@@ -98,7 +98,8 @@ pub fn forget(home: &Home, profile: &ProfileName, output: &Output) -> Result<(),
         return Ok(());
     }
     std::fs::remove_file(&own).map_err(|error| {
-        let text = format!("the passphrase is changed, but {} with the old one is still there: {error}", own.display());
+        let text =
+            format!("the passphrase was changed, but {} with the old one could not be removed: {error}", own.display());
         Failure::new(ErrorKind::Home, text)
     })?;
     output.note(&format!(
@@ -112,7 +113,7 @@ fn asked(question: &str, option: &str) -> Result<SecretText, Failure> {
     let answer = ask::secret(question)
         .map_err(|error| Failure::new(ErrorKind::Input, format!("the terminal does not answer: {error}")))?;
     let answer = answer.ok_or_else(|| {
-        Failure::new(ErrorKind::Usage, format!("no passphrase was given; type it at a terminal, or give {option}"))
+        Failure::new(ErrorKind::Usage, format!("no passphrase was given; type it at a terminal, or pass {option}"))
     })?;
     Ok(SecretText::new(answer.to_string()))
 }
@@ -123,7 +124,7 @@ fn asked_twice() -> Result<SecretText, Failure> {
     if new.expose() == again.expose() {
         return Ok(new);
     }
-    Err(Failure::new(ErrorKind::Input, "the two differ; nothing was changed, begin again"))
+    Err(Failure::new(ErrorKind::Input, "the passphrases do not match; nothing was changed, try again"))
 }
 
 /// The passphrase given, or that in a file beside what it protects; `None` if there is neither.
@@ -159,7 +160,8 @@ pub fn given_or_new(
     files::private_directory(&home.profile(profile))?;
     atomic_write(&path, format!("{}\n", passphrase.expose()).as_bytes())?;
     output.note(&format!(
-        "a random passphrase for profile '{profile}' was written to {} (0600); whoever reads that file and the keyring has the keys",
+        "a random passphrase for profile '{profile}' was written to {} (0600); anyone who can read that file and the \
+         keyring has the keys",
         path.display()
     ));
     Ok(SecretText::new(passphrase.expose().to_owned()))

@@ -25,10 +25,7 @@ pub fn audit(context: &Context, arguments: &AuditArguments) -> Result<Plan, Fail
         return Ok(Plan::new(super::check::audit_needs(context), ProfileNeed::None, ask));
     };
     if arguments.deep || arguments.since.is_some() {
-        return Err(Failure::new(
-            ErrorKind::Usage,
-            "--deep and --since before a verb are of the audit of records; leave them out",
-        ));
+        return Err(Failure::new(ErrorKind::Usage, "--deep and --since apply to the audit of records; omit them here"));
     }
     Ok(match verb {
         AuditVerb::List { since, action, by, before, limit } => {
@@ -80,7 +77,7 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
             let choices = [(KeyKind::Sm4, sm4), (KeyKind::Sm2, sm2), (KeyKind::Eoa, eoa)];
             let chosen = choices.into_iter().find_map(|(kind, path)| path.map(|path| (kind, path)));
             let (kind, path) =
-                chosen.ok_or_else(|| Failure::new(ErrorKind::Usage, "name the key with --sm4, --sm2 or --eoa"))?;
+                chosen.ok_or_else(|| Failure::new(ErrorKind::Usage, "give the key with --sm4, --sm2 or --eoa"))?;
             let ask = LoadKey { kind, path: absolute(&path)?, passphrase: secret(keystore_passphrase_file)? };
             match kind {
                 KeyKind::Sm2 => changes(ProfileNeed::Made, PairKind::Signing, dry_run, ask),

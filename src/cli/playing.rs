@@ -14,10 +14,10 @@ use authros_output::{Output, table};
 /// `shared play …`
 #[derive(Debug, Default, Args)]
 pub struct PlayArguments {
-    /// Only of this owner, or of that name [default: all who share with this profile]
+    /// Only this owner's, by account or name [default: everyone who shares with this profile]
     #[arg(long, value_name = "ADDRESS_OR_NAME")]
     pub owner: Option<String>,
-    /// Only topics of this pattern; may be repeated
+    /// Only topics matching this pattern; repeatable
     #[arg(long = "topic", value_name = "PATTERN")]
     pub topics: Vec<String>,
     /// Captured at or after, RFC 3339
@@ -26,22 +26,22 @@ pub struct PlayArguments {
     /// Captured before, RFC 3339
     #[arg(long, value_name = "TIME")]
     pub until: Option<String>,
-    /// Whatever is verified from now on, until Ctrl-C; latched messages of before come first
+    /// Play records as they are verified, until Ctrl-C; earlier latched messages come first
     #[arg(long, conflicts_with_all = ["since", "until", "rate", "as_captured"])]
     pub follow: bool,
-    /// So many times the pace of the capture [default: one after the other without a pause]
+    /// Speed relative to the capture [default: as fast as possible]
     #[arg(long, value_name = "X", conflicts_with = "as_captured", allow_negative_numbers = true)]
     pub rate: Option<f64>,
-    /// At the pace of the capture
+    /// At the original speed (same as --rate 1)
     #[arg(long)]
     pub as_captured: bool,
-    /// Also the time of the capture as /clock; with --rate or --as-captured
+    /// Also publish the capture time as /clock; needs --rate or --as-captured
     #[arg(long, conflicts_with = "follow")]
     pub clock: bool,
-    /// Put this name before every topic, as /shared/alice; needed in the graph that this site captures from
+    /// Prefix for every topic, such as /shared/alice; required in the graph this site captures from
     #[arg(long, value_name = "NAME")]
     pub prefix: Option<String>,
-    /// Another name for a topic, instead of the prefix; may be repeated
+    /// Another name for a topic, instead of the prefix; repeatable
     #[arg(long = "remap", value_name = "A:=B")]
     pub remaps: Vec<String>,
     /// The ROS master to play into [default: ros.master, else the site's own]
@@ -110,10 +110,11 @@ async fn until_done(client: &Client, wishes: PlayWishes, output: &Output) -> Res
             view = &mut answer => return view,
             ending = crate::cli::serve::asked_to_end() => {
                 if asked || ending == Ending::Ordered {
-                    return Err(Failure::new(ErrorKind::Incomplete, "left before the subscribers had all that was played"));
+                    return Err(Failure::new(ErrorKind::Incomplete, "stopped before the subscribers had received \
+                                                                    everything"));
                 }
                 asked = true;
-                output.note("ending; subscribers get what was played (again to leave at once)");
+                output.note("stopping; subscribers still receive what was played (Ctrl-C again to quit now)");
                 client.ask(StopPlay).await?;
             }
         }
@@ -129,13 +130,13 @@ fn text(view: &PlayedView) -> String {
 
 fn code(view: &PlayedView, output: &Output) -> u8 {
     if view.missing > 0 {
-        output.note(&format!("authros: {} records are gone from the vault: not published", view.missing));
+        output.note(&format!("authros: {} records are missing from the vault: not published", view.missing));
     }
     for (why, count) in &view.reasons {
         output.note(&format!("authros: {count} records not published: {why}"));
     }
     if view.dropped > 0 {
-        output.note(&format!("authros: subscribers read too slowly and did not get {} messages", view.dropped));
+        output.note(&format!("authros: subscribers were too slow and missed {} messages", view.dropped));
     }
     for warning in &view.warnings {
         output.note(&format!("authros: {warning}"));
@@ -144,7 +145,7 @@ fn code(view: &PlayedView, output: &Output) -> u8 {
         PlayEnd::Revoked => output.note("authros: ended: the grant was revoked"),
         PlayEnd::Expired => output.note("authros: ended: the grant has expired"),
         PlayEnd::Locked => output.note("authros: ended: the keyring was locked"),
-        PlayEnd::Site => output.note("authros: ended: the site ended"),
+        PlayEnd::Site => output.note("authros: ended: the site stopped"),
         PlayEnd::Whole | PlayEnd::Asked => {}
     }
     if view.ended_by.is_by_right() {

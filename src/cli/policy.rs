@@ -21,10 +21,10 @@ const CALM: f64 = 5.0;
 /// `topics policy …`
 #[derive(Debug, Args)]
 pub struct PolicyArguments {
-    /// Look at the live topics for a while and print a draft of rules for config.toml
+    /// Observe the live topics and print draft rules for config.toml
     #[arg(long)]
     pub learn: bool,
-    /// How long to look, as 5s, 1m
+    /// How long to observe: 5s, 1m
     #[arg(long = "for", value_name = "TIME", default_value = "5s", requires = "learn")]
     pub duration: String,
 }
@@ -63,7 +63,7 @@ fn text(view: &PolicyView) -> String {
         ]
     };
     let rows: Vec<Vec<String>> = view.topics.iter().map(row).collect();
-    let mut text = table(&["topic", "rule", "is taken", "", "left out"], &rows);
+    let mut text = table(&["topic", "rule", "kept", "", "skipped"], &rows);
     for rule in &view.idle {
         text.push_str(&format!("\nno topic now: {} (line {})", rule.pattern, rule.line));
     }
@@ -101,7 +101,7 @@ fn draft(topics: &[PolicyRow]) -> String {
     for row in topics {
         groups.entry((without_numbers(&row.topic), row.type_name.as_deref())).or_default().push(row);
     }
-    let mut draft = String::from("# A draft, learned from the live topics: take what fits into config.toml.\n");
+    let mut draft = String::from("# A draft, learned from the live topics: copy what you need into config.toml.\n");
     for ((pattern, type_name), rows) in groups {
         let pattern = if let [only] = rows[..] { &only.topic } else { &pattern };
         if pattern.parse::<crate::model::TopicPattern>().is_err() {
@@ -132,7 +132,7 @@ fn suggestions(rows: &[&PolicyRow]) -> String {
     if bytes >= HEAVY && hz > CALM {
         format!("rate = {CALM:.1} # heavy\n")
     } else if hz >= FAST {
-        format!("# every = {} # fast: about 10 messages/s would be left\n", (hz / 10.0).round().max(2.0))
+        format!("# every = {} # fast: about 10 messages/s would remain\n", (hz / 10.0).round().max(2.0))
     } else {
         String::new()
     }

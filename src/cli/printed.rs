@@ -33,8 +33,8 @@ pub fn defaults(arguments: &PrintArguments) -> Result<Option<String>, Failure> {
 
 /// Every setting with its default, as a `config.toml` in which nothing is set.
 fn config() -> String {
-    let mut text = "# Settings of AuthROS: a flag goes before the environment, that before this file (config.toml).\n\
-                    # Nothing set means embedded. Take the # away from what you set.\n"
+    let mut text = "# Settings of AuthROS. Precedence: option, then environment, then this file (config.toml).\n# \
+                    Without any settings everything is embedded. Remove the # from what you set.\n"
         .to_owned();
     let mut tables: Vec<&str> = Vec::new();
     let plain = DEFINITIONS.iter().filter(|definition| !definition.name.contains('.'));

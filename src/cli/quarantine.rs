@@ -13,9 +13,9 @@ use authros_output::table;
 /// `topics pin …`
 #[derive(Debug, Args)]
 pub struct PinArguments {
-    /// Topic, as /robot1/odom
+    /// Topic, such as /robot1/odom
     pub topic: String,
-    /// Who may publish it; may be repeated [default: those that are being read now]
+    /// Accepted publisher; repeatable [default: those being read now]
     #[arg(long = "publisher", value_name = "CALLER_ID@HOST:TYPE:MD5")]
     pub publishers: Vec<String>,
 }
@@ -38,7 +38,7 @@ pub struct HeldArguments {
     /// Record ids, as `quarantine list` shows them
     #[arg(group = "held", value_name = "ID")]
     pub ids: Vec<String>,
-    /// All of this topic; also takes its alarms as seen
+    /// All messages of this topic; also marks its alarms as seen
     #[arg(long, group = "held", value_name = "TOPIC")]
     pub topic: Option<String>,
 }
@@ -52,27 +52,27 @@ impl HeldArguments {
 /// `quarantine …`
 #[derive(Debug, Subcommand)]
 pub enum QuarantineVerb {
-    /// Messages that are held back: their publisher is not a pinned one
+    /// List quarantined messages
     List {
         /// Only this topic
         #[arg(long, value_name = "TOPIC")]
         topic: Option<String>,
-        /// Messages shown, 1 to 1000
+        /// Maximum number of messages, 1 to 1000
         #[arg(long, value_name = "N", default_value_t = 100)]
         limit: usize,
     },
-    /// Let messages go on: they are anchored like others
+    /// Release messages: they are anchored like others
     Release {
         /// Which
         #[command(flatten)]
         held: HeldArguments,
     },
-    /// Delete messages for good; their digests and the count on the chain stay
+    /// Delete messages permanently; their digests and the count on the chain remain
     Discard {
         /// Which
         #[command(flatten)]
         held: HeldArguments,
-        /// Yes, delete them
+        /// Confirm the deletion
         #[arg(long)]
         yes: bool,
     },
@@ -90,10 +90,7 @@ pub fn question(verb: QuarantineVerb) -> Result<Question, Failure> {
         QuarantineVerb::Release { held } => ReleaseHeld { held: held.held()? }.into(),
         QuarantineVerb::Discard { held, yes: true } => DiscardHeld { held: held.held()? }.into(),
         QuarantineVerb::Discard { .. } => {
-            return Err(Failure::new(
-                ErrorKind::Usage,
-                "a discarded message cannot be brought back; say --yes to do it",
-            ));
+            return Err(Failure::new(ErrorKind::Usage, "a discarded message cannot be restored; add --yes to confirm"));
         }
     })
 }
@@ -117,7 +114,7 @@ pub fn pins(view: &PinsView) -> String {
             ]
         });
         text.push_str("\n\n");
-        text.push_str(&table(&["topic", "doubted publisher", "why", "alarm", "at"], &alarms.collect::<Vec<_>>()));
+        text.push_str(&table(&["topic", "suspect publisher", "why", "alarm", "at"], &alarms.collect::<Vec<_>>()));
     }
     text
 }

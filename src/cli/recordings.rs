@@ -18,7 +18,7 @@ use authros_output::{Output, table};
 /// `bag …`
 #[derive(Debug, Subcommand)]
 pub enum BagVerb {
-    /// Seal the messages of a bag or MCAP file as records, with their own times
+    /// Import a bag or MCAP file as records, keeping its times
     Import(ImportArguments),
 }
 
@@ -28,13 +28,13 @@ pub struct ImportArguments {
     /// A bag (rosbag 2.0) or MCAP file
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
-    /// Only topics of this pattern, as /robot*/odom; may be repeated [default: all topics]
+    /// Only topics matching this pattern, such as /robot*/odom; repeatable [default: all topics]
     #[arg(long = "topic", value_name = "PATTERN")]
     pub topics: Vec<String>,
-    /// Tag for the sealed head, as mission=harbour; may be repeated
+    /// Tag, sealed with each record, such as mission=harbour; repeatable
     #[arg(long = "tag", value_name = "KEY=VALUE")]
     pub tags: Vec<String>,
-    /// Seal once more what an earlier import of the same file sealed
+    /// Import again what an earlier import of the same file already sealed
     #[arg(long)]
     pub again: bool,
 }
@@ -49,22 +49,22 @@ pub struct ExportArguments {
     /// Write MCAP
     #[arg(long, value_name = "FILE", group = "format")]
     pub mcap: Option<PathBuf>,
-    /// Only of this owner, or of that name [default: own and granted ones]
+    /// Only this owner's, by account or name [default: own and shared records]
     #[arg(long, value_name = "ADDRESS_OR_NAME")]
     pub owner: Option<String>,
-    /// Only topics of this pattern; may be repeated
+    /// Only topics matching this pattern; repeatable
     #[arg(long = "topic", value_name = "PATTERN")]
     pub topics: Vec<String>,
-    /// Captured at or after: a time as 2026-11-21T08:30:00Z, a day, or so long ago, as 10m
+    /// Captured at or after: a time such as 2026-11-21T08:30:00Z, a date, or a duration ago such as 10m
     #[arg(long, value_name = "TIME")]
     pub since: Option<String>,
-    /// Captured before, written in the same way
+    /// Captured before; same format
     #[arg(long, value_name = "TIME")]
     pub until: Option<String>,
     /// none, bz2 (bag), lz4, zstd (MCAP)
     #[arg(long, value_name = "HOW", default_value = "none")]
     pub compression: String,
-    /// Also records that are not confirmed on the chain; all other checks hold
+    /// Include records not yet confirmed on the chain; all other checks still apply
     #[arg(long)]
     pub unanchored: bool,
 }
@@ -82,7 +82,7 @@ impl ExportArguments {
         let (path, format) = match (&self.bag, &self.mcap) {
             (Some(path), _) => (path, RecordingFormat::Bag),
             (None, Some(path)) => (path, RecordingFormat::Mcap),
-            (None, None) => return Err(Failure::new(ErrorKind::Usage, "name the file with --bag or --mcap")),
+            (None, None) => return Err(Failure::new(ErrorKind::Usage, "give the file with --bag or --mcap")),
         };
         Ok(ExportWishes {
             path: absolute(path)?,
@@ -142,10 +142,11 @@ async fn until_done<A: Ask>(client: &Client, ask: A, output: &Output) -> Result<
             () = tokio::time::sleep(LOOK) => teller.tell(client, output).await,
             ending = crate::cli::serve::asked_to_end() => {
                 if asked || ending == Ending::Ordered {
-                    return Err(Failure::new(ErrorKind::Incomplete, "left before all was done; what is sealed is stored, repeat the command to go on"));
+                    return Err(Failure::new(ErrorKind::Incomplete, "stopped early; sealed records are stored, repeat \
+                                                                    the command to continue"));
                 }
                 asked = true;
-                output.note("ending; what is sealed is verified first (again to leave at once)");
+                output.note("stopping; sealed records are verified first (Ctrl-C again to quit now)");
                 client.ask(StopCapture).await?;
             }
         }
@@ -160,16 +161,16 @@ fn imported(view: &ImportView) -> String {
             vec![topic.topic.clone(), topic.imported.to_string(), topic.verified.to_string(), topic.already.to_string()]
         })
         .collect();
-    let mut text = table(&["topic", "captured", "verified", "there before"], &rows);
+    let mut text = table(&["topic", "captured", "verified", "already there"], &rows);
     for damage in &view.damages {
         text.push_str(&format!("\nbyte {}: {}", damage.position, damage.text));
     }
     for topic in &view.left_out {
-        text.push_str(&format!("\nleft out: {} messages of '{}': {}", topic.messages, topic.topic, topic.why));
+        text.push_str(&format!("\nskipped: {} messages of '{}': {}", topic.messages, topic.topic, topic.why));
     }
     if view.unguarded > 0 {
         text.push_str(&format!(
-            "\n{} messages have no checksum in this file: whether they were altered before the import cannot be told",
+            "\n{} messages have no checksum in this file, so alterations before the import cannot be detected",
             view.unguarded
         ));
     }
@@ -179,28 +180,29 @@ fn imported(view: &ImportView) -> String {
 fn import_code(view: &ImportView, output: &Output) -> u8 {
     if view.verified < view.imported {
         output.note(
-            "authros: some records differ from what was anchored; `authros uploads list --state tampered` names them",
+            "authros: some records differ from what was anchored; `authros uploads list --state tampered` lists them",
         );
         return ErrorKind::Tampered.exit_code();
     }
     let damages = view.damages.len() as u64 + view.more_damages;
     if damages > 0 {
-        output.note(&format!("authros: the recording is damaged in {damages} places; what could be read was imported"));
+        output
+            .note(&format!("authros: the recording is damaged in {damages} places; everything readable was imported"));
     }
     if view.skipped > 0 {
-        output.note(&format!("authros: {} messages cannot be used and were skipped", view.skipped));
+        output.note(&format!("authros: {} unusable messages were skipped", view.skipped));
     }
     if view.ended_early {
-        output.note("authros: ended before the end of the recording; repeat the command to go on");
+        output.note("authros: stopped before the end of the recording; repeat the command to continue");
     }
     if view.imported == 0 && view.already > 0 && !view.ended_early {
         output
-            .note("authros: this recording is imported already, nothing was sealed twice (--again seals it once more)");
+            .note("authros: this recording was already imported, nothing was sealed twice (--again imports it again)");
     }
     let whole = damages == 0 && view.skipped == 0 && view.lost == 0 && !view.ended_early;
     let nothing = view.imported == 0 && view.already == 0;
     if nothing && view.skipped == 0 {
-        output.note("authros: the recording holds no message of these topics");
+        output.note("authros: the recording contains no messages of these topics");
     }
     if whole && !nothing { 0 } else { ErrorKind::Incomplete.exit_code() }
 }
@@ -214,7 +216,7 @@ fn exported(view: &ExportView) -> String {
     let list = table(&["topic", "type", "messages"], &rows);
     match &view.file {
         Some(file) => format!("{list}\n{} messages written to {file}", view.messages),
-        None => "nothing to write: no readable record matches".to_owned(),
+        None => "nothing written: no readable record matches".to_owned(),
     }
 }
 
@@ -222,12 +224,12 @@ fn export_code(view: &ExportView, output: &Output) -> u8 {
     let refused = view.refused;
     let words = [
         (refused.tampered, "differ from what was anchored"),
-        (refused.missing, "are gone from the vault"),
+        (refused.missing, "are missing from the vault"),
         (refused.unanchored, "are not confirmed on the chain yet (--unanchored writes them too)"),
-        (refused.no_key, "are opened by no key of this profile"),
-        (refused.held, "are in quarantine or given up"),
+        (refused.no_key, "cannot be opened with this profile's keys"),
+        (refused.held, "are quarantined or discarded"),
         (refused.no_definition, "have no readable definition of their type"),
-        (refused.unsuitable, "do not go into this format"),
+        (refused.unsuitable, "do not fit this format"),
     ];
     for (count, why) in words.into_iter().filter(|(count, _)| *count > 0) {
         output.note(&format!("authros: {count} records {why}: not written"));

@@ -67,7 +67,7 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
         let root = context.home.root().display();
         return Err(Failure::new(
             ErrorKind::Home,
-            format!("a site of {root} runs already; commands join it by themselves"),
+            format!("a site of {root} is already running; commands join it automatically"),
         ));
     }
     connection.oversee();
@@ -92,7 +92,7 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     match ended {
         Ok(()) => {}
         Err(failure) if known && failure.kind == ErrorKind::Unreachable => {
-            output.note(&format!("authros: {}; it is waited for, and what is captured meanwhile too", failure.message));
+            output.note(&format!("authros: {}; waiting for it, and for what is captured meanwhile", failure.message));
         }
         Err(failure) => {
             connection.end().await;
@@ -107,7 +107,7 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     let ready = serde_json::json!({ "serving": root, "profile": context.profile, "ros_master": master });
     output.result(&ready, || {
         let ros = master.map_or_else(String::new, |uri| format!("\nROS nodes join with ROS_MASTER_URI={uri}"));
-        format!("serving {root} for profile '{}'; end it with Ctrl-C{ros}", context.profile)
+        format!("serving {root} for profile '{}'; stop it with Ctrl-C{ros}", context.profile)
     });
     let ready = super::systemd::ready();
     follow(events, output, end).await;
@@ -118,7 +118,7 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
 
 /// Nothing continues by itself if nothing runs.
 fn not_started(failure: Failure) -> Failure {
-    let message = format!("the site did not start and has ended: {}", failure.message);
+    let message = format!("the site did not start: {}", failure.message);
     Failure::new(failure.kind, message)
 }
 

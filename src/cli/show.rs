@@ -189,7 +189,8 @@ impl Printed for Vec<ExportedFile> {
         std::fs::create_dir_all(directory).map_err(|error| not_written(directory, &error))?;
         // Nothing is written if any file exists already: files of two records side by side would prove nothing.
         if let Some(there) = self.iter().map(|file| directory.join(&file.name)).find(|path| path.exists()) {
-            let text = format!("{} exists and is not overwritten; name another folder with --dir", there.display());
+            let text =
+                format!("{} exists and will not be overwritten; choose another folder with --dir", there.display());
             return Err(Failure::new(ErrorKind::Input, text));
         }
         for file in &self {
@@ -207,7 +208,7 @@ impl Printed for Vec<ExportedFile> {
 
 impl Printed for SecretBytes {
     fn print(self, out: Option<&Path>, output: &Output) -> Result<u8, Failure> {
-        let nowhere = || Failure::new(ErrorKind::Usage, "a key is written into a file; name it with --out");
+        let nowhere = || Failure::new(ErrorKind::Usage, "a key is written to a file; give it with --out");
         let path = out.ok_or_else(nowhere)?;
         private_file::create_private(path, self.expose())?;
         output.result(&serde_json::json!({ "file": path.display().to_string() }), || {
@@ -238,7 +239,7 @@ fn decided(view: &DecidedView) -> String {
 
 fn device_topics(view: &DeviceTopicsView) -> String {
     let (added, topics) = (view.added.join(", "), view.topics.join(", "));
-    format!("'{}' is sent the keys of {added}; it covers {topics}", view.name)
+    format!("'{}' is being sent the keys of {added}; it covers {topics}", view.name)
 }
 
 fn device_gateways(view: &DeviceGatewaysView) -> String {

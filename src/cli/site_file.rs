@@ -33,10 +33,10 @@ pub async fn dump(context: &Context, output: &Output) -> Result<u8, Failure> {
     let here = here(context).await?;
     let file = SiteFile { settings: home.site.clone(), rules: home.rules.clone(), decisions: here.decisions };
     let mut head = vec![
-        format!("The site of profile '{}', as `authros config dump` wrote it.", context.profile),
-        "`authros config apply FILE --check` shows what it would change in a home.".to_owned(),
+        format!("The site of profile '{}', written by `authros config dump`.", context.profile),
+        "`authros config apply FILE --check` shows what it would change.".to_owned(),
     ];
-    head.extend(home.stays.iter().map(|(name, (_, why))| format!("{name} is not here: {}.", why.reason())));
+    head.extend(home.stays.iter().map(|(name, (_, why))| format!("{name} is not included: {}.", why.reason())));
     let text = file.to_text(&head);
     tell_overridden(context, output);
     if context.global.json {
@@ -53,7 +53,7 @@ fn tell_overridden(context: &Context, output: &Output) {
     for setting in context.config.show() {
         match context.config.source(setting.name) {
             Source::Flag | Source::Environment(_) => output.note(&format!(
-                "authros: {} of the {} is not in it; what is to be kept stands in config.toml",
+                "authros: {} of the {} is not included; put settings to keep into config.toml",
                 setting.name, setting.source
             )),
             Source::Default | Source::File(_) => {}
@@ -74,14 +74,14 @@ pub async fn apply(context: &Context, path: &Path, check: bool, output: &Output)
     if differences.iter().any(|difference| matches!(difference, Difference::Pin { .. } | Difference::Unpin { .. }))
         && !context.home.keyring(&context.profile).exists()
     {
-        let text = format!("publishers are pinned by a profile, and '{}' is none yet", context.profile);
-        return Err(Failure::new(ErrorKind::Input, format!("{text}; `authros identity create` makes it")));
+        let text = format!("publishers are pinned by a profile, and '{}' does not exist yet", context.profile);
+        return Err(Failure::new(ErrorKind::Input, format!("{text}; create it with `authros identity create`")));
     }
     if context.config.site.is_some() {
         check_keys(&differences)?;
     }
     let lines: Vec<String> = differences.iter().map(|difference| clean(&difference.to_string(), 2000)).collect();
-    let shown = if lines.is_empty() { "nothing differs".to_owned() } else { lines.join("\n") };
+    let shown = if lines.is_empty() { "no differences".to_owned() } else { lines.join("\n") };
     let document = serde_json::json!({ "differences": &differences, "applied": !check });
     if check {
         output.result(&document, || shown);
@@ -95,7 +95,7 @@ pub async fn apply(context: &Context, path: &Path, check: bool, output: &Output)
     }
     if differences.iter().any(Difference::is_setting) {
         write_settings(context, &file, &home)?;
-        output.note("authros: config.toml is written anew; a running site goes by it from its next start on");
+        output.note("authros: config.toml was rewritten; a running site uses it from its next start");
     }
     decide(context, &differences).await?;
     if context.global.json {
@@ -110,8 +110,8 @@ fn check_keys(differences: &[Difference]) -> Result<(), Failure> {
     for difference in differences {
         if let Difference::AddContact { name, fingerprint: None, .. } = difference {
             let text = format!(
-                "which key '{name}' has is known here from a gateway's word alone, and nothing was changed; have its \
-                 owner tell its fingerprint by another way, and write it into the file as fingerprint of that [[contact]]"
+                "the key of '{name}' is known here only from a gateway, and nothing was changed; get its fingerprint \
+                 from its owner over another channel, and add it to the file as the fingerprint of that [[contact]]"
             );
             return Err(Failure::new(ErrorKind::Refused, text));
         }
@@ -127,7 +127,7 @@ fn read(path: &Path) -> Result<String, Failure> {
     let mut text = String::new();
     let length = file.take(LONGEST + 1).read_to_string(&mut text).map_err(|error| failed(&error))?;
     if length as u64 > LONGEST {
-        return Err(failed(&"it is longer than 4 MiB, which no site needs"));
+        return Err(failed(&"it is longer than the limit of 4 MiB"));
     }
     Ok(text)
 }
@@ -196,7 +196,7 @@ fn write_settings(context: &Context, file: &SiteFile, home: &HomeSettings) -> Re
     // A symlink to elsewhere stays one.
     let path = context.home.config();
     let path = std::fs::canonicalize(&path).unwrap_or(path);
-    let head = ["Written by `authros config apply`; what is changed here by hand is changed back by the next one."];
+    let head = ["Written by `authros config apply`; the next one overwrites manual changes here."];
     let settings = SiteFile { settings: home.wanted(file), rules: file.rules.clone(), ..SiteFile::default() };
     let text = settings.to_text(&head.map(str::to_owned));
     let given = |name: &str| settings.settings.get(name).cloned();
@@ -231,7 +231,7 @@ async fn decide(context: &Context, differences: &[Difference]) -> Result<(), Fai
         decided = one(&connection.client, difference.clone()).await;
         if let Err(failure) = decided {
             let what = clean(&difference.to_string(), 300);
-            let text = format!("'{what}' failed, what stands before it is done: {failure}");
+            let text = format!("'{what}' failed; the changes before it are done: {failure}");
             decided = Err(Failure::new(failure.kind, text));
             break;
         }

@@ -48,7 +48,7 @@ pub async fn watch(context: Context, output: &Output) -> Result<u8, Failure> {
     if connection.site.is_some() {
         connection.close().await;
         let root = context.home.root().display();
-        return Err(input(format!("no site of {root} runs; start one by `authros serve` or the console")));
+        return Err(input(format!("no site of {root} is running; start one with `authros serve` or the console")));
     }
     let end = super::serve::asked_to_end();
     tokio::pin!(end);
@@ -80,7 +80,7 @@ fn known(context: &Context) -> Result<(), Failure> {
     }
     let there = if others.is_empty() { "it has none yet".to_owned() } else { format!("it has {}", others.join(", ")) };
     let root = context.home.root().display();
-    Err(input(format!("the home {root} has no profile '{}'; {there}: name one with --profile", context.profile)))
+    Err(input(format!("the home {root} has no profile '{}'; {there}: choose one with --profile", context.profile)))
 }
 
 /// The exit code of a status.
@@ -125,7 +125,7 @@ fn life(life: &LifeLine) -> Vec<String> {
         "captured {captured} = verified {verified} + pending {pending} + right ended {right_ended} + quarantined \
          {quarantined} + dropped {dropped} + tampered {tampered}"
     );
-    let verdict = if life.conserved { "it adds up" } else { "IT DOES NOT ADD UP: run `authros audit verify`" };
+    let verdict = if life.conserved { "balanced" } else { "NOT BALANCED: run `authros audit verify`" };
     let lost = format!(
         "lost in transport {}, in the recorder {}, discarded {}; waiting in memory {}; deleted by retention {}",
         life.lost_in_transport, life.lost_in_recorder, life.discarded, life.waiting, life.deleted
@@ -133,12 +133,12 @@ fn life(life: &LifeLine) -> Vec<String> {
     let mut lines = vec![format!("{sum}: {verdict}"), lost];
     if right_ended > 0 {
         lines.push(format!(
-            "{right_ended} records wait: whoever signed them may not sign for their owner now; they go on by themselves when \
-             the administrator restores the account (authros chain restore) or the loan is renewed (authros devices lend)"
+            "{right_ended} records wait: their signer may not sign for their owner at the moment; they resume when the \
+             administrator restores the account (authros chain restore) or the loan is renewed (authros devices lend)"
         ));
     }
     if tampered > 0 {
-        lines.push(format!("{tampered} records are altered or MISSING: `authros audit` names them"));
+        lines.push(format!("{tampered} records are altered or MISSING: `authros audit` lists them"));
     }
     lines
 }

@@ -23,13 +23,13 @@ const READER: &str = "cura-b";
 /// Without a terminal or robots, or if no temporary home can be created.
 pub fn run(runtime: &Runtime, mut context: Context, arguments: TourArguments) -> Result<u8, Failure> {
     if context.global.home.is_some() {
-        let text = "the tour has a home of its own, which is removed afterwards; leave --home and AUTHROS_HOME out";
+        let text = "the tour uses its own home, which is removed afterwards; omit --home and AUTHROS_HOME";
         return Err(Failure::new(ErrorKind::Usage, text));
     }
     if context.config.robots == 0 {
         return Err(Failure::new(
             ErrorKind::Usage,
-            "the tour needs robots; give --robots 1 to 32, and no real ROS master",
+            "the tour needs robots; use --robots 1 to 32 and no real ROS master",
         ));
     }
     let temporary = demo::temporary_home(&mut context, "authros-tour-")?;

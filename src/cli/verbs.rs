@@ -80,9 +80,7 @@ pub async fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Re
         ConfigVerb::Dump => return site_file::dump(context, output).await,
         ConfigVerb::Apply { file, check } => return site_file::apply(context, file, *check, output).await,
         ConfigVerb::Show => output.result(&serde_json::json!({ "settings": settings }), || lists::settings(&settings)),
-        ConfigVerb::Check => {
-            output.result(&serde_json::json!({ "ok": true }), || "the settings can be used".to_owned())
-        }
+        ConfigVerb::Check => output.result(&serde_json::json!({ "ok": true }), || "the settings are valid".to_owned()),
     }
     Ok(0)
 }

@@ -46,11 +46,12 @@ fn anchor_as_somebody_else() {
     let told = poll(20, || {
         let outcome = authros.with(&["--json"]).run(&["status"]);
         let parts = outcome.document()["health"].as_array().cloned().unwrap_or_default();
-        let is_told = |part: &&Value| outcome.code != Some(0) && text(part, "text").contains("did not send");
+        let is_told =
+            |part: &&Value| outcome.code != Some(0) && text(part, "text").contains("without this home sending it");
         parts.iter().find(is_told).map(|part| text(part, "text"))
     });
     let audited = authros.run(&["audit", "list"]).stdout.contains("foreign anchor");
-    let heard = running.stderr().contains("did not send");
+    let heard = running.stderr().contains("without this home sending it");
     copied.stop("TERM", 30).expect_code(0);
     running.stop("TERM", 30).expect_code(0);
     judge(

@@ -54,7 +54,7 @@ fn signed(key: &LocalWallet, chain: u64, nonce: u64, gas: u64, to: Option<H160>,
 /// The refusal of a creation, whoever sends it.
 const NOT_TO_THE_CONTRACT: &str = "only transactions to the contract";
 /// The refusal of a call of the contract with more gas than any call needs.
-const TOO_MUCH_GAS: &str = "are passed on";
+const TOO_MUCH_GAS: &str = "is forwarded";
 /// The pool's refusal of a nonce that is not the next one.
 const ORDER: [&str; 3] = ["nonce", "already known", "underpriced"];
 /// The gateways' refusals of clients that ask too much.

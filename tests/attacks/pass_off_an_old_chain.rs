@@ -34,7 +34,7 @@ fn pass_off_an_old_chain() {
     assert!(said.contains("captured 2019-03-03"), "the record claims 2019: {checked}");
     let honest = said.contains("existed no later than 2019-03-03")
         && said.contains("WARNING")
-        && said.contains("this one program seals")
+        && said.contains("a single program seals")
         && said.contains("the owner's claim")
         && document["anchored"]["time"].is_string()
         && document["sealed_by"]["kind"] == "embedded"

@@ -82,7 +82,7 @@ async fn rekey_the_fleet_with_a_stolen_signing_key() {
 
     let by_account = client.upload(vec![notice(&stolen, &thief, &owner.eoa, thief.public)]).await;
     let by_key = client.upload(vec![notice(&stolen, &owner.signing, &account, thief.public)]).await;
-    let passed_over = || agent.stderr().contains("was passed over");
+    let passed_over = || agent.stderr().contains("ignored a notice");
     let obeyed = || believed(&robot) == thief.public;
     let heard = by_key.is_ok() || by_account.is_ok();
     let settled = poll(60, || (!heard || passed_over() || obeyed()).then_some(()));

@@ -31,7 +31,9 @@ fn take_over_an_account_as_administrator() {
     let stopped = at(&boss, 30).fails(5, &["chain", "succession", "complete", &lost]);
     let outcome = match successor(&at(&boss, 30)) {
         Some(successor) => Outcome::Succeeded(format!("{successor} continues for {lost}")),
-        None if early.contains("the succession still waits") && stopped.contains("no succession of that account") => {
+        None if early.contains("the succession is still pending")
+            && stopped.contains("no succession of that account") =>
+        {
             Outcome::Refused(format!("{early}; after the recovery account's veto: {stopped}"))
         }
         None => Outcome::Otherwise(format!("{early}; after the recovery account's veto: {stopped}")),

@@ -163,7 +163,7 @@ fn alerts_test_says_what_came_back_or_that_nobody_is_there() {
     assert!(text(&nobody.json(&["alerts", "list"]), "told").contains("alerts.webhook"));
     assert!(nobody.fails(3, &["alerts", "test"]).contains("alerts.webhook"));
     let gone = watched(&home, &format!("http://127.0.0.1:{}/", free_port()), "0");
-    assert!(gone.fails(4, &["alerts", "test"]).contains("is not reached"));
+    assert!(gone.fails(4, &["alerts", "test"]).contains("cannot be reached"));
     let open = home.file("open", SECRET, 0o644);
     gone.with_variable("AUTHROS_ALERTS_SECRET", &open).fails(3, &["config", "check"]);
     let settings = home.file("site/config.toml", "[alerts]\ncommand = [\"/bin/true\"]\n", 0o600);
@@ -187,7 +187,7 @@ fn what_stands_is_shown_where_nobody_is_to_be_told() {
     let listed = authros.json(&["alerts", "list"]);
     assert_eq!(list(&listed, "alerts").len(), 1, "{listed}");
     let people = authros.run(&["status"]).stdout;
-    assert!(people.contains("alert since") && people.contains("free on the disk"), "{people}");
+    assert!(people.contains("alert since") && people.contains("free on the home's disk"), "{people}");
     wait_until(30, "the alert in the figures", || {
         let figures = super::metrics::figures(port)?;
         figures.contains("authros_alerts{rule=\"disk\"} 1\n").then_some(())
@@ -323,7 +323,7 @@ fn a_real_alertmanager_holds_an_alert_until_it_is_over() {
         held(port)?.into_iter().find(|alert| is_disk(alert) && alert["status"]["state"] == "active")
     });
     assert_eq!((&alert["status"]["state"], &alert["labels"]["severity"]), (&"active".into(), &"critical".into()));
-    assert!(text(&alert["annotations"], "summary").contains("free on the disk"), "{alert}");
+    assert!(text(&alert["annotations"], "summary").contains("free on the home's disk"), "{alert}");
     assert!(text(&full.json(&["alerts", "test"]), "text").starts_with("200"));
     site.stop("INT", 20).expect_code(0);
     let roomy = watched(&home, &url, "1KiB").with_variable("AUTHROS_ALERTS_FORM", "alertmanager");

@@ -89,7 +89,7 @@ fn every_deed_is_a_line_and_refusals_are_counted() {
     let exported = || fs::read_to_string(directory.join("audit.jsonl")).expect("written");
     alice.run(&export).expect_code(0);
     assert!(!exported().contains(&reader) && exported().contains(&format!("{}…", &reader[..6])), "redacted");
-    assert!(alice.run(&export).expect_code(3).stderr.contains("is not overwritten"));
+    assert!(alice.run(&export).expect_code(3).stderr.contains("will not be overwritten"));
     fs::remove_file(directory.join("audit.jsonl")).expect("removed");
     alice.run(&[&export[..], &["--addresses"]].concat()).expect_code(0);
     assert!(exported().contains(&reader) && exported().lines().count() > all.len());

@@ -244,7 +244,7 @@ fn topics_by_names_that_ros_does_not_know_are_imported_and_come_back_under_them(
     assert_eq!((count(&summary, "imported"), count(&summary, "skipped")), (18, 3), "{summary}");
     let left_out = list(&summary, "left_out");
     assert!(left_out.len() == 1 && count(&left_out[0], "messages") == 3, "{summary}");
-    assert_eq!(text(&left_out[0], "why"), "its topic's name is longer than 255 bytes");
+    assert_eq!(text(&left_out[0], "why"), "its topic name is longer than 255 bytes");
     let exported = home.root().join("back.bag");
     export(&authros, &exported, &[]);
     let mut recorded = sorted(list_bag(&bag));

@@ -293,7 +293,7 @@ fn a_signal_ends_a_bench_and_leaves_nothing() {
     });
     let outcome = running.stop("INT", 30);
     assert_eq!(outcome.code, Some(8), "{outcome}");
-    assert!(outcome.stderr.contains("ended before it was done") && outcome.stdout.is_empty(), "{outcome}");
+    assert!(outcome.stderr.contains("stopped before it finished") && outcome.stdout.is_empty(), "{outcome}");
     expect_nothing_left(&home);
 }
 

@@ -129,7 +129,7 @@ fn genesis_files_are_written_once() {
     assert_eq!(genesis["config"]["clique"]["period"], json!(3));
     assert!(text(&genesis, "extraData").contains(&"ab".repeat(20)));
     assert!(fs::read_to_string(directory.join("README.md")).expect("a guide").contains("NOT tried"));
-    assert!(authros.fails(3, &clique).contains("genesis.json is there already"));
+    assert!(authros.fails(3, &clique).contains("genesis.json already exists"));
 
     let alloc = format!("{signer}=1000");
     let arguments = ["chain", "genesis", "--consensus", "ethash", "--chain-id", "99", "--alloc", &alloc];

@@ -98,7 +98,7 @@ fn a_grant_reaches_a_second_console_that_opens_a_record_and_a_revoke_ends_it() {
     let home = Home::new();
     let (alice, bob, address) = alice_and_bob(&home);
     let mut alice = Operator::opens(&alice);
-    alice.sees(ODOMETRY).presses("5").sees("Nothing granted");
+    alice.sees(ODOMETRY).presses("5").sees("No grants given");
     alice.presses("g").sees("Lets another account").presses(&address).presses("\rall\r\r\r");
     alice.sees("Current readers:").presses("g").no_longer_sees("Current readers:");
     alice.presses("\r").sees("Current readers:").presses("y").sees("1 can read new records now");
@@ -108,7 +108,7 @@ fn a_grant_reaches_a_second_console_that_opens_a_record_and_a_revoke_ends_it() {
     bob.presses("4").sees(ODOMETRY).presses("b").sees("All records").presses("\u{1b}[B\r").sees("of 0x");
     bob.presses("/").presses(" tag:mission=elsewhere\r").no_longer_sees(ODOMETRY);
     bob.presses("\u{1b}").sees(ODOMETRY).presses("/tag:mission=harbour type:nav_msgs/Odometry\r").sees("tag mission");
-    bob.presses("\r").sees("equal to the chain's digest").sees("nav_msgs/Odometry").presses("q");
+    bob.presses("\r").sees("digest matches the chain").sees("nav_msgs/Odometry").presses("q");
 
     alice.presses("x").sees("cannot be recalled").presses("x").no_longer_sees("cannot be recalled");
     alice.presses("x").sees("cannot be recalled").presses("y").sees("0 can read new records now");
@@ -159,7 +159,7 @@ fn a_locked_console_captures_on_and_opens_nothing_until_it_is_unlocked() {
     let refused = authros.fails(5, &["shared", "open", &id]);
     assert!(refused.contains("locked"), "{refused}");
 
-    operator.presses("u").sees("Unlock").presses("not the passphrase\r").sees("does not open");
+    operator.presses("u").sees("Unlock").presses("not the passphrase\r").sees("wrong passphrase");
     operator.presses("\u{15}").presses(PASSPHRASE).presses("\r");
     wait_until(PATIENCE, "the keyring to be open again", || {
         Some(()).filter(|()| authros.json(&["identity", "show"])["unlocked"] == true)

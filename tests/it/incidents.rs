@@ -39,7 +39,7 @@ fn hostile_words_are_refused(authros: &Authros) {
         assert!(!message.contains('\u{1b}'), "{message:?}");
     }
     let open = |more: &[&str]| authros.fails(INPUT, &[&["incident", "open", "crash"], more].concat());
-    assert!(open(&["--since", "2100-01-01"]).contains("is to come"));
+    assert!(open(&["--since", "2100-01-01"]).contains("is in the future"));
     assert!(open(&["--since", "1m", "--until", "2m"]).contains("before it begins"));
     assert!(open(&["--since", "yesterday"]).contains("is not a time"));
     open(&["--since", "1m", "--topics", "not a topic"]);

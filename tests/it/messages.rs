@@ -105,7 +105,7 @@ fn a_picture_taken_at_the_robot_is_restored_and_seen_by_the_grantee() {
     let opened = bob.json(&["shared", "open", &odometry]);
     assert_eq!((&opened["compression"], count(&opened, "bytes") > count(&opened, "stored")), (&"lz4".into(), true));
     let readable = bob.run(&["shared", "open", &odometry]).expect_code(0).stdout;
-    for word in ["LV, m/s", "AV, rad/s", "Pose, m", "Cov of Pose", "TS", "Type"] {
+    for word in ["Linear velocity, m/s", "Angular velocity, rad/s", "Pose, m", "Pose covariance", "Stamp", "Type"] {
         assert!(readable.contains(word), "{word}:\n{readable}");
     }
     let path = bob.json(&["shared", "path", &odometry]);
@@ -268,9 +268,9 @@ fn expect_seen(reader: &Authros) {
         (shown.contains("/robot1/odom") && !shown.contains(CAMERA)).then_some(())
     });
     console.press("o");
-    console.wait_for("LV, m/s", 30);
+    console.wait_for("Linear velocity, m/s", 30);
     console.press("\t");
-    console.wait_for("Path over", 30);
+    console.wait_for("Path: last", 30);
     assert!(console.shown().contains("this record"), "{}", console.shown());
     console.press("qq");
     console.wait(30);

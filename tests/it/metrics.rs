@@ -178,7 +178,7 @@ fn an_open_address_is_refused_unless_it_is_asked_for_and_a_taken_one_is_told() {
     let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
     let place = taken.local_addr().expect("its address").to_string();
     let mut site = authros.with_variable("AUTHROS_METRICS_LISTEN", &place).serve(&home);
-    site.wait_for_text("figures cannot be read", 30);
+    site.wait_for_text("metrics cannot be served", 30);
     drop(taken);
     let port = place.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
     wait_until(60, "the figures once the port is free", || figures(port));

@@ -55,7 +55,7 @@ fn suspensions_under_load_lose_nothing_and_what_waited_goes_on_by_itself() {
     assert!(held.contains(WAITS), "{held}");
     let status = alice.run(&["status"]).stdout;
     assert!(status.contains("+ right ended ") && status.contains("chain restore"), "{status}");
-    assert!(site.stderr().contains("records wait, kept and not anchored"), "{}", site.stderr());
+    assert!(site.stderr().contains("records are kept but not anchored"), "{}", site.stderr());
     let before = count(&life(&alice), "verified");
     boss.json(&["chain", "restore", &address]);
     wait_until(120, "300 are verified", || (count(&life(&alice), "verified") >= before.max(300)).then_some(()));

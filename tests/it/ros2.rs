@@ -57,7 +57,7 @@ fn messages_of_ros_2_are_looked_at_like_those_of_ros_1() {
 
     assert_eq!(opened["/chatter"]["message"], json!({"data": "hello from ROS 2"}));
     assert_eq!(field(&opened["/odom"], "header.stamp.sec"), "1700000000");
-    assert_eq!(line(&opened["/odom"], "TS"), "1700000000.000000005");
+    assert_eq!(line(&opened["/odom"], "Stamp"), "1700000000.000000005");
     assert_eq!(line(&opened["/odom"], "Pose, m"), "x 1.5  y -2.25  z 0");
     assert_eq!(line(&opened["/scan"], "Beams"), "200, of these 200 in range");
     assert_eq!(list(&opened["/scan"]["readable"]["plot"], "points").len(), 200);
@@ -125,11 +125,11 @@ fn what_a_recording_describes_in_idl_is_read_by_the_definitions_of_this_machine_
         let view = authros.json(&["shared", "open", &id]);
         assert_eq!(view["message"], json!({"data": "kept /idl"}), "{view}");
         let note = text(&view, "note");
-        assert!(note.contains(source) && note.contains("its type hash is that of the message"), "{view}");
+        assert!(note.contains(source) && note.contains("its type hash matches the message"), "{view}");
     };
     opened(&home.authros(), "built into this program");
     fs::write(share.join("String.msg"), "# The text.\nstring data\n").expect("written");
-    opened(&there, "in this machine's folders");
+    opened(&there, "installed on this machine");
     // Another definition with that name is not accepted for it.
     fs::write(share.join("String.msg"), "string<=5 data\n").expect("written");
     opened(&there, "built into this program");

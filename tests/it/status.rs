@@ -23,11 +23,11 @@ fn a_home_at_rest_is_well_and_says_that_no_site_runs() {
     authros.capture(&["/robot1/odom"], 2);
     let (code, level, words) = part(&authros, "site");
     assert_eq!((code, level.as_str()), (Some(0), "absent"), "{words}");
-    assert!(words.contains("none runs") && words.contains("authros serve"), "{words}");
+    assert!(words.contains("no site is running") && words.contains("authros serve"), "{words}");
     assert_eq!(part(&authros, "chain").1, "ok");
     assert_eq!(part(&authros, "vault").1, "ok");
     let shown = authros.run(&["status"]).expect_code(0).stdout;
-    assert!(shown.contains("captured 2 = verified 2 + pending 0") && shown.contains("it adds up"), "{shown}");
+    assert!(shown.contains("captured 2 = verified 2 + pending 0") && shown.contains(": balanced"), "{shown}");
 }
 
 #[test]

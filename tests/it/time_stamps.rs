@@ -137,9 +137,9 @@ fn batches_are_stamped_by_an_authority_and_the_stamps_are_checked_offline() {
     authros.capture(&["/robot1/odom"], 2);
     assert!(authros.fails(5, &["evidence", "stamp"]).contains("answered 503"));
     becomes(Mood::Other);
-    assert!(authros.fails(5, &["evidence", "stamp"]).contains("no certificate in it leads from stranger"));
+    assert!(authros.fails(5, &["evidence", "stamp"]).contains("no certificate in it links stranger"));
     becomes(Mood::Same);
-    assert!(authros.fails(5, &["evidence", "stamp"]).contains("its nonce is another one"));
+    assert!(authros.fails(5, &["evidence", "stamp"]).contains("its nonce differs"));
     let case = |name: &str| home.root().join(name).to_str().expect("UTF-8").to_owned();
     let export = |name: &str| authros.json(&["evidence", "export", &case(name), "--topic", "/robot1/odom"]);
     let without = export("without.authros");
@@ -167,7 +167,7 @@ fn batches_are_stamped_by_an_authority_and_the_stamps_are_checked_offline() {
     expect_agreement(&bundle, Some(&trust));
     by_hand(folder.path(), &bundle);
     let page = String::from_utf8(unzipped(&bundle, "report.html")).expect("text");
-    let before = "Existed before, by authorities&#39; stamps</td><td>20";
+    let before = "Existed before, by authorities&#39; time stamps</td><td>20";
     assert!(page.contains(before) && page.contains("openssl ts -verify"), "{page}");
 
     let (pins, _) = suggested.split_once("[[authority]]").expect("an authority is suggested");

@@ -77,11 +77,11 @@ fn a_site_and_a_gateway_log_in_json_where_that_is_asked_for() {
         let home = Home::new();
         let logging = home.authros().with(&["--robots", "0", "--log", "json"]);
         let mut site = logging.with_variable("AUTHROS_METRICS_LISTEN", &place).spawn(command);
-        site.wait_for_text("end it with Ctrl-C", 120);
-        wait_until(60, "a warning", || site.stderr().contains("figures cannot be read").then_some(()));
+        site.wait_for_text("stop it with Ctrl-C", 120);
+        wait_until(60, "a warning", || site.stderr().contains("metrics cannot be served").then_some(()));
         let outcome = site.stop("INT", 60).expect_code(0);
         let lines = outcome.log();
-        let warning = lines.iter().find(|line| line["message"].to_string().contains("figures cannot be read"));
+        let warning = lines.iter().find(|line| line["message"].to_string().contains("metrics cannot be served"));
         let warning = warning.expect("the warning");
         assert_eq!((&warning["level"], &warning["source"]), (&"error".into(), &"site".into()));
         assert!(lines.iter().any(|line| line["source"] == "authros"), "{outcome}");

@@ -160,7 +160,7 @@ fn text(entries: &[Entry]) -> String {
         let verdict = match (&entry.error, entry.code) {
             (Some(error), code) => format!("{code}: {error}"),
             (None, 0) => "ok".to_owned(),
-            (None, code) => format!("{code}: a figure was missed, or something failed; see above"),
+            (None, code) => format!("{code}: a target was missed, or something failed; see above"),
         };
         vec![entry.bench.to_owned(), format!("{:.0}", entry.seconds), verdict]
     };

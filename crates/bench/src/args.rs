@@ -64,7 +64,7 @@ pub enum Bench {
 
 /// The benches by their names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-#[allow(missing_docs, reason = "named as the benches are")]
+#[allow(missing_docs, reason = "same names as the benchmarks")]
 pub enum BenchName {
     Sm2,
     Sm3,

@@ -23,15 +23,15 @@ use authros_output::table;
 use authros_service::Failure;
 
 const NOTES: [&str; 6] = [
-    "each: one dataUpload transaction per record; batch: Merkle roots, closed at 256 records, after a second, or \
-     when nothing more came for 10 ms and no batch before it waits for a block (at most four times in a row).",
-    "response: from the common start to an uploader's receipt, so it includes sealing, storing and waiting for others; \
+    "each: one dataUpload transaction per record; batch: Merkle roots, closed at 256 records, after a second, or when \
+     nothing arrives for 10 ms and no earlier batch is waiting for a block (at most four times in a row).",
+    "response: from the common start to an uploader's receipt, including sealing, storing and waiting for others; \
      total: from the start to the last receipt. Both in milliseconds.",
-    "The authors give milliseconds per request; their total here is that times the uploaders, and times theirs is our \
-     uploads a second over one in their shortest request.",
-    "What a chain carries for longer than a burst shows with --uploaders 10000.",
-    "Their networks ran on their machine, by geth, with block periods that the paper does not give; ours have others \
-     (period), so only what a user waits for can be compared, not the consensus itself.",
+    "The authors give milliseconds per request; their total here is that times the number of uploaders, and times \
+     theirs is our uploads per second divided by one per their shortest request.",
+    "To see what a chain sustains beyond a burst, use --uploaders 10000.",
+    "Their networks ran geth on their machine, with block periods that the paper does not give; ours differ (period), \
+     so only a user's waiting time can be compared, not the consensus itself.",
     "Our pow is real work at the paper's difficulty, but Keccak-256, not ethash: a hash is cheaper, so a block is too.",
 ];
 
@@ -151,7 +151,8 @@ fn judged(rows: &[Row], outlet: &Outlet) -> Judgement {
 }
 
 fn about(presets: &[String]) -> Map<String, Value> {
-    let preset = json!({ "message_bytes": MESSAGE, "accounts": 2, "vault": "embedded, one commit for all that waits" });
+    let preset = json!({ "message_bytes": MESSAGE, "accounts": 2, "vault": "embedded, one commit for everything \
+                                                                            waiting" });
     let mut about = Map::new();
     about.insert("preset".to_owned(), preset);
     about.insert("networks".to_owned(), json!(presets));

@@ -37,9 +37,10 @@ const MOST_GAS: f64 = 70_000.0;
 const LEAST_RATIO: f64 = 150.0;
 
 const NOTES: [&str; 4] = [
-    "each: dataUpload of one digest; batch: anchor of a Merkle root over so many; prototype: a whole ciphertext stored.",
-    "first: the account's first transaction of that kind, which finds its storage empty; later: those after it.",
-    "Gas follows the Istanbul rules, as on the paper's network; the gas of a batch does not depend on what is in it.",
+    "each: dataUpload of one digest; batch: anchor of a Merkle root over that many; prototype: a whole ciphertext \
+     stored.",
+    "first: the account's first transaction of that kind, with empty storage; later: those after it.",
+    "Gas follows the Istanbul rules, as on the paper's network; the gas of a batch does not depend on its contents.",
     "The prototype follows the paper's description (contracts/bench); the paper itself gives no gas.",
 ];
 
@@ -285,7 +286,7 @@ fn page(report: &Report<Row>) -> Page {
     let series = vec![of_way("batch", COLOURS[0]), of_way("each", COLOURS[1]), of_way("prototype", COLOURS[4])];
     let names = report.results.iter().map(|row| name(row).replace(' ', "\n"));
     let plot = Plot {
-        title: "Gas per record; a batch is one transaction whatever is in it".to_owned(),
+        title: "Gas per record; a batch is one transaction regardless of its contents".to_owned(),
         across: Axis::places("", names),
         left: Axis::decades("gas per record", series.iter().flat_map(Series::values)),
         right: None,

@@ -50,12 +50,14 @@ const PATIENCE: Duration = Duration::from_secs(60);
 const MEMORY: &str = "/dev/shm";
 
 const NOTES: [&str; 6] = [
-    "each: an upload, its receipt, the next; window: 32 uploads under way; many: 64 records in one UploadMany.",
-    "disk: ledger and vault in the temporary directory, fsynced before the receipt; memory: the same in /dev/shm, where fsync costs nothing.",
-    "A gateway takes a connection's frames one after the other, so that one connection keeps one core busy; per core = records over the lesser of connections and cores.",
+    "each: an upload, its receipt, the next; window: 32 uploads in flight; many: 64 records in one UploadMany.",
+    "disk: ledger and vault in the temporary directory, fsynced before the receipt; memory: the same in /dev/shm, \
+     where fsync is free.",
+    "A gateway processes a connection's frames one after another, so one connection keeps one core busy; per core = \
+     records divided by the smaller of connections and cores.",
     "bound: SM3 of the blob and SM2 verification of its signature on one core in the same run; sm2 sign is what a receipt costs on top.",
     "Both ends are in this process and share its cores; the client checks a receipt's signature with `each` only.",
-    "idle: resident memory of both ends for connections that have authenticated and say nothing.",
+    "idle: resident memory of both ends for connections that have authenticated and are silent.",
 ];
 
 /// One way of uploading, or one part of the bound.
@@ -302,7 +304,7 @@ async fn rates(
         let kept = stage.desk.kept()?;
         stage.close().await;
         if kept != records.len() as u64 {
-            return Err(internal(format!("{kept} of {} records were kept", records.len())));
+            return Err(internal(format!("{kept} of {} records were stored", records.len())));
         }
     }
     Ok(rates)

@@ -37,16 +37,16 @@ const ROUNDS: usize = 3;
 const NOTES: [&str; 4] = [
     "append: a record acknowledged (on disk), in commits of 256 as in the pipeline; life: its steps from stored to \
      verified (batched, submitted, mined, confirmed), in batches of 1,024; both per record, means of 4,096 with their \
-     share of checkpoints. page: 18 rows, the newest first (next: the page behind it, topic: of one topic, held: in \
-     quarantine, none: in a state that no record has, time: captured until a time, tag: by a tag that one topic in \
-     twenty has); counts: records of all states.",
+     share of checkpoints. page: 18 rows, newest first (next: the following page, topic: of one topic, held: in \
+     quarantine, none: in a state that no record has, time: captured until a given time, tag: by a tag that one topic \
+     in twenty has); counts: records of all states.",
     "frame: the whole console at 200 x 50, without the terminal; key: the cursor moved; rows in: 2,000 topics taken \
      over; filter: a letter typed and deleted; encode: 2,000 topics as JSON.",
     "Times are microseconds, medians of 21 (append and life: of 5 means or more); ratio: the median with the most \
-     records over the median with the fewest.",
+     records divided by the median with the fewest.",
     "The records, of 500 topics in turn, are fed to the ledger and verified as the pipeline does it, but nothing is \
-     sealed and no chain runs. That each record of a commit is of another topic is the worst case: it has pages of its \
-     own in two indices.",
+     sealed and no chain runs. Each record of a commit belonging to a different topic is the worst case: it touches \
+     its own pages in two indices.",
 ];
 
 /// One piece of work at one number of records.
@@ -107,7 +107,7 @@ impl Level {
                 return Ok(Self { records, ledger, times: vec![("append", costs.append), ("life", costs.life)] });
             }
         }
-        Err(internal("a ledger that gave no figure"))
+        Err(internal("a ledger that returned no figure"))
     }
 
     fn take_turn(&mut self) -> Result<(), Failure> {
@@ -194,11 +194,11 @@ fn text(report: &Report<Row>, ratios: &[(&'static str, f64)]) -> String {
     };
     let rows: Vec<Vec<String>> = ratios.iter().map(row).collect();
     let mut lines = vec![
-        "growth: what a piece of work costs while the ledger grows, us".to_owned(),
+        "growth: cost of an operation as the ledger grows, us".to_owned(),
         format!("machine: {}", report.machine.line()),
         String::new(),
         table(&head, &rows),
-        "\nratio of the most records to the fewest; 1 is flat".to_owned(),
+        "\nratio between the most records and the fewest; 1 = flat".to_owned(),
     ];
     lines.extend(bars(&ratios.iter().map(|(work, ratio)| ((*work).to_owned(), *ratio)).collect::<Vec<_>>(), "times"));
     lines.push(String::new());

@@ -39,13 +39,13 @@ const STEPS: u64 = 10;
 const BULK: u64 = 1_000;
 
 const NOTES: [&str; 4] = [
-    "idle robot: a connection that has authenticated and says nothing, both ends of it in this process.",
+    "idle robot: a connection that has authenticated and is silent, both ends in this process.",
     "watched topic: in a throw-away site; published: its publisher's end of the connection is in this process too. The first \
      half of the topics warms the site up, the second half is counted.",
-    "record in the ledger: verified, of 500 topics; the slope of the memory of the process that writes them, from a tenth of \
-     them on. What lies on disk is in no figure here.",
-    "Memory is counted in pages of 4 KiB, and what the allocator keeps for later is part of it: few of a kind show \
-     steps, and a figure may be negative where something was given back meanwhile.",
+    "record in the ledger: verified, of 500 topics; the slope of the writing process's memory, from a tenth of them \
+     on. Disk space is not included.",
+    "Memory is counted in pages of 4 KiB and includes what the allocator keeps in reserve: small numbers show steps, \
+     and a figure can be negative if memory was returned meanwhile.",
 ];
 
 /// One kind of thing.
@@ -157,7 +157,7 @@ fn records(directory: &Path, wanted: u64) -> Result<Row, Failure> {
 
 /// Bytes now.
 fn memory() -> Result<u64, Failure> {
-    anonymous().ok_or_else(|| internal("/proc/self/status does not tell the memory in use"))
+    anonymous().ok_or_else(|| internal("/proc/self/status does not show the memory in use"))
 }
 
 /// Bytes more than before; fewer if memory was given back.
@@ -175,7 +175,7 @@ fn text(report: &Report<Row>, limited_by: Option<&str>) -> String {
         ]
     };
     let mut lines = vec![
-        "memory: what each of many costs".to_owned(),
+        "memory: cost of each of many".to_owned(),
         format!("machine: {}", report.machine.line()),
         String::new(),
         table(&["what", "count", "bytes each", "MiB a million"], &report.results.iter().map(cells).collect::<Vec<_>>()),

@@ -62,7 +62,7 @@ impl Mined {
                 let why = receipt.reason.unwrap_or_else(|| "it failed on the chain".to_owned());
                 Err(Failure::new(ErrorKind::Refused, why))
             }
-            None => Err(Failure::new(ErrorKind::Refused, "its block was taken back")),
+            None => Err(Failure::new(ErrorKind::Refused, "its block was reorganised away")),
         }
     }
 

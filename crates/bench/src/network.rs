@@ -56,7 +56,7 @@ impl Directory {
     pub fn within(parent: &Path) -> Result<Self, Failure> {
         let made = tempfile::Builder::new().prefix("authros-bench-").tempdir_in(parent);
         let made = made.map_err(|error| {
-            Failure::new(ErrorKind::Home, format!("no temporary directory can be made: {error}; set TMPDIR"))
+            Failure::new(ErrorKind::Home, format!("no temporary directory can be created: {error}; set TMPDIR"))
         });
         made.map(Self)
     }
@@ -116,7 +116,7 @@ impl Network {
         let one = join(&chain, one, provider).await?;
         let other = join(&chain, other, provider).await?;
         let status = chain.status(None).await?;
-        let head = chain.block_work(status.block).await?.ok_or_else(|| internal("the newest block is gone"))?;
+        let head = chain.block_work(status.block).await?.ok_or_else(|| internal("the newest block is missing"))?;
         let embedded = matches!(place, Place::Embedded(_));
         Ok(Self {
             kind: if embedded { "embedded" } else { "node" },
@@ -159,7 +159,7 @@ impl Network {
                 Ok(difficulty) => format!("difficulty {difficulty:#x}, no fixed period"),
                 Err(_) => format!("difficulty {difficulty}, no fixed period"),
             },
-            (None, None) => "period as the node has it".to_owned(),
+            (None, None) => "period as set by the node".to_owned(),
         };
         format!("{}: {}, {sealing}, gas limit {:#x}", self.name(), self.client, self.gas_limit)
     }
@@ -189,7 +189,7 @@ async fn connect(place: &Place, directory: &Path) -> Result<Chain, Failure> {
     // This error's advice names a setting; here it is an argument.
     Chain::connect(options).await.map_err(|error| match error {
         ChainError::Unreachable { url, reason } => {
-            let text = format!("the node at {url} does not answer ({reason}); start it, or correct --node");
+            let text = format!("the node at {url} does not answer ({reason}); start it or correct --node");
             Failure::new(ErrorKind::Unreachable, text)
         }
         other => other.into(),
@@ -200,7 +200,7 @@ fn poor(error: ChainError, chain: &Chain) -> Failure {
     match error {
         ChainError::InsufficientFunds => {
             let text = format!(
-                "the throw-away accounts of the bench hold no ether on {}; use a development node as anvil, or a \
+                "the benchmark's temporary accounts have no ether on {}; use a development node such as anvil, or a \
                  network without fees",
                 chain.url()
             );

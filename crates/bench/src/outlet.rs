@@ -101,7 +101,7 @@ impl Outlet {
 }
 
 fn unwritten(directory: &Path, error: &std::io::Error) -> Failure {
-    let text = format!("the directory {} cannot be made: {error}; name another with --svg", directory.display());
+    let text = format!("the directory {} cannot be created: {error}; choose another with --svg", directory.display());
     Failure::new(ErrorKind::Home, text)
 }
 

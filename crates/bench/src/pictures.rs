@@ -31,7 +31,7 @@ const RUNS: usize = 5;
 
 const NOTES: [&str; 3] = [
     "none: sealed as it is; lz4: one LZ4 block; matrix: what the sealer chooses for matrices (filters and fast Deflate).",
-    "png: the same idea by the png crate, fast and at its default effort; of byte matrices alone, the rest not kept.",
+    "png: the same idea by the png crate, fast and at its default effort; byte matrices only; the result is discarded.",
     "total = compress + seal (SM4-GCM, SM3, SM2 signature); open = the same checked and decrypted; restore = unpacked.",
 ];
 
@@ -202,7 +202,7 @@ impl Bench {
         let restored = (codec.unpack)(message, &opened.body);
         let restore = milliseconds(begun);
         if restored.as_ref() != Some(&message.body) {
-            return Err(internal(format!("{} is not restored by {}", message.name, codec.name)));
+            return Err(internal(format!("{} was not restored by {}", message.name, codec.name)));
         }
         Ok(Times { compress, seal, open, restore, sealed: packed.len() })
     }

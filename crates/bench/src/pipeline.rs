@@ -36,18 +36,18 @@ const PICTURES: u32 = 30;
 
 const NOTES: [&str; 7] = [
     "durable: from the last byte read off the publisher's socket to the fsync that acknowledges it; confirmed: until \
-     its anchor is deep enough; verified: until it is re-read and checked. A percentile is at most 1/16 too high.",
-    "Publishers, site and what is embedded share this process and its cores; cores = processor time over time.",
-    "memory: resident bytes of the process, publishers included: at the start of the load, the most, and at the end; \
-     minute by minute what no file holds of them.",
-    "records there before are another owner's, of 500 topics, 1,360 bytes each in the vault, verified; nothing of them was \
-     sealed, so the scrubber does not look at them.",
-    "--doubling: a rate is held where nothing is lost, at least 0.98 of it arrives and 99 of 100 messages are verified \
-     within 5 s; the last one told was not, unless it is the last that can be asked for.",
-    "law: captured = verified + pending + right ended + quarantined + dropped + tampered, asked each second.",
-    "stages: time that each was busy, waiting for disk, vault or node included, over the time of the load. Where much \
-     waits, seal and verify work on several cores at once; what one record costs one core, and in which steps, both ways: \
-     `bench record`.",
+     its anchor is deep enough; verified: until it is read back and checked. A percentile is at most 1/16 too high.",
+    "Publishers, site and everything embedded share this process and its cores; cores = processor time over time.",
+    "memory: resident bytes of the process, publishers included: at the start of the load, at the peak, and at the \
+     end; minute by minute, those not backed by a file.",
+    "pre-existing records belong to another owner: 500 topics, 1,360 bytes each in the vault, verified; they were not \
+     really sealed, so the scrubber skips them.",
+    "--doubling: a rate is sustained if nothing is lost, at least 98 % of it arrives and 99 % of messages are verified \
+     within 5 s; the last one printed was not, unless it is the highest possible.",
+    "law: captured = verified + pending + right ended + quarantined + dropped + tampered, checked every second.",
+    "stages: busy time of each, including waits for disk, vault or node, divided by the duration of the load. With a \
+     backlog, seal and verify use several cores; for the cost of one record on one core, step by step, see `bench \
+     record`.",
 ];
 
 /// One milestone of one load.
@@ -144,7 +144,7 @@ fn text(report: &Report<Row>, summaries: &[Summary]) -> String {
     lines
         .extend(bars(&report.results.iter().map(|row| (name(row), row.measured.spread.p50)).collect::<Vec<_>>(), "ms"));
     for summary in summaries {
-        lines.push(format!("\n{}: what is busy, share of the load's time", summary.load));
+        lines.push(format!("\n{}: busy stages, share of the load's duration", summary.load));
         lines.extend(summary.bars());
     }
     lines.push(String::new());

@@ -27,13 +27,13 @@ const LONGEST_BAR: usize = 50;
 const WHOLE: &str = "whole";
 
 const NOTES: [&str; 4] = [
-    "One core; messages of random bytes, so that compression is tried in vain and the whole length is sealed. What the \
-     line does beside (vault, ledger, chain) is shown by `bench pipeline`, whose stages seal and verify are these.",
-    "fields: head and header encoded or parsed, with all checks of them. keys: HKDF-SM3 and the salt. SM4-GCM: head and \
-     body, their copy included. SM3: the digest of the stored bytes. SM2: signing or verifying it.",
-    "proof: the leaf and the path of a batch of 256 to its root. restore: from the compressed form, of which there is \
-     none here.",
-    "share: of the sum of all runs. Times are microseconds of one message; a second and core: from the medians.",
+    "One core; messages of random bytes, so compression is attempted but gains nothing and the whole length is sealed. \
+     For everything else in the pipeline (vault, ledger, chain) see `bench pipeline`, whose stages seal and verify are \
+     these.",
+    "fields: head and header encoded or parsed, with all their checks. keys: HKDF-SM3 and the salt. SM4-GCM: head and \
+     body, including the copy. SM3: the digest of the stored bytes. SM2: signing or verifying it.",
+    "proof: the leaf and the path of a batch of 256 to its root. restore: decompression, not needed here.",
+    "share: of the sum of all runs. Times are microseconds per message; per second and core: from the medians.",
 ];
 
 /// A step, or all of them, at one size.

@@ -28,15 +28,15 @@ const SIZES: [usize; 4] = [1024, 2048, 4096, 8192];
 const NOTES: [&str; 6] = [
     "ours: a message is sealed and signed, its ciphertext is stored on disk, and its digest is anchored: batch = under a \
      Merkle root with others (closed at 256 records or after a second), each = by a dataUpload of its own.",
-    "prototype: the ciphertext itself, as long as the message, lies on the chain, in a contract that follows the paper's \
-     description (contracts/bench); nothing is stored beside the chain.",
-    "response: from the common start of all to an upload's receipt, so it includes waiting for others; total: to the \
-     last receipt; per upload: total over uploads. All in milliseconds.",
+    "prototype: the ciphertext itself, as long as the message, is stored on the chain, in a contract that follows the \
+     paper's description (contracts/bench); nothing is stored elsewhere.",
+    "response: from the common start to an upload's receipt, including waiting for others; total: to the last receipt; \
+     per upload: total over uploads. All in milliseconds.",
     "The authors give milliseconds per request of 1 KB; of the larger sizes the paper draws curves (figure 12) and \
      prints no numbers.",
-    "Their networks ran on their machine, by geth, with block periods that the paper does not give; ours have others.",
-    "Our pow is real work at the paper's difficulty, but Keccak-256, not ethash; its blocks come by chance, so that one \
-     run's times say little: compare gas and what one machine shows in many runs.",
+    "Their networks ran geth on their machine, with block periods that the paper does not give; ours differ.",
+    "Our pow is real work at the paper's difficulty, but Keccak-256, not ethash; its block times are random, so the \
+     times of a single run mean little: compare gas, and many runs on one machine.",
 ];
 
 /// One size and method on one network.
@@ -198,7 +198,7 @@ fn text(report: &Report<Row>, presets: &[String]) -> String {
     let mut lines = vec![
         "size: uploads of 1 to 8 KB, all of a size at once, on two accounts; response and totals in ms".to_owned(),
         format!("machine: {}", report.machine.line()),
-        "\nours and the prototype's way: total in ms, and how many times ours the prototype took".to_owned(),
+        "\nours and the prototype: total in ms, and the ratio of prototype to ours".to_owned(),
         columns(&report.results),
         "\nall figures".to_owned(),
         table(&head, &rows),

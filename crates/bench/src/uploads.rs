@@ -170,7 +170,7 @@ async fn counted(network: &Network) -> Result<u64, Failure> {
     let mut sum = 0;
     for account in &network.accounts {
         let state = network.chain.account(account.address).await?;
-        sum += state.ok_or_else(|| internal("the account is not registered any more"))?.count;
+        sum += state.ok_or_else(|| internal("the account is no longer registered"))?.count;
     }
     Ok(sum)
 }
@@ -182,7 +182,7 @@ fn agree(found: u64, outcome: &Outcome) -> Result<(), Failure> {
         return Ok(());
     }
     let text =
-        format!("{least} of {most} uploads succeeded, and chain or vault count {found}; this run cannot be trusted");
+        format!("{least} of {most} uploads succeeded, but chain or vault count {found}; this run cannot be trusted");
     Err(Failure::new(ErrorKind::Refused, text))
 }
 

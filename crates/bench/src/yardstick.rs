@@ -26,7 +26,7 @@ pub const LIBGCRYPT: Library = Library {
     name: "libgcrypt",
     source: include_str!("../../../benches/libgcrypt.c"),
     link: "-lgcrypt",
-    advice: "for its figures install a C compiler and libgcrypt's headers (Debian: gcc, libgcrypt20-dev)",
+    advice: "to include it, install a C compiler and libgcrypt's headers (Debian: gcc, libgcrypt20-dev)",
 };
 
 /// OpenSSL 3: SM2. The program declares what it calls, so the shared library alone is enough.
@@ -34,7 +34,7 @@ pub const OPENSSL: Library = Library {
     name: "openssl",
     source: include_str!("../../../benches/openssl.c"),
     link: "-l:libcrypto.so.3",
-    advice: "for its figures install a C compiler and OpenSSL 3 (Debian: gcc, libssl3)",
+    advice: "to include it, install a C compiler and OpenSSL 3 (Debian: gcc, libssl3)",
 };
 
 /// The running program.

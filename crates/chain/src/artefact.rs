@@ -44,7 +44,7 @@ impl TryFrom<u8> for Revision {
         match number {
             1 => Ok(Self::First),
             2 => Ok(Self::Second),
-            other => Err(format!("there is no revision {other} of the contract; this program knows 1 and 2")),
+            other => Err(format!("there is no revision {other} of the contract; choose 1 or 2")),
         }
     }
 }
@@ -82,7 +82,7 @@ static ARTEFACTS: LazyLock<Result<[Artefact; 2], String>> =
 
 fn read(revision: Revision, json: &str) -> Result<Artefact, String> {
     let file: File = serde_json::from_str(json).map_err(|error| format!("the contract's artefact: {error}"))?;
-    let code = |text: &str| unhex(text).ok_or_else(|| "the contract's artefact holds no hex".to_owned());
+    let code = |text: &str| unhex(text).ok_or_else(|| "the contract's artefact is not hex".to_owned());
     Ok(Artefact {
         revision,
         creation: code(&file.bytecode)?,
@@ -133,7 +133,7 @@ pub fn revision_of(code_hash: Hash) -> Result<Option<Revision>, ChainError> {
 
 fn the(wanted: impl Fn(&Artefact) -> bool, what: &str) -> Result<&'static Artefact, ChainError> {
     let found = artefacts()?.iter().find(|artefact| wanted(artefact));
-    found.ok_or_else(|| ChainError::Internal(format!("no revision of the contract has {what}")))
+    found.ok_or_else(|| ChainError::Internal(format!("{what} is missing from every revision of the contract")))
 }
 
 impl Artefact {

@@ -278,7 +278,7 @@ fn seconds(end: Option<Timestamp>) -> Result<u64, ChainError> {
     match end {
         None => Ok(0),
         Some(end) if end.seconds() > 0 && Timestamp::from_seconds(end.seconds()) == end => Ok(end.seconds()),
-        Some(end) => Err(ChainError::Input(format!("the end {end} is not a whole second; round it to seconds"))),
+        Some(end) => Err(ChainError::Input(format!("the end {end} is not a whole second; round it to the second"))),
     }
 }
 

@@ -216,7 +216,7 @@ impl Chain {
     /// Keccak-256 of the code at an address; `None` if there is no code.
     pub(super) async fn code_hash(&self, contract: Address) -> Result<Option<Hash>, ChainError> {
         let code: String = self.rpc("eth_getCode", json!([contract.to_string(), "latest"])).await?;
-        let bytes = unhex(&code).ok_or_else(|| self.misunderstood("eth_getCode", "it is no hex"))?;
+        let bytes = unhex(&code).ok_or_else(|| self.misunderstood("eth_getCode", "it is not hex"))?;
         Ok((!bytes.is_empty()).then(|| Hash(keccak256(bytes))))
     }
 

@@ -53,7 +53,7 @@ impl Chain {
         let hash = self.broadcast(&signed.raw).await?;
         let receipt = self.await_receipt(hash, PATIENCE).await?;
         let Some(contract) = receipt.contract_address.filter(|_| receipt.status.is_none_or(|s| !s.is_zero())) else {
-            let reason = "the deployment failed on the chain; the network must run Istanbul rules or newer";
+            let reason = "the deployment failed; the network must run the Istanbul fork or newer";
             return Err(ChainError::Rejected { method: "eth_sendRawTransaction".into(), reason: reason.into() });
         };
         let contract = Address(contract.0);

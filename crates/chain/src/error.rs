@@ -11,7 +11,7 @@ use crate::model::{Address, Consensus, ErrorKind, bytes::unhex, clean};
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ChainError {
     /// The node does not answer.
-    #[error("the node at {url} does not answer ({reason}); start it, or correct `chain.url`")]
+    #[error("the node at {url} does not answer ({reason}); start it or correct `chain.url`")]
     Unreachable {
         /// Its URL.
         url: String,
@@ -19,7 +19,7 @@ pub enum ChainError {
         reason: String,
     },
     /// The peer does not speak Ethereum's JSON-RPC as expected.
-    #[error("the answer of {url} to {method} is not understood ({reason}); check that `chain.url` is an Ethereum node")]
+    #[error("{url} gave an unexpected answer to {method} ({reason}); check that `chain.url` is an Ethereum node")]
     Answer {
         /// The peer.
         url: String,
@@ -29,12 +29,12 @@ pub enum ChainError {
         reason: String,
     },
     /// The URL is not that of a node.
-    #[error("'{0}' is not a node's address; write http://HOST:PORT, ws://HOST:PORT or ipc:/PATH")]
+    #[error("'{0}' is not the address of a node; use http://HOST:PORT, ws://HOST:PORT or ipc:/PATH")]
     Url(String),
     /// The chain is not the one that was pinned.
     #[error(
-        "the chain at {url} is not the pinned one: its {what} is {found}, pinned is {pinned}; anchoring is \
-         stopped and nothing is lost; start the pinned chain again, or decide with `authros chain adopt` to go on here"
+        "the chain at {url} is not the pinned one: its {what} is {found}, not {pinned}; anchoring has stopped, nothing \
+         is lost; start the pinned chain again, or switch to this one with `authros chain adopt`"
     )]
     Swapped {
         /// The chain's URL.
@@ -50,7 +50,7 @@ pub enum ChainError {
     #[error("no contract is set for this chain; deploy one with `authros chain deploy`, or set `chain.contract`")]
     NoContract,
     /// Another contract, or none, is at the address.
-    #[error("{0} does not hold the AuthROS contract of this version; check the address, or deploy a new one")]
+    #[error("{0} is not an AuthROS contract of a known revision; check the address, or deploy a new one")]
     NotTheContract(Address),
     /// The contract's revision lacks what was requested.
     #[error("{}", lacking(*.revision, .function))]
@@ -67,16 +67,16 @@ pub enum ChainError {
         code: String,
     },
     /// The node already has this very transaction.
-    #[error("the node knows this transaction already; wait for its receipt")]
+    #[error("the node already has this transaction; wait for its receipt")]
     AlreadyKnown,
     /// The transaction's nonce was already used by a mined transaction.
-    #[error("the transaction's nonce is used up; look for its receipt, else sign it anew with the next nonce")]
+    #[error("the transaction's nonce is already used; look for its receipt, or sign it again with the next nonce")]
     NonceTooLow,
     /// The node requires a higher gas price.
-    #[error("the node refuses the gas price as too low; sign the transaction anew with the present gas price")]
+    #[error("the node rejects the gas price as too low; sign the transaction again with the current gas price")]
     Underpriced,
     /// The account cannot pay.
-    #[error("the account holds too little ether for the transaction; send it some, or use a network without fees")]
+    #[error("the account has too little ether for the transaction; send it some, or use a network without fees")]
     InsufficientFunds,
     /// The node refused for another reason.
     #[error("the node refused {method}: {reason}")]
@@ -106,7 +106,8 @@ pub enum ChainError {
         what: String,
     },
     /// The embedded chain's file cannot be used.
-    #[error("the embedded chain {} cannot be used: {reason}; check the folder's rights and space", path.display())]
+    #[error("the embedded chain {} cannot be used: {reason}; check the directory's permissions and free \
+             space", path.display())]
     File {
         /// The file.
         path: PathBuf,
@@ -114,7 +115,8 @@ pub enum ChainError {
         reason: String,
     },
     /// The embedded chain was written by a later version of this program.
-    #[error("the embedded chain {} has version {found}, this program knows up to {known}; use a newer authros", path.display())]
+    #[error("the embedded chain {} has version {found}, but this program supports up to {known}; use a newer \
+             authros", path.display())]
     Newer {
         /// The file.
         path: PathBuf,
@@ -125,8 +127,8 @@ pub enum ChainError {
     },
     /// The embedded chain was founded with another consensus.
     #[error(
-        "the embedded chain {} was founded with {founded}, and {asked} was asked for; leave `chain.consensus` empty, or \
-         use another --home", path.display()
+        "the embedded chain {} was created with {founded}, but {asked} was requested; leave `chain.consensus` empty, \
+         or use another --home", path.display()
     )]
     OtherConsensus {
         /// The file.
@@ -137,7 +139,7 @@ pub enum ChainError {
         asked: Consensus,
     },
     /// A fault of this program.
-    #[error("internal error in the chain room: {0}; please report it")]
+    #[error("internal error in the chain code: {0}; please report it")]
     Internal(String),
 }
 
@@ -220,15 +222,14 @@ pub(super) fn decode_revert_hex(text: &str) -> Option<String> {
 fn lacking(revision: Revision, function: &str) -> String {
     let instead = match (revision, function) {
         (Revision::Second, "succeed") => {
-            "a succession is proposed and waits here; use `authros chain succession propose`".to_owned()
+            "on this contract a succession must be proposed and wait; use `authros chain succession propose`".to_owned()
         }
-        (Revision::Second, _) => "use this program's other words for it".to_owned(),
+        (Revision::Second, _) => "use the command for this revision instead".to_owned(),
         (Revision::First, _) => {
-            "`authros chain adopt` goes on with a contract of the newest revision; earlier records stay verified"
-                .to_owned()
+            "`authros chain adopt` moves to a contract of the newest revision; earlier records stay verified".to_owned()
         }
     };
-    format!("this contract is of revision {revision}, which has no `{function}`; {instead}")
+    format!("this contract has revision {revision}, which has no `{function}`; {instead}")
 }
 
 /// Plain words and advice for a reason code of the contract.
@@ -236,38 +237,42 @@ pub fn explain(code: &str) -> String {
     let words = match code {
         "unregistered" => "the account is not registered on this contract; run `authros register` first",
         "grantee" => "the grantee is not registered on this contract; ask them to run `authros register`",
-        "registered" => "the account is registered already; use `authros keys rotate` to change its keys",
+        "registered" => "the account is already registered; use `authros keys rotate` to change its keys",
         "suspended" => "the administrator suspended the account; ask the administrator",
         "paused" => "the administrator paused the contract; try again later",
         "closed" => "registration is closed; ask the administrator to admit the account",
-        "successor" => "the successor is suspended or lost itself; name another account",
+        "successor" => "the successor is itself suspended or lost; name another account",
         "succeeded" => "the account has a successor and stays suspended; use the successor's account",
         "token unknown" => "the account never registered this token; check that the keyring belongs to this account",
         "token used" => "the token belongs to an earlier epoch; rotate again with a fresh key",
-        "digest used" => "the account anchored this digest already; nothing is left to do",
-        "previous" => "another root was anchored since; read the head and sign anew",
+        "digest used" => "the account already anchored this digest; nothing to do",
+        "previous" => "another root has been anchored since; read the head and sign again",
         "no grant" => "there is no grant in force for that account; see `authros grants list`",
-        "shorter" => "the grant ends later than that, or never; `extend` only lengthens, revoke to end it sooner",
-        "pending" => "a succession of that account waits already; see `authros chain succession list`",
-        "no proposal" => "no succession of that account waits; see `authros chain succession list`",
-        "early" => "the succession still waits; see `authros chain succession list` for its time",
-        "recovery" => "only the recovery account of that time, or the administrator, may stop a succession",
-        "pause" => "a pause lasts at most three days and ends in the future; give another end",
+        "shorter" => {
+            "the grant already ends later than that, or never; `extend` only lengthens it, revoke it to end it sooner"
+        }
+        "pending" => "a succession of that account is already pending; see `authros chain succession list`",
+        "no proposal" => "no succession of that account is pending; see `authros chain succession list`",
+        "early" => "the succession is still pending; see `authros chain succession list` for its date",
+        "recovery" => {
+            "only the recovery account named when it was proposed, or the administrator, may stop a succession"
+        }
+        "pause" => "a pause must end in the future and last at most three days; give another end",
         "gap" => "changes were paused within the last week; the next pause must wait",
-        "delay" => "the delay of successions is at least a day and at most a year; deploy with another one",
-        "no loan" => "the device is not lent; nothing is left to do",
-        "wrapped" => "the grantee holds the envelope of that epoch already; rotate the epoch to change the grant",
-        "epoch" => "that epoch has not begun; grant the current one or an earlier one",
-        "expired" => "the end lies in the past; give a later one",
+        "delay" => "the succession delay must be between a day and a year; deploy with another one",
+        "no loan" => "the device is not on loan; nothing to do",
+        "wrapped" => "the grantee already has the envelope of that epoch; rotate the epoch to change the grant",
+        "epoch" => "that epoch has not started; grant the current one or an earlier one",
+        "expired" => "the end is in the past; give a later one",
         "scope" => "the grant names too many topics; name at most 32, or all",
         "envelope" => "the envelope is empty or longer than 4096 bytes; grant fewer topics or epochs at once",
         "self" => "an account cannot do this to itself; name another account",
-        "length" => "a value has the wrong length; this program and the contract do not fit together",
-        "empty" => "a value is zero that may not be; this program and the contract do not fit together",
+        "length" => "a value has the wrong length; this program and the contract do not match",
+        "empty" => "a value is zero where that is not allowed; this program and the contract do not match",
         "administrator" => "only the administrator may do this; use the administrator's account",
         "nominee" => "only the nominated administrator may accept; ask to be nominated",
-        "unchanged" => "it is so already; nothing is left to do",
-        "" => "it gave no reason; check that the contract is AuthROS",
+        "unchanged" => "this is already the case; nothing to do",
+        "" => "it gave no reason; check that this is an AuthROS contract",
         other => return format!("{}; see the contract's source", clean(other, 80)),
     };
     words.to_owned()

@@ -168,7 +168,7 @@ fn decode(raw: &[u8]) -> Result<TransactionRequest, ChainError> {
 }
 
 fn no_transaction() -> ChainError {
-    ChainError::Input("the kept bytes are no legacy transaction; the ledger was made by another version".into())
+    ChainError::Input("the stored bytes are not a legacy transaction; another version created this ledger".into())
 }
 
 #[cfg(test)]

@@ -28,9 +28,9 @@ impl ForeignContract {
     /// # Errors
     /// [`ChainError::Input`] if it is something else.
     pub fn parse(json: &str) -> Result<Self, ChainError> {
-        let wrong = |reason: String| ChainError::Input(format!("this is no compiled contract: {reason}"));
+        let wrong = |reason: String| ChainError::Input(format!("this is not a compiled contract: {reason}"));
         let file: File = serde_json::from_str(json).map_err(|error| wrong(error.to_string()))?;
-        let creation = unhex(&file.bytecode).ok_or_else(|| wrong("its bytecode is no hex".into()))?;
+        let creation = unhex(&file.bytecode).ok_or_else(|| wrong("its bytecode is not hex".into()))?;
         Ok(Self { abi: file.abi, creation })
     }
 
@@ -46,7 +46,7 @@ impl ForeignContract {
     pub fn call(&self, name: &str, arguments: &[&[u8]]) -> Result<Vec<u8>, ChainError> {
         let arguments: Vec<AbiToken> = arguments.iter().map(|bytes| AbiToken::Bytes(bytes.to_vec())).collect();
         let encoded = self.abi.function(name).and_then(|function| function.encode_input(&arguments));
-        encoded.map_err(|error| ChainError::Input(format!("{name} cannot be called so: {error}")))
+        encoded.map_err(|error| ChainError::Input(format!("{name} cannot be called with these arguments: {error}")))
     }
 }
 

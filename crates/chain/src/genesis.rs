@@ -89,8 +89,9 @@ impl FromStr for Allocation {
     type Err = ChainError;
 
     fn from_str(text: &str) -> Result<Self, ChainError> {
-        let wrong =
-            || ChainError::Input(format!("'{}' is not ADDRESS=WEI, as 0x and 40 hex, =, digits", clean(text, 120)));
+        let wrong = || {
+            ChainError::Input(format!("'{}' is not ADDRESS=WEI (0x and 40 hex digits, =, a number)", clean(text, 120)))
+        };
         let (account, wei) = text.split_once('=').ok_or_else(wrong)?;
         let plain = !wei.is_empty() && wei.bytes().all(|byte| byte.is_ascii_digit());
         let wei = plain.then(|| U256::from_dec_str(wei).ok()).flatten().ok_or_else(wrong)?;
@@ -139,9 +140,11 @@ impl Genesis {
         signers.dedup();
         let wrong = match (self.kind, signers.len()) {
             (GenesisKind::Ethash, 0) => None,
-            (GenesisKind::Ethash, _) => Some("ethash has no signers; leave --signer out".to_owned()),
-            (kind, 0) => Some(format!("{kind} needs its signers; name each with --signer")),
-            (_, number) if number > MOST_SIGNERS => Some(format!("{number} signers are more than {MOST_SIGNERS}")),
+            (GenesisKind::Ethash, _) => Some("ethash has no signers; omit --signer".to_owned()),
+            (kind, 0) => Some(format!("{kind} needs signers; give each with --signer")),
+            (_, number) if number > MOST_SIGNERS => {
+                Some(format!("{number} signers exceed the limit of {MOST_SIGNERS}"))
+            }
             (_, number) if number < self.signers.len() => Some("a signer is named twice".to_owned()),
             _ => None,
         };
@@ -164,7 +167,7 @@ impl Genesis {
                 config["qbft"]["requesttimeoutseconds"] = (2 * period).into();
             }
             GenesisKind::Ethash if self.period.is_some() => {
-                return Err(ChainError::Input("ethash has no period; leave --period out".into()));
+                return Err(ChainError::Input("ethash has no period; omit --period".into()));
             }
             GenesisKind::Ethash => {}
         }
@@ -176,7 +179,7 @@ impl Genesis {
         let mut alloc = serde_json::Map::new();
         for Allocation { account, wei } in &self.allocations {
             if !seen.insert(*account) {
-                return Err(ChainError::Input(format!("{account} is given ether twice; add it up")));
+                return Err(ChainError::Input(format!("{account} is given ether twice; give the sum once")));
             }
             alloc.insert(account.to_string().to_lowercase(), json!({ "balance": format!("{wei:#x}") }));
         }

@@ -86,7 +86,7 @@ impl Chain {
         // Old geth returns a revert as if it were a result.
         match decode_revert_hex(&output) {
             Some(code) if output.len() % 64 == 10 => Err(ChainError::Reverted { code }),
-            _ => unhex(&output).ok_or_else(|| self.misunderstood("eth_call", "it is no hex")),
+            _ => unhex(&output).ok_or_else(|| self.misunderstood("eth_call", "it is not hex")),
         }
     }
 
@@ -212,7 +212,7 @@ impl Chain {
     pub async fn dump(&self) -> Result<Vec<Vec<u8>>, ChainError> {
         match self.transport().embedded() {
             Some(embedded) => embedded.dump().await,
-            None => Err(ChainError::Input("only the embedded chain can be dumped whole; use it for this".into())),
+            None => Err(ChainError::Input("only the embedded chain can be dumped; use it for this".into())),
         }
     }
 }
@@ -230,7 +230,7 @@ impl Answer<'_> {
     }
 
     fn take<T>(&mut self, convert: impl FnOnce(AbiToken) -> Option<T>) -> Result<T, ChainError> {
-        self.values.next().and_then(convert).ok_or_else(|| self.wrong("a value has another type"))
+        self.values.next().and_then(convert).ok_or_else(|| self.wrong("a value has the wrong type"))
     }
 
     fn flag(&mut self) -> Result<bool, ChainError> {

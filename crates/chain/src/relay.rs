@@ -53,7 +53,7 @@ const LONGEST_WORDS: usize = 400;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RelayError {
     /// The method is not passed on.
-    #[error("the method is not passed on to the chain; connect to a node for it")]
+    #[error("this method is not forwarded to the chain; connect to a node for it")]
     NotAllowed,
     /// The node answered with an error.
     #[error("{message}")]

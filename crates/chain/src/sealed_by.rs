@@ -35,8 +35,8 @@ pub struct SealedBy {
 impl SealedBy {
     /// The embedded chain's.
     pub fn embedded() -> Self {
-        let text = "an embedded chain of AuthROS: this one program seals it, its keys lie in the home of whoever runs it, \
-                    and block times are that machine's clock";
+        let text = "an embedded AuthROS chain: a single program seals it, its keys are in the home of the person who \
+                    runs it, and block times are that machine's clock";
         Self { kind: SealerKind::Embedded, alone: true, text: text.to_owned() }
     }
 
@@ -49,19 +49,23 @@ impl SealedBy {
             "dev" => (
                 SealerKind::Development,
                 true,
-                format!("a development node ({client}): whoever runs it sets blocks and their times"),
+                format!("a development node ({client}): the person who runs it decides on blocks and their times"),
             ),
-            "poa" if sealers == 1 => {
-                (SealerKind::Authority, true, "proof of authority by one account alone, as its node tells".to_owned())
-            }
-            "poa" if sealers > 1 => {
-                (SealerKind::Authority, false, format!("proof of authority by {sealers} accounts, as its node tells"))
-            }
+            "poa" if sealers == 1 => (
+                SealerKind::Authority,
+                true,
+                "proof of authority by a single account, according to its node".to_owned(),
+            ),
+            "poa" if sealers > 1 => (
+                SealerKind::Authority,
+                false,
+                format!("proof of authority by {sealers} accounts, according to its node"),
+            ),
             "pow" => {
                 let difficulty = difficulty.unwrap_or("unknown");
-                (SealerKind::Work, false, format!("proof of work of difficulty {difficulty}, as its node tells"))
+                (SealerKind::Work, false, format!("proof of work with difficulty {difficulty}, according to its node"))
             }
-            _ => (SealerKind::Unknown, false, format!("not told by its node ({client})")),
+            _ => (SealerKind::Unknown, false, format!("not stated by its node ({client})")),
         };
         Self { kind, alone, text }
     }

@@ -88,7 +88,7 @@ impl Chain {
             return other("it is not for this contract");
         }
         if transaction.input != call.encode()? || !transaction.value.is_zero() {
-            return other("it makes another call");
+            return other("it makes a different call");
         }
         Ok(transaction.hash)
     }
@@ -100,7 +100,7 @@ impl Chain {
     /// [`ChainError::InsufficientFunds`], or an error of the node.
     pub async fn broadcast(&self, raw: &[u8]) -> Result<Hash, ChainError> {
         let sent = self.rpc::<String>("eth_sendRawTransaction", json!([format!("0x{}", hex(raw))])).await;
-        let wrong = |_| self.misunderstood("eth_sendRawTransaction", "it is no transaction hash");
+        let wrong = |_| self.misunderstood("eth_sendRawTransaction", "it is not a transaction hash");
         match sent {
             Ok(hash) => hash.parse().map_err(wrong),
             // A node that runs a transaction at once (ganache) reports its failure here; it is mined nevertheless.

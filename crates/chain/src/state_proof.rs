@@ -57,7 +57,7 @@ impl Chain {
         if block.is_null() {
             return Ok(None);
         }
-        let wrong = || self.misunderstood("eth_getBlockByNumber", "its fields do not give its hash");
+        let wrong = || self.misunderstood("eth_getBlockByNumber", "its fields do not match its hash");
         header_of(&block).map(Some).ok_or_else(wrong)
     }
 
@@ -72,7 +72,7 @@ impl Chain {
         for some in slots.chunks(MOST_SLOTS) {
             let keys: Vec<String> = some.iter().map(|slot| Hash(slot.0).to_string()).collect();
             let answer: Value = self.rpc("eth_getProof", json!([contract, keys, format!("{number:#x}")])).await?;
-            let wrong = || self.misunderstood("eth_getProof", "it is no proof");
+            let wrong = || self.misunderstood("eth_getProof", "it is not a proof");
             let storage = answer.get("storageProof").and_then(Value::as_array).ok_or_else(wrong)?;
             let ways = std::iter::once(answer.get("accountProof")).chain(storage.iter().map(|one| one.get("proof")));
             for way in ways {

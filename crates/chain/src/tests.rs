@@ -111,7 +111,7 @@ async fn refusals_come_with_their_reason() {
     let twice = chain.sign(&eoa, nonce, &upload(1, 1)).await.expect("gas is known already");
     chain.broadcast(&twice.raw).await.expect("sent");
     let receipt = mined(&chain, twice.hash).await;
-    assert!(!receipt.success && receipt.reason.is_some_and(|reason| reason.contains("anchored this digest already")));
+    assert!(!receipt.success && receipt.reason.is_some_and(|reason| reason.contains("already anchored this digest")));
 }
 
 #[tokio::test(flavor = "multi_thread")]

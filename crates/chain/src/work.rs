@@ -31,7 +31,7 @@ impl Chain {
         let listed = block.get("transactions").and_then(Value::as_array);
         let hashes = listed.map(|all| all.iter().map(|hash| hash.as_str()?.parse().ok()).collect::<Option<Vec<_>>>());
         let transactions =
-            hashes.flatten().ok_or_else(|| self.misunderstood(METHOD, "its transactions are no hashes"))?;
+            hashes.flatten().ok_or_else(|| self.misunderstood(METHOD, "its transactions are not hashes"))?;
         Ok(Some(BlockWork { transactions, gas_used: field("gasUsed"), gas_limit: field("gasLimit") }))
     }
 

@@ -95,12 +95,12 @@ fn place(values: &Values) -> Result<Option<AlertPlace>, ConfigError> {
     let form = match value(values, "alerts.form") {
         Some("authros") => AlertForm::Authros,
         Some("alertmanager") => AlertForm::Alertmanager,
-        _ => return Err(wrong(values, "alerts.form", "write authros or alertmanager")),
+        _ => return Err(wrong(values, "alerts.form", "choose authros or alertmanager")),
     };
     let (secret, roots) = (secret(values)?, roots(values)?);
     match (webhook(values)?, command(values)?) {
         (Some(_), Some(_)) => {
-            let what = "alerts.webhook is set as well; set one of the two, the program can call the other";
+            let what = "alerts.webhook is set as well; set only one of them (a program can call the webhook itself)";
             Err(wrong(values, "alerts.command", what))
         }
         (Some(url), None) => Ok(Some(AlertPlace::Webhook { url, form, secret, roots })),
@@ -115,7 +115,7 @@ fn webhook(values: &Values) -> Result<Option<String>, ConfigError> {
     let rest = text.strip_prefix("http://").or_else(|| text.strip_prefix("https://"));
     let rest = rest.filter(|rest| !rest.is_empty() && !rest.starts_with('/'));
     if rest.is_none() || text.len() > 500 || !text.bytes().all(|byte| byte.is_ascii_graphic()) {
-        return Err(wrong("write http://HOST:PORT/PATH, or https://"));
+        return Err(wrong("use http://HOST:PORT/PATH or https://"));
     }
     Ok(Some(text.to_owned()))
 }
@@ -127,12 +127,12 @@ fn secret(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
     if !path.is_absolute() {
         // It may be the secret itself, so it is not repeated.
         let (name, value, source_name) = ("alerts.secret", "…".to_owned(), source_of(values, "alerts.secret"));
-        let what = "write the path, from / on, of the file that holds the secret".to_owned();
+        let what = "give the absolute path of the file that holds the secret".to_owned();
         return Err(ConfigError::Value { name, value, source_name, what });
     }
     let bytes = private_file::read_private(&path, LONGEST_SECRET).map_err(|error| wrong(&error.to_string()))?;
     if bytes.trim_ascii().len() < SHORTEST_SECRET {
-        return Err(wrong("the file holds fewer than 16 bytes; `openssl rand -hex 32` makes a secret"));
+        return Err(wrong("the file holds fewer than 16 bytes; create a secret with `openssl rand -hex 32`"));
     }
     Ok(Some(path))
 }
@@ -141,7 +141,7 @@ fn secret(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
 fn roots(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
     let Some(path) = value(values, "alerts.roots").map(PathBuf::from) else { return Ok(None) };
     if !path.is_absolute() || !path.is_file() {
-        return Err(wrong(values, "alerts.roots", "write the path, from / on, of a file with certificates in PEM"));
+        return Err(wrong(values, "alerts.roots", "give the absolute path of a file with PEM certificates"));
     }
     Ok(Some(path))
 }
@@ -150,14 +150,14 @@ fn roots(values: &Values) -> Result<Option<PathBuf>, ConfigError> {
 fn command(values: &Values) -> Result<Option<Vec<String>>, ConfigError> {
     let Some(text) = value(values, "alerts.command") else { return Ok(None) };
     let wrong = |what| wrong(values, "alerts.command", what);
-    let list = || wrong("write the program and its arguments as [\"/usr/local/bin/page\", \"--site\", \"yard\"]");
+    let list = || wrong("give the program and its arguments as [\"/usr/local/bin/page\", \"--site\", \"yard\"]");
     let table: toml::Table = format!("words = {text}").parse().map_err(|_| list())?;
     let words = table.get("words").and_then(|words| words.as_array()).ok_or_else(list)?;
     let words: Option<Vec<String>> = words.iter().map(|word| word.as_str().map(str::to_owned)).collect();
     let words = words.filter(|words| words.len() <= MOST_WORDS).ok_or_else(list)?;
     match words.first() {
         Some(program) if Path::new(program).is_absolute() => Ok(Some(words)),
-        _ => Err(wrong("name the program by its whole path, from / on; no shell looks for it")),
+        _ => Err(wrong("give the program's absolute path; no shell looks it up")),
     }
 }
 
@@ -184,19 +184,21 @@ pub(super) fn check_hands(values: &Values, file: Option<&Path>) -> Result<(), Co
 /// Which file can be changed by whom, and what to do.
 fn own_hands(file: &Path) -> Result<(), String> {
     let shown = |path: &Path| clean(&path.display().to_string(), 200);
-    let unknown = |error: std::io::Error| format!("{} cannot be looked at: {error}", shown(file));
+    let unknown = |error: std::io::Error| format!("{} cannot be checked: {error}", shown(file));
     let whole = file.canonicalize().map_err(unknown)?;
     let own = rustix::process::geteuid().as_raw();
     for (depth, path) in whole.ancestors().enumerate() {
         let about = std::fs::metadata(path).map_err(unknown)?;
         let name = shown(path);
         if about.uid() != own && about.uid() != 0 {
-            return Err(format!("{name} belongs to another user, who could run programs as you; chown it"));
+            return Err(format!(
+                "{name} belongs to another user, who could run programs as you through it; chown it to yourself"
+            ));
         }
         // In a folder with the sticky bit nobody can replace another user's files.
         let is_kept_apart = depth > 0 && about.mode() & STICKY != 0;
         if about.mode() & WRITTEN_BY_OTHERS != 0 && !is_kept_apart {
-            return Err(format!("others may write {name} and could run programs as you; chmod go-w it"));
+            return Err(format!("others can write to {name} and could run programs as you; run chmod go-w on it"));
         }
     }
     Ok(())
@@ -297,6 +299,6 @@ mod tests {
             assert_eq!(read.is_err_and(|error| error.contains("chmod go-w")), folder, "a folder of {mode:o}");
         }
         let both = format!("{text}\nwebhook = \"http://h:1/\"");
-        assert!(alerts(&both, 0o600).expect_err("both").contains("one of the two"));
+        assert!(alerts(&both, 0o600).expect_err("both").contains("only one of them"));
     }
 }

@@ -38,12 +38,12 @@ impl ConsoleSettings {
             Some("yes") => Some(true),
             Some("no") => Some(false),
             Some("auto") | None => None,
-            Some(_) => return Err(wrong(values, "console.ascii", "write yes, no or auto")),
+            Some(_) => return Err(wrong(values, "console.ascii", "choose yes, no or auto")),
         };
         let mouse = match value(values, "console.mouse") {
             Some("yes") => true,
             Some("no") | None => false,
-            Some(_) => return Err(wrong(values, "console.mouse", "write yes or no")),
+            Some(_) => return Err(wrong(values, "console.mouse", "choose yes or no")),
         };
         let bytes_per_second = match value(values, "console.bytes_per_second") {
             Some(_) => u32::try_from(number(values, "console.bytes_per_second", 500, 100_000_000)?).ok(),
@@ -53,7 +53,7 @@ impl ConsoleSettings {
             Some("half-blocks") | None => Pictures::HalfBlocks,
             Some("sixel") => Pictures::Sixel,
             Some("kitty") => Pictures::Kitty,
-            Some(_) => return Err(wrong(values, "console.pictures", "write half-blocks, sixel or kitty")),
+            Some(_) => return Err(wrong(values, "console.pictures", "choose half-blocks, sixel or kitty")),
         };
         let minutes = number(values, "console.lock_after", 0, 10_080)?;
         let lock_after = (minutes > 0).then(|| minutes * 60_000_000_000);

@@ -14,7 +14,7 @@ pub enum ConfigError {
         what: String,
     },
     /// A key that is not a setting.
-    #[error("{file} line {line} sets '{name}', which is no setting; `authros config show` lists them")]
+    #[error("{file} line {line}: unknown setting '{name}'; `authros config show` lists all settings")]
     Unknown {
         /// The file.
         file: String,
@@ -34,7 +34,7 @@ pub enum ConfigError {
         what: String,
     },
     /// A secret in a file that others can read.
-    #[error("{file} line {line}: {name} holds a secret, and this file is for others to read; {instead}")]
+    #[error("{file} line {line}: {name} holds a secret, but this file is meant to be shared; {instead}")]
     Secret {
         /// The file.
         file: String,
@@ -56,7 +56,7 @@ pub enum ConfigError {
         what: String,
     },
     /// A value that its setting does not accept.
-    #[error("{name} = '{value}' (from {source_name}) is not usable: {what}")]
+    #[error("{name} = '{value}' (from {source_name}) is invalid: {what}")]
     Value {
         /// The setting.
         name: &'static str,

@@ -204,7 +204,7 @@ impl Config {
         let meter = match (text("ros.meter"), &ros_master) {
             (Some("all"), _) | (Some("auto"), None) => MeterMode::All,
             (Some("watched"), _) | (Some("auto"), Some(_)) => MeterMode::Watched,
-            _ => return Err(wrong(&values, "ros.meter", "write all, watched or auto")),
+            _ => return Err(wrong(&values, "ros.meter", "choose all, watched or auto")),
         };
         let ros_domain = match text("ros.domain") {
             Some(_) => u16::try_from(number(&values, "ros.domain", 0, 232)?).ok(),
@@ -307,14 +307,14 @@ fn ring(values: &Values) -> Result<Option<RingSettings>, ConfigError> {
 fn remote_site(values: &Values) -> Result<Option<RemoteSite>, ConfigError> {
     let digits = |text: &str| text.chars().filter(char::is_ascii_hexdigit).count();
     if value(values, "site.gateway_key").is_some_and(|text| digits(text) == FINGERPRINT_DIGITS) {
-        let advice = "this is the fingerprint; write the key of 64 hex that the gateway shows before it";
+        let advice = "this is the fingerprint; give the 64-digit hex key that the gateway prints before it";
         return Err(wrong(values, "site.gateway_key", advice));
     }
     let gateway_key = parsed(values, "site.gateway_key")?;
     let trust_first = match value(values, "site.trust_first") {
         Some("yes") => true,
         Some("no") | None => false,
-        Some(_) => return Err(wrong(values, "site.trust_first", "write yes or no")),
+        Some(_) => return Err(wrong(values, "site.trust_first", "choose yes or no")),
     };
     let also = further_gateways(values)?;
     let Some(address) = value(values, "site.address") else {
@@ -325,7 +325,11 @@ fn remote_site(values: &Values) -> Result<Option<RemoteSite>, ConfigError> {
         return Err(wrong(values, "site.address", "write HOST:PORT"));
     }
     if value(values, "chain.url").is_some() {
-        return Err(wrong(values, "chain.url", "leave it empty where site.address is set: the chain comes through it"));
+        return Err(wrong(
+            values,
+            "chain.url",
+            "leave it empty while site.address is set: that site supplies the chain",
+        ));
     }
     let twice = |key: SignerId| gateway_key == Some(key) || also.iter().filter(|other| other.key == key).count() > 1;
     if also.iter().any(|other| twice(other.key)) {

@@ -44,9 +44,9 @@ fn place(values: &Values, text: &str, open: bool) -> Result<FiguresPlace, Config
     }
     let wrong = |what| wrong(values, "metrics.listen", what);
     let address: SocketAddr =
-        text.parse().map_err(|_| wrong("write 127.0.0.1:PORT, or a path that begins with /, for a socket"))?;
+        text.parse().map_err(|_| wrong("use 127.0.0.1:PORT, or an absolute path for a socket"))?;
     if !open && !address.ip().is_loopback() {
-        return Err(wrong("other machines reach this address; use 127.0.0.1, or set metrics.open = 'yes' as well"));
+        return Err(wrong("other machines can reach this address; use 127.0.0.1, or also set metrics.open = 'yes'"));
     }
     Ok(FiguresPlace::Address { address, open })
 }

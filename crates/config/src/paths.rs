@@ -23,7 +23,7 @@ const CONSOLE: &str = "console";
 pub enum PlaceError {
     /// The same item exists in its new and in its old place.
     #[error(
-        "{} and {} are both there, and only one can be used; keep one and move the other away",
+        "both {} and {} exist, but only one can be used; keep one and move the other away",
         old.display(), new.display()
     )]
     Twice {
@@ -33,7 +33,7 @@ pub enum PlaceError {
         new: PathBuf,
     },
     /// A variable that must hold an absolute path does not.
-    #[error("{0} is '{1}', which is no absolute path; correct it, or give --home")]
+    #[error("{0} is '{1}', which is not an absolute path; correct it, or give --home")]
     Relative(&'static str, String),
 }
 

@@ -118,12 +118,12 @@ pub(super) fn value<'a>(values: &'a Values, name: &str) -> Option<&'a str> {
 pub(super) fn number(values: &Values, name: &'static str, least: u64, most: u64) -> Result<u64, ConfigError> {
     let parsed =
         value(values, name).and_then(|text| text.parse().ok()).filter(|number| (least..=most).contains(number));
-    parsed.ok_or_else(|| wrong(values, name, &format!("write a whole number from {least} to {most}")))
+    parsed.ok_or_else(|| wrong(values, name, &format!("give a whole number from {least} to {most}")))
 }
 
 pub(super) fn bytes(values: &Values, name: &'static str, least: u64) -> Result<u64, ConfigError> {
     let size = parsed::<ByteSize>(values, name)?.filter(|size| size.0 >= least);
-    size.map(|size| size.0).ok_or_else(|| wrong(values, name, &format!("write a size from {} on", ByteSize(least))))
+    size.map(|size| size.0).ok_or_else(|| wrong(values, name, &format!("give a size of at least {}", ByteSize(least))))
 }
 
 /// One of two words; the first means yes.
@@ -131,7 +131,7 @@ pub(super) fn switch(values: &Values, name: &'static str, words: (&str, &str)) -
     match value(values, name) {
         Some(word) if word == words.0 => Ok(true),
         Some(word) if word == words.1 => Ok(false),
-        _ => Err(wrong(values, name, &format!("write {} or {}", words.0, words.1))),
+        _ => Err(wrong(values, name, &format!("choose {} or {}", words.0, words.1))),
     }
 }
 
@@ -140,7 +140,7 @@ pub(super) fn span(values: &Values, name: &'static str, endless: &str) -> Result
     match value(values, name) {
         Some(text) if text == endless => Ok(None),
         text => {
-            let wrong = || wrong(values, name, &format!("write {endless}, or a time as 0s, 12h, 30d"));
+            let wrong = || wrong(values, name, &format!("give {endless}, or a time such as 0s, 12h, 30d"));
             text.and_then(|text| time_span(text).ok()).map(Some).ok_or_else(wrong)
         }
     }
@@ -168,5 +168,5 @@ pub(super) fn url(values: &Values, name: &'static str, schemes: &[&str]) -> Resu
     if usable || Path::new(text).extension().is_some_and(|end| end == "ipc") && schemes.contains(&"ipc://") {
         return Ok(Some(text.to_owned()));
     }
-    Err(wrong(values, name, &format!("it begins with {}", schemes.join(", "))))
+    Err(wrong(values, name, &format!("it must start with {}", schemes.join(", "))))
 }

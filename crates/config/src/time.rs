@@ -10,7 +10,7 @@ use crate::model::clean;
 const MOST: usize = 4;
 /// The form of the setting's value.
 const FORM: &str =
-    "write [{ name = \"NAME\", url = \"http://HOST/PATH\", certificate = \"/PATH/OF.pem\" }], at most four of them";
+    "use [{ name = \"NAME\", url = \"http://HOST/PATH\", certificate = \"/PATH/OF.pem\" }], at most four of them";
 
 /// A time stamp authority (RFC 3161).
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -36,10 +36,10 @@ pub(super) fn authorities(values: &Values) -> Result<Vec<TimeAuthority>, ConfigE
     for entry in list {
         let authority = entry.as_table().and_then(authority).ok_or_else(|| wrong(FORM))?;
         if found.iter().any(|known| known.name == authority.name) {
-            return Err(wrong("two authorities have one name; give each a name of its own"));
+            return Err(wrong("two authorities share a name; give each its own"));
         }
         if !authority.certificate.is_absolute() || !authority.certificate.is_file() {
-            return Err(wrong("a certificate is the path, from / on, of a file in PEM"));
+            return Err(wrong("certificate must be the absolute path of a PEM file"));
         }
         found.push(authority);
     }

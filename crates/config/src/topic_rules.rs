@@ -31,14 +31,14 @@ pub fn read(value: &toml::Value, text: &str) -> Result<TopicRules, RuleFault> {
     let starts = starts(text);
     let fault = |line: usize, what: &str| RuleFault { line, what: clean(what, 300) };
     let first = starts.first().copied().unwrap_or(1);
-    let tables = value.as_array().ok_or_else(|| fault(first, "rules for topics are written as [[topic]] tables"))?;
+    let tables = value.as_array().ok_or_else(|| fault(first, "write topic rules as [[topic]] tables"))?;
     if tables.len() > MOST_RULES {
         return Err(fault(first, &format!("there are more than {MOST_RULES} rules")));
     }
     let mut rules = Vec::with_capacity(tables.len());
     for (index, table) in tables.iter().enumerate() {
         let line = starts.get(index).copied().unwrap_or(first);
-        let table = table.as_table().ok_or_else(|| fault(line, "rules are written as [[topic]] tables"))?;
+        let table = table.as_table().ok_or_else(|| fault(line, "write rules as [[topic]] tables"))?;
         let rule = rule(table, line).map_err(|(key, what)| fault(line_of(text, line, key), &what))?;
         rules.push(Arc::new(rule));
     }
@@ -66,11 +66,11 @@ type Wrong<'a> = (&'a str, String);
 fn rule(table: &toml::Table, line: usize) -> Result<TopicRule, Wrong<'_>> {
     let known = ["match", "type", "rate", "every", "tags", "retention"];
     if let Some(key) = table.keys().find(|key| !known.contains(&key.as_str())) {
-        return Err((key, format!("a rule has no '{key}'; it has {}", known.join(", "))));
+        return Err((key, format!("a rule has no key '{key}'; its keys are {}", known.join(", "))));
     }
     let pattern = table.get("match").and_then(toml::Value::as_str);
     let pattern =
-        pattern.ok_or(("match", "a rule says which topics it is for: match = \"/robot*/odom\"".to_owned()))?;
+        pattern.ok_or(("match", "a rule must say which topics it applies to: match = \"/robot*/odom\"".to_owned()))?;
     Ok(TopicRule {
         pattern: pattern
             .parse()
@@ -94,7 +94,7 @@ fn rate(value: &toml::Value) -> Result<u64, Wrong<'static>> {
     let rate =
         value.as_float().or_else(|| value.as_integer().and_then(|whole| i32::try_from(whole).ok()).map(f64::from));
     let usable = rate.filter(|rate| (0.001..=FASTEST).contains(rate));
-    let rate = usable.ok_or(("rate", format!("write rate as messages a second, 0.001 to {FASTEST}")))?;
+    let rate = usable.ok_or(("rate", format!("give rate in messages per second, 0.001 to {FASTEST}")))?;
     let in_thousand_seconds = (rate * 1000.0).round();
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "between 1 and 10^8")]
     Ok(in_thousand_seconds as u64)
@@ -103,11 +103,11 @@ fn rate(value: &toml::Value) -> Result<u64, Wrong<'static>> {
 fn every(value: &toml::Value) -> Result<u64, Wrong<'static>> {
     let every =
         value.as_integer().and_then(|every| u64::try_from(every).ok()).filter(|every| (1..=1 << 32).contains(every));
-    every.ok_or(("every", "write every as a whole number: 10 keeps one message of ten".to_owned()))
+    every.ok_or(("every", "give every as a whole number: 10 keeps one message in ten".to_owned()))
 }
 
 fn tags(value: &toml::Value) -> Result<BTreeMap<String, String>, Wrong<'static>> {
-    let wrong = || ("tags", "write tags = { mission = \"harbour\" }, keys of letters, digits, - and _".to_owned());
+    let wrong = || ("tags", "write tags = { mission = \"harbour\" }; keys are letters, digits, - and _".to_owned());
     let table = value.as_table().filter(|table| table.len() <= MOST_TAGS).ok_or_else(wrong)?;
     let usable = |key: &str| {
         !key.is_empty() && key.len() <= 64 && key.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_' || b == b'-')
@@ -121,7 +121,7 @@ fn tags(value: &toml::Value) -> Result<BTreeMap<String, String>, Wrong<'static>>
 
 /// A number and `s`, `m`, `h`, `d` or `w`, as in the setting.
 fn retention(value: &toml::Value) -> Result<u64, Wrong<'static>> {
-    let wrong = || ("retention", "write retention as a time, as \"12h\" or \"30d\"".to_owned());
+    let wrong = || ("retention", "give retention as a time, such as \"12h\" or \"30d\"".to_owned());
     let span = value.as_str().and_then(|text| positive_span(text).ok());
     span.map(|span| span.as_secs()).ok_or_else(wrong)
 }

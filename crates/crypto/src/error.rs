@@ -10,28 +10,28 @@ use crate::model::{ErrorKind, clean};
 #[derive(Debug, thiserror::Error)]
 pub enum CryptoError {
     /// The operating system's random source failed.
-    #[error("the operating system gave no random bytes; nothing was sealed or generated, try again")]
+    #[error("the operating system returned no random bytes; nothing was sealed or generated, try again")]
     Random,
     /// An algorithm refused input it should accept.
     #[error("{0} failed inside the crypto provider; try another one with crypto.provider")]
     Internal(&'static str),
     /// A private key out of range.
-    #[error("the {0} private key is out of its range; use one made for its curve")]
+    #[error("the {0} private key is out of range; use one made for this curve")]
     SecretRange(&'static str),
     /// A public key that is not a point of the curve.
-    #[error("the SM2 public key is not a point of the curve; ask its owner to register again")]
+    #[error("the SM2 public key is not a point on the curve; ask its owner to register again")]
     PublicPoint,
     /// A signature that does not verify.
-    #[error("the SM2 signature is not valid; do not trust what it came with, and fetch it again")]
+    #[error("the SM2 signature is invalid; do not trust the data it came with, and fetch it again")]
     BadSignature,
     /// An account signature that recovers to no address.
-    #[error("the account's signature is not valid; do not trust what it came with, and ask its sender to sign again")]
+    #[error("the account's signature is invalid; do not trust the data it came with, and ask the sender to sign again")]
     BadAccountSignature,
     /// A GCM tag or an SM2 check value that does not match.
-    #[error("the ciphertext does not belong to this key, or it was altered; fetch it again")]
+    #[error("the ciphertext does not belong to this key or was altered; fetch it again")]
     BadCiphertext,
     /// More or fewer bytes than the format allows.
-    #[error("the {what} is {found} bytes long, {allowed} are allowed; split it or make it smaller")]
+    #[error("the {what} is {found} bytes long, but {allowed} are allowed; split it or make it smaller")]
     Length {
         /// What it is.
         what: &'static str,
@@ -41,7 +41,7 @@ pub enum CryptoError {
         allowed: &'static str,
     },
     /// Bytes that do not have the expected structure.
-    #[error("the {what} is malformed ({why}); get it again from where it came from")]
+    #[error("the {what} is malformed ({why}); get it again from its source")]
     Malformed {
         /// The structure.
         what: &'static str,
@@ -49,10 +49,10 @@ pub enum CryptoError {
         why: WireError,
     },
     /// A field whose value contradicts another.
-    #[error("the {0} does not fit the rest; correct it and try again")]
+    #[error("the {0} does not match the rest; correct it and try again")]
     Inconsistent(&'static str),
     /// A record that does not parse.
-    #[error("the record is damaged ({0}); fetch it again, its owner may hold an intact copy")]
+    #[error("the record is damaged ({0}); fetch it again, or ask its owner for an intact copy")]
     DamagedRecord(WireError),
     /// A record whose bytes differ from those anchored, signed or sealed.
     #[error("the record was tampered with: its {0} does not match; keep it as evidence and fetch it again")]
@@ -64,7 +64,7 @@ pub enum CryptoError {
     #[error("this key does not open the record; ask its owner for a grant of its epoch and topic")]
     WrongKey,
     /// An envelope or identity whose terms differ from those on the chain.
-    #[error("the {what} was not accepted: its {field} is not what the chain says; ask its owner to issue it again")]
+    #[error("the {what} was rejected: its {field} does not match the chain; ask its owner to issue it again")]
     NotAccepted {
         /// Envelope or identity.
         what: &'static str,
@@ -72,7 +72,7 @@ pub enum CryptoError {
         field: &'static str,
     },
     /// The keyring's passphrase is wrong.
-    #[error("the passphrase does not open {0}; type it again, nothing was changed")]
+    #[error("wrong passphrase for {0}; try again, nothing was changed")]
     WrongPassphrase(String),
     /// A keyring whose keys were wiped from memory.
     #[error("the keyring {0} is locked; unlock it with its passphrase, nothing was changed")]
@@ -81,10 +81,10 @@ pub enum CryptoError {
     #[error("the passphrase has {0} characters; use 8 or more")]
     ShortPassphrase(usize),
     /// A protected key file without a passphrase.
-    #[error("{0} is protected by a passphrase; give it with --passphrase-file or --passphrase-fd")]
+    #[error("{0} is protected by a passphrase; pass it with --passphrase-file or --passphrase-fd")]
     PassphraseNeeded(String),
     /// A file or directory that others can read.
-    #[error("{path} is open to others (mode {mode:04o}); run: chmod {wanted:o} {path}")]
+    #[error("{path} is accessible to others (mode {mode:04o}); run: chmod {wanted:o} {path}")]
     OpenToOthers {
         /// The file or directory.
         path: String,
@@ -123,7 +123,7 @@ pub enum CryptoError {
     #[error("the keyring {0} is damaged; restore it from its backup")]
     DamagedKeyring(String),
     /// A keyring that lacks an epoch.
-    #[error("the keyring holds no key of epoch {0} on this chain; it may be older than the chain, restore a newer one")]
+    #[error("the keyring has no key for epoch {0} on this chain; it may be out of date, restore a newer one")]
     NoEpoch(u64),
 }
 

@@ -74,7 +74,7 @@ fn parse_sm4(bytes: &[u8]) -> Result<Sm4Key, Found> {
     }
     let found = match bytes {
         [] => "it is empty".to_owned(),
-        _ if is_text(line) => format!("it holds {} characters of text, perhaps a passphrase", line.len()),
+        _ if is_text(line) => format!("it holds {} characters of text, possibly a passphrase", line.len()),
         _ => match Sm4Key::from_slice(bytes) {
             Some(key) => return Ok(key),
             None => format!("it holds {} bytes", bytes.len()),
@@ -87,15 +87,15 @@ fn parse_sm2(bytes: &[u8]) -> Result<SmSecret, Found> {
     let line = line(bytes);
     if let Some(key) = hex_of::<32>(line) {
         return SmSecret::from_slice(&*key)
-            .map_err(|_| (SM2_KEY, "its number is out of the range 1 to n - 2".to_owned()));
+            .map_err(|_| (SM2_KEY, "its value is outside the range 1 to n - 2".to_owned()));
     }
     let text = std::str::from_utf8(bytes).map_err(|_| (SM2_KEY, sm2_advice("it is binary")))?;
     if !text.contains("-----BEGIN") {
-        return Err((SM2_KEY, sm2_advice(&format!("it holds {} characters that are no key", text.trim().len()))));
+        return Err((SM2_KEY, sm2_advice(&format!("it holds {} characters that are not a key", text.trim().len()))));
     }
     let key = sm2::SecretKey::from_pkcs8_pem(text).map_err(|_| (SM2_KEY, sm2_advice(pem_kind(text))))?;
     let raw = Zeroizing::new(<[u8; 32]>::from(key.to_bytes()));
-    SmSecret::from_slice(&*raw).map_err(|_| (SM2_KEY, "its number is out of the range 1 to n - 2".to_owned()))
+    SmSecret::from_slice(&*raw).map_err(|_| (SM2_KEY, "its value is outside the range 1 to n - 2".to_owned()))
 }
 
 fn pem_kind(text: &str) -> &'static str {
@@ -106,7 +106,7 @@ fn pem_kind(text: &str) -> &'static str {
         }
         _ if text.contains("BEGIN PUBLIC") => "it is a public key",
         _ if text.contains("BEGIN CERTIFICATE") => "it is a certificate",
-        _ => "its PEM holds no SM2 key",
+        _ => "its PEM contains no SM2 key",
     }
 }
 
@@ -121,7 +121,7 @@ fn parse_eoa_hex(bytes: &[u8]) -> Result<EoaSecret, Found> {
         let found = format!("it holds {} bytes; give 64 hex characters or an Ethereum keystore (JSON)", bytes.len());
         return Err((EOA_KEY, found));
     };
-    EoaSecret::from_slice(&*key).map_err(|_| (EOA_KEY, "its number is out of the range 1 to n - 1".to_owned()))
+    EoaSecret::from_slice(&*key).map_err(|_| (EOA_KEY, "its value is outside the range 1 to n - 1".to_owned()))
 }
 
 /// Without one trailing line break.

@@ -65,7 +65,7 @@ fn content(found: &str) -> Refusal {
 
 /// Opens a keystore.
 pub(super) fn open(bytes: &[u8], passphrase: &str) -> Result<EoaSecret, Refusal> {
-    let store: Keystore = serde_json::from_slice(bytes).map_err(|_| content("its JSON is no keystore"))?;
+    let store: Keystore = serde_json::from_slice(bytes).map_err(|_| content("its JSON is not a keystore"))?;
     let sealed = &store.crypto;
     if store.version != 3 || sealed.cipher != "aes-128-ctr" || sealed.kdf != "scrypt" {
         let kind = format!("it is version {}, {}, {}", store.version, sealed.cipher, sealed.kdf);
@@ -76,8 +76,8 @@ pub(super) fn open(bytes: &[u8], passphrase: &str) -> Result<EoaSecret, Refusal>
     let iv: [u8; 16] = exactly(&sealed.cipherparams.iv).ok_or_else(|| content("its iv is not 16 bytes"))?;
     let masked: [u8; 32] = exactly(&sealed.ciphertext).ok_or_else(|| content("its ciphertext is not 32 bytes"))?;
     let mac: [u8; 32] = exactly(&sealed.mac).ok_or_else(|| content("its mac is not 32 bytes"))?;
-    let work = work(&params).ok_or_else(|| content("its scrypt parameters are out of bounds"))?;
-    let key = stretch::<32>(passphrase, &salt, work).map_err(|_| content("its scrypt parameters are out of bounds"))?;
+    let work = work(&params).ok_or_else(|| content("its scrypt parameters are out of range"))?;
+    let key = stretch::<32>(passphrase, &salt, work).map_err(|_| content("its scrypt parameters are out of range"))?;
     if !bool::from(keccak_mac(&key, &masked).ct_eq(&mac)) {
         return Err(Refusal::Passphrase);
     }
@@ -91,7 +91,7 @@ fn same_address(stated: &str, secret: &EoaSecret) -> Result<(), Refusal> {
     if stated.is_empty() || stated == secret.address().0 {
         Ok(())
     } else {
-        Err(content("its address is not its key's"))
+        Err(content("its address does not match its key"))
     }
 }
 

@@ -22,7 +22,7 @@ pub fn read_private(path: &Path, most: usize) -> Result<Zeroizing<Vec<u8>>, Cryp
     // Checked before it is opened, because opening a pipe would wait for its writer.
     let metadata = fs::metadata(path).map_err(CryptoError::read(path))?;
     if !metadata.is_file() {
-        let found = "it is a directory or a device; name the file itself".to_owned();
+        let found = "it is a directory or a device; give the file itself".to_owned();
         return Err(CryptoError::NotAKey { path: shown(path), wanted: "a regular file", found });
     }
     let file = File::open(path).map_err(CryptoError::read(path))?;

@@ -132,7 +132,7 @@ pub enum ProviderName {
 
 /// Not the name of a provider.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("'{0}' is no crypto provider; set crypto.provider to authros, rustcrypto or libsm")]
+#[error("'{0}' is not a crypto provider; set crypto.provider to authros, rustcrypto or libsm")]
 pub struct ProviderNameError(String);
 
 impl ProviderName {

@@ -186,11 +186,11 @@ impl<R: Read> SealedReader<R> {
             io::ErrorKind::UnexpectedEof => damaged("it is shorter than a header"),
             _ => error,
         })?;
-        let parsed = StreamHeader::parse(&header).map_err(|_| damaged("it does not begin as a back-up"))?;
+        let parsed = StreamHeader::parse(&header).map_err(|_| damaged("it does not start like a backup"))?;
         let key = key(&parsed).map_err(other)?;
         let keys = SaveKeys::derive(&key, &parsed.save_salt, LABEL);
         if !bool::from(keys.commit.ct_eq(&parsed.commit)) {
-            return Err(io::Error::new(io::ErrorKind::PermissionDenied, "the passphrase is another one"));
+            return Err(io::Error::new(io::ErrorKind::PermissionDenied, "wrong passphrase"));
         }
         let line = Line { header, keys, number: 0 };
         Ok(Self { inner, line, open: Zeroizing::default(), taken: 0, ended: false })
@@ -203,19 +203,19 @@ impl<R: Read> SealedReader<R> {
         let length = u32::from_be_bytes(length);
         let size = usize::try_from(length).unwrap_or(usize::MAX);
         if last > 1 || size > CHUNK {
-            return Err(damaged("a chunk's length is impossible"));
+            return Err(damaged("a chunk has an impossible length"));
         }
         let mut sealed = vec![0; size + TAG];
         self.inner.read_exact(&mut sealed).map_err(cut)?;
         let (nonce, aad) = self.line.next(last == 1, length);
         self.open = Line::provider()
             .gcm_open(&self.line.keys.key, &nonce, &aad, &sealed)
-            .map_err(|_| damaged("a chunk was altered, or stands in another place"))?;
+            .map_err(|_| damaged("a chunk was altered or moved"))?;
         self.taken = 0;
         if last == 1 {
             self.ended = true;
             if self.inner.read(&mut [0; 1])? != 0 {
-                return Err(damaged("something follows its end"));
+                return Err(damaged("there is data after its end"));
             }
         } else if size == 0 {
             return Err(damaged("a chunk in the middle is empty"));

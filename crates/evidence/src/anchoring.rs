@@ -42,7 +42,7 @@ pub(crate) fn anchored<'a>(
     record: &'a BundledRecord,
 ) -> (Level, Option<Anchored<'a>>) {
     let Some(claim) = &record.anchor else {
-        return (Level::new(Standing::Unproven, "it was on no chain when it was exported"), None);
+        return (Level::new(Standing::Unproven, "it was not on a chain when it was exported"), None);
     };
     match find(check, digest, header, claim) {
         Found::Not(level) => (level, None),
@@ -62,7 +62,7 @@ fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a Ancho
     let Header { owner, recorder, topic_id, seq, .. } = *header;
     let leaf = Leaf { owner, recorder, topic_id, seq, digest };
     if claim.inclusion().is_some_and(|inclusion| !inclusion.proves(&leaf)) {
-        return refused("its path does not lead to the root that it names");
+        return refused("its path does not lead to the root it names");
     }
     let Some(shown_at) = check.bundle.headers.get(&claim.shown_at) else {
         return unproven(format!("the header of block {} is not in the bundle", claim.shown_at));
@@ -77,15 +77,15 @@ fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a Ancho
     if let Some(trust) = check.trust
         && trust.chain.code_hash != storage.code_hash
     {
-        return refused("the contract's code is not the one you pinned");
+        return refused("the contract's code is not the code you pinned");
     }
     match in_state(&storage, digest, header, claim, shown_at) {
         Ok(found) => found.map_or_else(
-            || refused(format!("the state after block {} does not have its anchor", claim.shown_at)),
+            || refused(format!("the state after block {} does not contain its anchor", claim.shown_at)),
             |found| compare(found, claim, shown_at),
         ),
         Err(Unproven::Missing(_)) => unproven(format!(
-            "the part of the state after block {} that has its anchor is not in the bundle",
+            "the part of the state after block {} that holds its anchor is not in the bundle",
             claim.shown_at
         )),
         Err(why) => refused(format!("after block {}: {why}", claim.shown_at)),
@@ -127,30 +127,29 @@ fn compare<'a>((anchored, counted): Counted<'a>, claim: &AnchorClaim, shown_at: 
         Anchoring::Batch { count, .. } => Some(*count),
     };
     if counted != claimed {
-        return refused("its path was made for another number of leaves than the chain has");
+        return refused("its path was made for a different number of leaves than the chain has");
     }
     let (found, said) = (anchored.block, claim.block);
     if found < said && claimed == Some(1) {
         // The contract stores only a root's first block. A batch of one whose block was skipped has no other root.
         return unproven(format!(
-            "the state has it in block {found}; that it was anchored again in block {said} no state shows"
+            "the state has it in block {found}; no state shows that it was anchored again in block {said}"
         ));
     }
     if found != said {
         return refused(format!("the chain has it in block {found}, the bundle says {said}"));
     }
     if anchored.block > shown_at.number || anchored.time.is_some_and(|time| time > shown_at.timestamp) {
-        return refused("the state has its anchor in a block that is later than itself");
+        return refused("the state dates its anchor to a block later than the state itself");
     }
     Found::Shown(anchored, shown_at)
 }
 
 /// Who sealed the block that shows it.
 fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) -> Level {
-    let time = anchored.time.map_or_else(
-        || "at a time that is not shown".to_owned(),
-        |time| format!("at {}", Timestamp::from_seconds(time)),
-    );
+    let time = anchored
+        .time
+        .map_or_else(|| "at an unknown time".to_owned(), |time| format!("at {}", Timestamp::from_seconds(time)));
     let what = format!("anchored in block {} {time}", anchored.block);
     let at = if anchored.block == shown_at.number {
         String::new()
@@ -173,7 +172,7 @@ fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) ->
     if trust.chain.sealed_by_exporter || shown_at.is_ours() {
         return Level::new(
             Standing::OwnChain,
-            format!("{text}: the exporter's own chain, which proves nothing against him"),
+            format!("{text}: the exporter's own chain, which proves nothing against the exporter"),
         );
     }
     Level::new(Standing::Proven, text)

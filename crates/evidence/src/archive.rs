@@ -48,7 +48,7 @@ pub fn write(members: &Members) -> Result<Vec<u8>, BundleError> {
     let (mut out, mut central) = (Vec::new(), Vec::new());
     for (name, bytes) in ordered(members) {
         if !is_name(name) {
-            return Err(BundleError::of(name, "is no name of a member"));
+            return Err(BundleError::of(name, "is not a valid member name"));
         }
         let fields = fields(name, bytes)?;
         central.extend_from_slice(&CENTRAL);
@@ -84,28 +84,28 @@ pub fn read(bytes: &[u8]) -> Result<Members, BundleError> {
     number(bytes.len())?;
     let (mut members, mut rest) = (Members::new(), bytes);
     while let Some(after) = rest.strip_prefix(&LOCAL) {
-        let broken = || BundleError::whole("it ends within a member; ask for the file again");
+        let broken = || BundleError::whole("it ends in the middle of a member; ask for the file again");
         let (head, after) = after.split_at_checked(26).ok_or_else(broken)?;
         let length = u32::from_le_bytes(head.get(14..18).and_then(|four| four.try_into().ok()).ok_or_else(broken)?);
         let named = u16::from_le_bytes(head.get(22..24).and_then(|two| two.try_into().ok()).ok_or_else(broken)?);
         let (name, after) = after.split_at_checked(usize::from(named)).ok_or_else(broken)?;
         let name = std::str::from_utf8(name).ok().filter(|name| is_name(name));
-        let name = name.ok_or_else(|| BundleError::whole("a member has a name that no bundle has"))?;
+        let name = name.ok_or_else(|| BundleError::whole("a member has a name that does not belong in a bundle"))?;
         let length = usize::try_from(length).map_err(|_| broken())?;
         let (member, after) = after.split_at_checked(length).ok_or_else(broken)?;
         if members.len() >= MOST_MEMBERS || members.insert(name.to_owned(), member.to_vec()).is_some() {
-            return Err(BundleError::of(name, "is there twice, or one too many"));
+            return Err(BundleError::of(name, "is a duplicate, or one too many"));
         }
         rest = after;
     }
     if members.is_empty() {
-        return Err(BundleError::whole("it is no evidence bundle"));
+        return Err(BundleError::whole("it is not an evidence bundle"));
     }
     match write(&members) {
         Ok(same) if same == bytes => Ok(members),
         _ => Err(BundleError::whole(
-            "it is a ZIP archive, but not in the one form of a bundle: packed anew, damaged, or something is between \
-             its members",
+            "it is a ZIP archive, but not in the exact form of a bundle: it was repacked or damaged, or there is data \
+             between its members",
         )),
     }
 }

@@ -118,7 +118,7 @@ impl AnchorClaim {
             return Err(wrong(&format!("its form is not {ANCHOR_FORMAT}")));
         }
         if claim.inclusion().is_some_and(|inclusion| inclusion.path.len() > LONGEST_PATH) {
-            return Err(wrong("its path is longer than any batch has"));
+            return Err(wrong("its path is longer than in any batch"));
         }
         Ok(claim)
     }
@@ -269,7 +269,7 @@ impl Bundle {
             _ => LONGEST_SMALL,
         };
         if bytes.len() > longest {
-            return Err(wrong("is longer than such a member is"));
+            return Err(wrong("is longer than such a member can be"));
         }
         match parts.as_slice() {
             [MIMETYPE | MANIFEST | SIGNATURE | READ_ME | REPORT] => {}
@@ -278,12 +278,12 @@ impl Bundle {
             ["records", digest, part] => {
                 // One spelling: 0x and capital letters would file a second part under the same record.
                 let filed = digest.parse().ok().filter(|filed: &Digest| filed.to_hex() == **digest);
-                let digest = filed.ok_or_else(|| wrong("is filed under what is no digest"))?;
+                let digest = filed.ok_or_else(|| wrong("is filed under a name that is not a digest"))?;
                 drafts.records.entry(digest).or_default().take(name, part, bytes)?;
             }
             ["stamps", imprint, part] => {
                 let filed = imprint.parse().ok().filter(|filed: &Hash| filed.to_hex() == **imprint);
-                let imprint = filed.ok_or_else(|| wrong("is filed under what is no imprint"))?;
+                let imprint = filed.ok_or_else(|| wrong("is filed under a name that is not an imprint"))?;
                 drafts.stamps.entry(imprint).or_default().take(name, part, bytes)?;
             }
             ["witnesses", hash, part] => {
@@ -293,7 +293,7 @@ impl Bundle {
             }
             ["keys", file] => {
                 let pem = std::str::from_utf8(bytes).ok().and_then(|text| keyfile::sm2_public_from_pem(text).ok());
-                let key = pem.ok_or_else(|| wrong("holds no SM2 public key"))?;
+                let key = pem.ok_or_else(|| wrong("contains no SM2 public key"))?;
                 let id = signer_id(&key);
                 if *file != format!("{}.pem", id.to_hex()) {
                     return Err(wrong("is filed under another key's name"));
@@ -309,13 +309,13 @@ impl Bundle {
                 self.identities.insert(hash, identity);
             }
             ["chain", "nodes.rlp"] => {
-                self.nodes =
-                    Nodes::parse(bytes).ok_or_else(|| wrong("is no list of nodes, each once, by their hashes"))?;
+                self.nodes = Nodes::parse(bytes)
+                    .ok_or_else(|| wrong("is not a list of distinct nodes in order of their hashes"))?;
             }
             ["chain", file] => {
-                let header = BlockHeader::parse(bytes).ok_or_else(|| wrong("is no header of a block"))?;
+                let header = BlockHeader::parse(bytes).ok_or_else(|| wrong("is not a block header"))?;
                 if *file != format!("{}.rlp", header.number) {
-                    return Err(wrong("is filed under another block's number"));
+                    return Err(wrong("is filed under the number of another block"));
                 }
                 self.headers.insert(header.number, header);
             }
@@ -326,7 +326,7 @@ impl Bundle {
                 }
                 self.definitions.insert(digest, text(name, bytes)?);
             }
-            _ => return Err(wrong("is nothing that a bundle holds")),
+            _ => return Err(wrong("does not belong in a bundle")),
         }
         Ok(())
     }
@@ -354,11 +354,11 @@ impl Draft {
             _ => false,
         };
         if is_there {
-            return Err(BundleError::of(name, "is there twice"));
+            return Err(BundleError::of(name, "appears twice"));
         }
         match part {
             "record.bin" if bytes.len() as u64 > LARGEST_BODY + u64::from(LARGEST_HEAD) + 1024 => {
-                return Err(BundleError::of(name, "is longer than any record"));
+                return Err(BundleError::of(name, "is longer than any record can be"));
             }
             "record.bin" => self.record = Some(bytes.to_vec()),
             "signature.der" => self.signature = Some(signature()?),
@@ -368,7 +368,7 @@ impl Draft {
                 self.secret = Some(secret.ok_or_else(|| BundleError::of(name, "is not exactly 32 bytes"))?);
             }
             "reveal.der" => self.disclosed = Some(signature()?),
-            _ => return Err(BundleError::of(name, "is nothing that a record has")),
+            _ => return Err(BundleError::of(name, "does not belong to a record")),
         }
         Ok(())
     }
@@ -391,7 +391,7 @@ impl Draft {
 }
 
 fn text(name: &str, bytes: &[u8]) -> Result<String, BundleError> {
-    std::str::from_utf8(bytes).map(str::to_owned).map_err(|_| BundleError::of(name, "is no text"))
+    std::str::from_utf8(bytes).map(str::to_owned).map_err(|_| BundleError::of(name, "is not text"))
 }
 
 /// A plain file within the bounds of a bundle.
@@ -399,12 +399,12 @@ fn file(path: &Path, name: &str) -> Result<Vec<u8>, BundleError> {
     let failed = |error: std::io::Error| BundleError::of(name, &format!("cannot be read: {error}"));
     // Checked before it is opened, since opening a pipe would wait for its writer.
     if !path.metadata().map_err(failed)?.is_file() {
-        return Err(BundleError::of(name, "is no plain file"));
+        return Err(BundleError::of(name, "is not a regular file"));
     }
     let mut bytes = Vec::new();
     std::fs::File::open(path).map_err(failed)?.take(LARGEST + 1).read_to_end(&mut bytes).map_err(failed)?;
     if bytes.len() as u64 > LARGEST {
-        return Err(BundleError::of(name, "is longer than any bundle"));
+        return Err(BundleError::of(name, "is longer than any bundle can be"));
     }
     Ok(bytes)
 }
@@ -421,8 +421,7 @@ fn folder(root: &Path) -> Result<Members, BundleError> {
             let name =
                 part.to_str().map(|part| if below.is_empty() { part.to_owned() } else { format!("{below}/{part}") });
             let name = name.filter(|name| is_name(name) && name.split('/').count() <= 3);
-            let name =
-                name.ok_or_else(|| BundleError::of(&part.to_string_lossy(), "is nothing that a bundle holds"))?;
+            let name = name.ok_or_else(|| BundleError::of(&part.to_string_lossy(), "does not belong in a bundle"))?;
             match entry.file_type().map_err(failed)? {
                 kind if kind.is_dir() => drop(waiting.insert(name)),
                 kind if kind.is_file() => {
@@ -430,10 +429,10 @@ fn folder(root: &Path) -> Result<Members, BundleError> {
                     size = size.saturating_add(bytes.len() as u64);
                     members.insert(name, bytes);
                 }
-                _ => return Err(BundleError::of(&name, "is no plain file")),
+                _ => return Err(BundleError::of(&name, "is not a regular file")),
             }
             if size > LARGEST || members.len() + waiting.len() > MOST_MEMBERS {
-                return Err(BundleError::whole("it is larger than any bundle"));
+                return Err(BundleError::whole("it is larger than any bundle can be"));
             }
         }
     }

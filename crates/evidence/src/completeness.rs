@@ -116,7 +116,7 @@ fn stretch((owner, recorder, topic_id): Topic, numbered: &Numbered<'_>, claims: 
 
 fn told(stretch: &Stretch, own_statements: bool) -> String {
     let Some((first, last)) = stretch.first.zip(stretch.last) else {
-        return format!("nothing is claimed: the signers of its {} records are not proven", stretch.uncounted);
+        return format!("nothing can be claimed: the signers of its {} records are not proven", stretch.uncounted);
     };
     let named: Vec<String> = stretch.gaps.iter().take(10).map(|(from, to)| range(*from, *to)).collect();
     let mut text = match stretch.gaps.len() {
@@ -140,12 +140,10 @@ fn told(stretch: &Stretch, own_statements: bool) -> String {
     }
     match (stretch.twice.first(), stretch.standing) {
         (Some(number), _) => {
-            format!("TWO different records are number {number}: their signer told two histories; {text}")
+            format!("TWO different records carry number {number}: their signer told two histories; {text}")
         }
         (None, Standing::Refused) => {
-            format!(
-                "the heads of its recorder contradict each other, or do not have the numbers that are named; {text}"
-            )
+            format!("the heads of its recorder contradict each other, or lack the numbers named; {text}")
         }
         _ => text,
     }
@@ -180,13 +178,13 @@ fn told_of_ring(stretch: &Stretch) -> String {
 fn until(stretch: &Stretch, first: u64, last: u64) -> String {
     let before = if first == 1 { String::new() } else { format!(" before {first} or") };
     let Some(HeadsClaim { number, at, .. }) = stretch.heads else {
-        return format!("; no heads record is there: nothing is claimed{before} after {last}");
+        return format!("; there is no heads record: nothing is claimed{before} after {last}");
     };
-    let at = at.map_or_else(|| "whose time is not shown".to_owned(), |at| format!("at {at}"));
+    let at = at.map_or_else(|| "of unknown time".to_owned(), |at| format!("at {at}"));
     if number < first {
         return format!(
-            "; the heads record {at} names number {number}, which is before the first here: it says nothing of these; \
-             nothing is claimed{before} after {last}"
+            "; the heads record {at} names number {number}, which is before the first one here, so it says nothing \
+             about these; nothing is claimed{before} after {last}"
         );
     }
     let claim = match stretch.gaps.iter().any(|(from, _)| *from <= number) {

@@ -34,7 +34,7 @@ pub(crate) fn opened(
     match opened {
         Ok(Some(revealed)) => (level, Some(revealed)),
         Ok(None) => {
-            let text = "its message is not opened: too much is disclosed in one file";
+            let text = "its message is not opened: too much is disclosed in a single file";
             (Level::new(Standing::Unproven, text), None)
         }
         Err(error) => (Level::new(Standing::Refused, format!("the disclosed secret does not open it: {error}")), None),
@@ -63,7 +63,7 @@ fn signed(
         check.known.is_of(check, (*hash, identity), header.owner) && is_owners(&identity.signing)
     });
     if claims || identities.len() > MOST_IDENTITIES {
-        let text = "it opens, and this is the message; that its owner disclosed it is not shown";
+        let text = "it opens, and this is the message; there is no proof that its owner disclosed it";
         return Level::new(Standing::Unproven, text);
     }
     Level::new(Standing::Refused, "the disclosure is not signed by its owner")

@@ -44,13 +44,13 @@ pub(crate) fn parse(text: &[u8]) -> Result<Vec<Height>, BundleError> {
     let wrong = |why: &str| BundleError::of(HEIGHTS, why);
     let listed: Listed = serde_json::from_slice(text).map_err(|error| wrong(&error.to_string()))?;
     if listed.format != FORMAT {
-        return Err(wrong(&format!("its form is not {FORMAT}")));
+        return Err(wrong(&format!("its format is not {FORMAT}")));
     }
     if listed.heights.len() > MOST_HEIGHTS {
         return Err(wrong(&format!("it has more than {MOST_HEIGHTS} entries")));
     }
     if listed.heights.iter().any(|height| height.path.len() > LONGEST_PATH) {
-        return Err(wrong("a path is longer than any head has"));
+        return Err(wrong("a path is longer than in any head"));
     }
     Ok(listed.heights)
 }

@@ -100,7 +100,7 @@ impl Manifest {
             let found = clean(&manifest.format, 40);
             return Err(BundleError::of(
                 MANIFEST,
-                &format!("is of the form '{found}', and this program reads {FORMAT}"),
+                &format!("has the format '{found}', but this program reads {FORMAT}"),
             ));
         }
         let expected = Self::of(members, manifest.chain.clone(), manifest.exporter.clone(), provider);
@@ -110,16 +110,16 @@ impl Manifest {
                 (None, None) => return Ok(manifest),
                 (Some(named), Some(there)) if named == there => {}
                 (Some(named), Some(there)) if named.name == there.name => {
-                    return Err(BundleError::of(&named.name, "is not what the manifest says: its bytes were altered"));
+                    return Err(BundleError::of(&named.name, "does not match the manifest: its bytes were altered"));
                 }
                 (Some(named), there) if there.is_none_or(|there| named.name < there.name) => {
-                    return Err(BundleError::of(&named.name, "is named in the manifest and missing"));
+                    return Err(BundleError::of(&named.name, "is named in the manifest but missing"));
                 }
                 (_, Some(there)) => {
-                    return Err(BundleError::of(&there.name, "is there and the manifest does not name it"));
+                    return Err(BundleError::of(&there.name, "is present but not named in the manifest"));
                 }
                 (Some(named), None) => {
-                    return Err(BundleError::of(&named.name, "is named in the manifest and missing"));
+                    return Err(BundleError::of(&named.name, "is named in the manifest but missing"));
                 }
             }
         }

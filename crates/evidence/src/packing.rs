@@ -141,8 +141,8 @@ impl Packing {
     /// If it cannot be written.
     pub fn suggest(&mut self, trust: &Trust) -> Result<(), PackingError> {
         let text = trust.to_text().map_err(|error| BundleError::of(SUGGESTED, &error.to_string()))?;
-        let note = "# What the exporter says. Compare each line with what you know by another way, then keep a copy of \
-                    your own.\n";
+        let note = "# What the exporter says. Compare each line with what you know from an independent source, then \
+                    keep your own copy.\n";
         self.members.insert(SUGGESTED.to_owned(), [note, &text].concat().into_bytes());
         Ok(())
     }

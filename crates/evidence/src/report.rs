@@ -242,12 +242,12 @@ impl Report {
     pub fn last_line(&self) -> &'static str {
         let by_own_chain = || self.needed().all(|one| matches!(one, Standing::Proven | Standing::OwnChain));
         match self.outcome {
-            Outcome::Holds => "levels (a) to (c) hold for every record, by what you pinned; read the notes",
+            Outcome::Holds => "levels (a) to (c) hold for every record, given what you pinned; read the notes",
             Outcome::Incomplete if !self.records.is_empty() && by_own_chain() => {
-                "holds by the exporter's own chain alone, which proves nothing against him"
+                "holds only by the exporter's own chain, which proves nothing against the exporter"
             }
-            Outcome::Incomplete => "NOT ALL IS PROVEN: the levels say what is not",
-            Outcome::Refused => "REFUSED: something is contradicted; the levels say what",
+            Outcome::Incomplete => "NOT EVERYTHING IS PROVEN: the levels show what is not",
+            Outcome::Refused => "REFUSED: there is a contradiction; the levels show where",
         }
     }
 }

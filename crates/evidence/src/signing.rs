@@ -33,7 +33,7 @@ fn unshown(why: Unproven, anchored: &Anchored<'_>) -> Level {
     match why {
         Unproven::Missing(_) => Level::new(
             Standing::Unproven,
-            format!("the part of the state after block {at} that has the key's registration is not in the bundle"),
+            format!("the part of the state after block {at} that holds the key's registration is not in the bundle"),
         ),
         why => Level::new(Standing::Refused, format!("the key's registration: {why}")),
     }
@@ -48,7 +48,9 @@ fn judged(header: &Header, anchored: &Anchored<'_>, registered: &PublicKey) -> R
     let how = match signer_id(registered) == header.signer {
         true => format!("the key was {owner}'s at block {block}"),
         false => match lent(header, anchored)? {
-            Ok(()) => format!("the key {} is of a device that {owner} had lent at block {block}", header.signer),
+            Ok(()) => {
+                format!("the key {} belongs to a device that {owner} had on loan at block {block}", header.signer)
+            }
             Err(level) => return Ok(level),
         },
     };
@@ -61,15 +63,15 @@ fn judged(header: &Header, anchored: &Anchored<'_>, registered: &PublicKey) -> R
         (false, true) => Level::new(Standing::Proven, format!("{how}, and {owner} was not suspended")),
         (true, false) => Level::new(
             Standing::Unproven,
-            format!("{how}; {owner} is suspended at block {at}, and since when is not shown"),
+            format!("{how}; {owner} is suspended at block {at}, but there is no proof since when"),
         ),
         (false, false) if anchored.account == owner => Level::new(
             Standing::Proven,
-            format!("{how}, and {owner} was not suspended at the moment of anchoring: it anchored this itself"),
+            format!("{how}, and {owner} was not suspended when this was anchored: it anchored this itself"),
         ),
         (false, false) => Level::new(
             Standing::Unproven,
-            format!("{how}; {owner} is not suspended at block {at}, and nothing shows whether it was at block {block}"),
+            format!("{how}; {owner} is not suspended at block {at}, but nothing shows whether it was at block {block}"),
         ),
     })
 }
@@ -87,7 +89,7 @@ fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Res
     let version = anchored.keys.filter(|_| anchored.account == owner).unwrap_or(anchored.claimed_keys);
     if version == 0 {
         return Ok(Own::Unknown(
-            "the contract is of revision 1, which keeps no history of keys; nothing shows it".to_owned(),
+            "the contract has revision 1, which keeps no key history, so nothing shows it".to_owned(),
         ));
     }
     let Some(keys) = storage.keys(owner, version)? else {
@@ -102,7 +104,7 @@ fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Res
     }
     let Some(identity) = check.identity(keys.identity, owner) else {
         return Ok(Own::Unknown(format!(
-            "the identity {} of {owner} is not in the bundle, or does not prove itself",
+            "the identity {} of {owner} is not in the bundle, or its own proof fails",
             keys.identity
         )));
     };
@@ -122,7 +124,7 @@ fn lent(header: &Header, anchored: &Anchored<'_>) -> Result<Result<(), Level>, U
         return refused(format!("{owner} had neither registered nor lent the key at block {block}"));
     };
     if loan.lent > block && anchored.shown_at > block {
-        return unproven(format!("the device was lent anew since; what held at block {block} is not shown"));
+        return unproven(format!("the device was lent again later; what applied at block {block} is not shown"));
     }
     if loan.lent > block {
         return refused(format!("{owner} lent the device only in block {}, after block {block}", loan.lent));
@@ -133,7 +135,7 @@ fn lent(header: &Header, anchored: &Anchored<'_>) -> Result<Result<(), Level>, U
     match anchored.time {
         _ if loan.until == 0 => Ok(Ok(())),
         Some(time) if time < loan.until => Ok(Ok(())),
-        Some(_) => refused(format!("the loan of the device was over at {}", Timestamp::from_seconds(loan.until))),
-        None => unproven("the loan of the device had an end, and the block's time is not shown".to_owned()),
+        Some(_) => refused(format!("the loan of the device had ended by {}", Timestamp::from_seconds(loan.until))),
+        None => unproven("the loan of the device had an end, but the block's time is not shown".to_owned()),
     }
 }

@@ -50,14 +50,14 @@ impl<'a> Stamps<'a> {
     pub fn level(&self, digest: Digest, header: &Header, record: &BundledRecord) -> (Level, Option<Timestamp>) {
         let absent = |text: &str| (Level::new(Standing::Absent, text), None);
         let Some(inclusion) = record.anchor.as_ref().and_then(|claim| claim.inclusion()) else {
-            return absent("no authority's time stamp: the record is in no batch");
+            return absent("no authority's time stamp: the record is not in a batch");
         };
         let Some(found) = self.roots.get(&inclusion.root) else {
             return absent("no authority's time stamp over its batch is in the bundle");
         };
         let Header { owner, recorder, topic_id, seq, .. } = *header;
         if !inclusion.proves(&Leaf { owner, recorder, topic_id, seq, digest }) {
-            return (Level::new(Standing::Refused, "its path does not lead to the root that was stamped"), None);
+            return (Level::new(Standing::Refused, "its path does not lead to the stamped root"), None);
         }
         let mut best = Finding::default();
         for (at, stamp, place) in found {
@@ -85,13 +85,13 @@ impl Finding {
         }
         if let Some((before, who)) = self.proven {
             let text = format!(
-                "existed before {before}, by the time stamp of {who} whom you pinned; whether a certificate was revoked is \
-                 not looked up"
+                "existed before {before}, by the time stamp of {who}, whom you pinned; certificate revocation is not \
+                 checked"
             );
             return (Level::new(Standing::Proven, text), Some(before));
         }
         let text = self.claimed.map_or_else(
-            || "no time stamp is in it".to_owned(),
+            || "it contains no time stamp".to_owned(),
             |(before, who)| format!("stamped before {before} by {who}, whom you did not pin: this proves nothing yet"),
         );
         (Level::new(Standing::Unproven, text), None)

@@ -17,16 +17,16 @@ pub const LONGEST_NODE: usize = 1024;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Unproven {
     /// A node on the path is not in the bundle.
-    #[error("the node {0} on the way to it is not in the bundle")]
+    #[error("the node {0} on its path is not in the bundle")]
     Missing(Hash),
     /// It is in the bundle, but is not a node.
-    #[error("the node {0} on the way to it is no node of a trie")]
+    #[error("the node {0} on its path is not a trie node")]
     Malformed(Hash),
     /// The value in the trie has another form.
-    #[error("what the state holds there is no {0}")]
+    #[error("what the state holds there is not a {0}")]
     Value(&'static str),
     /// There is no such account.
-    #[error("the state has no contract there")]
+    #[error("the state has no contract at that address")]
     NoContract,
 }
 

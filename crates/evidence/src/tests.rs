@@ -54,11 +54,11 @@ fn lies_about_the_chain_are_refused_each_for_its_own_reason() {
     let mut cleared = World::new();
     cleared.shown_at = BLOCK + 9;
     cleared.put(Slot::anchor(cleared.owner, root(&cleared.claim)), [0; 32]);
-    cleared.expect('c', Refused, "the state after block 49 does not have its anchor");
+    cleared.expect('c', Refused, "the state after block 49 does not contain its anchor");
 
     let mut counted = World::new();
     counted.put(Slot::anchor(counted.owner, root(&counted.claim)), word(&[BLOCK, 6, TIME, 1]));
-    counted.expect('c', Refused, "another number of leaves");
+    counted.expect('c', Refused, "a different number of leaves");
 
     let mut moved = World::new();
     moved.put(Slot::anchor(moved.owner, root(&moved.claim)), word(&[BLOCK - 1, 5, TIME, 1]));
@@ -88,8 +88,8 @@ fn seals_that_are_not_enough_are_counted() {
     with(&[1]).expect('c', Unproven, "sealed by 1 of 3 pinned signers; 2 are needed");
     with(&[1, 1]).expect('c', Unproven, "sealed by 1 of 3");
     with(&[1, 9]).expect('c', Unproven, "sealed by 1 of 3");
-    with(&[9, 9]).expect('c', Refused, "whom you did not pin");
-    with(&[0]).expect('c', Unproven, "no seal that this version checks");
+    with(&[9, 9]).expect('c', Refused, "who is not a signer you pinned");
+    with(&[0]).expect('c', Unproven, "no seal that this version can check");
     with(&[3, 1, 2]).expect('c', Proven, "sealed by 3 of 3");
     assert_eq!(with(&[1]).report().outcome, Outcome::Incomplete);
 }
@@ -99,18 +99,18 @@ fn the_exporters_own_chain_proves_nothing_against_him() {
     let mut vanity = [0; 32];
     vanity[..28].copy_from_slice(b"AuthROS chain file version 3");
     let ours = World { vanity, ..World::new() };
-    ours.expect('c', OwnChain, "proves nothing against him");
-    let told = "your trust file says that others seal this chain; its headers say that one program does";
+    ours.expect('c', OwnChain, "proves nothing against the exporter");
+    let told = "your trust file says that others seal this chain, but its headers say that a single program does";
     assert!(ours.report().warnings.iter().any(|warning| warning == told));
     let mut trust = World::trust();
     trust.chain.sealed_by_exporter = true;
     let report = World::new().report_by(&trust);
     assert_eq!(report.records[0].anchor.standing, OwnChain);
-    assert!(report.warnings.iter().any(|warning| warning.contains("against him it proves nothing")));
+    assert!(report.warnings.iter().any(|warning| warning.contains("it proves nothing against the exporter")));
     assert!(!report.warnings.iter().any(|warning| warning.contains("others seal this chain")));
     assert_eq!((report.outcome, report.exporter.standing), (Outcome::Incomplete, OwnChain));
     assert_eq!(report.complete[0].standing, OwnChain);
-    assert_eq!(report.last_line(), "holds by the exporter's own chain alone, which proves nothing against him");
+    assert_eq!(report.last_line(), "holds only by the exporter's own chain, which proves nothing against the exporter");
 }
 
 fn anchored_by_the_gateway() -> World {
@@ -142,10 +142,10 @@ fn what_came_behind_an_owners_own_anchor_in_its_block_counts() {
     suspended.expect('b', Refused, "was suspended at block 40");
     // A later state does not say since when: it never shows more than the block's own state.
     suspended.shown_at = BLOCK + 9;
-    suspended.expect('b', Unproven, "is suspended at block 49, and since when is not shown");
+    suspended.expect('b', Unproven, "is suspended at block 49, but there is no proof since when");
     let mut free = World::new();
     free.shown_at = BLOCK + 9;
-    free.expect('b', Proven, "was not suspended at the moment of anchoring: it anchored this itself");
+    free.expect('b', Proven, "was not suspended when this was anchored: it anchored this itself");
 
     let mut changed = World::new();
     changed.put(Slot::keys(changed.owner, 2), [3; 32]);
@@ -180,13 +180,13 @@ fn a_device_signs_while_it_is_lent() {
         world.put(Slot::loan(owner, &signer_id(&world.signer.public).0), packed);
         world
     };
-    with([0, 12, 0]).expect('b', Proven, "of a device that");
-    with([TIME + 1, 12, 0]).expect('b', Proven, "of a device that");
-    with([TIME, 12, 0]).expect('b', Refused, "the loan of the device was over");
+    with([0, 12, 0]).expect('b', Proven, "to a device that");
+    with([TIME + 1, 12, 0]).expect('b', Proven, "to a device that");
+    with([TIME, 12, 0]).expect('b', Refused, "the loan of the device had ended");
     with([0, 12, BLOCK]).expect('b', Refused, "recalled the device in block 40");
     with([0, 41, 0]).expect('b', Refused, "lent the device only in block 41");
     let later = World { shown_at: BLOCK + 9, ..with([0, 41, 0]) };
-    later.expect('b', Unproven, "lent anew since; what held at block 40 is not shown");
+    later.expect('b', Unproven, "lent again later; what applied at block 40 is not shown");
     let mut timeless = World { shown_at: BLOCK + 9, ..with([TIME + 1, 12, 0]) };
     timeless.put(Slot::anchor(owner, root(&timeless.claim)), word(&[BLOCK, 5, 0, 1]));
     timeless.expect('b', Unproven, "the block's time is not shown");
@@ -227,7 +227,7 @@ fn an_identity_that_the_state_does_not_show_speaks_for_nobody() {
     let members = packing.sign(genesis(), world.owner, &thief, ours()).expect("packs");
     let report = verify(&Bundle::of_members(&members, ours()).expect("reads"), Some(&World::trust()), ours());
     assert_eq!((report.records[0].opened.standing, report.exporter.standing), (Unproven, Unproven));
-    assert!(report.records[0].opened.text.contains("that its owner disclosed it is not shown"));
+    assert!(report.records[0].opened.text.contains("there is no proof that its owner disclosed it"));
 }
 
 #[test]
@@ -283,7 +283,7 @@ fn every_flipped_byte_of_every_member_is_noticed() {
     }
     let mut more = members.clone();
     more.insert("keys/more.pem".into(), Vec::new());
-    assert!(Bundle::of_members(&more, ours()).expect_err("refused").to_string().contains("does not name it"));
+    assert!(Bundle::of_members(&more, ours()).expect_err("refused").to_string().contains("not named in the manifest"));
 }
 
 #[test]
@@ -322,7 +322,7 @@ fn an_unpacked_bundle_is_read_as_the_file_is() {
     let read = Bundle::read(folder.path(), ours()).expect("reads");
     assert_eq!(verify(&read, Some(&World::trust()), ours()).outcome, Outcome::Holds);
     std::os::unix::fs::symlink("/etc/hostname", folder.path().join("more")).expect("linked");
-    assert!(Bundle::read(folder.path(), ours()).expect_err("refused").to_string().contains("no plain file"));
+    assert!(Bundle::read(folder.path(), ours()).expect_err("refused").to_string().contains("not a regular file"));
 }
 
 #[test]

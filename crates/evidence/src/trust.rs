@@ -16,7 +16,7 @@ const MOST_AUTHORITIES: usize = 16;
 
 /// A trust file that cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("the trust file cannot be used: {0}; docs/evidence.md shows one")]
+#[error("the trust file cannot be used: {0}; docs/evidence.md has an example")]
 pub struct TrustError(String);
 
 /// The pins.
@@ -101,7 +101,7 @@ impl Trust {
     /// [`TrustError`] if it is not one, or demands what no chain can give.
     pub fn parse(text: &[u8]) -> Result<Self, TrustError> {
         let text = std::str::from_utf8(text).ok().filter(|text| text.len() <= LONGEST_TRUST);
-        let text = text.ok_or_else(|| TrustError("it is no text, or too long".into()))?;
+        let text = text.ok_or_else(|| TrustError("it is not text, or too long".into()))?;
         let trust: Self = toml::from_str(text).map_err(|error| TrustError(clean(error.message(), 300)))?;
         let signers = &trust.chain.signers;
         if signers.iter().enumerate().any(|(at, signer)| signers.iter().skip(at + 1).any(|other| other == signer)) {
@@ -109,7 +109,7 @@ impl Trust {
         }
         let accounts: BTreeSet<Address> = trust.persons.iter().map(|person| person.account).collect();
         if accounts.len() != trust.persons.len() {
-            return Err(TrustError("an account is two persons'".into()));
+            return Err(TrustError("an account is given to two people".into()));
         }
         for authority in &trust.authorities {
             if let Err(error) = Certificate::from_pem(&authority.certificate) {
@@ -124,7 +124,7 @@ impl Trust {
             return Err(TrustError(format!("a witness is named twice, or there are more than {MOST_AUTHORITIES}")));
         }
         if trust.chain.quorum.is_some_and(|quorum| quorum == 0 || quorum > signers.len()) {
-            return Err(TrustError("its quorum is none of its signers, or more than there are".into()));
+            return Err(TrustError("its quorum is zero, or more than the number of signers".into()));
         }
         Ok(trust)
     }

@@ -84,9 +84,9 @@ impl<'a> Check<'a> {
             existed_before: None,
             witnessed_at: None,
             bytes: Level::new(Standing::Unproven, ""),
-            key: Level::new(Standing::Unproven, "the bytes do not hold"),
-            anchor: Level::new(Standing::Unproven, "the bytes do not hold"),
-            time: Level::new(Standing::Unproven, "the bytes do not hold"),
+            key: Level::new(Standing::Unproven, "the bytes do not check out"),
+            anchor: Level::new(Standing::Unproven, "the bytes do not check out"),
+            time: Level::new(Standing::Unproven, "the bytes do not check out"),
             opened: Level::new(Standing::Absent, "sealed: its owner did not disclose it"),
             witnessed: Level::new(Standing::Unproven, "the bytes do not hold"),
             disclosed: None,
@@ -113,7 +113,9 @@ impl<'a> Check<'a> {
         report.owner_key = owner_key.filter(|_| is_believed(&report.anchor)).map(|key| signer_id(&key));
         report.key = match signed {
             Some(signed) => capped(signed.level, &report.anchor),
-            None => Level::new(Standing::Unproven, "no anchor is shown, and the key's right is judged at its block"),
+            None => {
+                Level::new(Standing::Unproven, "no anchor is shown, so the key's right at its block cannot be judged")
+            }
         };
         let person = self.trust.and_then(|trust| trust.person(header.owner)).filter(|_| report.is_believed());
         report.person = person.map(|person| clean(&person.name, 80));
@@ -138,23 +140,23 @@ impl<'a> Check<'a> {
     fn bytes(&self, digest: Digest, record: &BundledRecord) -> Result<Header, String> {
         let found = Digest(self.provider.sm3(&[&record.record]));
         if found != digest {
-            return Err(format!("its SM3 is {found}: it is not the record that it is filed as"));
+            return Err(format!("its SM3 is {found}: it is not the record it is filed as"));
         }
-        let (header, length) = Header::parse(&record.record).map_err(|error| format!("it is no record: {error}"))?;
+        let (header, length) = Header::parse(&record.record).map_err(|error| format!("it is not a record: {error}"))?;
         let sealed = u64::from(header.head_length).saturating_add(header.body_length);
         if (record.record.len() as u64).checked_sub(length as u64) != Some(sealed) {
-            return Err("it is not as long as its header says".to_owned());
+            return Err("its length differs from what its header says".to_owned());
         }
         if header.domain != self.domain {
-            let which = if self.trust.is_some() { "the one you pinned" } else { "the one that the bundle names" };
-            return Err(format!("it is bound to another chain or contract than {which}"));
+            let which = if self.trust.is_some() { "the one you pinned" } else { "the one the bundle names" };
+            return Err(format!("it is bound to a different chain or contract than {which}"));
         }
         let signer = self.bundle.keys.get(&header.signer);
         let signer = signer.ok_or_else(|| format!("the key {} that signed it is not in the bundle", header.signer))?;
         let signed = signed_bytes(&header.domain, &digest);
         self.provider
             .verify(signer, &signed, &record.signature)
-            .map_err(|_| format!("its signature is not one of the key {}", header.signer))?;
+            .map_err(|_| format!("its signature was not made by the key {}", header.signer))?;
         Ok(header)
     }
 
@@ -173,14 +175,14 @@ impl<'a> Check<'a> {
     fn exporter(&self, records: &[RecordReport]) -> Level {
         let exporter = &self.bundle.manifest.exporter;
         if !self.bundle.signed {
-            let text = format!("the manifest is not signed by the key {} that it names", exporter.key);
+            let text = format!("the manifest is not signed by the key {} it names", exporter.key);
             return Level::new(Standing::Refused, text);
         }
         let person = self.trust.and_then(|trust| trust.person(exporter.account));
         let name = person.map_or(String::new(), |person| format!(" ({})", clean(&person.name, 80)));
         let pinned = person.and_then(|person| person.key);
         if pinned == Some(exporter.key) {
-            let text = format!("put together by the key that you pinned for {}{name}", exporter.account);
+            let text = format!("assembled with the key you pinned for {}{name}", exporter.account);
             return Level::new(Standing::Proven, text);
         }
         let is_tied =
@@ -188,12 +190,12 @@ impl<'a> Check<'a> {
         let tied = |standing: Standing| {
             let mut tied = records.iter().filter(|record| record.anchor.standing == standing && is_tied(record));
             let block = tied.next().filter(|_| pinned.is_none())?.block?;
-            let text = format!("put together by a key that was {}'s at block {block}", exporter.account);
+            let text = format!("assembled with a key that was {}'s at block {block}", exporter.account);
             Some(Level::new(standing, text))
         };
         tied(Standing::Proven).or_else(|| tied(Standing::OwnChain)).unwrap_or_else(|| {
             let text =
-                format!("put together by the key {}, which nothing here ties to {}", exporter.key, exporter.account);
+                format!("assembled with the key {}, which nothing here ties to {}", exporter.key, exporter.account);
             Level::new(Standing::Unproven, text)
         })
     }
@@ -202,38 +204,40 @@ impl<'a> Check<'a> {
         let mut warnings = Vec::new();
         if self.trust.is_none() {
             warnings.push(
-                "no trust file: chain, contract and signers are the exporter's own word, and nothing about the chain is \
-                 proven; give --trust with what you know by another way"
+                "no trust file: chain, contract and signers are only the exporter's claim, and nothing about the chain \
+                 is proven; pass --trust with what you know from an independent source"
                     .to_owned(),
             );
         }
         if records.iter().any(|record| record.anchor.standing == Standing::OwnChain) {
             warnings.push(
-                "the exporter seals this chain himself: he could have written it anew, with any times; against him it \
-                 proves nothing"
+                "the exporter seals this chain, so it could have been rewritten with any times; it proves nothing \
+                 against the exporter"
                     .to_owned(),
             );
         }
         let denied = self.trust.is_some_and(|trust| !trust.chain.sealed_by_exporter);
         if denied && records.iter().any(|record| record.anchor.standing == Standing::OwnChain) {
             warnings.push(
-                "your trust file says that others seal this chain; its headers say that one program does".to_owned(),
+                "your trust file says that others seal this chain, but its headers say that a single program \
+                 does"
+                    .to_owned(),
             );
         }
         if records.iter().any(|record| record.seconds_to_anchor.is_some_and(|seconds| seconds < 0)) {
-            warnings
-                .push("a record claims to be captured after the block that anchors it: a clock was wrong".to_owned());
-        }
-        if !records.is_empty() {
             warnings.push(
-                "capture times are the owner's claim; only the anchor says that a record existed by then".to_owned(),
+                "a record claims to have been captured after the block that anchors it: a clock was wrong".to_owned(),
             );
         }
+        if !records.is_empty() {
+            warnings
+                .push("capture times are the owner's claim; only the anchor shows when a record existed".to_owned());
+        }
         if records.iter().any(RecordReport::is_mute) {
-            warnings.push("a recorder's own statement is not proven: it says nothing, and is not counted".to_owned());
+            warnings.push("a recorder's own statement is not proven, so it is ignored".to_owned());
         }
         if !self.bundle.manifest.members.iter().any(|member| member.name == crate::bundle::NODES) {
-            warnings.push("the bundle has no proof of the chain's state".to_owned());
+            warnings.push("the bundle contains no proof of the chain's state".to_owned());
         }
         warnings
     }
@@ -254,7 +258,7 @@ fn capped(level: Level, anchor: &Level) -> Level {
     match (level.standing, anchor.standing) {
         (Standing::Proven, Standing::OwnChain) => Level { standing: Standing::OwnChain, ..level },
         (Standing::Proven, standing) if standing != Standing::Proven => {
-            let text = format!("{}; as a state says that too few of the signers you pinned have sealed", level.text);
+            let text = format!("{}, according to a state sealed by too few of the signers you pinned", level.text);
             Level::new(Standing::Unproven, text)
         }
         _ => level,

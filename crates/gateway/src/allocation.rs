@@ -228,7 +228,7 @@ pub fn examine(
     let plain = provider.decrypt(secret, &request.ciphertext).map_err(Refusal::because(Code::Malformed))?;
     let allocation = Allocation::parse(&plain).map_err(Refusal::because(Code::Malformed))?;
     if allocation.name != *name {
-        return Err(Refusal::new(Code::Malformed, "the allocation names another profile than the hello"));
+        return Err(Refusal::new(Code::Malformed, "the allocation names a different profile than the hello"));
     }
     let ciphertext = request.digest(provider);
     let transcript = Transcript {

@@ -255,7 +255,7 @@ impl Client {
     pub async fn check(&mut self, digests: &[Digest]) -> Result<Vec<Standing>, GatewayError> {
         match self.ask(&Request::Check(digests.to_vec())).await? {
             Answer::Standings(standings) if standings.len() == digests.len() => Ok(standings),
-            _ => Err(GatewayError::Unexpected("not as many standings as digests")),
+            _ => Err(GatewayError::Unexpected("the number of standings differs from the number of digests")),
         }
     }
 

@@ -36,7 +36,7 @@ macro_rules! codes {
 
 codes! {
     /// A frame or message over its cap, or truncated.
-    Length = 1 Refused "a frame has a length that is not allowed; connect again";
+    Length = 1 Refused "a frame has an invalid length; connect again";
     /// No such session, or it has ended.
     Session = 2 Refused "the session has ended; connect again";
     /// A frame out of order: replayed, lost or swapped.
@@ -44,15 +44,15 @@ codes! {
     /// Bytes that were altered, or another key.
     Tag = 4 Refused "a frame was altered or sealed under another key; allocate a transport key again";
     /// A token that the owner never registered.
-    Token = 5 Refused "the token is not one of this account; register or rotate first";
+    Token = 5 Refused "the token does not belong to this account; register or rotate first";
     /// An SM2 signature that does not verify, or by a key that may not sign.
-    Signature = 6 Refused "the SM2 signature was not accepted; sign with the registered key or a lent one";
+    Signature = 6 Refused "the SM2 signature was rejected; sign with the registered key or a lent one";
     /// An EOA signature that recovers another account.
-    Account = 7 Refused "the account's signature was not accepted; sign with the key of the registered account";
+    Account = 7 Refused "the account's signature was rejected; sign with the key of the registered account";
     /// Bytes that are not a message.
-    Malformed = 8 Refused "the gateway does not understand the message; use the same version on both sides";
+    Malformed = 8 Refused "the gateway cannot read the message; use the same version on both sides";
     /// Another version of the protocol.
-    Version = 9 Refused "the gateway speaks another version of the protocol; use the same version on both sides";
+    Version = 9 Refused "the gateway uses another version of the protocol; use the same version on both sides";
     /// Another chain or contract.
     Network = 10 Refused "the gateway serves another network; check chain and contract on both sides";
     /// A system key that is not, or no longer, in the list.
@@ -64,31 +64,32 @@ codes! {
     /// The administrator suspended the account.
     Suspended = 14 Refused "the account is suspended; ask the administrator";
     /// No grant covers the request.
-    NotAuthorised = 15 Refused "no grant covers this; ask its owner, and the gateway's keeper whether this account is admitted";
+    NotAuthorised = 15 Refused "no grant covers this; ask the owner for one, and the gateway's operator to admit this \
+                                account";
     /// Nothing with that digest.
     NotFound = 16 Refused "the gateway has no such record; check the digest";
     /// Stored bytes that differ from the chain.
     Tampered = 17 Tampered "the stored record is not the one anchored; fetch it from elsewhere";
     /// More than this peer may use at a time.
-    Quota = 18 Refused "too much at once; send less and try again";
+    Quota = 18 Refused "too many requests at once; send less and try again";
     /// No room for another connection or handshake.
     Busy = 19 Unreachable "the gateway has no room at the moment; try again later";
     /// Not allowed in this session.
     NotHere = 20 Refused "this command is not accepted in this session; connect with a transport key";
     /// The chain has no recent head, so authority cannot be determined.
-    Stale = 21 Unreachable "the gateway has lost sight of the chain; try again later";
+    Stale = 21 Unreachable "the gateway cannot reach the chain; try again later";
     /// The gateway is stopping.
     Closing = 22 Unreachable "the gateway is stopping; try again later";
     /// An internal error of the gateway.
-    Internal = 23 Unreachable "the gateway failed; try again later, its log says more";
+    Internal = 23 Unreachable "the gateway failed; try again later, and see its log";
     /// The peer took too long.
     TooSlow = 24 Unreachable "the connection was too slow or idle; connect again";
     /// The record belongs to a network or owner other than the session's.
     NotYours = 25 Refused "the record belongs to another account or network; send your own";
     /// A chain transaction that was refused.
-    Transaction = 26 Refused "the chain refused the transaction; check account, nonce and balance";
+    Transaction = 26 Refused "the chain rejected the transaction; check account, nonce and balance";
     /// A request that is not passed on to the chain.
-    Method = 27 Refused "the gateway does not pass this request on to the chain; use a node for it";
+    Method = 27 Refused "the gateway does not forward this request to the chain; use a node for it";
 }
 
 impl Code {

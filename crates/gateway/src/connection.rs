@@ -116,7 +116,7 @@ impl From<LineError> for End {
         match error {
             LineError::Closed(_) => Self::Closed,
             LineError::Frame(error) => Self::Refused(Refusal::new(Code::Length, error)),
-            LineError::TooSlow => Self::Refused(Refusal::new(Code::TooSlow, "the peer does not read")),
+            LineError::TooSlow => Self::Refused(Refusal::new(Code::TooSlow, "the peer does not read its replies")),
         }
     }
 }
@@ -190,7 +190,7 @@ impl Connection {
                 self.tell_network(&payload).await?;
                 self.expect(FrameKind::Hello, deadline).await?
             }
-            _ => return Err(Refusal::new(Code::Malformed, "a frame that is no hello").into()),
+            _ => return Err(Refusal::new(Code::Malformed, "a frame that is not a hello").into()),
         };
         let (list, _) = self.shared.list();
         let (answer, hello) = GatewayHello::answer(self.shared.context, &self.shared.identity, list, &payload)?;
@@ -265,7 +265,7 @@ impl Connection {
             deadline = deadline.max(begun + patience);
             let inner = Inner::from_client(&text)?;
             let message = Assembler::<()>::new().take(&inner, counter, |_| {
-                Err(Refusal::new(Code::Length, "a message in parts in a session for allocation"))
+                Err(Refusal::new(Code::Length, "a multi-part message in an allocation session"))
             })?;
             let Some(message) = message else { continue };
             if message.command == Command::Relay {
@@ -281,7 +281,7 @@ impl Connection {
             };
             self.reply(&mut session, message.request, outcome).await?;
         }
-        Err(Refusal::new(Code::Session, "the session for allocation is over").into())
+        Err(Refusal::new(Code::Session, "the allocation session has ended").into())
     }
 
     /// A session under a transport key.
@@ -318,7 +318,7 @@ impl Connection {
         loop {
             let next = self.next(end, desk.feeds.as_mut()).await;
             if session.is_spent(std::time::Instant::now()) {
-                return Err(Refusal::new(Code::Session, "the session's frames or its hour are over").into());
+                return Err(Refusal::new(Code::Session, "the session has used up its frames or its hour").into());
             }
             match next? {
                 Next::Frame(FrameKind::Transfer, payload) => {

@@ -10,7 +10,7 @@ use super::code::{Code, Refusal};
 #[derive(Debug, thiserror::Error)]
 pub enum GatewayError {
     /// Nobody listens, or the connection broke.
-    #[error("the gateway at {address} does not answer ({source}); check the address and that it runs")]
+    #[error("the gateway at {address} does not answer ({source}); check the address and that the gateway is running")]
     Unreachable {
         /// The address tried.
         address: String,
@@ -18,7 +18,7 @@ pub enum GatewayError {
         source: std::io::Error,
     },
     /// The gateway closed the connection.
-    #[error("the gateway closed the connection; connect again, its log says why")]
+    #[error("the gateway closed the connection; connect again, and see its log for the reason")]
     Closed,
     /// The gateway did not answer in time.
     #[error("the gateway did not answer in time; try again")]
@@ -27,15 +27,19 @@ pub enum GatewayError {
     #[error("the gateway refused: {0}")]
     Refused(Code),
     /// A refusal in clear: anyone on the network can forge one, so it means no more than a closed connection.
-    #[error("the gateway closed the connection and said in clear, which proves nothing: {0}")]
+    #[error("the gateway closed the connection with an unauthenticated message: {0}")]
     RefusedInClear(Code),
     /// No fingerprint is pinned, and trust on first use was not requested.
     #[error(
-        "no gateway is pinned, and this one shows {0}; compare it with its operator and pin it, or allow trust on first use"
+        "no gateway is pinned, and this one presents {0}; confirm it with its operator and pin it, or allow trust on \
+         first use"
     )]
     NotPinned(SignerId),
     /// A gateway other than the pinned one.
-    #[error("this is not the pinned gateway: {found} instead of {pinned}; someone may sit in between, do not go on")]
+    #[error(
+        "this is not the pinned gateway: {found} instead of {pinned}; someone may be intercepting the connection, do \
+         not continue"
+    )]
     NotTheGateway {
         /// The pinned fingerprint.
         pinned: SignerId,
@@ -43,7 +47,9 @@ pub enum GatewayError {
         found: SignerId,
     },
     /// An older system-key list than one seen before.
-    #[error("the gateway shows version {found} of its system keys, version {seen} was seen before; do not go on")]
+    #[error(
+        "the gateway presents version {found} of its system keys, but version {seen} was seen before; do not continue"
+    )]
     RolledBack {
         /// The highest version seen so far.
         seen: u64,
@@ -51,10 +57,12 @@ pub enum GatewayError {
         found: u64,
     },
     /// Two lists with the same version.
-    #[error("the gateway shows two lists of system keys under version {0}; do not go on, its operator must explain")]
+    #[error(
+        "the gateway presents two lists of system keys under version {0}; do not continue, ask its operator to explain"
+    )]
     TwoLists(u64),
     /// A system-key list that is not the gateway's, or no longer valid.
-    #[error("the list of system keys was not accepted: {0}; fetch it again, or ask the gateway's operator")]
+    #[error("the list of system keys was rejected: {0}; fetch it again, or ask the gateway's operator")]
     List(&'static str),
     /// Malformed bytes.
     #[error("the gateway's {what} is malformed ({why}); use the same version on both sides")]
@@ -65,7 +73,7 @@ pub enum GatewayError {
         why: WireError,
     },
     /// An answer to another request.
-    #[error("the gateway answered something else than was asked ({0}); connect again")]
+    #[error("the gateway's answer does not match the request ({0}); connect again")]
     Unexpected(&'static str),
     /// A receipt that does not cover what was sent.
     #[error("the gateway's receipt does not cover {0}; keep the records and send them again")]
@@ -74,7 +82,7 @@ pub enum GatewayError {
     #[error("the session with the gateway broke: {0}; connect again")]
     Session(Refusal),
     /// A message larger than the protocol carries.
-    #[error("the message has {0} bytes, more than a gateway takes; send less at a time")]
+    #[error("the message has {0} bytes, more than a gateway accepts; send less at a time")]
     TooLarge(usize),
     /// A key or signature.
     #[error(transparent)]

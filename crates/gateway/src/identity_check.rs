@@ -39,7 +39,7 @@ pub async fn check_account(desk: &dyn Desk, binding: &Binding) -> Result<(), Ref
     if desk.is_lent(&binding.account, &device.id).await? {
         return Ok(());
     }
-    let text = format_args!("device {} of {} is not lent any more", device.id, binding.account);
+    let text = format_args!("device {} of {} is no longer on loan", device.id, binding.account);
     Err(Refusal::new(Code::NotAuthorised, text))
 }
 
@@ -59,7 +59,7 @@ pub fn check_reach(caller: &Caller, request: &Request) -> Result<(), Refusal> {
     if may {
         return Ok(());
     }
-    let text = format_args!("device {} asks for what is its owner's ({:?})", device.id, request.command());
+    let text = format_args!("device {} asks for something reserved to its owner ({:?})", device.id, request.command());
     Err(Refusal::new(Code::NotAuthorised, text))
 }
 
@@ -67,7 +67,7 @@ fn same_keys(account: &Account, signing: &PublicKey, envelope: &PublicKey) -> Re
     if (&account.signing, &account.envelope) == (signing, envelope) {
         return Ok(());
     }
-    Err(Refusal::new(Code::NotRegistered, "the chain has other keys for this account"))
+    Err(Refusal::new(Code::NotRegistered, "the chain has different keys for this account"))
 }
 
 /// A signed Command was signed by d_C for this very frame.

@@ -64,7 +64,7 @@ impl<C> Assembler<C> {
             (Part::Whole, false) => Ok(Some(message(inner, counter, inner.body.to_vec(), None))),
             (Part::First, false) => self.begin(inner, counter, charge).map(|()| None),
             (Part::Middle | Part::Last, true) => self.go_on(inner, counter),
-            _ => Err(Refusal::new(Code::Malformed, "parts of a message out of order")),
+            _ => Err(Refusal::new(Code::Malformed, "message parts out of order")),
         }
     }
 
@@ -77,7 +77,7 @@ impl<C> Assembler<C> {
         let (claim, body) = inner
             .body
             .split_first_chunk()
-            .ok_or_else(|| Refusal::new(Code::Malformed, "a first part without length"))?;
+            .ok_or_else(|| Refusal::new(Code::Malformed, "a first part without a length"))?;
         let total = usize::try_from(u32::from_be_bytes(*claim)).unwrap_or(usize::MAX);
         // A message that fits into one frame is sent in one: every message has exactly one encoding.
         if total <= LARGEST_PART || total > LARGEST_MESSAGE || body.len() + claim.len() != LARGEST_PART {

@@ -145,7 +145,7 @@ impl Session {
     pub fn seal(&mut self, text: &[u8]) -> Result<Vec<u8>, Refusal> {
         let counter = self.sending.counter;
         if self.broken || counter >= MOST_FRAMES {
-            return Err(Refusal::new(Code::Session, "the session has no frames left"));
+            return Err(Refusal::new(Code::Session, "the session has used up its frames"));
         }
         if text.len() > LONGEST_TEXT {
             return Err(Refusal::new(Code::Length, format_args!("a text of {} bytes", text.len())));

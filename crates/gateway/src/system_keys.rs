@@ -153,14 +153,16 @@ impl SystemKeyList {
             return refuse("it is of another gateway");
         }
         if self.summary(provider) != agreed.list {
-            return refuse("it is not the one that the gateway announced");
+            return refuse("it is not the one the gateway announced");
         }
         provider.verify(&agreed.gateway_key, &self.signed_bytes(), &self.signature)?;
         if now >= self.expires_at {
             return refuse("it has expired, or this machine's clock is wrong");
         }
         let key = self.keys.iter().find(|key| key.is_in_use(now));
-        let Some(key) = key else { return refuse("no key is in use now, or this machine's clock is wrong") };
+        let Some(key) = key else {
+            return refuse("none of its keys is currently valid, or this machine's clock is wrong");
+        };
         provider.check_public_key(&key.public)?;
         Ok(*key)
     }

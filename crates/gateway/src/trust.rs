@@ -56,7 +56,7 @@ impl Trust {
         let file: File = serde_json::from_slice(&bytes).map_err(|_| CryptoError::NotAKey {
             path: shown(path),
             wanted: "a note of a gateway",
-            found: "it is damaged; compare the gateway's fingerprint and pin it again".to_owned(),
+            found: "it is damaged; confirm the gateway's fingerprint and pin it again".to_owned(),
         })?;
         let seen = ListSummary { version: file.list_version, digest: file.list_digest };
         Ok(Self { pinned: Some(file.gateway), first_use: false, seen: Some(seen) })

@@ -15,7 +15,7 @@ pub enum AnchorMode {
 
 /// The word does not name a mode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("write batch (Merkle roots) or each (one dataUpload per record)")]
+#[error("choose batch (Merkle roots) or each (one dataUpload per record)")]
 pub struct AnchorModeError;
 
 impl FromStr for AnchorMode {

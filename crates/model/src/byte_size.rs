@@ -24,7 +24,7 @@ pub struct ByteSize(pub u64);
 
 /// Why a text is not a number of bytes.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("'{0}' is no number of bytes; write for example 256MiB, 10GB or 1048576")]
+#[error("'{0}' is not a size; give one such as 256MiB, 10GB or 1048576")]
 pub struct ByteSizeError(String);
 
 impl FromStr for ByteSize {

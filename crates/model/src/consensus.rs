@@ -29,7 +29,7 @@ pub enum Consensus {
 /// Why a text is not a consensus.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "'{0}' is no consensus; write poa, poa:SIGNERS:PERIOD_MS (1 to 16 signers, up to 600000 ms), pow, or \
+    "'{0}' is not a valid consensus; choose poa, poa:SIGNERS:PERIOD_MS (1 to 16 signers, up to 600000 ms), pow, or \
      pow:DIFFICULTY (1 to 2^40, decimal or 0x and hex)"
 )]
 pub struct ConsensusError(String);

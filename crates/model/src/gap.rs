@@ -63,12 +63,12 @@ impl LossReason {
     pub fn text(self) -> &'static str {
         match self {
             Self::Transport => "never arrived (numbers are missing in header.seq)",
-            Self::Memory => "came while the memory for waiting messages was full",
-            Self::Disk => "came while the disk was full",
-            Self::Backlog => "came while the vault took no records and the space for waiting ones was used up",
-            Self::Key => "came while there was no key to seal them with",
-            Self::End => "could not be stored before the program had to end",
-            Self::Fault => "could not be sealed by a fault of the program",
+            Self::Memory => "arrived while the message buffer was full",
+            Self::Disk => "arrived while the disk was full",
+            Self::Backlog => "arrived while the vault was not accepting records and the backlog was full",
+            Self::Key => "arrived while there was no key to seal them with",
+            Self::End => "could not be stored before the program ended",
+            Self::Fault => "could not be sealed because of a bug in the program",
         }
     }
 }

@@ -9,7 +9,7 @@ use super::clean;
 
 /// Why a text is not a valid name of an incident.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("'{0}' is not a name; use 1 to 64 letters, digits, '.', '-' and '_', beginning with a letter or a digit")]
+#[error("'{0}' is not a valid name; use 1 to 64 letters, digits, '.', '-' and '_', starting with a letter or a digit")]
 pub struct IncidentNameError(String);
 
 /// An incident's name, given by its owner: 1 to 64 ASCII letters, digits, `.`, `-` and `_`.

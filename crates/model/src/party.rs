@@ -12,7 +12,8 @@ use super::{Address, clean};
 pub enum PartyError {
     /// It is not an address book name.
     #[error(
-        "'{0}' is not a name; use 1 to 40 letters, digits, '.', '-' and '_', beginning with a letter, or an address"
+        "'{0}' is not a valid name; use 1 to 40 letters, digits, '.', '-' and '_', starting with a letter, or an \
+         address"
     )]
     Name(String),
     /// It begins like an address but is not one.

@@ -7,7 +7,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// Why a text is not a profile name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("'{0}' is not a profile name; use 1 to 32 of a-z, 0-9, - and _, beginning with a letter")]
+#[error("'{0}' is not a valid profile name; use 1 to 32 characters from a-z, 0-9, - and _, starting with a letter")]
 pub struct ProfileNameError(String);
 
 /// A profile's name on this machine; never on the chain.

@@ -13,15 +13,15 @@ use super::{TopicName, clean};
 pub enum PublisherError {
     /// One publisher.
     #[error(
-        "'{0}' is not a publisher; write CALLER_ID@HOST:TYPE:MD5, as \
+        "'{0}' is not a publisher; use CALLER_ID@HOST:TYPE:MD5, such as \
          /driver@127.0.0.1:std_msgs/String:992ce8a1687cec8c8bd883ec73ca41d1"
     )]
     Publisher(String),
     /// One of a list.
-    #[error("'{0}' is not TOPIC=CALLER_ID@HOST:TYPE:MD5; separate several by commas")]
+    #[error("'{0}' is not TOPIC=CALLER_ID@HOST:TYPE:MD5; separate several with commas")]
     Listed(String),
     /// The policy for pinning publishers.
-    #[error("'{0}' is no way to pin publishers; write first, list or off")]
+    #[error("'{0}' is not a pinning mode; choose first, list or off")]
     Mode(String),
 }
 
@@ -157,9 +157,9 @@ impl Doubt {
             Self::New => "it is not a pinned publisher",
             Self::Host => "the pinned publisher of this name is on another host",
             Self::Type => "the pinned publisher of this name sends another type",
-            Self::Replaced => "it registered as the pinned publisher while that one was still there",
-            Self::Undecided => "a publisher of this name was replaced, and nobody has decided yet which is right",
-            Self::Unconfirmed => "the master does not list it; it was not connected to",
+            Self::Replaced => "it registered under the pinned publisher's name while that one was still running",
+            Self::Undecided => "a publisher of this name was replaced, and nobody has decided yet which one is genuine",
+            Self::Unconfirmed => "the master does not list it, so no connection was made",
         }
     }
 }

@@ -33,8 +33,8 @@ pub struct RetentionRules(Vec<RetentionRule>);
 /// Why a text is not a list of rules.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "'{0}' is no rule; write PATTERN=LIMIT, for example /robot*/camera/**=7d+10GiB, where a limit is a time (30m, 12h, \
-     7d), a size, both with a + between, or ever"
+    "'{0}' is not a retention rule; use PATTERN=LIMIT, such as /robot*/camera/**=7d+10GiB, where LIMIT is a time (30m, \
+     12h, 7d), a size, TIME+SIZE, or ever"
 )]
 pub struct RetentionError(String);
 

@@ -9,7 +9,7 @@ const LONGEST: u64 = 100 * 366 * 86_400;
 
 /// The text is not a time span.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("'{0}' is not a length of time; write a number and ms, s, m, h, d or w, such as 10s, 30d or 2w")]
+#[error("'{0}' is not a duration; use a number with ms, s, m, h, d or w, such as 10s, 30d or 2w")]
 pub struct SpanError(String);
 
 /// Parses a number followed by its unit; at most a hundred years, 0 allowed.

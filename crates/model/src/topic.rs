@@ -13,12 +13,12 @@ pub const LONGEST_NAME: usize = 255;
 pub enum NameError {
     /// Not a topic name.
     #[error(
-        "'{0}' is not a topic name; it begins with / and its parts are letters, digits and _, \
-         each beginning with a letter, as in /robot1/odom"
+        "'{0}' is not a topic name; it must start with /, and each part is letters, digits and _, starting with a \
+         letter, as in /robot1/odom"
     )]
     Topic(String),
     /// Not a type name.
-    #[error("'{0}' is not a message type; write package/Type, as in nav_msgs/Odometry")]
+    #[error("'{0}' is not a message type; use package/Type, as in nav_msgs/Odometry")]
     Type(String),
 }
 

@@ -12,8 +12,8 @@ use super::topic::{LONGEST_NAME, TypeName};
 /// Why a text is not a pattern.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "'{0}' is no pattern of topics; it begins with /, * stands for any letters of one part, ** for any parts, \
-     ? for one letter, as in /robot*/odom"
+    "'{0}' is not a topic pattern; it must start with /; * matches within one part, ** any number of parts, ? one \
+     character, as in /robot*/odom"
 )]
 pub struct PatternError(String);
 

@@ -4,13 +4,13 @@
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
     /// Fewer bytes than the structure needs.
-    #[error("the data ends before its {0}")]
+    #[error("the data ends before the {0}")]
     Short(&'static str),
     /// Bytes are left over.
     #[error("{0} bytes are left over after the end")]
     Long(usize),
     /// A field holds a value that is not allowed.
-    #[error("the {0} has a value that is not allowed")]
+    #[error("the {0} has an invalid value")]
     Value(&'static str),
 }
 

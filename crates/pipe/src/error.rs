@@ -4,11 +4,12 @@
 #[derive(Debug, thiserror::Error)]
 pub enum PipeError {
     /// The other side is gone or the pipe does not work.
-    #[error("the pipe to the other process broke ({0}); it is started anew by the site")]
+    #[error("the pipe to the other process broke ({0}); the site restarts it")]
     Broken(#[from] std::io::Error),
     /// A frame that claims more than is ever sent.
     #[error(
-        "a frame on the pipe claims {found} bytes of {part}, {most} are allowed; both programs must be of one release"
+        "a frame on the pipe claims {found} bytes of {part}, but {most} are allowed; use the same release of both \
+         programs"
     )]
     TooLong {
         /// Head or payload.
@@ -19,9 +20,9 @@ pub enum PipeError {
         most: u32,
     },
     /// The pipe ended within a frame.
-    #[error("the pipe ended in the middle of a frame; the other process was killed or crashed")]
+    #[error("the pipe closed in the middle of a frame; the other process was killed or crashed")]
     Cut,
     /// A head with an unknown content.
-    #[error("a frame on the pipe cannot be understood ({0}); both programs must be of one release")]
+    #[error("a frame on the pipe is malformed ({0}); use the same release of both programs")]
     Head(String),
 }

@@ -66,8 +66,9 @@ pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool, PipelineError> {
     plant.observer.alert(
         true,
         format!(
-            "equivocation: {owner} signed two records under number {number} of topic {topic} (recorder {recorder}): {held} is \
-             kept, {digest} refused; the audit log keeps both signatures. Its home runs twice, or it lies"
+            "equivocation: {owner} signed two records with number {number} of topic {topic} (recorder {recorder}): \
+             {held} is kept, {digest} refused; the audit log keeps both signatures. Either two copies of its home are \
+             running, or it is cheating"
         ),
     );
     Ok(true)

@@ -28,7 +28,7 @@ pub enum PipelineError {
     Unregistered(Address),
     /// No grant covers the request.
     #[error(
-        "the identity that {0} registered does not verify, so it counts as unregistered; ask its owner to register again"
+        "the identity that {0} registered is invalid, so it counts as unregistered; ask its owner to register again"
     )]
     BadIdentity(Address),
     /// The owner, who would have to grant access.
@@ -42,12 +42,12 @@ pub enum PipelineError {
         what: String,
     },
     /// There is no such record, or it is not shared.
-    #[error("no record '{0}' is known here; `authros uploads list` and `authros shared list` name those that are")]
+    #[error("there is no record '{0}' here; `authros uploads list` and `authros shared list` show those there are")]
     NoRecord(String),
     /// The ledger contradicts a record's signed header or sealed head.
     #[error(
-        "the ledger was altered: record {id} differs from its row in its {field}, so it is not shown; \
-         `authros audit` names every such row, restore the ledger from a backup"
+        "the ledger was altered: record {id} differs from its row in its {field}, so it is not shown; `authros audit` \
+         lists every such row; restore the ledger from a backup"
     )]
     RowDiffers {
         /// The record.
@@ -57,20 +57,21 @@ pub enum PipelineError {
     },
     /// The vault no longer holds a record.
     #[error(
-        "the ciphertext of record {0} is missing from the vault; restore it from a backup, its digest stays on the chain"
+        "the ciphertext of record {0} is missing from the vault; restore it from a backup (its digest is still on the \
+         chain)"
     )]
     Missing(String),
     /// Retention has deleted a record's ciphertext.
     #[error(
-        "the ciphertext of record {0} was deleted by retention, as retention record {1} on the chain says; its \
-         header, signature and proof are there, its message is not"
+        "the ciphertext of record {0} was deleted by retention (see retention record {1} on the chain); its header, \
+         signature and proof remain, its message does not"
     )]
     Deleted(String, Digest),
     /// The keyring lacks the key of an epoch.
     #[error("the keyring has no key of epoch {0}; restore the newest keyring of this profile")]
     UnknownEpoch(u64),
     /// A topic whose key was not issued.
-    #[error("no key for topic {0} is here, so it is not captured; enrol again with `--topic` for it")]
+    #[error("there is no key for topic {0} here, so it is not captured; enrol again with `--topic` for it")]
     Uncovered(String),
     /// A transaction was mined and reverted.
     #[error("the contract refused {purpose}: {reason}")]
@@ -81,18 +82,16 @@ pub enum PipelineError {
         reason: String,
     },
     /// The account cannot pay for gas.
-    #[error(
-        "{0} has not enough ether to pay for the transaction's gas; send it some on this chain, then repeat the command"
-    )]
+    #[error("{0} has too little ether to pay for gas; send it some on this chain, then repeat the command")]
     NoEther(Address),
     /// A transaction was not mined in time; it stays stored and is sent again.
-    #[error("{0} is sent but not in a block yet; it is kept and will be sent again, look at `authros chain status`")]
+    #[error("{0} was sent but is not in a block yet; it is stored and will be resent, see `authros chain status`")]
     NotMined(String),
     /// The chain kept changing while it was read.
-    #[error("the chain changes while it is read; it is read again, check that all nodes behind the URL agree")]
+    #[error("the chain changed while it was being read; it is read again; check that all nodes behind the URL agree")]
     Unsteady,
     /// A record from a gateway with an invalid claim.
-    #[error("record {digest} that the gateway gave is not taken in: {why}; tell its owner and the gateway's operator")]
+    #[error("record {digest} from the gateway was rejected: {why}; tell its owner and the gateway's operator")]
     NotTakenIn {
         /// The record.
         digest: Digest,
@@ -100,7 +99,7 @@ pub enum PipelineError {
         why: String,
     },
     /// A record whose signer had no right at the block that anchors it.
-    #[error("record {id} is not verified: {why}; ask its owner whether the record was anchored again since")]
+    #[error("record {id} is not verified: {why}; ask its owner whether it has been anchored again since")]
     NoRight {
         /// The record.
         id: String,

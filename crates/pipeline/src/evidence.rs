@@ -130,16 +130,13 @@ fn stored(
         return Err(PipelineError::RowDiffers { id: row.id.clone(), field });
     }
     if header.domain != reader.network.domain {
-        notes.push(format!("record {} is of a chain or contract that was left, and is not in the bundle", row.id));
+        notes.push(format!("record {} belongs to an earlier chain or contract and is not in the bundle", row.id));
         return Ok(None);
     }
     let own = reader.reader.signing().public;
     let known = [Some(own), plant.ledger.signer(row.signer)?, authority::key_of(plant, reader.network, row)?];
     let Some(key) = known.into_iter().flatten().find(|key| signer_id(key) == row.signer) else {
-        notes.push(format!(
-            "the key that signed record {} is not known here, and the record is not in the bundle",
-            row.id
-        ));
+        notes.push(format!("the key that signed record {} is unknown here; the record is not in the bundle", row.id));
         return Ok(None);
     };
     let record = BundledRecord { record, signature: row.signature, anchor: None, disclosure: None };
@@ -209,8 +206,7 @@ async fn show(reader: &Reader<'_>, asked: Vec<Asked>, gathered: &mut Gathered) -
                 at
             }
             None => {
-                let text =
-                    format!("the node proves no state, of block {block} or a later one: level (c) is not proven");
+                let text = format!("the node proves no state of block {block} or later: level (c) is not proven");
                 gathered.notes.push(text);
                 block
             }

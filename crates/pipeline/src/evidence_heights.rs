@@ -40,7 +40,7 @@ pub(super) async fn shown(reader: &Reader<'_>, rows: &[RecordRow]) -> Result<Sho
     let mut shown = Shown::default();
     for (recorder, topics) in topics {
         if rows.len() + shown.rows.len() + 2 > MOST_RECORDS {
-            let text = format!("statements of recorder {recorder}, and of those after it, do not fit into the bundle");
+            let text = format!("statements of recorder {recorder} and later ones do not fit into the bundle");
             shown.notes.push(text);
             break;
         }
@@ -75,7 +75,9 @@ async fn one(
         }
     }
     if shown.rows.len() == before {
-        shown.notes.push(format!("recorder {recorder} has no anchored birth here: nothing says whom it follows"));
+        shown.notes.push(format!(
+            "recorder {recorder} has no anchored birth record here: nothing says which recorder it follows"
+        ));
     }
     Ok(())
 }

@@ -36,8 +36,9 @@ pub(super) fn add(plant: &Plant, roots: &BTreeSet<Hash>, gathered: &mut Gathered
         }
     }
     if bare > 0 {
-        let text =
-            format!("{bare} batches have no time stamp yet: level (d) is absent; `authros evidence stamp` asks for it");
+        let text = format!(
+            "{bare} batches have no time stamp yet, so level (d) is absent; `authros evidence stamp` requests one"
+        );
         gathered.notes.push(text);
     }
     Ok(())

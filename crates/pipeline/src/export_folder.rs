@@ -23,7 +23,7 @@ const LONGEST_HEADER: u64 = 1024;
 
 /// Why a folder cannot be examined.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{file}: {why}; ask whoever gave you the folder for `authros uploads export` anew")]
+#[error("{file}: {why}; ask whoever gave you the folder for a new `authros uploads export`")]
 pub struct FolderError {
     /// The file.
     pub file: String,
@@ -123,7 +123,7 @@ impl ClaimedProof {
             return Err(wrong(&format!("its format is '{}', not {FORMAT}", clean(&proof.format, 40))));
         }
         if proof.anchor.path.as_ref().is_some_and(|path| path.len() > LONGEST_PATH) {
-            return Err(wrong("its path is longer than any batch has"));
+            return Err(wrong("its path is longer than in any batch"));
         }
         Ok(proof)
     }
@@ -199,15 +199,15 @@ impl ExportFolder {
         proof: &[u8],
     ) -> Result<Self, FolderError> {
         let (header, length) = Header::parse(&record)
-            .map_err(|error| FolderError::new("record.bin", &format!("is no record: {error}")))?;
+            .map_err(|error| FolderError::new("record.bin", &format!("is not a record: {error}")))?;
         let sealed = u64::from(header.head_length).saturating_add(header.body_length);
         if u64::try_from(record.len() - length.min(record.len())).ok() != Some(sealed) {
-            return Err(FolderError::new("record.bin", "is not as long as its header says"));
+            return Err(FolderError::new("record.bin", "does not have the length its header gives"));
         }
         let signature =
             signature_from_der(signature).map_err(|error| FolderError::new("signature.bin", &error.to_string()))?;
         let signer = std::str::from_utf8(signer).ok().and_then(|text| keyfile::sm2_public_from_pem(text).ok());
-        let signer = signer.ok_or_else(|| FolderError::new("signer.pem", "holds no SM2 public key"))?;
+        let signer = signer.ok_or_else(|| FolderError::new("signer.pem", "contains no SM2 public key"))?;
         Ok(Self { record, header, message, signature, signer, proof: ClaimedProof::parse(proof)? })
     }
 
@@ -230,7 +230,7 @@ impl ExportFolder {
             self.compare_header(),
         ];
         let signed = record::signed_bytes(&self.header.domain, &digest);
-        let text = "message.bin is label, network and this digest";
+        let text = "message.bin consists of label, network and this digest";
         steps.push(VerifyStep::new("message", self.message == signed, text));
         let named = signer_id(&self.signer) == self.header.signer;
         let valid = provider.verify(&self.signer, &signed, &self.signature).is_ok();
@@ -269,7 +269,7 @@ impl ExportFolder {
             return Some(VerifyStep::new(
                 "proof",
                 false,
-                "proof.json names a batch and not the whole path to its root",
+                "proof.json names a batch, but not the whole path to its root",
             ));
         };
         let leaf = self.leaf(digest);
@@ -285,7 +285,7 @@ fn read(folder: &Path, name: &str, most: u64) -> Result<Vec<u8>, FolderError> {
     let failed = |error: std::io::Error| FolderError::new(name, &format!("cannot be read: {error}"));
     // Checked before it is opened, because opening a pipe would wait for its writer.
     if !path.symlink_metadata().map_err(failed)?.is_file() {
-        return Err(FolderError::new(name, "is no plain file"));
+        return Err(FolderError::new(name, "is not a regular file"));
     }
     let file = File::open(&path).map_err(failed)?;
     if file.metadata().map_err(failed)?.len() > most {
@@ -308,7 +308,7 @@ mod tests {
         std::os::unix::fs::symlink("/etc/hostname", folder.path().join("link")).expect("linked");
         std::fs::create_dir(folder.path().join("folder")).expect("made");
         std::fs::write(folder.path().join("long"), [0; 11]).expect("written");
-        assert!(read("link").contains("no plain file") && read("folder").contains("no plain file"));
+        assert!(read("link").contains("not a regular file") && read("folder").contains("not a regular file"));
         assert!(read("long").contains("longer"));
         for text in ["", "{}", "[]", "{\"format\":1}", "\u{0}", &"[".repeat(100_000)] {
             assert!(ClaimedProof::parse(text.as_bytes()).is_err());

@@ -379,6 +379,6 @@ fn trust_in(file: &Path, fingerprint: crate::model::SignerId) -> Result<Trust, C
     if trust.pinned == Some(fingerprint) {
         return Ok(trust);
     }
-    let found = "it names another gateway than the enrolment; use another --home for this enrolment".to_owned();
+    let found = "it names a different gateway than the enrolment; use another --home for this enrolment".to_owned();
     Err(CryptoError::NotAKey { path: crate::crypto::error::shown(file), wanted: "the note of this gateway", found })
 }

@@ -92,16 +92,16 @@ impl Mirror<'_> {
     /// [`PipelineError::NotTakenIn`] if a claim is invalid, otherwise errors of chain, vault and ledger.
     pub async fn take(&self, owner: Address, digest: Digest, fetched: Fetched) -> Result<bool, PipelineError> {
         let refused = |why: &str| PipelineError::NotTakenIn { digest, why: why.to_owned() };
-        let (header, _) = Header::parse(&fetched.blob).map_err(|_| refused("it is no record"))?;
+        let (header, _) = Header::parse(&fetched.blob).map_err(|_| refused("it is not a record"))?;
         if header.owner != owner || !self.network.accepts(&header.domain) {
-            return Err(refused("it is not of the owner or the network that was asked for"));
+            return Err(refused("it does not belong to the requested owner or network"));
         }
         let proof = match fetched.proof.is_empty() {
             true => None,
             false => Some(AnchorProof::parse(&fetched.proof).map_err(|_| refused("its proof is malformed"))?),
         };
         if signer_id(&fetched.signer) != header.signer {
-            return Err(refused("its header names another key than signed it"));
+            return Err(refused("its header names a different key than the one that signed it"));
         }
         let proof = match proof {
             Some(proof) => Some(self.confirmed(&header, digest, proof).await?),
@@ -226,7 +226,7 @@ impl Mirror<'_> {
                 if let Some(claim) = claim {
                     block_in_place(|| equivocation::tell(self.plant, &claim))?;
                 }
-                let why = "another record has its number or another name its topic".to_owned();
+                let why = "its number belongs to another record, or its topic has another name".to_owned();
                 Err(PipelineError::NotTakenIn { digest, why })
             }
             done => Ok(done?),

@@ -117,11 +117,11 @@ impl Notices {
         match self.opened(record) {
             Ok((header, notice)) => {
                 if let Err(error) = self.obey(&header, notice) {
-                    self.observer.alert(true, format!("the owner's notice cannot be kept: {error}"));
+                    self.observer.alert(true, format!("the owner's notice cannot be stored: {error}"));
                 }
             }
             Err(error) => {
-                let text = format!("a notice that is not the owner's, or not for this robot, was passed over: {error}");
+                let text = format!("ignored a notice that is not from the owner or not for this robot: {error}");
                 self.observer.alert(true, clean(&text, 300));
             }
         }
@@ -154,7 +154,7 @@ impl Notices {
         if fits && opened.header.kind == RecordKind::Key {
             return Ok((opened.header, notice));
         }
-        Err(PipelineError::Refused("it is no notice to a robot".to_owned()))
+        Err(PipelineError::Refused("it is not a notice to a robot".to_owned()))
     }
 
     fn obey(&mut self, header: &Header, notice: Notice) -> Result<(), PipelineError> {
@@ -170,7 +170,7 @@ impl Notices {
             Notice::OwnerKey(change) => {
                 enrolment.owner_key = change.new;
                 let fingerprint = Fingerprint::of(&change.new);
-                format!("the owner's SM2 key is {fingerprint} from now on; the old one and the account signed it")
+                format!("the owner's SM2 key is now {fingerprint}; the old key and the account signed the change")
             }
             Notice::Gateways(list) => {
                 let gateways = list.applied(&enrolment.gateways);
@@ -184,8 +184,7 @@ impl Notices {
             }
             Notice::Pull(span) => asked(self.ring.as_ref(), header.seq, &span)?,
             Notice::Unknown(kind) => {
-                let text =
-                    format!("the owner sent a notice of kind {kind}, which this version does not know; update it");
+                let text = format!("the owner sent a notice of unknown kind {kind}; update this program");
                 self.observer.alert(true, text);
                 // Not counted as taken: a later version is to take it.
                 return Ok(());
@@ -223,10 +222,10 @@ fn told(before: &IssuedKeys, after: &IssuedKeys) -> String {
     let new: Vec<String> = after.now.key.topics().unwrap_or_default();
     let new: Vec<&str> = new.iter().filter(|topic| !known.contains(topic)).map(String::as_str).collect();
     if new.is_empty() {
-        return format!("the owner sent the keys of epoch {epoch}; records are sealed under it");
+        return format!("the owner sent the keys of epoch {epoch}; new records are sealed with them");
     }
     let topics = clean(&new.join(", "), 200);
-    format!("the owner sent the keys of epoch {epoch} with those of {topics}; records of it are taken from now on")
+    format!("the owner sent the keys of epoch {epoch}, including those of {topics}, which is now captured")
 }
 
 #[async_trait]

@@ -160,8 +160,10 @@ impl Pins {
                 doubt
             }
             Err(error) => {
-                self.observer
-                    .alert(true, format!("publishers of {topic} cannot be checked, so they are held back: {error}"));
+                self.observer.alert(
+                    true,
+                    format!("publishers of {topic} cannot be checked, so their messages are held back: {error}"),
+                );
                 Some(Doubt::New)
             }
         }
@@ -282,7 +284,10 @@ impl Pins {
         self.note(owner, "pin on first use", &format!("{topic} {name}"), "done")?;
         self.observer.alert(
             false,
-            format!("{topic} is pinned to its first publisher, {name}; look whether it is the right one: `authros topics pins`"),
+            format!(
+                "{topic} is now pinned to its first publisher, {name}; check that it is the right one: `authros \
+                     topics pins`"
+            ),
         );
         Ok(())
     }
@@ -316,13 +321,16 @@ impl Pins {
         }
         known.alarms += 1;
         let advice = match doubt {
-            Doubt::Unconfirmed => "look who can reach this machine",
-            _ => "its messages are quarantined: `authros quarantine list`, or `authros topics pin` accepts it",
+            Doubt::Unconfirmed => "check who can reach this machine",
+            _ => "its messages are quarantined: see `authros quarantine list`, or accept it with `authros topics pin`",
         };
         let text = match known.alarms {
             ..=MOST_ALARMS => format!("NODE FORGING? {name} on {topic}: {}; {advice}", doubt.text()),
             _ => {
-                format!("NODE FORGING? more than {MOST_ALARMS} alarms on {topic}: further ones are quarantined unsaid")
+                format!(
+                    "NODE FORGING? more than {MOST_ALARMS} alarms on {topic}: further publishers are quarantined \
+                     without an alarm"
+                )
             }
         };
         self.observer.alert(true, text);

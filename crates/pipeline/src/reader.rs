@@ -78,7 +78,7 @@ impl Reader<'_> {
     /// The verdict on a record whose bytes are gone: an alarm, unless a retention record on the chain names it.
     async fn check_gone(&self, row: &RecordRow) -> Result<Verdict, PipelineError> {
         let Some(retained) = self.given_up(row)? else {
-            let text = format!("the ciphertext of record {} is missing, and no retention record names it", row.id);
+            let text = format!("the ciphertext of record {} is missing, but no retention record names it", row.id);
             self.plant.observer.alert(true, text);
             return Ok(Verdict::Missing);
         };

@@ -65,7 +65,7 @@ pub fn audit(
             None
         }
         None => {
-            tally.note("this home never met a chain, so nothing was compared with one");
+            tally.note("this home was never connected to a chain, so nothing was compared with one");
             None
         }
     };

@@ -32,7 +32,7 @@ impl RecordedNames {
 
     fn find(&mut self, recorded: &Arc<str>) -> Result<Arc<str>, &'static str> {
         if recorded.len() > LONGEST_NAME {
-            return Err("its topic's name is longer than 255 bytes");
+            return Err("its topic name is longer than 255 bytes");
         }
         let parts: Vec<String> = recorded.split('/').filter(|part| !part.is_empty()).map(graph_part).collect();
         if parts.is_empty() {
@@ -45,7 +45,7 @@ impl RecordedNames {
         for number in 2.. {
             let free = self.taken.get(&candidate).is_none_or(|(_, same)| exact && *same && number == 2);
             if candidate.parse::<TopicName>().is_err() {
-                return Err("its topic's name is too long for a graph name");
+                return Err("its topic name is too long for a graph name");
             }
             if free {
                 break;
@@ -84,7 +84,7 @@ mod tests {
         let expected = ["/odom", "/foo", "/foo/bar", "/ORB_SLAM", "/_1num", "/_n_", "/a/b", "/_own"];
         assert_eq!(resolved(&given), expected);
         assert_eq!(resolved(&["", "///"]), ["its topic has no name"; 2]);
-        assert_eq!(resolved(&[&"a".repeat(300)]), ["its topic's name is longer than 255 bytes"]);
+        assert_eq!(resolved(&[&"a".repeat(300)]), ["its topic name is longer than 255 bytes"]);
     }
 
     #[test]

@@ -333,7 +333,7 @@ fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
             (false, format!("{caller_id} no longer publishes {topic}: {reason}"))
         }
         CaptureNotice::PublisherUnreachable { topic, publisher, reason } => {
-            (true, format!("{publisher} publishes {topic} but cannot be read, it is tried again: {reason}"))
+            (true, format!("{publisher} publishes {topic} but cannot be read; retrying: {reason}"))
         }
         CaptureNotice::Contradiction { topic, caller_id, contradiction } => {
             (true, format!("{caller_id} on {topic}: {contradiction}"))
@@ -345,7 +345,7 @@ fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
             (true, format!("{count} messages of {caller_id} on {topic} never arrived: counted as lost in transport"))
         }
         CaptureNotice::ReadingBroken { reason } => {
-            (true, format!("reading of ROS 2 broke off and begins anew, what is missing will be counted: {reason}"))
+            (true, format!("reading ROS 2 broke off and is being restarted; what is missing will be counted: {reason}"))
         }
         CaptureNotice::EndUnknown { topic, caller_id, at_least } => {
             let text = "vanished while ROS 2 was not read: at least";
@@ -355,7 +355,7 @@ fn words(notice: &CaptureNotice) -> Option<(bool, String)> {
             (true, format!("{publisher} on {topic} was refused: {reason}"))
         }
         CaptureNotice::ShutdownAsked { by, reason } => {
-            (true, format!("{by} asked this node to end ({reason}); it goes on"))
+            (true, format!("{by} asked this node to shut down ({reason}); it continues"))
         }
     };
     Some((told.0, clean(&told.1, 300)))

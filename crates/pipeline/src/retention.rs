@@ -150,8 +150,8 @@ fn header_of(plant: &Plant, digest: Digest) -> Result<Option<Vec<u8>>, PipelineE
 
 fn missing(plant: &Plant, digest: Digest) {
     let text = format!(
-        "record {digest} is not given up by retention: its ciphertext is gone or altered, and no retention record \
-         names it; look at it with `authros shared check`"
+        "record {digest} is not deleted by retention: its ciphertext is missing or altered, but no retention record \
+         names it; inspect it with `authros shared check`"
     );
     plant.observer.alert(true, text);
 }

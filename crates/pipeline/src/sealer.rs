@@ -96,7 +96,7 @@ impl Sealer {
         if items.iter().all(|item| item.ring) || self.try_to_store(items, rings, closed_at).is_ok() {
             return;
         }
-        self.plant.observer.alert(true, "sealing failed by a fault of the program, it is tried again".to_owned());
+        self.plant.observer.alert(true, "sealing failed because of a bug in the program; retrying".to_owned());
         for item in items {
             if self.try_to_store(std::slice::from_ref(item), rings, closed_at).is_err() {
                 self.lose(item, LossReason::Fault);
@@ -119,7 +119,7 @@ impl Sealer {
                 Err(_) => return Err(Panicked),
             };
             self.losses.blame(cause(&error));
-            let text = format!("captured messages cannot be stored, they wait in memory and are tried again: {error}");
+            let text = format!("captured messages cannot be stored; they wait in memory and are retried: {error}");
             self.plant.observer.alert(true, text);
             if rings.is_closed() {
                 let end = *closed_at.get_or_insert_with(Instant::now) + LAST_TRIES;
@@ -172,7 +172,7 @@ impl Sealer {
             Err(error) => {
                 // The ledger knows of a stream whose number was used all the same.
                 self.planner.seqs.clear();
-                let text = format!("lost messages are counted, but not yet told of in gap records: {error}");
+                let text = format!("lost messages are counted, but not yet reported in gap records: {error}");
                 self.plant.observer.alert(true, text);
             }
         }

@@ -243,7 +243,7 @@ impl Storer<'_> {
         let found = put_back(self.plant, stopped)?;
         self.tell(&found, known.is_some());
         if found.waiting > 0 {
-            return Ok(Err((PUT_BACK_AGAIN, "what it may have lost is not all compared yet".to_owned())));
+            return Ok(Err((PUT_BACK_AGAIN, "what it may have lost is still being compared".to_owned())));
         }
         let missing = missing::look_for_all(self.plant, stopped)?;
         self.tell_missing(&missing)?;
@@ -256,9 +256,7 @@ impl Storer<'_> {
     fn tell(&self, found: &PutBack, known: bool) {
         if found.replaced > 0 {
             let count = found.replaced;
-            self.alert(format!(
-                "{count} records in the vault were not the bytes that were stored; they are right again"
-            ));
+            self.alert(format!("{count} records in the vault were altered; they have been repaired"));
         }
         if found.put_back > 0 {
             let text =
@@ -271,12 +269,12 @@ impl Storer<'_> {
         if missing.newly > 0 {
             let count = missing.newly;
             self.alert(format!(
-                "MISSING: the vault lost {count} verified records of which there is no local copy; restore it from a \
-                 back-up, `authros audit` names them"
+                "MISSING: the vault lost {count} verified records that have no local copy; restore it from a backup; \
+                 `authros audit` lists them"
             ));
         }
         if missing.back > 0 {
-            self.plant.observer.alert(false, format!("{} records are in the vault again", missing.back));
+            self.plant.observer.alert(false, format!("{} records are back in the vault", missing.back));
         }
         if missing.gone != self.gone {
             self.gone = missing.gone;

@@ -142,7 +142,7 @@ fn settle(plant: &Plant, rows: &[&RecordRow], state: RecordState) -> Result<(), 
         plant.observer.tampered(&digests);
         plant.observer.alert(
             true,
-            format!("{} records differ from what was anchored, or are gone from the vault", digests.len()),
+            format!("{} records differ from what was anchored, or are missing from the vault", digests.len()),
         );
     }
     plant.observer.records_changed();
@@ -154,7 +154,9 @@ fn pass_over(plant: &Plant, passed: &[(&RecordRow, NoRight)]) -> Result<(), Pipe
     let Some((_, why)) = passed.first() else { return Ok(()) };
     let digests: Vec<Digest> = passed.iter().map(|(row, _)| row.digest).collect();
     let moved = plant.ledger.pass_over(&digests)?;
-    plant.observer.alert(false, format!("{moved} records are to be anchored anew, their block does not count: {why}"));
+    plant
+        .observer
+        .alert(false, format!("{moved} records will be anchored again because their block does not count: {why}"));
     plant.observer.records_changed();
     Ok(())
 }

@@ -67,7 +67,7 @@ pub(super) fn resolve(host: &str, port: u16, deadline: Instant) -> std::io::Resu
         // The caller may have stopped waiting.
         let _ = sender.send(found);
     })?;
-    let late = |_| std::io::Error::new(std::io::ErrorKind::TimedOut, "its name is not resolved in time");
+    let late = |_| std::io::Error::new(std::io::ErrorKind::TimedOut, "its name was not resolved in time");
     let mut found: Vec<SocketAddr> = receiver.recv_timeout(time_left(deadline)?).map_err(late)??;
     found.sort_by_key(SocketAddr::is_ipv6);
     found.truncate(8);

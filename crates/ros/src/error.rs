@@ -8,8 +8,8 @@ use crate::model::{ErrorKind, clean};
 pub enum RosError {
     /// The master does not answer.
     #[error(
-        "the ROS master at {uri} does not answer ({reason}); start roscore there, or correct ros.master \
-         (--ros-master, ROS_MASTER_URI)"
+        "the ROS master at {uri} does not answer ({reason}); start roscore there or correct ros.master (--ros-master, \
+         ROS_MASTER_URI)"
     )]
     Unreachable {
         /// The master's URI.
@@ -18,12 +18,12 @@ pub enum RosError {
         reason: String,
     },
     /// A text is not the URI of a master or node.
-    #[error("'{0}' is not a ROS address; write http://HOST:PORT, as in http://127.0.0.1:11311")]
+    #[error("'{0}' is not a ROS address; use http://HOST:PORT, as in http://127.0.0.1:11311")]
     Address(String),
     /// This machine's own host name or address cannot be used.
     #[error(
-        "cannot listen for ROS peers on '{host}' ({reason}); set ROS_IP to an address of this machine that the \
-         other nodes reach"
+        "cannot listen for ROS peers on '{host}' ({reason}); set ROS_IP to an address of this machine that the other \
+         nodes can reach"
     )]
     OwnHost {
         /// The host name or address tried.
@@ -32,7 +32,7 @@ pub enum RosError {
         reason: String,
     },
     /// The master answered with a refusal.
-    #[error("the ROS master at {uri} refused {call}: {reason}; look into the master's log")]
+    #[error("the ROS master at {uri} refused {call}: {reason}; check the master's log")]
     Refused {
         /// The master's URI.
         uri: String,
@@ -42,7 +42,7 @@ pub enum RosError {
         reason: String,
     },
     /// The peer is not a ROS master, or a broken one.
-    #[error("{uri} answers, but not as a ROS master ({reason}); check that ros.master names roscore's port")]
+    #[error("{uri} answers, but is not a ROS master ({reason}); check that ros.master has roscore's port")]
     Protocol {
         /// The URI.
         uri: String,
@@ -50,7 +50,7 @@ pub enum RosError {
         reason: String,
     },
     /// The embedded master did not start.
-    #[error("the embedded ROS master did not start ({0}); name a running one by --ros-master instead")]
+    #[error("the embedded ROS master did not start ({0}); use a running one with --ros-master instead")]
     EmbeddedMaster(String),
     /// The program that speaks ROS 2 is not installed.
     #[error(
@@ -77,13 +77,13 @@ pub enum RosError {
         reason: String,
     },
     /// More simulated robots than allowed.
-    #[error("{0} robots are too many to simulate; ask for at most {most}", most = crate::ros::MOST_ROBOTS)]
+    #[error("cannot simulate {0} robots; the limit is {most}", most = crate::ros::MOST_ROBOTS)]
     Robots(u16),
     /// An invalid publishing rate.
-    #[error("{0} Hz is not a publishing rate; use a number above 0 and up to 1000")]
+    #[error("{0} Hz is not a valid publishing rate; use a number above 0 and up to 1000")]
     Rate(String),
     /// A message definition that is invalid, or exceeds the limits.
-    #[error("the definition of {type_name} cannot be used: {reason}; the publisher sends a faulty definition")]
+    #[error("the definition of {type_name} cannot be used: {reason}; the publisher sends a bad definition")]
     Definition {
         /// The type.
         type_name: String,
@@ -91,7 +91,7 @@ pub enum RosError {
         reason: String,
     },
     /// A type whose messages are stored, but cannot be read field by field.
-    #[error("messages of {type_name} are kept as they are, but no fields are shown: {reason}")]
+    #[error("messages of {type_name} are kept, but their fields cannot be shown: {reason}")]
     NoFields {
         /// The type.
         type_name: String,
@@ -102,7 +102,7 @@ pub enum RosError {
     #[error("the recording cannot be used: {0}")]
     Recording(String),
     /// A message body that does not match its definition.
-    #[error("a message of {type_name} does not fit its definition: {reason}; show its raw bytes instead")]
+    #[error("a message of {type_name} does not match its definition: {reason}; show its raw bytes instead")]
     Body {
         /// The type.
         type_name: String,

@@ -73,7 +73,7 @@ impl EmbeddedMaster {
 
     /// Waits until this very process answers at the port.
     fn wait(&self) -> Result<(), String> {
-        let endpoint = Endpoint::parse(&self.uri).ok_or("its address is broken")?;
+        let endpoint = Endpoint::parse(&self.uri).ok_or("its address is malformed")?;
         let deadline = Instant::now() + PATIENCE;
         let ours = i64::from(std::process::id());
         let mut reason = String::from("it did not answer in time");
@@ -109,7 +109,7 @@ fn process_id(answer: &Value) -> Option<i64> {
 fn free_port() -> Result<u16, String> {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).map_err(|error| error.to_string())?;
     let port = listener.local_addr().map_err(|error| error.to_string())?.port();
-    if port == USUAL_PORT { Err(String::from("the usual port is left free")) } else { Ok(port) }
+    if port == USUAL_PORT { Err(String::from("the default port is left free")) } else { Ok(port) }
 }
 
 #[cfg(test)]

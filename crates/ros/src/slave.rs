@@ -133,7 +133,7 @@ fn request_topic(node: &dyn Node, params: &[Value]) -> Value {
     let tcpros =
         |protocol: &Value| protocol.as_array().and_then(<[Value]>::first).and_then(Value::as_text) == Some("TCPROS");
     if !protocols.iter().any(tcpros) {
-        return failure(0, "only TCPROS is spoken here");
+        return failure(0, "only TCPROS is supported");
     }
     match node.outlet(text_at(params, 1)) {
         Some((host, port)) => success(Value::Array(vec!["TCPROS".into(), host.into(), Value::Int(i64::from(port))])),

@@ -299,10 +299,7 @@ impl<'a, W: Write> Child<'a, W> {
             }
         }
         if sample.bytes.len() > LONGEST_PAYLOAD as usize {
-            let reason = format!(
-                "a message of {} bytes is longer than the {LONGEST_PAYLOAD} that are taken",
-                sample.bytes.len()
-            );
+            let reason = format!("a message of {} bytes exceeds the limit of {LONGEST_PAYLOAD}", sample.bytes.len());
             return self.refuse(dds_topic, &Ros2Error::System { action: "take a message", reason });
         }
         let Taken { writer, number, sent, arrived, bytes } = sample;

@@ -9,7 +9,7 @@ pub enum Ros2Error {
     #[error(transparent)]
     Pipe(#[from] PipeError),
     /// The network could not be joined.
-    #[error("cannot join ROS 2 domain {domain} ({reason}); look whether UDP ports from {port} on are free")]
+    #[error("cannot join ROS 2 domain {domain} ({reason}); check that the UDP ports from {port} up are free")]
     Join {
         /// The domain.
         domain: u16,
@@ -19,7 +19,9 @@ pub enum Ros2Error {
         port: u32,
     },
     /// The network threads are gone, as happens after the process was stopped.
-    #[error("the threads that read the network ended, as they do after the process was stopped; they are started anew")]
+    #[error(
+        "the threads that read the network ended, as they do after the process was suspended; they are being restarted"
+    )]
     Threads,
     /// The operating system refused a resource.
     #[error("cannot {action} ({reason}); free some memory and sockets")]

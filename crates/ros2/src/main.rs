@@ -25,7 +25,7 @@ fn main() -> ExitCode {
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT, signal_hook::consts::SIGHUP] {
         if signal_hook::flag::register(signal, Arc::clone(&stop)).is_err() {
-            return fail("cannot listen for signals; start it anew");
+            return fail("cannot listen for signals; start it again");
         }
     }
     bound_memory();

@@ -12,6 +12,6 @@ fn it_says_that_it_is_not_started_by_hand() {
         let output = Command::new(env!("CARGO_BIN_EXE_authros-ros2")).args(arguments).output().expect("it starts");
         let said = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{arguments:?}");
-        assert!(said.contains("started by authros --ros2") && output.stdout.is_empty(), "{said}");
+        assert!(said.contains("authros --ros2 starts this program") && output.stdout.is_empty(), "{said}");
     }
 }

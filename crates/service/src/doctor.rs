@@ -37,10 +37,10 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
     match site {
         Some(Ok(view)) => of_site(&view, &mut sheet),
         Some(Err(reason)) => {
-            let advice = "end the process that holds site.lock, then start the site again";
+            let advice = "stop the process that holds site.lock, then start the site again";
             sheet.fail("site", &format!("it does not answer: {reason}"), advice);
         }
-        None => sheet.ok("site", "none runs; `authros serve` or the console starts one"),
+        None => sheet.ok("site", "no site is running; start one with `authros serve` or the console"),
     }
     sheet.view()
 }
@@ -51,7 +51,7 @@ pub async fn peers(home: &Home, config: &Config) -> Vec<PartHealth> {
     tokio::task::block_in_place(|| peers::ros(config, &mut ros));
     chain::look(home, config, false, &mut chain).await;
     let embedded = config.ros_master.is_none();
-    let site = "none runs; `authros serve` or the console starts one";
+    let site = "no site is running; start one with `authros serve` or the console";
     vec![
         ros.health("ros", if embedded { HealthLevel::Absent } else { HealthLevel::Ok }),
         chain.health("chain", HealthLevel::Ok),
@@ -66,15 +66,21 @@ fn part(name: &str, level: HealthLevel, text: &str) -> PartHealth {
 fn of_site(site: &SiteView, sheet: &mut Sheet) {
     let failed: Vec<_> = site.health.iter().filter(|part| part.level == HealthLevel::Failed).collect();
     for part in &failed {
-        sheet.fail(&format!("site {}", part.part), &part.text, "mend what it names; the site goes on by itself then");
+        sheet.fail(
+            &format!("site {}", part.part),
+            &part.text,
+            "fix what it names; the site then continues automatically",
+        );
     }
     for part in site.health.iter().filter(|part| part.level == HealthLevel::Waiting) {
-        sheet.warn(&format!("site {}", part.part), &part.text, "look again in a moment");
+        sheet.warn(&format!("site {}", part.part), &part.text, "check again in a moment");
     }
     if failed.is_empty() {
         let life = &site.life;
-        sheet
-            .ok("site", &format!("runs; {} records of this profile verified, {} pending", life.verified, life.pending));
+        sheet.ok(
+            "site",
+            &format!("running; {} records of this profile verified, {} pending", life.verified, life.pending),
+        );
     }
 }
 

@@ -32,7 +32,7 @@ const ACCOUNT: &str = "account";
 
 /// The text for verified records that are missing in the vault.
 pub fn lacking(count: u64) -> String {
-    format!("{count} verified records are MISSING from the vault and have no local copy; restore it from a back-up")
+    format!("{count} verified records are MISSING from the vault and have no local copy; restore it from a backup")
 }
 
 const PARTS: [Part; 6] = [Part::Topics, Part::Uploads, Part::Grants, Part::Chain, Part::Health, Part::Identity];
@@ -192,12 +192,12 @@ impl Observer for Hub {
         match (&condition, &before) {
             (Condition::Waits { .. }, Condition::Waits { .. }) | (Condition::Lacks(_), Condition::Lacks(_)) => {}
             (Condition::Waits { why, .. }, _) => {
-                let text = format!("the vault does not take records, they wait on disk and nothing is lost: {why}");
+                let text = format!("the vault is not accepting records; they wait on disk, nothing is lost: {why}");
                 self.notice_about(VAULT, NoticeLevel::Error, &text);
             }
             (Condition::Lacks(count), _) => self.notice_about(VAULT, NoticeLevel::Error, &lacking(*count)),
             (Condition::Takes, _) => {
-                self.notice_about(VAULT, NoticeLevel::Info, "the vault takes all records again");
+                self.notice_about(VAULT, NoticeLevel::Info, "the vault accepts all records again");
             }
         }
     }

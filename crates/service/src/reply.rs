@@ -72,7 +72,7 @@ impl Failure {
 
     /// The failure of a site that gave the answer to another question.
     pub fn of_another_version() -> Self {
-        Self::new(ErrorKind::Internal, "the site answered something else than was asked; it may be of another version")
+        Self::new(ErrorKind::Internal, "the site's answer does not match the request; it may be another version")
     }
 }
 

@@ -37,7 +37,10 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
     let unpacked = archive::unpack(&mut sealed, folder.path()).map_err(|error| unread(file, &error))?;
     let copied = Home::new(folder.path().to_owned());
     if !copied.ledger().exists() {
-        return Err(Failure::new(ErrorKind::Tampered, format!("{} holds no ledger, so it is no back-up", shown(file))));
+        return Err(Failure::new(
+            ErrorKind::Tampered,
+            format!("{} contains no ledger, so it is not a backup", shown(file)),
+        ));
     }
     snapshot::renew_ledger(&copied.ledger())?;
     let profiles = copied.profiles().iter().map(ToString::to_string).collect();
@@ -48,8 +51,8 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
     File::open(parent).and_then(|parent| parent.sync_all()).map_err(|error| unmade(parent, &error))?;
     let files = u64::try_from(unpacked.names.len()).unwrap_or(u64::MAX);
     let mut notes = vec![
-        "new records are numbered anew under a new recorder; nonces are read from the chain".to_owned(),
-        "do not run this home and the one it was copied from side by side on one chain".to_owned(),
+        "new records are numbered from 1 under a new recorder; nonces are read from the chain".to_owned(),
+        "do not run this home and the one it was copied from at the same time on one chain".to_owned(),
     ];
     // The home is complete by now: what cannot be moved is used where it is.
     notes.extend(apart.into_iter().filter_map(|(name, place)| put_back(&root.join(name), place)));
@@ -69,20 +72,20 @@ fn is_free(root: &Path) -> Result<(), Failure> {
 fn settings_apart<'a>(home: &'a Home, unpacked: &Path) -> Result<Vec<(&'static str, &'a Path)>, Failure> {
     let apart: Vec<_> = home.outside().into_iter().filter(|(name, _)| unpacked.join(name).exists()).collect();
     match apart.iter().find(|(_, place)| place.symlink_metadata().is_ok()) {
-        Some((_, place)) => Err(occupied(place, "is there")),
+        Some((_, place)) => Err(occupied(place, "exists")),
         None => Ok(apart),
     }
 }
 
 fn occupied(place: &Path, how: &str) -> Failure {
     let advice = "move it away, or restore into another --home";
-    refused(format!("{} {how}, and nothing is restored over it; {advice}", shown(place)))
+    refused(format!("{} {how} and will not be overwritten; {advice}", shown(place)))
 }
 
 /// Moves a file or folder to its place, where nothing exists yet; returns what to say if that fails.
 fn put_back(from: &Path, place: &Path) -> Option<String> {
     let error = move_to(from, place).err()?;
-    Some(format!("{} could not be moved to {}: {error}; it is used where it is", shown(from), shown(place)))
+    Some(format!("{} could not be moved to {}: {error}; it is used in its current place", shown(from), shown(place)))
 }
 
 /// Also across disks.
@@ -117,18 +120,18 @@ fn shown(path: &Path) -> String {
 }
 
 fn unmade(path: &Path, error: &io::Error) -> Failure {
-    Failure::new(ErrorKind::Home, format!("{} cannot be made: {error}; nothing was restored", shown(path)))
+    Failure::new(ErrorKind::Home, format!("{} cannot be created: {error}; nothing was restored", shown(path)))
 }
 
 fn unread(file: &Path, error: &io::Error) -> Failure {
     let file = shown(file);
     match error.kind() {
         io::ErrorKind::PermissionDenied if error.get_ref().is_some() => {
-            refused(format!("the passphrase does not open {file}; give the one that it was backed up with"))
+            refused(format!("wrong passphrase for {file}; use the one given when it was backed up"))
         }
         io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof => Failure::new(
             ErrorKind::Tampered,
-            format!("{file} is damaged or no back-up ({error}); nothing was restored, use another copy"),
+            format!("{file} is damaged or not a backup ({error}); nothing was restored, use another copy"),
         ),
         _ => input(format!("{file} cannot be restored: {error}; nothing was restored")),
     }

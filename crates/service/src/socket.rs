@@ -67,7 +67,7 @@ fn reachable(path: &Path) -> std::io::Result<(PathBuf, Option<std::fs::File>)> {
 pub fn listen(site: &Arc<Site>) -> Result<(), Failure> {
     let path = site.home().socket();
     let unusable = |error: std::io::Error| {
-        Failure::new(ErrorKind::Home, format!("the socket {} cannot be made: {error}", path.display()))
+        Failure::new(ErrorKind::Home, format!("the socket {} cannot be created: {error}", path.display()))
     };
     match std::fs::remove_file(&path) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(unusable(error)),
@@ -213,7 +213,7 @@ pub async fn join(home: &Home, profile: ProfileName) -> Result<Option<(Client, G
     let Ok(FromSite::Greeting(greeting)) = serde_json::from_slice(&line) else {
         return Err(Failure::new(
             ErrorKind::Home,
-            "the running site of this home is of another version; end it and start again",
+            "the running site of this home is another version; stop it and start it again",
         ));
     };
     let (events, _) = broadcast::channel(1024);

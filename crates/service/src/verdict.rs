@@ -23,8 +23,8 @@ pub(super) fn warnings(
     let mut warnings = Vec::new();
     if let Some(sealed_by) = sealed_by.filter(|sealed_by| sealed_by.alone) {
         warnings.push(format!(
-            "against whoever runs this chain its anchor proves nothing: {}; they can have founded it at any time and \
-             given its blocks any time",
+            "against the person who runs this chain its anchor proves nothing: {}; they could have created it at any \
+             time and dated its blocks as they like",
             sealed_by.text
         ));
     }
@@ -33,18 +33,18 @@ pub(super) fn warnings(
         if block > claimed.saturating_add(USUAL) {
             let apart = span(block - claimed);
             warnings.push(format!(
-                "it was anchored {apart} after its owner says it was captured; nothing proves that time"
+                "it was anchored {apart} after its owner claims it was captured; nothing proves that time"
             ));
         } else if claimed > block.saturating_add(AFTER) {
             let apart = span(claimed - block);
             warnings
-                .push(format!("its owner says it was captured {apart} after it was anchored, so that time is wrong"));
+                .push(format!("its owner claims it was captured {apart} after it was anchored, so that time is wrong"));
         }
     }
     if !folders_word.is_empty() {
         let given: Vec<String> = folders_word.iter().map(|word| format!("--{word}")).collect();
         warnings.push(format!(
-            "trusting the folder's word for {}: whoever made the folder can have made a chain for it; give {}",
+            "relying on the folder's own claim for {}: whoever made the folder could have made a chain for it; pass {}",
             folders_word.join(" and "),
             given.join(" or ")
         ));
@@ -60,9 +60,9 @@ pub fn verdict(check: &FolderCheck) -> String {
              (block {}), by the clock of this chain's sealers; captured {} is the owner's claim",
             anchored.time, anchored.block, check.captured_at
         ),
-        (None, None) => "NOT VERIFIED: the chain did not tell the time of its anchor".to_owned(),
+        (None, None) => "NOT VERIFIED: the chain did not give the time of its anchor".to_owned(),
         (Some(ErrorKind::Tampered), _) => "NOT VERIFIED: do not trust this record".to_owned(),
-        (Some(_), _) => "NOT VERIFIED: the chain was not asked for all of it".to_owned(),
+        (Some(_), _) => "NOT VERIFIED: not all of it was checked against the chain".to_owned(),
     };
     let sealed = check.sealed_by.iter().map(|sealed_by| format!("sealed by: {}", sealed_by.text));
     let warnings = check.warnings.iter().map(|warning| format!("WARNING: {warning}"));

@@ -96,7 +96,7 @@ pub async fn verify(folder: &Path, url: Option<&str>, known: Known) -> Result<Fo
         },
         None => {
             worst = Some(ErrorKind::Incomplete);
-            steps.push(VerifyStep::open("chain", "not asked: give --chain URL of a node that you trust"));
+            steps.push(VerifyStep::open("chain", "not checked: pass --chain with the URL of a node you trust"));
         }
     }
     if steps.iter().any(|step| step.ok == Some(false)) {
@@ -135,13 +135,13 @@ async fn ask(
     let text = format!("chain id {}, genesis {}", chain.chain_id(), chain.genesis());
     steps.push(VerifyStep::new("chain", same, &text));
     let Some(contract) = known.contract.or(proof.contract) else {
-        steps.push(VerifyStep::open("contract", "proof.json names none: give --contract ADDRESS"));
+        steps.push(VerifyStep::open("contract", "proof.json names none: pass --contract ADDRESS"));
         return Ok(None);
     };
     let pin = match chain.use_contract(contract).await {
         Ok(pin) => pin,
         Err(ChainError::NotTheContract(_)) => {
-            let text = format!("what is at {contract} is not the AuthROS contract that this program knows");
+            let text = format!("the code at {contract} is not an AuthROS contract known to this program");
             steps.push(VerifyStep::new("contract", false, &text));
             return Ok(None);
         }
@@ -164,11 +164,13 @@ fn timed(folder: &ExportFolder, claimed: AnchoredAt) -> VerifyStep {
     let AnchoredAt { block, time, .. } = claimed;
     match folder.proof.anchor.block_time {
         Some(said) if said != time => {
-            VerifyStep::new("time", false, &format!("block {block} is of {time}, proof.json says {said}"))
+            VerifyStep::new("time", false, &format!("block {block} is dated {time}, but proof.json says {said}"))
         }
-        _ => {
-            VerifyStep::new("time", true, &format!("block {block} is of {time}, by the clock of this chain's sealers"))
-        }
+        _ => VerifyStep::new(
+            "time",
+            true,
+            &format!("block {block} is dated {time}, by the clock of this chain's sealers"),
+        ),
     }
 }
 
@@ -204,7 +206,7 @@ async fn check_anchor(
     let Some(claimed) = anchor.block else {
         steps.push(VerifyStep::open(
             "anchor",
-            "the record was in no block when it was exported; ask for a later export",
+            "the record was not in a block when it was exported; ask for a later export",
         ));
         return Ok(None);
     };
@@ -213,9 +215,9 @@ async fn check_anchor(
     let (ok, text) = match anchors.first() {
         Some(_) if anchors.contains(&claimed) && same => (true, format!("the chain has it in block {claimed}")),
         Some(_) if anchors.contains(&claimed) => {
-            (false, format!("block {claimed} is another one than proof.json names"))
+            (false, format!("block {claimed} is not the block that proof.json names"))
         }
-        Some(first) => (false, format!("the chain has it in block {first}, proof.json says {claimed}")),
+        Some(first) => (false, format!("the chain has it in block {first}, but proof.json says {claimed}")),
         None => (false, "the chain does not have it".to_owned()),
     };
     steps.push(VerifyStep::new("anchor", ok, &text));
@@ -243,7 +245,7 @@ async fn judge_signer(
         let Some(block) = chain.block(*number).await? else { continue };
         let at = Moment::of_block(*number, Timestamp::from_seconds(block.timestamp));
         let text = match may_sign(&directory, owner, signer, at) {
-            Ok(SigningRight::Owner(_)) => format!("the signer's key was {owner}'s at block {number}"),
+            Ok(SigningRight::Owner(_)) => format!("the signer's key belonged to {owner} at block {number}"),
             Ok(SigningRight::Device(_)) => {
                 format!("the signer is a device that {owner} had lent at block {number}")
             }

@@ -27,7 +27,8 @@ pub fn is_plain(name: &str) -> bool {
 /// Errors from reading and writing; [`io::ErrorKind::InvalidInput`] for a name that is not plain.
 pub fn put(archive: &mut impl Write, name: &str, length: u64, bytes: &mut impl Read) -> io::Result<()> {
     let size = u16::try_from(name.len()).ok().filter(|_| is_plain(name));
-    let size = size.ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, format!("'{name}' is no plain name")))?;
+    let size =
+        size.ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, format!("'{name}' is not a plain file name")))?;
     archive.write_all(&[FILE])?;
     archive.write_all(&size.to_be_bytes())?;
     archive.write_all(name.as_bytes())?;
@@ -72,7 +73,7 @@ pub fn read(
         match kind {
             END => break,
             FILE if unpacked.names.len() < MOST_FILES => {}
-            _ => return Err(damaged("it holds something that is no file")),
+            _ => return Err(damaged("it contains something that is not a file")),
         }
         let size = usize::from(u16::from_be_bytes(array(archive)?));
         if size > LONGEST_NAME {
@@ -81,7 +82,7 @@ pub fn read(
         let mut name = vec![0; size];
         archive.read_exact(&mut name)?;
         let name = String::from_utf8(name).ok().filter(|name| is_plain(name));
-        let name = name.ok_or_else(|| damaged("a name in it leads elsewhere"))?;
+        let name = name.ok_or_else(|| damaged("a name in it points outside"))?;
         let length = u64::from_be_bytes(array(archive)?);
         let mut file = archive.take(length);
         each(&name, length, &mut file)?;
@@ -94,7 +95,7 @@ pub fn read(
         }
         unpacked.names.push(name);
     }
-    if archive.read(&mut [0; 1])? == 0 { Ok(unpacked) } else { Err(damaged("something follows its end")) }
+    if archive.read(&mut [0; 1])? == 0 { Ok(unpacked) } else { Err(damaged("there is data after its end")) }
 }
 
 fn array<const N: usize>(archive: &mut impl Read) -> io::Result<[u8; N]> {

@@ -63,7 +63,7 @@ pub struct AuditQuery {
 
 /// Where the log was altered.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("line {line} of the audit log: {what}; keep a copy of the ledger and find out who could write to it")]
+#[error("line {line} of the audit log: {what}; keep a copy of the ledger and find out who had write access")]
 pub struct AuditFault {
     /// The first line that is wrong.
     pub line: u64,
@@ -244,7 +244,7 @@ fn walk(connection: &Connection) -> Result<u64, AuditFault> {
             return Err(AuditFault { line: count, what: "is missing".to_owned() });
         }
         if chain(previous, &found.entry) != found.hash {
-            return Err(AuditFault { line: count, what: "is not what was written there".to_owned() });
+            return Err(AuditFault { line: count, what: "is not what was originally written".to_owned() });
         }
         previous = found.hash;
     }

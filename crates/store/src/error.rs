@@ -8,7 +8,8 @@ use crate::model::{ByteSize, Digest, ErrorKind, RecordState, clean};
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum StoreError {
     /// A directory or file of the home cannot be made, read or written.
-    #[error("{} cannot be used: {detail}; make it writable for this user, or choose another with --home", path.display())]
+    #[error("{} cannot be used: {detail}; make it writable for this user, or choose another home with \
+             --home", path.display())]
     Home {
         /// The directory or file.
         path: PathBuf,
@@ -17,7 +18,7 @@ pub enum StoreError {
     },
     /// Others than the owner can read or write a private file.
     #[error(
-        "{} has mode {mode:04o}, so others can reach it; run `chmod {advised:o} {}`", path.display(), path.display()
+        "{} has mode {mode:04o}, so others can access it; run `chmod {advised:o} {}`", path.display(), path.display()
     )]
     Mode {
         /// The file.
@@ -35,8 +36,8 @@ pub enum StoreError {
     },
     /// The vault accepts no records, and those waiting for it have used up their space.
     #[error(
-        "{} of records wait on disk for the vault, more than vault.backlog ({}) allows; bring the vault back, \
-         then the work goes on by itself", ByteSize(*waiting), ByteSize(*limit)
+        "{} of records wait on disk for the vault, more than vault.backlog ({}) allows; bring the vault back, then \
+         work resumes automatically", ByteSize(*waiting), ByteSize(*limit)
     )]
     Backlog {
         /// Bytes waiting.
@@ -45,7 +46,7 @@ pub enum StoreError {
         limit: u64,
     },
     /// A database file is damaged or not a database.
-    #[error("{} is damaged ({detail}); keep a copy of it and restore the last back-up", file.display())]
+    #[error("{} is damaged ({detail}); keep a copy of it and restore the last backup", file.display())]
     Corrupt {
         /// The database file.
         file: PathBuf,
@@ -53,7 +54,7 @@ pub enum StoreError {
         detail: String,
     },
     /// A database was written by a later version of this program.
-    #[error("{} has schema {found}, this program knows up to {known}; use a newer authros", file.display())]
+    #[error("{} has schema {found}, but this program supports up to {known}; use a newer authros", file.display())]
     Newer {
         /// The database file.
         file: PathBuf,
@@ -63,7 +64,7 @@ pub enum StoreError {
         known: i64,
     },
     /// Any other failure of SQLite.
-    #[error("{} failed: {detail}; look at the disk and the system log, then start again", file.display())]
+    #[error("{} failed: {detail}; check the disk and the system log, then start again", file.display())]
     Database {
         /// The database file.
         file: PathBuf,
@@ -74,7 +75,7 @@ pub enum StoreError {
     #[error("the ledger is closed, so nothing more can be written; start the site again")]
     Closed,
     /// A number that the ledger cannot hold.
-    #[error("{field} {value} does not fit the ledger; numbers go up to 2^63 - 1")]
+    #[error("{field} {value} does not fit into the ledger; the limit is 2^63 - 1")]
     TooBig {
         /// What the number means.
         field: &'static str,
@@ -90,7 +91,7 @@ pub enum StoreError {
         detail: String,
     },
     /// A record cannot go from this state to that one.
-    #[error("a record cannot go from {} to {} this way; this is a fault of the program", from.word(), to.word())]
+    #[error("a record cannot go from {} to {} this way; this is a bug, please report it", from.word(), to.word())]
     IllegalEdge {
         /// The present state.
         from: RecordState,
@@ -98,7 +99,7 @@ pub enum StoreError {
         to: RecordState,
     },
     /// A record to be submitted has moved on (or never arrived) in the meantime.
-    #[error("record {digest} is {found} and not ready to be submitted; read the stored records again")]
+    #[error("record {digest} is {found}, not ready to be submitted; read the stored records again")]
     NotReady {
         /// The record.
         digest: Digest,
@@ -115,19 +116,20 @@ pub enum StoreError {
     },
     /// A malformed record id.
     #[error(
-        "'{0}' is not a record id; write the first 4 or more of its hex characters, as `authros uploads list` shows"
+        "'{0}' is not a record id; give at least the first 4 of its hex characters, as `authros uploads list` shows \
+         them"
     )]
     Id(String),
     /// A record id that several records share.
-    #[error("more than one record begins with {0}; write more characters of its digest")]
+    #[error("more than one record starts with {0}; give more characters of the digest")]
     Ambiguous(String),
     /// A malformed page cursor.
     #[error("'{0}' is not a cursor; use the `next` of the page before")]
     Cursor(String),
     /// The vault's URL cannot be used.
     #[error(
-        "vault.url {url} cannot be used: {detail}; write redis://HOST:PORT/DB, redis+unix:///PATH, \
-             redis+cluster://HOST:PORT,HOST:PORT or redis+sentinel://HOST:PORT,HOST:PORT/MASTER"
+        "vault.url {url} cannot be used: {detail}; use redis://HOST:PORT/DB, redis+unix:///PATH, \
+         redis+cluster://HOST:PORT,HOST:PORT or redis+sentinel://HOST:PORT,HOST:PORT/MASTER"
     )]
     VaultUrl {
         /// The URL, without secrets.
@@ -154,13 +156,15 @@ pub enum StoreError {
         advice: String,
     },
     /// Redis is out of memory. Nothing is lost: try again later.
-    #[error("Redis at {url} is out of memory; nothing is lost: raise its maxmemory, and the records follow")]
+    #[error(
+        "Redis at {url} is out of memory; nothing is lost; raise its maxmemory, and the waiting records are stored"
+    )]
     VaultFull {
         /// The URL, without secrets.
         url: String,
     },
     /// Redis refused a command.
-    #[error("Redis at {url} refused: {detail}; check its users, its configuration and its log")]
+    #[error("Redis at {url} refused the request: {detail}; check its users, its configuration and its log")]
     VaultRefused {
         /// The URL, without secrets.
         url: String,

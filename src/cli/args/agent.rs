@@ -7,9 +7,9 @@ use clap::{Args, Subcommand};
 /// `agent …`
 #[derive(Debug, Subcommand)]
 pub enum AgentVerb {
-    /// Make a robot a device of this profile, known to a gateway; writes the robot's enrolment file
+    /// Enrol a robot as a device of this profile at a gateway; writes the robot's enrolment file
     Enrol(EnrolArguments),
-    /// Capture on a robot and pass everything on to its gateway, without a chain
+    /// Capture on a robot and forward everything to its gateway, without a chain
     Run(RunArguments),
 }
 
@@ -26,22 +26,22 @@ pub struct EnrolArguments {
     /// Pin whatever gateway answers; compare the fingerprint afterwards
     #[arg(long, group = "trust")]
     pub trust_first: bool,
-    /// What the gateway is to know the robot by
+    /// Name of the robot at the gateway
     #[arg(long, value_name = "NAME")]
     pub name: String,
-    /// What the robot may record; may be repeated
+    /// Topic the robot may record; repeatable
     #[arg(long = "topic", value_name = "TOPIC", conflicts_with = "all_topics")]
     pub topics: Vec<String>,
-    /// It may record every topic: it holds the epoch's key and the index key, and so does its thief
+    /// Let it record every topic: it then holds the epoch's key and the index key, which a thief would get too
     #[arg(long)]
     pub all_topics: bool,
-    /// End of the loan: 30d, 12h, or a time as 2027-01-31T12:00:00Z
+    /// End of the loan: 30d, 12h, or a time such as 2027-01-31T12:00:00Z
     #[arg(long, value_name = "TIME")]
     pub until: Option<String>,
     /// Enrolment file to write; must not exist
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
-    /// File with the passphrase for the enrolment file [default: a random one, written to FILE.passphrase]
+    /// File with the passphrase for the enrolment file [default: a random passphrase, written to FILE.passphrase]
     #[arg(long, value_name = "FILE")]
     pub robot_passphrase_file: Option<PathBuf>,
 }
@@ -52,16 +52,16 @@ pub struct RunArguments {
     /// The enrolment file
     #[arg(value_name = "ENROLMENT")]
     pub enrolment: PathBuf,
-    /// Topic to capture; may be repeated [default: those that the enrolment is limited to]
+    /// Topic to capture; repeatable [default: those the enrolment is limited to]
     #[arg(long = "topic", value_name = "TOPIC")]
     pub topics: Vec<String>,
-    /// Tag for every record, as mission=harbour; may be repeated
+    /// Tag for every record, such as mission=harbour; repeatable
     #[arg(long = "tag", value_name = "KEY=VALUE")]
     pub tags: Vec<String>,
-    /// End after so many messages of each topic
+    /// Stop after this many messages per topic
     #[arg(long, value_name = "N")]
     pub count: Option<u64>,
-    /// End after capturing so long
+    /// Stop after capturing for this long
     #[arg(long, value_name = "S", conflicts_with = "count")]
     pub seconds: Option<u64>,
 }

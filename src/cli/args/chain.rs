@@ -8,27 +8,27 @@ use clap::{Args, Subcommand};
 /// `chain …`
 #[derive(Debug, Subcommand)]
 pub enum ChainVerb {
-    /// Node, consensus, contract, block, balance, pending transactions
+    /// Show node, consensus, contract, block, balance and pending transactions
     Status,
-    /// Go on with the chain that is there now, in place of the one this home is bound to
+    /// Switch to the current chain in place of the one this home is bound to
     Adopt,
-    /// Put the contract on the chain with this profile's account, and pin it
+    /// Deploy the contract with this profile's account, and pin it
     Deploy {
-        /// How long a succession waits where the lost account named a recovery account, else twice as long [default: 7d]
+        /// Delay of a succession if the lost account named a recovery account; otherwise twice this [default: 7d]
         #[arg(long, value_name = "1d TO 365d")]
         delay: Option<String>,
         /// An earlier revision of the contract
         #[arg(long, value_name = "N", hide = true)]
         revision: Option<u8>,
     },
-    /// Who is to continue for a lost account: proposed by the administrator, it waits and can be stopped
+    /// Successor of a lost account: the administrator proposes one, and it can be stopped during a delay
     #[command(subcommand)]
     Succession(SuccessionVerb),
-    /// Administrator, on a contract of the first revision: name at once the account that continues for a lost one
+    /// Administrator, contract revision 1 only: name the successor of a lost account, effective at once
     Succeed {
         /// Account whose key is lost, or its name
         lost: String,
-        /// Account that continues, or its name; registered
+        /// Succeeding account, or its name; must be registered
         successor: String,
     },
     /// Administrator: let an account register while registration is closed
@@ -41,12 +41,12 @@ pub enum ChainVerb {
         /// Account, or its name
         account: String,
     },
-    /// Administrator: stop an account's changes, but those that take rights away
+    /// Administrator: suspend an account; it can then only withdraw rights
     Suspend {
         /// Account, or its name
         account: String,
     },
-    /// Administrator: free a suspended account
+    /// Administrator: lift an account's suspension
     Restore {
         /// Account, or its name
         account: String,
@@ -55,78 +55,78 @@ pub enum ChainVerb {
     Open,
     /// Administrator: let only admitted accounts register
     Close,
-    /// Administrator: stop all changes for a while, but those that take rights away
+    /// Administrator: pause all changes except those that withdraw rights
     Pause {
-        /// How long, at most 3d; the next pause must wait a week [default: 1d]
+        /// How long, at most 3d; the next pause is possible after a week [default: 1d]
         #[arg(long = "for", value_name = "TIME")]
         length: Option<String>,
     },
-    /// Administrator: let changes go on before the pause's end
+    /// Administrator: end the pause early
     Resume,
-    /// Administrator: name the next one, who takes over with `chain accept`
+    /// Administrator: nominate the next administrator, who takes over with `chain accept`
     HandOver {
         /// Account, or its name
         account: String,
     },
-    /// Take over as administrator, as the one that was named
+    /// Take over as administrator, if nominated
     Accept,
-    /// Answer other tools' JSON-RPC (cast, web3, curl) over the embedded chain, on this machine only
+    /// Serve the embedded chain's JSON-RPC to other tools (cast, web3, curl) on this machine only
     Serve {
-        /// Loopback address and port; port 0 = any free one
+        /// Loopback address and port; port 0 = any free port
         #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8545")]
         listen: SocketAddr,
     },
-    /// Genesis file for a private network of geth or Besu
+    /// Write a genesis file for a private geth or Besu network
     Genesis(GenesisArguments),
 }
 
 /// `chain succession …`
 #[derive(Debug, Subcommand)]
 pub enum SuccessionVerb {
-    /// Administrator: propose the account that is to continue for a lost one; it waits for the contract's delay
+    /// Administrator: propose the successor of a lost account; takes effect after the contract's delay
     Propose {
         /// Account whose key is lost or stolen, or its name
         lost: String,
-        /// Account that is to continue, or its name; registered
+        /// Succeeding account, or its name; must be registered
         successor: String,
     },
-    /// Recovery account or administrator: stop a succession that waits
+    /// Recovery account or administrator: cancel a pending succession
     Cancel {
-        /// Account whose succession it is, or its name
+        /// The lost account, or its name
         lost: String,
     },
-    /// Complete a succession whose time has come; the lost account is suspended for good
+    /// Complete a succession whose delay has passed; the lost account is suspended permanently
     Complete {
-        /// Account whose succession it is, or its name
+        /// The lost account, or its name
         lost: String,
     },
-    /// Successions that wait and that came about, and this profile's recovery account
+    /// List pending and completed successions, and this profile's recovery account
     List,
 }
 
 /// `chain genesis …`
 #[derive(Debug, Args)]
 pub struct GenesisArguments {
-    /// How the network agrees: clique (geth before 1.14), ethash (geth before 1.12) or qbft (Besu)
+    /// Consensus: clique (geth before 1.14), ethash (geth before 1.12) or qbft (Besu)
     // This hides the global flag of the same name, and must have the same type.
     #[arg(long, value_name = "NAME", value_parser = ["clique", "ethash", "qbft"], required_unless_present = "guide")]
     pub consensus: Option<String>,
-    /// Account that seals blocks, as 0x and 40 hex; may be repeated
+    /// Account that seals blocks, as 0x and 40 hex digits; repeatable
     #[arg(long = "signer", value_name = "ADDRESS")]
     pub signers: Vec<String>,
-    /// Chain id [default: drawn]
+    /// Chain id [default: random]
     #[arg(long, value_name = "N")]
     pub chain_id: Option<u64>,
     /// Seconds between blocks [default: 2]
     #[arg(long, value_name = "N")]
     pub period: Option<u64>,
-    /// Ether from the beginning, in wei; may be repeated
+    /// Initial balance in wei; repeatable
     #[arg(long = "alloc", value_name = "ADDRESS=WEI")]
     pub allocations: Vec<String>,
     /// Directory to write genesis.json and README.md to [default: genesis.json to stdout]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// How to run three nodes: print the guide instead
+    /// Print a guide to running three nodes instead
     #[arg(long, conflicts_with_all = ["consensus", "signers", "chain_id", "period", "allocations", "out"])]
     pub guide: bool,
 }

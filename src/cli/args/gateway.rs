@@ -7,27 +7,27 @@ use clap::Subcommand;
 /// `gateway …`
 #[derive(Debug, Subcommand)]
 pub enum GatewayVerb {
-    /// Who is connected to the gateway of this home, its system keys, what it refused
+    /// Show this home's gateway: connections, system keys, refusals
     Status,
-    /// Take sealed records from robots, anchor them with this profile's account, answer operators' queries
+    /// Accept sealed records from robots, anchor them with this profile's account, answer operators' queries
     Serve {
-        /// Address and port; port 0 = any free one
+        /// Address and port; port 0 = any free port
         #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7420")]
         listen: SocketAddr,
-        /// Take owners whom nobody admitted as well, each within the quotas of the settings
+        /// Also accept owners who are not admitted, each within the quotas in the settings
         #[arg(long)]
         open: bool,
     },
-    /// Let an owner use the gateway of this home: have names there, send records, read what is granted to it
+    /// Admit an owner to this home's gateway: it can register names, send records and read what is granted to it
     Admit {
-        /// Account (0x and 40 hex), or a contact
+        /// Account (0x and 40 hex digits), or a contact
         owner: String,
     },
-    /// Let an owner use it no more; what it sent is kept
+    /// Revoke an owner's admission; what it sent is kept
     Dismiss {
-        /// Account (0x and 40 hex), or a contact
+        /// Account (0x and 40 hex digits), or a contact
         owner: String,
     },
-    /// Who may use the gateway, besides this home's own profiles
+    /// List who may use the gateway besides this home's own profiles
     Admitted,
 }

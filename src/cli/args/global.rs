@@ -10,31 +10,31 @@ use crate::cli::logging::LogForm;
 #[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Options of every command")]
 pub struct Global {
-    /// Directory of this site, settings included [default: $XDG_DATA_HOME/authros or ~/.local/share/authros]
+    /// Directory of this site, including settings [default: $XDG_DATA_HOME/authros or ~/.local/share/authros]
     #[arg(long, global = true, value_name = "DIR", env = "AUTHROS_HOME")]
     pub home: Option<PathBuf>,
-    /// Identity on this machine [default: default]
+    /// Profile (identity on this machine) [default: default]
     #[arg(long, global = true, value_name = "NAME", env = "AUTHROS_PROFILE")]
     pub profile: Option<String>,
-    /// Print one JSON document (streams: one per line) on stdout
+    /// Print the result as one JSON document on stdout (streams: one per line)
     #[arg(long, global = true)]
     pub json: bool,
-    /// How lines on stderr are written, and results that are not asked for with --json
+    /// Format of lines on stderr
     #[arg(long, global = true, value_enum, value_name = "FORM", default_value = "text")]
     pub log: LogForm,
     /// File with the keyring's passphrase (first line)
     #[arg(long, global = true, value_name = "FILE", conflicts_with = "passphrase_fd")]
     pub passphrase_file: Option<PathBuf>,
-    /// Descriptor to read the keyring's passphrase from
+    /// File descriptor to read the keyring's passphrase from
     #[arg(long, global = true, value_name = "N")]
     pub passphrase_fd: Option<u32>,
-    /// Real ROS master, as http://host:11311
+    /// Real ROS master, such as http://host:11311
     #[arg(long, global = true, value_name = "URI")]
     pub ros_master: Option<String>,
-    /// Capture ROS 2 of this domain too [default without a number: $ROS_DOMAIN_ID, else 0]
+    /// Also capture ROS 2 in this domain [without a number: $ROS_DOMAIN_ID, else 0]
     #[arg(long, global = true, value_name = "DOMAIN", num_args = 0..=1, require_equals = false, default_missing_value = "")]
     pub ros2: Option<String>,
-    /// Node of a real chain: http://, ws:// or ipc path
+    /// Node of a real chain: http://, ws:// or IPC path
     #[arg(long, global = true, value_name = "URL")]
     pub chain: Option<String>,
     /// Address of the `AuthROS` contract on that chain
@@ -43,25 +43,26 @@ pub struct Global {
     /// How the embedded chain seals: poa, poa:SIGNERS:PERIOD_MS, pow or pow:DIFFICULTY
     #[arg(long, global = true, value_name = "NAME")]
     pub consensus: Option<String>,
-    /// Real Redis, as redis://host:6379
+    /// Real Redis, such as redis://host:6379
     #[arg(long, global = true, value_name = "URL")]
     pub vault: Option<String>,
     /// Simulated robots on the embedded master, 0 to 32
     #[arg(long, global = true, value_name = "N")]
     pub robots: Option<String>,
-    /// Blocks until an anchor counts as confirmed
+    /// Number of blocks until an anchor counts as confirmed
     #[arg(long, global = true, value_name = "N")]
     pub confirmations: Option<String>,
-    /// authros (our own kernels), rustcrypto or libsm
+    /// authros (its own kernels), rustcrypto or libsm
     #[arg(long, global = true, value_name = "NAME")]
     pub crypto_provider: Option<String>,
-    /// Join a remote site through its gateway: records and chain come from there
+    /// Join a remote site through its gateway, which supplies records and chain
     #[arg(long, global = true, value_name = "HOST:PORT")]
     pub site: Option<String>,
-    /// That gateway's identity key, 64 hex, as its operator tells it (not the fingerprint of eight groups beside it)
+    /// That gateway's identity key, 64 hex digits, from its operator (not the eight-group fingerprint printed beside
+    /// it)
     #[arg(long, global = true, value_name = "KEY", conflicts_with = "trust_first")]
     pub gateway_key: Option<String>,
-    /// Pin whatever gateway answers the first time
+    /// Pin the first gateway that answers
     #[arg(long, global = true)]
     pub trust_first: bool,
     /// A further gateway of the fleet that is joined; may be repeated

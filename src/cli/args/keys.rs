@@ -7,25 +7,25 @@ use clap::{Subcommand, ValueEnum};
 /// `identity …`
 #[derive(Debug, Subcommand)]
 pub enum IdentityVerb {
-    /// Make keys: EOA, SM2, SM4
+    /// Create an identity: EOA, SM2 and SM4 keys
     Create,
     /// Show the public identity
     Show,
-    /// The identities of this home: profile, account, fingerprint of the signing key; asks nobody
+    /// List this home's identities: profile, account, fingerprint of the signing key; works offline
     List,
-    /// Wipe the keys that decrypt, grant and revoke from the running site's memory; capture goes on
+    /// Lock: wipe the keys for reading, granting and revoking from the running site's memory; capture continues
     Lock,
-    /// Whether a fingerprint is that of this profile's key, or of an account's
+    /// Check a fingerprint against this profile's key, or an account's
     Compare {
-        /// Eight groups of four hex characters, in quotes or without spaces
+        /// Fingerprint: eight groups of four hex digits, quoted or without spaces
         fingerprint: String,
         /// Account, or its name [default: this profile]
         #[arg(long, value_name = "ADDRESS_OR_NAME")]
         account: Option<String>,
     },
-    /// Name who may stop a succession of this profile's account, should the administrator propose one wrongly
+    /// Set the recovery account, which can stop a wrongly proposed succession of this account
     Recovery {
-        /// Account, or its name, or `none`; it takes effect after the contract's delay
+        /// Account, its name, or `none`; takes effect after the contract's delay
         #[arg(value_name = "ADDRESS_OR_NAME")]
         account: String,
     },
@@ -45,42 +45,42 @@ pub enum ExportKind {
 /// `keys …`
 #[derive(Debug, Subcommand)]
 pub enum KeysVerb {
-    /// Fingerprints and epochs
+    /// Show fingerprints and epochs
     List,
     /// Load a key from a 0600 file
     #[command(group(clap::ArgGroup::new("key").required(true)))]
     Load {
-        /// SM4 key: 16 bytes, or 32 hex
+        /// SM4 key: 16 bytes, or 32 hex digits
         #[arg(long, value_name = "FILE", group = "key")]
         sm4: Option<PathBuf>,
-        /// SM2 signing key: PKCS#8 PEM, or 64 hex
+        /// SM2 signing key: PKCS#8 PEM, or 64 hex digits
         #[arg(long, value_name = "FILE", group = "key")]
         sm2: Option<PathBuf>,
-        /// EOA: 64 hex, or V3 keystore
+        /// EOA: 64 hex digits, or a V3 keystore
         #[arg(long, value_name = "FILE", group = "key")]
         eoa: Option<PathBuf>,
         /// File with the V3 keystore's passphrase
         #[arg(long, value_name = "FILE")]
         keystore_passphrase_file: Option<PathBuf>,
-        /// Only say whom a new SM2 key touches; change nothing
+        /// Only report who is affected by a new SM2 key; change nothing
         #[arg(long, requires = "sm2")]
         dry_run: bool,
     },
-    /// Begin a new epoch: readers keep what they have, new records need a new key
+    /// Start a new epoch: current readers keep access, new records are sealed under a new key
     Rotate {
-        /// A new SM2 envelope key instead: what others share with you is sealed to it from then on
+        /// Replace the SM2 envelope key instead: others' future grants to you are sealed to it
         #[arg(long)]
         envelope: bool,
-        /// Only say whom a new envelope key touches; change nothing
+        /// Only report who is affected by a new envelope key; change nothing
         #[arg(long, requires = "envelope")]
         dry_run: bool,
     },
-    /// Change the keyring's passphrase; the present one comes from --passphrase-file, --passphrase-fd or the terminal
+    /// Change the keyring's passphrase; the current one comes from --passphrase-file, --passphrase-fd or the terminal
     Passphrase {
         /// File with the new passphrase (first line) [default: asked at the terminal]
         #[arg(long, value_name = "FILE", conflicts_with = "new_passphrase_fd")]
         new_passphrase_file: Option<PathBuf>,
-        /// Descriptor to read the new passphrase from
+        /// File descriptor to read the new passphrase from
         #[arg(long, value_name = "NUMBER")]
         new_passphrase_fd: Option<u32>,
     },

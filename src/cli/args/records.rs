@@ -7,13 +7,13 @@ use clap::{Args, Subcommand};
 /// `topics …`
 #[derive(Debug, Subcommand)]
 pub enum TopicsVerb {
-    /// Every topic of the ROS graph
+    /// List every topic of the ROS graph
     List,
-    /// Capture a topic as long as a site runs
+    /// Capture a topic whenever a site runs
     Watch {
-        /// Topic, as /robot1/odom
+        /// Topic, such as /robot1/odom
         topic: String,
-        /// Refuse messages of other types
+        /// Reject messages of other types
         #[arg(long = "type", value_name = "TYPE")]
         type_name: Option<String>,
     },
@@ -22,23 +22,23 @@ pub enum TopicsVerb {
         /// Topic
         topic: String,
     },
-    /// Accept publishers of a topic; messages of others are quarantined
+    /// Pin publishers of a topic; messages from others are quarantined
     Pin(crate::cli::quarantine::PinArguments),
-    /// Accepted publishers, and alarms about others
+    /// List pinned publishers, and alarms about others
     Pins {
         /// Only this topic
         #[arg(long, value_name = "TOPIC")]
         topic: Option<String>,
     },
-    /// When there are own records of a topic, where messages were lost, and what was quarantined
+    /// Show over time where a topic has records, losses or quarantined messages
     Coverage(crate::cli::coverage::CoverageArguments),
-    /// The rule of each topic; --learn drafts rules from the live graph
+    /// Show the rule for each topic; --learn drafts rules from the live graph
     Policy(crate::cli::policy::PolicyArguments),
-    /// No longer accept a publisher of a topic
+    /// Unpin a publisher of a topic
     Unpin {
         /// Topic
         topic: String,
-        /// Node name, as /driver
+        /// Node name, such as /driver
         caller_id: String,
     },
 }
@@ -46,19 +46,19 @@ pub enum TopicsVerb {
 /// `capture …`
 #[derive(Debug, Args)]
 pub struct CaptureArguments {
-    /// Topic to capture; may be repeated
+    /// Topic to capture; repeatable
     #[arg(long = "topic", value_name = "TOPIC", required = true)]
     pub topics: Vec<String>,
-    /// Refuse messages of other types
+    /// Reject messages of other types
     #[arg(long = "type", value_name = "TYPE")]
     pub type_name: Option<String>,
-    /// End after so many messages of each topic
+    /// Stop after this many messages per topic
     #[arg(long, value_name = "N", conflicts_with = "duration")]
     pub count: Option<u64>,
-    /// End after this time, as 10s, 5m, 1h
+    /// Stop after this time: 10s, 5m, 1h
     #[arg(long = "for", value_name = "TIME", id = "duration")]
     pub duration: Option<String>,
-    /// Tag for the sealed head, as mission=harbour; may be repeated
+    /// Tag, sealed with each record, such as mission=harbour; repeatable
     #[arg(long = "tag", value_name = "KEY=VALUE")]
     pub tags: Vec<String>,
 }
@@ -69,10 +69,10 @@ pub struct ListArguments {
     /// Only this topic
     #[arg(long, value_name = "TOPIC")]
     pub topic: Option<String>,
-    /// Only this message type, as nav_msgs/Odometry
+    /// Only this message type, such as nav_msgs/Odometry
     #[arg(long = "type", value_name = "TYPE")]
     pub type_name: Option<String>,
-    /// Only with this tag, as mission=harbour; may be repeated
+    /// Only with this tag, such as mission=harbour; repeatable
     #[arg(long = "tag", value_name = "KEY=VALUE")]
     pub tags: Vec<String>,
     /// Only this state (uploads)
@@ -81,28 +81,28 @@ pub struct ListArguments {
     /// Kind of record: data, definition, …
     #[arg(long, value_name = "KIND")]
     pub kind: Option<String>,
-    /// Only of this owner (shared), or of that name
+    /// Only this owner's, by account or name (shared)
     #[arg(long, value_name = "ADDRESS_OR_NAME")]
     pub owner: Option<String>,
-    /// Captured at or after: a time as 2026-11-21T08:30:00Z, a day, or so long ago, as 10m
+    /// Captured at or after: a time such as 2026-11-21T08:30:00Z, a date, or a duration ago such as 10m
     #[arg(long, value_name = "TIME")]
     pub since: Option<String>,
-    /// Captured before, written in the same way
+    /// Captured before; same format
     #[arg(long, value_name = "TIME")]
     pub until: Option<String>,
-    /// Only in this incident of the profile (uploads)
+    /// Only records of this incident (uploads)
     #[arg(long, value_name = "NAME")]
     pub incident: Option<String>,
-    /// Continue behind `next` of the page before
+    /// Continue after `next` from the previous page
     #[arg(long, value_name = "CURSOR")]
     pub after: Option<String>,
-    /// Records a page, 1 to 1000
+    /// Records per page, 1 to 1000
     #[arg(long, value_name = "N", default_value_t = 100)]
     pub limit: usize,
     /// Newest first
     #[arg(long)]
     pub newest: bool,
-    /// Go on: one line for each record whenever its state changes
+    /// Keep running: print one line whenever a record changes state
     #[arg(long, conflicts_with_all = ["after", "newest"])]
     pub follow: bool,
 }
@@ -111,21 +111,21 @@ pub struct ListArguments {
 #[derive(Debug, Subcommand)]
 #[allow(clippy::large_enum_variant, reason = "there is one in a process")]
 pub enum UploadsVerb {
-    /// List own records
+    /// List your own records
     List(ListArguments),
-    /// One record with its provenance
+    /// Show one record with its provenance
     Show {
-        /// Record id, or the beginning of one
+        /// Record id, or its first characters
         id: String,
     },
-    /// Files for others to check with openssl
+    /// Export a record as files that others can check with openssl
     Export {
-        /// Record id, or the beginning of one
+        /// Record id, or its first characters
         id: String,
-        /// Directory to write record.bin, signature.bin, signer.pem, proof.json to
+        /// Directory for record.bin, signature.bin, signer.pem and proof.json
         #[arg(long, value_name = "DIR")]
         dir: PathBuf,
-        /// Addresses in full in proof.json; the record itself holds its owner's in any case
+        /// Write full addresses to proof.json; the record itself always contains its owner's
         #[arg(long)]
         addresses: bool,
     },
@@ -134,31 +134,31 @@ pub enum UploadsVerb {
 /// `shared …`
 #[derive(Debug, Subcommand)]
 pub enum SharedVerb {
-    /// Records shared with this profile
+    /// List records shared with this profile
     List(ListArguments),
-    /// Digest against the chain, signature (the paper's `Data_Check`)
+    /// Check a record's digest against the chain, and its signature (the paper's `Data_Check`)
     Check {
-        /// Record id, or the beginning of one
+        /// Record id, or its first characters
         id: String,
     },
-    /// Write what this profile may read as a bag or MCAP, each record checked and verified first
+    /// Export all readable records as a bag or MCAP file, each one verified first
     Export(crate::cli::recordings::ExportArguments),
-    /// Publish in a ROS graph what others share with this profile, each record checked and verified first
+    /// Publish shared records in a ROS graph, each one verified first
     Play(crate::cli::playing::PlayArguments),
-    /// Check, decrypt, decode
+    /// Check, decrypt and decode a record
     Open {
-        /// Record id, or the beginning of one
+        /// Record id, or its first characters
         id: String,
-        /// Also write it to a file: .json, .bin, pictures also .png, .jpg, .npy; of another name = a picture's own
-        /// bytes where it is one, else the message's
+        /// Also write it to a file: .json or .bin, for pictures also .png, .jpg, .npy; any other name = the picture's
+        /// own bytes, or the message's if it is not a picture
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-    /// Where the robot was, over the records of a topic that lead to one
+    /// Show the robot's path over the records up to this one
     Path {
-        /// Record id, or the beginning of one
+        /// Record id, or its first characters
         id: String,
-        /// Records at most
+        /// Maximum number of records
         #[arg(long, value_name = "N", default_value_t = 200)]
         records: usize,
     },

@@ -59,7 +59,7 @@ impl Mission {
         let in_use = || {
             Failure::new(
                 ErrorKind::Home,
-                format!("a site of {root} runs already; end it, or give the demo another --home"),
+                format!("a site of {root} is already running; stop it, or give the demo another --home"),
             )
         };
         let lock = context.lock()?.ok_or_else(in_use)?;
@@ -129,7 +129,8 @@ impl Mission {
     /// If a step cannot be taken at all.
     pub(super) async fn play(&mut self) -> Result<Story, Failure> {
         let first = self.capture(self.milliseconds * 6 / 10, has_what_is_shown).await?;
-        self.output.note(&format!("A captured and anchored {} messages, {} verified", first.captured, first.verified));
+        self.output
+            .note(&format!("A captured and anchored {} messages, {} of them verified", first.captured, first.verified));
         self.grant().await?;
         let records = self.shared_records().await?;
         let mut story =
@@ -399,7 +400,7 @@ fn has_what_is_shown(seen: &CaptureSummary) -> bool {
 }
 
 fn gone() -> Failure {
-    internal("a record of the demo is gone from its ledger or its vault; run the demo again in a home of its own")
+    internal("a record of the demo is missing from its ledger or vault; run the demo again in its own home")
 }
 
 async fn person(context: &Context, site: &Arc<Site>, name: &str, output: Output) -> Result<Person, Failure> {

@@ -227,7 +227,7 @@ async fn a_revoke_that_did_not_reach_the_node_is_sent_again_and_nothing_is_wrapp
     let revoking = Timestamp::now();
     proxy.spoil("eth_call", Spoil::Refuse, 1_000_000);
     let outcome = two.alice.run(&["revoke", &two.bob_address]).expect_code(4);
-    assert!(outcome.stderr.contains("sent again until the chain has it"), "{outcome}");
+    assert!(outcome.stderr.contains("resent until the chain has it"), "{outcome}");
     let asked = Timestamp::now();
     two.take(20);
     proxy.calm();

@@ -153,7 +153,7 @@ fn expect_poverty_survived(mode: Mode) {
     node.set_interval(1);
     let records = field.grow(10);
     assert!(records.len() >= verified + 10);
-    field.expect_told(&["not enough ether"], 60);
+    field.expect_told(&["too little ether"], 60);
     field.expect_paused("no_ether", 30);
     field.expect_still(&node, verified);
     node.fund(&field.address);

@@ -143,7 +143,7 @@ fn in_batches(home: &Home, authros: &Authros) {
     let removed = "DELETE FROM batches WHERE key = (SELECT max(key) FROM batches)";
     let found =
         damaged(home, "ledger.db", |ledger| ledger.execute_batch(removed).expect("removed"), || finds(authros, false));
-    assert!(tells(&found, "tampered", "its batch is gone from the ledger"), "{found}");
+    assert!(tells(&found, "tampered", "its batch is missing from the ledger"), "{found}");
 
     let mut root = String::new();
     let whole = |ledger: &Connection| {

@@ -83,11 +83,11 @@ fn a_stranger_checks_an_exported_record_step_by_step() {
     let words =
         case.stranger.run(&["verify", case.folder.to_str().expect("UTF-8"), "--chain", &case.url]).expect_code(0);
     assert!(words.stdout.contains("VERIFIED") && words.stdout.contains("existed no later than 20"), "{words}");
-    assert!(words.stdout.contains("the owner's claim") && words.stdout.contains("this one program seals"), "{words}");
+    assert!(words.stdout.contains("the owner's claim") && words.stdout.contains("a single program seals"), "{words}");
     assert_eq!((&found["sealed_by"]["kind"], &found["sealed_by"]["alone"]), (&"embedded".into(), &true.into()));
     assert!(found["anchored"]["time"].is_string() && holds(&found, "time") == true, "{found}");
     let trusting =
-        |found: &Value| list(found, "warnings").iter().any(|text| text.to_string().contains("folder's word"));
+        |found: &Value| list(found, "warnings").iter().any(|text| text.to_string().contains("folder's own claim"));
     assert!(trusting(&found), "{found}");
     let folder = case.folder.to_str().expect("UTF-8");
     let genesis = text(

@@ -43,8 +43,8 @@ fn waiting(vault: &Value) -> u64 {
 /// Failing and healthy again `times`, reported once each.
 fn expect_told(load: &Load, times: usize) {
     let told = load.told();
-    assert_eq!(told.matches("the vault does not take").count(), times, "one alert each time: {told}");
-    assert_eq!(told.matches("the vault takes all records again").count(), times, "closed each time: {told}");
+    assert_eq!(told.matches("the vault is not accepting").count(), times, "one alert each time: {told}");
+    assert_eq!(told.matches("the vault accepts all records again").count(), times, "closed each time: {told}");
 }
 
 #[test]

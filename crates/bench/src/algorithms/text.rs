@@ -6,19 +6,19 @@ use crate::spread::histogram;
 use authros_output::table;
 
 pub(super) const NOTES: [&str; 7] = [
-    "Times are microseconds for one message; all take turns, run by run. Ratios are of the least times, which the \
-     rest of the machine's work disturbs least.",
+    "Times are microseconds per message; implementations take turns, run by run. Ratios use the shortest times, which \
+     other work on the machine disturbs least.",
     "digest: SM3. seal, open: SM4-GCM with key set-up, 32 bytes of additional data and the tag. record: a whole record \
      with its keys, sealed head and body, SM3 and SM2 signature.",
-    "authros: the chosen provider (SM4 by the kernel named above); authros-known: a signer met before, whose table is kept; \
-     authros-many: 16 messages side by side; crate: the crate sm2; crates: sm4, ctr and ghash; libsm: its SM4 behind our \
-     GCM, as the program uses it; libsm-gcm: its own GCM. openssl: a context made for each message, as its users do; its \
-     key is made once.",
-    "authros-batch-N: one signature over the Merkle root of N records' leaves, with every record's path made or followed; \
-     for each record. A record signed so does not stand alone, and none is (ARCHITECTURE.md).",
-    "outliers: values more than a quarter above the median, and the three greatest.",
+    "authros: the chosen provider (SM4 by the kernel named above); authros-known: a signer seen before, whose table is \
+     cached; authros-many: 16 messages side by side; crate: the crate sm2; crates: sm4, ctr and ghash; libsm: its SM4 \
+     behind our GCM, as the program uses it; libsm-gcm: its own GCM. openssl: a context made for each message, as its \
+     users do; its key is made once.",
+    "authros-batch-N: one signature over the Merkle root of N records' leaves, with every record's path made or \
+     checked; per record. A record signed this way cannot stand alone, so none is (ARCHITECTURE.md).",
+    "outliers: values more than a quarter above the median, and the three largest.",
     "The paper gives 6.19 to 6.34 ms for SM3 of 800 KB (section V, figure 17). Of SM4 (figure 16) it gives no numbers.",
-    "Judge on a machine that does nothing else.",
+    "Judge only on an otherwise idle machine.",
 ];
 
 pub(super) fn text(report: &Report<Row>, acceptance: &[Acceptance], other: &str) -> String {

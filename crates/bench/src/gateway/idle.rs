@@ -46,8 +46,13 @@ impl Idle {
 pub(super) async fn measure(sender: &Sender, asked: usize) -> Result<Idle, Failure> {
     let files = most_files().unwrap_or(usize::MAX);
     let count = asked.min(files.saturating_sub(OTHER_FILES) / 2);
-    let limited_by = (count < asked)
-        .then(|| format!("open files are limited to {files}: `ulimit -n {}` allows all", 2 * asked + OTHER_FILES));
+    let limited_by = (count < asked).then(|| {
+        format!(
+            "open files are limited to {files}: `ulimit -n {}` allows all of \
+                          them",
+            2 * asked + OTHER_FILES
+        )
+    });
     let directory = Directory::new()?;
     let stage = Stage::open(sender, directory.path(), count).await?;
     let mut progress = Progress::new("idle connections");
@@ -77,5 +82,5 @@ fn most_files() -> Option<usize> {
 
 /// Resident memory of this process, bytes.
 fn resident() -> Result<u64, Failure> {
-    usage::resident().ok_or_else(|| internal("/proc/self/status does not tell the memory in use"))
+    usage::resident().ok_or_else(|| internal("/proc/self/status does not show the memory in use"))
 }

@@ -34,7 +34,7 @@ fn plot(results: &[Row], bytes: usize) -> Plot {
     });
     Plot {
         title: format!("records of {bytes} bytes; whiskers: the slowest and the fastest run"),
-        across: Axis::places("way of uploading, by so many connections", names),
+        across: Axis::places("way of uploading, number of connections", names),
         left: Axis::decades("records a second", series.iter().flat_map(Series::values)),
         right: None,
         series,

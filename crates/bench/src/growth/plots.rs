@@ -7,7 +7,7 @@ use crate::svg::{Axis, COLOURS, Mark, Page, Plot, Series};
 
 /// The works of each plot: a title, and the prefixes of their names.
 const PLOTS: [(&str, &[&str]); 3] = [
-    ("Ledger: a record more, its life line, and counts", &["append", "life", "counts"]),
+    ("Ledger: one more record, its life line, and counts", &["append", "life", "counts"]),
     ("Pages of a list", &["page", "next", "topic", "held", "none", "time", "tag"]),
     ("Console: frames, keys and rows", &["frame", "key", "rows in", "filter", "encode"]),
 ];

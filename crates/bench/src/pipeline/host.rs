@@ -48,12 +48,12 @@ impl Host {
         };
         let config = Config::resolve(&flags, &|name| std::env::var(name).ok(), None)?;
         if before > 0 && config.vault_url.is_some() {
-            let text = "--before fills the embedded vault; leave --vault out";
+            let text = "--before fills the embedded vault; omit --vault";
             return Err(Failure::new(ErrorKind::Usage, text));
         }
         files::private_directory(home.root())?;
         let lock = SiteLock::acquire(&home.site_lock())?
-            .ok_or_else(|| Failure::new(ErrorKind::Home, "the bench's own directory is in use; run the bench again"))?;
+            .ok_or_else(|| Failure::new(ErrorKind::Home, "the benchmark's own directory is in use; run it again"))?;
         let fsync = block_in_place(|| fsync_times(home.root()))?;
         if before > 0 {
             block_in_place(|| fill(&home, before))?;

@@ -41,9 +41,9 @@ fn latencies(load: &str, rows: &[&Row]) -> Plot {
 fn stages(summary: &Summary) -> Plot {
     let shares = summary.shares();
     let bars = shares.iter().map(|(_, share)| Some(Bar::plain(*share))).collect();
-    let series = vec![Series::new("share of the time of the load", COLOURS[2], Mark::Bars(bars))];
+    let series = vec![Series::new("share of the load's duration", COLOURS[2], Mark::Bars(bars))];
     Plot {
-        title: format!("{}: what is busy, waiting included", summary.load),
+        title: format!("{}: busy stages, waiting included", summary.load),
         across: Axis::places("stage", shares.iter().map(|(stage, _)| (*stage).to_owned())),
         left: Axis::from_zero("%", series.iter().flat_map(Series::values)),
         right: None,

@@ -168,7 +168,7 @@ pub async fn heard(publishers: &Publishers, topics: usize) -> Result<(), Failure
     let begun = Instant::now();
     while publishers.heard() < topics {
         if begun.elapsed() > PATIENCE {
-            return Err(internal("the site has not subscribed to the publishers within 20 s; look at its ROS master"));
+            return Err(internal("the site did not subscribe to the publishers within 20 s; check its ROS master"));
         }
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
@@ -261,15 +261,15 @@ impl Summary {
             )
         };
         let law = format!(
-            "  {:.0} messages a second and core; most pending {}; law asked {} times, broken {}",
+            "  {:.0} messages per second and core; peak pending {}; law checked {} times, broken {}",
             self.per_core, self.most_pending, self.law_asked, self.law_broken
         );
         let disk = format!(
-            "  an fsync of 4 KiB before the load: {:.2} ms (p95 {:.2}); {} records there before",
+            "  an fsync of 4 KiB before the load: {:.2} ms (p95 {:.2}); {} pre-existing records",
             self.fsync_p50, self.fsync_p95, self.before
         );
         let rest = format!(
-            "  {} not verified at the end of publishing; all were {:.1} s later",
+            "  {} not verified when publishing ended; all were {:.1} s later",
             self.pending_end, self.rest_seconds
         );
         self.stages.iter().map(bar).chain([law, disk, rest, self.memory_line()]).collect()
@@ -279,8 +279,8 @@ impl Summary {
         let minutes: Vec<String> = self.memory_by_minute.iter().map(|bytes| (bytes >> 20).to_string()).collect();
         let slope = self.memory_slope.map_or_else(
             || "too short for a slope".to_owned(),
-            |slope| format!("{:+.3} MiB a minute behind the first", slope / 1_048_576.0),
+            |slope| format!("{:+.3} MiB a minute after the first", slope / 1_048_576.0),
         );
-        format!("  memory that no file holds, minute by minute, MiB: {}; {slope}", minutes.join(" "))
+        format!("  memory not backed by files, minute by minute, MiB: {}; {slope}", minutes.join(" "))
     }
 }

@@ -104,7 +104,7 @@ impl Kit {
         let mut done = |step: authros_crypto::record::Step| clock.done(step.word());
         let opened = open_in_steps(self.provider, record, Anchor::Chain(*digest), &self.key, &expected, &mut done)?;
         let same = proven && opened.body == self.body;
-        if same { Ok(clock.lap) } else { Err(internal("a record did not open as it was sealed")) }
+        if same { Ok(clock.lap) } else { Err(internal("a record did not open to what was sealed")) }
     }
 }
 

@@ -67,7 +67,7 @@ impl<C: ContextTr> PrecompileProvider<C> for Weighed {
         self.surplus = self.surplus.saturating_add(more);
         if self.surplus > self.most {
             return Err(format!(
-                "{TOO_MUCH_WORK}: its MODEXP or ecrecover are priced far below the time that they take"
+                "{TOO_MUCH_WORK}: its MODEXP or ecrecover calls cost far less gas than the time they take"
             ));
         }
         self.precompiles.run(context, inputs)

@@ -120,13 +120,13 @@ impl Authority {
     pub fn check(&self, header: &Header, parent_time: u64) -> Result<usize, &'static str> {
         let signer = if self.signers.len() == 1 { 0 } else { self.sealer(header)? };
         if header.difficulty != self.difficulty(header.number, signer) {
-            return Err("its difficulty does not fit its signer's turn");
+            return Err("its difficulty does not match its signer's turn");
         }
         if self.rests(signer) {
-            return Err("its signer sealed one of the blocks before it and had to rest");
+            return Err("its signer sealed one of the preceding blocks and had to wait");
         }
         if header.timestamp < parent_time + self.period.as_secs() {
-            return Err("it is earlier than the period allows");
+            return Err("it comes sooner than the period allows");
         }
         Ok(signer)
     }

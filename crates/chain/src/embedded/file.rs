@@ -145,20 +145,20 @@ impl ChainFile {
         };
         let keys: Result<Vec<_>, _> = signer.chunks(KEY_LENGTH).map(SigningKey::from_slice).collect();
         let keys = keys.ok().filter(|keys| keys.len() == keys_of(&consensus));
-        let keys = keys.ok_or_else(|| self.tampered(0, "the signers' keys are not what they were"))?;
+        let keys = keys.ok_or_else(|| self.tampered(0, "the signers' keys were changed"))?;
         Ok(Some(Founding { chain_id, consensus, keys, era }))
     }
 
     fn chosen(&self) -> Result<Consensus, ChainError> {
         let words: Option<String> = self.one("SELECT words FROM consensus", [], |row| row.get(0))?;
         let consensus = words.and_then(|words| words.parse().ok());
-        consensus.ok_or_else(|| self.tampered(0, "its consensus is none that this program knows"))
+        consensus.ok_or_else(|| self.tampered(0, "its consensus is unknown to this program"))
     }
 
     fn era(&self) -> Result<Era, ChainError> {
         let read = |row: &Row<'_>| Ok(Era { first: natural(row, 0)?, root: Hash(row.get(1)?) });
         let era = self.one("SELECT first, root FROM era", [], read)?;
-        era.ok_or_else(|| self.tampered(0, "it does not say where its version 3 begins"))
+        era.ok_or_else(|| self.tampered(0, "it does not say where its version 3 starts"))
     }
 
     /// Writes a new chain: founding and genesis block, all or nothing.
@@ -376,7 +376,7 @@ fn blamed(path: &Path, error: &rusqlite::Error) -> ChainError {
             ChainError::Tampered { path: path.to_owned(), block: 0, what: error.to_string() }
         }
         Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => {
-            ChainError::File { path: path.to_owned(), reason: "another process has it open".into() }
+            ChainError::File { path: path.to_owned(), reason: "it is open in another process".into() }
         }
         _ => ChainError::File { path: path.to_owned(), reason: error.to_string() },
     }

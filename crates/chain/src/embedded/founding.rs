@@ -47,7 +47,7 @@ pub fn open(file: &ChainFile, asked: Option<Consensus>) -> Result<Founded, Chain
 
 fn found(file: &ChainFile, consensus: Consensus) -> Result<Founding, ChainError> {
     if !consensus.is_usable() {
-        return Err(ChainError::Input(format!("'{consensus}' is no usable consensus; see `chain.consensus`")));
+        return Err(ChainError::Input(format!("'{consensus}' is not a usable consensus; see `chain.consensus`")));
     }
     let id = u64::from_be_bytes(noise()?);
     let keys = (0..keys_of(&consensus)).map(|_| draw_key()).collect::<Result<Vec<_>, _>>()?;
@@ -89,17 +89,17 @@ fn draw_key() -> Result<SigningKey, ChainError> {
 
 fn genesis(file: &ChainFile, consensus: &Consensus, sealing: &Sealing) -> Result<Header, ChainError> {
     let blame = |what: &str| file.tampered(0, what);
-    let (hash, header) = file.block(0)?.ok_or_else(|| blame("the genesis block is gone"))?;
+    let (hash, header) = file.block(0)?.ok_or_else(|| blame("the genesis block is missing"))?;
     let header = Header::decode(&header).map_err(|_| blame("its header is not a header"))?;
     if header.hash() != hash || !sealing.founded(&header) {
-        return Err(blame("its hash or its signers are not what they were"));
+        return Err(blame("its hash or its signers were changed"));
     }
     let committed = Sealing::unique(&header).is_some_and(|unique| {
         let random = unique.0.first_chunk().copied().unwrap_or_default();
         commitment(random, consensus) == unique
     });
     if *consensus != Consensus::POA && !committed {
-        return Err(blame("its consensus is not what it was"));
+        return Err(blame("its consensus was changed"));
     }
     Ok(header)
 }

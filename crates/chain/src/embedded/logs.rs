@@ -81,13 +81,13 @@ pub fn answer(node: &Node, parameters: &Parameters) -> Reply {
             read +=
                 FRAME + done.transaction.raw.len() + done.receipt.logs.iter().map(|log| log.data.len()).sum::<usize>();
             if read > MOST_READ {
-                return Err(too_many("there is too much to look through"));
+                return Err(too_many("there is too much to search"));
             }
             for log in &done.receipt.logs {
                 if filter.matches(log) {
                     given += FRAME + 2 * log.data.len() + 70 * log.topics.len();
                     if given > MOST_GIVEN {
-                        return Err(too_many("the logs are too many"));
+                        return Err(too_many("there are too many logs"));
                     }
                     found.push(json::log(log, done.transaction.hash, Mining::at(&header, place), index));
                 }

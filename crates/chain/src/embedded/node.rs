@@ -83,7 +83,7 @@ impl Node {
             upgrade(&file, founded)?;
             founded = founding::open(&file, asked)?;
         }
-        let era = founded.era.ok_or_else(|| file.tampered(0, "it does not say where its version 3 begins"))?;
+        let era = founded.era.ok_or_else(|| file.tampered(0, "it does not say where its version 3 starts"))?;
         let (machine, head) = newest(&file, &mut founded, era)?;
         let Founded { chain_id, consensus, sealing, .. } = founded;
         // The period is kept across a restart, even if the clock changed.

@@ -51,10 +51,10 @@ impl Node {
         if number < self.head.number {
             let above = self.file.block(number + 1)?.and_then(|(_, bytes)| rlp::Rlp::new(&bytes).val_at(0).ok());
             if above != Some(found.hash().0.to_vec()) {
-                return Err(self.file.tampered(number, "it is not the one that the next block names"));
+                return Err(self.file.tampered(number, "it is not the parent that the next block names"));
             }
         } else if found.hash() != self.head.hash {
-            return Err(self.file.tampered(number, "its hash is not what it was"));
+            return Err(self.file.tampered(number, "its hash was changed"));
         }
         Ok(Some(found))
     }
@@ -76,7 +76,7 @@ impl Node {
         let same = transactions_root(header.rules(), sent)? == header.transactions_root
             && receipts_root(header.rules(), &receipts)? == header.receipts_root;
         if !same {
-            return Err(self.file.tampered(number, "its transactions or receipts are not what they were"));
+            return Err(self.file.tampered(number, "its transactions or receipts were changed"));
         }
         let done = Rc::new(done);
         *self.looked.0.borrow_mut() = Some((number, Rc::clone(&done)));
@@ -89,7 +89,7 @@ impl Node {
         // gives it.
         let sender = (header.rules() == Rules::Chained).then_some(mined.sender);
         let transaction = Transaction::decode(&mined.raw, self.chain_id, sender).map_err(|what| blame(&what))?;
-        let receipt = rlp::decode(&mined.receipt).map_err(|_| blame("a receipt is no receipt"))?;
+        let receipt = rlp::decode(&mined.receipt).map_err(|_| blame("a receipt is malformed"))?;
         Ok(Done { transaction, receipt })
     }
 
@@ -99,7 +99,7 @@ impl Node {
     /// [`ChainError::Tampered`] if the block was altered, or does not hold it.
     pub fn mined(&self, hash: Hash) -> Result<Option<Place>, ChainError> {
         let Some((number, position)) = self.file.place_of(hash)? else { return Ok(None) };
-        let gone = || self.file.tampered(number, "a transaction is not where it was");
+        let gone = || self.file.tampered(number, "a transaction was moved");
         let header = self.header(number)?.ok_or_else(gone)?;
         let done = self.done(&header)?;
         let place = usize::try_from(position).map_err(|_| gone())?;

@@ -59,13 +59,13 @@ impl Again {
             self.nodes.turn_over(&written);
             self.machine = machine;
             if self.machine.tries().map(|tries| tries.root) != Some(era.root) {
-                return Err(file.tampered(number, "the state before it is not what it was"));
+                return Err(file.tampered(number, "the state before it was changed"));
             }
         }
         let blame = |what: &str| file.tampered(number, what);
         let header = header(&file, number)?;
         if header.parent != self.last.hash() {
-            return Err(blame("its hash or its parent is not what it was"));
+            return Err(blame("its hash or its parent was changed"));
         }
         let place = self.sealing.accept(&header, self.last.timestamp).map_err(blame)?;
         let outcome = rerun(&file, &self.machine, &self.sealing, &header, &place, self.chain_id)?;
@@ -121,7 +121,7 @@ pub fn newest(file: &Rc<ChainFile>, founded: &mut Founded, era: Era) -> Result<(
     if number > 0 {
         let parent = if number == 1 { founded.genesis.clone() } else { header(file, number - 1)? };
         if last.parent != parent.hash() {
-            return Err(blame("its hash or its parent is not what it was"));
+            return Err(blame("its hash or its parent was changed"));
         }
         let place = founded.sealing.accept(&last, parent.timestamp).map_err(blame)?;
         if number >= era.first {
@@ -148,7 +148,7 @@ pub fn header(file: &ChainFile, number: u64) -> Result<Header, ChainError> {
     let (hash, bytes) = file.block(number)?.ok_or_else(|| blame("it is gone"))?;
     let header = Header::decode(&bytes).map_err(|_| blame("its header is not a header"))?;
     if header.hash() != hash || header.number != number {
-        return Err(blame("its hash or its parent is not what it was"));
+        return Err(blame("its hash or its parent was changed"));
     }
     Ok(header)
 }
@@ -169,21 +169,21 @@ fn rerun(
     let decode = |one: &Mined| Transaction::decode(&one.raw, chain_id, known(one));
     let transactions = mined.iter().map(decode).collect::<Result<Vec<_>, _>>().map_err(|what| blame(&what))?;
     if transactions.iter().zip(&mined).any(|(transaction, one)| transaction.sender != one.sender) {
-        return Err(blame("its senders are not what they were"));
+        return Err(blame("its senders were changed"));
     }
     let outcome = machine.run(place, transactions, false)?;
     let again = assemble(machine.rules(), sealing, header.parent, place, &outcome)?;
     let sealed = Header { extra: header.extra.clone(), nonce: header.nonce, ..again.clone() };
     // Under proof of work the extra data holds no seal and is always the same.
     if sealed != *header || (matches!(sealing, Sealing::Work { .. }) && again.extra != header.extra) {
-        return Err(blame("running its transactions again gives another block"));
+        return Err(blame("replaying its transactions gives a different block"));
     }
     let kept = outcome
         .receipts
         .iter()
         .zip(&mined)
         .all(|(receipt, one)| rlp::encode(receipt)[..] == one.receipt[..] && receipt.logs.len() as u64 == one.logs);
-    if kept { Ok(outcome) } else { Err(blame("its receipts are not what they were")) }
+    if kept { Ok(outcome) } else { Err(blame("its receipts were changed")) }
 }
 
 /// The header of a block that has run, before its seal.
@@ -259,11 +259,11 @@ impl Passing {
 impl Nodes for Passing {
     fn node(&self, hash: Hash) -> Result<Arc<[u8]>, ChainError> {
         let found = self.nodes.borrow().get(&hash).map(|(body, _)| Arc::clone(body));
-        found.ok_or_else(|| ChainError::Internal(format!("node {hash} of a state that is run again is missing")))
+        found.ok_or_else(|| ChainError::Internal(format!("node {hash} of a replayed state is missing")))
     }
 
     fn malformed(&self, hash: Hash) -> ChainError {
-        ChainError::Internal(format!("node {hash} of a state that is run again is no node"))
+        ChainError::Internal(format!("node {hash} of a replayed state is not a node"))
     }
 }
 

@@ -170,7 +170,7 @@ fn transaction_at(node: &Node, number: u64, index: U256) -> Reply {
 
 fn require_newest(node: &Node, tag: Option<&Value>) -> Result<(), Fault> {
     let newest = tag.is_none_or(|tag| tag.is_null() || block_number(node, tag) == Some(node.head.number));
-    if newest { Ok(()) } else { Err(Fault::new(-32000, "this chain keeps the state of its newest block only")) }
+    if newest { Ok(()) } else { Err(Fault::new(-32000, "this chain keeps only the state of its newest block")) }
 }
 
 fn state(node: &Node, parameters: &Parameters, tag: usize, read: impl FnOnce(&Node, Address) -> Reply) -> Reply {

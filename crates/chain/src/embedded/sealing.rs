@@ -125,13 +125,13 @@ impl Sealing {
             }
             Self::Work { difficulty, miner } => {
                 if header.difficulty != *difficulty {
-                    return Err("its difficulty is not the chain's");
+                    return Err("its difficulty is not that of the chain");
                 }
                 if timestamp < parent_time {
-                    return Err("it is earlier than the block before");
+                    return Err("it is earlier than the block before it");
                 }
                 if !proof::seals(header.work_hash(), header.nonce, *difficulty) {
-                    return Err("its nonce does not show the work");
+                    return Err("its nonce does not prove the work");
                 }
                 *miner
             }

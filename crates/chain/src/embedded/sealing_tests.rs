@@ -301,11 +301,11 @@ fn a_forged_seal_is_noticed() {
     let (work, nonce) = sealed(Consensus::Pow { difficulty: 500 });
     let idle = |header: &Header| (0..1_000).find(|nonce| !proof::seals(header.work_hash(), *nonce, 500)).expect("most");
     forge(work.path(), 4, |header| header.nonce = idle(header));
-    tampered(work.path(), "its nonce does not show the work");
+    tampered(work.path(), "its nonce does not prove the work");
     forge(work.path(), 4, |header| header.nonce = nonce);
     open(work.path(), None);
     forge(work.path(), 4, |header| (header.difficulty, header.nonce) = (1, 0));
-    tampered(work.path(), "its difficulty is not the chain's");
+    tampered(work.path(), "its difficulty is not that of the chain");
 
     let stranger = SigningKey::from_slice(&[99; 32]).expect("key");
     for signers in [1, 3] {
@@ -316,12 +316,12 @@ fn a_forged_seal_is_noticed() {
     let (authority, _) = sealed(poa(3, 0));
     let keys = keys(authority.path());
     forge(authority.path(), 4, |header| header.seal(&keys[2]).expect("seals"));
-    tampered(authority.path(), "does not fit its signer's turn");
+    tampered(authority.path(), "does not match its signer's turn");
     forge(authority.path(), 4, |header| {
         header.difficulty = 1;
         header.seal(&keys[0]).expect("seals");
     });
-    tampered(authority.path(), "had to rest");
+    tampered(authority.path(), "had to wait");
     forge(authority.path(), 4, |header| header.seal(&keys[2]).expect("seals"));
     // The signer is allowed to seal, and its seal is on the block; but the state must be what the transactions make it.
     open(authority.path(), None);
@@ -329,7 +329,7 @@ fn a_forged_seal_is_noticed() {
         header.state_root.0[0] ^= 1;
         header.seal(&keys[2]).expect("seals");
     });
-    tampered(authority.path(), "gives another block");
+    tampered(authority.path(), "gives a different block");
 }
 
 #[test]
@@ -347,9 +347,9 @@ fn the_founding_binds() {
         assert_eq!(file.execute(sql, []).expect(sql), 1);
     };
     change("UPDATE consensus SET words = 'poa:3:400'");
-    tampered(home.path(), "its consensus is not what it was");
+    tampered(home.path(), "its consensus was changed");
     change("UPDATE consensus SET words = 'pow:1'");
-    tampered(home.path(), "keys are not what they were");
+    tampered(home.path(), "keys were changed");
     change("UPDATE consensus SET words = 'poa:3:500'");
     change("UPDATE chain SET version = 4");
     let bytes = || std::fs::read(home.path().join("chain.db")).expect("read");

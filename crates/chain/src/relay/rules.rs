@@ -92,7 +92,7 @@ pub fn examine(ground: Ground<'_>, asker: Asker, method: &str, parameters: &Valu
         }
         ("eth_getLogs", _) => logs(ground, asker, first),
         ("eth_getBlockByNumber" | "eth_getBlockByHash", Asker::Visitor) => match parameters.get(1) {
-            Some(Value::Bool(true)) => refused(-32602, "a visitor gets blocks without their transactions"),
+            Some(Value::Bool(true)) => refused(-32602, "a visitor may only get blocks without their transactions"),
             _ => read(parameters),
         },
         _ => read(parameters),
@@ -117,10 +117,10 @@ fn message(pin: &Pin, parameters: &Value) -> Result<Vec<u8>, RelayError> {
     const FIELDS: [&str; 5] = ["from", "to", "data", "input", "gas"];
     let Some(call) = parameters.get(0).and_then(Value::as_object) else { return refused(-32602, "no call") };
     if parameters.get(2).is_some() || !call.keys().all(|key| FIELDS.contains(&key.as_str())) {
-        return refused(-32602, "a call has from, to and data, and a block; nothing else is passed on");
+        return refused(-32602, "a call takes from, to, data and a block; nothing else is forwarded");
     }
     if address(call.get("to")) != Some(pin.contract) {
-        return refused(-32602, format!("only calls of the contract {} are passed on", pin.contract));
+        return refused(-32602, format!("only calls to the contract {} are forwarded", pin.contract));
     }
     let data = match (call.get("data"), call.get("input")) {
         (Some(_), Some(_)) => None,
@@ -129,7 +129,7 @@ fn message(pin: &Pin, parameters: &Value) -> Result<Vec<u8>, RelayError> {
     };
     match data.filter(|data| data.len() <= LONGEST_DATA) {
         Some(data) => Ok(data),
-        None => refused(-32602, "call data that is no hex, or too long"),
+        None => refused(-32602, "call data is not hex, or too long"),
     }
 }
 
@@ -141,13 +141,10 @@ fn transaction(pin: &Pin, raw: &Value) -> Result<Passed, RelayError> {
         Err(reason) => return refused(-32000, reason),
     };
     if decoded.to != Some(pin.contract) || !decoded.value.is_zero() {
-        return rejected(format!("only transactions to the contract {}, without value, are passed on", pin.contract));
+        return rejected(format!("only transactions to the contract {} without value are forwarded", pin.contract));
     }
     if decoded.gas_limit > MOST_GAS {
-        return rejected(format!(
-            "the transaction may use {} gas; at most {MOST_GAS} are passed on",
-            decoded.gas_limit
-        ));
+        return rejected(format!("the transaction may use {} gas; at most {MOST_GAS} is forwarded", decoded.gas_limit));
     }
     Ok(Passed::Transaction { sender: decoded.sender, registers: registration(&decoded.input), raw })
 }
@@ -171,7 +168,7 @@ fn logs(ground: Ground<'_>, asker: Asker, filter: &Value) -> Result<Passed, Rela
         one => address(one),
     };
     if place != Some(ground.pin.contract) {
-        return refused(-32602, format!("only logs of the contract {} are passed on", ground.pin.contract));
+        return refused(-32602, format!("only logs of the contract {} are forwarded", ground.pin.contract));
     }
     if fields.contains_key("blockHash") {
         return read(&json!([filter]));

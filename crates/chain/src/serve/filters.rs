@@ -67,7 +67,7 @@ impl Filters {
         let now = Instant::now();
         open.1.retain(|_, filter| now.duration_since(filter.asked) < LIFE);
         if open.1.len() >= MOST {
-            return Err(fault(-32005, format!("there are {MOST} filters; uninstall some")));
+            return Err(fault(-32005, format!("there are {MOST} filters already; uninstall some")));
         }
         open.0 += 1;
         let id = open.0;

@@ -123,7 +123,7 @@ fn request_line(line: &str) -> Result<bool, Refusal> {
         _ => return Err(Refusal::new("505 HTTP Version Not Supported", "use HTTP/1.1")),
     };
     if method != "POST" {
-        return Err(Refusal::new("405 Method Not Allowed", "JSON-RPC comes by POST"));
+        return Err(Refusal::new("405 Method Not Allowed", "use POST for JSON-RPC"));
     }
     if target != "/" {
         return Err(Refusal::new("404 Not Found", "JSON-RPC is at /"));
@@ -144,7 +144,7 @@ impl Headers {
     fn take(&mut self, header: &str) -> Result<(), Refusal> {
         let (name, value) = header.split_once(':').ok_or(Refusal::bad("a header has no colon"))?;
         if name.is_empty() || !name.bytes().all(|byte| byte.is_ascii_graphic()) {
-            return Err(Refusal::bad("a header's name is none"));
+            return Err(Refusal::bad("a header's name is not valid"));
         }
         let value = value.trim();
         match name.to_ascii_lowercase().as_str() {
@@ -155,7 +155,7 @@ impl Headers {
             "content-type" => self.json = media_type(value) == "application/json",
             "connection" => self.close = Some(value.eq_ignore_ascii_case("close")),
             "expect" => self.asks_first = value.eq_ignore_ascii_case("100-continue"),
-            "origin" => return Err(Refusal::new("403 Forbidden", "pages in a browser are not served")),
+            "origin" => return Err(Refusal::new("403 Forbidden", "requests from web pages are refused")),
             _ => {}
         }
         Ok(())
@@ -163,14 +163,14 @@ impl Headers {
 
     fn length(&self, value: &str) -> Result<usize, Refusal> {
         if self.length.is_some() || value.is_empty() || !value.bytes().all(|byte| byte.is_ascii_digit()) {
-            return Err(Refusal::bad("the Content-Length is not one number"));
+            return Err(Refusal::bad("the Content-Length is not a single number"));
         }
         let length = value.parse().ok().filter(|length| *length <= LONGEST_BODY);
-        length.ok_or(Refusal::new("413 Content Too Large", "a body has at most 1 MiB; send smaller batches"))
+        length.ok_or(Refusal::new("413 Content Too Large", "a body may have at most 1 MiB; send smaller batches"))
     }
 
     fn settle(self, recent: bool) -> Result<Head, Refusal> {
-        let host = self.host.ok_or(Refusal::bad("there is no Host header"))?;
+        let host = self.host.ok_or(Refusal::bad("the Host header is missing"))?;
         // If an attacker's DNS name resolves to this machine, Host still holds the attacker's name.
         if !is_this_machine(&host) {
             return Err(Refusal::new(

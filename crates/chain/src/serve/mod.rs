@@ -37,7 +37,7 @@ struct Limits {
 const LIMITS: Limits = Limits { connections: 32, patience: Duration::from_secs(15), work: Duration::from_secs(30) };
 
 const BUSY: Refusal = Refusal { status: "503 Service Unavailable", why: "too many connections; try again" };
-const SLOW: Refusal = Refusal { status: "408 Request Timeout", why: "the request did not come in time" };
+const SLOW: Refusal = Refusal { status: "408 Request Timeout", why: "the request did not arrive in time" };
 const LONG: Refusal =
     Refusal { status: "503 Service Unavailable", why: "the chain took too long; ask for less at once" };
 
@@ -48,8 +48,8 @@ const LONG: Refusal =
 pub async fn listen(address: SocketAddr) -> Result<TcpListener, ChainError> {
     if !address.ip().is_loopback() {
         return Err(ChainError::Input(format!(
-            "{address} can be reached by other machines, and the chain cannot tell who asks; listen on 127.0.0.1, and \
-             use an ssh tunnel from elsewhere"
+            "{address} can be reached by other machines, and the chain cannot tell who is asking; listen on 127.0.0.1 \
+             and use an ssh tunnel from elsewhere"
         )));
     }
     TcpListener::bind(address).await.map_err(|error| {

@@ -97,7 +97,7 @@ impl fmt::Display for Difference {
             }
             Self::RuleGone { rule } => write!(formatter, "- rule {rule}"),
             Self::RuleNew { rule } => write!(formatter, "+ rule {rule}"),
-            Self::RulesInOrder => formatter.write_str("~ rules for topics: the same ones in another order"),
+            Self::RulesInOrder => formatter.write_str("~ topic rules: same rules, different order"),
             Self::Watch { topic, type_name: None } => write!(formatter, "+ watch {topic}"),
             Self::Watch { topic, type_name: Some(name) } => write!(formatter, "+ watch {topic}, only {name}"),
             Self::Unwatch { topic } => write!(formatter, "- watch {topic}"),
@@ -106,7 +106,7 @@ impl fmt::Display for Difference {
             Self::RemoveContact { name } => write!(formatter, "- contact {name}"),
             Self::AddContact { name, address, fingerprint: None } => write!(formatter, "+ contact {name} {address}"),
             Self::AddContact { name, address, fingerprint: Some(fingerprint) } => {
-                write!(formatter, "+ contact {name} {address} with the key {fingerprint}")
+                write!(formatter, "+ contact {name} {address} with key {fingerprint}")
             }
             Self::Dismiss { owner } => write!(formatter, "- admitted {owner}"),
             Self::Admit { owner } => write!(formatter, "+ admitted {owner}"),

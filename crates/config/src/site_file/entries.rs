@@ -58,23 +58,26 @@ fn list<List: Default>(
         Err(ConfigError::Entry { file: file.to_owned(), line: lines.line(place), what: clean(&what, 300) })
     };
     let Some(values) = value.as_array() else {
-        return fault(name, format!("'{name}' is written as [[{name}]] tables"));
+        return fault(name, format!("write '{name}' as [[{name}]] tables"));
     };
     let most = if name == "contact" { MOST_CONTACTS } else { MOST };
     if values.len() > most {
-        return fault(name, format!("there are more than {most} [[{name}]] tables; take some of them out"));
+        return fault(name, format!("there are more than {most} [[{name}]] tables; remove some"));
     }
     let mut list = List::default();
     for (index, value) in values.iter().enumerate() {
         let place = format!("{name}.{index}");
         let Some(table) = value.as_table() else {
-            return fault(&place, format!("'{name}' is written as [[{name}]] tables"));
+            return fault(&place, format!("write '{name}' as [[{name}]] tables"));
         };
         if let Some(key) = table.keys().find(|key| !keys.contains(&key.as_str())) {
-            return fault(&format!("{place}.{key}"), format!("[[{name}]] has no '{key}'; it has {}", keys.join(", ")));
+            return fault(
+                &format!("{place}.{key}"),
+                format!("[[{name}]] has no key '{key}'; its keys are {}", keys.join(", ")),
+            );
         }
         if !add(&Entry { file, lines, name: place.clone(), table }, &mut list)? {
-            return fault(&place, format!("this [[{name}]] is there a second time; take one of them out"));
+            return fault(&place, format!("this [[{name}]] appears twice; remove one of them"));
         }
     }
     Ok(Some(list))
@@ -88,7 +91,7 @@ impl Entry<'_> {
     }
 
     fn needed<T: FromStr<Err: Display>>(&self, key: &str) -> Result<T, ConfigError> {
-        self.text(key)?.ok_or_else(|| self.fault(key, format!("'{key}' is missing here")))
+        self.text(key)?.ok_or_else(|| self.fault(key, format!("'{key}' is missing")))
     }
 
     fn fault(&self, key: &str, what: String) -> ConfigError {

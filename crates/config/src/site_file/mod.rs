@@ -86,7 +86,7 @@ impl Stays {
     /// For display.
     pub fn reason(self) -> &'static str {
         match self {
-            Self::OfTheMachine => "it is about this machine",
+            Self::OfTheMachine => "it applies to this machine only",
             Self::Secret => "its value holds a secret",
         }
     }
@@ -203,13 +203,13 @@ fn holds_secret(name: &str, value: &str) -> bool {
 fn refuse_secret(file: &str, line: usize, name: &str, value: &str) -> Result<(), ConfigError> {
     let instead = match name {
         // It should be a path, but may be the secret itself.
-        "alerts.secret" if !value.starts_with('/') => "write the path of the file that holds it",
+        "alerts.secret" if !value.starts_with('/') => "give the path of the file that holds it",
         _ if holds_secret(name, value) && KEY_IN_PATH.contains(&name) => {
-            "what its URL has beside host and port may be a key: set it in config.toml of each home, or in the \
-             environment; both stay as they are"
+            "anything in its URL beyond host and port may be a secret: set it in each home's config.toml or in the \
+             environment, which this file leaves alone"
         }
         _ if holds_secret(name, value) => {
-            "set it in config.toml of each home, or in the environment; both stay as they are"
+            "set it in each home's config.toml or in the environment, which this file leaves alone"
         }
         _ => return Ok(()),
     };

@@ -232,7 +232,7 @@ impl Tag {
             Self::LoadKey(kind) => format!("loading the {} key", kind_word(*kind)),
             Self::ExportKey(kind) => format!("exporting the {} key", kind_word(*kind)),
             Self::Rotate => "rotating the keys".to_owned(),
-            Self::HoldCapture => "stopping the capture".to_owned(),
+            Self::HoldCapture => "stopping capture".to_owned(),
             Self::Lock => "locking the keyring".to_owned(),
             Self::BackUp => "backing up the keyring".to_owned(),
             Self::Administer(act) => format!("administrator: {act}"),
@@ -240,8 +240,8 @@ impl Tag {
             Self::Adopt => "adopting the chain".to_owned(),
             Self::Pin(topic) => format!("pinning publishers of {topic}"),
             Self::Unpin(topic) => format!("unpinning a publisher of {topic}"),
-            Self::Release(topic) => format!("releasing what is held of {topic}"),
-            Self::Discard(topic) => format!("discarding what is held of {topic}"),
+            Self::Release(topic) => format!("releasing quarantined messages of {topic}"),
+            Self::Discard(topic) => format!("discarding quarantined messages of {topic}"),
             Self::Publishers(topic) => format!("looking up publishers of {topic}"),
             Self::Show(id) => format!("looking up {id}"),
             Self::Beside(_, id) => format!("reading {id}"),
@@ -251,8 +251,8 @@ impl Tag {
             Self::Export(id) => format!("exporting {id}"),
             Self::Incident(deed, name) => deed.words(name),
             Self::Contact(name) => format!("changing contact {name}"),
-            Self::Play(topic) => format!("playing {topic} into ROS, live (4, then p: end it)"),
-            Self::StopPlay => "ending what is played".to_owned(),
+            Self::Play(topic) => format!("playing {topic} into ROS, live (4, then p: stop)"),
+            Self::StopPlay => "stopping playback".to_owned(),
         }
     }
 }

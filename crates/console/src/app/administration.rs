@@ -58,10 +58,10 @@ impl Act {
             Self::Succeed => "Name the successor of a lost account",
             Self::Propose => "Propose the successor of a lost account",
             Self::Dismiss => "Withdraw an admission",
-            Self::HandOver => "Name the next administrator",
+            Self::HandOver => "Nominate the next administrator",
             Self::Accept => "Take over as administrator?",
             Self::Deploy => "Deploy the contract?",
-            Self::Adopt => "Adopt the chain that is there now?",
+            Self::Adopt => "Adopt the current chain?",
         }
     }
 
@@ -69,30 +69,32 @@ impl Act {
         match self {
             Self::Admit => &["While registration is closed, only admitted accounts can register."],
             Self::Suspend => &[
-                "Its changes are refused by the contract, except those that take rights away.",
-                "What it shared stays readable to whoever has the keys. `restore` frees it again.",
+                "The contract refuses its changes, except those that withdraw rights.",
+                "What it shared stays readable to anyone who has the keys. `restore` undoes this.",
             ],
-            Self::Restore => &["Its changes are taken by the contract again."],
-            Self::Open => &["Anyone with an account on this chain may register then."],
-            Self::Close => &["Only accounts that you admit may register then."],
+            Self::Restore => &["The contract accepts its changes again."],
+            Self::Open => &["Anyone with an account on this chain can then register."],
+            Self::Close => &["Only accounts that you admit can then register."],
             Self::Pause => &[
-                "Nobody registers, grants or anchors any more; revokes and reads still work.",
-                "It ends by itself after a day (on a contract of revision 1 only by `continue`).",
+                "Nobody can register, grant or anchor; revokes and reads still work.",
+                "It ends after a day (on a contract of revision 1 only by `continue`).",
             ],
-            Self::Continue => &["Registrations, grants and anchors are taken again."],
-            Self::Succeed => &["The chain then says who continues for the lost account. It cannot be taken back."],
+            Self::Continue => &["Registrations, grants and anchors are accepted again."],
+            Self::Succeed => &["The chain then names who continues for the lost account. This cannot be undone."],
             Self::Propose => &[
-                "It waits for the contract's delay, twice as long where the account named no recovery account, which",
-                "may stop it. Then `authros chain succession complete` carries it out, and that cannot be taken back.",
+                "It waits for the contract's delay, twice as long if the account named no recovery account, which",
+                "can stop it. Then `authros chain succession complete` carries it out, which cannot be undone.",
             ],
-            Self::Dismiss => &["The admission is withdrawn; an account that registered meanwhile stays registered."],
+            Self::Dismiss => &["The admission is withdrawn; an account that has already registered stays registered."],
             Self::HandOver => &["Once that account accepts, you are no longer the administrator."],
-            Self::Accept => &["You were named by the administrator; from then on these acts are yours."],
+            Self::Accept => &["The administrator nominated you; from then on these commands are yours."],
             Self::Deploy => &["Your account becomes the contract's administrator, and this home is bound to it."],
             Self::Adopt => &[
-                "Another chain: the pinned one is given up, verified records keep their proof there and open as",
-                "`unanchored`, all others are anchored anew. The pinned chain with a contract of an earlier revision: a",
-                "new contract is used, earlier records stay verified. A signed record says so. It cannot be taken back.",
+                "Another chain: the pinned one is abandoned, verified records keep their proof there and open as",
+                "`unanchored`, all others are anchored again. The pinned chain with a contract of an earlier revision: \
+                 a",
+                "new contract is used, earlier records stay verified. A signed record documents it. This cannot be \
+                 undone.",
             ],
         }
     }
@@ -167,7 +169,7 @@ fn administer(act: Act, administration: Administration) -> Errand {
 }
 
 fn form(act: Act) -> Form {
-    let hint = "0x and 40 hex, or a name of the address book";
+    let hint = "0x and 40 hex, or a contact's name";
     let mut lines = vec![Line::text(if act.is_succession() { "Lost" } else { "Account" }, hint, Field::default())];
     if act.is_succession() {
         lines.push(Line::text("Successor", hint, Field::default()));
@@ -199,7 +201,7 @@ pub fn read(act: Act, form: &Form) -> Result<Confirm, (usize, String)> {
         Act::Propose => Administration::Propose { lost: account, successor: successor(&mut lines)? },
         Act::Succeed => Administration::Succeed { lost: account, successor: successor(&mut lines)? },
         Act::Open | Act::Close | Act::Pause | Act::Continue | Act::Accept | Act::Deploy | Act::Adopt => {
-            return Err((0, "this act names no account; leave with esc".to_owned()));
+            return Err((0, "this command takes no account; press esc".to_owned()));
         }
     };
     Ok(question(act, lines, administer(act, administration)))

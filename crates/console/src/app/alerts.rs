@@ -235,9 +235,9 @@ fn life(life: &LifeLine) -> Vec<(u64, NoticeLevel, &'static str)> {
         (
             life.dropped.saturating_sub(life.discarded),
             NoticeLevel::Warning,
-            "dropped by the recorder before they were sealed; gap records count them",
+            "dropped by the recorder before sealing; gap records count them",
         ),
-        (life.lost_in_transport, NoticeLevel::Warning, "lost in transport, before they were captured"),
+        (life.lost_in_transport, NoticeLevel::Warning, "lost in transport before capture"),
     ];
     counted.into_iter().filter(|(count, ..)| *count > 0).collect()
 }

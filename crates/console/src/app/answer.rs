@@ -329,10 +329,10 @@ fn checked(state: &mut State, check: &CheckView) {
             state.log.notice(state.now, NoticeLevel::Info, &text);
             state.inform(text);
         }
-        Verdict::Unanchored => state.inform(format!("{text}: not on the chain yet, other checks pass")),
+        Verdict::Unanchored => state.inform(format!("{text}: not on the chain yet, other checks passed")),
         Verdict::Tampered => state.complain(format!("{text}: the stored bytes are not the ones anchored")),
         Verdict::Deleted => state.inform(format!("{text}: header, signature and proof stay")),
-        Verdict::Missing => state.complain(format!("{text}: the stored bytes are gone")),
-        Verdict::NoKey => state.complain(format!("{text}: no key of this profile opens it")),
+        Verdict::Missing => state.complain(format!("{text}: the stored bytes are missing")),
+        Verdict::NoKey => state.complain(format!("{text}: cannot be opened with this profile's keys")),
     }
 }

@@ -30,7 +30,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
             given(state.screen.has_table(), "no table here")
         }
         Verb::NextMatch | Verb::PreviousMatch => {
-            given(state.table().is_some_and(|table| !table.filter.text().is_empty()), "no filter: / sets one")
+            given(state.table().is_some_and(|table| !table.filter.text().is_empty()), "no filter; / sets one")
         }
         Verb::Sort | Verb::Reverse => given(state.screen.sorts(), "nothing to sort here"),
         Verb::Mark | Verb::MarkAll | Verb::Watch | Verb::Details | Verb::Open | Verb::Check | Verb::Export => {
@@ -44,7 +44,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::Fold => {
             given(entry.works_on(state.screen), "other screen")?;
             let row = state.topics.selected().ok_or("nothing selected")?;
-            given(robot_of(&row.topic).is_some(), "no robot's topic")
+            given(robot_of(&row.topic).is_some(), "not a robot's topic")
         }
         Verb::Readers | Verb::Browse | Verb::Play => {
             given(entry.works_on(state.screen), "other screen")?;
@@ -126,12 +126,12 @@ fn lock(state: &State) -> Result<(), &'static str> {
 }
 
 fn administer(state: &State, act: Act) -> Result<(), &'static str> {
-    let chain = state.chain.as_ref().ok_or("look at the chain first (7)")?;
+    let chain = state.chain.as_ref().ok_or("open the Chain screen first (7)")?;
     let own = state.address();
     match act {
         Act::Deploy => given(chain.contract.is_none(), "already deployed"),
         Act::Adopt => Ok(()),
-        Act::Accept => given(own.is_some() && chain.administration.nominee == own, "you were not named"),
+        Act::Accept => given(own.is_some() && chain.administration.nominee == own, "you are not nominated"),
         Act::Admit
         | Act::Suspend
         | Act::Restore

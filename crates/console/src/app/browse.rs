@@ -60,7 +60,7 @@ fn shared(state: &State) -> Vec<Choice> {
         let note = format!("shares {}, {}", scope(&row.topics), end(row.expires));
         all.push(choice(&row.name.clone().unwrap_or_else(|| row.owner.short()), note, format!("owner:{word}")));
         let topics = row.topics.iter().map(|topic| {
-            choice(&format!("  {topic}"), "one of the topics shared".to_owned(), format!("owner:{word} {topic}"))
+            choice(&format!("  {topic}"), "one of the shared topics".to_owned(), format!("owner:{word} {topic}"))
         });
         all.extend(topics);
     }

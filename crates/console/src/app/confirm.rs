@@ -40,8 +40,8 @@ pub fn pin(row: &TopicRow, topic: TopicName) -> Confirm {
             "Publishers  {}",
             if row.publishers.is_empty() { "nobody".to_owned() } else { row.publishers.join(" ") }
         ),
-        "Messages of these are captured from now on; those of others are held back.".to_owned(),
-        "Look at host and type first: enter shows them (a name alone can be forged).".to_owned(),
+        "Their messages are captured from now on; those of others are quarantined.".to_owned(),
+        "Check host and type first: enter shows them (a name alone can be forged).".to_owned(),
     ];
     let tag = Tag::Pin(topic.to_string());
     let errand = Errand { command: Command::PinTopic { topic, publishers: Vec::new() }, tag };
@@ -55,14 +55,14 @@ pub fn decide(row: &TopicRow, topic: TopicName, discard: bool) -> Confirm {
     let name = topic.to_string();
     if discard {
         lines.push("Their ciphertext is deleted. Quarantine records on the chain count them, so that".to_owned());
-        lines.push("nobody can choose evidence; the messages themselves do not come back.".to_owned());
+        lines.push("nobody can pick evidence; the messages themselves cannot be restored.".to_owned());
         let errand = Errand { command: Command::DiscardHeld { held }, tag: Tag::Discard(name.clone()) };
         let typed = Some(Typed::new(&name));
-        return Confirm { title: "Discard what is held?".to_owned(), lines, yes: "discard", typed, errand };
+        return Confirm { title: "Discard quarantined messages?".to_owned(), lines, yes: "discard", typed, errand };
     }
-    lines.push("They are anchored like others and keep the tag that says they were held.".to_owned());
+    lines.push("They are anchored like others and keep the tag that they were quarantined.".to_owned());
     let errand = Errand { command: Command::ReleaseHeld { held }, tag: Tag::Release(name) };
-    Confirm { title: "Release what is held?".to_owned(), lines, yes: "release", typed: None, errand }
+    Confirm { title: "Release quarantined messages?".to_owned(), lines, yes: "release", typed: None, errand }
 }
 
 /// Before a grant: what it opens, and who can read already.
@@ -70,7 +70,7 @@ pub fn grant(state: &State, wish: GrantWish) -> Confirm {
     let topics: Vec<String> = wish.topics.iter().map(ToString::to_string).collect();
     let epochs = match wish.epochs {
         Epochs::Current => "records from the current epoch on",
-        Epochs::All => "all epochs, also what was recorded before",
+        Epochs::All => "all epochs, including earlier records",
     };
     let ends = wish.expires.map_or_else(|| "no end".to_owned(), |moment| format!("{} UTC", day(moment)));
     let mut lines = vec![
@@ -93,7 +93,7 @@ pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
         String::new(),
         "The next record is sealed under a new key that this account does not get.".to_owned(),
         "What was already read cannot be recalled, and records sealed before".to_owned(),
-        "stay readable to whoever holds their key.".to_owned(),
+        "stay readable to anyone who has their key.".to_owned(),
         "This is a transaction; to share again, make a new grant.".to_owned(),
         String::new(),
     ];
@@ -106,9 +106,9 @@ pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
 pub fn load_key(wish: KeyWish) -> Confirm {
     let KeyWish { kind, path, passphrase } = wish;
     let what = match kind {
-        KeyKind::Sm4 => "A new epoch begins under it; old records stay readable with their own keys.",
+        KeyKind::Sm4 => "A new epoch begins with it; old records stay readable with their own keys.",
         KeyKind::Sm2 => "The new key is registered on the chain; new records are signed with it.",
-        KeyKind::Eoa => "Your address on the chain changes: grants and records of the old one stay its own.",
+        KeyKind::Eoa => "Your address on the chain changes: grants and records of the old one stay with it.",
     };
     let file = format!("File  {}", path.display());
     let lines =

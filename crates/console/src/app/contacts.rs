@@ -73,13 +73,13 @@ pub fn key(state: &mut State, mut book: Book, key: Key) -> Vec<Effect> {
 /// Asks for a new contact.
 pub fn form() -> Form {
     let lines = vec![
-        Line::text("Name", "as bob", Field::default()),
+        Line::text("Name", "such as bob", Field::default()),
         Line::text("Address", "0x and 40 hex", Field::default()),
-        Line::text("Fingerprint", "empty = of the key it has registered", Field::default()),
+        Line::text("Fingerprint", "empty = the registered key", Field::default()),
     ];
     let notes = vec![
-        "A name for an account, in forms, lists and commands of this home.".to_owned(),
-        "The fingerprint is compared from then on: let its owner tell it to you.".to_owned(),
+        "A name for an account in this home's forms, lists and commands.".to_owned(),
+        "The fingerprint is checked from then on: get it from its owner.".to_owned(),
     ];
     Form::new("New contact", notes, lines)
 }
@@ -99,7 +99,7 @@ pub fn read(form: &Form) -> Result<Errand, (usize, String)> {
 fn removal(row: &ContactRow) -> Confirm {
     let lines = vec![
         format!("{}  {}", row.name, row.address),
-        "Grants to this account stay as they are; they are then listed by address.".to_owned(),
+        "Grants to this account stay active; they are then listed by address.".to_owned(),
     ];
     let tag = Tag::Contact(row.name.to_string());
     let errand = Errand { command: Command::RemoveContact { name: row.name.clone() }, tag };
@@ -112,7 +112,7 @@ fn confirmation(row: &ContactRow) -> Confirm {
         format!("Noted       {}", or_none(&row.fingerprint)),
         format!("Registered  {}", or_none(&row.registered)),
         String::new(),
-        "Ask its owner over another channel first: from now on the registered key counts as the right one.".to_owned(),
+        "Ask its owner over another channel first: from now on the registered key counts as genuine.".to_owned(),
     ];
     let tag = Tag::Contact(row.name.to_string());
     let command = Command::ConfirmContact { name: row.name.clone(), fingerprint: row.registered.clone() };

@@ -17,7 +17,7 @@ pub const SHORTEST_PASSPHRASE: usize = 8;
 /// The kinds of key, in the order of the choice.
 const KINDS: [KeyKind; 3] = [KeyKind::Sm4, KeyKind::Sm2, KeyKind::Eoa];
 const KIND_WORDS: &[&str] = &["SM4 (32 hex or 16 raw bytes)", "SM2 (d_C, PEM)", "EOA (V3 keystore or hex)"];
-const EPOCH_WORDS: &[&str] = &["from now on", "all, also what was recorded before"];
+const EPOCH_WORDS: &[&str] = &["from now on", "all, including earlier records"];
 
 /// Asks for the passphrase of a new identity, twice.
 pub fn create_identity(profile: &str, notes: Vec<String>) -> Form {
@@ -81,9 +81,9 @@ pub fn extend(grantee: &str, ends: &str) -> Form {
     let lines = vec![Line::text("Ends", "empty = never; 45m, 12h, 30d, 2036-12-31", Field::default())];
     let notes = vec![
         format!("{grantee} can read until: {ends}"),
-        "Later: keys and epoch stay as they are. Sooner: a revoke and a new grant.".to_owned(),
+        "Later: keys and epoch stay the same. Sooner: a revoke and a new grant.".to_owned(),
     ];
-    Form::new("Another end for the grant", notes, lines)
+    Form::new("Change the end of the grant", notes, lines)
 }
 
 /// The terms of a grant, as typed.
@@ -115,11 +115,11 @@ impl GrantWish {
 pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<GrantWish, (usize, String)> {
     let grantee: Party = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     if grantee.address().is_some_and(|address| Some(address) == own) {
-        return Err((0, "that is your own address; write the reader's".to_owned()));
+        return Err((0, "that is your own address; enter the reader's".to_owned()));
     }
     let written: Vec<&str> = form.text(1).split([' ', ',']).filter(|name| !name.is_empty()).collect();
     if written.is_empty() {
-        return Err((1, format!("name the topics, or write '{ALL_TOPICS}' for every topic")));
+        return Err((1, format!("enter topics, or '{ALL_TOPICS}' for every topic")));
     }
     let names = written.into_iter().filter(|name| *name != ALL_TOPICS);
     let topics: Vec<TopicName> =
@@ -128,7 +128,7 @@ pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<G
         return Err((1, format!("a grant covers at most {MOST_TOPICS} topics, or all")));
     }
     if !topics.is_empty() && form.text(1).split([' ', ',']).any(|name| name == ALL_TOPICS) {
-        return Err((1, format!("'{ALL_TOPICS}' stands alone; leave it out or the names")));
+        return Err((1, format!("use either '{ALL_TOPICS}' or topic names, not both")));
     }
     let expires = when::expiry(form.text(2), now).map_err(|error| (2, error))?;
     let epochs = if form.chosen(3) == 0 { Epochs::Current } else { Epochs::All };
@@ -138,10 +138,10 @@ pub fn read_grant(form: &Form, own: Option<Address>, now: Timestamp) -> Result<G
 /// Asks which publisher of a topic is no longer accepted.
 pub fn unpin(topic: &str, publisher: &str) -> Form {
     let lines = vec![
-        Line::text("Topic", "as /robot1/odom", Field::with(topic)),
-        Line::text("Node", "caller id, as /driver", Field::with(publisher)),
+        Line::text("Topic", "such as /robot1/odom", Field::with(topic)),
+        Line::text("Node", "caller id, such as /driver", Field::with(publisher)),
     ];
-    Form::new("Unpin a publisher", vec!["Its messages are held back from then on.".to_owned()], lines)
+    Form::new("Unpin a publisher", vec!["Its messages are quarantined from then on.".to_owned()], lines)
 }
 
 /// The command of a completed [`unpin`].
@@ -152,7 +152,7 @@ pub fn read_unpin(form: &Form) -> Result<Errand, (usize, String)> {
     let topic: TopicName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     let caller_id = form.text(1).trim().to_owned();
     if caller_id.is_empty() {
-        return Err((1, "write the node's name; enter on the topic lists who is pinned".to_owned()));
+        return Err((1, "enter the node's name; enter on the topic lists pinned publishers".to_owned()));
     }
     let tag = Tag::Unpin(topic.to_string());
     Ok(Errand { command: Command::UnpinTopic { topic, caller_id }, tag })
@@ -184,7 +184,7 @@ pub struct KeyWish {
 /// # Errors
 /// The field in error, and why.
 pub fn read_load(form: &Form, settings: &Settings) -> Result<KeyWish, (usize, String)> {
-    let path = paths::of_line(form, 1, settings).ok_or((1, "write the path of the key file".to_owned()))?;
+    let path = paths::of_line(form, 1, settings).ok_or((1, "enter the path of the key file".to_owned()))?;
     let passphrase = (!form.text(2).is_empty()).then(|| secret(form, 2));
     Ok(KeyWish { kind: kind(form), path, passphrase })
 }
@@ -197,7 +197,7 @@ pub fn export_key(folder: Line) -> Form {
         Line::text("Repeat", "", Field::masked()),
         folder,
     ];
-    let notes = vec!["Writes a secret key into a file. Whoever has it can act or read as you.".to_owned()];
+    let notes = vec!["Writes a secret key to a file. Anyone who has it can act or read as you.".to_owned()];
     Form::new("Export a key", notes, lines)
 }
 
@@ -208,7 +208,7 @@ pub fn export_key(folder: Line) -> Form {
 pub fn read_export(form: &Form) -> Result<Errand, (usize, String)> {
     let kind = kind(form);
     if kind == KeyKind::Eoa && form.text(1).chars().count() < SHORTEST_PASSPHRASE {
-        return Err((1, format!("an EOA leaves only as a keystore; use at least {SHORTEST_PASSPHRASE} characters")));
+        return Err((1, format!("an EOA is exported as a keystore; use at least {SHORTEST_PASSPHRASE} characters")));
     }
     if form.text(1) != form.text(2) {
         return Err((2, "the passphrases do not match; type it again".to_owned()));

@@ -75,7 +75,7 @@ pub fn check(state: &State, wish: &GrantWish) -> Result<(), (usize, String)> {
     let name = wish.grantee.to_string();
     let contact = state.contacts.iter().find(|row| row.name.to_string() == name);
     if known && wish.grantee.address().is_none() && contact.is_none() {
-        return Err((GRANTEE, format!("no contact is named '{name}'; tab completes those that there are")));
+        return Err((GRANTEE, format!("no contact is named '{name}'; tab completes names")));
     }
     let address = wish.grantee.address().or(contact.map(|row| row.address));
     match active(state, address, &name).filter(|row| same_terms(row, wish)) {
@@ -105,12 +105,12 @@ pub fn question(state: &mut State, wish: GrantWish) -> Confirm {
     let revoke = Errand { command: Command::Revoke { grantee: row.grantee.into() }, tag: tag.clone() };
     let before = [
         format!("Now      {}, {}", scope(&row.topics), end(row.expires)),
-        "That grant is revoked first (a new epoch begins), then the one below is made:".to_owned(),
-        "two transactions. Earlier epochs stay readable to whoever could read them.".to_owned(),
+        "That grant is revoked first (a new epoch begins), then a new one is made:".to_owned(),
+        "two transactions. Earlier epochs stay readable to those who could read them.".to_owned(),
         String::new(),
     ];
     question.lines.splice(0..0, before);
-    "Revoke, and grant anew?".clone_into(&mut question.title);
+    "Revoke and grant again?".clone_into(&mut question.title);
     question.yes = "revoke and grant";
     state.follow_up = Some((tag, std::mem::replace(&mut question.errand, revoke)));
     question
@@ -191,10 +191,10 @@ pub fn begin_extension(state: &mut State) {
 /// The field in error, and why.
 pub fn read_extension(state: &State, form: &Form) -> Result<Extension, (usize, String)> {
     let row = state.grants.selected().filter(|row| is_given(row) && is_active(row));
-    let row = row.ok_or((0, "this grant is not active any more".to_owned()))?;
+    let row = row.ok_or((0, "this grant is no longer active".to_owned()))?;
     let expires = when::expiry(form.text(0), state.now).map_err(|error| (0, error))?;
     match (expires, row.expires) {
-        (None, None) => return Err((0, "it has no end already; a time here ends it then".to_owned())),
+        (None, None) => return Err((0, "it already has no end; enter a time to end it then".to_owned())),
         (Some(_), None) => return Ok(Extension::Sooner(sooner(row, expires)?)),
         (Some(wanted), Some(now)) if wanted <= now => return Ok(Extension::Sooner(sooner(row, expires)?)),
         (_, Some(_)) => {}
@@ -207,7 +207,7 @@ pub fn read_extension(state: &State, form: &Form) -> Result<Extension, (usize, S
 fn sooner(row: &GrantRow, expires: Option<Timestamp>) -> Result<GrantWish, (usize, String)> {
     let topics: Result<Vec<TopicName>, _> = row.topics.iter().map(|topic| topic.parse()).collect();
     let topics =
-        topics.map_err(|_| (0, "a topic of it is not known by name here; revoke it and grant anew".to_owned()))?;
+        topics.map_err(|_| (0, "one of its topics is unknown here by name; revoke it and grant again".to_owned()))?;
     Ok(GrantWish { grantee: row.grantee.into(), topics, epochs: Epochs::Current, expires })
 }
 

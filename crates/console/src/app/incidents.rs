@@ -58,9 +58,9 @@ impl Deed {
     pub fn stays(self) -> Option<&'static str> {
         match self {
             Self::Open => None,
-            Self::Note => Some("a note stays with its incident"),
-            Self::Close => Some("the span has ended; I opens another incident from there on"),
-            Self::Remove => Some("what it held may be deleted by now; I keeps again what is left"),
+            Self::Note => Some("a note cannot be removed from its incident"),
+            Self::Close => Some("the span has ended; I opens another incident from there"),
+            Self::Remove => Some("what it held may be deleted by now; I keeps what is left"),
         }
     }
 }
@@ -132,13 +132,13 @@ fn possible(state: &State, list: &IncidentList) -> Vec<[&'static str; 3]> {
     let changes = !state.settings.read_only;
     let (one, open) = (chosen.is_some(), chosen.is_some_and(|row| row.open));
     let all = [
-        (["n", "new", "Open an incident, filled from the row below this window"], changes),
-        (["enter", "records", "Show its records: Uploads, narrowed to this incident"], one),
-        (["a", "note", "Add a note; notes stand in the bundles exported of it"], changes && one),
-        (["c", "close", "End its span now; what is in it stays held"], changes && open),
-        (["x", "remove", "Forget it: retention may then delete what only it held"], changes && one),
-        (["y", "copy command", "Copy the command line that shows the same"], one),
-        (["e", "copy export", "Copy the command line that exports it as one bundle of evidence"], one),
+        (["n", "new", "Open an incident, filled in from the row behind this window"], changes),
+        (["enter", "records", "Show its records in Uploads"], one),
+        (["a", "note", "Add a note; exported bundles include notes"], changes && one),
+        (["c", "close", "End its span now; its records stay held"], changes && open),
+        (["x", "remove", "Remove it: retention may then delete what only it held"], changes && one),
+        (["y", "copy command", "Copy the equivalent command line"], one),
+        (["e", "copy export", "Copy the command line that exports it as an evidence bundle"], one),
         (["q", "back", "Close this window"], true),
         (["pgup pgdn", "scroll", "Scroll what the incident holds"], one),
     ];
@@ -264,15 +264,15 @@ pub fn begin(state: &mut State) {
 fn form(around: &Around) -> Form {
     let (topics, left) = fitting(&around.topics);
     let lines = vec![
-        Line::text("Name", "as crash-1114", Field::offering(&suggested(&around.topics, around.at))),
+        Line::text("Name", "such as crash-1114", Field::offering(&suggested(&around.topics, around.at))),
         Line::text("From", "10m, 2h, 2023-05-31, 2023-05-31T08:30:00Z", Field::offering(&around.since)),
         Line::text("To", "empty = when it is closed; 5m, 2036-12-31", Field::offering(&around.until)),
         Line::text("Topics", "topic names; empty = all", Field::offering(&topics)),
         Line::text("Note", "what happened", Field::default()),
     ];
-    let mut notes = vec!["Keeps what was recorded in this time: retention leaves it alone.".to_owned()];
+    let mut notes = vec!["Protects what was recorded in this time from retention.".to_owned()];
     if left > 0 {
-        notes.push(format!("{left} more topics do not fit here; authros incident open takes them."));
+        notes.push(format!("{left} more topics do not fit here; use authros incident open."));
     }
     Form::new("New incident", notes, lines)
 }
@@ -316,16 +316,16 @@ pub fn complete(state: &State, form: &mut Form) -> bool {
 pub fn read(state: &State, form: &Form) -> Result<Errand, (usize, String)> {
     let name: IncidentName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     if state.incidents.rows.iter().any(|row| row.name == name) {
-        return Err((0, format!("there is an incident {name} already; write another name")));
+        return Err((0, format!("an incident {name} already exists; choose another name")));
     }
     let since = moment(form.text(1), state.now).map_err(|error| (1, error))?;
     if since > state.now {
-        return Err((1, "that is to come; write a moment that has passed".to_owned()));
+        return Err((1, "that is in the future; enter a past time".to_owned()));
     }
     let until = Some(form.text(2)).filter(|text| !text.trim().is_empty());
     let until = until.map(|text| moment(text, state.now)).transpose().map_err(|error| (2, error))?;
     if until.is_some_and(|until| until <= since) {
-        return Err((2, "it would end before it begins; write a later moment".to_owned()));
+        return Err((2, "it would end before it begins; enter a later time".to_owned()));
     }
     let written = form.text(TOPICS).split([' ', ',']).filter(|topic| !topic.is_empty() && *topic != ALL_TOPICS);
     let topics: Vec<TopicName> =
@@ -343,11 +343,11 @@ fn moment(text: &str, now: Timestamp) -> Result<Timestamp, String> {
 
 fn note_form(name: &IncidentName) -> Form {
     let lines = vec![
-        Line::text("Incident", "as crash-1114", Field::with(name.as_str())),
+        Line::text("Incident", "such as crash-1114", Field::with(name.as_str())),
         Line::text("Note", "what is known now", Field::default()),
     ];
-    let notes = vec!["Notes stay with the incident and stand in the bundles exported of it.".to_owned()];
-    let mut form = Form::new("Note about an incident", notes, lines);
+    let notes = vec!["Notes are permanent and included in exported bundles.".to_owned()];
+    let mut form = Form::new("Note for an incident", notes, lines);
     form.focus = 1;
     form
 }
@@ -360,7 +360,7 @@ pub fn read_note(form: &Form) -> Result<Errand, (usize, String)> {
     let name: IncidentName = form.text(0).trim().parse().map_err(|error| (0, format!("{error}")))?;
     let text = form.text(1).trim().to_owned();
     if text.is_empty() {
-        return Err((1, "write the note, or leave with esc".to_owned()));
+        return Err((1, "type the note, or press esc".to_owned()));
     }
     let tag = Tag::Incident(Deed::Note, name.clone());
     Ok(Errand { command: NoteIncident { name, text }.into(), tag })
@@ -371,7 +371,7 @@ fn closing(state: &State, row: &IncidentView) -> Confirm {
     let ends = ends.map_or_else(|| "now".to_owned(), |until| format!("{} UTC, as it was opened", day(until)));
     let lines = vec![
         format!("It ends    {ends}"),
-        "What is in it stays held until you remove it (x). It cannot be opened again.".to_owned(),
+        "Its records stay held until you remove it (x). It cannot be reopened.".to_owned(),
     ];
     let tag = Tag::Incident(Deed::Close, row.name.clone());
     let errand = Errand { command: CloseIncident { name: row.name.clone() }.into(), tag };
@@ -382,7 +382,7 @@ fn removal(row: &IncidentView) -> Confirm {
     let lines = vec![
         format!("It holds   {} records", row.records),
         "Its notes are deleted, and retention may delete what no other incident holds.".to_owned(),
-        "What retention deletes does not come back: export it first (e copies the command).".to_owned(),
+        "What retention deletes cannot be restored: export it first (e copies the command).".to_owned(),
     ];
     let tag = Tag::Incident(Deed::Remove, row.name.clone());
     let errand = Errand { command: RemoveIncident { name: row.name.clone() }.into(), tag };
@@ -401,8 +401,8 @@ pub fn changed(state: &mut State, deed: Deed, view: IncidentView) {
     let text = match deed {
         Deed::Open => format!("incident {}: {held} kept so far (U: undo)", view.name),
         Deed::Note => format!("incident {}: note added", view.name),
-        Deed::Close => format!("incident {} is closed; {held} stay kept", view.name),
-        Deed::Remove => format!("incident {} is removed", view.name),
+        Deed::Close => format!("incident {} closed; {held} stay held", view.name),
+        Deed::Remove => format!("incident {} removed", view.name),
     };
     state.incidents.put(view);
     state.inform(text);

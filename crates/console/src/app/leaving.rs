@@ -61,7 +61,7 @@ impl Behind {
             more => format!("{more} records are not verified yet"),
         };
         if !self.ends {
-            return vec![format!("{records}; the site goes on with them.")];
+            return vec![format!("{records}; the site continues with them.")];
         }
         vec![format!("{records}."), "They are safe on disk and continue at the next start.".to_owned()]
     }

@@ -18,7 +18,7 @@ pub fn toggle(state: &mut State) -> Vec<Effect> {
     let text = if state.mouse {
         "mouse on; hold shift to select text in most terminals"
     } else {
-        "mouse off; the terminal selects text again"
+        "mouse off; the terminal handles text selection again"
     };
     state.inform(text);
     vec![Effect::Mouse(state.mouse)]

@@ -18,7 +18,7 @@ pub fn toggle(state: &mut State) -> Vec<Effect> {
     let found = row.and_then(|row| Some((row.owner?, row.owner_name.clone(), row.topic.clone())));
     let Some((owner, name, topic)) = found else { return Vec::new() };
     let (Ok(pattern), Some(prefix)) = (topic.parse(), prefix(owner, name.as_deref())) else {
-        state.complain(format!("{topic} is no topic that can be played: its name is still a pseudonym"));
+        state.complain(format!("{topic} cannot be played: its name is still a pseudonym"));
         return Vec::new();
     };
     let played = format!("{prefix}{topic}");
@@ -47,12 +47,12 @@ pub fn ended(state: &mut State, view: &PlayedView) {
     let published = view.published;
     let not = view.refused + view.missing;
     let rest = if not > 0 { format!(", {not} records NOT published") } else { String::new() };
-    let text = |why: &str| format!("playing ended ({why}): {published} messages published{rest}");
+    let text = |why: &str| format!("playback ended ({why}): {published} messages published{rest}");
     match view.ended_by {
         PlayEnd::Asked | PlayEnd::Whole => state.inform(text(view.ended_by.word())),
         PlayEnd::Revoked => state.complain(text("the grant was revoked")),
         PlayEnd::Expired => state.complain(text("the grant has expired")),
         PlayEnd::Locked => state.complain(text("the keyring was locked")),
-        PlayEnd::Site => state.complain(text("the site ended")),
+        PlayEnd::Site => state.complain(text("the site stopped")),
     }
 }

@@ -11,14 +11,13 @@ use crate::model::ProfileName;
 
 /// Asks for which profile.
 pub fn open(state: &mut State) {
-    let lines = vec![Line::text("Profile", "name of a profile of this home", Field::default())];
+    let lines = vec![Line::text("Profile", "name of a profile in this home", Field::default())];
     let known: Vec<String> = state.settings.profiles.iter().map(ToString::to_string).collect();
-    let mut notes =
-        vec![format!("Now: {}. A keyring that is open here stays open until you quit.", state.settings.profile)];
+    let mut notes = vec![format!("Now: {}. A keyring opened here stays open until you quit.", state.settings.profile)];
     if !known.is_empty() {
-        notes.push(format!("There are: {}", known.join(" ")));
+        notes.push(format!("Profiles: {}", known.join(" ")));
     }
-    state.popups.push(Popup::Form(Purpose::Profile, Form::new("Speak for another profile", notes, lines)));
+    state.popups.push(Popup::Form(Purpose::Profile, Form::new("Switch to another profile", notes, lines)));
 }
 
 /// The profile of a completed form.
@@ -32,11 +31,11 @@ pub fn read(form: &Form) -> Result<ProfileName, (usize, String)> {
 /// Switches to another profile: everything known belongs to the previous one and is requested anew.
 pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
     if profile == state.settings.profile {
-        state.inform(format!("this console speaks for {profile} already"));
+        state.inform(format!("this console already uses profile {profile}"));
         return Vec::new();
     }
     if let Some(work) = state.work.iter().find(|tag| tag.is_work()) {
-        let text = format!("{} is still running; wait for its end, then go over to {profile}", work.words());
+        let text = format!("{} is still running; wait until it ends, then switch to {profile}", work.words());
         state.inform(text);
         return Vec::new();
     }
@@ -53,7 +52,7 @@ pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
     // Requests of the previous profile are still answered, but not for this one.
     next.feeds.follow(&state.feeds);
     *state = next;
-    state.inform(format!("this console now speaks for {profile}"));
+    state.inform(format!("this console now uses profile {profile}"));
     let mut effects = vec![Effect::SpeakFor(profile)];
     effects.extend(start(state));
     effects

@@ -35,14 +35,12 @@ pub fn note(state: &mut State, tag: &Tag) {
             Undo::By(Errand { command, tag: Tag::Watch(name.clone()) })
         }),
         Tag::Grant(grantee) => Some(Undo::Granted(grantee.to_string())),
-        Tag::Extend(_) => Some(Undo::Never("it was a transaction; e gives the grant another end (5)")),
+        Tag::Extend(_) => Some(Undo::Never("it was a transaction; e changes the end of the grant (5)")),
         Tag::Revoke(_) => Some(Undo::Never("a revoke is a transaction: to share again, make a new grant (5, then g)")),
-        Tag::Rotate => Some(Undo::Never("a new epoch cannot be taken back")),
-        Tag::LoadKey(_) => Some(Undo::Never("the key that was replaced is gone from the keyring; load its file again")),
-        Tag::Release(_) => {
-            Some(Undo::Never("released messages are already on their way to the chain; they keep their tag"))
-        }
-        Tag::Discard(_) => Some(Undo::Never("discarded messages are deleted; their count stands on the chain")),
+        Tag::Rotate => Some(Undo::Never("a new epoch cannot be undone")),
+        Tag::LoadKey(_) => Some(Undo::Never("the replaced key is no longer in the keyring; load its file again")),
+        Tag::Release(_) => Some(Undo::Never("released messages are already being anchored; they keep their tag")),
+        Tag::Discard(_) => Some(Undo::Never("discarded messages are deleted; their count is on the chain")),
         Tag::Administer(_) | Tag::Deploy | Tag::Adopt => {
             Some(Undo::Never("it was a transaction; send the opposite one instead (7, then :)"))
         }
@@ -76,7 +74,7 @@ pub fn undo(state: &mut State) -> Vec<Effect> {
             });
             match row.map(|row| confirm::revoke(state, row)) {
                 Some(question) => state.popups.push(Popup::Confirm(question)),
-                None => state.inform("that grant is not active any more"),
+                None => state.inform("that grant is no longer active"),
             }
         }
         Some(Undo::Never(why)) => state.inform(format!("cannot be undone: {why}")),

@@ -73,7 +73,7 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
         Action::Click { column, row } => mouse::click(state, column, row),
         Action::Resumed => {
             state.feeds.touch_all();
-            state.inform("resumed; a site hosted by this console stood still while suspended");
+            state.inform("resumed; a site hosted by this console was stopped meanwhile");
         }
     }
     Vec::new()

@@ -251,11 +251,11 @@ pub static VERBS: &[Entry] = &[
         "Compare the stored bytes with the chain and the signature",
     )
     .on(&[Screen::Shared, Screen::Uploads]),
-    entry(Verb::Export, "export", "export", &[Key::Char('e')], "Write the record's files for others to check")
+    entry(Verb::Export, "export", "export", &[Key::Char('e')], "Export the record as files that others can check")
         .on(&[Screen::Uploads]),
     entry(Verb::Browse, "browse", "browse", &[Key::Char('b')], "By owner, topic, type or time")
         .on(&[Screen::Shared, Screen::Uploads]),
-    entry(Verb::Play, "play", "", &[Key::Char('p')], "Play this topic live into your own ROS; again: end it")
+    entry(Verb::Play, "play", "", &[Key::Char('p')], "Play this topic live into your own ROS; again: stop")
         .on(&[Screen::Shared])
         .changing(),
     entry(Verb::Readers, "readers", "readers", &[Key::Char('i')], "Who can read this now?").on(&[
@@ -263,12 +263,12 @@ pub static VERBS: &[Entry] = &[
         Screen::Uploads,
         Screen::Grants,
     ]),
-    entry(Verb::Incident, "incident", "incident", &[Key::Char('I')], "Incident: keep what surrounds this row")
+    entry(Verb::Incident, "incident", "incident", &[Key::Char('I')], "Incident: keep records around this row")
         .on(&[Screen::Topics, Screen::Uploads])
         .changing(),
     entry(Verb::Publishers, "publishers", "publishers", &[Key::Enter], "Publishers: pinned, suspect, quarantined")
         .on(&[Screen::Topics]),
-    entry(Verb::Pin, "pin", "pin", &[Key::Char('p')], "Accept the publishers present now")
+    entry(Verb::Pin, "pin", "pin", &[Key::Char('p')], "Pin the publishers present now")
         .on(&[Screen::Topics])
         .changing(),
     entry(Verb::Unpin, "unpin", "", &[Key::Char('P')], "Unpin one of the topic's publishers")
@@ -294,7 +294,7 @@ pub static VERBS: &[Entry] = &[
         "extend",
         "extend",
         &[Key::Char('e')],
-        "Another end for the grant; a sooner one is a revoke and a new grant",
+        "Change the end of the grant; sooner = revoke and new grant",
     )
     .on(&[Screen::Grants])
     .changing(),
@@ -327,7 +327,7 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Rotate, "rotate-keys", "rotate", &[Key::Char('r')], "Begin a new epoch under a new key")
         .on(&[Screen::Keys])
         .changing(),
-    entry(Verb::ExportKey, "export-key", "export", &[Key::Char('e')], "Write a secret key into a file")
+    entry(Verb::ExportKey, "export-key", "export", &[Key::Char('e')], "Write a secret key to a file")
         .on(&[Screen::Keys])
         .changing(),
     entry(
@@ -335,7 +335,7 @@ pub static VERBS: &[Entry] = &[
         "back-up-keys",
         "back up",
         &[Key::Char('b')],
-        "Write the keyring, under its passphrase, to a file",
+        "Write the keyring, protected by its passphrase, to a file",
     )
     .on(&[Screen::Keys]),
     entry(Verb::Administer(Act::Deploy), "deploy", "deploy", &[Key::Char('d')], "Deploy the contract")
@@ -343,16 +343,16 @@ pub static VERBS: &[Entry] = &[
         .changing(),
     administers(Act::Admit, "allow-account", "Administrator: let an account register"),
     administers(Act::Dismiss, "withdraw-admission", "Administrator: withdraw an admission"),
-    administers(Act::Suspend, "suspend", "Administrator: stop an account's changes"),
-    administers(Act::Restore, "restore", "Administrator: free a suspended account"),
-    administers(Act::Open, "open-registration", "Administrator: anyone may register"),
-    administers(Act::Close, "close-registration", "Administrator: only admitted accounts may register"),
-    administers(Act::Pause, "pause-changes", "Administrator: stop all changes but revokes"),
-    administers(Act::Continue, "resume-changes", "Administrator: let changes go on"),
-    administers(Act::Succeed, "replace-lost-account", "Administrator: name who continues for a lost account"),
-    administers(Act::HandOver, "hand-over", "Administrator: name the next administrator"),
-    administers(Act::Accept, "accept-administration", "Take over as the administrator that was named"),
-    administers(Act::Adopt, "adopt-chain", "Adopt the present chain, give up the pinned"),
+    administers(Act::Suspend, "suspend", "Administrator: suspend an account"),
+    administers(Act::Restore, "restore", "Administrator: lift an account's suspension"),
+    administers(Act::Open, "open-registration", "Administrator: anyone can register"),
+    administers(Act::Close, "close-registration", "Administrator: only admitted accounts can register"),
+    administers(Act::Pause, "pause-changes", "Administrator: pause all changes except revokes"),
+    administers(Act::Continue, "resume-changes", "Administrator: end the pause"),
+    administers(Act::Succeed, "replace-lost-account", "Administrator: name a lost account's successor"),
+    administers(Act::HandOver, "hand-over", "Administrator: nominate the next administrator"),
+    administers(Act::Accept, "accept-administration", "Take over as administrator, if nominated"),
+    administers(Act::Adopt, "adopt-chain", "Adopt the current chain, abandon the pinned one"),
     entry(Verb::Level, "log-level", "level", &[Key::Char('l')], "All lines, warnings and errors, or errors only")
         .on(&[Screen::Log]),
     entry(Verb::Read, "read-line", "whole line", &[Key::Enter], "The whole line, wrapped").on(&[Screen::Log]),
@@ -365,8 +365,8 @@ pub static VERBS: &[Entry] = &[
     )
     .on(&[Screen::Log]),
     entry(Verb::Filter, "filter", "filter", &[Key::Char('/')], "Filter rows; Uploads, Shared: whole ledger").on(TABLES),
-    entry(Verb::NextMatch, "next-match", "", &[Key::Char('n')], "To the next row of the filter").on(TABLES),
-    entry(Verb::PreviousMatch, "previous-match", "", &[Key::Char('N')], "To the row of the filter before").on(TABLES),
+    entry(Verb::NextMatch, "next-match", "", &[Key::Char('n')], "Next matching row").on(TABLES),
+    entry(Verb::PreviousMatch, "previous-match", "", &[Key::Char('N')], "Previous matching row").on(TABLES),
     entry(Verb::Sort, "sort", "sort", &[Key::Char('s')], "Sort by the next column").on(SORTED),
     entry(Verb::Reverse, "reverse", "", &[Key::Char('S')], "Reverse the order").on(SORTED),
     entry(Verb::Columns, "columns", "columns", &[Key::Char('C')], "Choose the columns of this list").on(MARKED),
@@ -375,24 +375,24 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Tasks, "tasks", "", &[Key::Char('t')], "Running tasks and queues"),
     entry(Verb::Undo, "undo", "", &[Key::Char('U')], "Undo the last action, where possible")
         .chord(&[Key::Char('z'), Key::Char('u')]),
-    entry(Verb::Lock, "lock", "", &[], "Wipe the keys to read, grant and revoke")
+    entry(Verb::Lock, "lock", "", &[], "Wipe the keys for reading, granting and revoking")
         .chord(&[Key::Char('z'), Key::Char('x')]),
     entry(Verb::LocalTime, "local-time", "", &[], "Show local time beside UTC, or UTC only")
         .chord(&[Key::Char('z'), Key::Char('l')]),
     entry(Verb::Freeze, "freeze", "freeze", &[Key::Char('f')], "Freeze the view (capture continues)"),
-    entry(Verb::Incidents, "incidents", "", &[], "Incidents: what each holds; notes, closing, export")
+    entry(Verb::Incidents, "incidents", "", &[], "Incidents: contents, notes, closing, export")
         .chord(&[Key::Char('z'), Key::Char('i')]),
-    entry(Verb::Profile, "profile", "", &[], "Speak for another profile of this home"),
-    entry(Verb::EndTour, "end-tour", "", &[Key::Char('E')], "Take the tour's strip away"),
+    entry(Verb::Profile, "profile", "", &[], "Switch to another profile of this home"),
+    entry(Verb::EndTour, "end-tour", "", &[Key::Char('E')], "Close the tour's strip"),
     entry(Verb::Palette, "palette", "commands", &[Key::Char(':')], "Every command by name").unlisted(),
-    entry(Verb::Help, "help", "help", &[Key::Char('?')], "What the keys do here"),
-    entry(Verb::Quit, "quit", "quit", &[Key::Char('q'), Key::Control('c')], "Quit; says what stops, and asks"),
+    entry(Verb::Help, "help", "help", &[Key::Char('?')], "Keys of this screen"),
+    entry(Verb::Quit, "quit", "quit", &[Key::Char('q'), Key::Control('c')], "Quit (asks, and says what stops)"),
     entry(Verb::Up, "up", "", &[Key::Up, Key::Char('k')], "Cursor up").on(TABLES).unlisted(),
     entry(Verb::Down, "down", "", &[Key::Down, Key::Char('j')], "Cursor down").on(TABLES).unlisted(),
     entry(Verb::PageUp, "page-up", "", &[Key::PageUp, Key::Control('u')], "Page up").on(TABLES).unlisted(),
     entry(Verb::PageDown, "page-down", "", &[Key::PageDown, Key::Control('d')], "Page down").on(TABLES).unlisted(),
-    entry(Verb::First, "first", "", &[Key::Home], "To the first row").on(TABLES).unlisted(),
-    entry(Verb::Last, "last", "", &[Key::End, Key::Char('G')], "To the last row").on(TABLES).unlisted(),
+    entry(Verb::First, "first", "", &[Key::Home], "First row").on(TABLES).unlisted(),
+    entry(Verb::Last, "last", "", &[Key::End, Key::Char('G')], "Last row").on(TABLES).unlisted(),
     entry(Verb::NextScreen, "next-screen", "", &[Key::Tab], "Next screen"),
     entry(Verb::PreviousScreen, "previous-screen", "", &[Key::BackTab], "Previous screen"),
     entry(
@@ -405,16 +405,16 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Go(Screen::Topics), "go-topics", "", &[Key::Char('2')], "Topics of the ROS graph"),
     entry(Verb::Go(Screen::Uploads), "go-uploads", "", &[Key::Char('3')], "Your records and their states"),
     entry(Verb::Go(Screen::Shared), "go-shared", "", &[Key::Char('4')], "Records others share with you"),
-    entry(Verb::Go(Screen::Grants), "go-grants", "", &[Key::Char('5')], "Who may read, given and received"),
+    entry(Verb::Go(Screen::Grants), "go-grants", "", &[Key::Char('5')], "Grants given and received"),
     entry(Verb::Go(Screen::Keys), "go-keys", "", &[Key::Char('6')], "Your identity and keys"),
     entry(Verb::Go(Screen::Chain), "go-chain", "", &[Key::Char('7')], "The chain"),
     entry(Verb::Go(Screen::Gateway), "go-gateway", "", &[Key::Char('8')], "The gateway"),
     entry(Verb::Go(Screen::Log), "go-log", "", &[Key::Char('9')], "Notices and audit lines"),
     entry(Verb::Dismiss, "dismiss", "", &[Key::Escape], "Dismiss the message; clear filter and marks"),
-    entry(Verb::ChooseTheme, "theme", "", &[Key::Char('T')], "Choose a theme, seen at once")
+    entry(Verb::ChooseTheme, "theme", "", &[Key::Char('T')], "Choose a theme (live preview)")
         .chord(&[Key::Char('z'), Key::Char('t')]),
     entry(Verb::Ascii, "ascii", "", &[], "ASCII characters only, or all").chord(&[Key::Char('z'), Key::Char('a')]),
-    entry(Verb::Mouse, "mouse", "", &[], "Mouse on, or off for the terminal's own selection")
+    entry(Verb::Mouse, "mouse", "", &[], "Mouse on, or off to select text in the terminal")
         .chord(&[Key::Char('z'), Key::Char('m')]),
     entry(Verb::Redraw, "redraw", "", &[Key::Control('l')], "Redraw the screen"),
     entry(Verb::Suspend, "shell", "", &[Key::Control('z')], "Back to the shell; `fg` returns"),

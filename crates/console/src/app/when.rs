@@ -16,7 +16,7 @@ pub fn expiry(text: &str, now: Timestamp) -> Result<Option<Timestamp>, String> {
     let moment = moment
         .or_else(|| date(text))
         .ok_or("enter a duration (45m, 12h, 30d) or a date (2036-12-31), or leave it empty")?;
-    if moment <= now { Err("that moment has passed; write a later one".to_owned()) } else { Ok(Some(moment)) }
+    if moment <= now { Err("that time has passed; enter a later one".to_owned()) } else { Ok(Some(moment)) }
 }
 
 /// Midnight UTC at the beginning of the day.

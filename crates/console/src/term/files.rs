@@ -83,7 +83,7 @@ fn fresh<T>(wanted: &Path, make: impl Fn(&Path) -> io::Result<T>) -> Result<(Pat
             Err(error) => return Err(cannot(&path, &error)),
         }
     }
-    Err(format!("{} and its like exist already; move them away", wanted.display()))
+    Err(format!("{} and similar files already exist; move them away", wanted.display()))
 }
 
 fn numbered(path: &Path, number: u32) -> PathBuf {
@@ -176,6 +176,6 @@ mod tests {
     #[test]
     fn what_cannot_be_written_says_so() {
         let error = write_all(Path::new("/proc/none"), None, &[file("a", b"")]).expect_err("refused");
-        assert!(error.contains("/proc/none/a") && error.contains("directory of your own"), "{error}");
+        assert!(error.contains("/proc/none/a") && error.contains("directory you can write to"), "{error}");
     }
 }

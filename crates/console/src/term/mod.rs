@@ -101,7 +101,7 @@ impl ExitReason {
 #[derive(Debug, thiserror::Error)]
 pub enum TermError {
     /// There is no terminal.
-    #[error("the console needs a terminal; without one use `authros demo`, `authros capture` or `authros serve`")]
+    #[error("the console needs a terminal; without one, use `authros demo`, `authros capture` or `authros serve`")]
     NotATerminal,
     /// The theme cannot be used.
     #[error(transparent)]

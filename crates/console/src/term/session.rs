@@ -134,7 +134,7 @@ impl Session {
             Heard::Signal(signal) if signals::continues(signal) => self.retake(),
             Heard::Signal(_) => None,
             Heard::TerminalFailed if io::stdin().is_terminal() => {
-                Some(Err(TermError::Fault("the terminal takes no more output".to_owned())))
+                Some(Err(TermError::Fault("the terminal accepts no more output".to_owned())))
             }
             Heard::TerminalFailed => Some(Ok(ExitReason::TerminalGone)),
             Heard::Broken(what) => Some(Err(TermError::Fault(what))),

@@ -59,7 +59,7 @@ fn draw_administration(canvas: &mut Canvas, area: Rect, decided: &Administration
     let mut lines: Vec<(&str, String)> = Vec::new();
     lines.extend(decided.paused.then(|| {
         let end = decided.paused_until.map_or_else(String::new, |until| format!(", until {until}"));
-        ("Paused", format!("by the administrator: no changes but revokes{end}"))
+        ("Paused", format!("by the administrator: no changes except revokes{end}"))
     }));
     lines.extend(decided.proposals.iter().map(|one| {
         let (lost, successor) = (shown(one.lost, &one.lost_name), shown(one.successor, &one.successor_name));
@@ -97,13 +97,13 @@ fn gas(view: &GasView) -> String {
     }
     let each = view.gas / view.records;
     let (transactions, records) = (words::count(view.transactions), words::count(view.records));
-    format!("{} per record ({records} records in the newest {transactions} transactions)", words::count(each))
+    format!("{} per record ({records} records in the last {transactions} transactions)", words::count(each))
 }
 
 fn administrator(state: &State, decided: &AdministrationView) -> String {
     let Some(administrator) = decided.administrator else { return "not known yet".to_owned() };
     let whose = if Some(administrator) == state.address() { "you; press : for your commands" } else { "not you" };
-    let registration = if decided.open { "anyone may register" } else { "only admitted accounts register" };
+    let registration = if decided.open { "anyone can register" } else { "only admitted accounts can register" };
     format!("{} ({whose}), {registration}", administrator.short())
 }
 

@@ -72,7 +72,7 @@ fn draw_topic(canvas: &mut Canvas, area: Rect, state: &State) {
     let most = samples.iter().copied().fold(0.0, f64::max);
     let values: Vec<Option<f64>> = samples.into_iter().map(Some).collect();
     let here = below(area, taken);
-    let text = format!("kB/s over the last minute, most {}", kilobytes(Some(most)));
+    let text = format!("kB/s over the last minute, peak {}", kilobytes(Some(most)));
     canvas.put(here, &text, Role::Title);
     let width = area.width.min(u16::try_from(KEPT_SAMPLES).unwrap_or(u16::MAX));
     let bars = Rect { height: GRAPH.min(here.height.saturating_sub(1)), width, ..below(here, 1) };
@@ -117,7 +117,7 @@ fn draw_steps(canvas: &mut Canvas, area: Rect, state: &State) {
             put_lines(canvas, below(area, 1), &provenance_lines(view, area.width), 0);
         }
         Some(Lookup { answer: Some(Err(failure)), .. }) => failed(canvas, area, &failure.message),
-        _ => draw_record(canvas, area, state, &state.uploads, "Put the cursor on a record to see where it stands."),
+        _ => draw_record(canvas, area, state, &state.uploads, "Select a record to see its provenance."),
     }
 }
 
@@ -132,9 +132,9 @@ fn draw_opened(canvas: &mut Canvas, area: Rect, state: &State) {
             None => draw_record(canvas, area, state, &state.shared, "Opening…"),
         },
         None if state.is_locked() => {
-            draw_record(canvas, area, state, &state.shared, "Locked: u unlocks, and records can be read.");
+            draw_record(canvas, area, state, &state.shared, "Locked: press u to unlock and read records.");
         }
-        None => draw_record(canvas, area, state, &state.shared, "Put the cursor on a record to open it here."),
+        None => draw_record(canvas, area, state, &state.shared, "Select a record to open it here."),
     }
 }
 
@@ -149,7 +149,7 @@ fn grant(state: &State) -> Vec<(&'static str, String)> {
     let topics = if row.topics.is_empty() { scope(&row.topics) } else { row.topics.join(" ") };
     vec![
         ("state", row.state.word().to_owned()),
-        (if is_given(row) { "given to" } else { "got from" }, row.name.clone().unwrap_or_default()),
+        (if is_given(row) { "given to" } else { "received from" }, row.name.clone().unwrap_or_default()),
         ("reader", row.grantee.to_string()),
         ("owner", row.owner.to_string()),
         ("fingerprint", row.fingerprint.clone().unwrap_or_else(|| "not registered".to_owned())),

@@ -23,7 +23,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, roomy: bool) -> Rect
     let hint = if state.tour.is_some() {
         "  press the highlighted key"
     } else {
-        "  press the highlighted key; all of it in five minutes: authros tour"
+        "  press the highlighted key; five-minute tour: authros tour"
     };
     canvas.puts(row(area, 0), &[("First steps", Role::Title), (hint, Role::Dim)]);
     for (line, (place, step)) in (1u16..).zip(steps.iter().enumerate()) {

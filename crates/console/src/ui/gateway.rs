@@ -48,10 +48,10 @@ fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 
     canvas.put(area, "Gateway", Role::Title);
     let Some(served) = &view.served else {
         let (first, second) = match &view.through {
-            Some(through) => (format!("This site joins another one: {through}"), "Its gateway is managed there."),
+            Some(through) => (format!("This site has joined another one: {through}"), "Its gateway is managed there."),
             None => (
-                "Absent: this site has no gateway.".to_owned(),
-                "Records go straight to this site's vault and chain; `authros gateway serve` adds one.",
+                "This site has no gateway.".to_owned(),
+                "Records go straight to this site's vault and chain; `authros gateway serve` starts one.",
             ),
         };
         canvas.put(row(area, 1), &clean(&first, 300), Role::Body);
@@ -88,7 +88,7 @@ fn system_key(key: &SystemKeyView) -> String {
 
 fn draw_refused(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 {
     if view.refused.is_empty() {
-        line(canvas, area, "Refused", "nothing since start", Role::Dim);
+        line(canvas, area, "Refused", "none since start", Role::Dim);
         return 1;
     }
     let mut place = 0;

@@ -32,7 +32,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     let order = order(&SORTS, &grants.table);
     let note = format!("{} of {}, by {order}; {readers} can read new records now", rows.len(), grants.rows.len());
     let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(state, row));
-    let empty = empty(state, Feed::Grants, "Nothing granted or received yet; press g to grant.");
+    let empty = empty(state, Feed::Grants, "No grants given or received yet; press g to grant.");
     let sheet = Sheet {
         title: "Grants",
         note,
@@ -57,7 +57,7 @@ fn ends(state: &State, row: &GrantRow) -> (String, Role) {
 
 fn cells(state: &State, row: &GrantRow) -> Vec<(String, Role)> {
     let role = if is_active(row) { Role::Good } else { Role::Dim };
-    let direction = if is_given(row) { "given to" } else { "got from" };
+    let direction = if is_given(row) { "given to" } else { "received from" };
     vec![
         (row.state.word().to_owned(), role),
         (direction.to_owned(), Role::Body),

@@ -13,7 +13,7 @@ const LABEL: u16 = 12;
 
 /// What a locked keyring can and cannot do, because watched topics are still captured.
 const LOCKED: &str = "locked (u unlocks it)";
-const LOCKED_AT_WORK: &str = "locked (u unlocks it); capture and anchoring go on";
+const LOCKED_AT_WORK: &str = "locked (u unlocks it); capture and anchoring continue";
 
 /// Draws a label and its value.
 pub fn line(canvas: &mut Canvas, area: Rect, label: &str, value: &str, role: Role) {
@@ -28,7 +28,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     match &state.identity {
         None => drop(canvas.put(area, "The site is starting…", Role::Dim)),
         Some(identity) if !identity.exists => {
-            let text = "This profile has no identity yet: n makes one.";
+            let text = "This profile has no identity yet: n creates one.";
             canvas.put(area, text, Role::Body);
         }
         Some(identity) => draw_identity(canvas, area, state, identity),
@@ -39,11 +39,8 @@ fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &Iden
     let address = identity.address.map(|address| address.to_string()).unwrap_or_default();
     let (keyring, keyring_role) =
         if identity.unlocked { ("unlocked", Role::Good) } else { (locked(state), Role::Warning) };
-    let (chain, chain_role) = if identity.registered {
-        ("registered", Role::Good)
-    } else {
-        ("not registered: R registers it", Role::Warning)
-    };
+    let (chain, chain_role) =
+        if identity.registered { ("registered", Role::Good) } else { ("not registered: R registers", Role::Warning) };
     line(canvas, row(area, 0), "Profile", identity.profile.as_str(), Role::Body);
     line(canvas, row(area, 1), "Keyring", keyring, keyring_role);
     line(canvas, row(area, 2), "On chain", chain, chain_role);
@@ -57,7 +54,7 @@ fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &Iden
     if let Some(keys) = &state.keys {
         draw_keys(canvas, rest, keys);
     } else {
-        let locked = "Fingerprints and epochs are read from the keyring: u unlocks it.";
+        let locked = "Fingerprints and epochs come from the keyring: u unlocks it.";
         if !identity.unlocked {
             canvas.put(rest, locked, Role::Dim);
             return;
@@ -73,7 +70,7 @@ fn draw_keys(canvas: &mut Canvas, area: Rect, keys: &KeysView) {
     let area = below(area, 3);
     canvas.puts(
         area,
-        &[("SM4 epochs", Role::Title), ("  newest first; token = public commitment of each key", Role::Dim)],
+        &[("SM4 epochs", Role::Title), ("  newest first; token = public commitment to each key", Role::Dim)],
     );
     let mut epochs: Vec<&EpochView> = keys.epochs.iter().collect();
     epochs.sort_by_key(|epoch| std::cmp::Reverse(epoch.epoch));

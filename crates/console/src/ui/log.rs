@@ -23,7 +23,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
         NoticeLevel::Warning => "warnings and errors",
         NoticeLevel::Error => "errors",
     };
-    let from = log.source.map_or_else(|| "from everywhere".to_owned(), |source| format!("from {}", source.word()));
+    let from = log.source.map_or_else(|| "all sources".to_owned(), |source| format!("from {}", source.word()));
     let follows = if log.table.is_bound() { "held (home: newest)" } else { "newest first" };
     let note = format!("{} of {} lines, {least}, {from}, {follows}", lines.len(), log.count());
     let cells = |index: usize| lines.get(index).map_or_else(Vec::new, |line| cells(state, line));

@@ -97,7 +97,7 @@ fn draw_life(canvas: &mut Canvas, area: Rect, state: &State, life: &LifeLine) ->
     draw_law(canvas, row(area, 3), life);
     let lost = life.lost_in_transport > 0;
     if lost {
-        let text = format!("{} lost in transport, before they were captured", words::count(life.lost_in_transport));
+        let text = format!("{} lost in transport before capture", words::count(life.lost_in_transport));
         canvas.put(row(area, 4), &text, Role::Warning);
     }
     below(area, 4 + u16::from(lost))
@@ -117,7 +117,7 @@ fn draw_law(canvas: &mut Canvas, area: Rect, life: &LifeLine) {
     let (verdict, role) = if sum == life.captured && life.conserved {
         ("● balanced: ", Role::Good)
     } else {
-        ("✖ does not add up: ", Role::Bad)
+        ("✖ NOT balanced: ", Role::Bad)
     };
     let mut rest =
         canvas.puts(area, &[(verdict, role), (&words::count(life.captured), Role::Accent), (" = ", Role::Dim)]);

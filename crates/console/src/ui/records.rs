@@ -70,7 +70,7 @@ pub(in crate::ui) fn all_columns(screen: Screen) -> &'static [Column] {
 
 /// Draws the Uploads screen.
 pub fn draw_uploads(canvas: &mut Canvas, area: Rect, state: &State) {
-    let nothing = "No record yet: watch a topic (2, then w).";
+    let nothing = "No records yet: watch a topic (2, then w).";
     draw(
         canvas,
         area,

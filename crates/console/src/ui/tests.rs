@@ -214,7 +214,7 @@ fn incidents_at_every_size() {
         let list = shown(&robot.state, &night());
         robot.types("?");
         let help = shown(&robot.state, &night());
-        assert!(help.contains("End its span now; what is in it stays"), "{help}");
+        assert!(help.contains("End its span now; its records stay"), "{help}");
         robot.types("?n");
         format!("{}x{}\n{list}\n{}", size.0, size.1, shown(&robot.state, &night()))
     });

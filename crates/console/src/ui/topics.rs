@@ -80,7 +80,7 @@ fn draw_detail(canvas: &mut Canvas, area: Rect, topic: &TopicRow) {
     let lost = topic.lost_in_transport + topic.lost_in_recorder;
     let lost = if lost > 0 { format!(", {} lost", words::count(lost)) } else { String::new() };
     let held = match topic.quarantined {
-        0 if topic.alarm => String::from(", ALARM: a publisher is doubted (enter)"),
+        0 if topic.alarm => String::from(", ALARM: suspect publisher (enter)"),
         0 => String::new(),
         held => format!(", {} QUARANTINED", words::count(held)),
     };

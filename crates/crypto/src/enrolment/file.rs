@@ -80,7 +80,7 @@ fn seal(enrolment: &Enrolment, key: &FileKey) -> Result<Vec<u8>, CryptoError> {
 }
 
 fn damaged(path: &Path) -> CryptoError {
-    let found = "it is damaged, or no such file; have its owner enrol the robot again".to_owned();
+    let found = "it is damaged or not an enrolment; ask its owner to enrol the robot again".to_owned();
     CryptoError::NotAKey { path: shown(path), wanted: "an enrolment", found }
 }
 
@@ -88,7 +88,7 @@ fn damaged(path: &Path) -> CryptoError {
 fn unread(path: &Path, bytes: &[u8]) -> CryptoError {
     match bytes.get(VERSION_AT) {
         Some(version) if bytes.starts_with(&MAGIC) && *version > Enrolment::NEWEST => {
-            let found = format!("it is of version {version}, written by a later AuthROS; bring this robot up to date");
+            let found = format!("it has version {version}, written by a newer AuthROS; update this robot");
             CryptoError::NotAKey { path: shown(path), wanted: "an enrolment", found }
         }
         _ => damaged(path),

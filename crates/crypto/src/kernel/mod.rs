@@ -62,16 +62,15 @@ pub enum Kernel {
 pub enum KernelError {
     /// No such kernel.
     #[error(
-        "'{0}' is no SM4 kernel; set AUTHROS_SM4_KERNEL to gfni-avx512, gfni-avx2, aesni-avx2 or portable, or unset it"
+        "'{0}' is not an SM4 kernel; set AUTHROS_SM4_KERNEL to gfni-avx512, gfni-avx2, aesni-avx2 or portable, or \
+         unset it"
     )]
     Unknown(String),
     /// Instructions are missing.
-    #[error(
-        "this processor cannot run the SM4 kernel {0}; unset AUTHROS_SM4_KERNEL, and the best that it can run is taken"
-    )]
+    #[error("this processor cannot run the SM4 kernel {0}; unset AUTHROS_SM4_KERNEL to use the best one it supports")]
     Unavailable(Kernel),
     /// Another kernel is already in use.
-    #[error("the SM4 kernel {0} is in use already; choose one before anything is sealed or opened")]
+    #[error("the SM4 kernel {0} is already in use; choose one before anything is sealed or opened")]
     Decided(Kernel),
 }
 

@@ -48,7 +48,7 @@ fn what_is_no_sm4_key_is_named() {
     assert!(refused(&[200; 15]).contains("it holds 15 bytes"));
     assert!(refused(&[200; 17]).contains("it holds 17 bytes"));
     assert!(refused(b"").contains("it is empty"));
-    assert!(refused(b"correct horse battery staple\n").contains("28 characters of text, perhaps a passphrase"));
+    assert!(refused(b"correct horse battery staple\n").contains("28 characters of text, possibly a passphrase"));
     assert!(refused(b"sixteen letters!").contains("16 characters of text"));
     assert!(refused(&b"ab".repeat(17)).contains("34 characters"));
 }
@@ -77,8 +77,8 @@ fn sm2_keys_as_pem_and_hex() {
     let refused = |content: &[u8]| message(load_sm2(&directory.file(content)));
     assert!(refused(&[0xff; 32]).contains("it is binary"));
     assert!(refused(b"hello").contains("5 characters"));
-    assert!(refused("00".repeat(32).as_bytes()).contains("out of the range"));
-    assert!(refused("ff".repeat(32).as_bytes()).contains("out of the range"));
+    assert!(refused("00".repeat(32).as_bytes()).contains("outside the range"));
+    assert!(refused("ff".repeat(32).as_bytes()).contains("outside the range"));
     assert!(refused(b"-----BEGIN ENCRYPTED PRIVATE KEY-----").contains("encrypted"));
     assert!(refused(b"-----BEGIN EC PRIVATE KEY-----").contains("SEC1"));
     assert!(refused(b"-----BEGIN PUBLIC KEY-----").contains("public key"));
@@ -111,8 +111,8 @@ fn eoa_keys_as_hex_and_keystore() {
     assert!(matches!(refused, CryptoError::WrongPassphrase(_)) && refused.kind() == ErrorKind::Refused);
     let refused = |content: &[u8]| message(load_eoa(&directory.file(content), None));
     assert!(refused(b"0x1234").contains("it holds 6 bytes"));
-    assert!(refused("00".repeat(32).as_bytes()).contains("out of the range"));
-    assert!(message(load_eoa(&directory.file(b"{\"a\":1}"), Some("x"))).contains("no keystore"));
+    assert!(refused("00".repeat(32).as_bytes()).contains("outside the range"));
+    assert!(message(load_eoa(&directory.file(b"{\"a\":1}"), Some("x"))).contains("not a keystore"));
 }
 
 proptest! {

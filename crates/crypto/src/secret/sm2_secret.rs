@@ -196,7 +196,8 @@ pub struct Fingerprint([u8; 16]);
 /// Why a text is not a fingerprint.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "'{0}' is not a whole fingerprint: it has eight groups of four hex characters, as `authros identity show` prints it"
+    "'{0}' is not a complete fingerprint; it has eight groups of four hex characters, as `authros identity show` \
+     prints it"
 )]
 pub struct FingerprintError(String);
 

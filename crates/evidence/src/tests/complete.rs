@@ -160,8 +160,8 @@ fn a_head_from_before_the_first_number_says_nothing_of_those_behind_it() {
     let stretch = Case::of(&[3, 5, 6, 7], &[(3, 2)]).expect(
         Outcome::Holds,
         &format!(
-            "3 to 7 without 4 (1 missing); the heads record at {} names number 2, which is before the first here: it says \
-             nothing of these; nothing is claimed before 3 or after 7",
+            "3 to 7 without 4 (1 missing); the heads record at {} names number 2, which is before the first one here, \
+             so it says nothing about these; nothing is claimed before 3 or after 7",
             time()
         ),
     );
@@ -214,7 +214,7 @@ fn with_a_head_held_back_an_older_one_counts_and_with_none_nothing_is_claimed() 
     );
     held_back.expect(Outcome::Holds, &text);
     let none = Case::of(&[1, 2, 3], &[]);
-    none.expect(Outcome::Holds, "every number from 1 to 3; no heads record is there: nothing is claimed after 3");
+    none.expect(Outcome::Holds, "every number from 1 to 3; there is no heads record: nothing is claimed after 3");
     // A head that is present but not disclosed, not anchored, or of another key says nothing.
     let mut sealed_head = Case::of(&[1, 2, 3], &[(3, 3)]);
     sealed_head.records.last_mut().expect("the head").1 = false;

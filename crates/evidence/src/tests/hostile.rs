@@ -37,7 +37,7 @@ fn no_more_messages_are_opened_than_one_file_may_have() {
         packing.record(digest, BundledRecord { disclosure, ..unanchored(one) }).expect("added");
     }
     let report = checked(packing, &world, &world.keys);
-    let told = "its message is not opened: too much is disclosed in one file";
+    let told = "its message is not opened: too much is disclosed in a single file";
     let shut = report.records.iter().filter(|record| record.opened.text == told).count();
     assert_eq!((report.messages.len(), shut), (4, 1));
     assert!(report.messages.values().all(|message| message.body == zeros));
@@ -141,7 +141,7 @@ fn a_record_is_filed_under_one_spelling_of_its_digest() {
         let manifest = Manifest::of(&members, manifest.chain, manifest.exporter, ours());
         members.insert(MANIFEST.to_owned(), serde_json::to_vec(&manifest).expect("JSON"));
         let told = Bundle::of_members(&members, ours()).expect_err("refused").to_string();
-        assert!(told.contains("filed under what is no digest"), "{told}");
+        assert!(told.contains("filed under a name that is not a digest"), "{told}");
     }
 }
 
@@ -155,7 +155,7 @@ fn the_exporter_is_tied_by_what_others_sealed_or_is_said_not_to_be() {
     trust.persons.push(crate::Person { account: world.owner, name: "Robot fleet".into(), key: Some(key) });
     let report = world.report_by(&trust);
     assert_eq!(report.exporter.standing, Standing::Proven);
-    assert!(report.exporter.text.contains("that you pinned") && report.exporter.text.ends_with("(Robot fleet)"));
+    assert!(report.exporter.text.contains("the key you pinned") && report.exporter.text.ends_with("(Robot fleet)"));
     assert_eq!(report.records[0].person.as_deref(), Some("Robot fleet"));
     let unsealed = World { sealers: vec![1], ..World::new() };
     let mut trust = World::trust();

@@ -231,7 +231,7 @@ fn a_record_existed_before_its_stamp() {
     let before = Timestamp::from_seconds(seconds + 2);
     assert_eq!(record.existed_before, Some(before));
     assert!(record.time.text.starts_with(&format!("existed before {before}, by the time stamp of The notary")));
-    assert!(record.time.text.contains("revoked is not looked up"));
+    assert!(record.time.text.contains("revocation is not checked"));
 
     let unpinned =
         judged(&world, stamped(&world, |_| authority.token(other(&world), "one", "sha256")), &World::trust());

@@ -78,7 +78,7 @@ impl Certificate {
         }
         let serial = inner.integer()?.to_vec();
         if inner.element(SEQUENCE)?.whole != algorithm {
-            return Err(form(PART, "it names two ways to sign"));
+            return Err(form(PART, "it names two signature algorithms"));
         }
         let issuer = inner.element(SEQUENCE)?.whole.to_vec();
         let mut validity = inner.inside(SEQUENCE)?;
@@ -106,7 +106,7 @@ impl Certificate {
     pub fn from_pem(text: &str) -> Result<Self, TimeError> {
         let after = text.split_once(BEGIN).map(|(_, after)| after);
         let body = after.and_then(|after| after.split_once(END)).map(|(body, _)| body);
-        let body = body.ok_or_else(|| form(PART, "it is no PEM of a certificate"))?;
+        let body = body.ok_or_else(|| form(PART, "it is not a PEM certificate"))?;
         let plain: String = body.split_ascii_whitespace().collect();
         let bytes = STANDARD.decode(plain).map_err(|_| form(PART, "its PEM is broken"))?;
         Self::parse(&bytes)
@@ -143,7 +143,7 @@ fn uses(mut der: Der<'_>) -> Result<Uses, TimeError> {
         let mut one = all.inside(SEQUENCE)?;
         let name = one.object()?;
         if seen.contains(&name) {
-            return Err(form(PART, "an extension is there twice"));
+            return Err(form(PART, "an extension appears twice"));
         }
         seen.push(name);
         let is_critical = if one.next_tag() == Some(super::der::BOOLEAN) { one.boolean()? } else { false };

@@ -90,7 +90,7 @@ fn way(
 
 /// The signed content is a stamp, and this one.
 fn content(signer: &Signer<'_>, content: &[u8]) -> Result<(), TimeError> {
-    let missing = || form("signer's part", "an attribute that each stamp has is missing");
+    let missing = || form("signer's part", "a required attribute is missing");
     let mut kind = signer.attribute(names::CONTENT_TYPE).ok_or_else(missing)?;
     let is_stamp = kind.element(OBJECT)?.content == names::STAMP;
     kind.end()?;

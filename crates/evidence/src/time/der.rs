@@ -89,11 +89,11 @@ impl<'a> Der<'a> {
                 let (bytes, after) = after.split_at_checked(usize::from(first & 0x7f)).ok_or_else(short)?;
                 let length = bytes.iter().fold(0, |length, byte| length << 8 | usize::from(*byte));
                 if bytes.first() == Some(&0) || length < 0x80 {
-                    return Err(self.wrong("a length is not written in the shortest way"));
+                    return Err(self.wrong("a length is not in its shortest form"));
                 }
                 (length, after)
             }
-            _ => return Err(self.wrong("a length is not definite, or too large")),
+            _ => return Err(self.wrong("a length is indefinite or too large")),
         };
         let (content, rest) = after.split_at_checked(length).ok_or_else(short)?;
         let whole = self.rest.get(..self.rest.len() - rest.len()).ok_or_else(short)?;
@@ -105,7 +105,7 @@ impl<'a> Der<'a> {
     pub fn element(&mut self, tag: u8) -> Result<Element<'a>, TimeError> {
         match self.any()? {
             element if element.tag == tag => Ok(element),
-            _ => Err(self.wrong("it has an element of another kind")),
+            _ => Err(self.wrong("it has an element of the wrong type")),
         }
     }
 
@@ -130,7 +130,7 @@ impl<'a> Der<'a> {
         let bytes = self.element(INTEGER)?.content;
         match bytes {
             [] | [0, 0..=0x7f, ..] | [0xff, 0x80..=0xff, ..] => {
-                Err(self.wrong("an integer is not written in the shortest way"))
+                Err(self.wrong("an integer is not in its shortest form"))
             }
             _ => Ok(bytes),
         }
@@ -139,7 +139,7 @@ impl<'a> Der<'a> {
     /// An integer from 0 to 2^32 - 1.
     pub fn small(&mut self) -> Result<u64, TimeError> {
         let bytes = self.integer()?;
-        small(bytes).ok_or_else(|| self.wrong("an integer is too large, or less than zero"))
+        small(bytes).ok_or_else(|| self.wrong("an integer is too large or negative"))
     }
 
     /// An object identifier's content.
@@ -151,7 +151,7 @@ impl<'a> Der<'a> {
     pub fn bits(&mut self) -> Result<&'a [u8], TimeError> {
         match self.element(BITS)?.content {
             [0, bytes @ ..] => Ok(bytes),
-            _ => Err(self.wrong("a bit string is not of whole bytes")),
+            _ => Err(self.wrong("a bit string is not a whole number of bytes")),
         }
     }
 
@@ -160,13 +160,13 @@ impl<'a> Der<'a> {
         match self.element(BOOLEAN)?.content {
             [0] => Ok(false),
             [0xff] => Ok(true),
-            _ => Err(self.wrong("a boolean is neither")),
+            _ => Err(self.wrong("a boolean is neither true nor false")),
         }
     }
 
     /// Checks that nothing is left.
     pub fn end(&self) -> Result<(), TimeError> {
-        if self.rest.is_empty() { Ok(()) } else { Err(self.wrong("something is left over")) }
+        if self.rest.is_empty() { Ok(()) } else { Err(self.wrong("there is data left over")) }
     }
 }
 
@@ -197,7 +197,7 @@ pub(super) fn put(tag: u8, parts: &[&[u8]]) -> Vec<u8> {
 /// Seconds since 1970 of a time in the form of certificates (`UTCTime` or `GeneralizedTime`) and stamps, always UTC.
 /// Fractions of a second are rounded up if `up` is set, otherwise down.
 pub(super) fn seconds(element: Element<'_>, part: &'static str, up: bool) -> Result<u64, TimeError> {
-    let wrong = || form(part, "a time is no time");
+    let wrong = || form(part, "a time is not valid");
     let text = element.content.strip_suffix(b"Z").ok_or_else(wrong)?;
     let two = |at: usize| -> Option<u64> {
         match text.get(at..at + 2)? {

@@ -24,7 +24,7 @@ use authros_model::{Timestamp, clean};
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum TimeError {
     /// It is malformed.
-    #[error("the {part} is not of its form: {why}")]
+    #[error("the {part} is malformed: {why}")]
     Form {
         /// Which part.
         part: &'static str,
@@ -40,34 +40,34 @@ pub enum TimeError {
         text: Option<String>,
     },
     /// It covers something else.
-    #[error("it stamps something else: its message imprint is another one")]
+    #[error("it stamps something else: its message imprint differs")]
     OtherImprint,
     /// The imprint uses another hash than requested.
-    #[error("its message imprint is not by SHA-256")]
+    #[error("its message imprint is not SHA-256")]
     ImprintHash,
     /// It answers another request.
-    #[error("it answers another request: its nonce is another one")]
+    #[error("it answers another request: its nonce differs")]
     OtherNonce,
     /// The certificate that signed it is missing.
-    #[error("the certificate of whoever signed it is not in it")]
+    #[error("it does not include its signer's certificate")]
     NoCertificate,
     /// The signed attributes are not those of this content.
-    #[error("its signature is for another content")]
+    #[error("its signature covers different content")]
     OtherContent,
     /// The signature covers no name of the certificate, or another one's.
-    #[error("its signature does not name the certificate that it is by (ESSCertID)")]
+    #[error("its signature does not name its certificate (ESSCertID)")]
     OtherCertificate,
     /// The signature is not valid.
-    #[error("its signature is not right")]
+    #[error("its signature is invalid")]
     Signature,
     /// Signed in a way unknown to this program.
-    #[error("it is signed by {0}, which this program does not check")]
+    #[error("it is signed with {0}, which this program cannot check")]
     Algorithm(&'static str),
     /// The certificate is not for time stamps only.
-    #[error("its certificate is not one for time stamps alone (a critical extended key usage, timeStamping)")]
+    #[error("its certificate is not restricted to time stamping (critical extended key usage timeStamping)")]
     NotForStamps,
     /// A certificate was not valid then.
-    #[error("the certificate of {name} was not valid at {at}: it is from {from} to {until}")]
+    #[error("the certificate of {name} was not valid at {at}; it is valid from {from} to {until}")]
     NotValid {
         /// Whose.
         name: String,
@@ -79,16 +79,16 @@ pub enum TimeError {
         until: Timestamp,
     },
     /// There is no path from the certificate to the pinned one.
-    #[error("no certificate in it leads from {0} to one that is pinned")]
+    #[error("no certificate in it links {0} to a pinned one")]
     NotPinned(String),
     /// A certificate on the path may not issue others.
-    #[error("the certificate of {0}, on the way, may not issue others")]
+    #[error("the certificate of {0}, in the chain, may not issue others")]
     NotAnIssuer(String),
     /// A certificate on the path is not signed by the one above.
-    #[error("the certificate of {0}, on the way, is not signed by the one above it")]
+    #[error("the certificate of {0}, in the chain, is not signed by the one above it")]
     Forged(String),
     /// A certificate has a critical extension unknown to this program.
-    #[error("the certificate of {0} has a critical extension that this program does not know")]
+    #[error("the certificate of {0} has an unknown critical extension")]
     Critical(String),
 }
 

@@ -24,7 +24,7 @@ impl HashKind {
     pub fn read(der: &mut Der<'_>, tag: u8) -> Result<Self, TimeError> {
         let mut inner = der.inside(tag)?;
         let kind =
-            Self::named(inner.object()?).ok_or(TimeError::Algorithm("another hash than SHA-256, -384 or -512"))?;
+            Self::named(inner.object()?).ok_or(TimeError::Algorithm("a hash other than SHA-256, -384 or -512"))?;
         nothing(&mut inner)?;
         Ok(kind)
     }
@@ -95,7 +95,7 @@ impl Scheme {
             (names::ECDSA_SHA_512, Self::Ecdsa(HashKind::Sha512)),
         ];
         let found = known.into_iter().find_map(|(known, scheme)| (known == name).then_some(scheme));
-        found.ok_or(TimeError::Algorithm("another algorithm than RSA or ECDSA with SHA-256, -384 or -512"))
+        found.ok_or(TimeError::Algorithm("an algorithm other than RSA or ECDSA with SHA-256, -384 or -512"))
     }
 
     /// With the hash that the signer names for the signed data; `None` if the two contradict each other.
@@ -109,7 +109,7 @@ impl Scheme {
 
 /// RFC 4055, 3.1: the same hash twice, and a salt of the same length.
 fn pss(der: &mut Der<'_>) -> Result<Scheme, TimeError> {
-    let other = TimeError::Algorithm("RSA-PSS in another way than one hash throughout, and salt as long as it");
+    let other = TimeError::Algorithm("RSA-PSS with parameters other than a single hash and a salt of its length");
     let mut inner = der.inside(SEQUENCE)?;
     der.end()?;
     // Without it, the hash is SHA-1.
@@ -181,8 +181,8 @@ impl Key {
             (Self::P384(key), Scheme::Ecdsa(Sha256)) => (&ECDSA_P384_SHA256_ASN1, key),
             (Self::P384(key), Scheme::Ecdsa(Sha384)) => (&ECDSA_P384_SHA384_ASN1, key),
             (_, Scheme::Ecdsa(Sha512)) => return Err(TimeError::Algorithm("ECDSA with SHA-512")),
-            (Self::Other, _) => return Err(TimeError::Algorithm("a key that is neither RSA nor of P-256 or P-384")),
-            _ => return Err(form("signature", "its algorithm is not one of its key")),
+            (Self::Other, _) => return Err(TimeError::Algorithm("a key that is neither RSA nor on P-256 or P-384")),
+            _ => return Err(form("signature", "its algorithm does not fit its key")),
         };
         UnparsedPublicKey::new(algorithm, key).verify(message, signature).map_err(|_| TimeError::Signature)
     }

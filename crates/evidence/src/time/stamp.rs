@@ -173,7 +173,7 @@ impl DraftStamp {
         if part == ROOTS {
             let listed: Listed = serde_json::from_slice(bytes).map_err(|error| wrong(&error.to_string()))?;
             if listed.format != FORMAT {
-                return Err(wrong(&format!("its form is not {FORMAT}")));
+                return Err(wrong(&format!("its format is not {FORMAT}")));
             }
             if listed.count > MOST_ROOTS as u64 || listed.roots.len() > MOST_ROOTS {
                 return Err(wrong(&format!("it has more than {MOST_ROOTS} roots")));
@@ -183,10 +183,10 @@ impl DraftStamp {
             return Ok(());
         }
         if bytes.len() > LARGEST_DER || part != token_name(bytes) {
-            return Err(wrong("is no token by its SHA-256"));
+            return Err(wrong("is not a token named by its SHA-256"));
         }
         if self.tokens.len() >= MOST_TOKENS {
-            return Err(wrong(&format!("is one more than {MOST_TOKENS} tokens")));
+            return Err(wrong(&format!("exceeds the limit of {MOST_TOKENS} tokens")));
         }
         self.tokens.push(bytes.to_vec());
         Ok(())
@@ -199,7 +199,7 @@ impl DraftStamp {
             return Err(BundleError::of(&name, "is filed under another stamp's imprint"));
         }
         if self.tokens.is_empty() {
-            return Err(BundleError::of(&name, "has no token beside it"));
+            return Err(BundleError::of(&name, "has no token with it"));
         }
         let Listed { top, count, roots, .. } = listed;
         Ok(BundledStamp { top, count, roots, tokens: self.tokens })

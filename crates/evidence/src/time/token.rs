@@ -57,7 +57,7 @@ impl<'a> Token<'a> {
     pub fn parse(bytes: &'a [u8]) -> Result<Self, TimeError> {
         let mut outer = Der::only(PART, bytes, SEQUENCE)?;
         if outer.object()? != names::SIGNED_DATA {
-            return Err(form(PART, "it is no signed data"));
+            return Err(form(PART, "it is not signed data"));
         }
         let mut wrapped = outer.inside(context(0))?;
         outer.end()?;
@@ -65,14 +65,14 @@ impl<'a> Token<'a> {
         wrapped.end()?;
         // RFC 5652, 5.1: content other than plain data.
         if data.small()? != 3 {
-            return Err(form(PART, "it is of another version than 3"));
+            return Err(form(PART, "its version is not 3"));
         }
         let mut hashes = data.inside(SET)?;
         let hash = HashKind::read(&mut hashes, SEQUENCE)?;
         hashes.end()?;
         let mut about = data.inside(SEQUENCE)?;
         if about.object()? != names::STAMP {
-            return Err(form(PART, "it is signed data, but no stamp"));
+            return Err(form(PART, "it is signed data, but not a time stamp"));
         }
         let mut explicit = about.inside(context(0))?;
         about.end()?;
@@ -80,14 +80,14 @@ impl<'a> Token<'a> {
         explicit.end()?;
         let certificates = certificates(&mut data)?;
         if data.next_tag() == Some(context(1)) {
-            return Err(form(PART, "it brings lists of revoked certificates, which nothing here reads"));
+            return Err(form(PART, "it includes certificate revocation lists, which are not supported"));
         }
         let mut signers = data.inside(SET)?;
         data.end()?;
         let signer = Signer::parse(&mut signers)?;
         signers.end()?;
         if signer.hash != hash {
-            return Err(form(PART, "it names another hash than its signer does"));
+            return Err(form(PART, "it names a different hash than its signer does"));
         }
         Ok(Self { info: Info::parse(content)?, content, certificates, signer })
     }
@@ -98,7 +98,7 @@ fn certificates(data: &mut Der<'_>) -> Result<Vec<Certificate>, TimeError> {
     let Some(mut all) = data.inside_optional(context(0))? else { return Ok(found) };
     while !all.is_empty() {
         if found.len() >= MOST_CERTIFICATES {
-            return Err(form(PART, "it brings more than 8 certificates"));
+            return Err(form(PART, "it includes more than 8 certificates"));
         }
         found.push(Certificate::parse(all.element(SEQUENCE)?.whole)?);
     }
@@ -109,7 +109,7 @@ impl<'a> Info<'a> {
     fn parse(bytes: &'a [u8]) -> Result<Self, TimeError> {
         let mut info = Der::only(INFO, bytes, SEQUENCE)?;
         if info.small()? != 1 {
-            return Err(form(INFO, "it is of another version than 1"));
+            return Err(form(INFO, "its version is not 1"));
         }
         info.element(OBJECT)?;
         let mut over = info.inside(SEQUENCE)?;
@@ -130,7 +130,7 @@ impl<'a> Info<'a> {
         let nonce = if info.next_tag() == Some(INTEGER) { Some(info.integer()?) } else { None };
         info.optional(context(0))?;
         if info.next_tag() == Some(context(1)) {
-            return Err(form(INFO, "it has extensions, which nothing here reads"));
+            return Err(form(INFO, "it has extensions, which are not supported"));
         }
         info.end()?;
         let (at, before) = (seconds(time, INFO, false)?, seconds(time, INFO, true)?);
@@ -145,7 +145,7 @@ fn spread(mut accuracy: Der<'_>) -> Result<u64, TimeError> {
     for number in [0, 1] {
         if let Some(fraction) = accuracy.optional(primitive(number))? {
             let fraction = small(fraction.content).filter(|fraction| (1..=999).contains(fraction));
-            part |= fraction.ok_or_else(|| accuracy.wrong("its accuracy is none"))?;
+            part |= fraction.ok_or_else(|| accuracy.wrong("its accuracy is invalid"))?;
         }
     }
     accuracy.end()?;
@@ -184,7 +184,7 @@ fn attributes(bytes: &[u8]) -> Result<Vec<(&[u8], Der<'_>)>, TimeError> {
         let value = Der::new(SIGNER, values.any()?.whole)?;
         values.end()?;
         if found.len() >= MOST_ATTRIBUTES || found.iter().any(|(known, _)| *known == name) {
-            return Err(form(SIGNER, "an attribute is there twice, or one too many"));
+            return Err(form(SIGNER, "an attribute is a duplicate, or one too many"));
         }
         found.push((name, value));
     }

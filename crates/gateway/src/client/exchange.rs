@@ -146,7 +146,7 @@ impl Client {
             match self.receive(self.endpoint.patience).await? {
                 event @ (_, Answer::Event(_) | Answer::End(_)) => {
                     if self.waiting.len() >= MOST_WAITING {
-                        return Err(GatewayError::Unexpected("events without end"));
+                        return Err(GatewayError::Unexpected("an endless stream of events"));
                     }
                     self.waiting.push_back(event);
                 }

@@ -28,7 +28,7 @@ impl Connection {
     pub(super) async fn expect(&mut self, wanted: FrameKind, deadline: Instant) -> Result<Vec<u8>, End> {
         match self.next(deadline, None).await? {
             Next::Frame(kind, payload) if kind == wanted => Ok(payload),
-            _ => Err(Refusal::new(Code::Malformed, format_args!("a frame that is no {wanted:?}")).into()),
+            _ => Err(Refusal::new(Code::Malformed, format_args!("a frame that is not {wanted:?}")).into()),
         }
     }
 
@@ -54,14 +54,14 @@ impl Connection {
                 filled = self.line.fill(), if has_room => filled?,
                 () = sleep(ROOM), if !has_room => {}
                 () = self.seat.evicted() => {
-                    return Err(Refusal::new(Code::Busy, "newer handshakes need its place").into());
+                    return Err(Refusal::new(Code::Busy, "dropped in favour of newer handshakes").into());
                 }
                 fed = next_fed(feeds.as_deref_mut()) => return Ok(Next::Fed(fed)),
                 () = sleep_until(deadline) => {
-                    return Err(Refusal::new(Code::TooSlow, "nothing whole came in time").into());
+                    return Err(Refusal::new(Code::TooSlow, "no complete message arrived in time").into());
                 }
                 () = stopped(&mut self.stop) => {
-                    return Err(Refusal::new(Code::Closing, "the gateway stops").into());
+                    return Err(Refusal::new(Code::Closing, "the gateway is stopping").into());
                 }
             }
         }

@@ -56,7 +56,7 @@ impl Seat {
             if !counts.has_room_for_visit(&self.place, &self.peers.limits) {
                 return Err(Refusal::new(
                     Code::Busy,
-                    format_args!("too many visitors, one more of {}", self.place.peer),
+                    format_args!("too many visitors, one more from {}", self.place.peer),
                 ));
             }
             counts.visits += 1;
@@ -93,7 +93,7 @@ impl Seat {
         if peer.is_none_or(|peer| peer.newcomers.take_if_there(now)) {
             return Ok(());
         }
-        Err(Refusal::new(Code::Quota, format_args!("too many newcomers of {}", self.place.peer)))
+        Err(Refusal::new(Code::Quota, format_args!("too many new connections from {}", self.place.peer)))
     }
 
     /// Charges memory to the peer until the charge is dropped.
@@ -106,7 +106,7 @@ impl Seat {
         let fits = counts.charged.saturating_add(bytes) <= limits.quota;
         let peer = counts.peers.get_mut(&self.place.peer);
         let Some(peer) = peer.filter(|peer| fits && peer.charged.saturating_add(bytes) <= limits.quota_of_peer) else {
-            return Err(Refusal::new(Code::Quota, format_args!("no room for {bytes} bytes of {}", self.place.peer)));
+            return Err(Refusal::new(Code::Quota, format_args!("no room for {bytes} bytes from {}", self.place.peer)));
         };
         peer.charged += bytes;
         counts.charged += bytes;

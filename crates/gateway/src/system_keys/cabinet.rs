@@ -205,7 +205,7 @@ fn read_secret(path: &Path) -> Result<SmSecret, CryptoError> {
     SmSecret::from_slice(&bytes).map_err(|_| CryptoError::NotAKey {
         path: shown(path),
         wanted: "an SM2 private key of 32 bytes",
-        found: "it is damaged; restore it, or remove it with the list to begin anew".to_owned(),
+        found: "it is damaged; restore it, or remove it together with the list to start over".to_owned(),
     })
 }
 

@@ -377,10 +377,10 @@ fn lists_that_are_stale_or_of_others_are_refused_by_the_client() {
     forged.gateway = good.gateway;
     for (what, list, announced, now, words) in [
         ("expired", &good, &good, 1000, "has expired"),
-        ("no key in use any more", &good, &good, 950, "no key is in use"),
+        ("no key in use any more", &good, &good, 950, "none of its keys is currently valid"),
         ("of another network", &list(away().domain, &identity, 7), &good, 500, "another network"),
         ("another gateway's", &list(domain, &pair(0x22), 7), &good, 500, "another gateway"),
-        ("older than announced", &list(domain, &identity, 6), &good, 500, "not the one that the gateway announced"),
+        ("older than announced", &list(domain, &identity, 6), &good, 500, "not the one the gateway announced"),
         ("signed by another gateway", &forged, &forged, 500, "signature"),
     ] {
         let found = told(list, announced, now).expect_err(what);

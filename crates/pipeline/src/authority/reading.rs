@@ -59,10 +59,10 @@ pub enum ReadRefused {
     #[error("the grant of {owner} to {reader} does not cover this topic")]
     NotCovered { owner: Address, reader: Address },
     /// The reader is suspended.
-    #[error("{reader} is suspended since block {since}")]
+    #[error("{reader} has been suspended since block {since}")]
     Suspended { reader: Address, since: u64 },
     /// There was no head lately, so nobody's right is known.
-    #[error("no fresh head of the chain")]
+    #[error("no recent block from the chain")]
     Stale,
 }
 

@@ -51,25 +51,25 @@ pub enum NoRight {
     #[error("{owner} was suspended {}, since block {since}", when(.block))]
     Suspended { owner: Address, since: u64, block: Option<u64> },
     /// The owner's account was lost and another account took over.
-    #[error("{owner} was lost {}, and {successor} its successor since block {since}", when(.block))]
+    #[error("{owner} was declared lost {}, and {successor} is its successor since block {since}", when(.block))]
     Succeeded { owner: Address, successor: Address, since: u64, block: Option<u64> },
     /// The key had been the owner's, but was replaced.
     #[error("{owner} had replaced the signer's key {}, in block {since}", when(.block))]
     Replaced { owner: Address, since: u64, block: Option<u64> },
     /// The device was lent later.
-    #[error("the signer is a device that {owner} lent only in block {from}, and the record was anchored before")]
+    #[error("the signer is a device that {owner} lent only in block {from}, after the record was anchored")]
     LentLater { owner: Address, from: u64 },
     /// The device was recalled.
     #[error("the signer is a device that {owner} had recalled in block {recalled}")]
     Recalled { owner: Address, recalled: u64 },
     /// The device's loan had ended.
-    #[error("the signer is a device that {owner} had lent until {until}, and the anchoring block is of {time}")]
+    #[error("the signer is a device that {owner} had lent until {until}, but the anchoring block is dated {time}")]
     Ended { owner: Address, until: Timestamp, time: Timestamp },
     /// None of these.
     #[error("{owner} had not registered the signer's key {}, nor lent it", when(.block))]
     Unknown { owner: Address, block: Option<u64> },
     /// The device was lent, but its public key is not known here.
-    #[error("the signer is a device of {owner} whose key is not known here; ask its owner for an export")]
+    #[error("the signer is a device of {owner} whose key is unknown here; ask its owner for an export")]
     KeyUnknown { owner: Address },
 }
 

@@ -35,7 +35,7 @@ fn hold(plant: &Plant, keeper: Address, waiting: WaitingSigner, why: &NoRight) -
     }
     // Messages captured meanwhile join the waiting ones; this is reported once.
     if held > 0 && !waiting.held {
-        plant.observer.alert(true, format!("records wait, kept and not anchored: {why}"));
+        plant.observer.alert(true, format!("records are kept but not anchored: {why}"));
     }
     if held > 0 {
         plant.observer.records_changed();
@@ -53,7 +53,7 @@ fn free(plant: &Plant, keeper: Address, waiting: WaitingSigner) -> Result<(), Pi
     }
     if freed > 0 {
         let owner = waiting.owner;
-        plant.observer.alert(false, format!("{freed} records of {owner} go on: their signer may sign again"));
+        plant.observer.alert(false, format!("{freed} records of {owner} resume: their signer may sign again"));
         plant.observer.records_changed();
     }
     Ok(())

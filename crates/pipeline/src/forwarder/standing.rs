@@ -82,8 +82,8 @@ impl Line {
         let each = each.collect();
         if doubted > 0 {
             let text = format!(
-                "the gateway says that {doubted} records are verified, but its proofs do not show them in an anchored \
-                 batch; they are kept here as not verified"
+                "the gateway claims that {doubted} records are verified, but its proofs do not show them in an \
+                 anchored batch; they are kept here as unverified"
             );
             self.outbox.plant.observer.alert(true, text);
         }
@@ -113,7 +113,8 @@ impl Line {
             observer.alert(
                 true,
                 format!(
-                    "the gateway signed for {count} records and no longer knows them; they are sent again, its receipts are kept"
+                    "the gateway signed for {count} records but no longer has them; they are sent again, and its \
+                     receipts are kept"
                 ),
             );
         }

@@ -260,7 +260,7 @@ async fn what_a_gateway_has_lost_is_sent_again_and_said() {
     let _work = scene.work();
     scene.until_state(RecordState::Submitted, 30).await;
     scene.stage.desk.state().records.clear();
-    scene.until("told", |scene| scene.notes.with("no longer knows them") > 0).await;
+    scene.until("told", |scene| scene.notes.with("no longer has them") > 0).await;
     scene.until("sent again", |scene| scene.at_gateway() == 30).await;
     scene.until_state(RecordState::Submitted, 30).await;
     scene.stage.desk.state().standing = Some(Standing::Tampered);
@@ -278,7 +278,7 @@ async fn a_recalled_device_is_refused_and_its_records_wait() {
     scene.capture(4, 100);
     scene.until("refused", |_| matches!(*work.link.borrow_and_update(), Link::Refused(_))).await;
     assert_eq!((scene.at_gateway(), scene.counts().data_in(RecordState::Stored)), (3, 4));
-    assert!(scene.notes.with("the owner has to enrol it again") > 0);
+    assert!(scene.notes.with("the owner must enrol it again") > 0);
     scene.stage.desk.lend(&scene.alice, &scene.device);
     let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
     owner.device(&scene.alice.signing, scene.device.public).await.expect("told again");
@@ -384,7 +384,7 @@ async fn an_earlier_gateway_is_believed_and_nothing_is_given_up() {
     scene.verify();
     let _work = scene.work();
     scene.until_state(RecordState::Verified, 20).await;
-    scene.until("told", |scene| scene.notes.with("does not sign how records stand") > 0).await;
+    scene.until("told", |scene| scene.notes.with("does not sign the state of records") > 0).await;
     scene.forwarder().tidy().expect("tidies");
     assert_eq!((scene.kept_here(), scene.plant.ledger.unproven()), (20, Ok(20)));
 }

@@ -43,14 +43,14 @@ pub(super) fn compare(
         if let Some(network) = asked
             && let Err(error) = runtime.block_on(compare_page(ledger, network, page, tally))?
         {
-            tally.find(FindingKind::Unreachable, "chain", &format!("batches were not all compared: {error}"));
+            tally.find(FindingKind::Unreachable, "chain", &format!("not all batches were compared: {error}"));
             asked = None;
         }
     }
     if let Some(network) = asked
         && let Err(error) = runtime.block_on(walk(ledger, network, scope, tally))?
     {
-        tally.find(FindingKind::Unreachable, "chain", &format!("its events were not all read: {error}"));
+        tally.find(FindingKind::Unreachable, "chain", &format!("not all of its events were read: {error}"));
     }
     Ok(())
 }
@@ -106,12 +106,12 @@ async fn differs(network: &Network, batch: &AuditedBatch) -> Result<Option<Strin
 
 async fn differs_from(chain: &Chain, batch: &AuditedBatch) -> Result<Option<String>, ChainError> {
     let (Some(block), Some(account)) = (batch.block, batch.account) else {
-        return Ok(Some("the ledger has it in a block and does not say who anchored it".to_owned()));
+        return Ok(Some("the ledger has it in a block but does not say who anchored it".to_owned()));
     };
     match chain.root_anchored(account, batch.root).await? {
         None => return Ok(Some(format!("{account} never anchored this root on the chain"))),
         Some((_, count)) if count != batch.count => {
-            return Ok(Some(format!("the chain has it over {count} records, the ledger over {}", batch.count)));
+            return Ok(Some(format!("on the chain it covers {count} records, in the ledger {}", batch.count)));
         }
         // A skipped anchor is followed by another one of the same root.
         Some((found, _)) if found != block && !is_root_in(chain, account, batch.root, batch.count, block).await? => {
@@ -123,7 +123,7 @@ async fn differs_from(chain: &Chain, batch: &AuditedBatch) -> Result<Option<Stri
         return Ok(Some(format!("the chain has no block {block}")));
     };
     if batch.block_hash.is_some_and(|hash| hash != found.hash) {
-        return Ok(Some(format!("block {block} has another hash on the chain than in the ledger")));
+        return Ok(Some(format!("block {block} has a different hash on the chain than in the ledger")));
     }
     let Some(transaction) = batch.transaction else { return Ok(Some("the ledger names no transaction".to_owned())) };
     match chain.receipt(transaction).await? {
@@ -163,7 +163,8 @@ async fn walk(
     }
     if walk.elsewhere > 0 {
         tally.note(&format!(
-            "{} batches or records of these accounts were anchored by another home since this one was restored from a back-up",
+            "{} batches or records of these accounts were anchored by another home after this one was restored from a \
+             backup",
             walk.elsewhere
         ));
     }
@@ -188,7 +189,7 @@ impl Walk {
                 Event::Anchored { account, root, previous, .. } if self.own.contains(&account) => {
                     let expected = self.previous.insert(account, root).unwrap_or(Hash([0; 32]));
                     if expected != previous {
-                        let text = format!("{account} anchored it behind {previous} instead of behind {expected}");
+                        let text = format!("{account} anchored it after {previous} instead of after {expected}");
                         tally.find(FindingKind::Tampered, &name(&root), &text);
                     }
                     blocks.insert(root.0, at.block);
@@ -216,7 +217,7 @@ impl Walk {
             return;
         }
         let block = block.map_or_else(String::new, |block| format!(" in block {block}"));
-        let text = format!("this home's account anchored it{block}, and the ledger does not hold it");
+        let text = format!("this home's account anchored it{block}, but the ledger does not have it");
         tally.find(FindingKind::Missing, subject, &text);
     }
 }

@@ -84,7 +84,7 @@ pub(super) fn compare(
     for one in counted {
         let lost = || StoreError::Database {
             file: plant.ledger.path().to_owned(),
-            detail: "a thread of the audit ended before its work".to_owned(),
+            detail: "a thread of the audit ended before it was done".to_owned(),
         };
         tally.join(one.ok_or_else(lost)??);
     }
@@ -99,7 +99,7 @@ fn vault_answers(plant: &Plant, tally: &mut Tally) -> Result<bool, StoreError> {
     match plant.vault.fronts(&[Digest([0; 32])], 1) {
         Ok(_) => Ok(true),
         Err(error @ StoreError::Unreachable { .. }) => {
-            let text = format!("rows were not compared with the headers of their records: {error}");
+            let text = format!("rows could not be compared with the headers of their records: {error}");
             tally.find(FindingKind::Unreachable, "vault", &text);
             Ok(false)
         }
@@ -113,21 +113,21 @@ fn compare_index(plant: &Plant, tally: &mut Tally) -> Result<(), StoreError> {
     let strangers = plant.ledger.size_of_index(tally.last)?.saturating_sub(tally.indexed);
     if strangers > 0 && tally.unread == 0 {
         let text =
-            format!("{strangers} entries of the index of tags are in no header: a search finds what it should not");
+            format!("{strangers} entries of the tag index match no header: searches find records they should not");
         tally.find(FindingKind::Tampered, "index of tags", &text);
     }
     if tally.unnamed > 0 {
         let text = format!(
-            "names of topics and types and the mark of simulation of {} records were not compared: they lie sealed, \
-             and no keyring is open that has their pseudonyms",
+            "topic and type names and the SIMULATED mark of {} records were not compared: they are sealed, and no open \
+             keyring has their pseudonyms",
             tally.unnamed
         );
         tally.note(&text);
     }
     if tally.not_indexed > 0 {
         let text = format!(
-            "{} records before the first entry of the index of tags are found by none: kept by an old program, or \
-             taken out",
+            "{} records before the first entry of the tag index cannot be found by tag: they were stored by an old \
+             version, or their entries were removed",
             tally.not_indexed
         );
         tally.note(&text);
@@ -160,7 +160,7 @@ fn feed(
         let looked = match runtime.block_on(ask(bench.plant, chain, records)) {
             (looked, None) => looked,
             (looked, Some(error)) => {
-                tally.find(FindingKind::Unreachable, "chain", &format!("records were not all compared: {error}"));
+                tally.find(FindingKind::Unreachable, "chain", &format!("not all records were compared: {error}"));
                 chain = None;
                 looked
             }
@@ -250,7 +250,7 @@ pub(super) fn look(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Res
         tally.last = tally.last.max(record.number);
         tally.pending += u64::from(record.row.state.is_pending() || record.row.state == RecordState::RightEnded);
         if is_missed(bench, record)? {
-            let text = "its stored bytes are gone from the vault, and there is no local copy";
+            let text = "its stored bytes are missing from the vault, and there is no local copy";
             // A deep audit finds it among the bytes.
             if !bench.deep {
                 tally.find(FindingKind::Missing, &subject(record), text);
@@ -283,37 +283,39 @@ pub(super) fn subject(record: &AuditedRecord) -> String {
 fn row_fault(bench: Bench<'_>, record: &AuditedRecord, uploaded: Uploaded) -> Option<String> {
     let row = &record.row;
     if row.state == RecordState::Tampered {
-        return Some("is known as tampered since it was last verified".to_owned());
+        return Some("has been marked as tampered since it was last verified".to_owned());
     }
     if !record.in_its_topic {
-        return Some("its row names another topic than its stream".to_owned());
+        return Some("its row names a different topic than its stream".to_owned());
     }
     if !record.as_retained {
-        return Some("its row and retention differ in when its ciphertext was deleted".to_owned());
+        return Some("its row and retention disagree on when its ciphertext was deleted".to_owned());
     }
     let settled = matches!(row.state, RecordState::Mined | RecordState::Confirmed | RecordState::Verified);
     if settled && row.block.is_none() && !record.anchored_earlier && bench.network.is_some() {
-        return Some(format!("is {} and stands in no block", row.state.word()));
+        return Some(format!("is {} but not in a block", row.state.word()));
     }
     if row.state.is_before_block() && row.block.is_some() {
-        return Some(format!("is {} and stands in a block", row.state.word()));
+        return Some(format!("is {} but in a block", row.state.word()));
     }
     if let Some(place) = &record.place {
-        let Some(inclusion) = &place.inclusion else { return Some("its batch is gone from the ledger".to_owned()) };
+        let Some(inclusion) = &place.inclusion else { return Some("its batch is missing from the ledger".to_owned()) };
         let root = root_of(row.leaf().hash(), inclusion.index, inclusion.count, &inclusion.path);
         if root != Some(inclusion.root) {
             return Some("its row does not lead to its batch's root: a field of it was changed".to_owned());
         }
         let same = (row.transaction, row.block_hash) == (place.transaction, place.block_hash);
         if row.block.is_some() && row.block == place.block && !same {
-            return Some("its row names another transaction or block than its batch".to_owned());
+            return Some("its row names a different transaction or block than its batch".to_owned());
         }
     }
     match uploaded {
-        Uploaded::Nowhere if record.place.is_some() => Some("its row names another block than its batch".to_owned()),
+        Uploaded::Nowhere if record.place.is_some() => {
+            Some("its row names a different block than its batch".to_owned())
+        }
         Uploaded::Nowhere => Some("its digest is not on the chain".to_owned()),
         Uploaded::In(block) if row.block != Some(block) => {
-            Some(format!("the chain has it in block {block}, its row in another"))
+            Some(format!("the chain has it in block {block}, its row names another"))
         }
         _ => None,
     }

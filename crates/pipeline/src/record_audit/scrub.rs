@@ -63,7 +63,7 @@ fn scrub(
     let Some(finding) = tally.findings().first() else { return Ok(None) };
     plant
         .observer
-        .alert(true, format!("{}: {}; `authros audit --deep` looks at all records", finding.subject, finding.text));
+        .alert(true, format!("{}: {}; `authros audit --deep` checks all records", finding.subject, finding.text));
     Ok(Some(digest))
 }
 

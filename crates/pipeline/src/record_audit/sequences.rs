@@ -22,7 +22,7 @@ pub(super) fn compare(plant: &Plant, scope: &Scope, tally: &mut Tally) -> Result
         let holes = plant.ledger.holes(&sequence, MOST_HOLES)?;
         let words: Vec<String> = holes.iter().take(MOST_HOLES).map(|(from, to)| span(*from, *to)).collect();
         let text = format!(
-            "{lost} of the numbers 1 to {} of {} are not in the ledger: {}",
+            "{lost} of the numbers 1 to {} of {} are missing from the ledger: {}",
             sequence.last,
             sequence.owner,
             words.join(", ")
@@ -31,7 +31,7 @@ pub(super) fn compare(plant: &Plant, scope: &Scope, tally: &mut Tally) -> Result
     }
     for (topic, count) in plant.ledger.backwards()? {
         tally.note(&format!(
-            "{count} records of {} are stamped earlier than the record before them: the clock was set back, or a \
+            "{count} records of {} are dated earlier than the record before them: the clock was set back, or a \
              recording was imported",
             clean(&topic, 200)
         ));

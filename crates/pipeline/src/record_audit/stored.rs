@@ -65,7 +65,7 @@ fn gone(bench: Bench<'_>, record: &AuditedRecord, tally: &mut Tally) -> Result<(
             Some(text) => tally.find(FindingKind::Tampered, &subject(record), &text),
         }
     } else if bench.plant.vault.get(now.digest)?.is_none() && bench.plant.ledger.local_copy(now.digest)?.is_none() {
-        tally.find(FindingKind::Missing, &subject(record), "its stored bytes are gone from the vault");
+        tally.find(FindingKind::Missing, &subject(record), "its stored bytes are missing from the vault");
     }
     Ok(())
 }
@@ -81,18 +81,18 @@ fn retention_fault(
     let told = bench.plant.ledger.record(report)?.filter(|told| told.kind == RecordKind::Retention);
     let anchored = told.is_some_and(|told| told.block.is_some() || bench.network.is_none());
     if !anchored {
-        return Ok(Some("its bytes were deleted, and no retention record on the chain tells of it".to_owned()));
+        return Ok(Some("its bytes were deleted, but no retention record on the chain covers it".to_owned()));
     }
     let Ok((header, _)) = Header::parse(header) else {
-        return Ok(Some("the header that was kept of it is none".to_owned()));
+        return Ok(Some("the header kept of it is not a header".to_owned()));
     };
     if let Some(field) = header_fault(bench, row, &header) {
-        return Ok(Some(format!("its row and the header that was kept of it differ in their {field}")));
+        return Ok(Some(format!("its row and the header kept of it differ in their {field}")));
     }
     let Some(signer) = signer_of(bench, row)? else { return Ok(None) };
     let signed = signed_bytes(&header.domain, &row.digest);
     let valid = bench.plant.provider.verify(&signer, &signed, &row.signature).is_ok();
-    Ok((!valid).then(|| "its signature is not its signer's".to_owned()))
+    Ok((!valid).then(|| "its signature was not made by its signer".to_owned()))
 }
 
 /// The key that could have signed the record; `None` if that is not known here.
@@ -121,11 +121,11 @@ fn bytes_fault(bench: Bench<'_>, record: &AuditedRecord, blob: &[u8], checked: O
     let (header, fault) = match checked {
         Some(Ok((header, _, _))) => (header, Fault::None),
         Some(Err(CryptoError::Tampered("signature"))) => {
-            return Fault::Text("its signature is not its signer's".to_owned());
+            return Fault::Text("its signature was not made by its signer".to_owned());
         }
         Some(Err(CryptoError::DamagedRecord(error))) => return altered(&error.to_string()),
-        Some(Err(_)) => return altered("another digest"),
-        None if Digest(bench.plant.provider.sm3(&[blob])) != row.digest => return altered("another digest"),
+        Some(Err(_)) => return altered("a different digest"),
+        None if Digest(bench.plant.provider.sm3(&[blob])) != row.digest => return altered("a different digest"),
         // A record not verified yet is skipped by the verifier, and anchored again.
         None if row.block.is_some() && row.state == RecordState::Verified && bench.network.is_some() => {
             return Fault::Text("its signer had no right to sign for its owner at the anchoring block".to_owned());
@@ -206,7 +206,7 @@ fn compare_tags(
     if indexed == 0 && record.number < bench.first_indexed {
         tally.not_indexed += u64::from(!header.filters.is_empty());
     } else if indexed < u64::try_from(header.filters.len()).unwrap_or(u64::MAX) {
-        tally.find(FindingKind::Tampered, &subject(record), "the index of tags does not lead to it by all of its own");
+        tally.find(FindingKind::Tampered, &subject(record), "the tag index lacks some of its tags");
     }
     Ok(())
 }

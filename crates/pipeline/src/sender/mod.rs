@@ -189,7 +189,7 @@ impl Sender {
         match (before, paused) {
             (Some(before), Some(now)) if before.word() == now.word() => {}
             (_, Some(now)) => self.observer.alert(true, now.text(account)),
-            (Some(_), None) => self.observer.alert(false, format!("anchoring of {account} goes on")),
+            (Some(_), None) => self.observer.alert(false, format!("anchoring for {account} resumes")),
             (None, None) => {}
         }
     }

@@ -128,7 +128,7 @@ async fn a_base_fee_that_rose_a_hundredfold_is_paid_up_to_the_cap() {
     node.call("evm_mine", json!([])).await;
     expect_all_once(&process, 5).await;
     process.rounds_until("it goes on", |process| paused(process).is_none()).await;
-    assert_eq!(process.notes.with("goes on"), 1);
+    assert_eq!(process.notes.with("resumes"), 1);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -141,7 +141,7 @@ async fn an_empty_account_waits_for_ether() {
     process.anchor(5).await;
     assert_eq!(paused(&process), Some(PauseReason::NoEther), "told at once");
     process.round().await;
-    assert_eq!((process.count(RecordState::Submitted), process.notes.with("not enough ether")), (5, 1));
+    assert_eq!((process.count(RecordState::Submitted), process.notes.with("too little ether")), (5, 1));
     node.fund(process.eoa.address(), 1_000_000_000 * GWEI).await;
     expect_all_once(&process, 6).await;
     process.rounds_until("it goes on", |process| paused(process).is_none()).await;
@@ -154,7 +154,7 @@ async fn a_network_without_blocks_is_told() {
     node.call("evm_setAutomine", json!([false])).await;
     process.anchor(3).await;
     process.rounds_until("it is told", |process| paused(process) == Some(PauseReason::Stalled)).await;
-    assert_eq!((process.count(RecordState::Submitted), process.notes.with("makes no blocks")), (3, 1));
+    assert_eq!((process.count(RecordState::Submitted), process.notes.with("produces no blocks")), (3, 1));
     node.call("evm_mine", json!([])).await;
     expect_all_once(&process, 3).await;
     process.rounds_until("it goes on", |process| paused(process).is_none()).await;

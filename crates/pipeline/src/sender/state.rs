@@ -47,17 +47,17 @@ impl PauseReason {
 
     /// What happened and what to do, for the lane's account.
     pub fn text(&self, account: Address) -> String {
-        format!("anchoring of {account} is paused, nothing is lost: {}", self.cause(account))
+        format!("anchoring for {account} is paused, nothing is lost: {}", self.cause(account))
     }
 
     /// The obstacle, and what to do about it.
     pub fn cause(&self, account: Address) -> String {
         match self {
-            Self::NoEther => format!("{account} has not enough ether to pay for gas; send it some on this chain"),
+            Self::NoEther => format!("{account} has too little ether to pay for gas; send it some on this chain"),
             Self::FeeCap { needed, cap } => format!(
-                "the network asks for {needed} gwei per gas, more than chain.max_fee = {cap} allows; wait, or raise it"
+                "the network requires {needed} gwei per gas, more than chain.max_fee = {cap} allows; wait or raise it"
             ),
-            Self::Stalled => "the network makes no blocks; check its signers or miners".to_owned(),
+            Self::Stalled => "the network produces no blocks; check its signers or miners".to_owned(),
             Self::Refused { why } => format!("the node refuses transactions of {account}: {why}"),
         }
     }

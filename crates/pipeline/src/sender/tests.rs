@@ -143,11 +143,11 @@ async fn an_account_that_cannot_pay_pauses_its_lane_and_tells_once() {
     assert_eq!(process.sender.room(account).expect("room"), 0);
     process.round().await;
     process.round().await;
-    assert_eq!((process.notes.with("not enough ether"), process.notes.with("goes on")), (1, 0));
+    assert_eq!((process.notes.with("too little ether"), process.notes.with("resumes")), (1, 0));
     assert!(process.notes.all().iter().any(|(urgent, text)| *urgent && text.contains("nothing is lost")));
     process.plant.ledger.close_transaction(hash, TransactionOutcome::Replaced).expect("given up");
     process.round().await;
-    assert_eq!((process.notes.with("goes on"), process.sender.room(account).expect("room")), (1, 1024));
+    assert_eq!((process.notes.with("resumes"), process.sender.room(account).expect("room")), (1, 1024));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -180,6 +180,6 @@ async fn a_lane_is_bounded_and_a_refused_call_keeps_nothing() {
     assert_eq!(lane.open().expect("open").len(), 1);
     let recall = Outgoing::plain(Call::Recall { device: SignerId([1; 32]) }, "recall");
     let error = lane.submit(vec![Outgoing::plain(lend(4), "lend"), recall]).await.expect_err("no loan");
-    assert!(error.to_string().contains("not lent"), "{error}");
+    assert!(error.to_string().contains("not on loan"), "{error}");
     assert_eq!(process.sender.state_of(account).expect("state").open, 1);
 }

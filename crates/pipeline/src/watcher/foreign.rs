@@ -39,8 +39,9 @@ impl ForeignAnchors {
     /// In words, with the likely cause and what to do.
     pub fn text(&self) -> String {
         format!(
-            "{} anchored {} times what this home did not send, last in block {}: a copy of this home runs elsewhere, or \
-             its key is stolen; end the copy, or have the administrator name a new account (authros chain succeed)",
+            "{} anchored {} times without this home sending it, last in block {}: a copy of this home is running \
+             elsewhere, or its key was stolen; stop the copy, or have the administrator name a new account (authros \
+             chain succeed)",
             self.account, self.count, self.block
         )
     }

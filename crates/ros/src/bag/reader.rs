@@ -70,7 +70,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         let read = file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut magic);
         read.map_err(|error| RosError::unreadable(&error))?;
         if magic != MAGIC {
-            return Err(RosError::recording("it does not begin as a bag of version 2.0 does"));
+            return Err(RosError::recording("it does not start like a bag of version 2.0"));
         }
         let mut reader = Self {
             file,
@@ -129,7 +129,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         }
         let Some(mut at) = fields.u64("index_pos").filter(|at| *at > 0) else { return Ok(()) };
         if at > self.length {
-            self.findings.note(self.length, &format!("the bag is cut off: its index should begin at byte {at}"));
+            self.findings.note(self.length, &format!("the bag is cut off: its index should start at byte {at}"));
         }
         let mut counted = 0_u64;
         while let Found::Record { header, data, length } = self.look(at).map_err(unreadable)? {
@@ -183,11 +183,11 @@ impl<R: BufRead + Seek> BagReader<R> {
             return Ok(Found::Damage("it ends in the middle of a record"));
         };
         if header_length > LONGEST_HEADER as u64 || header_length + 8 > left {
-            return Ok(Found::Damage("what stands there is no record of a bag"));
+            return Ok(Found::Damage("there is no bag record here"));
         }
         let header = read_at(&mut self.file, at + 4, header_length)?;
         if Fields::parse(&header).and_then(|fields| fields.op()).is_none() {
-            return Ok(Found::Damage("what stands there is no record of a bag"));
+            return Ok(Found::Damage("there is no bag record here"));
         }
         let data = at + 4 + header_length + 4;
         let length = self.length_at(at + 4 + header_length)?.unwrap_or(0);
@@ -267,7 +267,7 @@ impl<R: BufRead + Seek> BagReader<R> {
     fn read_chunk(&mut self, fields: &Fields<'_>, start: u64, data: u64, length: u64) -> std::io::Result<()> {
         let size = fields.u32("size").map_or(0, u64::from);
         let Some(compression) = chunk_compression(fields) else {
-            self.findings.note(start, "a chunk of an unknown compression was skipped");
+            self.findings.note(start, "a chunk with an unknown compression was skipped");
             return Ok(());
         };
         let unfinished = size == 0 && length == 0;
@@ -279,7 +279,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         let (limit, length) =
             if unfinished { (LARGEST_CHUNK as u64, self.length.saturating_sub(data)) } else { (size, length) };
         if limit > LARGEST_CHUNK as u64 {
-            self.findings.note(start, &format!("a chunk of {size} bytes was skipped, it is beyond {LARGEST_CHUNK}"));
+            self.findings.note(start, &format!("a chunk of {size} bytes was skipped; the limit is {LARGEST_CHUNK}"));
             return Ok(());
         }
         go_to(&mut self.file, data)?;
@@ -295,11 +295,11 @@ impl<R: BufRead + Seek> BagReader<R> {
             return Ok(());
         }
         if missing && !self.is_followed(data)? {
-            self.findings.note(start, "the bag ends in the middle of a chunk: what came before its end was read");
+            self.findings.note(start, "the bag ends in the middle of a chunk; everything before that was read");
             self.position = self.length;
             return Ok(());
         }
-        let why = unpacked.err().unwrap_or_else(|| format!("it unpacks to another length than {size}"));
+        let why = unpacked.err().unwrap_or_else(|| format!("it does not unpack to {size} bytes"));
         self.chunk.bytes.clear();
         self.skip_chunk(start, data, &why)
     }
@@ -313,7 +313,7 @@ impl<R: BufRead + Seek> BagReader<R> {
     fn skip_chunk(&mut self, start: u64, data: u64, why: &str) -> std::io::Result<()> {
         if self.position <= self.length && !matches!(self.look(self.position)?, Found::Damage(_)) {
             let skipped = self.position - start;
-            self.findings.note(start, &format!("a chunk of {skipped} bytes was skipped, it is damaged: {why}"));
+            self.findings.note(start, &format!("a damaged chunk of {skipped} bytes was skipped: {why}"));
             return Ok(());
         }
         self.search(start, data, &format!("a chunk is damaged ({why})"))
@@ -351,7 +351,7 @@ impl<R: BufRead + Seek> BagReader<R> {
     fn end_chunk(&mut self, mut chunk: Chunk) {
         if !chunk.cut {
             let left = chunk.bytes.len() - chunk.at;
-            let text = format!("the last {left} bytes of a chunk were skipped: they are no records of a bag");
+            let text = format!("the last {left} bytes of a chunk were skipped: they are not bag records");
             self.findings.note(chunk.position, &text);
         }
         // The memory is reused for the next one.

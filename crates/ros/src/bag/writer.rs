@@ -46,7 +46,7 @@ impl<W: Write + Seek> BagWriter<W> {
     /// [`RosError::Recording`] if it cannot be written, or bags do not use this compression.
     pub fn begin(out: W, compression: ChunkCompression) -> Result<Self, RosError> {
         if !RecordingFormat::Bag.takes(compression) {
-            return Err(RosError::recording(&format!("a bag is never compressed with {compression}")));
+            return Err(RosError::recording(&format!("a bag cannot be compressed with {compression}")));
         }
         let mut writer = Self {
             out,
@@ -76,10 +76,10 @@ impl<W: Write + Seek> BagWriter<W> {
     /// [`RosError::Recording`] if it cannot be written, is too large, or is not a ROS 1 message.
     pub fn write(&mut self, channel: &Arc<Channel>, time: Timestamp, body: &[u8]) -> Result<(), RosError> {
         if channel.encoding != Encoding::Ros1 {
-            return Err(RosError::recording("a bag holds messages of ROS 1 alone; write MCAP instead"));
+            return Err(RosError::recording("a bag can only hold ROS 1 messages; write MCAP instead"));
         }
         if body.len() > LONGEST_MESSAGE || time.0 / 1_000_000_000 > u64::from(u32::MAX) {
-            return Err(RosError::recording("a message is too large, or of a time that a bag cannot hold"));
+            return Err(RosError::recording("a message is too large, or its time does not fit into a bag"));
         }
         let number = self.number(channel)?;
         self.index.entry(number).or_default().push((time, self.chunk.len()));
@@ -98,7 +98,7 @@ impl<W: Write + Seek> BagWriter<W> {
             return Ok(*number);
         }
         if self.connections.len() >= MOST_CHANNELS {
-            return Err(RosError::recording(&format!("more than {MOST_CHANNELS} connections do not go into one bag")));
+            return Err(RosError::recording(&format!("a bag cannot hold more than {MOST_CHANNELS} connections")));
         }
         let number = u32::try_from(self.connections.len()).unwrap_or(u32::MAX);
         self.numbers.insert(Arc::clone(channel), number);

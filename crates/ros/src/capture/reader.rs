@@ -216,7 +216,7 @@ impl Reader {
             match frames.poll(LONGEST_HEADER) {
                 Ok(Poll::Frame(bytes)) => {
                     return ConnectionHeader::parse(&bytes)
-                        .map_err(|reason| Failure::Refused(format!("its connection header is broken: {reason}")));
+                        .map_err(|reason| Failure::Refused(format!("its connection header is malformed: {reason}")));
                 }
                 Ok(Poll::Pending) => {}
                 Ok(Poll::Closed(_)) => return Err(Failure::Passing("it closed the connection at once".into())),
@@ -241,7 +241,7 @@ impl Reader {
                 }
                 Ok(Poll::Pending) if heard.elapsed() > SILENCE => {
                     if !self.host_lives() {
-                        return Ok(String::from("its host does not answer any more"));
+                        return Ok(String::from("its host no longer answers"));
                     }
                     heard = Instant::now();
                 }
@@ -249,7 +249,9 @@ impl Reader {
                 Ok(Poll::Closed(true)) => return Ok(String::from("it closed the connection")),
                 Ok(Poll::Closed(false)) => return Ok(String::from("it closed the connection inside a message")),
                 Ok(Poll::TooLong(length)) => {
-                    return Err(Failure::Refused(format!("a message of {length} bytes is beyond {LONGEST_MESSAGE}")));
+                    return Err(Failure::Refused(format!(
+                        "a message of {length} bytes exceeds the limit of {LONGEST_MESSAGE}"
+                    )));
                 }
                 Err(error) => return Ok(error.to_string()),
             }
@@ -372,12 +374,18 @@ fn describe(header: &ConnectionHeader, wanted: Option<&TypeName>) -> Result<Desc
 /// Inconsistencies between type, md5sum and definition. Such messages are captured as sent.
 fn contradiction(type_name: &str, md5sum: &str, text: &str, definition: Option<&Definition>) -> Option<String> {
     if text.is_empty() && type_name != "std_msgs/Empty" {
-        return Some(format!("it sends no definition of {}: its messages are kept, not decoded", clean(type_name, 80)));
+        return Some(format!(
+            "it sends no definition of {}: its messages are captured but not decoded",
+            clean(type_name, 80)
+        ));
     }
     let computed = definition?.md5sum();
     (!computed.eq_ignore_ascii_case(md5sum)).then(|| {
         let (name, told) = (clean(type_name, 80), clean(md5sum, 40));
-        format!("its definition of {name} has the md5sum {computed}, it says {told}: messages may be shown wrongly")
+        format!(
+            "its definition of {name} has md5sum {computed}, but it announces {told}: messages may be decoded \
+                 incorrectly"
+        )
     })
 }
 

@@ -176,7 +176,7 @@ fn meet(shared: &Arc<Shared>, topic: &Arc<Topic>, uris: &[String], asked_at: Ins
     let mut endpoints = Vec::new();
     for uri in uris {
         match Endpoint::parse(uri) {
-            Some(_) if endpoints.len() >= MOST_PUBLISHERS => refuse("all further ones", "too many publishers"),
+            Some(_) if endpoints.len() >= MOST_PUBLISHERS => refuse("all others", "too many publishers"),
             Some(endpoint) => endpoints.push(endpoint),
             None => refuse(uri, "its address is not http://HOST:PORT"),
         }

@@ -51,7 +51,7 @@ impl Graph {
         let uri = call(&self.master, "lookupNode", &parameters, Instant::now() + PATIENCE)
             .map_err(|error| ("the master".to_owned(), master_error(&self.master, "lookupNode", error).to_string()))?;
         let uri = uri.as_text().unwrap_or_default().to_owned();
-        let place = Endpoint::parse(&uri).ok_or_else(|| (uri.clone(), "that is no address".to_owned()))?;
+        let place = Endpoint::parse(&uri).ok_or_else(|| (uri.clone(), "which is not an address".to_owned()))?;
         let connected = connect(&place.host, place.port, Instant::now() + EACH);
         connected.map(drop).map_err(|error| (place.authority(), error.to_string()))
     }
@@ -69,11 +69,11 @@ impl Graph {
         let places = resolve(&host, 0, deadline).map_err(|error| fault(format!("does not resolve: {error}")))?;
         // An address that can be listened on is this machine's.
         if !places.iter().any(|place| TcpListener::bind(place).is_ok()) {
-            return Err(fault(format!("resolves to {places:?}, and none of them is this machine's")));
+            return Err(fault(format!("resolves to {places:?}, none of which belongs to this machine")));
         }
         let master_is_here = matches!(self.master.host.as_str(), "localhost" | "127.0.0.1" | "::1");
         if !master_is_here && places.iter().all(|place| place.ip().is_loopback()) {
-            return Err(fault("leads every other machine to itself: it resolves to loopback only".to_owned()));
+            return Err(fault("resolves only to loopback, so other machines would connect to themselves".to_owned()));
         }
         Ok(host)
     }

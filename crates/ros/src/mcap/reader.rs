@@ -95,7 +95,7 @@ impl<R: BufRead + Seek> McapReader<R> {
             ended: false,
         };
         if read_at(&mut reader.file, 0, position).map_err(unreadable)? != MAGIC {
-            return Err(RosError::recording("it does not begin as MCAP does"));
+            return Err(RosError::recording("it does not start like MCAP"));
         }
         reader.read_summary().map_err(unreadable)?;
         Ok(reader)
@@ -155,7 +155,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         let Some((mut at, checksum)) = start.filter(|(start, _)| *start > 0) else { return Ok(()) };
         // The checksum covers the summary and the footer up to itself.
         if checksum != 0 && self.checksum_of(at, footer + LEAD + 16)? != checksum {
-            self.findings.note(at, "the summary at the end is damaged: its checksum is another one; it was not used");
+            self.findings.note(at, "the summary at the end is damaged (its checksum does not match); it was not used");
             return Ok(());
         }
         while at < footer {
@@ -205,7 +205,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         if self.checksum_of(0, start)? == checksum {
             self.findings.unguarded = 0;
         } else {
-            self.findings.note(start, "the data was altered: its checksum at the end is another one");
+            self.findings.note(start, "the data was altered: its checksum at the end does not match");
         }
         Ok(())
     }
@@ -229,7 +229,7 @@ impl<R: BufRead + Seek> McapReader<R> {
                     let number = record.number;
                     if !self.channels.contains_key(&number) {
                         if !record.is_kept() {
-                            self.findings.note(self.position, "what a channel says of itself is too long to be kept");
+                            self.findings.note(self.position, "a channel's metadata is too long to keep");
                         }
                         let channel = self.schemas.get(&record.schema).and_then(|schema| record.with(schema));
                         self.channels.insert(number, channel.map(Arc::new));
@@ -246,8 +246,12 @@ impl<R: BufRead + Seek> McapReader<R> {
     fn advance(&mut self) -> std::io::Result<Option<RecordedMessage>> {
         let start = self.position;
         let Some((code, length)) = self.look(start)? else {
-            let text = if start >= self.length { "the file has no end record" } else { "the file ends in a record" };
-            self.findings.note(start, &format!("{text}: the recorder did not close it, or it is cut off"));
+            let text = if start >= self.length {
+                "the file has no end record"
+            } else {
+                "the file ends in the middle of a record"
+            };
+            self.findings.note(start, &format!("{text}: the recorder did not close it, or it was cut off"));
             self.ended = true;
             return Ok(None);
         };
@@ -275,10 +279,10 @@ impl<R: BufRead + Seek> McapReader<R> {
                 }
             }
             Some(Code::Message | Code::Schema | Code::Channel) => {
-                self.findings.note(start, &format!("a record of {length} bytes was skipped, it is too large"));
+                self.findings.note(start, &format!("a record of {length} bytes was skipped: it is too large"));
             }
             _ if self.places.contains(&start) => {
-                self.findings.note(start, "the summary names a chunk here, and there is none: it was skipped");
+                self.findings.note(start, "the summary names a chunk here, but there is none; it was skipped");
             }
             _ => {}
         }
@@ -334,11 +338,11 @@ impl<R: BufRead + Seek> McapReader<R> {
             return Ok(());
         };
         let Some(compression) = head.compression else {
-            self.findings.note(start, "a chunk of an unknown compression was skipped");
+            self.findings.note(start, "a chunk with an unknown compression was skipped");
             return Ok(());
         };
         if head.size > LARGEST_CHUNK as u64 {
-            let text = format!("a chunk of {} bytes was skipped, it is beyond {LARGEST_CHUNK}", head.size);
+            let text = format!("a chunk of {} bytes was skipped; the limit is {LARGEST_CHUNK}", head.size);
             self.findings.note(start, &text);
             return Ok(());
         }
@@ -357,22 +361,22 @@ impl<R: BufRead + Seek> McapReader<R> {
         }
         if missing && !followed {
             let text = if self.chunk.bytes.is_empty() {
-                "the file ends in the middle of a chunk, of which nothing can be unpacked: its messages are not read"
+                "the file ends in the middle of a chunk that cannot be unpacked; its messages were not read"
             } else {
-                "the file ends in the middle of a chunk: what came before its end was read"
+                "the file ends in the middle of a chunk; everything before that was read"
             };
             self.findings.note(start, text);
             self.position = self.length;
             return Ok(());
         }
         self.chunk.bytes.clear();
-        let why = unpacked.err().unwrap_or_else(|| String::from("its checksum or length is another one"));
+        let why = unpacked.err().unwrap_or_else(|| String::from("its checksum or length does not match"));
         if missing {
             self.skip(start, &format!("a chunk is damaged ({why})"));
             return Ok(());
         }
         let skipped = self.position - start;
-        self.findings.note(start, &format!("a chunk of {skipped} bytes was skipped, it is damaged: {why}"));
+        self.findings.note(start, &format!("a damaged chunk of {skipped} bytes was skipped: {why}"));
         Ok(())
     }
 
@@ -404,7 +408,7 @@ impl<R: BufRead + Seek> McapReader<R> {
     fn end_chunk(&mut self, mut chunk: Chunk) {
         if !chunk.cut {
             let left = chunk.bytes.len() - chunk.at;
-            let text = format!("the last {left} bytes of a chunk were skipped: they are no records of MCAP");
+            let text = format!("the last {left} bytes of a chunk were skipped: they are not MCAP records");
             self.findings.note(chunk.position, &text);
         }
         chunk.bytes.clear();

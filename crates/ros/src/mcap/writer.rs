@@ -52,7 +52,7 @@ impl<W: Write + Seek> McapWriter<W> {
     /// [`RosError::Recording`] if it cannot be written, or MCAP does not use this compression.
     pub fn begin(out: W, compression: ChunkCompression) -> Result<Self, RosError> {
         if !RecordingFormat::Mcap.takes(compression) {
-            return Err(RosError::recording(&format!("MCAP is never compressed with {compression}")));
+            return Err(RosError::recording(&format!("MCAP cannot be compressed with {compression}")));
         }
         let mut writer = Self {
             out,
@@ -140,7 +140,7 @@ impl<W: Write + Seek> McapWriter<W> {
             return Ok(*number);
         }
         if self.channels.len() >= MOST_CHANNELS {
-            return Err(RosError::recording(&format!("more than {MOST_CHANNELS} channels do not go into one file")));
+            return Err(RosError::recording(&format!("a file cannot hold more than {MOST_CHANNELS} channels")));
         }
         let key = (Arc::clone(&channel.type_name), schema_encoding(channel.encoding), Arc::clone(&channel.definition));
         let next = u16::try_from(self.schemas.len() + 1).unwrap_or(u16::MAX);

@@ -97,17 +97,17 @@ impl Definition {
 pub(super) enum Failure {
     #[error("{0}")]
     Wire(#[from] WireError),
-    #[error("it claims {0} elements of {1}, more than its bytes can hold")]
+    #[error("it claims {0} elements of {1}, more than fit into its bytes")]
     Claim(usize, String),
     #[error("it has more fields than can be shown")]
     Costly,
-    #[error("as JSON it would be more than 64 times as long; write its bytes to a .bin file instead")]
+    #[error("as JSON it would be more than 64 times its size; write its bytes to a .bin file instead")]
     Long,
-    #[error("what was read of it could not be written")]
+    #[error("the decoded fields could not be written")]
     Written,
-    #[error("it does not begin as CDR does")]
+    #[error("it does not start like CDR")]
     NoCdr,
-    #[error("it lists its members by their numbers (PL_CDR), which is not read here")]
+    #[error("it lists its members by number (PL_CDR), which is not supported")]
     ByNumber,
 }
 

@@ -48,7 +48,7 @@ impl<'a, T> Nesting<'a, T> {
         }
         let known = self.done.get(name).copied();
         if self.path.len() + known.map_or(1, |(_, height)| height) > DEEPEST {
-            return Err(format!("it is nested more than {DEEPEST} deep"));
+            return Err(format!("it is nested more than {DEEPEST} levels deep"));
         }
         if let Some(known) = known {
             return Ok(known);

@@ -94,7 +94,7 @@ fn decode_jpeg(data: &[u8]) -> Result<Rgb, PictureError> {
 fn rgb((width, height): (u32, u32), channels: usize, samples: Vec<u8>) -> Result<Rgb, PictureError> {
     let (width, height) = (width as usize, height as usize);
     if samples.len() != width * height * channels {
-        return Err(broken("its data have another length than its size says"));
+        return Err(broken("its data does not have the length its size implies"));
     }
     let pixels = match channels {
         1 => samples.iter().flat_map(|grey| [*grey; 3]).collect(),

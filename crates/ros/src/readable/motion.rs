@@ -1,4 +1,4 @@
-//! Where a robot is and how it moves: Odometry in the paper's terms (LV, AV, Pose, Cov, TS, Type), Imu, NavSatFix.
+//! Where a robot is and how it moves: Odometry with the paper's LV, AV, Pose, Cov, TS and Type in full words, Imu, NavSatFix.
 
 use super::numbers::{Body, count, float, number, shown, square, text, triple, turned};
 use super::{Plot, Readable};
@@ -13,14 +13,14 @@ const EARTH: f64 = 6_371_008.8;
 pub(super) fn odometry(value: &Value, _: &Body) -> Readable {
     let mut out = Readable::default();
     out.line("Type", "nav_msgs/Odometry");
-    out.line("TS", text(value, "header.stamp"));
+    out.line("Stamp", text(value, "header.stamp"));
     out.line("Frames", format!("{} -> {}", text(value, "header.frame_id"), text(value, "child_frame_id")));
     out.line("Pose, m", triple(value, "pose.pose.position"));
-    out.line("Pose, turned", turned(value, "pose.pose.orientation"));
-    out.line("LV, m/s", triple(value, "twist.twist.linear"));
-    out.line("AV, rad/s", triple(value, "twist.twist.angular"));
-    out.tables.extend(square("Cov of Pose", &POSE, value, "pose.covariance"));
-    out.tables.extend(square("Cov of LV and AV", &POSE, value, "twist.covariance"));
+    out.line("Orientation", turned(value, "pose.pose.orientation"));
+    out.line("Linear velocity, m/s", triple(value, "twist.twist.linear"));
+    out.line("Angular velocity, rad/s", triple(value, "twist.twist.angular"));
+    out.tables.extend(square("Pose covariance", &POSE, value, "pose.covariance"));
+    out.tables.extend(square("Twist covariance", &POSE, value, "twist.covariance"));
     out.plot = here("Position", ("x, m", "y, m"), value, ("pose.pose.position.x", "pose.pose.position.y"));
     out
 }
@@ -44,19 +44,22 @@ pub(super) fn inertia(value: &Value, _: &Body) -> Readable {
         Some(Value::Array(items)) => !matches!(items.first(), Some(Value::Float(first)) if *first < 0.0),
         _ => true,
     };
-    out.line("TS", text(value, "header.stamp"));
+    out.line("Stamp", text(value, "header.stamp"));
     out.line("Frame", text(value, "header.frame_id"));
     let unless = |known: bool, shown: String| if known { shown } else { String::from("not measured") };
-    out.line("Turned", unless(known("orientation_covariance"), turned(value, "orientation")));
-    out.line("AV, rad/s", unless(known("angular_velocity_covariance"), triple(value, "angular_velocity")));
+    out.line("Orientation", unless(known("orientation_covariance"), turned(value, "orientation")));
+    out.line(
+        "Angular velocity, rad/s",
+        unless(known("angular_velocity_covariance"), triple(value, "angular_velocity")),
+    );
     out.line(
         "Acceleration, m/s²",
         unless(known("linear_acceleration_covariance"), triple(value, "linear_acceleration")),
     );
     for (title, path) in [
-        ("Cov of orientation", "orientation_covariance"),
-        ("Cov of AV", "angular_velocity_covariance"),
-        ("Cov of acceleration", "linear_acceleration_covariance"),
+        ("Orientation covariance", "orientation_covariance"),
+        ("Angular velocity covariance", "angular_velocity_covariance"),
+        ("Acceleration covariance", "linear_acceleration_covariance"),
     ] {
         out.tables.extend(square(title, &AXES, value, path));
     }
@@ -66,7 +69,7 @@ pub(super) fn inertia(value: &Value, _: &Body) -> Readable {
 pub(super) fn fix(value: &Value, _: &Body) -> Readable {
     let mut out = Readable::default();
     let degrees = |path: &str| float(value, path).map_or_else(|| String::from("-"), |degrees| format!("{degrees:.7}°"));
-    out.line("TS", text(value, "header.stamp"));
+    out.line("Stamp", text(value, "header.stamp"));
     out.line("Frame", text(value, "header.frame_id"));
     out.line("Fix", fix_word(value));
     out.line("Latitude", degrees("latitude"));
@@ -78,8 +81,8 @@ pub(super) fn fix(value: &Value, _: &Body) -> Readable {
         Some(3) => "known",
         _ => "unknown",
     };
-    out.line("Cov is", kind);
-    out.tables.extend(square("Cov of position, m²", &["east", "north", "up"], value, "position_covariance"));
+    out.line("Covariance", kind);
+    out.tables.extend(square("Position covariance, m²", &["east", "north", "up"], value, "position_covariance"));
     out
 }
 

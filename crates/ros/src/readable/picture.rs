@@ -19,13 +19,13 @@ const QUALITY: u8 = 92;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PictureError {
     /// The message is not a picture.
-    #[error("{0} is no picture; write it as .json or .bin")]
+    #[error("{0} is not a picture; write it as .json or .bin")]
     NoPicture(String),
     /// Its encoding is unknown.
-    #[error("the encoding '{0}' is not known here; write the message as .bin or .json")]
+    #[error("the encoding '{0}' is not supported; write the message as .bin or .json")]
     Encoding(String),
     /// It is larger than the decoder allows.
-    #[error("the picture is {0} x {1} pixels, more than the {most} that are decoded; write it as .bin", most = MOST_PIXELS)]
+    #[error("the picture has {0} x {1} pixels, more than the limit of {most}; write it as .bin", most = MOST_PIXELS)]
     Large(u32, u32),
     /// It is damaged.
     #[error("the picture is damaged: {0}; write the message as .bin")]
@@ -190,7 +190,7 @@ fn encode(kind: Exported, rgb: &[u8], size: (usize, usize)) -> Result<Vec<u8>, P
 
 pub(super) fn compressed(value: &Value, body: &Body) -> Readable {
     let mut out = Readable::default();
-    out.line("TS", text(value, "header.stamp"));
+    out.line("Stamp", text(value, "header.stamp"));
     out.line("Frame", text(value, "header.frame_id"));
     out.line("Format", text(value, "format"));
     let Some(data) = value.get("data").and_then(|data| bytes(data, body)) else { return out };
@@ -211,7 +211,7 @@ pub(super) fn compressed(value: &Value, body: &Body) -> Readable {
 
 pub(super) fn raw(value: &Value, body: &Body) -> Readable {
     let mut out = Readable::default();
-    out.line("TS", text(value, "header.stamp"));
+    out.line("Stamp", text(value, "header.stamp"));
     out.line("Frame", text(value, "header.frame_id"));
     out.line("Encoding", text(value, "encoding"));
     out.line("Size", format!("{} x {}", text(value, "width"), text(value, "height")));
@@ -241,5 +241,5 @@ fn corner(matrix: &Matrix) -> Option<Table> {
         pixel.iter().map(|byte| format!("{byte:02x}")).collect::<String>()
     };
     let rows = (0..matrix.height.min(4)).map(|y| (0..columns).map(|x| cell(x, y)).collect()).collect();
-    Some(Table { title: String::from("Matrix, its upper left corner in hex"), head: Vec::new(), rows })
+    Some(Table { title: String::from("Matrix, upper left corner in hex"), head: Vec::new(), rows })
 }

@@ -7,7 +7,7 @@ use crate::ros::message::Value;
 
 pub(super) fn joints(value: &Value, body: &Body) -> Readable {
     let mut out = Readable::default();
-    out.line("TS", text(value, "header.stamp"));
+    out.line("Stamp", text(value, "header.stamp"));
     let Some(Value::Array(names)) = value.get("name") else { return out };
     let column = |path: &str| -> Vec<String> {
         floats(value, path, body, usize::MAX).into_iter().map(|(_, value)| number(value)).collect()
@@ -26,7 +26,7 @@ pub(super) fn joints(value: &Value, body: &Body) -> Readable {
 
 pub(super) fn transforms(value: &Value, _: &Body) -> Readable {
     let mut out = Readable::default();
-    let head = ["parent", "child", "TS", "translation, m", "turned"];
+    let head = ["parent", "child", "stamp", "translation, m", "orientation"];
     let table = listed("Transforms", &head, value, "transforms", |item| {
         vec![
             text(item, "header.frame_id"),
@@ -52,7 +52,7 @@ pub(super) fn battery(value: &Value, body: &Body) -> Readable {
             _ => String::from("-"),
         }
     };
-    out.line("TS", text(value, "header.stamp"));
+    out.line("Stamp", text(value, "header.stamp"));
     let share = float(value, "percentage").filter(|share| share.is_finite());
     out.line("Charge", share.map_or_else(|| String::from("unknown"), |share| format!("{} %", number(share * 100.0))));
     out.line("Voltage, V", shown(value, "voltage"));
@@ -74,7 +74,7 @@ pub(super) fn battery(value: &Value, body: &Body) -> Readable {
 
 pub(super) fn diagnostics(value: &Value, _: &Body) -> Readable {
     let mut out = Readable::default();
-    out.line("TS", text(value, "header.stamp"));
+    out.line("Stamp", text(value, "header.stamp"));
     let head = ["level", "name", "message", "hardware"];
     let table = listed("Status", &head, value, "status", |item| {
         let level = match item.get("level") {

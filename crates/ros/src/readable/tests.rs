@@ -88,11 +88,11 @@ fn odometry_in_the_papers_words() {
         .doubles(&[0.0; 36])
         .0;
     let readable = read(&definition, &body).expect("known");
-    assert_eq!(line(&readable, "LV, m/s"), "x 0.6  y 0  z 0");
-    assert_eq!(line(&readable, "AV, rad/s"), "x 0  y 0  z 0.125");
+    assert_eq!(line(&readable, "Linear velocity, m/s"), "x 0.6  y 0  z 0");
+    assert_eq!(line(&readable, "Angular velocity, rad/s"), "x 0  y 0  z 0.125");
     assert_eq!(line(&readable, "Pose, m"), "x 1.5  y -2  z 0");
-    assert_eq!(line(&readable, "Pose, turned"), "roll 0°  pitch 0°  yaw 45°");
-    assert_eq!(line(&readable, "TS"), "1700000000.000000005");
+    assert_eq!(line(&readable, "Orientation"), "roll 0°  pitch 0°  yaw 45°");
+    assert_eq!(line(&readable, "Stamp"), "1700000000.000000005");
     assert_eq!((readable.tables[0].rows.len(), readable.tables[0].rows[1][2].as_str()), (6, "0.25"));
     let here = place(&definition, &body).expect("a place");
     assert_eq!(here, Place::Metres(1.5, -2.0));

@@ -45,7 +45,7 @@ impl FromStr for ChunkCompression {
             .into_iter()
             .find(|compression| compression.word() == text)
             .ok_or_else(|| {
-                format!("'{}' is no compression; write none, bz2, lz4 or zstd", crate::model::clean(text, 40))
+                format!("'{}' is not a compression; choose none, bz2, lz4 or zstd", crate::model::clean(text, 40))
             })
     }
 }
@@ -89,7 +89,7 @@ fn unpack_zstd(source: impl BufRead, limit: usize, out: &mut Vec<u8>) -> Result<
     let decoder = decoder.into_frame_decoder();
     match decoder.get_checksum_from_data() {
         Some(told) if decoder.get_calculated_checksum() == Some(told) => Ok(true),
-        Some(_) => Err(String::from("what was unpacked does not match its zstd checksum")),
+        Some(_) => Err(String::from("the unpacked data does not match its zstd checksum")),
         None => Ok(false),
     }
 }
@@ -99,7 +99,7 @@ fn drain(source: impl Read, limit: usize, out: &mut Vec<u8>) -> Result<(), Strin
     source.take(most).read_to_end(out).map_err(|error| error.to_string())?;
     if out.len() > limit {
         out.truncate(limit);
-        return Err(format!("it holds more than the {limit} bytes that it claims"));
+        return Err(format!("it holds more than the {limit} bytes it claims"));
     }
     Ok(())
 }

@@ -44,7 +44,7 @@ impl Findings {
     /// Compares how many messages the file's own index counts with how many were found, if nothing else reports a loss.
     pub(crate) fn compare(&mut self, end: u64, counted: Option<u64>, met: u64) {
         let Some(counted) = counted.filter(|counted| self.damages.is_empty() && *counted != met) else { return };
-        self.note(end, &format!("the file's index counts {counted} messages, {met} could be read"));
+        self.note(end, &format!("the file's index counts {counted} messages, but {met} could be read"));
     }
 
     /// Whether the whole recording was read.

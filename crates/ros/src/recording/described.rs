@@ -54,16 +54,14 @@ fn own(facts: TypeFacts<'_>) -> Result<Definition, RosError> {
     let no_fields = |reason: &str| Err(RosError::no_fields(facts.name, reason));
     match (facts.encoding, facts.text) {
         (Encoding::Cdr { .. }, None) => no_fields(
-            "its definition is in none of the records that can be read here; name the folder where its package is installed \
+            "its definition is in no record that can be read here; give the directory where its package is installed \
              (ros.definitions, AMENT_PREFIX_PATH)",
         ),
-        (Encoding::Ros1, None) => {
-            no_fields("its definition is in none of the records that can be read here; write it as .bin")
-        }
+        (Encoding::Ros1, None) => no_fields("its definition is in no record that can be read here; write it as .bin"),
         (Encoding::Ros1, Some(text)) => Definition::parse(facts.name, text),
         (Encoding::Cdr { idl: false }, Some(text)) => Definition::parse_ros2(facts.name, text),
         (Encoding::Cdr { idl: true }, Some(_)) => no_fields(
-            "the recording describes its type in IDL, which is not read here; name the folder where its package is \
+            "the recording describes its type in IDL, which is not supported; give the directory where its package is \
              installed (ros.definitions, AMENT_PREFIX_PATH)",
         ),
     }
@@ -87,7 +85,7 @@ fn found_by(facts: TypeFacts<'_>, folders: &Folders) -> Result<(Definition, Sour
             let help = match source {
                 Source::Folders => "",
                 Source::BuiltIn => {
-                    "; name the folder where its package is installed (ros.definitions, AMENT_PREFIX_PATH)"
+                    "; give the directory where its package is installed (ros.definitions, AMENT_PREFIX_PATH)"
                 }
             };
             let reason = format!("{} has the hash {found}, its own is {hash}{help}", words(source));
@@ -99,15 +97,15 @@ fn found_by(facts: TypeFacts<'_>, folders: &Folders) -> Result<(Definition, Sour
 
 fn words(source: Source) -> &'static str {
     match source {
-        Source::Folders => "the definition in this machine's folders",
+        Source::Folders => "the definition installed on this machine",
         Source::BuiltIn => "the definition built into this program",
     }
 }
 
 fn trust(facts: TypeFacts<'_>) -> &'static str {
     match facts.hash {
-        Some(_) => "its type hash is that of the message",
-        None => "the message came without a type hash to compare it with",
+        Some(_) => "its type hash matches the message",
+        None => "the message has no type hash to compare with",
     }
 }
 
@@ -117,7 +115,7 @@ fn differs(facts: TypeFacts<'_>) -> Option<String> {
     let found = type_hash(facts.name, facts.text?).ok().filter(|found| found != hash)?;
     let hash = crate::model::clean(hash, 80);
     Some(format!(
-        "the recording's definition has the type hash {found}, the recording itself names {hash}: values may be wrong"
+        "the recording's definition has type hash {found}, but the recording names {hash}: values may be wrong"
     ))
 }
 
@@ -152,7 +150,7 @@ mod tests {
         let (found, note) = own_kind(IDL, Some("module a {};"));
         assert!(!found && note.contains("IDL") && note.contains("a/msg/Own"), "{note}");
         let (found, note) = own_kind(MSG, None);
-        assert!(!found && note.contains("none of the records") && note.contains("AMENT_PREFIX_PATH"), "{note}");
+        assert!(!found && note.contains("in no record") && note.contains("AMENT_PREFIX_PATH"), "{note}");
         assert!(own_kind(MSG, Some("line")).1.contains("no field name"));
         assert!(!said(Encoding::Ros1, Some("string data"), None).0, "its name is none of ROS 1");
     }
@@ -162,9 +160,9 @@ mod tests {
         let none = Folders::default();
         let said = |encoding, text, hash| described(encoding, text, hash, &none);
         let (found, note) = said(IDL, Some("module std_msgs {};"), Some(STRING));
-        assert!(found && note.contains("built into") && note.contains("is that of the message"), "{note}");
+        assert!(found && note.contains("built into") && note.contains("matches the message"), "{note}");
         let (found, note) = said(MSG, None, None);
-        assert!(found && note.contains("built into") && note.contains("without a type hash"), "{note}");
+        assert!(found && note.contains("built into") && note.contains("has no type hash"), "{note}");
         let (found, note) = said(MSG, None, Some("RIHS01_00\x1b"));
         assert!(!found && note.contains("RIHS01_00") && note.contains(STRING) && !note.contains('\x1b'), "{note}");
         assert!(note.contains("AMENT_PREFIX_PATH"), "what helps: {note}");
@@ -180,9 +178,9 @@ mod tests {
         let said = |encoding, text, hash| described(encoding, text, hash, &folders);
         put("string data # text");
         let (found, note) = said(IDL, Some("module x {};"), Some(STRING));
-        assert!(found && note.contains("folders") && note.contains("is that of the message"), "{note}");
+        assert!(found && note.contains("installed on this machine") && note.contains("matches the message"), "{note}");
         let (found, note) = said(MSG, None, None);
-        assert!(found && note.contains("folders") && note.contains("without a type hash"), "{note}");
+        assert!(found && note.contains("installed on this machine") && note.contains("has no type hash"), "{note}");
         let (found, note) = said(IDL, None, Some("RIHS01_00"));
         assert!(!found && note.contains("RIHS01_00") && note.contains(STRING), "{note}");
         // Another release than that of the message.

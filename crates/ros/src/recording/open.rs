@@ -56,10 +56,10 @@ fn other_than_a_recording(magic: &[u8]) -> String {
         Some(version) => {
             let version: Vec<u8> = version.iter().copied().take_while(|byte| !byte.is_ascii_whitespace()).collect();
             let version = crate::model::clean(&String::from_utf8_lossy(&version), 8);
-            format!("a bag of version {version}, only 2.0 is read; convert it with `rosbag fix` of ROS 1")
+            format!("a bag of version {version}; only 2.0 is supported, convert it with `rosbag fix` of ROS 1")
         }
         None if magic.is_empty() => "an empty file".to_owned(),
-        None => "no bag and no MCAP".to_owned(),
+        None => "neither a bag nor MCAP".to_owned(),
     }
 }
 
@@ -190,6 +190,6 @@ mod tests {
         assert!(said.contains("version 1.2") && said.contains("rosbag fix"), "{said}");
         assert!(other_than_a_recording(b"#ROSBAG V1.1\n").contains("version 1.1"));
         assert_eq!(other_than_a_recording(b""), "an empty file");
-        assert_eq!(other_than_a_recording(b"PK\x03\x04"), "no bag and no MCAP");
+        assert_eq!(other_than_a_recording(b"PK\x03\x04"), "neither a bag nor MCAP");
     }
 }

@@ -187,7 +187,9 @@ fn cut_off_anywhere_the_beginning_is_read() {
 #[test]
 fn a_chunk_that_is_cut_says_whether_anything_of_it_was_read() {
     let one = [several_chunks().remove(1)];
-    for (compression, words) in [(ChunkCompression::None, "came before"), (ChunkCompression::Zstd, "not read")] {
+    for (compression, words) in
+        [(ChunkCompression::None, "everything before that was read"), (ChunkCompression::Zstd, "were not read")]
+    {
         let bytes = write(RecordingFormat::Mcap, compression, &one);
         // The chunk is followed by its index and the summary: a third of the file is inside the chunk.
         let (found, findings) = read(RecordingFormat::Mcap, &bytes[..bytes.len() / 3]).expect("read");
@@ -260,7 +262,7 @@ fn what_mcap_says_of_channels_and_of_publishing_comes_back() {
     assert_eq!((first.time, first.sent, &first.channel.about), (Timestamp(5), Some(sent), &about));
     assert_eq!((second.sent, &second.channel), (Some(Sent { time: Timestamp(6), sequence: 2 }), &first.channel));
     assert!(third.channel.about.is_empty());
-    assert!(reader.findings().damages[0].text.contains("too long to be kept"), "{:?}", reader.findings());
+    assert!(reader.findings().damages[0].text.contains("too long to keep"), "{:?}", reader.findings());
 }
 
 fn any_messages() -> impl Strategy<Value = Vec<RecordedMessage>> {

@@ -30,9 +30,9 @@ pub struct Standing {
 }
 
 /// What cannot be seen from here, and how to be seen.
-pub const INVISIBLE: &str = "not visible from here are robots of another ROS_DOMAIN_ID, of another network, and with Fast \
-                             DDS over shared memory alone or with LARGE_DATA (FASTDDS_BUILTIN_TRANSPORTS), a Discovery \
-                             Server, SROS2 or rmw_zenoh";
+pub const INVISIBLE: &str = "not visible from here: robots with another ROS_DOMAIN_ID, on another network, or using \
+                             Fast DDS over shared memory only or with LARGE_DATA (FASTDDS_BUILTIN_TRANSPORTS), a \
+                             Discovery Server, SROS2 or rmw_zenoh";
 
 impl Standing {
     /// In one line.
@@ -40,15 +40,15 @@ impl Standing {
         let Counts { participants, writers, foreign } = self.counts;
         let place = format!("ROS 2 domain {}", self.domain);
         match &self.reading {
-            Reading::Down { reason } => format!("{place} is not read: {reason}"),
-            Reading::Looking if participants == 0 => format!("{place}: looking around"),
+            Reading::Down { reason } => format!("{place} cannot be read: {reason}"),
+            Reading::Looking if participants == 0 => format!("{place}: discovering"),
             _ if participants == 0 => format!("{place}: nobody there; {INVISIBLE}"),
             _ if writers == 0 && foreign > 0 => format!(
-                "{place}: {participants} participants, but {foreign} publishers of other names than those of ROS 2, and none \
-                 of ROS 2 topics"
+                "{place}: {participants} participants and {foreign} publishers of non-ROS names, but none of ROS 2 \
+                 topics"
             ),
             _ if writers == 0 => {
-                format!("{place}: {participants} participants, but no topics; with SROS2 they are hidden")
+                format!("{place}: {participants} participants, but no topics; SROS2 hides them")
             }
             _ => format!("{place}: {participants} participants, {writers} publishers of ROS 2 topics"),
         }
@@ -75,7 +75,7 @@ mod tests {
         }
         assert!(text(0, 0, 0).starts_with("ROS 2 domain 3: nobody there"));
         assert!(text(2, 0, 0).contains("2 participants, but no topics"));
-        assert!(text(2, 0, 1).contains("other names"));
+        assert!(text(2, 0, 1).contains("non-ROS names"));
         assert!(text(2, 5, 1).contains("5 publishers of ROS 2 topics"));
     }
 }

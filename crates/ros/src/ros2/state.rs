@@ -93,7 +93,7 @@ impl State {
         if version != crate::pipe::VERSION || domain != self.domain {
             let own = crate::pipe::VERSION;
             return Err(format!(
-                "it speaks version {version} of the pipe, {own} is needed; install both of one release"
+                "it uses pipe version {version}, but {own} is required; install both programs from the same release"
             ));
         }
         self.started += 1;
@@ -120,7 +120,7 @@ impl State {
             None => {
                 let mut new = Publisher::new(writer, self.domain, started);
                 if let Some(mut former) = self.publishers.remove(&new.writer.id) {
-                    outcome.notices.extend(former.disconnect("it offers something else now"));
+                    outcome.notices.extend(former.disconnect("it now offers something else"));
                     new.numbers = former.numbers;
                 }
                 self.publishers.insert(new.writer.id.clone(), new);
@@ -180,7 +180,7 @@ impl State {
             for publisher in self.publishers.values_mut().filter(|known| known.told_by != started) {
                 if publisher.gone.is_none() {
                     outcome.notices.extend(publisher.vanished(now));
-                    outcome.notices.extend(publisher.disconnect("it was not found again"));
+                    outcome.notices.extend(publisher.disconnect("it could not be found again"));
                     publisher.gone = Some(now);
                 }
             }
@@ -310,7 +310,7 @@ mod tests {
     fn another_release_and_impossible_names_are_refused() {
         let (mut state, now) = (State::new(0), Instant::now());
         let error = state.take(Told::Hello { version: 99, domain: 0 }, Vec::new(), now).expect_err("another release");
-        assert!(error.contains("one release"), "{error}");
+        assert!(error.contains("same release"), "{error}");
         state.take(writer("aa", "/bad name", true), Vec::new(), now).expect("taken");
         state.take(writer(&"a".repeat(65), "/good", true), Vec::new(), now).expect("taken");
         assert!(state.topics().is_empty());

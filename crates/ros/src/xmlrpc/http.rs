@@ -54,10 +54,10 @@ pub(super) fn read_message(from: impl Read, most: usize, to_end: bool) -> io::Re
     loop {
         let header = line(&mut head)?;
         let Some((name, value)) = header.split_once(':') else {
-            if header.is_empty() { break } else { return Err(bad("its HTTP head is broken")) }
+            if header.is_empty() { break } else { return Err(bad("its HTTP header is malformed")) }
         };
         if name.eq_ignore_ascii_case("content-length") {
-            length = Some(value.trim().parse::<usize>().map_err(|_| bad("its HTTP length is no number"))?);
+            length = Some(value.trim().parse::<usize>().map_err(|_| bad("its HTTP length is not a number"))?);
         } else if name.eq_ignore_ascii_case("transfer-encoding") {
             chunked = value.trim().eq_ignore_ascii_case("chunked");
         }
@@ -75,9 +75,9 @@ fn line(from: &mut impl BufRead) -> io::Result<String> {
     let mut bytes = Vec::new();
     from.read_until(b'\n', &mut bytes)?;
     if bytes.pop() != Some(b'\n') {
-        return Err(bad("its HTTP head ends early or is too long"));
+        return Err(bad("its HTTP header ends early or is too long"));
     }
-    String::from_utf8(bytes).map(|text| text.trim_end().to_owned()).map_err(|_| bad("its HTTP head is not text"))
+    String::from_utf8(bytes).map(|text| text.trim_end().to_owned()).map_err(|_| bad("its HTTP header is not text"))
 }
 
 fn exactly(from: &mut impl Read, length: usize, most: usize) -> io::Result<Vec<u8>> {

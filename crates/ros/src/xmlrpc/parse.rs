@@ -134,7 +134,7 @@ fn numeric(entity: &str) -> Option<char> {
 /// The value after an opened `<value>`, including the closing tag.
 fn value(tokens: &mut Tokens<'_>, depth: usize) -> Result<Value> {
     if depth > DEEPEST {
-        return Err(ParseError("its values are nested too deep"));
+        return Err(ParseError("its values are nested too deeply"));
     }
     let mut plain = String::new();
     loop {
@@ -173,7 +173,7 @@ fn typed(tokens: &mut Tokens<'_>, kind: &str, depth: usize) -> Result<Value> {
         "string" => tokens.text_until(kind).map(Value::Text),
         "dateTime.iso8601" | "base64" => Ok(Value::Text(tokens.text_until(kind)?.trim().to_owned())),
         "nil" => tokens.text_until(kind).map(|_| Value::Nil),
-        _ => number(kind, tokens.text_until(kind)?.trim()).ok_or(ParseError("a value is not of its type")),
+        _ => number(kind, tokens.text_until(kind)?.trim()).ok_or(ParseError("a value does not match its type")),
     }
 }
 
@@ -198,7 +198,7 @@ fn array(tokens: &mut Tokens<'_>, depth: usize) -> Result<Value> {
                 Token::Open("value") => items.push(value(tokens, depth + 1)?),
                 Token::Empty("value") => items.push(Value::Text(String::new())),
                 Token::Close("data") => break,
-                _ => return Err(ParseError("an array holds what is not a value")),
+                _ => return Err(ParseError("an array contains something that is not a value")),
             }
         },
         Token::Empty("data") => {}
@@ -220,7 +220,7 @@ fn structure(tokens: &mut Tokens<'_>, depth: usize) -> Result<Value> {
                 tokens.close("member")?;
             }
             Token::Close("struct") => return Ok(Value::Struct(members)),
-            _ => return Err(ParseError("a struct holds what is not a member")),
+            _ => return Err(ParseError("a struct contains something that is not a member")),
         }
     }
 }
@@ -269,9 +269,9 @@ pub(super) fn parse_response(text: &str) -> Result<Response> {
 }
 
 fn fault_words(fault: &Value) -> String {
-    let Value::Struct(members) = fault else { return String::from("a fault without words") };
+    let Value::Struct(members) = fault else { return String::from("a fault without a description") };
     let words = members.iter().find(|(name, _)| name == "faultString").and_then(|(_, value)| value.as_text());
-    words.unwrap_or("a fault without words").to_owned()
+    words.unwrap_or("a fault without a description").to_owned()
 }
 
 #[cfg(test)]
@@ -312,7 +312,7 @@ mod tests {
     #[test]
     fn hostile_texts_are_refused() {
         let deep = format!("<methodResponse><params><param>{}", "<value><array><data>".repeat(100_000));
-        assert_eq!(parse_response(&deep), Err(ParseError("its values are nested too deep")));
+        assert_eq!(parse_response(&deep), Err(ParseError("its values are nested too deeply")));
         for bad in [
             "",
             "<",

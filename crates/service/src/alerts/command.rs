@@ -72,19 +72,19 @@ pub fn run(words: &[String], body: &[u8], patience: Duration, wanted: &Wanted) -
         drop(stdin.write_all(body));
     }
     match ended(&mut child, patience, wanted) {
-        Some(status) if status.success() => Ok(format!("{shown} ended well")),
-        Some(status) => Err(refused(format!("{shown} ended with {status}; run it by hand with the same words"))),
-        None => Err(refused(format!("{shown} did not end within {} s and was killed", patience.as_secs()))),
+        Some(status) if status.success() => Ok(format!("{shown} succeeded")),
+        Some(status) => Err(refused(format!("{shown} failed with {status}; run it by hand with the same arguments"))),
+        None => Err(refused(format!("{shown} did not finish within {} s and was killed", patience.as_secs()))),
     }
 }
 
 fn begun(command: &mut Command, wanted: &Wanted, shown: &str) -> Result<Child, Failure> {
     let mut state = wanted.state();
     if *state == State::Over {
-        return Err(refused(format!("{shown} was not started: nobody waits for it any more")));
+        return Err(refused(format!("{shown} was not started: nobody is waiting for it any more")));
     }
     let child = command.spawn().map_err(|error| {
-        let text = format!("{shown} cannot be started: {error}; see alerts.command");
+        let text = format!("{shown} cannot be started: {error}; check alerts.command");
         Failure::new(ErrorKind::Unreachable, text)
     })?;
     *state = State::Runs(Pid::from_child(&child));

@@ -108,7 +108,7 @@ impl Carrier {
         let _waiting = Waiting(Arc::clone(&wanted));
         let run = move || command::run(&words, &body, command::PATIENCE, &wanted);
         let ran = tokio::task::spawn_blocking(run).await;
-        ran.unwrap_or_else(|_| Err(internal("the task that runs alerts.command failed; it is tried again")))
+        ran.unwrap_or_else(|_| Err(internal("the task that runs alerts.command failed; retrying")))
     }
 }
 

@@ -90,11 +90,11 @@ impl Judge {
         judged.extend(self.clock(figures));
         judged.extend(self.ending_grants(figures));
         judged.extend(self.audit(figures, settled));
-        let text = "The chain cannot be reached, or a lane of transactions stands still: nothing is anchored, nothing \
-                    is lost. See `authros status`.";
+        let text = "The chain is unreachable or a transaction lane is stuck: nothing is being anchored, nothing is \
+                    lost. See `authros status`.";
         judged.extend(part(figures, "chain", text));
-        let text = "The vault does not take records, or lacks some of them; what was captured waits on disk. See \
-                    `authros status` and `authros audit`.";
+        let text = "The vault is not accepting records, or some are missing from it; captured records wait on disk. \
+                    See `authros status` and `authros audit`.";
         judged.extend(part(figures, "vault", text));
         judged
     }
@@ -108,7 +108,7 @@ impl Judge {
             severity: Severity::Warning,
             level: aged(silent, limit, settled),
             text: format!(
-                "Nothing has come from robot {} for {}; look at its agent, its network and its clock.",
+                "Nothing received from robot {} for {}; check its agent, its network and its clock.",
                 robot.robot,
                 words(silent)
             ),
@@ -124,7 +124,7 @@ impl Judge {
             severity: Severity::Critical,
             level: aged(waited, limit, settled),
             text: format!(
-                "The oldest record of account {} has waited {} for a block; nothing is lost. See `authros chain \
+                "The oldest record of account {} has been waiting {} for a block; nothing is lost. See `authros chain \
                  status`.",
                 owner.owner,
                 words(waited)
@@ -144,7 +144,7 @@ impl Judge {
         };
         let (free, reserve) = figures.disk.unwrap_or_default();
         let text = format!(
-            "{} MiB are free on the disk of the home; below {} MiB no record is acknowledged. Make room.",
+            "{} MiB are free on the home's disk; below {} MiB no record is acknowledged. Free some space.",
             free >> 20,
             reserve >> 20
         );
@@ -166,8 +166,8 @@ impl Judge {
             severity: Severity::Warning,
             level: if firing { Level::Firing } else { Level::Clear },
             text: format!(
-                "Messages are lost: {} became no record since this site was started, and {} losses are in no gap \
-                 record yet. See `authros status`.",
+                "Messages are being lost: {} since this site was started, and {} losses are not in a gap record yet. \
+                 See `authros status`.",
                 total.saturating_sub(losses.first),
                 figures.untold_gaps
             ),
@@ -183,7 +183,7 @@ impl Judge {
             severity: Severity::Warning,
             level: over(seconds, limit),
             text: format!(
-                "The clock of this machine is {seconds} s {way} the time that rights go by; look at its time service."
+                "This machine's clock is {seconds} s {way} the time used for grants and loans; check its time service."
             ),
         })
     }
@@ -204,11 +204,7 @@ impl Judge {
                 grant.owner,
                 grant.reader,
                 grant.ends,
-                if grant.given {
-                    "`authros grants extend` lets it go on"
-                } else {
-                    "only its owner can extend it, ask there"
-                }
+                if grant.given { "`authros grants extend` extends it" } else { "only its owner can extend it" }
             ),
         };
         going.map(judge).collect()
@@ -237,7 +233,7 @@ impl Judge {
             severity: Severity::Warning,
             level: aged(waited, limit, settled),
             text: format!(
-                "The oldest line of the audit log that no anchored head covers is {} old. See `authros chain status`.",
+                "The oldest audit log line not covered by an anchored head is {} old. See `authros chain status`.",
                 words(waited)
             ),
         })
@@ -250,15 +246,15 @@ fn records(owner: &OwnerFigures) -> [Judged; 2] {
     let (held, tampered) = (owner.life.quarantined, owner.life.tampered);
     let (severity, level) = (Severity::Warning, any(held));
     let text = format!(
-        "{held} messages for account {} are held back: their publisher is not a pinned one. Release or discard them; \
-         see `authros quarantine list`.",
+        "{held} messages for account {} are quarantined: their publisher is not pinned. Release or discard them; see \
+         `authros quarantine list`.",
         owner.owner
     );
     let held = Judged { key: format!("quarantine/{}", owner.owner), severity, level, text };
     let (severity, level) = (Severity::Critical, any(tampered));
     let text = format!(
-        "{tampered} records of account {} differ from what the chain holds. Run `authros audit`, and restore the vault \
-         from a backup.",
+        "{tampered} records of account {} do not match the chain. Run `authros audit`, and restore the vault from a \
+         backup.",
         owner.owner
     );
     [held, Judged { key: format!("tampered/{}", owner.owner), severity, level, text }]

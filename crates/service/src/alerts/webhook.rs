@@ -40,7 +40,7 @@ impl Webhook {
     /// # Errors
     /// A URL or a secret that cannot be used.
     pub fn new(url: &str, form: AlertForm, secret: Option<&Path>, roots: Option<&Path>) -> Result<Self, Failure> {
-        let unusable = || input("alerts.webhook is no address of a server; write http:// or https://HOST:PORT/PATH");
+        let unusable = || input("alerts.webhook is not a server address; use http:// or https://HOST:PORT/PATH");
         let mut url = reqwest::Url::parse(url).map_err(|_| unusable())?;
         if form == AlertForm::Alertmanager && !url.path().ends_with("/api/v2/alerts") {
             url.path_segments_mut().map_err(|()| unusable())?.pop_if_empty().extend(["api", "v2", "alerts"]);
@@ -48,7 +48,7 @@ impl Webhook {
         // Redirects are not followed: only the named server gets the alert.
         let client = reqwest::Client::builder().no_proxy().redirect(reqwest::redirect::Policy::none());
         let client = client.tls_built_in_root_certs(false);
-        let trusted = if url.scheme() == "https" { authorities(roots, "see alerts.roots")? } else { Vec::new() };
+        let trusted = if url.scheme() == "https" { authorities(roots, "check alerts.roots")? } else { Vec::new() };
         let client = trusted.into_iter().fold(client, reqwest::ClientBuilder::add_root_certificate);
         let client = client.timeout(PATIENCE).build().map_err(|_| unusable())?;
         let read = |path| private_file::read_private(path, LONGEST_SECRET);
@@ -78,7 +78,7 @@ impl Webhook {
         if status.is_success() {
             return Ok(told);
         }
-        Err(refused(format!("the webhook at {} answered {told}; see its log and alerts.secret", self.host())))
+        Err(refused(format!("the webhook at {} answered {told}; check its log and alerts.secret", self.host())))
     }
 
     fn host(&self) -> String {
@@ -88,14 +88,14 @@ impl Webhook {
 
     fn unreachable(&self, error: &reqwest::Error) -> Failure {
         let why = if error.is_timeout() { "no answer within 10 s".to_owned() } else { innermost(error) };
-        let (host, help) = (self.host(), "see whether it runs, and alerts.webhook");
-        Failure::new(ErrorKind::Unreachable, format!("the webhook at {host} is not reached: {why}; {help}"))
+        let (host, help) = (self.host(), "check that it is running, and alerts.webhook");
+        Failure::new(ErrorKind::Unreachable, format!("the webhook at {host} cannot be reached: {why}; {help}"))
     }
 }
 
 /// The authorities that this machine trusts.
 pub(crate) fn trusted() -> Result<Vec<reqwest::Certificate>, Failure> {
-    authorities(None, "see the machine's ca-certificates")
+    authorities(None, "check this machine's ca-certificates")
 }
 
 /// The trusted authorities: those in a file, or else those that this machine trusts.
@@ -103,13 +103,13 @@ fn authorities(file: Option<&Path>, help: &str) -> Result<Vec<reqwest::Certifica
     let named = std::env::var_os("SSL_CERT_FILE").map(PathBuf::from);
     let of_machine = || named.or_else(|| TRUSTED.iter().map(PathBuf::from).find(|path| path.is_file()));
     let path = file.map(Path::to_owned).or_else(of_machine).ok_or_else(|| {
-        input(format!("this machine names no authorities for https; install ca-certificates; {help}"))
+        input(format!("this machine has no certificate authorities for https; install ca-certificates; {help}"))
     })?;
     let shown = clean(&path.display().to_string(), 200);
     let unusable = |why: String| input(format!("{shown} cannot be used for https: {why}; {help}"));
     let bytes = std::fs::read(&path).map_err(|error| unusable(error.to_string()))?;
     let found = reqwest::Certificate::from_pem_bundle(&bytes).map_err(|error| unusable(innermost(&error)))?;
-    if found.is_empty() { Err(unusable("it holds no certificate in PEM".to_owned())) } else { Ok(found) }
+    if found.is_empty() { Err(unusable("it contains no PEM certificate".to_owned())) } else { Ok(found) }
 }
 
 /// The root cause; it does not contain the URL.

@@ -104,7 +104,7 @@ fn one_of<T: Copy>(
     let all: Vec<T> = all.into_iter().collect();
     all.iter().find(|one| word(**one) == text).copied().ok_or_else(|| {
         let words: Vec<&str> = all.iter().map(|one| word(*one)).collect();
-        input(format!("'{}' is no {what}; it is one of {}", clean(text, 40), words.join(", ")))
+        input(format!("'{}' is not a {what}; choose one of {}", clean(text, 40), words.join(", ")))
     })
 }
 
@@ -119,7 +119,7 @@ pub fn tag(text: &str) -> Result<(String, String), Failure> {
     match text.split_once('=') {
         Some((key, value)) if usable(key) && value.len() <= 1024 => Ok((key.to_owned(), value.to_owned())),
         _ => Err(input(format!(
-            "'{}' is not a tag; write key=value, the key of letters, digits, - and _",
+            "'{}' is not a tag; use key=value, with letters, digits, - and _ in the key",
             clean(text, 60)
         ))),
     }
@@ -131,7 +131,7 @@ pub fn tag(text: &str) -> Result<(String, String), Failure> {
 /// Kind `Input`: how to write it.
 pub fn moment(text: &str) -> Result<Timestamp, Failure> {
     serde_json::from_value(serde_json::Value::String(text.to_owned()))
-        .map_err(|_| input(format!("'{}' is not a time; write it as 2026-11-21T08:30:00Z", clean(text, 40))))
+        .map_err(|_| input(format!("'{}' is not a time; use the form 2026-11-21T08:30:00Z", clean(text, 40))))
 }
 
 /// A moment in the past: a time, the beginning of a day (UTC), or a duration before `now`.
@@ -143,8 +143,8 @@ pub fn past(text: &str, now: Timestamp) -> Result<Timestamp, Failure> {
         return Ok(moment);
     }
     let length = positive_span(text).map_err(|_| {
-        let forms = "2026-11-21T08:30:00Z, 2026-11-21, or a number and ms, s, m, h, d or w: so long ago";
-        input(format!("'{}' is not a time; write it as {forms}", clean(text, 40)))
+        let forms = "2026-11-21T08:30:00Z, 2026-11-21, or a duration ago such as 10m, 12h or 2d";
+        input(format!("'{}' is not a time; use {forms}", clean(text, 40)))
     })?;
     Ok(Timestamp(now.0.saturating_sub(u64::try_from(length.as_nanos()).unwrap_or(u64::MAX))))
 }

@@ -36,7 +36,7 @@ impl Pace {
     pub fn times(factor: f64) -> Result<Self, String> {
         if !RATES.contains(&factor) {
             let (slowest, fastest) = (RATES.start(), RATES.end());
-            return Err(format!("{factor} is no rate to play at; use a number from {slowest} to {fastest}"));
+            return Err(format!("{factor} is not a playback rate; use a number from {slowest} to {fastest}"));
         }
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "within RATES")]
         let thousandths = (factor * 1000.0).round() as u64;
@@ -57,7 +57,7 @@ impl FromStr for Remap {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let wrong = || format!("'{}' is no remapping; write /captured/name:=/played/name", clean(text, 120));
+        let wrong = || format!("'{}' is not a remapping; use /captured/name:=/played/name", clean(text, 120));
         let (from, to) = text.split_once(":=").ok_or_else(wrong)?;
         Ok(Self { from: from.parse().map_err(|_| wrong())?, to: to.parse().map_err(|_| wrong())? })
     }

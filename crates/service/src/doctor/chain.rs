@@ -15,7 +15,7 @@ const FAR_AHEAD: u64 = 120;
 pub(super) async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &mut Sheet) {
     let pinned = match pin(home) {
         Ok(pinned) => pinned,
-        Err(reason) => return sheet.fail("chain", &reason, "restore chain-pin.json from a back-up"),
+        Err(reason) => return sheet.fail("chain", &reason, "restore chain-pin.json from a backup"),
     };
     if let Some(site) = &config.site {
         return remote(&site.address, sheet).await;
@@ -23,18 +23,18 @@ pub(super) async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &
     let (endpoint, name) = match &config.chain_url {
         Some(url) => (Endpoint::Node { url: url.clone() }, without_password(url)),
         None if site_runs => {
-            sheet.ok("chain", "embedded; the running site has it open");
+            sheet.ok("chain", "embedded; in use by the running site");
             return if pinned.is_some() {
                 who_seals(&SealedBy::embedded(), sheet)
             };
         }
         None if !home.chain().join("chain.db").exists() => {
             return match pinned {
-                None => sheet.ok("chain", "embedded; begins with the first registration"),
+                None => sheet.ok("chain", "embedded; created with the first registration"),
                 Some(_) => sheet.fail(
                     "chain",
-                    "the embedded chain that this home is pinned to is gone",
-                    "restore it: authros restore FILE, or begin a new one: authros chain adopt",
+                    "the embedded chain that this home is pinned to is missing",
+                    "restore it with `authros restore FILE`, or start a new one with `authros chain adopt`",
                 ),
             };
         }
@@ -49,7 +49,7 @@ pub(super) async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &
         Ok(chain) => answered(&chain, &name, has_pin, sheet).await,
         Err(error) => {
             let text = error.to_string();
-            let (text, advice) = text.split_once(';').unwrap_or((&text, "start the node, or correct chain.url"));
+            let (text, advice) = text.split_once(';').unwrap_or((&text, "start the node or correct chain.url"));
             sheet.fail("chain", text.trim(), advice.trim());
         }
     }
@@ -58,43 +58,43 @@ pub(super) async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &
 async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
     let head = match chain.head().await {
         Ok(head) => head,
-        Err(error) => return sheet.fail("chain", &error.to_string(), "look at the node"),
+        Err(error) => return sheet.fail("chain", &error.to_string(), "check the node"),
     };
     sheet.ok("chain", &format!("{name}, chain id {}, block {}", chain.chain_id(), head.number));
     match chain.pin() {
         Some(pin) if has_pin => {
             let revision = chain.revision().map_or_else(|_| "unknown".to_owned(), |revision| revision.to_string());
             let (contract, hash) = (pin.contract, pin.code_hash);
-            sheet.ok("contract", &format!("{contract}, revision {revision}, its code has the pinned hash {hash}"));
+            sheet.ok("contract", &format!("{contract}, revision {revision}, its code matches the pinned hash {hash}"));
         }
-        Some(pin) => sheet.ok("contract", &format!("{}, its code is this program's", pin.contract)),
-        None => sheet.ok("contract", "none yet; `authros register` or `authros chain deploy` puts it there"),
+        Some(pin) => sheet.ok("contract", &format!("{}, its code matches this program", pin.contract)),
+        None => sheet.ok("contract", "none yet; deploy it with `authros register` or `authros chain deploy`"),
     }
     if has_pin && let Ok(sealed_by) = chain.sealed_by().await {
         who_seals(&sealed_by, sheet);
     }
     let now = Timestamp::now().seconds();
     let ahead = head.timestamp.saturating_sub(now);
-    let advice = "set this machine's clock (timedatectl set-ntp true), or that of the chain's sealers";
-    let text = format!("the newest block is {ahead} s in this clock's future");
+    let advice = "correct this machine's clock (timedatectl set-ntp true) or that of the chain's sealers";
+    let text = format!("the newest block is {ahead} s ahead of this machine's clock");
     if ahead >= FAR_AHEAD {
         sheet.fail("clock", &text, advice);
     } else if ahead >= AHEAD {
         sheet.warn("clock", &text, advice);
     } else {
         let age = now.saturating_sub(head.timestamp);
-        sheet.ok("clock", &format!("the newest block is {age} s old by this clock, none is in its future"));
+        sheet.ok("clock", &format!("the newest block is {age} s old by this machine's clock; none is in the future"));
     }
 }
 
 /// Records are anchored on it: whether that holds against its operator, too.
 fn who_seals(sealed_by: &SealedBy, sheet: &mut Sheet) {
     if sealed_by.alone {
-        let text = format!("records are anchored on a chain that one alone seals: {}", sealed_by.text);
+        let text = format!("records are anchored on a chain sealed by a single party: {}", sealed_by.text);
         sheet.warn(
             "sealers",
             &text,
-            "where that is not enough as evidence, set chain.url to a chain that several seal",
+            "if that is not sufficient evidence, set chain.url to a chain sealed by several parties",
         );
     } else {
         sheet.ok("sealers", &sealed_by.text);
@@ -106,11 +106,11 @@ async fn remote(address: &str, sheet: &mut Sheet) {
     match tokio::time::timeout(patience, tokio::net::TcpStream::connect(address)).await {
         Ok(Ok(_)) => sheet.ok("chain", &format!("through the gateway at {address}, which answers")),
         Ok(Err(error)) => {
-            sheet.fail("chain", &format!("the gateway at {address}: {error}"), "start it, or correct site.address");
+            sheet.fail("chain", &format!("the gateway at {address}: {error}"), "start it or correct site.address");
         }
         Err(_) => {
             let text = format!("the gateway at {address} does not answer within {} s", patience.as_secs());
-            sheet.fail("chain", &text, "start it, or correct site.address");
+            sheet.fail("chain", &text, "start it or correct site.address");
         }
     }
 }

@@ -16,7 +16,7 @@ const FULL: u64 = 32 << 20;
 pub(super) fn home(home: &Home, sheet: &mut Sheet) {
     let root = home.root();
     if !root.exists() {
-        return sheet.ok("home", &format!("{} is not there yet; the first command makes it", root.display()));
+        return sheet.ok("home", &format!("{} does not exist yet; it is created on first use", root.display()));
     }
     if let Err(error) = files::private_directory(root) {
         return sheet.fail("home", &error.to_string(), "make it writable for this user, or choose another --home");
@@ -24,10 +24,10 @@ pub(super) fn home(home: &Home, sheet: &mut Sheet) {
     let (mut open, mut looked) = (Vec::new(), 0);
     look_at_modes(root, &mut open, &mut looked, 0);
     match open.first() {
-        None => sheet.ok("home", &format!("{} and {looked} files and directories in it are private", root.display())),
+        None => sheet.ok("home", &format!("{} and its {looked} files and directories are private", root.display())),
         Some(first) => {
             let advice = format!("chmod -R go= '{}'", root.display());
-            sheet.fail("home", &format!("{} of {looked} are open to others; {first}", open.len()), &advice);
+            sheet.fail("home", &format!("{} of {looked} are accessible to others; {first}", open.len()), &advice);
         }
     }
 }
@@ -64,7 +64,7 @@ pub(super) fn keys(home: &Home, sheet: &mut Sheet) {
         match read_public(&home.keyring(&profile)) {
             Ok(public) => sheet.ok(&name, &format!("account {}", public.address)),
             Err(error) => {
-                sheet.fail(&name, &error.to_string(), "restore the keyring from a back-up: authros restore FILE");
+                sheet.fail(&name, &error.to_string(), "restore the keyring from a backup: authros restore FILE");
             }
         }
     }
@@ -78,12 +78,12 @@ pub(super) fn ledger(home: &Home, sheet: &mut Sheet) {
 /// Whether a database is well-formed.
 pub(super) fn database(name: &str, path: &Path, sheet: &mut Sheet) {
     if !path.exists() {
-        return sheet.ok(name, &format!("{} is not there yet", path.display()));
+        return sheet.ok(name, &format!("{} does not exist yet", path.display()));
     }
     match snapshot::examine(path) {
         Ok(bytes) => sheet.ok(name, &format!("{} is well-formed, {bytes} bytes", path.display())),
         Err(error) => {
-            let advice = "keep a copy of the home, then restore the last back-up: authros restore FILE";
+            let advice = "keep a copy of the home, then restore the last backup: authros restore FILE";
             sheet.fail(name, &error.to_string(), advice);
         }
     }
@@ -107,6 +107,6 @@ pub(super) fn disk(home: &Home, sheet: &mut Sheet) {
                 _ => sheet.ok("disk", &text),
             }
         }
-        Err(error) => sheet.warn("disk", &format!("{}: {error}", place.display()), "look at `df`"),
+        Err(error) => sheet.warn("disk", &format!("{}: {error}", place.display()), "check with `df`"),
     }
 }

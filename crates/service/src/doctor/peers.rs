@@ -22,7 +22,7 @@ pub(super) fn vault(home: &Home, config: &Config, sheet: &mut Sheet) {
     match policy::examine(Some(url)) {
         Ok(findings) => {
             if findings.is_empty() {
-                let text = format!("{} answers, evicts nothing and keeps an append-only file", without_password(url));
+                let text = format!("{} answers, does not evict and has an append-only file", without_password(url));
                 sheet.ok("vault", &text);
             }
             for finding in findings {
@@ -35,7 +35,7 @@ pub(super) fn vault(home: &Home, config: &Config, sheet: &mut Sheet) {
         }
         Err(error) => {
             let text = error.to_string();
-            let (text, advice) = text.split_once(';').unwrap_or((&text, "start it, or correct vault.url"));
+            let (text, advice) = text.split_once(';').unwrap_or((&text, "start it or correct vault.url"));
             sheet.fail("vault", text.trim(), advice.trim());
         }
     }
@@ -54,18 +54,20 @@ pub(super) fn second(config: &Config, sheet: &mut Sheet) {
     let Some(domain) = config.ros_domain.filter(|_| config.site.is_none()) else { return };
     let capture = match Ros2Capture::start(domain, config.ros2_program.as_deref(), Arc::new(Nobody)) {
         Ok(capture) => capture,
-        Err(error) => return sheet.fail("ros 2", &error.to_string(), "install it, or take ros.domain out"),
+        Err(error) => return sheet.fail("ros 2", &error.to_string(), "install it, or clear ros.domain"),
     };
     let begun = Instant::now();
     while begun.elapsed() < LOOK && capture.standing().reading == Reading::Looking {
         std::thread::sleep(TICK);
     }
     let standing = capture.standing();
-    let advice = "start a robot there; on it unset FASTDDS_BUILTIN_TRANSPORTS and ROS_DISCOVERY_SERVER, use UDP, and see \
-                  docs/ros2.md";
+    let advice = "start a robot there; on the robot, unset FASTDDS_BUILTIN_TRANSPORTS and ROS_DISCOVERY_SERVER and use \
+                  UDP; see docs/ros2.md";
     match &standing.reading {
-        Reading::Down { reason } => sheet.fail("ros 2", &standing.text(), &format!("look at what it says: {reason}")),
-        Reading::Looking => sheet.fail("ros 2", &standing.text(), "the program that reads it says nothing; try again"),
+        Reading::Down { reason } => sheet.fail("ros 2", &standing.text(), &format!("fix what it reports: {reason}")),
+        Reading::Looking => {
+            sheet.fail("ros 2", &standing.text(), "the program that reads it does not respond; try again")
+        }
         Reading::Up if standing.is_empty() => sheet.warn("ros 2", &standing.text(), advice),
         Reading::Up => sheet.ok("ros 2", &standing.text()),
     }
@@ -74,10 +76,10 @@ pub(super) fn second(config: &Config, sheet: &mut Sheet) {
 /// The master, this machine's name and the host names given by publishers.
 pub(super) fn ros(config: &Config, sheet: &mut Sheet) {
     if config.site.is_some() {
-        return sheet.ok("ros", "is where the gateway is");
+        return sheet.ok("ros", "is at the gateway");
     }
     let Some(master) = &config.ros_master else {
-        return sheet.ok("ros", "embedded master, starts with the site");
+        return sheet.ok("ros", "embedded master, started with the site");
     };
     let shown = without_password(master);
     let graph = match Graph::new(master, "/authros_doctor") {
@@ -86,25 +88,26 @@ pub(super) fn ros(config: &Config, sheet: &mut Sheet) {
     };
     match graph.ping() {
         Ok(()) => sheet.ok("ros", &format!("the master at {shown} answers")),
-        Err(error) => return sheet.fail("ros", &error.to_string(), "start roscore, or correct ros.master"),
+        Err(error) => return sheet.fail("ros", &error.to_string(), "start roscore or correct ros.master"),
     }
     match graph.own_name(config.ros_host.as_deref()) {
-        Ok(host) => sheet.ok("ros host", &format!("other nodes are told to find this machine as {host}")),
+        Ok(host) => sheet.ok("ros host", &format!("this machine announces itself to other nodes as {host}")),
         Err((host, reason)) => {
-            let advice = "set ROS_HOSTNAME (or ros.host) to a name or address by which robots reach this machine";
+            let advice = "set ROS_HOSTNAME (or ros.host) to a name or address at which robots can reach this machine";
             sheet.fail("ros host", &format!("{host} {reason}"), advice);
         }
     }
     match graph.unreached() {
         Ok((tried, unreached)) if unreached.is_empty() => {
-            sheet.ok("ros nodes", &format!("all {tried} publishers answer at the addresses they gave"));
+            sheet.ok("ros nodes", &format!("all {tried} publishers answer at the addresses they announced"));
         }
         Ok((tried, unreached)) => {
             let one = |node: &crate::ros::graph::Unreached| format!("{} at {}: {}", node.node, node.place, node.reason);
             let texts: Vec<String> = unreached.iter().map(one).collect();
-            let advice = "on that machine set ROS_HOSTNAME or ROS_IP to what resolves here, or remove the dead node: rosnode cleanup";
+            let advice = "on that machine, set ROS_HOSTNAME or ROS_IP to something that resolves here, or remove the \
+                          dead node with rosnode cleanup";
             sheet.warn("ros nodes", &format!("{} of {tried}: {}", unreached.len(), texts.join("; ")), advice);
         }
-        Err(error) => sheet.warn("ros nodes", &error.to_string(), "look at `rosnode list`"),
+        Err(error) => sheet.warn("ros nodes", &error.to_string(), "check with `rosnode list`"),
     }
 }

@@ -14,9 +14,8 @@ pub(super) fn look(home: &Home, sheet: &mut Sheet) {
     }
     let kept = SealedEnrolment::kept_in(home.root());
     if version_of(&kept) == Some(1) {
-        let text =
-            "the robot of this home was enrolled by an earlier version: its enrolment holds the index key of its owner";
-        sheet.warn("enrolment", text, "have its owner enrol it again with --topic, then use a new --home for it");
+        let text = "this home's robot was enrolled by an earlier version: its enrolment contains its owner's index key";
+        sheet.warn("enrolment", text, "ask its owner to enrol it again with --topic, then use a new --home for it");
     }
 }
 
@@ -31,14 +30,14 @@ fn enrolled(home: &Home, sheet: &mut Sheet) {
         return;
     }
     let text = format!(
-        "enrolled by an earlier version, with the index key in their files: {}; they go on, but who steals one goes on \
-         recognising your topics, types and tags",
+        "enrolled by an earlier version, with the index key in their files: {}; they keep working, but anyone who \
+         steals one can keep recognising your topics, types and tags",
         elder.join(", ")
     );
     sheet.warn(
         "robots",
         &text,
-        "enrol them again: authros agent enrol --topic ..., then authros devices recall the old one",
+        "enrol them again with authros agent enrol --topic ..., then recall the old ones with authros devices recall",
     );
 }
 
@@ -67,7 +66,7 @@ mod tests {
         look(&home, &mut sheet);
         let [found] = &sheet.checks[..] else { panic!("one line: {:?}", sheet.checks) };
         assert_eq!((found.name.as_str(), found.status), ("robots", CheckStatus::Warn));
-        assert!(found.detail.contains("in their files: scout-1; they go on"), "{}", found.detail);
+        assert!(found.detail.contains("in their files: scout-1; they keep working"), "{}", found.detail);
         assert!(found.advice.contains("agent enrol") && found.advice.contains("devices recall"), "{}", found.advice);
 
         // On the robot itself: its enrolment states its version in clear.

@@ -91,27 +91,27 @@ fn records(text: &mut Text, figures: &Figures) {
     let of = |text: &mut Text, name: &str, row: &OwnerFigures, value: u64| {
         text.value(name, &[("owner", &row.owner)], value);
     };
-    let help = "Messages taken in, those included that were then dropped.";
+    let help = "Messages captured, including those dropped later.";
     text.family(("authros_records_captured_total", "counter", help), owners, |text, name, row| {
         of(text, name, row, row.life.captured);
     });
-    let help = "Data records by where they stand; together they are authros_records_captured_total.";
+    let help = "Data records by state; their sum is authros_records_captured_total.";
     text.family(("authros_records", "gauge", help), owners, |text, name, row| {
         for (state, count) in terms(&row.life) {
             text.value(name, &[("owner", &row.owner), ("state", state)], count);
         }
     });
-    let help = "1 where captured equals the sum of all states, in all and for each topic; else 0.";
+    let help = "1 if captured equals the sum of all states, overall and per topic; otherwise 0.";
     text.family(("authros_records_conserved", "gauge", help), owners, |text, name, row| {
         of(text, name, row, u64::from(row.life.conserved));
     });
-    let help = "Messages that became no record: transport (never arrived), recorder (no room, or no key).";
+    let help = "Messages that did not become records: transport (never arrived), recorder (no room or no key).";
     text.family(("authros_losses_total", "counter", help), owners, |text, name, row| {
         for (place, count) in [("transport", row.life.lost_in_transport), ("recorder", row.life.lost_in_recorder)] {
             text.value(name, &[("owner", &row.owner), ("place", place)], count);
         }
     });
-    let help = "Records that the operator discarded out of quarantine.";
+    let help = "Quarantined records that the operator discarded.";
     text.family(("authros_records_discarded_total", "counter", help), owners, |text, name, row| {
         of(text, name, row, row.life.discarded);
     });
@@ -120,7 +120,7 @@ fn records(text: &mut Text, figures: &Figures) {
 fn topics(text: &mut Text, figures: &Figures) {
     let rows: Vec<_> =
         figures.owners.iter().flat_map(|owner| owner.topics.iter().map(move |topic| (&owner.owner, topic))).collect();
-    let help = "Messages of a topic that were taken in.";
+    let help = "Messages of a topic that were captured.";
     text.family(("authros_topic_captured_total", "counter", help), &rows, |text, name, (owner, row)| {
         text.value(name, &[("owner", owner), ("topic", &row.topic)], row.captured);
     });
@@ -136,7 +136,7 @@ fn topics(text: &mut Text, figures: &Figures) {
 
 fn ages(text: &mut Text, figures: &Figures) {
     let age = |moment: Option<Timestamp>| moment.map_or(0.0, |moment| figures.age(moment));
-    let help = "Age of the oldest record that is in no block; 0 where all are.";
+    let help = "Age of the oldest record not yet in a block; 0 if all are.";
     text.family(("authros_oldest_unanchored_age_seconds", "gauge", help), &figures.owners, |text, name, row| {
         text.value(name, &[("owner", &row.owner)], age(row.oldest_unanchored));
     });
@@ -144,30 +144,39 @@ fn ages(text: &mut Text, figures: &Figures) {
     text.family(("authros_robot_last_seen_age_seconds", "gauge", help), &figures.robots, |text, name, row| {
         text.value(name, &[("robot", &row.robot)], figures.age(row.last_seen));
     });
-    let help =
-        "Time until a grant ends; of those given and of those received from contacts the 64 that end first each.";
+    let help = "Time until a grant ends; the first 64 to end of those given, and of those received from contacts.";
     let grants = figures.grants.as_deref().unwrap_or_default();
     text.family(("authros_grant_ends_seconds", "gauge", help), grants, |text, name, row| {
         text.value(name, &[("owner", &row.owner), ("reader", &row.reader)], figures.until(row.ends));
     });
-    let help = "Age of the oldest line of the audit log that no anchored head covers; 0 where all are covered.";
+    let help = "Age of the oldest audit log line not covered by an anchored head; 0 if all are covered.";
     text.single("authros_audit_unanchored_age_seconds", "gauge", help, age(figures.audit_unanchored));
     text.single("authros_audit_lines_total", "counter", "Lines of the audit log.", figures.audit_lines);
 }
 
 fn line(text: &mut Text, figures: &Figures) {
     let (queue, (records, bytes)) = (&figures.queue, figures.backlog);
-    text.single("authros_queue_messages", "gauge", "Messages in memory that wait to be sealed.", queue.messages);
-    text.single("authros_queue_bytes", "gauge", "Bytes of the messages that wait to be sealed.", queue.bytes);
-    text.single("authros_queue_capacity_bytes", "gauge", "The most bytes that may wait.", queue.capacity);
-    text.single("authros_vault_backlog_records", "gauge", "Sealed records that wait for the vault.", records);
-    text.single("authros_vault_backlog_bytes", "gauge", "Bytes of sealed records that wait for the vault.", bytes);
-    text.single("authros_gaps_untold", "gauge", "Losses that no gap record tells of yet.", figures.untold_gaps);
+    text.single("authros_queue_messages", "gauge", "Messages in memory waiting to be sealed.", queue.messages);
+    text.single("authros_queue_bytes", "gauge", "Bytes of messages waiting to be sealed.", queue.bytes);
+    text.single(
+        "authros_queue_capacity_bytes",
+        "gauge",
+        "Limit for bytes of messages waiting to be sealed.",
+        queue.capacity,
+    );
+    text.single("authros_vault_backlog_records", "gauge", "Sealed records waiting for the vault.", records);
+    text.single("authros_vault_backlog_bytes", "gauge", "Bytes of sealed records waiting for the vault.", bytes);
+    text.single("authros_gaps_untold", "gauge", "Losses not yet reported in a gap record.", figures.untold_gaps);
     if let Some((free, reserve)) = figures.disk {
         text.single("authros_disk_free_bytes", "gauge", "Free space on the disk of the home.", free);
-        text.single("authros_disk_reserve_bytes", "gauge", "Space below which no record is acknowledged.", reserve);
+        text.single(
+            "authros_disk_reserve_bytes",
+            "gauge",
+            "Free space below which no record is acknowledged.",
+            reserve,
+        );
     }
-    let help = "Time that a stage of the line was at work.";
+    let help = "Time that a pipeline stage spent working.";
     text.family(
         ("authros_stage_busy_seconds_total", "counter", help),
         &figures.busy,
@@ -183,28 +192,29 @@ fn chain(text: &mut Text, figures: &Figures) {
         let help = "Time since the newest block, by that block's own time.";
         text.single("authros_last_block_age_seconds", "gauge", help, figures.age(time));
     }
-    let help = "Transactions of a lane that are in no block.";
+    let help = "Transactions of a lane that are not in a block yet.";
     text.family(("authros_lane_open_transactions", "gauge", help), &figures.lanes, |text, name, row| {
         text.value(name, &[("account", &row.account)], row.open);
     });
-    let help = "Age of a lane's oldest open transaction; 0 where none is open.";
+    let help = "Age of a lane's oldest open transaction; 0 if there is none.";
     text.family(("authros_lane_oldest_age_seconds", "gauge", help), &figures.lanes, |text, name, row| {
         text.value(name, &[("account", &row.account)], row.oldest.map_or(0.0, |oldest| figures.age(oldest)));
     });
-    let help = "1 where a lane stands still until somebody helps; else 0.";
+    let help = "1 if a lane is stuck until somebody intervenes; otherwise 0.";
     text.family(("authros_lane_paused", "gauge", help), &figures.lanes, |text, name, row| {
         text.value(name, &[("account", &row.account)], u8::from(row.paused));
     });
 }
 
 fn health(text: &mut Text, figures: &Figures) {
-    let help = "1 where a part of the site works; 0 where it is starting, tried again, or has failed.";
+    let help = "1 if a part of the site works; 0 if it is starting, retrying, or has failed.";
     text.family(("authros_part_up", "gauge", help), &figures.parts, |text, name, row| {
         text.value(name, &[("part", &row.part)], u8::from(row.well));
     });
-    let help = "Seconds that the machine's clock is ahead of the time that rights go by; negative where it is behind.";
+    let help = "Seconds by which the machine's clock is ahead of the time used for grants and loans; negative if it is \
+                behind.";
     text.single("authros_clock_ahead_seconds", "gauge", help, figures.clock_ahead);
-    text.begin("authros_tasks", "gauge", "Background tasks by how they are.");
+    text.begin("authros_tasks", "gauge", "Background tasks by state.");
     let resting = figures.resting();
     text.value("authros_tasks", &[("state", "running")], figures.tasks.len() - resting);
     text.value("authros_tasks", &[("state", "resting")], resting);
@@ -219,18 +229,13 @@ fn health(text: &mut Text, figures: &Figures) {
             },
         );
     }
-    let help = "Alerts of the site itself that stand, by rule.";
+    let help = "Active alerts of the site itself, by rule.";
     text.family(("authros_alerts", "gauge", help), &figures.alerts, |text, name, (rule, count)| {
         text.value(name, &[("rule", rule)], count);
     });
     let (waiting, dropped) = figures.deliveries;
-    text.single(
-        "authros_alert_deliveries_waiting",
-        "gauge",
-        "Deliveries of alerts that wait for their place.",
-        waiting,
-    );
-    let help = "Deliveries of alerts that found no room and that no delivery has told of yet.";
+    text.single("authros_alert_deliveries_waiting", "gauge", "Alert deliveries that are queued.", waiting);
+    let help = "Alert deliveries dropped because the queue was full, and not yet reported by another delivery.";
     text.single("authros_alert_deliveries_dropped", "gauge", help, dropped);
 }
 

@@ -33,7 +33,7 @@ where
     let message = match judge(&head, any_host) {
         Asked::Figures => match figures().await {
             Some(text) => message("200 OK", super::exposition::CONTENT_TYPE, &text),
-            None => refusal("503 Service Unavailable", "the ledger cannot be read now; ask again"),
+            None => refusal("503 Service Unavailable", "the ledger cannot be read at the moment; try again"),
         },
         Asked::Refused(status, why) => refusal(status, why),
     };
@@ -74,10 +74,10 @@ pub fn judge(head: &[u8], any_host: bool) -> Asked {
         return Refused("400 Bad Request", "the request line is not METHOD TARGET HTTP/1.1");
     };
     if method != "GET" {
-        return Refused("405 Method Not Allowed", "figures are read by GET");
+        return Refused("405 Method Not Allowed", "use GET to read metrics");
     }
     if target.split('?').next() != Some("/metrics") {
-        return Refused("404 Not Found", "figures are at /metrics");
+        return Refused("404 Not Found", "metrics are at /metrics");
     }
     let headers: Vec<(String, &str)> = lines
         .take_while(|line| !line.is_empty())
@@ -87,7 +87,7 @@ pub fn judge(head: &[u8], any_host: bool) -> Asked {
     let of =
         |name: &str| headers.iter().filter(|(other, _)| other == name).map(|(_, value)| *value).collect::<Vec<_>>();
     if !of("origin").is_empty() {
-        return Refused("403 Forbidden", "pages in a browser are not served");
+        return Refused("403 Forbidden", "requests from web pages are refused");
     }
     // A name that an attacker's DNS points at this machine is still the attacker's name in Host.
     if !any_host && !matches!(of("host")[..], [host] if is_this_machine(host)) {

@@ -111,7 +111,7 @@ impl Agent {
     /// waited for.
     pub async fn start(site: &Arc<Site>, mut sealed: SealedEnrolment, wishes: AgentWishes) -> Result<Self, Failure> {
         if !site.plant.vault.durable() {
-            return Err(input("an agent keeps its outbox itself; leave --vault and vault.url out"));
+            return Err(input("an agent manages its own outbox; omit --vault and vault.url"));
         }
         let kept = SealedEnrolment::kept_in(site.parts.home.root());
         sealed.catch_up(&kept)?;
@@ -136,8 +136,8 @@ impl Agent {
             site.recorder.join(topic, &author, None, &session);
             if author.sealing().is_some_and(|keys| keys.topic(topic).is_none()) {
                 let text = format!(
-                    "there is no key for topic {topic}: its messages are refused and counted until the owner adds it with \
-                     `authros devices topics add {name} {topic}`"
+                    "there is no key for topic {topic}: its messages are dropped and counted until the owner adds it \
+                     with `authros devices topics add {name} {topic}`"
                 );
                 site.parts.hub.notice(NoticeLevel::Warning, &text);
             }
@@ -230,7 +230,7 @@ impl Agent {
             Ok(Some(_)) => self.site.parts.hub.stored.notify_waiters(),
             Ok(None) => {}
             Err(error) => {
-                let text = format!("the recorder's head is not stated: {error}");
+                let text = format!("the recorder's head could not be recorded: {error}");
                 self.site.parts.hub.notice(NoticeLevel::Error, &text);
             }
         }
@@ -258,8 +258,8 @@ impl Agent {
 
     fn warn_of_epoch(&self) {
         if self.author.sealing().is_none() {
-            let text = "the epoch that this robot seals under has ended and its owner has not sent the next key: \
-                        nothing is captured until the notice comes or the robot is enrolled again";
+            let text = "this robot's epoch has ended and its owner has not sent the next key: nothing is captured \
+                        until the notice arrives or the robot is enrolled again";
             self.site.parts.hub.alert(true, text.to_owned());
         }
     }
@@ -387,11 +387,11 @@ fn topics(enrolment: &Enrolment, asked: &[TopicName], ring: Option<&TopicPattern
     if topics.is_empty() && ring.is_none() {
         return Err(Failure::new(
             ErrorKind::Usage,
-            "name what to capture with --topic; this enrolment covers all topics",
+            "choose what to capture with --topic; this enrolment covers all topics",
         ));
     }
     if topics.iter().any(|topic| topic.parse::<TopicName>().is_err()) {
-        return Err(internal("the enrolment names a topic that is none; have its owner enrol the robot again"));
+        return Err(internal("the enrolment contains an invalid topic; ask its owner to enrol the robot again"));
     }
     Ok(topics)
 }

@@ -117,7 +117,7 @@ impl Alerts {
     }
 
     fn place(&self) -> Result<&AlertPlace, Failure> {
-        let nobody = "nobody is told of alerts, they are only shown; set alerts.webhook or alerts.command";
+        let nobody = "alerts are only shown, not sent; set alerts.webhook or alerts.command";
         self.settings.place.as_ref().ok_or_else(|| input(nobody))
     }
 
@@ -159,7 +159,7 @@ impl Alerts {
 
     /// All active alerts, and those that ended recently.
     fn view(&self) -> AlertsView {
-        let nobody = || "nobody; alerts.webhook or alerts.command names somebody".to_owned();
+        let nobody = || "nobody; set alerts.webhook or alerts.command".to_owned();
         let told = self.settings.place.as_ref().map_or_else(nobody, place_name);
         let (alerts, (waiting, dropped)) = self.with(|known| (known.standing.all(), known.queue.counts()));
         AlertsView { alerts, over: self.shown().1, told, waiting, dropped }
@@ -213,14 +213,14 @@ impl Site {
             let pause = match carried {
                 Ok(()) => {
                     if failures > 0 {
-                        self.parts.hub.notice_about(DELIVERY, NoticeLevel::Info, "alerts are delivered again");
+                        self.parts.hub.notice_about(DELIVERY, NoticeLevel::Info, "alert delivery works again");
                     }
                     failures = 0;
                     continue;
                 }
                 Err(failure) => {
                     if failures == 0 {
-                        let text = format!("an alert is not delivered, it waits and is tried again: {failure}");
+                        let text = format!("an alert could not be delivered and will be retried: {failure}");
                         self.parts.hub.notice_about(DELIVERY, NoticeLevel::Warning, &text);
                     }
                     failures += 1;
@@ -263,7 +263,7 @@ impl Site {
         let alert = AlertView {
             key: "test".to_owned(),
             severity: Severity::Warning,
-            text: "This is a test: somebody ran `authros alerts test`. Nothing is wrong.".to_owned(),
+            text: "This is a test alert from `authros alerts test`. Nothing is wrong.".to_owned(),
             site: owner.unwrap_or_default(),
             begun: Timestamp::now(),
         };

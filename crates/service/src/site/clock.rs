@@ -81,16 +81,16 @@ impl Clock {
     }
 
     async fn tell_jump(self: &Arc<Self>, jump: i64, doubted: i64) {
-        let text = format!("the clock of this machine jumped {}", span(jump));
+        let text = format!("this machine's clock jumped {}", span(jump));
         if doubted.abs() < SHORTEST {
-            let text = format!("{text}: it is right again; records stamped meanwhile keep the time they were given");
+            let text = format!("{text}: it is correct again; records captured meanwhile keep the time they were given");
             self.hub.notice_about(ABOUT, NoticeLevel::Info, &text);
         } else {
-            let order = if jump < 0 { "records are stamped earlier than those before them; " } else { "" };
+            let order = if jump < 0 { "new records are dated earlier than those before them; " } else { "" };
             let settling = SETTLING.as_secs();
             let text = format!(
-                "{text}: {order}rights and the embedded chain follow it once it has stood for {settling} s; set it \
-                 right if it is wrong (timedatectl set-ntp true)"
+                "{text}: {order}grants, loans and the embedded chain follow it once it has been stable for {settling} \
+                 s; correct it if it is wrong (timedatectl set-ntp true)"
             );
             self.hub.notice_about(ABOUT, NoticeLevel::Error, &text);
         }
@@ -100,11 +100,12 @@ impl Clock {
 
     async fn tell_belief(self: &Arc<Self>) {
         let text = format!(
-            "the new time of this machine's clock has stood for {} s: rights and the embedded chain go by it from now on",
+            "this machine's new clock time has been stable for {} s: grants, loans and the embedded chain use it from \
+             now on",
             SETTLING.as_secs()
         );
         self.hub.notice_about(ABOUT, NoticeLevel::Info, &text);
-        self.note_clock("the new time is gone by").await;
+        self.note_clock("the new time is now used").await;
         self.hub.changed(Part::Health);
         self.hub.changed(Part::Grants);
     }
@@ -115,8 +116,8 @@ impl Clock {
         let behind = newest.seconds().saturating_sub(look().machine.seconds());
         if i64::try_from(behind).is_ok_and(|behind| behind >= SHORTEST) {
             let text = format!(
-                "the clock of this machine is {behind} s behind the newest record: records are stamped earlier than \
-                 those before them; set it right (timedatectl set-ntp true)"
+                "this machine's clock is {behind} s behind the newest record: new records are dated earlier than those \
+                 before them; correct it (timedatectl set-ntp true)"
             );
             self.hub.notice_about(ABOUT, NoticeLevel::Error, &text);
             self.note_clock(&format!("{behind} s behind the newest record")).await;
@@ -138,9 +139,12 @@ impl Clock {
         let head = self.link.newest_head();
         let chain = head.map_or(0, |head| head.timestamp.saturating_sub(reading.steady.seconds()));
         let text = if reading.ahead().abs() >= SHORTEST {
-            format!("jumped {}, not followed until it has stood for {} s", span(reading.ahead()), SETTLING.as_secs())
+            format!("jumped {}, not used until it has been stable for {} s", span(reading.ahead()), SETTLING.as_secs())
         } else if chain > CHAIN_AHEAD {
-            format!("{chain} s behind the chain, by whose time rights begin and end; a grant must end after that")
+            format!(
+                "{chain} s behind the chain, whose time decides when grants and loans begin and end; a grant must end \
+                 after that"
+            )
         } else {
             return None;
         };

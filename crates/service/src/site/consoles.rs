@@ -66,7 +66,7 @@ impl Site {
             return Err(Failure::new(
                 ErrorKind::Home,
                 format!(
-                    "a console of profile '{profile}' is open already; close it, or open another profile with --profile"
+                    "a console of profile '{profile}' is already open; close it, or open another profile with --profile"
                 ),
             ));
         }
@@ -101,7 +101,7 @@ impl Site {
         }
         if let Err(failure) = self.profiles.lock(&profile).await {
             let text =
-                format!("the keyring of '{profile}' stays open, though its console has left: {}", failure.message);
+                format!("the keyring of '{profile}' stays open although its console has closed: {}", failure.message);
             self.parts.hub.notice(NoticeLevel::Warning, &text);
         }
     }

@@ -66,7 +66,7 @@ impl Site {
             if self.parts.life.is_stopping() {
                 return;
             }
-            let text = format!("figures cannot be read at {failed}; choose another metrics.listen, or free it");
+            let text = format!("metrics cannot be served at {failed}; choose another metrics.listen, or free it");
             self.parts.hub.notice(NoticeLevel::Error, &text);
             tokio::select! {
                 () = tokio::time::sleep(AGAIN) => {}

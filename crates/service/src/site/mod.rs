@@ -186,7 +186,7 @@ impl Site {
         let site = Arc::new(Self::assemble(parts, Arc::new(reserve), lock, needs)?);
         site.warn_of_policy();
         if let Err(error) = reserved {
-            let text = format!("no space could be set aside for a revoke on a full disk: {error}");
+            let text = format!("no space could be reserved for a revoke on a full disk: {error}");
             site.parts.hub.notice(super::event::NoticeLevel::Warning, &text);
         }
         workers::start(&site, needs, opened)?;
@@ -410,8 +410,8 @@ impl Site {
     fn tell_unstored(&self) {
         let (messages, _) = self.rings.depth();
         let text = format!(
-            "{messages} or more captured messages could not be stored before the end, they were never acknowledged; \
-             see to disk and vault before the next start"
+            "{messages} or more captured messages could not be stored before shutdown; they were never acknowledged; \
+             check disk and vault before the next start"
         );
         self.parts.hub.notice(super::event::NoticeLevel::Error, &text);
     }
@@ -424,5 +424,5 @@ pub(crate) async fn blocking<Whose: Send + Sync + 'static, Done: Send + 'static>
 ) -> Result<Done, Failure> {
     let part = Arc::clone(part);
     let joined = tokio::task::spawn_blocking(move || work(&part)).await;
-    joined.unwrap_or_else(|_| Err(internal("a background task of the site failed; please report what you did")))
+    joined.unwrap_or_else(|_| Err(internal("a background task of the site failed; please report this")))
 }

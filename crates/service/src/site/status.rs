@@ -55,7 +55,7 @@ impl Site {
 
     fn ros_health(&self) -> PartHealth {
         let (level, text) = match &*self.ros.state() {
-            RosState::Off => (HealthLevel::Absent, "not part of this run".to_owned()),
+            RosState::Off => (HealthLevel::Absent, "not running in this site".to_owned()),
             RosState::Starting => (HealthLevel::Waiting, "starting".to_owned()),
             RosState::Up(link) if link.embedded => {
                 (HealthLevel::Ok, format!("embedded master at {}, {} SIMULATED robots", link.uri, link.robots))
@@ -75,7 +75,7 @@ impl Site {
         };
         let silent = self.parts.link.is_silent();
         let (level, text) = match &*self.parts.link.state() {
-            NetworkState::Off => (HealthLevel::Absent, "not part of this run".to_owned()),
+            NetworkState::Off => (HealthLevel::Absent, "not running in this site".to_owned()),
             NetworkState::Connecting => (HealthLevel::Waiting, format!("connecting to {name}")),
             NetworkState::Bare(_) => (HealthLevel::Ok, format!("{name}, no contract yet")),
             NetworkState::Up(_) if silent => (HealthLevel::Waiting, format!("{name} does not answer, retry in 2 s")),
@@ -134,7 +134,7 @@ impl Site {
                 HealthLevel::Ok,
                 &format!("{}, fingerprint {}, anchors as {}", view.address, view.fingerprint, view.account),
             ),
-            None => part("gateway", HealthLevel::Absent, "not running; start one: authros gateway serve"),
+            None => part("gateway", HealthLevel::Absent, "not running; start one with authros gateway serve"),
         }
     }
 

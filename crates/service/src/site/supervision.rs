@@ -177,7 +177,7 @@ impl Supervisor {
         self.hub.notice(
             NoticeLevel::Error,
             &format!(
-                "the task '{}' of this site failed and is begun again in {:.1} s, nothing acknowledged is lost: {reason}",
+                "the task '{}' of this site failed and restarts in {:.1} s, nothing acknowledged is lost: {reason}",
                 task.name,
                 pause.as_secs_f32()
             ),
@@ -221,5 +221,5 @@ fn reason_of(error: tokio::task::JoinError) -> String {
 /// The message of a panic.
 fn words(panic: &(dyn std::any::Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
-    clean(text.unwrap_or("a fault of the program; please report it"), 200)
+    clean(text.unwrap_or("a bug in the program; please report it"), 200)
 }

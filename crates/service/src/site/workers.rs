@@ -132,7 +132,7 @@ async fn watch(site: Arc<Site>) {
             site.parts.link.answers(false);
             site.parts.hub.notice(
                 NoticeLevel::Error,
-                &format!("the chain does not answer; anchoring waits, nothing is lost: {problem}"),
+                &format!("the chain does not answer; anchoring is waiting, nothing is lost: {problem}"),
             );
             tokio::time::sleep(Duration::from_secs(2)).await;
         }
@@ -155,7 +155,7 @@ async fn verify(site: Arc<Site>) {
                     // If Redis fails now, its health shows it, and the one alert about it.
                     let is_told = matches!(&error, PipelineError::Store(error) if error.is_of_redis());
                     if !is_told {
-                        let text = format!("records cannot be verified now, they wait: {error}");
+                        let text = format!("records cannot be verified at the moment and are waiting: {error}");
                         site.parts.hub.notice(NoticeLevel::Error, &text);
                     }
                     tokio::time::sleep(Duration::from_secs(1)).await;
@@ -281,7 +281,7 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
             Err(error) => {
                 site.parts.hub.notice(
                     NoticeLevel::Error,
-                    &format!("records of {} wait to be anchored: {}", owner.profile, error.message),
+                    &format!("records of {} are waiting to be anchored: {}", owner.profile, error.message),
                 );
                 tokio::time::sleep(pause).await;
                 pause = (pause * 2).min(Duration::from_secs(5));

@@ -273,7 +273,7 @@ fn check_name(record: &NewRecord, name: &str) -> Result<(), StoreError> {
     if record.topic.is_empty() || record.topic == name {
         return Ok(());
     }
-    let detail = format!("topic id {} already stands for another topic", record.topic_id);
+    let detail = format!("topic id {} is already used for another topic", record.topic_id);
     Err(StoreError::Conflict { digest: record.digest, detail })
 }
 

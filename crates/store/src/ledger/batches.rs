@@ -310,7 +310,7 @@ pub(super) fn submit(
     account: Address,
 ) -> Result<(), StoreError> {
     let detail = |detail: &str| StoreError::Transaction { hash: transaction.to_hex(), detail: detail.to_owned() };
-    let key = key_of(connection, root)?.ok_or_else(|| detail("anchors a batch that the ledger does not hold"))?;
+    let key = key_of(connection, root)?.ok_or_else(|| detail("anchors a batch that is not in the ledger"))?;
     let taken = connection
         .prepare_cached("UPDATE batches SET tx = ?2, account = ?3 WHERE key = ?1 AND tx IS NULL")?
         .execute(params![key, transaction.0, account.0])?;

@@ -140,7 +140,7 @@ fn count_one(connection: &Connection, loss: &Loss) -> Result<(), StoreError> {
 }
 
 fn settle(connection: &Connection, gap: &GapRow, report: Digest) -> Result<(), StoreError> {
-    let not_open = || StoreError::NotReady { digest: report, found: "told of already" };
+    let not_open = || StoreError::NotReady { digest: report, found: "already reported" };
     let told = whole("count", gap.count)?;
     let (count, last_number, last_at): (i64, Option<u32>, i64) = connection
         .prepare_cached("SELECT count, last_number, last_at FROM gaps WHERE key = ?1 AND report IS NULL")?

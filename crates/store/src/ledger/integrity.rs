@@ -12,26 +12,26 @@ const RULES: [(&str, &str); 5] = [
         "SELECT count(*) FROM (SELECT stream, state, count(*) AS rows FROM records GROUP BY state, stream) found
          LEFT JOIN counters c ON c.stream = found.stream AND c.state = found.state
          WHERE coalesce(c.records, 0) <> found.rows",
-        "counts per state are not those of the records",
+        "counts per state do not match the records",
     ),
     (
         "SELECT count(*) FROM (SELECT stream, sum(records) AS rows FROM counters GROUP BY stream) held
          JOIN intake i ON i.stream = held.stream WHERE i.records <> held.rows",
-        "streams have fewer or more records than were taken in",
+        "streams have fewer or more records than were stored",
     ),
     (
         "SELECT count(*) FROM records WHERE stream NOT IN (SELECT key FROM streams)
          OR topic NOT IN (SELECT key FROM topics)",
-        "records belong to no topic",
+        "records without a topic",
     ),
     (
         "SELECT count(*) FROM leaves WHERE batch NOT IN (SELECT key FROM batches)
          OR record NOT IN (SELECT n FROM records)",
-        "places in batches belong to no batch or no record",
+        "batch positions without a batch or record",
     ),
     (
         "SELECT count(*) FROM records WHERE state = 1 AND n NOT IN (SELECT record FROM copies)",
-        "sealed records are without their local copies",
+        "sealed records lack their local copies",
     ),
 ];
 

@@ -154,7 +154,7 @@ impl Ledger {
             )?;
             counted.iter().try_for_each(|digest| match statement.execute(params![digest.0, report.digest.0])? {
                 1 => Ok(()),
-                _ => Err(StoreError::NotReady { digest: *digest, found: "not held, or counted already" }),
+                _ => Err(StoreError::NotReady { digest: *digest, found: "not quarantined, or already counted" }),
             })
         })
     }

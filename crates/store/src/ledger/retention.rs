@@ -249,6 +249,6 @@ fn name(connection: &Connection, digest: Digest, report: Digest, header: &[u8]) 
         .execute(params![digest.0, report.0, header, RecordState::Verified.code()])?;
     match named {
         1 => Ok(()),
-        _ => Err(StoreError::NotReady { digest, found: "not verified, or given up already" }),
+        _ => Err(StoreError::NotReady { digest, found: "not verified, or already discarded" }),
     }
 }

@@ -197,7 +197,7 @@ fn keep(connection: &Connection, new: &NewTransaction) -> Result<(), StoreError>
         .optional()?;
     match known {
         Some(0) => return Ok(()),
-        Some(_) => return Err(transaction_error(new.hash, "is closed already")),
+        Some(_) => return Err(transaction_error(new.hash, "is already closed")),
         None => {}
     }
     let nonce = whole("nonce", new.nonce)?;
@@ -205,7 +205,7 @@ fn keep(connection: &Connection, new: &NewTransaction) -> Result<(), StoreError>
         .prepare_cached("SELECT 1 FROM transactions WHERE state = 0 AND account = ?1 AND nonce = ?2")?
         .exists(params![new.account.0, nonce])?;
     if taken {
-        return Err(transaction_error(new.hash, "has the nonce of another open transaction"));
+        return Err(transaction_error(new.hash, "uses the nonce of another open transaction"));
     }
     let (digests, batch): (&[Digest], _) = match &new.anchors {
         Anchors::Nothing => (&[], None),

@@ -264,7 +264,7 @@ fn take_back(connection: &Connection, is_first: bool) -> Result<(), StoreError> 
 }
 
 fn failed_job() -> StoreError {
-    let detail = "a write failed by a fault of the program and was taken back; please report it".to_owned();
+    let detail = "a write failed because of a bug and was rolled back; please report it".to_owned();
     StoreError::Database { file: std::path::PathBuf::new(), detail }
 }
 
@@ -286,7 +286,7 @@ fn run(connection: &Connection, sql: &str) -> Result<(), StoreError> {
 }
 
 fn lost_group() -> Result<(), StoreError> {
-    let detail = "the disk refused a write, so the whole group of writes was taken back".to_owned();
+    let detail = "the disk refused a write, so the whole group of writes was rolled back".to_owned();
     Err(StoreError::Database { file: std::path::PathBuf::new(), detail })
 }
 

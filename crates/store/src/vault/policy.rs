@@ -69,8 +69,8 @@ impl Setup {
             Some("noeviction") => {}
             Some(policy) => findings.push(found(
                 Gravity::Refused,
-                &format!("has maxmemory-policy {} and would throw records away", clean(policy, 40)),
-                "run `CONFIG SET maxmemory-policy noeviction` and put it into redis.conf",
+                &format!("has maxmemory-policy {} and would evict records", clean(policy, 40)),
+                "run `CONFIG SET maxmemory-policy noeviction` and set it in redis.conf",
             )),
             None => findings.push(found(
                 Gravity::Warning,
@@ -81,21 +81,21 @@ impl Setup {
         if self.appends.as_deref() == Some("no") {
             findings.push(found(
                 Gravity::Warning,
-                "keeps no append-only file and forgets what it took in when it is killed",
-                "run `CONFIG SET appendonly yes` and put it into redis.conf",
+                "has no append-only file, so it loses what it stored if it is killed",
+                "run `CONFIG SET appendonly yes` and set it in redis.conf",
             ));
         } else if self.syncs.as_deref() == Some("no") {
             findings.push(found(
                 Gravity::Warning,
-                "leaves it to the system when its append-only file reaches the disk",
-                "run `CONFIG SET appendfsync everysec` and put it into redis.conf",
+                "lets the operating system decide when its append-only file is written to disk",
+                "run `CONFIG SET appendfsync everysec` and set it in redis.conf",
             ));
         }
         if self.coverage.as_deref() == Some("yes") {
             findings.push(found(
                 Gravity::Warning,
-                "stops the whole cluster when one node is gone",
-                "run `CONFIG SET cluster-require-full-coverage no` on every node and put it into redis.conf",
+                "stops the whole cluster when one node fails",
+                "run `CONFIG SET cluster-require-full-coverage no` on every node and set it in redis.conf",
             ));
         }
         findings

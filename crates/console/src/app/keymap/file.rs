@@ -93,14 +93,21 @@ fn lines(source: &Source) -> Result<Vec<Read>, KeymapError> {
     for (name, part) in parts {
         let place = Place::all().find(|place| place.name() == *name.get_ref()).ok_or_else(|| {
             let known: Vec<String> = Place::all().map(Place::name).collect();
-            source
-                .wrong(name.span().start, format!("there is no part '{}'; choose {}", name.get_ref(), known.join(", ")))
+            source.wrong(
+                name.span().start,
+                format!(
+                    "there is no section '{}'; choose \
+                                                   {}",
+                    name.get_ref(),
+                    known.join(", ")
+                ),
+            )
         })?;
         for line in part.keys {
             let one = one(source, place, line)?;
             if read.iter().any(|other| other.place == place && other.change.on == one.change.on) {
                 let keys = chord_label(&one.change.on);
-                return Err(source.wrong(one.at.start, format!("'{keys}' is named twice in [{}]", place.name())));
+                return Err(source.wrong(one.at.start, format!("'{keys}' appears twice in [{}]", place.name())));
             }
             read.push(one);
         }
@@ -114,7 +121,7 @@ fn one(source: &Source, place: Place, line: Line) -> Result<Read, KeymapError> {
     let (run, run_at) = (line.run.get_ref().as_str(), line.run.span().start);
     let entry = VERBS.iter().find(|entry| entry.name == run);
     if entry.is_none() && run != NONE {
-        let what = format!("there is no command '{run}'; authros --print-default-keymap and the palette name them all");
+        let what = format!("there is no command '{run}'; authros --print-default-keymap and the palette list them all");
         return Err(source.wrong(run_at, what));
     }
     let desc = line.desc.map(|desc| clean(&desc, LONGEST_DESC));
@@ -127,11 +134,14 @@ fn keys(source: &Source, at: usize, on: On) -> Result<Vec<Key>, KeymapError> {
         On::Chord(labels) => labels,
     };
     if labels.is_empty() || labels.len() > LONGEST_CHORD {
-        return Err(source.wrong(at, format!("name one key, or a list of up to {LONGEST_CHORD}")));
+        return Err(source.wrong(at, format!("give one key, or a list of up to {LONGEST_CHORD}")));
     }
     let key = |label: &String| {
         Key::from_label(label).ok_or_else(|| {
-            let what = format!("'{label}' is no key that every terminal sends; as q, G, space, enter, pgup, ^x");
+            let what = format!(
+                "'{label}' is not a key that every terminal sends; use one like q, G, space, enter, \
+                                pgup, ^x"
+            );
             source.wrong(at, what)
         })
     };
@@ -145,7 +155,8 @@ fn reachable(source: &Source, keymap: &Keymap, lines: &[Read], screen: Screen) -
     if let Some(long) = bindings.iter().find(hidden) {
         let by = bindings.iter().find(|short| long.begins_with(&short.on)).map_or("", |short| short.entry.name);
         let what = format!(
-            "on the {} screen '{}' can never be reached, for its beginning is '{by}' already; take that away with run = \"none\"",
+            "on the {} screen '{}' cannot be reached because '{by}' already has a meaning; remove it with run = \
+             \"none\"",
             screen.title(),
             chord_label(&long.on)
         );
@@ -222,7 +233,7 @@ mod tests {
         let (line, what) = refused("[topics]\nkeys = [\n{ on = [\"w\", \"x\"], run = \"sort\" }]\n");
         assert!(line == 3 && what.contains("'w x'") && what.contains("watch"), "{line} {what}");
         let (line, what) = refused("[everywhere]\nkeys = [\n{ on = \"z\", run = \"sort\" }]\n");
-        assert!(line == 3 && what.contains("never be reached"), "{line} {what}");
+        assert!(line == 3 && what.contains("cannot be reached"), "{line} {what}");
         let (line, what) =
             refused("[everywhere]\nkeys = [{ on = \"q\", run = \"none\" },\n{ on = \"^c\", run = \"none\" }]\n");
         assert!(line == 3 && what.contains("quit"), "{line} {what}");

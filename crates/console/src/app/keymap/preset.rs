@@ -5,16 +5,20 @@ use std::fmt::Write as _;
 use super::{Place, VERBS};
 use crate::app::key::Key;
 
-const OPENING: &str = "\
-# Keys of the AuthROS console, as they are without a keymap.toml.
+const OPENING: &str = "# Keys of the AuthROS console, as they are without a keymap.toml.
 #
-# Your own keymap.toml (beside config.toml) lists only what differs:
-#   on    a key, or a list of up to three keys pressed one after the other
-#   run   what it does, by its name in the palette; \"none\" takes the preset's meaning away
-#   desc  your own words for help (may be left out)
-# [everywhere] holds on every screen, [lists] on screens with a list; a screen's own part goes before both.
-# Keys: characters as they are, space enter esc tab shift-tab backspace del up down left right pgup pgdn home end,
-# ^x = Control and x. Terminals send the same for ^h ^i ^j ^m as for backspace, tab and enter, so these have no own.
+# Your own keymap.toml \
+(beside config.toml) lists only what differs:
+#   on    a key, or a list of up to three keys pressed one after the \
+other
+#   run   the command, by its name in the palette; \"none\" removes the preset's meaning
+#   desc  your own help \
+text (optional)
+# [everywhere] applies to every screen, [lists] to screens with a list; a screen's own section takes \
+precedence.
+# Keys: characters as they are, space enter esc tab shift-tab backspace del up down left right pgup pgdn \
+home end,
+# ^x = Control and x. Terminals send ^h ^i ^j ^m as backspace, tab and enter, so these cannot be bound.
 ";
 
 /// The preset, in the format of the operator's file.

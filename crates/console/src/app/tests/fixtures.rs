@@ -123,8 +123,7 @@ pub fn site_alert() -> AlertView {
     AlertView {
         key: "robot_silent/1f2e3d4c".to_owned(),
         severity: Severity::Warning,
-        text: "Nothing has come from robot 1f2e3d4c for 11 min; look at its agent, its network and its clock."
-            .to_owned(),
+        text: "Nothing received from robot 1f2e3d4c for 11 min; check its agent, its network and its clock.".to_owned(),
         site: "0a0b0c0d".to_owned(),
         begun: Timestamp::from_seconds(NOW.seconds() - 60),
     }
@@ -393,7 +392,7 @@ pub fn provenance(number: u64) -> Provenance {
         step("transaction", &Hash([3; 32]).to_string()),
         step("block", &format!("118 {}", Hash([5; 32]))),
         step("confirmations", "12 of 3 wanted"),
-        step("verified", "read back from the vault: digest equal to the chain or its proof, signature valid"),
+        step("verified", "read back from the vault: digest matches the chain, signature valid"),
     ];
     Provenance { record: record(number, "verified"), steps }
 }

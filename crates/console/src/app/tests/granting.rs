@@ -75,7 +75,7 @@ fn a_wrong_field_is_named_and_gets_the_focus() {
         ([own.as_str(), "", ""], "your own address"),
         ([READER, "robot1", ""], "not a topic name"),
         ([READER, "", ""], "'all' for every topic"),
-        ([READER, "all /robot1/odom", ""], "stands alone"),
+        ([READER, "all /robot1/odom", ""], "not both"),
         (["nobody", "all", ""], "no contact is named"),
         ([other.as_str(), "/robot1/odom", ""], "active grant on these terms"),
         ([READER, "all", "soon"], "30d"),
@@ -234,7 +234,7 @@ fn a_sooner_end_is_a_revoke_and_a_new_grant_asked_about_once() {
     let mut robot = at_a_grant_that_ends();
     robot.types("e12h");
     robot.presses(Key::Enter);
-    assert_eq!(question(&robot).title, "Revoke, and grant anew?");
+    assert_eq!(question(&robot).title, "Revoke and grant again?");
     assert!(question(&robot).lines.concat().contains("revoked first"));
     robot.types("n");
     assert!(robot.work().is_empty() && robot.state.follow_up.is_none(), "a no is one for both");

@@ -90,8 +90,10 @@ fn what_is_refused_comes_back_as_it_was_filled_and_what_cannot_be_is_said_in_the
     robot.types("crash-1114");
     (0..5).for_each(|_| robot.presses(Key::Enter));
     let error = robot.form_error().expect("the name is taken").to_owned();
-    assert!(error.contains("crash-1114 already"), "{error}");
-    for (field, text, word) in [(1, "2024-01-01", "to come"), (2, "2h", "before it begins"), (3, "odom//", "odom")] {
+    assert!(error.contains("crash-1114 already exists"), "{error}");
+    for (field, text, word) in
+        [(1, "2024-01-01", "in the future"), (2, "2h", "before it begins"), (3, "odom//", "odom")]
+    {
         let mut robot = at_the_list();
         robot.types("nother");
         for _ in 0..field {

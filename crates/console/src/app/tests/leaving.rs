@@ -74,7 +74,7 @@ fn the_host_says_that_capture_stops_and_a_joined_console_that_it_continues() {
     joined.types("q");
     let text = question(&joined);
     assert!(text.contains("The capture of /robot1/odom continues in the site (process 77)."), "{text}");
-    assert!(text.contains("1 record is not verified yet; the site goes on with them."), "{text}");
+    assert!(text.contains("1 record is not verified yet; the site continues with them."), "{text}");
     assert!(!text.contains("stops"), "{text}");
 }
 
@@ -162,5 +162,5 @@ fn suspension_works_from_anywhere() {
     robot.presses(Key::Control('z'));
     assert!(matches!(robot.effects[..], [Effect::Suspend]));
     robot.act(Action::Resumed);
-    assert!(robot.message().contains("stood still"));
+    assert!(robot.message().contains("was stopped meanwhile"));
 }

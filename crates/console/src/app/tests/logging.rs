@@ -76,7 +76,7 @@ fn enter_shows_the_whole_line_and_o_goes_through_the_sources() {
 fn n_goes_to_the_next_match_and_an_empty_filter_recalls_earlier_ones() {
     let mut robot = Robot::at_work(true);
     robot.types("2n");
-    assert_eq!(robot.message(), "next-match: no filter: / sets one");
+    assert_eq!(robot.message(), "next-match: no filter; / sets one");
     robot.types("/odom");
     robot.presses(Key::Enter);
     let first = robot.state.row_key();

@@ -15,13 +15,12 @@ use authros_chain::Call;
 /// Parts of placeholders that describe the input, with an example that fits; any other part is taken literally.
 const DESCRIBED: &[(&str, &[&str])] = &[
     ("0x and 40 hex", &["0x5aAeb6053F3E94C9b9A09f33669435E7Ef1BeAed"]),
-    ("or a name of the address book", &["harbour-office"]),
     ("or a contact's name", &["harbour-office"]),
     ("what happened", &["hit the wall"]),
     ("what is known now", &["the bumper was off"]),
     ("topic names", &["/robot1/odom", "/robot1/odom /robot2/camera", "/robot1/odom,/robot2/camera"]),
     ("caller id", &["/driver"]),
-    ("name of a profile of this home", &["bob"]),
+    ("name of a profile in this home", &["bob"]),
     ("path to the key file (must be mode 0600)", &["keys/mine.pem", "/keys/mine.pem", "~/mine.pem"]),
     ("only for a V3 keystore", &["", "a passphrase"]),
     ("EOA: protects the V3 keystore", &["eight ch"]),
@@ -40,7 +39,7 @@ fn suggested(hint: &str) -> Vec<String> {
         } else if part.starts_with("empty = ") {
             texts.push(String::new());
         } else {
-            texts.push(part.strip_prefix("as ").unwrap_or(part).to_owned());
+            texts.push(part.strip_prefix("such as ").unwrap_or(part).to_owned());
         }
     }
     if texts.is_empty() { vec![UNTOLD.to_owned()] } else { texts }

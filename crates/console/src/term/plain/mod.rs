@@ -105,7 +105,7 @@ type Ended = Option<Result<ExitReason, TermError>>;
 
 impl Plain {
     fn run(mut self) -> Result<ExitReason, TermError> {
-        self.say("AuthROS in lines. Type help for the words, quit to leave.");
+        self.say("AuthROS line mode. Type help for the commands, quit to leave.");
         let effects = start(&mut self.state);
         let mut ended = self.carry_out(effects);
         while ended.is_none() {
@@ -171,13 +171,13 @@ impl Plain {
                 Effect::Redraw => self.show = true,
                 Effect::CopyText(text) if io::stdout().is_terminal() => self.put(&clipboard::sequence(&text)),
                 Effect::CopyText(_) => {
-                    self.say("Output is no terminal, so nothing takes it; it stands in the next line.")
+                    self.say("Output is not a terminal, so nothing was copied; the text is on the next line.")
                 }
                 Effect::WriteFiles { base, directory, files } => self.outside.write(base, directory, files),
                 Effect::FindPaths(sought) => self.outside.find(sought),
                 Effect::SpeakFor(profile) => self.outside.speak_for(profile),
                 Effect::ShowTheme(_) | Effect::ToggleAscii | Effect::Mouse(_) => {
-                    self.say("Lines have neither colours nor a mouse.");
+                    self.say("Line mode has neither colours nor a mouse.");
                 }
             }
         }
@@ -288,7 +288,7 @@ impl Plain {
             Some(Popup::Form(_, form)) => {
                 let mut lines = Vec::new();
                 if form.focus == 0 && form.error.is_none() {
-                    lines.push(format!("{}. 'esc' alone gives up.", form.title));
+                    lines.push(format!("{}. 'esc' alone cancels.", form.title));
                     lines.extend(form.notes.iter().cloned());
                 }
                 lines.extend(form.error.iter().map(|error| format!("Error: {error}")));
@@ -297,7 +297,7 @@ impl Plain {
             }
             Some(popup) => {
                 let mut lines = text::popup(&self.state, &self.theme, popup);
-                lines.push(format!("Words: {}.", words::words(&self.state, popup)));
+                lines.push(format!("Commands: {}.", words::words(&self.state, popup)));
                 lines
             }
         };

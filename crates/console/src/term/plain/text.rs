@@ -73,11 +73,11 @@ pub fn question(form: &Form) -> String {
     let hint = if line.hint.is_empty() { String::new() } else { format!(" ({})", line.hint) };
     match &line.input {
         Input::Text(field) if field.text().is_empty() => format!("{}{hint}:", line.label),
-        Input::Text(field) => format!("{}{hint}, an empty line leaves it '{}':", line.label, field.shown()),
+        Input::Text(field) => format!("{}{hint}, empty line keeps '{}':", line.label, field.shown()),
         Input::Choice { options, chosen } => {
             let words = (1..).zip(options.iter()).map(|(number, word)| format!("{number} {word}"));
             let words: Vec<String> = words.collect();
-            format!("{}: {}; an empty line leaves it {}:", line.label, words.join(", "), chosen + 1)
+            format!("{}: {}; empty line keeps {}:", line.label, words.join(", "), chosen + 1)
         }
     }
 }
@@ -85,8 +85,8 @@ pub fn question(form: &Form) -> String {
 /// The words that can be typed here.
 pub fn help(state: &State) -> Vec<String> {
     let mut lines = vec![
-        "Type a word and press enter. 'show' reads the screen, 'status' the parts, 'row 3' or 'row /robot1/odom' selects, \
-         'filter odom' narrows the list, 'filter' alone shows all again, 'quit' leaves."
+        "Type a command and press enter. 'show' reads the screen, 'status' the health of the parts, 'row 3' or 'row \
+         /robot1/odom' selects, 'filter odom' narrows the list, 'filter' alone shows everything again, 'quit' leaves."
             .to_owned(),
         format!("Screens: {}.", Screen::ALL.map(|screen| screen.title().to_lowercase()).join(", ")),
     ];

@@ -160,10 +160,10 @@ fn verb(word: &str) -> Result<Verb, String> {
     begun.dedup_by_key(|entry| entry.verb);
     match begun.as_slice() {
         [entry] => Ok(entry.verb),
-        [] => Err(format!("'{word}' is no word here; help reads them all")),
+        [] => Err(format!("'{word}' is not a command here; help lists them all")),
         several => {
             let names: Vec<&str> = several.iter().map(|entry| entry.name).collect();
-            Err(format!("'{word}' may be {}", names.join(" or ")))
+            Err(format!("'{word}' could mean {}", names.join(" or ")))
         }
     }
 }
@@ -175,7 +175,7 @@ fn row(state: &State, wanted: &str) -> Meaning {
         || keys.iter().position(|key| key == wanted).or_else(|| keys.iter().position(|key| key.contains(wanted)));
     match number.filter(|place| *place < keys.len()).or_else(|| if wanted.is_empty() { None } else { named() }) {
         Some(place) => Meaning::Row(place),
-        None => Meaning::Unknown(format!("there is no row '{wanted}'; show reads them")),
+        None => Meaning::Unknown(format!("there is no row '{wanted}'; show lists them")),
     }
 }
 

@@ -25,7 +25,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, book: &Book) {
     let width = WIDEST.min(area.width.saturating_sub(6));
     let inner = framed(canvas, area, "Address book", width, count.saturating_add(3));
     let Some(chosen) = book.chosen(state) else {
-        let text = empty(state, Feed::Contacts, "Nobody yet: n enters a name for an account.");
+        let text = empty(state, Feed::Contacts, "Nobody yet: n adds a contact.");
         canvas.put(inner, text, Role::Dim);
         return;
     };
@@ -39,7 +39,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, book: &Book) {
     let keys =
         |fingerprint: &Option<String>| fingerprint.as_deref().map_or_else(|| "none".to_owned(), |text| clean(text, 60));
     let noted = format!("noted       {}", keys(&chosen.fingerprint));
-    let given = if chosen.given { "" } else { "  (found on the chain, not told by a person)" };
+    let given = if chosen.given { "" } else { "  (from the chain, not confirmed by a person)" };
     canvas.puts(row(inner, inner.height.saturating_sub(2)), &[(&noted, Role::Body), (given, Role::Dim)]);
     canvas.put(
         row(inner, inner.height.saturating_sub(1)),

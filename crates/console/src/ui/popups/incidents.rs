@@ -31,7 +31,7 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, list: &IncidentList)
     let width = WIDEST.min(area.width.saturating_sub(6));
     let Some(chosen) = list.chosen(state) else {
         let inner = framed(canvas, area, "Incidents", width.min(72), 2);
-        let nothing = "None yet: n keeps what was recorded in a span of time.";
+        let nothing = "None yet: n opens one, to keep the records of a time span.";
         canvas.put(inner, empty(state, Feed::Incidents, nothing), Role::Dim);
         return;
     };
@@ -119,10 +119,10 @@ fn topic(state: &State, one: &SpanCoverageView) -> Vec<Line> {
             vec![(format!("{name}  {}, {}", records(one.records), from_to(state, first, last)), Role::Body)]
         }
         _ if one.quarantined > 0 => vec![(format!("{name}  no record"), Role::Warning)],
-        _ => vec![(format!("{name}  nothing in that time: is the name right, is it watched?"), Role::Warning)],
+        _ => vec![(format!("{name}  nothing in that time: check the name and whether it is watched"), Role::Warning)],
     };
     let missing =
-        [(one.lost, "lost"), (one.quarantined, "in quarantine"), (one.deleted, "deleted by retention before")];
+        [(one.lost, "lost"), (one.quarantined, "in quarantine"), (one.deleted, "deleted earlier by retention")];
     let missing: Vec<String> = missing
         .into_iter()
         .filter(|(count, _)| *count > 0)

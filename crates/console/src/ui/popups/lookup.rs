@@ -126,12 +126,12 @@ pub(in crate::ui) fn record_lines(record: &RecordView) -> Vec<Vec<Piece>> {
 
 pub(super) fn verdict_line(verdict: Verdict) -> Vec<Piece> {
     let (text, role) = match verdict {
-        Verdict::Verified => ("verified: equal to the chain's digest, signature valid", Role::Good),
+        Verdict::Verified => ("verified: digest matches the chain, signature valid", Role::Good),
         Verdict::Unanchored => ("unanchored: signature valid, but the digest is not on the chain yet", Role::Warning),
         Verdict::Tampered => ("tampered: the stored bytes are not the ones anchored or signed", Role::Bad),
         Verdict::Deleted => ("deleted by retention: header, signature and proof stay", Role::Warning),
         Verdict::Missing => ("missing: the stored bytes are gone", Role::Bad),
-        Verdict::NoKey => ("no key: no key of this profile opens it", Role::Warning),
+        Verdict::NoKey => ("no key: cannot be opened with this profile's keys", Role::Warning),
     };
     vec![(text.to_owned(), role)]
 }

@@ -106,7 +106,7 @@ fn draw_plot(canvas: &mut Canvas, area: Rect, opening: &Opening, view: &OpenedVi
     let own = view.readable.as_ref().and_then(|readable| readable.plot.as_ref());
     match opening.path.as_ref().map(|path| &path.answer) {
         Some(None) => {
-            canvas.put(row(area, 0), "Reading the records that lead here…", Role::Dim);
+            canvas.put(row(area, 0), "Reading the records up to here…", Role::Dim);
         }
         Some(Some(Err(failure))) => {
             canvas.put(row(area, 0), &clean(&failure.message, 300), Role::Bad);

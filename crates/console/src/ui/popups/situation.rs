@@ -89,12 +89,12 @@ fn publishers(state: &State, topic: &str, view: &PinsView) -> Vec<Line> {
     lines.extend(coverage_lines(state, topic));
     lines.push((format!("now     {}", if now.is_empty() { "nobody" } else { &now }), Role::Body));
     if view.pins.is_empty() {
-        lines.push(("no publisher is pinned: the first that is captured will be".to_owned(), Role::Dim));
+        lines.push(("no publisher is pinned yet: the first one captured will be".to_owned(), Role::Dim));
     }
     lines.extend(view.pins.iter().flat_map(|pin| pinned(pin, &now)));
     lines.extend(view.alarms.iter().flat_map(alarm));
     if let Some(held) = row.map(|row| row.quarantined).filter(|held| *held > 0) {
-        lines.push((format!("{held} messages are held back: r releases, D discards (on the screen)"), Role::Warning));
+        lines.push((format!("{held} messages are quarantined: r releases, D discards (on the screen)"), Role::Warning));
     }
     lines
 }
@@ -105,7 +105,7 @@ pub fn coverage_lines(state: &State, topic: &str) -> Vec<Line> {
     match answer {
         _ if of != topic => Vec::new(),
         Err(failure) => vec![(clean(&failure.message, 500), Role::Bad)],
-        Ok(view) if view.first.is_none() => vec![("No record of it yet.".to_owned(), Role::Dim), Line::default()],
+        Ok(view) if view.first.is_none() => vec![("No records of it yet.".to_owned(), Role::Dim), Line::default()],
         Ok(view) => vec![
             (format!("Records from {} to {} UTC", day(view.since), day(view.until)), Role::Title),
             (view.strip(), Role::Accent),
@@ -139,9 +139,9 @@ fn reason(word: &str) -> &str {
         "new" => "not among the pinned publishers",
         "host" => "a pinned name on another host",
         "type" => "a pinned name with another type",
-        "replaced" => "took over the name of a publisher that lived",
-        "undecided" => "restart or rival: cannot be told",
-        "unconfirmed" => "the master does not confirm it",
+        "replaced" => "took over the name of a running publisher",
+        "undecided" => "restart or rival: cannot be determined",
+        "unconfirmed" => "not confirmed by the master",
         other => other,
     }
 }
@@ -188,7 +188,7 @@ fn workers(state: &State) -> Vec<Line> {
     for task in tasks.iter().filter(|task| task.state != TaskState::Running || task.restarts > 0) {
         let next = task.next_try.map_or_else(String::new, |seconds| format!(", retry in {seconds} s"));
         let why = task.reason.as_deref().map_or_else(String::new, |reason| format!(": {reason}"));
-        let text = format!("{:<15} begun again {} times{next}{why}", task.name, task.restarts);
+        let text = format!("{:<15} restarted {} times{next}{why}", task.name, task.restarts);
         lines.push((text, if task.state == TaskState::Running { Role::Warning } else { Role::Bad }));
     }
     lines
@@ -222,7 +222,7 @@ fn records_on_their_way(state: &State) -> Vec<Line> {
 /// How long what is pending will take at the present rates.
 fn left(pending: u64, captured: f64, verified: f64) -> String {
     if pending == 0 {
-        return "all captured records are verified, held back or accounted for".to_owned();
+        return "all captured records are verified, quarantined or accounted for".to_owned();
     }
     let count = words::count(pending);
     if verified < 0.1 {

@@ -92,7 +92,7 @@ pub fn read(file: &str, text: &str, known: &[Theme]) -> Result<Theme, ThemeError
         styles[*role as usize] = source.style(paint)?;
     }
     if let (None, Some(role)) = (base, Role::ALL.into_iter().find(|role| !parsed.roles.contains_key(role))) {
-        return Err(source.wrong(0, format!("the theme names no look for the role {}", role.word())));
+        return Err(source.wrong(0, format!("the theme does not define the role {}", role.word())));
     }
     let assumed = parsed.assumed.as_ref().map(|assumed| source.rgb(assumed)).transpose()?;
     let assumed = assumed.or_else(|| base.and_then(|base| base.assumed));

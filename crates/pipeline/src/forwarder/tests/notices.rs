@@ -101,7 +101,7 @@ async fn only_the_owners_newest_notice_to_this_device_is_obeyed() {
 
     // While it is connected. A robot stolen from the same owner cannot speak for the owner.
     owner.upload(vec![notice(&scene, &scene.device, own, 9, 9)]).await.expect("the gateway takes it");
-    scene.until("passed over", |scene| scene.notes.with("was passed over") > 0).await;
+    scene.until("passed over", |scene| scene.notes.with("ignored a notice") > 0).await;
     owner.upload(vec![notice(&scene, &scene.alice.signing, SignerId([1; 32]), 10, 10)]).await.expect("receipt");
     owner.upload(vec![notice(&scene, &scene.alice.signing, own, 1, 4)]).await.expect("an old number");
     owner.upload(vec![notice(&scene, &scene.alice.signing, own, 11, 5)]).await.expect("receipt");
@@ -154,16 +154,16 @@ async fn another_key_of_the_owner_needs_the_old_one_and_the_account() {
     let stolen_account = record(&scene, &thief, own, (3, 1), &change(&scene.alice.eoa, &thief));
     for (passed, forged) in [(1, stolen_key), (2, stolen_account)] {
         owner.upload(vec![forged]).await.expect("the gateway takes it");
-        scene.until("passed over", |scene| scene.notes.with("was passed over") >= passed).await;
+        scene.until("passed over", |scene| scene.notes.with("ignored a notice") >= passed).await;
         assert_eq!(known(), old.public);
     }
     owner.upload(vec![notice(&scene, &new, own, 4, 7)]).await.expect("receipt");
-    scene.until("passed over", |scene| scene.notes.with("was passed over") >= 3).await;
+    scene.until("passed over", |scene| scene.notes.with("ignored a notice") >= 3).await;
 
     owner.upload(vec![record(&scene, &old, own, (5, 1), &change(&scene.alice.eoa, &new))]).await.expect("receipt");
     scene.until("the new key is kept", |_| known() == new.public).await;
     owner.upload(vec![notice(&scene, &old, own, 6, 8)]).await.expect("the gateway takes it");
-    scene.until("the old key says nothing any more", |scene| scene.notes.with("was passed over") >= 4).await;
+    scene.until("the old key says nothing any more", |scene| scene.notes.with("ignored a notice") >= 4).await;
     owner.upload(vec![notice(&scene, &new, own, 7, 5)]).await.expect("receipt");
     scene.until("the new key's keys", |_| epoch() == 5).await;
     work.abort();

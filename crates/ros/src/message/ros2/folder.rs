@@ -51,7 +51,7 @@ impl Folders {
         let failed = |reason: String| RosError::no_fields(type_name, &reason);
         let missing = |name: &str| {
             failed(format!(
-                "no {name}.msg was found where ROS 2 is installed (ros.definitions), nor is it built into this program"
+                "{name}.msg is neither in the installed ROS 2 (ros.definitions) nor built into this program"
             ))
         };
         let root = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;

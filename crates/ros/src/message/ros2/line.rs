@@ -106,7 +106,7 @@ fn field<'a>(written: &'a str, name: &'a str) -> Result<Line<'a>, &'static str> 
     };
     let (base, bound) = match element.split_once("<=") {
         Some((base @ ("string" | "wstring"), most)) => (base, number(most).ok_or("a text has a broken bound")?),
-        Some(_) => return Err("a bound stands where none may be"),
+        Some(_) => return Err("a bound where none is allowed"),
         None => (element, 0),
     };
     let mut parts = base.split('/');

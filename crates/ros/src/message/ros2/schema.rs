@@ -71,7 +71,7 @@ fn sections<'a>(type_name: &str, text: &'a str) -> Result<Texts<'a>, String> {
         if let Some(name) = name.and_then(|name| full_name(name.trim(), None)) {
             found.push((name, Vec::new()));
         } else if after_rule && line.starts_with("IDL: ") {
-            return Err("a part of it is IDL, which is not read here".into());
+            return Err("part of it is IDL, which is not supported".into());
         } else if let (false, Some((_, lines))) = (rule, found.last_mut()) {
             lines.push(line);
         }

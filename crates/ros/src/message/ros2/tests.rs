@@ -115,7 +115,7 @@ fn what_is_built_in_has_the_hashes_and_the_fields_that_others_find() {
         }
     }
     assert!(none.may_know("std_msgs/String") && !none.may_know("std_msgs/msg/Strings"));
-    assert!(none.text_of("std_msgs/msg/Strings").expect_err("unknown").to_string().contains("nor is it built"));
+    assert!(none.text_of("std_msgs/msg/Strings").expect_err("unknown").to_string().contains("nor built"));
 }
 
 #[test]

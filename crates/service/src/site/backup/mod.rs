@@ -68,11 +68,11 @@ impl Backup {
         let shown = clean(&file.display().to_string(), 200);
         if file.starts_with(self.home.root()) || self.home.outside().iter().any(|(_, place)| file.starts_with(place)) {
             return Err(input(format!(
-                "{shown} lies in the home itself; write the back-up elsewhere, best on another disk"
+                "{shown} is inside the home itself; write the backup elsewhere, preferably to another disk"
             )));
         }
         if fs::symlink_metadata(&file).is_ok() {
-            return Err(input(format!("{shown} exists; name a new file, no back-up is written over another")));
+            return Err(input(format!("{shown} already exists; choose a new file, backups are never overwritten")));
         }
         let running = self.runs.begin(profile, &shown, "copying into", "files");
         self.log.write(profile, "back up", &shown, "begun").await?;
@@ -155,7 +155,7 @@ impl Backup {
         target.persist_noclobber(file).map_err(|error| failed(error.error))?;
         File::open(directory).and_then(|directory| directory.sync_all()).map_err(failed)?;
         if moment.vault.is_none() {
-            view.notes.push(format!("the vault is {}: back it up by its own means", self.plant.vault.name()));
+            view.notes.push(format!("the vault is {}: back it up with its own tools", self.plant.vault.name()));
         }
         Ok(view)
     }
@@ -190,7 +190,7 @@ impl<W: Write> Small<'_, W> {
         } else if kind.is_file() && archive::is_plain(name) {
             add(self.sealed, name, path, self.view, self.run)
         } else {
-            self.view.notes.push(format!("{} is no plain file and is left out", clean(name, 100)));
+            self.view.notes.push(format!("{} is not a regular file and was left out", clean(name, 100)));
             Ok(())
         }
     }
@@ -255,5 +255,5 @@ fn add(sealed: &mut impl Write, name: &str, path: &Path, view: &mut BackupView, 
 
 fn unwritten(path: &Path, error: &io::Error) -> Failure {
     let path = clean(&path.display().to_string(), 200);
-    Failure::new(ErrorKind::Home, format!("the back-up at {path} cannot be written: {error}; nothing was left there"))
+    Failure::new(ErrorKind::Home, format!("the backup at {path} cannot be written: {error}; nothing was left behind"))
 }

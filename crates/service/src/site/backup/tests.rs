@@ -27,7 +27,7 @@ async fn a_back_up_is_written_once_for_its_owner_alone_and_not_into_the_home() {
     let (alice, file) = (profile("alice"), ground.folder.path().join("home.backup"));
     let inside = ground.parts.home.root().join("home.backup");
     let refused = backup.back_up(&alice, inside, secret()).await.expect_err("in the home");
-    assert!(refused.message.contains("lies in the home itself"), "{}", refused.message);
+    assert!(refused.message.contains("is inside the home itself"), "{}", refused.message);
     assert!(ground.audited("back up").is_empty());
 
     let view = backup.back_up(&alice, file.clone(), secret()).await.expect("written");

@@ -133,7 +133,9 @@ impl Bridge {
                 let what = "its records".to_owned();
                 Err(PipelineError::NotGranted { owner: other, reader: owner.address, what }.into())
             }
-            (true, None) => Err(refused("nobody shares records with this profile now; `authros grants list` shows it")),
+            (true, None) => {
+                Err(refused("nobody shares records with this profile at the moment; see `authros grants list`"))
+            }
         }
     }
 
@@ -157,7 +159,7 @@ impl Bridge {
         };
         let uri = wishes.master.clone().or_else(|| own.clone()).or_else(|| self.config.ros_master.clone());
         let uri = uri.ok_or_else(|| {
-            let advice = "name the graph to play into: --to http://HOST:11311, or set ros.master";
+            let advice = "choose the graph to play into with --to http://HOST:11311, or set ros.master";
             Failure::new(ErrorKind::Usage, advice)
         })?;
         let node = format!("{NODE}{}", hex(&random_bytes::<4>()?));
@@ -182,10 +184,10 @@ fn consistent(wishes: &PlayWishes) -> Result<(), Failure> {
     }
     match wishes.pace {
         Pace::Follow if wishes.since.is_some() || wishes.until.is_some() => {
-            Err(input("--follow plays what is verified from now on; leave out --since and --until"))
+            Err(input("--follow plays records verified from now on; omit --since and --until"))
         }
         Pace::AtOnce | Pace::Follow if wishes.clock => {
-            Err(input("/clock is the time of the capture: it needs --as-captured or --rate"))
+            Err(input("/clock gives the capture time, so it needs --as-captured or --rate"))
         }
         _ => Ok(()),
     }

@@ -49,13 +49,13 @@ impl Names {
     /// # Errors
     /// What to do instead.
     pub fn keep_apart(&self) -> Result<(), String> {
-        let why = "the graph that this site captures from; what is played there would be captured as if it were new:";
+        let why = "the graph that this site captures from; anything played there would be captured again as new:";
         let Some(prefix) = &self.prefix else {
             return Err(format!("{why} give a --prefix, such as /shared/alice, or another graph with --to or --ros2"));
         };
         let inside = |name: &String| name.strip_prefix(prefix.as_str()).is_some_and(|rest| rest.starts_with('/'));
         match self.remaps.values().find(|name| !inside(name)) {
-            Some(name) => Err(format!("{why} remap to a name under {prefix}, {name} is none")),
+            Some(name) => Err(format!("{why} remap to a name under {prefix}, unlike {name}")),
             None => Ok(()),
         }
     }

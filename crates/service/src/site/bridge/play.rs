@@ -47,7 +47,7 @@ const REGISTERING: Duration = Duration::from_secs(5);
 const MOST_REASONS: usize = 20;
 const MOST_DEFINITIONS: usize = 1024;
 
-const NO_RIGHT: &str = "no grant in force covers it, or no key of this profile opens it";
+const NO_RIGHT: &str = "no active grant covers it, or no key of this profile opens it";
 
 /// What may end it from outside.
 pub(super) struct Ends {
@@ -113,7 +113,7 @@ pub(super) struct Play<'a> {
 }
 
 impl<'a> Play<'a> {
-    #[allow(clippy::too_many_arguments, reason = "its parts, made one by one")]
+    #[allow(clippy::too_many_arguments, reason = "its parts, created one by one")]
     pub fn new(
         bridge: &'a Bridge,
         network: &Network,

@@ -79,13 +79,17 @@ impl Stage {
         }
         if let Some(shown) = self.shown.get_mut(&about.topic) {
             if (&shown.about.type_name, &shown.about.md5sum) != (&about.type_name, &about.md5sum) {
-                return Ok(Err(format!("{} is played as {} already", about.topic, clean(&shown.about.type_name, 120))));
+                return Ok(Err(format!(
+                    "{} is already being played as {}",
+                    about.topic,
+                    clean(&shown.about.type_name, 120)
+                )));
             }
             shown.sources.insert(source, owner);
             return Ok(Ok(()));
         }
         if self.shown.len() >= MOST_TOPICS {
-            return Ok(Err(format!("{MOST_TOPICS} topics are played already; choose some with --topic")));
+            return Ok(Err(format!("{MOST_TOPICS} topics are already being played; choose some with --topic")));
         }
         block_in_place(|| self.begin(about, owner, source))
     }
@@ -117,10 +121,10 @@ impl Stage {
         let captures = |node: &&String| node.starts_with(CAPTURING) && !of_playing(node);
         if let Some(node) = nodes.publishers.iter().find(|node| !of_playing(node)) {
             let node = clean(node, 120);
-            return Ok(Some(format!("{topic} is published by {node} there already; give a --prefix")));
+            return Ok(Some(format!("{topic} is already published there by {node}; give a --prefix")));
         }
         let capturing = nodes.subscribers.iter().find(captures);
-        Ok(capturing.map(|node| format!("{topic} is captured by {} there; give a --prefix", clean(node, 120))))
+        Ok(capturing.map(|node| format!("{topic} is captured there by {}; give a --prefix", clean(node, 120))))
     }
 
     /// Publishes one message of a published topic.

@@ -23,7 +23,7 @@ impl Capture {
             PolicyCommand::Show => self.policy_view(profile, false).await,
             PolicyCommand::Learn { milliseconds } => {
                 if !(1000..=LONGEST).contains(&milliseconds) {
-                    return Err(input("look at the topics for 1 second to 10 minutes, as `--for 5s`"));
+                    return Err(input("observe the topics for 1 second to 10 minutes, as with `--for 5s`"));
                 }
                 self.ros.any().await?;
                 let learning = self.ros.learn();

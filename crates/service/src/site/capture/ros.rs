@@ -379,7 +379,7 @@ impl RosSide {
         match settled {
             RosState::Up(link) | RosState::Down { link: Some(link), .. } => Ok(link),
             RosState::Down { failure, link: None } => Err(failure),
-            _ => Err(internal("this run of the site has no ROS side; run the command again")),
+            _ => Err(internal("this site was started without ROS; run the command again")),
         }
     }
 }

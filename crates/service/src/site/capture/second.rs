@@ -219,8 +219,8 @@ impl Second {
     fn refuse(&self, topic: &TopicName, taken: GraphOf) {
         let (taken, other) = if taken == GraphOf::Two { (2, 1) } else { (1, 2) };
         let reason = format!(
-            "the name is in ROS 1 and in ROS 2, and records are filed by it: it is captured from ROS {taken}; to capture both \
-             give the other a prefix where it is started, as {topic}:=/ros{other}{topic}"
+            "the name exists in ROS 1 and in ROS 2, but records are filed by name: it is captured from ROS {taken}; to \
+             capture both, start the other one with a prefix, as {topic}:=/ros{other}{topic}"
         );
         let publisher = format!("its publisher in ROS {other}");
         let topic = topic.as_str().into();

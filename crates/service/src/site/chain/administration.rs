@@ -56,7 +56,7 @@ impl Administering {
             && !is_for_others(&call)
         {
             return Err(refused(format!(
-                "{administrator} administers this contract, not {}; only the administrator can do this",
+                "the administrator of this contract is {administrator}, not {}; only the administrator can do this",
                 owner.address
             )));
         }
@@ -76,14 +76,14 @@ impl Administering {
         let recovery = recovery.map(|party| self.contacts.resolve(party)).transpose()?;
         if recovery == Some(owner.address) {
             return Err(refused(
-                "a thief of this account must not be able to stop its succession; name another account",
+                "whoever steals this account must not be able to stop its succession; name another account",
             ));
         }
         let call = Call::NameRecovery { recovery };
         call.expect_offered(network.chain.revision()?)?;
         let days = network.directory.administration().delay.unwrap_or(0) / 86_400;
         let who = recovery.map_or_else(|| "nobody".to_owned(), |recovery| recovery.to_string());
-        let text = format!("{who} may stop a succession of {} that is proposed in {days} days or later", owner.address);
+        let text = format!("{who} may stop a succession of {} proposed {days} days from now or later", owner.address);
         self.send_act(owner, &network, call, text).await
     }
 
@@ -109,45 +109,48 @@ impl Administering {
             Administration::Dismiss { account } => {
                 let account = self.contacts.resolve(account)?;
                 if network.directory.epoch(account) > 0 {
-                    return Err(refused(format!("{account} has registered already; `authros chain suspend` stops it")));
+                    return Err(refused(format!("{account} has already registered; `authros chain suspend` stops it")));
                 }
-                (Call::Dismiss { account }, format!("{account} may no longer register while registration is closed"))
+                (Call::Dismiss { account }, format!("{account} can no longer register while registration is closed"))
             }
             Administration::Admit { account } => {
                 let account = self.contacts.resolve(account)?;
-                (Call::Admit { account }, format!("{account} may register"))
+                (Call::Admit { account }, format!("{account} can register"))
             }
             Administration::Suspend { account } => {
                 let account = self.contacts.resolve(account)?;
-                (Call::Suspend { account }, format!("{account} may change nothing but take rights away"))
+                (Call::Suspend { account }, format!("{account} is suspended: it can only withdraw rights"))
             }
             Administration::Restore { account } => {
                 let account = self.contacts.resolve(account)?;
-                (Call::Restore { account }, format!("{account} is free again"))
+                (Call::Restore { account }, format!("{account} is no longer suspended"))
             }
             Administration::Open { open } => {
-                let text = if *open { "anyone may register" } else { "only admitted accounts may register" };
+                let text = if *open { "anyone can register" } else { "only admitted accounts can register" };
                 (Call::SetOpen { open: *open }, text.to_owned())
             }
             Administration::Pause { paused, seconds } => pause(network.chain.revision()?, *paused, *seconds)?,
             Administration::HandOver { account } => {
                 let account = self.contacts.resolve(account)?;
-                (Call::Nominate { account }, format!("{account} is to administer; it takes over with `chain accept`"))
+                (
+                    Call::Nominate { account },
+                    format!("{account} is nominated as administrator; it takes over with `chain accept`"),
+                )
             }
             Administration::Accept => (Call::AcceptAdministrator, "this profile administers the contract".to_owned()),
             Administration::Propose { lost, successor } => self.propose(network, lost, successor)?,
             Administration::Cancel { lost } => {
                 let lost = self.contacts.resolve(lost)?;
-                (Call::CancelSuccession { lost }, format!("nobody is to continue for {lost} any more"))
+                (Call::CancelSuccession { lost }, format!("the succession of {lost} is cancelled"))
             }
             Administration::Complete { lost } => {
                 let lost = self.contacts.resolve(lost)?;
-                (Call::CompleteSuccession { lost }, format!("{lost} is suspended for good, its successor continues"))
+                (Call::CompleteSuccession { lost }, format!("{lost} is suspended permanently; its successor continues"))
             }
             Administration::Succeed { lost, successor } => {
                 let (lost, successor) = (self.contacts.resolve(lost)?, self.contacts.resolve(successor)?);
                 network.directory.identity(successor)?;
-                let text = format!("{successor} continues for {lost}, which is suspended for good");
+                let text = format!("{successor} continues for {lost}, which is suspended permanently");
                 (Call::Succeed { lost, successor }, text)
             }
         })
@@ -160,11 +163,11 @@ impl Administering {
         let recovery = recovery.and_then(|recovery| recovery.in_effect(Timestamp::now()));
         let delay = network.directory.administration().delay.unwrap_or(0);
         let (days, stops) = match recovery {
-            Some(recovery) => (delay / 86_400, format!("{recovery} may stop it until then")),
-            None => (2 * delay / 86_400, "it had named no recovery account that could stop it".to_owned()),
+            Some(recovery) => (delay / 86_400, format!("{recovery} can stop it until then")),
+            None => (2 * delay / 86_400, "there is no recovery account that could stop it".to_owned()),
         };
         let text =
-            format!("{successor} is to continue for {lost} in {days} days, by `chain succession complete`; {stops}");
+            format!("{successor} can continue for {lost} in {days} days, with `chain succession complete`; {stops}");
         Ok((Call::ProposeSuccession { lost, successor }, text))
     }
 
@@ -246,7 +249,7 @@ impl Administering {
             let (lost, successor) =
                 (shown(named.lost, &named.lost_name), shown(named.successor, &named.successor_name));
             format!(
-                "the administrator named {successor} the successor of {lost}, which is lost (block {})",
+                "the administrator declared {lost} lost and named {successor} its successor (block {})",
                 named.block
             )
         };
@@ -258,7 +261,7 @@ impl Administering {
                 |recovery| format!("its recovery account {recovery} can stop it: `authros chain succession cancel`"),
             );
             format!(
-                "the administrator wants {successor} to continue for {lost} from {} on (block {}); {stop}",
+                "the administrator proposed that {successor} continue for {lost} from {} (block {}); {stop}",
                 waits.due, waits.block
             )
         };
@@ -273,17 +276,17 @@ fn is_for_others(call: &Call) -> bool {
 
 /// A pause has an end, except on a contract of the first revision.
 fn pause(revision: Revision, paused: bool, seconds: Option<u64>) -> Result<(Call, String), Failure> {
-    const STOPPED: &str = "all changes are stopped but those that take rights away";
+    const STOPPED: &str = "all changes are paused except those that withdraw rights";
     Ok(match (revision, paused) {
         (Revision::First, true) if seconds.is_some() => {
             return Err(ChainError::NotOffered { revision, function: "pause" }.into());
         }
         (Revision::First, true) => (Call::SetPaused { paused }, format!("{STOPPED}, until `authros chain resume`")),
-        (Revision::First, false) => (Call::SetPaused { paused }, "changes go on".to_owned()),
+        (Revision::First, false) => (Call::SetPaused { paused }, "changes are possible again".to_owned()),
         (Revision::Second, true) => {
             let until = Timestamp::from_seconds(Timestamp::now().seconds().saturating_add(seconds.unwrap_or(PAUSE)));
-            (Call::Pause { until }, format!("{STOPPED}, until {until}; they go on by themselves then"))
+            (Call::Pause { until }, format!("{STOPPED}, until {until}; then they resume automatically"))
         }
-        (Revision::Second, false) => (Call::Resume, "changes go on".to_owned()),
+        (Revision::Second, false) => (Call::Resume, "changes are possible again".to_owned()),
     })
 }

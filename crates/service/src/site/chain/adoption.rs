@@ -105,12 +105,12 @@ impl Adoption {
             };
             running.run.stage(2, "finding the contract, or deploying one");
             let pin = self.contract_there(&chain, owner, &pinned).await?;
-            running.run.stage(3, "waiting for transactions on their way to the earlier contract");
+            running.run.stage(3, "waiting for pending transactions to the earlier contract");
             let moved = match &outgrown {
                 Some(network) => self.come_to_rest(network).await,
                 None => Ok(()),
             };
-            running.run.stage(4, "writing down what stays where it is and what is anchored anew");
+            running.run.stage(4, "recording what stays and what is anchored again");
             let left = match moved {
                 Ok(()) => self.leave(&chain, pinned, &pin).await,
                 Err(failure) => Err(failure),
@@ -140,13 +140,13 @@ impl Adoption {
         self.log.write(&owner.profile, "adopt chain", &network.domain.to_string(), "done").await?;
         let (kept, anew) = (left.kept, left.anew);
         let stays = if left.is_same_chain {
-            "stay anchored in the earlier contract and are checked there"
+            "stay anchored in the earlier contract and are verified there"
         } else {
             "keep their anchors on the earlier chain, where they can no longer be checked from here"
         };
         let text = format!(
-            "chain {} with contract {} is used from now on; {kept} {} {stays}, {anew} others are anchored here; grants \
-             and loans are to be given again",
+            "chain {} with contract {} is used from now on; {kept} {} {stays}, {anew} others are anchored here; give \
+             grants and loans again",
             network.chain.chain_id(),
             network.chain.pin().map_or_else(String::new, |pin| pin.contract.to_string()),
             if left.is_same_chain { "records" } else { "verified records" },
@@ -169,7 +169,7 @@ impl Adoption {
                     return Ok((pin, Some(network)));
                 }
                 let advice = if network.chain.revision()? < Revision::NEWEST {
-                    "; chain.contract names a contract of an earlier revision, leave it empty or name a newer one"
+                    "; chain.contract names a contract of an earlier revision, leave it empty or set a newer one"
                 } else {
                     ""
                 };
@@ -177,9 +177,7 @@ impl Adoption {
                     "the chain is the pinned one, so there is nothing to adopt{advice}; see `authros chain status`"
                 )))
             }
-            None => {
-                Err(input("this home is bound to no chain yet; `authros register` binds it to the one that is there"))
-            }
+            None => Err(input("this home is not bound to a chain yet; `authros register` binds it to the current one")),
         }
     }
 
@@ -233,8 +231,7 @@ impl Adoption {
             if adoption::domain_of(&pin) == adoption::domain_of(left) {
                 return Err(refused(format!(
                     "contract {contract} has the same address on a chain with the same id and genesis block as the \
-                     one that was lost, so old and new records could not be told apart; deploy another and set \
-                     chain.contract"
+                     lost one, so old and new records could not be told apart; deploy another and set chain.contract"
                 )));
             }
             return Ok(pin);
@@ -305,8 +302,8 @@ impl Adoption {
             }
             if tokio::time::Instant::now() > deadline {
                 return Err(refused(
-                    "the chain is adopted, but the adoption record is not in a block yet; it is kept and anchored \
-                     before everything else, look at `authros chain status`",
+                    "the chain is adopted, but the adoption record is not in a block yet; it is stored and anchored \
+                     before anything else, see `authros chain status`",
                 ));
             }
             tokio::time::sleep(Duration::from_millis(100)).await;

@@ -190,7 +190,7 @@ impl Connection {
     /// Asks a development node for money if the account has none.
     pub(in crate::site) async fn fund(&self, chain: &Chain, owner: &Owner) -> Result<(), Failure> {
         if self.config.chain_url.is_some() && chain.fund_from_node(owner.address).await? {
-            self.hub.notice(NoticeLevel::Info, &format!("the development node gave {} money for gas", owner.address));
+            self.hub.notice(NoticeLevel::Info, &format!("the development node gave {} ether for gas", owner.address));
         }
         Ok(())
     }

@@ -25,17 +25,17 @@ impl Connection {
     ) -> Result<DeployedView, Failure> {
         let delay = delay.map_or(DEFAULT_DELAY, Duration::from_secs);
         if !(SHORTEST_DELAY..=LONGEST_DELAY).contains(&delay) {
-            return Err(input("a succession waits at least a day and at most 365 days; give another --delay"));
+            return Err(input("the succession delay must be between 1 and 365 days; give another --delay"));
         }
         self.link.chain().await?;
         if let NetworkState::Up(network) = &*self.link.state() {
             let contract = network.chain.pin().map_or_else(|| "a contract".to_owned(), |pin| pin.contract.to_string());
             return Err(input(format!(
-                "{contract} is pinned for this home already, nothing was deployed; use another --home for another one"
+                "{contract} is already pinned for this home, nothing was deployed; use another --home for another one"
             )));
         }
         let network = self.network_or_deploy_as(owner, revision.unwrap_or(Revision::NEWEST), delay).await?;
-        let pin = network.chain.pin().ok_or_else(|| input("the chain is gone; run the command again"))?;
+        let pin = network.chain.pin().ok_or_else(|| input("the chain has stopped; run the command again"))?;
         Ok(DeployedView { pin, administrator: owner.address })
     }
 
@@ -52,13 +52,13 @@ impl Connection {
         }
         let listener = serve::listen(address).await?;
         self.log.write(profile, "serve chain", &address.to_string(), "begun").await?;
-        let address = listener.local_addr().map_err(|error| input(format!("no address to serve at: {error}")))?;
+        let address = listener.local_addr().map_err(|error| input(format!("no address to listen on: {error}")))?;
         let view = ServedView {
             url: format!("http://{address}"),
             chain_id: chain.chain_id(),
             contract: chain.pin().map(|pin| pin.contract),
         };
-        self.hub.notice(NoticeLevel::Info, &format!("the chain is served to tools of this machine at {}", view.url));
+        self.hub.notice(NoticeLevel::Info, &format!("the chain is available to tools on this machine at {}", view.url));
         let connection = Arc::clone(self);
         tokio::spawn(async move {
             let stop = async {

@@ -97,7 +97,7 @@ impl Lanes {
     pub(in crate::site) async fn tend(&self, network: &Network) {
         for owner in self.owners.all() {
             if let Err(failure) = self.tend_lanes_of(&owner, network).await {
-                let text = format!("transactions of {} wait: {}", owner.profile, failure.message);
+                let text = format!("transactions of {} are waiting: {}", owner.profile, failure.message);
                 self.hub.notice(NoticeLevel::Error, &text);
             }
         }
@@ -114,7 +114,7 @@ impl Lanes {
         }
         for key in keys {
             for reason in self.sender.tend(&network.chain, &key).await? {
-                let text = format!("the contract refused a transaction of {}: {reason}", owner.profile);
+                let text = format!("the contract rejected a transaction of {}: {reason}", owner.profile);
                 self.hub.notice(NoticeLevel::Error, &text);
             }
         }

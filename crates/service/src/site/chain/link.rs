@@ -193,5 +193,5 @@ impl Link {
 }
 
 fn off() -> Failure {
-    internal("this run of the site has no chain, or is ending; run the command again")
+    internal("this site was started without a chain, or is stopping; run the command again")
 }

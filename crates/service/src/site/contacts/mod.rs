@@ -129,8 +129,8 @@ impl Contacts {
         let given = fingerprint.is_some();
         if !given && self.is_joined {
             return Err(refused(format!(
-                "which key {address} has is known here from a gateway's word alone; have its owner tell its fingerprint \
-                 by another way, then `authros contacts add {name} {address} --fingerprint FINGERPRINT`"
+                "the key of {address} is known here only from a gateway; get its fingerprint from its owner over \
+                 another channel, then run `authros contacts add {name} {address} --fingerprint FINGERPRINT`"
             )));
         }
         let fingerprint = fingerprint.map(|text| read(&text)).transpose()?.map(|found| found.to_string());
@@ -143,7 +143,7 @@ impl Contacts {
             if let Some(known) = book.iter().find(|contact| contact.name == name || contact.address == address) {
                 let (name, address) = (&known.name, known.address);
                 return Err(refused(format!(
-                    "the address book has '{name}' for {address} already; `authros contacts remove {name}` takes it out"
+                    "the address book already has '{name}' for {address}; `authros contacts remove {name}` removes it"
                 )));
             }
             if book.len() >= MOST_CONTACTS {
@@ -189,8 +189,8 @@ impl Contacts {
             let contact = self.contact(name)?;
             if fingerprint.is_none() && self.is_joined {
                 return Err(refused(format!(
-                    "which key '{name}' has is known here from a gateway's word alone; have its owner tell its \
-                     fingerprint by another way, then `authros contacts confirm {name} --fingerprint FINGERPRINT`"
+                    "the key of '{name}' is known here only from a gateway; get its fingerprint from its owner over \
+                     another channel, then run `authros contacts confirm {name} --fingerprint FINGERPRINT`"
                 )));
             }
             let identity = network.directory.identity(contact.address)?;
@@ -199,7 +199,7 @@ impl Contacts {
                 && given != registered
             {
                 return Err(refused(format!(
-                    "{} has registered {registered}, not {given}; ask '{name}' by another way which one is right",
+                    "{} has registered {registered}, not {given}; ask '{name}' over another channel which one is right",
                     contact.address
                 )));
             }
@@ -329,8 +329,8 @@ fn uncompared_text(known: Option<&ContactName>, account: Address) -> String {
         None => format!("authros contacts add NAME {account} --fingerprint FINGERPRINT"),
     };
     format!(
-        "which key {account} has is known here from a gateway's word alone, which could show one of its own: nothing is \
-         granted to it until its owner told its fingerprint by another way; then `{how}`"
+        "the key of {account} is known here only from a gateway, which could substitute its own: get its fingerprint \
+         from its owner over another channel, then run `{how}` before granting"
     )
 }
 
@@ -338,7 +338,7 @@ fn changed_text(contact: &Contact, found: &str) -> String {
     let Contact { name, address, .. } = contact;
     let noted = contact.fingerprint.as_deref().unwrap_or_default();
     format!(
-        "'{name}' ({address}) has registered the key {found}, not {noted} as is noted here: nothing is granted to it \
-         until `authros contacts confirm {name}`; compare the fingerprint with '{name}' by another way first"
+        "'{name}' ({address}) has registered the key {found}, not {noted} as noted here; compare the fingerprint with \
+         '{name}' over another channel, then run `authros contacts confirm {name}` before granting"
     )
 }

@@ -89,7 +89,7 @@ impl Enrolments {
         to: &Enrolled,
     ) -> Result<IssuedKeys, Failure> {
         let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
-        let sealing = sealing.ok_or_else(|| refused("no epoch has begun; run `authros register` first"))?;
+        let sealing = sealing.ok_or_else(|| refused("no epoch has started; run `authros register` first"))?;
         let now = self.issue_of(owner, network, to, sealing.epoch)?;
         let next = match owner.author.next().filter(|(_, keys)| keys.epoch > sealing.epoch) {
             Some((moment, keys)) => Some((moment, self.issue_of(owner, network, to, keys.epoch)?)),

@@ -20,7 +20,7 @@ use crate::service::reply::{DeviceTopicsView, EnrolledView, Failure};
 
 /// The most topics that a robot can be limited to; one place is reserved for its own statements.
 const MOST_NAMED: usize = crate::crypto::enrolment::MOST_TOPICS - 1;
-const TOO_MANY: &str = "a robot can be limited to at most 1,023 topics; use --all-topics to cover all";
+const TOO_MANY: &str = "a robot can be limited to at most 1,023 topics; use --all-topics to cover everything";
 
 /// An owner's request to enrol a robot.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -54,8 +54,8 @@ impl Devices {
     ) -> Result<EnrolledView, Failure> {
         if self.is_joined && wishes.fingerprint.is_none() {
             return Err(refused(
-                "a site that joins another one enrols robots only at a gateway whose fingerprint was compared: have its \
-                 keeper tell it, and give it as --gateway-key",
+                "a site that has joined another one can only enrol robots at a gateway whose key you confirmed: ask \
+                 its operator for it and pass it as --gateway-key",
             ));
         }
         let network = self.link.network().await?;
@@ -126,14 +126,14 @@ impl Devices {
             refused(format!("device {device} was not enrolled from this home, so its topics are not known here"))
         })?;
         if enrolled.topics.is_empty() {
-            return Err(refused(format!("'{}' covers all topics already", enrolled.name)));
+            return Err(refused(format!("'{}' already covers all topics", enrolled.name)));
         }
         let names = topics.iter().map(ToString::to_string);
         let mut added: Vec<String> = names.filter(|topic| !enrolled.topics.contains(topic)).collect();
         added.sort();
         added.dedup();
         if added.is_empty() {
-            return Err(refused(format!("'{}' covers these topics already", enrolled.name)));
+            return Err(refused(format!("'{}' already covers these topics", enrolled.name)));
         }
         enrolled.topics.extend(added.iter().cloned());
         enrolled.topics.sort();
@@ -170,8 +170,8 @@ fn covered(wishes: &EnrolWishes) -> Result<Vec<String>, Failure> {
     if wishes.all_topics != wishes.topics.is_empty() {
         return Err(Failure::new(
             ErrorKind::Usage,
-            "say what the robot may record: --topic /robot/odom (may be repeated) for some topics, or --all-topics for \
-             all, which hands it the epoch's key and the index key: whoever steals it reads what it could",
+            "choose what the robot may record: --topic /robot/odom (repeatable) for some topics, or --all-topics, \
+             which gives it the epoch's key and the index key, so that anyone who steals it can read all it could",
         ));
     }
     let mut topics: Vec<String> = wishes.topics.iter().map(ToString::to_string).collect();

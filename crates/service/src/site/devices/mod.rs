@@ -85,14 +85,16 @@ impl Devices {
         let _one_at_a_time = owner.changes.lock().await;
         network.directory.identity(owner.address)?;
         if until.is_some_and(|until| until <= network.directory.now()) {
-            return Err(input("the loan would end before it begins; give a later --until"));
+            return Err(input("the loan would end before it starts; give a later --until"));
         }
         let until = until.map(|until| Timestamp::from_seconds(until.seconds()));
         let known = self.lendings(&network, owner);
         if known.iter().any(|lending| {
             lending.device == device && lending.until == until && authority::is_lent(&network.directory, lending)
         }) {
-            return Err(refused(format!("device {device} is lent already; `authros devices list` shows until when")));
+            return Err(refused(format!(
+                "device {device} is already on loan; `authros devices list` shows until when"
+            )));
         }
         self.log.begin(owner, "lend device", &device.to_string()).await?;
         let text = match until {
@@ -114,13 +116,13 @@ impl Devices {
         let recalled = self.send_recall(owner, &network, device).await?;
         self.enrolments.note_recalled(owner, device)?;
         let rotated = self.sharing.next_epoch(owner, &network, "recall").await.map_err(|failure| {
-            let what = "is recalled, but the new epoch is not on the chain yet and what it holds still opens new records; \
-                        `authros keys rotate` begins it";
+            let what = "is recalled, but the new epoch is not on the chain yet and its keys still open new records; \
+                        `authros keys rotate` starts it";
             Failure { message: format!("device {device} {what}: {}", failure.message), ..failure }
         })?;
         let text = format!(
-            "device {device} may no longer sign or read for {}: gateways end its session, and records are sealed under \
-             epoch {} from now on; what it signed before stays valid, what it has read cannot be taken back",
+            "device {device} can no longer sign or read for {}: gateways end its session, and new records are sealed \
+             under epoch {}; what it signed before stays valid, what it has read cannot be recalled",
             owner.address, rotated.epoch
         );
         Ok(TransactionView { epoch: rotated.epoch, text, ..recalled })
@@ -198,7 +200,7 @@ fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
     let wanted: String = text.chars().filter(|character| !character.is_whitespace()).collect::<String>().to_lowercase();
     let wanted = wanted.trim_start_matches("0x");
     if wanted.len() < SHORTEST || !wanted.bytes().all(|byte| byte.is_ascii_hexdigit()) {
-        return Err(input(format!("a device is named by at least {SHORTEST} hex characters of its id")));
+        return Err(input(format!("give at least {SHORTEST} hex characters of the device's id")));
     }
     let open = lendings.iter().filter(|lending| lending.recalled.is_none());
     let mut found: Vec<SignerId> =
@@ -207,8 +209,8 @@ fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
     found.dedup();
     match found.as_slice() {
         [device] => Ok(*device),
-        [] => Err(refused("no such device is lent; `authros devices list` shows those that are")),
-        _ => Err(input("several lent devices begin like this; give more of the id")),
+        [] => Err(refused("no such device is on loan; `authros devices list` shows those that are")),
+        _ => Err(input("several devices on loan start like this; give more of the id")),
     }
 }
 

@@ -54,7 +54,7 @@ impl Evidence {
         wishes: EvidenceWishes,
     ) -> Result<EvidenceView, Failure> {
         if wishes.file.symlink_metadata().is_ok() {
-            return Err(input(format!("{} exists; name a file that does not", wishes.file.display())));
+            return Err(input(format!("{} already exists; choose a new file", wishes.file.display())));
         }
         let network = self.link.network().await?;
         let about = self.incident(owner, &wishes).await?;
@@ -75,14 +75,18 @@ impl Evidence {
             self.log.begin(owner, "disclose record", &row.id).await?;
         }
         if rows.is_empty() {
-            return Err(input("no record of yours is in that choice; `authros uploads list` shows them".to_owned()));
+            return Err(input(
+                "that selection contains none of your records; `authros uploads list` shows them".to_owned(),
+            ));
         }
         let file = clean(&wishes.file.display().to_string(), 300);
         self.log.begin(owner, "export evidence", &file).await?;
         let written = self.write_evidence(owner, &network, (&rows, &reveal), about.as_ref(), &wishes.file).await;
         let written = written.map(|mut view| {
             view.notes.extend((deleted > 0).then(|| {
-                format!("{deleted} records of the incident are not in the bundle: retention deleted their bytes before")
+                format!(
+                    "{deleted} records of the incident are not in the bundle: retention had already deleted their bytes"
+                )
             }));
             view
         });
@@ -141,7 +145,7 @@ impl Evidence {
             rows.extend(page.rows.into_iter().filter(is_stored));
             if rows.len() > MOST_RECORDS {
                 return Err(input(format!(
-                    "that is more than {MOST_RECORDS} records; narrow it by --topic, --since and --until"
+                    "that is more than {MOST_RECORDS} records; narrow it with --topic, --since and --until"
                 )));
             }
             after = page.next;

@@ -37,9 +37,9 @@ const HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\
     @media print { body { margin: 0; max-width: none; font-size: 11px } section { break-inside: avoid } h2 { break-after: avoid } }\n\
     </style>\n</head>\n<body>\n";
 
-const MARK: &str = "<p class=\"mark\"><b>This page is not authoritative.</b> It was written by the program of whoever made the \
-    file, judged by that program's own pins, and proves nothing. What the file proves is said by a check of the file: \
-    <code>authros verify FILE.authros --trust trust.toml</code>, offline, with a trust file of your own, or by \
+const MARK: &str = "<p class=\"mark\"><b>This page is not authoritative.</b> It was written by the program of the \
+    person who made the file, using that program's own pins, and proves nothing. To see what the file proves, check \
+    it: <code>authros verify FILE.authros --trust trust.toml</code>, offline, with a trust file of your own, or by \
     <code>tools/verify.py</code> of the same source.</p>\n";
 
 /// A foreign text, escaped for HTML.
@@ -105,16 +105,16 @@ fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
     let opened = report.records.iter().filter(|record| record.disclosed.is_some()).count();
     let mut owners: BTreeMap<String, u64> = BTreeMap::new();
     for record in &report.records {
-        let owner = record.owner.map_or_else(|| "nobody that can be read".to_owned(), |owner| owner.to_string());
+        let owner = record.owner.map_or_else(|| "unreadable".to_owned(), |owner| owner.to_string());
         *owners.entry(owner).or_default() += 1;
     }
     out.push_str("<h2>What, who, when</h2>\n");
     let mut rows = vec![
         vec!["Records".to_owned(), format!("{}, {opened} of them disclosed", report.records.len())],
-        vec!["Captured, as their owner says".to_owned(), span(captured().min(), captured().max())],
-        vec!["Anchored, by the clock of who sealed the blocks".to_owned(), span(anchored().min(), anchored().max())],
-        vec!["Existed before, by authorities' stamps".to_owned(), span(stamped().min(), stamped().max())],
-        vec!["Put together by".to_owned(), format!("{} with the key {}", exporter.account, exporter.key)],
+        vec!["Captured, according to their owner".to_owned(), span(captured().min(), captured().max())],
+        vec!["Anchored, by the clock of the block sealers".to_owned(), span(anchored().min(), anchored().max())],
+        vec!["Existed before, by authorities' time stamps".to_owned(), span(stamped().min(), stamped().max())],
+        vec!["Assembled by".to_owned(), format!("{} with the key {}", exporter.account, exporter.key)],
         vec!["Chain".to_owned(), format!("id {}, genesis {}, contract {}", chain.id, chain.genesis, chain.contract)],
     ];
     rows.extend(
@@ -127,7 +127,7 @@ fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
 /// What its owner calls the incident of these records. Its topics appear as their pseudonyms, as in the whole file.
 fn incident(out: &mut String, about: &IncidentView) {
     out.push_str("<h2>Incident, in its owner's words</h2>\n");
-    let until = about.until.map_or_else(|| "not ended".to_owned(), |until| until.to_string());
+    let until = about.until.map_or_else(|| "still open".to_owned(), |until| until.to_string());
     let mut rows = vec![
         vec!["Name".to_owned(), about.name.to_string()],
         vec!["From".to_owned(), about.since.to_string()],
@@ -163,7 +163,7 @@ fn level_row(record: &RecordReport) -> Vec<String> {
 }
 
 fn completeness(out: &mut String, report: &Report) {
-    out.push_str("<h2>(f) Which numbers are there</h2>\n");
+    out.push_str("<h2>(f) Completeness of numbers</h2>\n");
     let rows: Vec<Vec<String>> = report
         .complete
         .iter()
@@ -186,7 +186,7 @@ fn disclosed(out: &mut String, bundle: &Bundle, report: &Report) {
     let opened: Vec<&RecordReport> = report.records.iter().filter(|record| is_chosen(record)).collect();
     out.push_str("<h2>Disclosed records</h2>\n");
     if opened.is_empty() {
-        out.push_str("<p>None: every message in the file is sealed, but for what recorders state of themselves.</p>\n");
+        out.push_str("<p>None: every message in the file is sealed, except recorders' own statements.</p>\n");
     }
     for (at, record) in opened.iter().enumerate() {
         if at == MOST_SHOWN || out.len() > LONGEST {
@@ -248,7 +248,7 @@ fn easy(out: &mut String, readable: &Readable) {
         plot(out, shown);
     }
     if let Some(png) = readable.picture.as_ref().and_then(|raster| raster.png().ok()) {
-        put(out, format_args!("<p><img alt=\"the picture, made small\" src=\"{}\"></p>\n", data_uri(&png)));
+        put(out, format_args!("<p><img alt=\"the picture, reduced\" src=\"{}\"></p>\n", data_uri(&png)));
     }
 }
 

@@ -117,7 +117,7 @@ impl TimeStamps {
     /// Stamps now what is not stamped yet.
     pub async fn stamp(self: &Arc<Self>) -> Result<StampView, Failure> {
         if !self.is_wanted() {
-            return Err(input("no time stamp authority is set; set time.authorities (docs/evidence.md shows how)"));
+            return Err(input("no time stamp authority is configured; set time.authorities (see docs/evidence.md)"));
         }
         let _turn = self.turn.lock().await;
         let roots = blocking(self, |stamps| stamps.begin(true)).await?;
@@ -139,7 +139,7 @@ impl TimeStamps {
             }
         }
         if problem.is_none() && self.with(|last| std::mem::take(last).trouble.is_some()) {
-            self.hub.notice_about(ABOUT, NoticeLevel::Info, "batches are stamped again");
+            self.hub.notice_about(ABOUT, NoticeLevel::Info, "time stamping works again");
         }
         (tokens, problem)
     }
@@ -155,7 +155,7 @@ impl TimeStamps {
             is_new
         });
         if is_new {
-            let text = format!("batches wait for their time stamps, it is tried again: {}", failure.message);
+            let text = format!("batches are waiting for time stamps; retrying: {}", failure.message);
             self.hub.notice_about(ABOUT, NoticeLevel::Warning, &text);
         }
     }
@@ -193,14 +193,13 @@ impl TimeStamps {
             return Ok(None);
         }
         let counts = self.plant.ledger.stamp_counts()?;
-        let newest =
-            counts.before.map_or_else(|| "none yet".to_owned(), |before| format!("the newest before {before}"));
+        let newest = counts.before.map_or_else(|| "none yet".to_owned(), |before| format!("newest before {before}"));
         let told = format!("{} stamps, {newest}; {} wait", counts.stamped, counts.waiting);
         let trouble = self.with(|last| last.trouble.clone());
         let failures = self.failures.load(Ordering::Acquire);
         let (level, since, text) = match trouble {
             Some((since, why)) => {
-                (HealthLevel::Waiting, Some(since), format!("{told}; {failures} requests brought none: {why}"))
+                (HealthLevel::Waiting, Some(since), format!("{told}; {failures} requests failed: {why}"))
             }
             None => (HealthLevel::Ok, None, told),
         };
@@ -225,7 +224,7 @@ fn nanoseconds(span: Duration) -> u64 {
 /// The pinned certificate, read anew each time: it may have been replaced.
 fn read(authority: &TimeAuthority) -> Result<Certificate, Failure> {
     let path = clean(&authority.certificate.display().to_string(), 200);
-    let failed = |why: String| input(format!("{path}: {why}; set time.authorities to a certificate in PEM"));
+    let failed = |why: String| input(format!("{path}: {why}; set time.authorities to a PEM certificate"));
     let length = std::fs::metadata(&authority.certificate).map_err(|error| failed(error.to_string()))?.len();
     if length > LONGEST_CERTIFICATE {
         return Err(failed("it is too long for a certificate".to_owned()));
@@ -247,7 +246,7 @@ async fn fetch(client: &reqwest::Client, authority: &TimeAuthority, request: Vec
     let name = clean(&authority.name, 80);
     let unreachable = |error: reqwest::Error| {
         let why = if error.is_timeout() { "no answer in time".to_owned() } else { innermost(&error) };
-        let text = format!("the time stamp authority '{name}' is not reached: {why}; see time.authorities");
+        let text = format!("the time stamp authority '{name}' cannot be reached: {why}; check time.authorities");
         Failure::new(ErrorKind::Unreachable, text)
     };
     let sent = client.post(&authority.url).header("Content-Type", REQUEST_TYPE).body(request).send().await;
@@ -259,7 +258,9 @@ async fn fetch(client: &reqwest::Client, authority: &TimeAuthority, request: Vec
     while let Some(chunk) = answer.chunk().await.map_err(unreachable)? {
         bytes.extend_from_slice(&chunk);
         if bytes.len() > LONGEST_ANSWER {
-            return Err(refused(format!("the time stamp authority '{name}' answered with more than any stamp has")));
+            return Err(refused(format!(
+                "the time stamp authority '{name}' sent more data than a time stamp can have"
+            )));
         }
     }
     Ok(bytes)

@@ -39,7 +39,7 @@ impl GatewayDesk {
         if self.open {
             return Ok(Standing::Guest);
         }
-        let detail = format!("{account} is not admitted; `authros gateway admit {account}` lets it use this gateway");
+        let detail = format!("{account} is not admitted; `authros gateway admit {account}` admits it to this gateway");
         Err(Refusal::new(Code::NotAuthorised, detail))
     }
 
@@ -61,7 +61,7 @@ impl GatewayDesk {
         let guests: BTreeSet<&Address> =
             bound.iter().map(|(_, owner)| owner).filter(|owner| !self.gateway.admissions.is_on_list(owner)).collect();
         if own == 0 && guests.len() >= MOST_GUESTS {
-            return Err(self.over(account, format_args!("{MOST_GUESTS} owners that nobody admitted")));
+            return Err(self.over(account, format_args!("{MOST_GUESTS} owners who are not admitted")));
         }
         Ok(())
     }
@@ -95,10 +95,10 @@ impl GatewayDesk {
     }
 
     fn over(&self, account: &Address, what: std::fmt::Arguments<'_>) -> Refusal {
-        let how = "lifts the quotas of guests";
+        let how = "lifts its guest quota";
         Refusal::new(
             Code::Quota,
-            format_args!("{account} may have no more than {what}; `authros gateway admit {account}` {how}"),
+            format_args!("{account} has reached its quota of {what}; `authros gateway admit {account}` {how}"),
         )
     }
 }

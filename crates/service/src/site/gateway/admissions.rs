@@ -76,7 +76,7 @@ impl Admissions {
         let bound: BTreeSet<Address> =
             block_in_place(|| ledger.bound_names())?.into_iter().map(|(_, owner)| owner).collect();
         let since = Timestamp::now();
-        let by = "had a name here before owners were admitted";
+        let by = "had a name here before admission was introduced";
         let list = bound.into_iter().map(|owner| Admitted { owner, since, by: by.to_owned() }).collect();
         self.write(&list)?;
         Ok(list)
@@ -117,7 +117,7 @@ impl Admissions {
             let mut list = self.list()?;
             if !list.iter().any(|admitted| admitted.owner == owner) {
                 if list.len() >= MOST {
-                    return Err(refused(format!("a gateway admits at most {MOST} owners; dismiss one first")));
+                    return Err(refused(format!("a gateway can admit at most {MOST} owners; dismiss one first")));
                 }
                 self.log.write(profile, "gateway admit", &owner.to_string(), "done").await?;
                 list.push(Admitted { owner, since: Timestamp::now(), by: profile.to_string() });
@@ -131,7 +131,7 @@ impl Admissions {
     pub async fn dismiss(self: &Arc<Self>, profile: &ProfileName, owner: &Party) -> Result<Vec<AdmittedView>, Failure> {
         let owner = self.contacts.resolve(owner)?;
         if self.home_accounts().contains(&owner) {
-            return Err(refused(format!("{owner} is a profile of this home, which always may use its gateway")));
+            return Err(refused(format!("{owner} is a profile of this home and may always use its gateway")));
         }
         {
             let _one_at_a_time = self.changing.lock().await;
@@ -139,7 +139,7 @@ impl Admissions {
             let before = list.len();
             list.retain(|admitted| admitted.owner != owner);
             if list.len() == before {
-                return Err(input(format!("{owner} is not admitted; `authros gateway admitted` lists who is")));
+                return Err(input(format!("{owner} is not admitted; `authros gateway admitted` lists those who are")));
             }
             self.log.write(profile, "gateway dismiss", &owner.to_string(), "done").await?;
             self.write(&list)?;

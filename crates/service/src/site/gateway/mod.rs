@@ -181,14 +181,14 @@ impl Gateway {
     ) -> Result<GatewayView, Failure> {
         if self.config.anchor_mode == AnchorMode::Each {
             return Err(input(
-                "a gateway anchors records of many owners, which only batches can; set anchor.mode = 'batch'",
+                "a gateway anchors records of many owners, which requires batches; set anchor.mode = 'batch'",
             ));
         }
         let network = self.link.network().await?;
         let registered = network.directory.identity(keeper.address)?;
         if registered.signing != keeper.signing().public {
             return Err(refused(format!(
-                "the signing key of profile '{}' is not the one registered; run `authros register` first",
+                "the signing key of profile '{}' is not the registered one; run `authros register` first",
                 keeper.profile
             )));
         }
@@ -207,7 +207,7 @@ impl Gateway {
             domain: network.domain,
         };
         self.log.write(&keeper.profile, "gateway", &view.address, "serving").await?;
-        self.hub.notice(NoticeLevel::Info, &format!("the gateway listens at {}", view.address));
+        self.hub.notice(NoticeLevel::Info, &format!("the gateway is listening at {}", view.address));
         *self.serving.lock().unwrap_or_else(PoisonError::into_inner) =
             Some(Serving { view: view.clone(), watch: server.watch(), under: Arc::clone(&under) });
         self.hub.changed(Part::Health);

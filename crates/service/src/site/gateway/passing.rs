@@ -65,13 +65,13 @@ impl GatewayDesk {
             let context = Context { provider: self.gateway.plant.provider, domain: self.domain };
             let registration = Registration { account: sender, identity: *identity, transaction };
             return check_registration(&context, &registration)
-                .map_err(|_| rejected("the identity that it registers is not proven by its own keys"));
+                .map_err(|_| rejected("the identity being registered is not proven by its own keys"));
         }
         if self.may_send(network, &sender) {
             return Ok(());
         }
         Err(rejected(
-            "a visitor sends nothing but its registration; have the keeper of the gateway admit this account first",
+            "a visitor may only send its registration; ask the gateway's operator to admit this account first",
         ))
     }
 

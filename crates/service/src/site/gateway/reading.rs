@@ -143,12 +143,12 @@ impl GatewayDesk {
             Some(blob) => Some(blob),
             None => plant.ledger.local_copy(row.digest).map_err(&internal)?,
         };
-        let blob = blob.ok_or_else(|| Refusal::new(Code::NotFound, format_args!("record {} is gone", row.id)))?;
+        let blob = blob.ok_or_else(|| Refusal::new(Code::NotFound, format_args!("record {} is missing", row.id)))?;
         if Digest(plant.provider.sm3(&[&blob])) != row.digest {
-            return Err(Refusal::new(Code::Tampered, format_args!("record {} is not what it was", row.id)));
+            return Err(Refusal::new(Code::Tampered, format_args!("record {} was altered", row.id)));
         }
         let signer = authority::key_of(plant, &network, &row).map_err(Refusal::because(Code::Internal))?;
-        let unknown = || Refusal::new(Code::Tampered, format_args!("the signer of record {} is not known", row.id));
+        let unknown = || Refusal::new(Code::Tampered, format_args!("the signer of record {} is unknown", row.id));
         let place = plant.ledger.batch_place(row.digest).map_err(&internal)?;
         let proof = proof(&row, place).map(|proof| proof.encode()).unwrap_or_default();
         Ok(Fetched { signer: signer.ok_or_else(unknown)?, signature: row.signature, proof, blob })

@@ -23,7 +23,7 @@ impl Profiles {
     ) -> Result<KeyChangeView, Failure> {
         let network = self.registered_network(owner).await?;
         let Some(network) = network else {
-            let lines = vec!["nobody is touched: this profile is not registered on a chain yet".to_owned()];
+            let lines = vec!["nobody is affected: this profile is not registered on a chain yet".to_owned()];
             return Ok(KeyChangeView { lines, ..nobody() });
         };
         let me = owner.address;
@@ -78,23 +78,23 @@ fn counted(count: usize, one: &str, many: &str) -> String {
 fn signing_lines(view: &KeyChangeView) -> Vec<String> {
     let readers = counted(view.readers.len(), "reader", "readers");
     let mut lines = vec![format!(
-        "{readers} with a grant: they go on and open old and new records; who compared your fingerprint compares the \
-         new one (`authros contacts confirm`)"
+        "{readers} with a grant: they can still open old and new records; anyone who compared your fingerprint must \
+         compare the new one (`authros contacts confirm`)"
     )];
     let names: Vec<&str> = view.robots.iter().map(ProfileName::as_str).collect();
     lines.push(match names.as_slice() {
-        [] => "no robot is lent".to_owned(),
+        [] => "no robot is on loan".to_owned(),
         names => format!(
-            "{} ({}): told by a notice that the old key and your account sign; they go on by themselves where their \
-             gateway runs in this home and they are not of an earlier version; enrol the others again",
+            "{} ({}): informed by a notice signed with the old key and your account; they continue automatically if \
+             their gateway runs in this home and they are not an earlier version; enrol the others again",
             counted(names.len(), "robot", "robots"),
             clean(&names.join(", "), 200)
         ),
     });
     if view.keeps_gateway {
         lines.push(
-            "the gateway of this home keeps its identity, which robots and joined sites have pinned: the old key still \
-             serves as that"
+            "this home's gateway keeps its identity, which robots and joined sites have pinned: the old key still \
+             serves for that"
                 .to_owned(),
         );
     }
@@ -105,20 +105,22 @@ fn signing_lines(view: &KeyChangeView) -> Vec<String> {
 fn envelope_lines(view: &KeyChangeView) -> Vec<String> {
     let sharers = counted(view.sharers.len(), "account that shares", "accounts that share");
     let mut lines = vec![format!(
-        "{sharers} with you: each wraps the present epoch's keys anew for the new key when it is next at work; the old \
-         key stays in the keyring and opens what was sealed to it"
+        "{sharers} with you: each re-wraps the current epoch's keys for the new key the next time it is active; the \
+         old key stays in the keyring and opens what was sealed for it"
     )];
     if view.keeps_gateway {
-        lines.push("transport keys that the gateway of this home keeps are sealed under the new key".to_owned());
+        lines.push("transport keys kept by this home's gateway are sealed under the new key".to_owned());
     }
     lines.extend(joined_line(view));
-    lines.push("readers and robots of yours are not touched".to_owned());
+    lines.push("your readers and robots are not affected".to_owned());
     lines
 }
 
 fn joined_line(view: &KeyChangeView) -> Option<String> {
     let gateway = view.joined.as_ref()?;
-    Some(format!("the gateway {gateway} that this home has joined: a new transport key is allocated there by itself"))
+    Some(format!(
+        "the gateway {gateway} that this home has joined: a new transport key is allocated there automatically"
+    ))
 }
 
 #[cfg(test)]
@@ -140,11 +142,11 @@ mod tests {
             assert!(text.contains(word), "{word} in {text}");
         }
         let text = signing_lines(&nobody()).join("\n");
-        assert!(text.contains("0 readers") && text.contains("no robot is lent") && !text.contains("gateway"), "{text}");
-        let text = envelope_lines(&KeyChangeView { sharers: vec![Address([2; 20])], ..nobody() }).join("\n");
         assert!(
-            text.contains("1 account that shares") && text.contains("readers and robots of yours are not"),
+            text.contains("0 readers") && text.contains("no robot is on loan") && !text.contains("gateway"),
             "{text}"
         );
+        let text = envelope_lines(&KeyChangeView { sharers: vec![Address([2; 20])], ..nobody() }).join("\n");
+        assert!(text.contains("1 account that shares") && text.contains("your readers and robots are not"), "{text}");
     }
 }

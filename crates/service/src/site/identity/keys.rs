@@ -124,13 +124,13 @@ impl Profiles {
     ) -> Result<Arc<Owner>, Failure> {
         if registered {
             return Err(refused(format!(
-                "profile '{}' is registered as {}; an EOA is an identity, so make another profile for another EOA",
+                "profile '{}' is registered as {}; an EOA is an identity, so create another profile for another EOA",
                 owner.profile, owner.address
             )));
         }
         let rows = block_in_place(|| self.plant.ledger.in_state(Some(owner.address), RecordState::Stored, 1))?;
         if !rows.is_empty() {
-            return Err(refused(format!("records of {} wait to be anchored; register first", owner.address)));
+            return Err(refused(format!("records of {} are waiting to be anchored; register first", owner.address)));
         }
         let key =
             blocking(self, move |_| Ok(keyfile::load_eoa(&path, passphrase.as_ref().map(SecretText::expose))?)).await?;
@@ -160,7 +160,7 @@ impl Profiles {
             KeyKind::Sm2 => keyfile::sm2_pem(&signing.secret)?.as_bytes().to_vec(),
             KeyKind::Eoa => {
                 let passphrase = passphrase
-                    .ok_or_else(|| input("a V3 keystore needs a passphrase; give --keystore-passphrase-file"))?;
+                    .ok_or_else(|| input("a V3 keystore needs a passphrase; pass --keystore-passphrase-file"))?;
                 blocking(self, move |_| Ok(keyfile::eoa_keystore(&eoa, passphrase.expose())?.into_bytes())).await?
             }
         };

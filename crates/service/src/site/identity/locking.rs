@@ -39,7 +39,7 @@ impl Profiles {
     pub(in crate::site) async fn back_up_keys(self: &Arc<Self>, profile: &ProfileName) -> Result<SecretBytes, Failure> {
         let path = self.home.keyring(profile);
         if !path.exists() {
-            return Err(input(format!("profile '{profile}' has no identity yet; there is nothing to back up")));
+            return Err(input(format!("profile '{profile}' has no identity yet, so there is nothing to back up")));
         }
         self.log.write(profile, "back up keys", "keyring", "begun").await?;
         let read = move |_: &Self| {

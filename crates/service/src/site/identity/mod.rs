@@ -105,7 +105,7 @@ impl Profiles {
         let path = self.home.keyring(&profile);
         if path.exists() {
             return Err(refused(format!(
-                "profile '{profile}' exists already; `authros --profile {profile} identity show` shows it"
+                "profile '{profile}' already exists; `authros --profile {profile} identity show` shows it"
             )));
         }
         let passphrase = Passphrase::new(secret.expose().to_owned())?;
@@ -153,7 +153,9 @@ impl Profiles {
     ) -> Result<(), Failure> {
         let path = self.home.keyring(profile);
         if !path.exists() {
-            return Err(refused(format!("profile '{profile}' has no identity yet; there is no passphrase to change")));
+            return Err(refused(format!(
+                "profile '{profile}' has no identity yet, so there is no passphrase to change"
+            )));
         }
         let (old, new) = (Passphrase::new(old.expose().to_owned())?, Passphrase::new(new.expose().to_owned())?);
         self.log.write(profile, "change passphrase", "keyring", "begun").await?;

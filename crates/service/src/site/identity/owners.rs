@@ -89,6 +89,6 @@ impl Owners {
 
 fn without_identity(profile: &ProfileName) -> Failure {
     input(format!(
-        "profile '{profile}' has no identity yet; make one with `authros --profile {profile} identity create`"
+        "profile '{profile}' has no identity yet; create one with `authros --profile {profile} identity create`"
     ))
 }

@@ -86,7 +86,7 @@ impl Profiles {
         if (registered.signing, registered.envelope) != (signing.public, envelope.public) {
             let sent = self.register_pairs(owner, network, &signing, &envelope, moves).await;
             sent.map_err(|failure| {
-                let noted = "the change is noted: it goes on at the next unlock, or with the same command";
+                let noted = "the change is stored: it continues at the next unlock, or when you repeat the command";
                 Failure { message: format!("{}; {noted}", failure.message), ..failure }
             })?;
         }
@@ -202,7 +202,7 @@ impl Profiles {
         if self.recorder.wanted_by(&owner.author).is_empty() {
             return Ok(());
         }
-        Err(refused("topics are being captured; unwatch them before the signing key is changed"))
+        Err(refused("topics are being captured; stop watching them before changing the signing key"))
     }
 
     /// Waits until no record signed by the current key is still in flight. Those of lent devices may be.
@@ -216,7 +216,7 @@ impl Profiles {
             }
             if tokio::time::Instant::now() > deadline {
                 return Err(refused(format!(
-                    "{pending} records signed by the present key are not verified yet; try again when they are"
+                    "{pending} records signed with the current key are not verified yet; try again when they are"
                 )));
             }
             tokio::time::sleep(LOOK).await;

@@ -73,7 +73,8 @@ impl Profiles {
             // The supposed current epoch is not current: nobody knows who reads under it.
             owner.author.rest();
             return Err(crate::service::failure::refused(format!(
-                "the keyring of '{}' lacks the key of its current epoch {on_chain}; restore the newest keyring, or begin a new epoch with `authros keys rotate`",
+                "the keyring of '{}' lacks the key of its current epoch {on_chain}; restore the newest keyring, or \
+                 start a new epoch with `authros keys rotate`",
                 owner.profile
             )));
         }

@@ -86,7 +86,7 @@ impl Incidents {
         }
         if known.len() >= MOST {
             return Err(input(format!(
-                "there are {MOST} incidents, as many as a profile may have; `authros incident remove NAME` forgets one"
+                "there are {MOST} incidents, the limit per profile; remove one with `authros incident remove NAME`"
             )));
         }
         self.log.write(profile, "open incident", &subject(&name, &span), "begun").await?;
@@ -131,7 +131,7 @@ impl Incidents {
     ) -> Result<IncidentView, Failure> {
         let text = note_text(text)?;
         if self.show(owner, name.clone()).await?.notes.len() >= MOST_NOTES {
-            return Err(input(format!("{name} has {MOST_NOTES} notes, as many as an incident may have")));
+            return Err(input(format!("{name} has {MOST_NOTES} notes, the limit per incident")));
         }
         self.log.write(profile, "note incident", name.as_str(), "begun").await?;
         let named = name.clone();
@@ -147,7 +147,7 @@ impl Incidents {
         name: IncidentName,
     ) -> Result<IncidentView, Failure> {
         if !self.show(owner, name.clone()).await?.open {
-            return Err(input(format!("{name} is closed already; what is in it is held until it is removed")));
+            return Err(input(format!("{name} is already closed; its records are held until it is removed")));
         }
         self.log.write(profile, "close incident", name.as_str(), "begun").await?;
         let named = name.clone();
@@ -180,14 +180,15 @@ fn wanted(
 ) -> Result<Wanted, Failure> {
     if since > Timestamp::now() {
         return Err(input(format!(
-            "{name} would begin at {since}, which is to come; a watched topic is captured anyway, open the incident then"
+            "{name} would begin at {since}, which is in the future; watched topics are captured anyway, so open the \
+             incident then"
         )));
     }
     if until.is_some_and(|until| until <= since) {
-        return Err(input(format!("{name} would end before it begins; --until is a later moment than --since")));
+        return Err(input(format!("{name} would end before it begins; --until must be later than --since")));
     }
     if topics.len() > MOST_TOPICS {
-        return Err(input(format!("an incident names at most {MOST_TOPICS} topics; without any it is about all")));
+        return Err(input(format!("an incident can name at most {MOST_TOPICS} topics; name none to cover all")));
     }
     let topics = topics.iter().map(ToString::to_string).collect();
     Ok(Wanted { name, span: IncidentSpan { since, until, topics }, note: note.map(note_text).transpose()? })
@@ -196,20 +197,21 @@ fn wanted(
 fn note_text(text: &str) -> Result<String, Failure> {
     let length = text.chars().count();
     if length > LONGEST_NOTE {
-        return Err(input(format!(
-            "the note has {length} characters, and {LONGEST_NOTE} are the most; make it shorter"
-        )));
+        return Err(input(format!("the note has {length} characters, the limit is {LONGEST_NOTE}; shorten it")));
     }
     let text = clean_lines(text, LONGEST_NOTE);
     if text.trim().is_empty() { Err(input("the note is empty".to_owned())) } else { Ok(text) }
 }
 
 fn taken(name: &IncidentName) -> Failure {
-    input(format!("there is an incident {name} already; `authros incident show {name}` tells of it"))
+    input(format!("an incident {name} already exists; `authros incident show {name}` shows it"))
 }
 
 fn unknown(name: &IncidentName) -> Failure {
-    Failure::new(ErrorKind::Input, format!("there is no incident {name}; `authros incident list` has those there are"))
+    Failure::new(
+        ErrorKind::Input,
+        format!("there is no incident {name}; `authros incident list` shows those there are"),
+    )
 }
 
 fn found(name: &IncidentName, done: bool) -> Result<(), Failure> {

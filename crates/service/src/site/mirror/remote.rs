@@ -106,7 +106,7 @@ impl Remote {
         let gateway = self.gateway()?;
         network.directory.registered_as(gateway).ok_or_else(|| {
             refused(format!(
-                "the gateway {} is not registered on the chain it shows: no account has its key {gateway}; ask its \
+                "the gateway {} is not registered on the chain it presents: no account has its key {gateway}; ask its \
                  operator, and compare the fingerprint",
                 self.address
             ))
@@ -115,7 +115,7 @@ impl Remote {
 
     fn gateway(&self) -> Result<SignerId, Failure> {
         let pinned = self.trust.current().pinned;
-        pinned.ok_or_else(|| Failure::new(ErrorKind::Unreachable, "no gateway was met yet"))
+        pinned.ok_or_else(|| Failure::new(ErrorKind::Unreachable, "no gateway has been contacted yet"))
     }
 
     fn token(owner: &Owner, network: &Network) -> Result<crate::model::Token, Failure> {
@@ -127,7 +127,7 @@ impl Remote {
     pub async fn connect(&self, home: &Home, owner: &Owner, network: &Network) -> Result<Client, GatewayError> {
         let (path, gateway) = (self.transport_key(home, &owner.profile), self.trust.current().pinned);
         let endpoint = self.endpoint(network.domain);
-        let unmet = GatewayError::Unexpected("no gateway was met yet");
+        let unmet = GatewayError::Unexpected("no gateway has been contacted yet");
         let usage = TransportUse { domain: &network.domain, gateway: &gateway.ok_or(unmet)?, name: &owner.profile };
         let secret = owner.envelope().secret;
         let known = block_in_place(|| load_transport_key(&path, self.provider, &secret, usage))?;

@@ -99,7 +99,7 @@ impl Pinning {
         let publishers = if publishers.is_empty() { self.pins.live(topic.as_str()) } else { publishers };
         if publishers.is_empty() {
             return Err(input(format!(
-                "no publisher of {topic} is being read now; name it with --publisher CALLER_ID@HOST:TYPE:MD5"
+                "no publisher of {topic} is being read at the moment; give it with --publisher CALLER_ID@HOST:TYPE:MD5"
             )));
         }
         for publisher in &publishers {
@@ -120,11 +120,13 @@ impl Pinning {
         let owner = self.owners.address_of(profile)?;
         let name = clean(caller_id, 255);
         if self.pins.listed(topic.as_str()).iter().any(|publisher| publisher.caller_id == caller_id) {
-            return Err(input(format!("{name} is pinned to {topic} by ros.publishers; take it out there")));
+            return Err(input(format!("{name} is pinned to {topic} by ros.publishers; remove it there")));
         }
         self.log.write(profile, "unpin", &format!("{topic} {name}"), "begun").await?;
         if block_in_place(|| self.pins.unpin(owner, topic.as_str(), caller_id))? == 0 {
-            return Err(input(format!("{name} is not pinned to {topic}; `authros topics pins` lists who is")));
+            return Err(input(format!(
+                "{name} is not pinned to {topic}; `authros topics pins` lists the pinned publishers"
+            )));
         }
         self.hub.changed(Part::Topics);
         self.view(profile, Some(topic)).await

@@ -68,7 +68,7 @@ impl Quarantine {
             for owner in self.owners.all() {
                 if let Err(failure) = self.report(&owner, quarantine::minute(Timestamp::now())).await {
                     let text =
-                        format!("what is quarantined of {} is not counted yet: {}", owner.profile, failure.message);
+                        format!("quarantined messages of {} are not counted yet: {}", owner.profile, failure.message);
                     self.hub.notice(NoticeLevel::Error, &text);
                 }
             }
@@ -132,7 +132,7 @@ impl Quarantine {
             let row = self.reading.find_record(id).await?;
             if row.owner != address || row.state != RecordState::Quarantined {
                 return Err(input(format!(
-                    "record {} is not in quarantine (it is {}); `authros quarantine list` names those that are",
+                    "record {} is not in quarantine (it is {}); `authros quarantine list` shows those that are",
                     row.id,
                     row.state.word()
                 )));
@@ -155,7 +155,7 @@ impl Quarantine {
         self.decided(owner, &held)?;
         self.hub.stored.notify_waiters();
         let messages = messages(&rows);
-        let text = format!("{messages} messages released; they are anchored like others, and keep their tag");
+        let text = format!("{messages} messages released; they are anchored like others and keep their tag");
         Ok(DecidedView { decision: "released".to_owned(), messages, reports: Vec::new(), text })
     }
 
@@ -195,7 +195,8 @@ impl Quarantine {
         let messages = messages(&rows_now);
         let counted = reports.len();
         let text = format!(
-            "{messages} messages discarded; their digests stay, and {counted} quarantine records on the chain count them"
+            "{messages} messages discarded; their digests remain, and {counted} quarantine records on the chain count \
+             them"
         );
         Ok(DecidedView { decision: "discarded".to_owned(), messages, reports, text })
     }
@@ -227,8 +228,8 @@ impl Quarantine {
         }
         Err(Failure::new(
             ErrorKind::Incomplete,
-            "nothing was discarded: the quarantine records that count these messages are not on the chain yet; \
-             look at `authros chain status`, then repeat the command",
+            "nothing was discarded: the quarantine records that count these messages are not on the chain yet; check \
+             `authros chain status`, then repeat the command",
         ))
     }
 
@@ -238,7 +239,7 @@ impl Quarantine {
         for topic in topics {
             let of_topic = || rows.iter().filter(|row| row.record.topic == topic && row.is_message());
             let (count, first) = (of_topic().count(), of_topic().next().map_or("none", |row| row.record.id.as_str()));
-            self.log.begin(owner, action, &format!("{topic}: {count} messages from {first} on")).await?;
+            self.log.begin(owner, action, &format!("{topic}: {count} messages starting with {first}")).await?;
         }
         Ok(())
     }

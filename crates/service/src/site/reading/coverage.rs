@@ -27,10 +27,10 @@ impl Reading {
         let owner = self.owners.address_of(profile)?;
         let (since, until) = (span.0, span.1.unwrap_or_else(Timestamp::now));
         if since.is_some_and(|since| since >= until) {
-            return Err(input("the time ends before it begins; give --since an earlier time than --until"));
+            return Err(input("the span ends before it begins; --since must be earlier than --until"));
         }
         if !(1..=MOST_PARTS).contains(&parts) {
-            return Err(input(format!("a span has 1 to {MOST_PARTS} parts, not {parts}")));
+            return Err(input(format!("a span can have 1 to {MOST_PARTS} parts, not {parts}")));
         }
         let query = CoverageQuery { owner, topic: topic.to_string(), since, until, parts };
         let found = blocking(self, move |reading| Ok(reading.plant.ledger.coverage(&query)?)).await?;

@@ -130,7 +130,7 @@ impl Reading {
         let definition = described.definition.clone().ok_or_else(|| without_definition(&row, &described))?;
         let here = readable::place(&definition, &last.body).ok_or_else(|| {
             let kind = clean(definition.type_name(), 120);
-            Failure::new(ErrorKind::Usage, format!("messages of {kind} tell no place, so there is no path over them"))
+            Failure::new(ErrorKind::Usage, format!("messages of {kind} contain no position, so there is no path"))
         })?;
         let (mut places, mut unread) = (vec![here], 0);
         for earlier in self.before(&row, records - 1).await? {
@@ -142,7 +142,7 @@ impl Reading {
         }
         places.reverse();
         let topic = clean(&row.topic, 255);
-        let plot = readable::track(&format!("Path over {} records", places.len()), &places, Some(here));
+        let plot = readable::track(&format!("Path: last {} records", places.len()), &places, Some(here));
         Ok(PathView { id: row.id, topic, records: places.len(), unread, plot })
     }
 
@@ -180,7 +180,7 @@ fn as_signed(row: RecordRow, record: &OpenedRecord) -> RecordRow {
 }
 
 fn without_definition(row: &RecordRow, described: &Described) -> Failure {
-    let why = described.note.as_deref().unwrap_or("it is no message");
+    let why = described.note.as_deref().unwrap_or("it is not a message");
     Failure::new(ErrorKind::Input, format!("{} can only be written as .bin: {why}", row.id))
 }
 

@@ -46,7 +46,7 @@ impl Reading {
     /// Records of all profiles of the home, each with its owner; needs no passphrase.
     pub(in crate::site) async fn list_all(self: &Arc<Self>, query: UploadQuery) -> Result<RecordPage, Failure> {
         if query.incident.is_some() {
-            return Err(input("an incident is one profile's: leave --all out, or the incident".to_owned()));
+            return Err(input("an incident belongs to one profile: omit --all, or the incident".to_owned()));
         }
         let page = blocking(self, move |reading| {
             let owners = Some(reading.owners.accounts());
@@ -113,7 +113,7 @@ impl Reading {
         let shown = self.compared_one(&self.own_record(profile, id).await?, &self.own_keys())?;
         let row = &shown.row;
         let step = |word: &str, text: String| (word.to_owned(), text);
-        let of = if row.is_named() { row.topic.as_str() } else { "a topic whose name is not known here" };
+        let of = if row.is_named() { row.topic.as_str() } else { "a topic whose name is unknown here" };
         let mut steps = vec![
             step("message", format!("{} bytes of {of}, captured {}", row.bytes, moment(row.captured_at))),
             step("record", format!("epoch {}, seq {}, on disk {}", row.epoch, row.seq, moment(row.acknowledged_at))),
@@ -142,17 +142,14 @@ impl Reading {
             // A run without a chain has seen no block.
             let head = *self.link.scans().borrow();
             let (deep, wanted) = (head + 1 - block.min(head + 1), self.config.confirmations);
-            steps.extend((head >= block).then(|| step("confirmations", format!("{deep} of {wanted} wanted"))));
+            steps.extend((head >= block).then(|| step("confirmations", format!("{deep} of {wanted} required"))));
         }
         if let Some(earlier) = blocking(self, move |reading| Ok(reading.plant.ledger.earlier_anchor(digest)?)).await? {
             let (block, domain) = (earlier.block, earlier.domain);
             let (name, text) = if row.block == Some(block) {
-                (
-                    "earlier contract",
-                    format!("anchored in the contract of domain {domain}, which was left, and checked there"),
-                )
+                ("earlier contract", format!("anchored in the earlier contract of domain {domain}, and verified there"))
             } else {
-                ("earlier chain", format!("anchored in block {block} of domain {domain}, which was left"))
+                ("earlier chain", format!("anchored in block {block} of the earlier domain {domain}"))
             };
             steps.push(step(name, text));
         }
@@ -163,7 +160,7 @@ impl Reading {
         steps.push(match (shown.differs, shown.state()) {
             (Some(field), state) => step(state.word(), altered(field)),
             (None, state @ ShownState::Verified(Caveat::Unread)) => {
-                step(state.word(), "verified once; its bytes are not here to be compared now".to_owned())
+                step(state.word(), "verified earlier; its bytes are not here to compare now".to_owned())
             }
             (None, state @ ShownState::Verified(Caveat::NamesUnchecked)) => step(state.word(), unchecked()),
             (None, ShownState::Verified(Caveat::Deleted) | ShownState::Kept(_)) => {
@@ -252,16 +249,16 @@ impl Reading {
 /// The text if a row and its record differ.
 fn altered(field: &str) -> String {
     format!(
-        "the ledger was altered: its row differs from the record in its {field}; the record's own word is shown, \
-         `authros audit` names every such row"
+        "the ledger was altered: its row differs from the record in its {field}; the record's own value is shown, \
+         `authros audit` lists every such row"
     )
 }
 
 /// The text for a verified record that no key here opens.
 fn unchecked() -> String {
     format!(
-        "{}; topic, type, length and mark of simulation are the ledger's word: they lie sealed, and no key is open \
-         here; look again while the console or `authros serve` has the keyring open",
+        "{}; topic, type, length and SIMULATED mark are only the ledger's claim: they are sealed, and no keyring is \
+         open here; check again while the console or `authros serve` has the keyring open",
         standing(RecordState::Verified)
     )
 }
@@ -276,19 +273,19 @@ fn moment(at: Timestamp) -> String {
 fn standing(state: RecordState) -> &'static str {
     match state {
         RecordState::Captured | RecordState::Sealed => "sealed on this disk; the vault is next",
-        RecordState::Stored => "in the vault; waits to be anchored",
-        RecordState::Batched => "in a closed batch; its root waits to be sent",
-        RecordState::Submitted => "its transaction is sent; waits for a block",
-        RecordState::Mined => "in a block; waits for confirmations",
-        RecordState::Confirmed => "deep enough; is about to be read back from the vault",
-        RecordState::Verified => "read back from the vault: digest equal to the chain or its proof, signature valid",
-        RecordState::Quarantined => "held back: sent by a node that is not the pinned publisher",
-        RecordState::Dropped => "given up, and counted",
+        RecordState::Stored => "in the vault; waiting to be anchored",
+        RecordState::Batched => "in a closed batch; its root is waiting to be sent",
+        RecordState::Submitted => "its transaction was sent; waiting for a block",
+        RecordState::Mined => "in a block; waiting for confirmations",
+        RecordState::Confirmed => "confirmed; about to be read back from the vault",
+        RecordState::Verified => "read back from the vault: digest matches the chain, signature valid",
+        RecordState::Quarantined => "quarantined: sent by a node that is not the pinned publisher",
+        RecordState::Dropped => "discarded and counted",
         RecordState::RightEnded => {
-            "in the vault; whoever signed it may not sign for its owner now, and nobody here anchors it: it goes on when \
-             the owner is restored or the loan renewed"
+            "in the vault; its signer may not sign for its owner now, so it is not anchored; it resumes when the owner \
+             is restored or the loan is renewed"
         }
-        RecordState::Tampered => "the stored bytes are not the ones that were anchored and signed",
+        RecordState::Tampered => "the stored bytes are not the ones anchored and signed",
     }
 }
 

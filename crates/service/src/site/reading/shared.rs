@@ -25,7 +25,9 @@ impl Reading {
         query: UploadQuery,
     ) -> Result<RecordPage, Failure> {
         if query.incident.is_some() {
-            return Err(input("incidents are of your own records: `authros uploads list --incident NAME`".to_owned()));
+            return Err(input(
+                "incidents cover your own records: use `authros uploads list --incident NAME`".to_owned(),
+            ));
         }
         let network = self.link.network().await?;
         let wanted = query.owner.as_ref().map(|owner| self.contacts.resolve(owner)).transpose()?;
@@ -91,7 +93,7 @@ impl Reading {
             return Ok(Vec::new());
         }
         let [grant] = grants else {
-            return Err(input("tags are looked for among the records of one owner; name the owner beside them"));
+            return Err(input("tags are searched among the records of one owner; give the owner as well"));
         };
         let reader = Reader { plant: &self.plant, network, reader: owner };
         match reader.open_envelope(grant, grant.terms.epoch)?.keys {
@@ -100,7 +102,7 @@ impl Reading {
                 Ok(tags.iter().map(|(name, value)| tag_choice(index_key, name, value, &topics)).collect())
             }
             GrantedKeys::Topics { .. } => Err(input(
-                "a grant of some topics does not carry the key by which tags are found; search by topic or type",
+                "a grant of some topics does not include the key needed to search by tag; search by topic or type",
             )),
         }
     }

@@ -46,7 +46,7 @@ impl Recordings {
         if !wishes.format.takes(wishes.compression) {
             let (format, compression) = (wishes.format.word(), wishes.compression);
             return Err(input(format!(
-                "chunks of {format} are never compressed with {compression}; choose another one"
+                "{format} chunks cannot be compressed with {compression}; choose another compression"
             )));
         }
         let network = self.link.network().await?;
@@ -115,7 +115,7 @@ impl Recordings {
                 run.at(seen, 0, export.view.messages);
             }
             if self.life.is_stopping() {
-                return Err(internal("the site ended before the recording was whole; repeat the command"));
+                return Err(internal("the site stopped before the recording was complete; repeat the command"));
             }
             match page.next {
                 Some(next) => query.after = Some(next),

@@ -58,7 +58,7 @@ impl Recordings {
         wishes: ImportWishes,
     ) -> Result<ImportView, Failure> {
         if wishes.tags.len() > MOST_TAGS {
-            return Err(input(format!("more than {MOST_TAGS} tags are too many for an import")));
+            return Err(input(format!("an import can have at most {MOST_TAGS} tags")));
         }
         if owner.sealing().is_none() {
             self.profiles.register(owner).await?;
@@ -68,7 +68,7 @@ impl Recordings {
         self.sealer.begin()?;
         let file = clean(&wishes.path.display().to_string(), 300);
         if self.runs.has(&owner.profile, &file) {
-            return Err(refused(format!("{file} is being imported already; wait for that to end")));
+            return Err(refused(format!("{file} is already being imported; wait for that to finish")));
         }
         self.log.begin(owner, "import recording", &file).await?;
         let running = self.begin_run(&owner.profile, &wishes.path, "hashing");
@@ -118,7 +118,7 @@ impl Recordings {
             let address = owner.address;
             blocking(self, move |recordings| recordings.put_standings(address, digest, &standings)).await?;
         }
-        let text = format!("{}: {} messages imported, {} there before", view.file, view.imported, view.already);
+        let text = format!("{}: {} messages imported, {} already there", view.file, view.imported, view.already);
         self.hub.notice(NoticeLevel::Info, &text);
         Ok(view)
     }
@@ -236,7 +236,10 @@ fn digest_of(path: &Path, run: &Run, goes_on: &dyn Fn() -> bool) -> Result<Diges
             return Ok(Digest(hasher.finish()));
         }
         if !goes_on() {
-            return Err(Failure::new(ErrorKind::Incomplete, "ended before anything was imported; repeat the command"));
+            return Err(Failure::new(
+                ErrorKind::Incomplete,
+                "stopped before anything was imported; repeat the command",
+            ));
         }
         hasher.update(bytes);
         done += read as u64;

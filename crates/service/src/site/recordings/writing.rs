@@ -19,11 +19,11 @@ pub(super) struct Draft {
 impl Draft {
     /// A new file (0600) beside `target`, which must not exist.
     pub fn begin(target: &Path) -> Result<(Self, File), Failure> {
-        let taken = || input(format!("{} exists; name a file that does not", target.display()));
+        let taken = || input(format!("{} already exists; choose a new file", target.display()));
         if target.symlink_metadata().is_ok() {
             return Err(taken());
         }
-        let name = target.file_name().ok_or_else(|| input(format!("{} is no file", target.display())))?;
+        let name = target.file_name().ok_or_else(|| input(format!("{} is not a file", target.display())))?;
         let part = format!(".{}.{}.part", name.to_string_lossy(), hex(&random_bytes::<4>()?));
         let path = target.with_file_name(part);
         let file = OpenOptions::new().write(true).read(true).create_new(true).mode(0o600).open(&path);

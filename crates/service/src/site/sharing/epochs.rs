@@ -50,8 +50,10 @@ impl Sharing {
         self.link.scanned(receipt.block).await;
         owner.confirm_epoch(network.domain, next)?;
         if let Err(failure) = self.rewrap(owner, network).await {
-            let text =
-                format!("some readers of {} lack the keys of epoch {next} for now: {}", owner.profile, failure.message);
+            let text = format!(
+                "some readers of {} do not have the keys of epoch {next} yet: {}",
+                owner.profile, failure.message
+            );
             self.hub.notice(NoticeLevel::Error, &text);
         }
         self.hub.changed(Part::Grants);
@@ -59,7 +61,7 @@ impl Sharing {
             transaction: Some(transaction),
             block: Some(receipt.block),
             epoch: next,
-            text: format!("{purpose}: epoch {next} has begun; records from now on are sealed under its key"),
+            text: format!("{purpose}: epoch {next} has started; new records are sealed under its key"),
         })
     }
 
@@ -92,7 +94,7 @@ impl Sharing {
             self.sender.tend(&network.chain, &owner.eoa()).await?;
             network.chain.next_block(head, std::time::Duration::from_secs(1)).await?;
         }
-        Err(refused(format!("transactions of '{}' from before are still not in a block", owner.profile)))
+        Err(refused(format!("earlier transactions of '{}' are still not in a block", owner.profile)))
     }
 
     /// Active readers who lack an envelope of the current epoch for their current key; not those who are being revoked.

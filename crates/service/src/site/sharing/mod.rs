@@ -88,10 +88,12 @@ impl Sharing {
         network.directory.identity(owner.address)?;
         let grantee = self.contacts.resolve(grantee)?;
         if grantee == owner.address {
-            return Err(refused(format!("{grantee} is this profile itself; it reads its own records without a grant")));
+            return Err(refused(format!(
+                "{grantee} is this profile itself; it can read its own records without a grant"
+            )));
         }
         if topics.len() > MOST_TOPICS {
-            return Err(input(format!("a grant names at most {MOST_TOPICS} topics; grant all topics, or fewer")));
+            return Err(input(format!("a grant can name at most {MOST_TOPICS} topics; grant fewer, or all topics")));
         }
         if expires.is_some_and(|at| at <= network.directory.now()) {
             return Err(input(too_early(network.directory.now())));
@@ -100,7 +102,7 @@ impl Sharing {
         self.contacts.check_contact(&network, grantee).await?;
         self.contacts.check_reader(&network, owner.address, grantee).await?;
         if self.active_grant(&network, owner.address, grantee).is_some() {
-            return Err(refused(format!("{grantee} has an active grant already; revoke it first to change its terms")));
+            return Err(refused(format!("{grantee} already has an active grant; revoke it first to change its terms")));
         }
         let epoch = network.directory.epoch(owner.address);
         let terms = GrantTerms { owner: owner.address, grantee, epoch, expiry: expires, scope: scope(owner, topics) };
@@ -127,7 +129,7 @@ impl Sharing {
             transaction: Some(transaction),
             block: Some(receipt.block),
             epoch,
-            text: format!("{grantee} may read {what}, from epoch {epoch} on"),
+            text: format!("{grantee} can read {what}, from epoch {epoch} on"),
         })
     }
 
@@ -149,7 +151,7 @@ impl Sharing {
         };
         if expires.is_some_and(|expires| expires <= ends) {
             return Err(refused(format!(
-                "the grant to {grantee} ends at {ends} already; `extend` only lengthens, revoke it to end it sooner"
+                "the grant to {grantee} already ends at {ends}; `extend` only lengthens it, revoke it to end it sooner"
             )));
         }
         let call = Call::Extend { grantee, expiry: expires };
@@ -165,7 +167,7 @@ impl Sharing {
             transaction: Some(transaction),
             block: Some(receipt.block),
             epoch: network.directory.epoch(owner.address),
-            text: format!("the grant to {grantee} {end} now, instead of {ends}"),
+            text: format!("the grant to {grantee} now {end} instead of {ends}"),
         })
     }
 
@@ -284,11 +286,11 @@ impl Sharing {
 fn too_early(now: Timestamp) -> String {
     let ahead = now.seconds().saturating_sub(Timestamp::now().seconds());
     let chain = if ahead > 60 {
-        format!(": rights go by the chain's time, which is {ahead} s ahead of this machine's clock")
+        format!(": grants use the chain's time, which is {ahead} s ahead of this machine's clock")
     } else {
         String::new()
     };
-    format!("the grant would end before it begins{chain}; give a later --expires")
+    format!("the grant would end before it starts{chain}; give a later --expires")
 }
 
 fn scope(owner: &Owner, topics: &[TopicName]) -> Scope {

@@ -27,7 +27,7 @@ impl Sharing {
         let _one_at_a_time = owner.changes.lock().await;
         if self.active_grant(&network, owner.address, grantee).is_none() {
             return Err(refused(format!(
-                "{grantee} has no active grant of {}; `authros grants list` shows who has",
+                "{grantee} has no active grant from {}; `authros grants list` shows who has",
                 owner.address
             )));
         }
@@ -42,7 +42,7 @@ impl Sharing {
         let _space_is_for_this = self.plant.ledger.hold_records();
         self.hub.notice(
             NoticeLevel::Error,
-            "the disk is full: the space set aside was given up for a revoke; free some, records wait in memory",
+            "the disk is full: the reserved space was used for a revoke; free some space, records wait in memory",
         );
         self.revoke_again(owner, &network, grantee).await
     }
@@ -57,7 +57,7 @@ impl Sharing {
         let call = |new_token| Call::AuthorityRevoke { grantee, new_token };
         let sent = self.begin_epoch(owner, network, &format!("revoke {grantee}"), call).await;
         let view = sent.map_err(|failure| {
-            let noted = "the revocation is noted and is sent again until the chain has it";
+            let noted = "the revocation is stored and is resent until the chain has it";
             Failure { message: format!("{}; {noted}", failure.message), ..failure }
         })?;
         if let (Some(transaction), Some(token)) = (view.transaction, owner.token(network.domain, view.epoch)) {
@@ -93,7 +93,7 @@ impl Sharing {
 fn told(grantee: Address, view: TransactionView) -> TransactionView {
     let epoch = view.epoch;
     let text = format!(
-        "{grantee} can read nothing sealed from now on (epoch {epoch}); what was already read cannot be recalled"
+        "{grantee} can no longer read new records (epoch {epoch} begins); what was already read cannot be recalled"
     );
     TransactionView { text, ..view }
 }

@@ -18,8 +18,8 @@ const LISTENING: Duration = Duration::from_millis(500);
 impl Storage {
     /// This home is a copy of another one.
     pub(in crate::site) async fn tell_of_copy(self: Arc<Self>) {
-        let text = "this home is a copy: its ledger is another file than when it was last used. New records are numbered \
-                    under a new recorder; do not run it beside the one it was copied from";
+        let text = "this home is a copy: its ledger is not the file it was when last used. New records are numbered \
+                    under a new recorder; do not run it at the same time as the original";
         if let Ok(profile) = "site".parse::<ProfileName>() {
             let written = self.log.write(&profile, "copied home", "a new recorder begins", "noticed").await;
             if let Err(failure) = written {
@@ -37,11 +37,17 @@ impl Storage {
         }
         match blocking(&self, contradictions).await {
             Ok(found) if found.is_empty() => {
-                self.hub.notice(NoticeLevel::Info, "the run before did not end cleanly; ledger and vault are sound");
+                self.hub.notice(
+                    NoticeLevel::Info,
+                    "the previous run did not shut down cleanly; ledger and vault are sound",
+                );
             }
             Ok(found) => found.iter().for_each(|text| self.hub.notice(NoticeLevel::Error, text)),
             Err(failure) => {
-                let text = format!("after an unclean end it is not known whether all is there: {}", failure.message);
+                let text = format!(
+                    "after an unclean shutdown it could not be checked whether everything is there: {}",
+                    failure.message
+                );
                 self.hub.notice(NoticeLevel::Error, &text);
             }
         }
@@ -54,7 +60,7 @@ fn contradictions(storage: &Storage) -> Result<Vec<String>, Failure> {
         .ledger
         .contradictions()?
         .into_iter()
-        .map(|text| format!("after an unclean end, in the ledger: {text}; keep a copy of the home"))
+        .map(|text| format!("after an unclean shutdown, in the ledger: {text}; keep a copy of the home"))
         .collect();
     for digest in plant.ledger.newest_stored(NEWEST)? {
         let blob = plant.vault.get(digest)?;
@@ -63,7 +69,7 @@ fn contradictions(storage: &Storage) -> Result<Vec<String>, Failure> {
             continue;
         }
         if blob.is_none_or(|blob| plant.provider.sm3(&[&blob]) != digest.0) {
-            found.push(format!("after an unclean end: record {digest} is not in the vault as it was stored"));
+            found.push(format!("after an unclean shutdown: record {digest} is not in the vault as it was stored"));
         }
     }
     Ok(found)

@@ -31,7 +31,7 @@ impl Storage {
             }
             for owner in self.owners.all() {
                 if let Err(failure) = self.apply(&owner, &mut retention).await {
-                    let text = format!("retention of {} waits: {}", owner.profile, failure.message);
+                    let text = format!("retention of {} is waiting: {}", owner.profile, failure.message);
                     self.hub.notice(NoticeLevel::Error, &text);
                 }
             }

@@ -61,7 +61,7 @@ impl Storage {
             // Somewhat more than the reserve, so that it does not flutter.
             if free >= reserve.saturating_add(reserve / 4) {
                 if held.take().is_some() {
-                    self.tell_room(NoticeLevel::Info, "there is room on the disk again: records are taken again");
+                    self.tell_room(NoticeLevel::Info, "there is disk space again: records are accepted again");
                 }
                 if !self.states.is_held() && free >= reserve.saturating_add(MOST_FOR_STATES) {
                     drop(blocking(&self, |storage| Ok(storage.states.refill()?)).await);
@@ -77,8 +77,9 @@ impl Storage {
 
     fn full_text(&self, free: u64) -> String {
         format!(
-            "the disk of {} has {} left, less than disk.reserve ({}): no further record is acknowledged, captured \
-             messages wait in memory and are counted where they do not fit; free some space, then it goes on by itself",
+            "the disk of {} has {} left, less than disk.reserve ({}): no further record is acknowledged; captured \
+             messages wait in memory, and those that do not fit are dropped and counted; free some space, then capture \
+             resumes automatically",
             self.home.root().display(),
             ByteSize(free),
             ByteSize(self.config.disk_reserve)

@@ -45,10 +45,10 @@ impl Address {
                 let mut parts = rest.split('/');
                 let hosts = hosts(parts.next().unwrap_or_default()).map_err(wrong)?;
                 let master = parts.next().filter(|name| !name.is_empty());
-                let master = master.ok_or_else(|| wrong("the master's name is missing behind the sentinels"))?;
+                let master = master.ok_or_else(|| wrong("the master's name is missing after the sentinels"))?;
                 let database = parts.next().unwrap_or("0");
                 if database.parse::<u16>().is_err() || parts.next().is_some() {
-                    return Err(wrong("a database is a number"));
+                    return Err(wrong("the database must be a number"));
                 }
                 Place::Sentinels(hosts, master.to_owned(), database.to_owned())
             }
@@ -70,7 +70,7 @@ fn hosts(text: &str) -> Result<Vec<String>, &'static str> {
         matches!(port, Some(Ok(1..))) && host.bytes().all(|byte| byte.is_ascii_graphic() && !b"/?#@".contains(&byte))
     };
     let hosts: Vec<String> = text.split(',').map(str::to_owned).collect();
-    if hosts.iter().all(|host| good(host)) { Ok(hosts) } else { Err("servers are HOST:PORT, with commas between them") }
+    if hosts.iter().all(|host| good(host)) { Ok(hosts) } else { Err("servers must be HOST:PORT, separated by commas") }
 }
 
 /// The URL without user, password and query, safe to show.

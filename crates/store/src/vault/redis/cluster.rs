@@ -99,7 +99,7 @@ impl Cluster {
         let map = self.map.read().unwrap_or_else(PoisonError::into_inner);
         let index = map.slots.get(usize::from(slot)).copied().flatten();
         let member = index.and_then(|index| map.members.get(usize::from(index)));
-        member.cloned().ok_or_else(|| self.unreachable(&format!("no node has slot {slot}")))
+        member.cloned().ok_or_else(|| self.unreachable(&format!("no node serves slot {slot}")))
     }
 
     /// A name for a node's mark, in one of its own slots; `None` if it has too few of them to find one.
@@ -161,7 +161,7 @@ impl Cluster {
     /// Asks the nodes, known ones first, until one says who has which slots.
     pub(super) fn learn(&self) -> Result<(), StoreError> {
         *self.asked.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
-        let Place::Cluster(seeds) = &self.address.place else { return Err(self.unreachable("it is no cluster")) };
+        let Place::Cluster(seeds) = &self.address.place else { return Err(self.unreachable("it is not a cluster")) };
         let mut hosts: Vec<String> = self.members().iter().map(|member| member.host.clone()).collect();
         hosts.extend(seeds.iter().filter(|seed| !self.members().iter().any(|member| member.host == **seed)).cloned());
         let mut failure = self.unreachable("it has no nodes");
@@ -182,7 +182,7 @@ impl Cluster {
         let mut map = Map { slots: vec![None; usize::from(SLOTS)], members: Vec::new() };
         for range in ranges {
             let (first, last, host) =
-                range_of(asked, range).ok_or_else(|| self.unreachable("its map of slots cannot be read"))?;
+                range_of(asked, range).ok_or_else(|| self.unreachable("its slot map cannot be read"))?;
             let index = match map.members.iter().position(|member| member.host == host) {
                 Some(index) => index,
                 None => {

@@ -97,7 +97,7 @@ impl Node {
                 Source::Sentinels(sentinels.collect::<Result<_, _>>()?, master.clone(), database.clone())
             }
             Place::Cluster(_) => {
-                let detail = "a cluster is no server".to_owned();
+                let detail = "a cluster is not a single server".to_owned();
                 return Err(StoreError::VaultUrl { url: address.shown.clone(), detail });
             }
         };

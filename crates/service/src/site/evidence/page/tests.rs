@@ -115,7 +115,7 @@ fn the_page_says_that_it_proves_nothing_and_has_the_levels_and_the_lines_for_ope
         "openssl pkeyutl -verify",
         "2023-11-14T22:13:20",
         "(a)",
-        "it was on no chain when it was exported",
+        "it was not on a chain when it was exported",
         "data",
     ] {
         assert!(shown.contains(part), "no {part} in {shown}");
@@ -141,5 +141,5 @@ fn a_picture_is_within_the_page() {
     body.extend([255, 0, 0, 0, 0, 255]);
     let (bundle, report) = told("sensor_msgs/Image", &definition, &body);
     let page = page(&bundle, &report, None);
-    assert!(page.contains("<img alt=\"the picture, made small\" src=\"data:image/png;base64,iVBORw0KGgo"), "{page}");
+    assert!(page.contains("<img alt=\"the picture, reduced\" src=\"data:image/png;base64,iVBORw0KGgo"), "{page}");
 }
