@@ -86,7 +86,7 @@ mod tests {
         assert_eq!(told, [("127.0.0.1:9", "http://127.0.0.1:9/tsa"), ("Two", "https://h/")]);
         assert_eq!(found[0].certificate, file.path());
         assert_eq!(read(""), Ok(Vec::new()));
-        assert!(read(&format!("{one}{one}")).expect_err("twice").contains("one name"));
+        assert!(read(&format!("{one}{one}")).expect_err("twice").contains("share a name"));
         assert!(read(&one.repeat(5)).is_err());
         for (from, to) in [
             ("http://", "ftp://"),

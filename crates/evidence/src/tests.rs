@@ -75,7 +75,7 @@ fn lies_about_the_chain_are_refused_each_for_its_own_reason() {
     assert!(World::new().report_by(&trust).records[0].anchor.text.contains("code"));
     let mut trust = World::trust();
     trust.chain.genesis = Hash([1; 32]);
-    assert!(World::new().report_by(&trust).records[0].bytes.text.contains("another chain"));
+    assert!(World::new().report_by(&trust).records[0].bytes.text.contains("a different chain"));
 }
 
 fn root(claim: &AnchorClaim) -> Hash {
@@ -85,7 +85,7 @@ fn root(claim: &AnchorClaim) -> Hash {
 #[test]
 fn seals_that_are_not_enough_are_counted() {
     let with = |sealers: &[u8]| World { sealers: sealers.to_vec(), ..World::new() };
-    with(&[1]).expect('c', Unproven, "sealed by 1 of 3 pinned signers; 2 are needed");
+    with(&[1]).expect('c', Unproven, "sealed by 1 of 3 pinned signers; 2 are required");
     with(&[1, 1]).expect('c', Unproven, "sealed by 1 of 3");
     with(&[1, 9]).expect('c', Unproven, "sealed by 1 of 3");
     with(&[9, 9]).expect('c', Refused, "who is not a signer you pinned");

@@ -99,7 +99,7 @@ mod tests {
             |seconds, sealed: &SealedBy, words: &[&str]| warnings(captured, Some(at(seconds)), Some(sealed), words);
         assert!(of(1_000_100, &many, &[]).is_empty());
         assert!(of(1_000_000, &alone, &[])[0].contains("one program"));
-        assert!(of(1_093_784, &many, &[])[0].contains("1 d 2 h after its owner says"));
+        assert!(of(1_093_784, &many, &[])[0].contains("1 d 2 h after its owner claims"));
         assert!(of(999_900, &many, &[])[0].contains("1 min 40 s after it was anchored"));
         assert!(of(1_000_000, &many, &["genesis", "contract"])[0].contains("--genesis or --contract"));
         assert!(warnings(captured, None, None, &[]).is_empty());

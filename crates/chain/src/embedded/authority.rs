@@ -265,7 +265,7 @@ mod tests {
         assert!(authority.check(&block(4, 2, 2), 98).expect_err("difficulty").contains("difficulty"));
         assert!(authority.check(&strange, 98).expect_err("stranger").contains("not sealed by a signer"));
         authority.sealed(3, 1);
-        assert!(authority.check(&good, 98).expect_err("rest").contains("rest"));
+        assert!(authority.check(&good, 98).expect_err("rest").contains("wait"));
         assert_eq!(authority.check(&shifted, 98), Ok(2));
     }
 }

@@ -149,7 +149,7 @@ fn grant(state: &State) -> Vec<(&'static str, String)> {
     let topics = if row.topics.is_empty() { scope(&row.topics) } else { row.topics.join(" ") };
     vec![
         ("state", row.state.word().to_owned()),
-        (if is_given(row) { "given to" } else { "received from" }, row.name.clone().unwrap_or_default()),
+        (if is_given(row) { "given to" } else { "got from" }, row.name.clone().unwrap_or_default()),
         ("reader", row.grantee.to_string()),
         ("owner", row.owner.to_string()),
         ("fingerprint", row.fingerprint.clone().unwrap_or_else(|| "not registered".to_owned())),

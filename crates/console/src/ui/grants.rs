@@ -57,7 +57,7 @@ fn ends(state: &State, row: &GrantRow) -> (String, Role) {
 
 fn cells(state: &State, row: &GrantRow) -> Vec<(String, Role)> {
     let role = if is_active(row) { Role::Good } else { Role::Dim };
-    let direction = if is_given(row) { "given to" } else { "received from" };
+    let direction = if is_given(row) { "given to" } else { "got from" };
     vec![
         (row.state.word().to_owned(), role),
         (direction.to_owned(), Role::Body),

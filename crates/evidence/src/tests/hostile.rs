@@ -126,7 +126,7 @@ fn a_stranger_neither_fills_gaps_nor_tells_two_histories_for_another() {
     let unsealed = World { sealers: vec![1], ..World::new() };
     let stretch = &unsealed.report().complete[0];
     assert_eq!((stretch.first, stretch.standing), (None, Standing::Unproven));
-    assert!(stretch.text.starts_with("nothing is claimed"), "{}", stretch.text);
+    assert!(stretch.text.starts_with("nothing can be claimed"), "{}", stretch.text);
 }
 
 #[test]

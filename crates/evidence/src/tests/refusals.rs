@@ -223,7 +223,7 @@ fn every_lie_about_keys_and_disclosures_is_refused_by_both_in_its_own_words() {
 
     let World { owner, keys, identity, .. } = World::new();
     let lent = |loan: [u64; 3]| {
-        let mut world = World::of(owner, keys.clone(), pair(), identity.clone(), owner);
+        let mut world = World::of(owner, keys.clone(), pair(), identity, owner);
         let mut packed = [0; 32];
         packed[31] = 1;
         for (at, field) in loan.iter().enumerate() {
@@ -281,7 +281,7 @@ fn a_flipped_byte_that_its_exporter_signs_for_never_holds() {
             let file = pack(&signed_again(changed, &world)).expect("packs");
             let (outcome, told) = judged(&file, &trust);
             // The two spellings of a letter in JSON's hex mean the same; nothing else does.
-            let spelling = at % 8 == 5 && bytes[at].is_ascii_alphabetic() && name.ends_with(".json");
+            let spelling = at % 8 == 5 && bytes[at].is_ascii_alphabetic() && name.strip_suffix(".json").is_some();
             assert!(outcome != Outcome::Holds || spelling, "{name}, byte {at}: {told}");
             if at == step
                 && let Some(code) = exit_code(&file, &trust)

@@ -48,7 +48,7 @@ fn the_key_in_use_follows_the_clock_and_the_list_expires() {
     assert_eq!(checked(&list, &agreed, day(7)).expect("next"), list.keys[1]);
     assert!(matches!(checked(&list, &agreed, day(14)), Err(GatewayError::List(why)) if why.contains("expired")));
     let before = Timestamp(day(0).0 - 1);
-    assert!(matches!(checked(&list, &agreed, before), Err(GatewayError::List(why)) if why.contains("in use")));
+    assert!(matches!(checked(&list, &agreed, before), Err(GatewayError::List(why)) if why.contains("currently valid")));
 }
 
 #[test]

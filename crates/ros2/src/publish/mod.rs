@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusListener, Publisher, QosPolicies, RTPSEntity,
+    StatusEvented,
 };
 
 use self::audience::Audience;

@@ -212,9 +212,8 @@ impl Site {
         let contacts = Arc::new(Contacts::new(of));
         let pins = Arc::new(Pinning::new(of, &judges));
         let reading = Arc::new(Reading::new(of, &contacts));
-        let stamps = Arc::new(TimeStamps::new(of));
         let quarantine = Arc::new(Quarantine::new(of, &reading));
-        let enrolments = Arc::new(Enrolments::new(of));
+        let (stamps, enrolments) = (Arc::new(TimeStamps::new(of)), Arc::new(Enrolments::new(of)));
         let sharing = Arc::new(Sharing::new(of, &contacts, &enrolments, &joined, &reserve));
         let admissions = Arc::new(Admissions::new(of, &contacts));
         let gateway = Arc::new(Gateway::new(of, &sharing, &admissions, remote.clone()));

@@ -122,6 +122,6 @@ mod tests {
         ledger.write(|session| Ok(session.connection.execute_batch(lost)?)).expect("written");
         let found = ledger.contradictions().expect("read");
         assert_eq!(found.len(), 2, "{found:?}");
-        assert!(found[0].contains("taken in") && found[1].contains("batches"), "{found:?}");
+        assert!(found[0].contains("were stored") && found[1].contains("batch positions"), "{found:?}");
     }
 }

@@ -221,7 +221,7 @@ mod tests {
         assert!(line >= 4 && !what.is_empty(), "{line} {what}");
         for bad in ["f5", "alt-x", "^m", ""] {
             let (line, what) = refused(&format!("[log]\nkeys = [\n{{ on = \"{bad}\", run = \"sort\" }}]\n"));
-            assert!(line == 3 && what.contains("no key"), "{line} {what}");
+            assert!(line == 3 && what.contains("not a key"), "{line} {what}");
         }
         assert_eq!(refused("[log]\nkeys = [\n{ on = [], run = \"sort\" }]").0, 3);
         assert_eq!(refused("[log]\nkeys = [\n{ on = 7, run = \"sort\" }]").0, 3);
