@@ -163,7 +163,7 @@ fn records_of_ros_1_are_not_translated_and_a_missing_program_is_told_of() {
         Err(reason) => skipped!(reason),
     };
     let home = Home::new();
-    let mut site = network.inside(&home.authros().with(&["--robots", "1"])).serve(&home);
+    let site = network.inside(&home.authros().with(&["--robots", "1"])).serve(&home);
     let (alice, bob) = (home.profile("alice"), home.profile("bob"));
     alice.enrol();
     let bob_address = bob.enrol();

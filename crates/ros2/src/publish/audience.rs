@@ -46,10 +46,10 @@ impl Audience {
                 self.participants.retain(|known| known[..] != *gone);
             }
             News::RemoteReaderMatched { local_writer, remote_reader }
-            | News::RemoteReaderQosIncompatible { local_writer, remote_reader, .. } => {
-                if self.met.len() < MOST {
-                    self.met.entry(local_writer).or_default().insert(remote_reader);
-                }
+            | News::RemoteReaderQosIncompatible { local_writer, remote_reader, .. }
+                if self.met.len() < MOST =>
+            {
+                self.met.entry(local_writer).or_default().insert(remote_reader);
             }
             _ => {}
         }

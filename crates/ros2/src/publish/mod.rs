@@ -252,8 +252,11 @@ impl<'a, W: Write> Child<'a, W> {
     }
 }
 
-/// Reads orders in a thread of its own; `None` when there will be no more.
-fn listen(mut from: impl Read + Send + 'static) -> Result<Receiver<Option<(Order, Vec<u8>)>>, Ros2Error> {
+/// An order with its payload; `None` when there will be no more.
+type Arrival = Option<(Order, Vec<u8>)>;
+
+/// Reads orders in a thread of its own.
+fn listen(mut from: impl Read + Send + 'static) -> Result<Receiver<Arrival>, Ros2Error> {
     let (sender, receiver) = sync_channel(4 * MOST_UNCONFIRMED);
     let read = move || {
         loop {
