@@ -278,7 +278,7 @@ fn a_name_in_both_graphs_is_captured_from_one_and_a_prefix_is_asked_for() {
     let summary = alice.json(&["capture", "--topic", "/robot1/odom", "--for", "4s"]);
     assert!(count(&summary, "captured") > 10, "{summary}");
     assert_eq!(summary["topics"][0]["type"], "nav_msgs/Odometry", "{summary}");
-    let said = site.wait_for_text("the name is in ROS 1 and in ROS 2", 10);
+    let said = site.wait_for_text("the name exists in ROS 1 and in ROS 2", 10);
     assert!(said.contains("prefix") && said.contains("/ros2/robot1/odom"), "{said}");
     assert_eq!(row(&alice, "/robot1/odom")["ros"], 1);
 }
