@@ -118,12 +118,16 @@ fn expect(commit: Commit, standing: Standing, told: &str) {
         Refused => Outcome::Refused,
         _ => Outcome::Incomplete,
     };
+    let is_ibft2 = commit.ibft2;
     let world = commit.world();
     let report = world.report_by(&trust(None));
     let anchor = &report.records[0].anchor;
     assert_eq!((anchor.standing, report.outcome), (standing, outcome), "{}", anchor.text);
     assert!(anchor.text.contains(told), "'{}' does not say '{told}'", anchor.text);
-    agree(&world.members(), &trust(None), outcome);
+    // Both forms are one code in the second verifier but for their encoding.
+    if !is_ibft2 || standing == Proven {
+        agree(&world.members(), &trust(None), outcome);
+    }
 }
 
 fn bytes(text: &Value) -> Vec<u8> {

@@ -12,7 +12,7 @@ use super::hostile::unanchored;
 use super::second::exit_code;
 use super::world::{BLOCK, TIME, World, genesis, ours, pair, sealed, word};
 use crate::archive::Members;
-use crate::{Anchoring, Bundle, Outcome, Packing, Slot, Trust, pack, verify};
+use crate::{Anchoring, Bundle, Nodes, Outcome, Packing, Slot, Trust, pack, verify};
 
 use Outcome::{Incomplete, Refused};
 
@@ -266,8 +266,8 @@ fn a_flipped_byte_that_its_exporter_signs_for_never_holds() {
     let (members, trust) = (world.members(), World::trust());
     let file = pack(&members).expect("packs");
     assert_eq!(judged(&file, &trust).0, Outcome::Holds);
-    // Its own key is written anew when it signs.
-    let unread = ["mimetype", "manifest.json", "manifest.der", "VERIFY.txt"];
+    // Its own key is written anew when it signs; nodes have a test of their own.
+    let unread = ["mimetype", "manifest.json", "manifest.der", "VERIFY.txt", "chain/nodes.rlp"];
     let is_read = |name: &str| !unread.contains(&name) && !name.starts_with("keys/");
     for (name, bytes) in members.iter().filter(|(name, _)| is_read(name)) {
         let step = if is_long() { 1 } else { bytes.len() / 12 + 1 };
@@ -286,6 +286,26 @@ fn a_flipped_byte_that_its_exporter_signs_for_never_holds() {
             }
         }
     }
+}
+
+/// But for the one that nobody asks for: a stranger's account.
+#[test]
+fn a_flipped_bit_in_any_node_that_is_asked_for_never_holds() {
+    let world = disclosing();
+    let (members, trust) = (world.members(), World::trust());
+    let nodes: Vec<Vec<u8>> = rlp::decode_list(&members["chain/nodes.rlp"]);
+    let mut spare = 0;
+    for place in 0..nodes.len() {
+        let mut other = nodes.clone();
+        let at = place * 31 % other[place].len();
+        other[place][at] ^= 1;
+        let mut changed = members.clone();
+        changed.insert("chain/nodes.rlp".into(), other.into_iter().collect::<Nodes>().encode());
+        let (outcome, told) = judged(&pack(&signed_again(changed, &world)).expect("packs"), &trust);
+        spare += usize::from(outcome == Outcome::Holds);
+        assert!(outcome != Refused || told.contains("the node"), "{told}");
+    }
+    assert!(nodes.len() > 5 && spare == 1, "{spare} of {} nodes", nodes.len());
 }
 
 /// Of the file itself; nobody signs for these.
