@@ -89,6 +89,7 @@ pub const TWINS: &[(&str, Twin)] = &[
     ("go-gateway", Runs("gateway status")),
     ("go-log", Runs("audit list")),
     ("dismiss", OnlyLooks),
+    ("columns", OnlyLooks),
     ("theme", OnlyLooks),
     ("ascii", OnlyLooks),
     ("mouse", OnlyLooks),

@@ -136,6 +136,6 @@ fn answers(view: &WitnessAnswers) -> String {
     if lines.is_empty() && view.problem.is_none() {
         lines.push("the witnesses have countersigned all that is confirmed".to_owned());
     }
-    lines.extend(view.problem.iter().map(|problem| format!("note: {problem}; it is tried again")));
+    lines.extend(view.problem.iter().map(|problem| format!("note: {problem}; it will be retried")));
     lines.join("\n")
 }

@@ -322,7 +322,7 @@ fn remote_site(values: &Values) -> Result<Option<RemoteSite>, ConfigError> {
         return if also.is_empty() { Ok(None) } else { Err(missing()) };
     };
     if !is_place(address) {
-        return Err(wrong(values, "site.address", "write HOST:PORT"));
+        return Err(wrong(values, "site.address", "use HOST:PORT"));
     }
     if value(values, "chain.url").is_some() {
         return Err(wrong(

@@ -167,7 +167,7 @@ fn sealed(check: &Check<'_>, anchored: &Anchored<'_>, shown_at: &BlockHeader) ->
     let how = found.committed.map_or_else(String::new, |protocol| format!(" in its own header ({protocol})"));
     let text = format!("{what}{at}, sealed by {have} of {all} pinned signers{how}");
     if have < quorum {
-        return too_few(&found, shown_at, format!("{what}{at}"), format!("{text}; {quorum} are needed"));
+        return too_few(&found, shown_at, format!("{what}{at}"), format!("{text}; {quorum} are required"));
     }
     if trust.chain.sealed_by_exporter || shown_at.is_ours() {
         return Level::new(
@@ -185,13 +185,14 @@ fn too_few(found: &Seals, shown_at: &BlockHeader, what: String, counted: String)
         (Some(flaw), Some(protocol), _) => {
             Level::new(Standing::Refused, format!("block {number} is not sealed as {protocol} demands: {flaw}"))
         }
-        (_, _, Some(stranger)) if found.pinned.is_empty() => {
-            Level::new(Standing::Refused, format!("block {number} is sealed by {stranger}, whom you did not pin"))
-        }
+        (_, _, Some(stranger)) if found.pinned.is_empty() => Level::new(
+            Standing::Refused,
+            format!("block {number} is sealed by {stranger}, who is not a signer you pinned"),
+        ),
         _ if found.unsigned => Level::new(
             Standing::Unproven,
             format!(
-                "{what}; its header has no seal that this version checks (it checks those of Clique, QBFT and IBFT 2.0): a \
+                "{what}; its header has no seal that this version can check (it checks those of Clique, QBFT and IBFT 2.0): a \
                  development node, proof of work or another consensus"
             ),
         ),

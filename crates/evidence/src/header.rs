@@ -86,7 +86,7 @@ impl BlockHeader {
         match (&self.committed, self.sealer()) {
             (Some(committed), _) => format!("{} validators ({})", committed.count(), committed.protocol),
             (None, Some(sealer)) => sealer.to_string(),
-            (None, None) => "nobody whose seal can be checked".to_owned(),
+            (None, None) => "no one whose seal can be checked".to_owned(),
         }
     }
 

@@ -88,7 +88,7 @@ impl<'a> Check<'a> {
             anchor: Level::new(Standing::Unproven, "the bytes do not check out"),
             time: Level::new(Standing::Unproven, "the bytes do not check out"),
             opened: Level::new(Standing::Absent, "sealed: its owner did not disclose it"),
-            witnessed: Level::new(Standing::Unproven, "the bytes do not hold"),
+            witnessed: Level::new(Standing::Unproven, "the bytes do not check out"),
             disclosed: None,
         };
         let header = match self.bytes(digest, record) {

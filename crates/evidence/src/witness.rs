@@ -178,7 +178,7 @@ impl DraftCountersignature {
             ROOTS => {
                 let listed: Listed = serde_json::from_slice(bytes).map_err(|error| wrong(&error.to_string()))?;
                 if listed.format != FORMAT {
-                    return Err(wrong(&format!("its form is not {FORMAT}")));
+                    return Err(wrong(&format!("its format is not {FORMAT}")));
                 }
                 if listed.roots.len() > MOST_ROOTS {
                     return Err(wrong(&format!("it has more than {MOST_ROOTS} roots")));
@@ -186,7 +186,7 @@ impl DraftCountersignature {
                 in_order(name, &listed.roots)?;
                 self.roots = Some(listed.roots);
             }
-            _ => return Err(wrong("is nothing that a countersignature has")),
+            _ => return Err(wrong("does not belong to a countersignature")),
         }
         Ok(())
     }

@@ -54,8 +54,8 @@ pub enum RosError {
     EmbeddedMaster(String),
     /// The program that speaks ROS 2 is not installed.
     #[error(
-        "the program that speaks ROS 2 is not at {0}; install the package authros-ros2 (from the source: cargo build \
-         -p authros-ros2), or name it by ros.ros2_program"
+        "the program that speaks ROS 2 is not at {0}; install the package authros-ros2 (from source: cargo build -p \
+         authros-ros2), or set ros.ros2_program"
     )]
     NoReader(String),
     /// The program that publishes into ROS 2 does not run.

@@ -20,7 +20,9 @@ const HIGHEST_DOMAIN: u16 = 232;
 fn main() -> ExitCode {
     inherited::close();
     let Some((domain, publishes)) = purpose() else {
-        return fail("usage: authros-ros2 --domain N (0 to 232); it is started by authros --ros2, not by hand");
+        return fail(
+            "usage: authros-ros2 --domain N (0 to 232); authros --ros2 starts this program, do not run it by hand",
+        );
     };
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT, signal_hook::consts::SIGHUP] {
@@ -30,7 +32,7 @@ fn main() -> ExitCode {
     }
     bound_memory();
     let pipes = (std::io::stdin().as_fd().try_clone_to_owned(), std::io::stdout().as_fd().try_clone_to_owned());
-    let (Ok(from), Ok(to)) = pipes else { return fail("its input or output is closed; start it by authros --ros2") };
+    let (Ok(from), Ok(to)) = pipes else { return fail("its input or output is closed; start it with authros --ros2") };
     let (from, to) = (File::from(from), File::from(to));
     let done = if publishes {
         authros_ros2::publish(domain, from, to, &stop)

@@ -101,7 +101,7 @@ fn file_name(name: &str) -> String {
 }
 
 fn cannot(path: &Path, error: &io::Error) -> String {
-    format!("{} cannot be written: {error}; choose a directory of your own", path.display())
+    format!("{} cannot be written: {error}; choose a directory you can write to", path.display())
 }
 
 #[cfg(test)]

@@ -102,7 +102,7 @@ fn draw(canvas: &mut Canvas, area: Rect, state: &State, list: (&Records, Feed, S
     let cells = |index: usize| {
         rows.get(index).map_or_else(Vec::new, |row| layout.pick(cells(state, row, screen == Screen::Shared)))
     };
-    let empty = if records.table.filter.text().is_empty() { empty } else { "No record matches the filter." };
+    let empty = if records.table.filter.text().is_empty() { empty } else { "No records match the filter." };
     let mut note = note(records, &Wanted::read(records.table.filter.text(), &state.topics.rows, state.now));
     note.push_str(&layout.note());
     if slot.left || slot.told != slot.generation {

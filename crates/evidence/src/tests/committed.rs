@@ -217,19 +217,19 @@ fn each_flaw_of_seals_in_a_header_has_its_own_reason() {
         expect(Commit { later: 60, ..of(&[1, 2, 3]) }, Refused, "altered after it was sealed");
         expect(of(&[1, 2, 9]), Refused, "of no validator that it names");
         let strange = Commit { named: vec![7, 8, 9], ..of(&[7, 8, 9]) };
-        expect(strange, Refused, "whom you did not pin");
+        expect(strange, Refused, "who is not a signer you pinned");
     }
     // Half of its validators are pinned: they are not enough of the pinned, and nothing contradicts them.
     let mixed = Commit { named: vec![1, 2, 8, 9], ..Commit::by(&[1, 8, 9]) };
-    expect(mixed, Unproven, "sealed by 1 of 4 pinned signers in its own header (QBFT); 3 are needed");
+    expect(mixed, Unproven, "sealed by 1 of 4 pinned signers in its own header (QBFT); 3 are required");
     let few = Commit { named: vec![1, 2], ..Commit::by(&[1, 2]) };
-    expect(few, Unproven, "sealed by 2 of 4 pinned signers in its own header (QBFT); 3 are needed");
+    expect(few, Unproven, "sealed by 2 of 4 pinned signers in its own header (QBFT); 3 are required");
     // Two thirds of all that it names, though of the pinned there are enough.
     let seven = Commit { named: (1..=7).collect(), ..Commit::by(&[1, 2, 3, 4]) };
     expect(seven, Refused, "the seals of 4 of the 7 validators that it names, and 5 are needed");
     let contract = |sealers: &[u8]| Commit { named: vec![], ..Commit::by(sealers) };
     expect(contract(&[1, 2]), Unproven, "sealed by 2 of 4");
-    expect(contract(&[7, 8, 9]), Refused, "whom you did not pin");
+    expect(contract(&[7, 8, 9]), Refused, "who is not a signer you pinned");
     expect(Commit { round: 1, ..contract(&[1, 2, 3]) }, Refused, "are of round 0, and its header says round 1");
 }
 

@@ -89,11 +89,11 @@ fn members_of_another_bundle_are_noticed_though_they_are_signed_for() {
     let theirs = other.members();
     let trust = World::trust();
     for (part, outcome, words) in [
-        ("record.bin", Refused, "it is not the record that it is filed as"),
-        ("signature.der", Refused, "its signature is not one of the key"),
-        ("anchor.json", Refused, "its path does not lead to the root that it names"),
+        ("record.bin", Refused, "it is not the record it is filed as"),
+        ("signature.der", Refused, "its signature was not made by the key"),
+        ("anchor.json", Refused, "its path does not lead to the root it names"),
         ("chain/40.rlp", Incomplete, "the state after block 40 is not in the bundle"),
-        ("chain/41.rlp", Incomplete, "sealed by 1 of 3 pinned signers; 2 are needed"),
+        ("chain/41.rlp", Incomplete, "sealed by 1 of 3 pinned signers; 2 are required"),
         ("chain/nodes.rlp", Incomplete, "the state after block 40 is not in the bundle"),
         ("reveal.bin", Refused, "not signed by its owner"),
         ("reveal.der", Refused, "not signed by its owner"),
@@ -129,11 +129,11 @@ fn every_lie_about_the_chain_is_refused_by_both_in_its_own_words() {
     if let Anchoring::Batch { index, .. } = &mut world.claim.anchor {
         *index = 3;
     }
-    say("another place in its batch", &world, Refused, "its path does not lead to the root that it names");
+    say("another place in its batch", &world, Refused, "its path does not lead to the root it names");
 
     let (mut world, other) = (World::new(), World::new());
     world.claim = other.claim.clone();
-    say("the path of another batch", &world, Refused, "its path does not lead to the root that it names");
+    say("the path of another batch", &world, Refused, "its path does not lead to the root it names");
 
     let mut world = World::new();
     if let Anchoring::Batch { root, count, index, path, .. } = &mut world.claim.anchor {
@@ -141,7 +141,7 @@ fn every_lie_about_the_chain_is_refused_by_both_in_its_own_words() {
         path.clear();
         *root = Hash([0x77; 32]);
     }
-    say("the root of another batch", &world, Refused, "its path does not lead to the root that it names");
+    say("the root of another batch", &world, Refused, "its path does not lead to the root it names");
 
     let mut world = World { shown_at: BLOCK + 9, ..World::new() };
     world.put(Slot::anchor(world.owner, root(&world)), [0; 32]);
@@ -149,7 +149,7 @@ fn every_lie_about_the_chain_is_refused_by_both_in_its_own_words() {
 
     let mut world = World::new();
     world.put(Slot::anchor(world.owner, root(&world)), word(&[BLOCK, 6, TIME, 1]));
-    say("another number of leaves", &world, Refused, "made for another number of leaves than the chain has");
+    say("another number of leaves", &world, Refused, "made for a different number of leaves than the chain has");
 
     let mut world = World::new();
     world.put(Slot::anchor(world.owner, root(&world)), word(&[BLOCK - 1, 5, TIME, 1]));
@@ -160,16 +160,16 @@ fn every_lie_about_the_chain_is_refused_by_both_in_its_own_words() {
     say("an anchor later than its block", &world, Refused, "in a block that is later than itself");
 
     let with = |sealers: &[u8]| World { sealers: sealers.to_vec(), ..World::new() };
-    say("unpinned signers", &with(&[9, 8]), Refused, "whom you did not pin");
-    say("1 of 3 seals", &with(&[1]), Incomplete, "sealed by 1 of 3 pinned signers; 2 are needed");
-    say("one signer twice", &with(&[1, 1]), Incomplete, "sealed by 1 of 3 pinned signers; 2 are needed");
-    say("a stranger builds on it", &with(&[1, 9]), Incomplete, "sealed by 1 of 3 pinned signers; 2 are needed");
-    say("no seal", &with(&[0]), Incomplete, "its header has no seal that this version checks");
+    say("unpinned signers", &with(&[9, 8]), Refused, "who is not a signer you pinned");
+    say("1 of 3 seals", &with(&[1]), Incomplete, "sealed by 1 of 3 pinned signers; 2 are required");
+    say("one signer twice", &with(&[1, 1]), Incomplete, "sealed by 1 of 3 pinned signers; 2 are required");
+    say("a stranger builds on it", &with(&[1, 9]), Incomplete, "sealed by 1 of 3 pinned signers; 2 are required");
+    say("no seal", &with(&[0]), Incomplete, "its header has no seal that this version can check");
 
     // The exporter's own signers and clock: it claims to be ten days older than the message in it.
     let mut world = with(&[9, 8]);
     world.put(Slot::anchor(world.owner, root(&world)), word(&[BLOCK, 5, TIME - 864_000, 1]));
-    say("a forged chain of the exporter's, with an old clock", &world, Refused, "whom you did not pin");
+    say("a forged chain of the exporter's, with an old clock", &world, Refused, "who is not a signer you pinned");
     let mut forged = World::trust();
     forged.chain.signers = [9, 8].map(|secret| super::world::account(secret).1).to_vec();
     forged.chain.sealed_by_exporter = true;
@@ -183,7 +183,7 @@ fn every_lie_about_the_chain_is_refused_by_both_in_its_own_words() {
         &World::new().members(),
         &pins,
         Refused,
-        "the contract's code is not the one you pinned",
+        "the contract's code is not the code you pinned",
     );
     let mut pins = World::trust();
     pins.chain.genesis = Hash([1; 32]);
@@ -192,7 +192,7 @@ fn every_lie_about_the_chain_is_refused_by_both_in_its_own_words() {
         &World::new().members(),
         &pins,
         Refused,
-        "bound to another chain or contract than the one you pinned",
+        "bound to a different chain or contract than the one you pinned",
     );
 
     let commit = Commit { named: vec![1, 2, 3], ..Commit::by(&[1, 2]) };
@@ -232,7 +232,7 @@ fn every_lie_about_keys_and_disclosures_is_refused_by_both_in_its_own_words() {
         packing.key(&keys.public).expect("a point");
         packing.sign(genesis(), owner, &keys, ours()).expect("packs")
     };
-    row("an expired device", &lent([TIME, 12, 0]), &trust, Refused, "the loan of the device was over");
+    row("an expired device", &lent([TIME, 12, 0]), &trust, Refused, "the loan of the device had ended");
     row("a recalled device", &lent([0, 12, BLOCK]), &trust, Refused, "recalled the device in block 40");
     row("a device lent later", &lent([0, 41, 0]), &trust, Refused, "lent the device only in block 41");
     row("a device never lent", &lent([0, 0, 0]), &trust, Refused, "neither registered nor lent");

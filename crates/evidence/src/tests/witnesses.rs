@@ -161,7 +161,7 @@ fn countersignatures_that_are_not_of_their_form_are_no_bundle() {
         changed(&|members: &mut Members| edit(members.get_mut(name).expect("there")))
     };
     assert!(edit(&bytes, |bytes| bytes.push(0)).contains("1 bytes are left over"), "oversized");
-    assert!(edit(&bytes, |bytes| bytes.truncate(540)).contains("ends before its countersignature"));
+    assert!(edit(&bytes, |bytes| bytes.truncate(540)).contains("ends before the countersignature"));
     assert!(edit(&bytes, |bytes| bytes[0] = 2).contains("version"));
     assert!(edit(&bytes, |bytes| bytes[540] ^= 1).contains("filed under another"));
     assert!(edit(&roots, |text| *text = b"{}".to_vec()).contains("missing field"));
@@ -170,7 +170,8 @@ fn countersignatures_that_are_not_of_their_form_are_no_bundle() {
     assert!(changed(&|members: &mut Members| drop(members.remove(&bytes))).contains("is missing"));
     let stranger = bytes.replace("countersignature.bin", "other.bin");
     assert!(
-        changed(&|members: &mut Members| drop(members.insert(stranger.clone(), vec![1]))).contains("is nothing that")
+        changed(&|members: &mut Members| drop(members.insert(stranger.clone(), vec![1])))
+            .contains("does not belong to a countersignature")
     );
 }
 

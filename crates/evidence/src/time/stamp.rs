@@ -113,10 +113,10 @@ fn places_text(listed: &Listed) -> Result<Vec<u8>, BundleError> {
 /// Refuses roots that are not in their order, and paths that no tree has.
 pub(crate) fn in_order(name: &str, roots: &[StampedRoot]) -> Result<(), BundleError> {
     if !roots.is_sorted_by(|one, next| one.root < next.root) {
-        return Err(BundleError::of(name, "its roots are not in their order, each once"));
+        return Err(BundleError::of(name, "its roots are not in order, each once"));
     }
     if roots.iter().any(|place| place.path.len() > LONGEST_PATH) {
-        return Err(BundleError::of(name, "a path is longer than any stamp has"));
+        return Err(BundleError::of(name, "a path is longer than in any stamp"));
     }
     Ok(())
 }

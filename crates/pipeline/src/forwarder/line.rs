@@ -120,8 +120,7 @@ impl Line {
         let text = match (&link, self.roster.down()) {
             (_, None) => format!("the gateway {address} does not take records, another one does: {error}"),
             (Link::Refused(text), _) => format!(
-                "records wait in the outbox: {text}; where its owner recalled this robot, or the loan has ended, the owner \
-                 has to enrol it again"
+                "records wait in the outbox: {text}; if the owner recalled this robot or its loan has ended, the owner must enrol it again"
             ),
             _ => format!("records wait in the outbox until the gateway is back: {error}"),
         };

@@ -127,7 +127,9 @@ impl Outbox {
             self.plant.ledger.advance(&spoilt, state, RecordState::Tampered)?;
             self.plant.observer.tampered(&spoilt);
             let count = spoilt.len();
-            self.plant.observer.alert(true, format!("{count} records in the outbox are damaged or gone; not sent"));
+            self.plant
+                .observer
+                .alert(true, format!("{count} records in the outbox are damaged or missing; they were not sent"));
         }
         Ok(window)
     }
@@ -159,8 +161,7 @@ impl Outbox {
             let oldest = self.plant.ledger.proven_before(Timestamp(i64::MAX.unsigned_abs()), PAGE)?;
             if !oldest.is_empty() {
                 self.give_up(&oldest)?;
-                let text =
-                    format!("the disk is nearly full: {} proven records were given up before their time", oldest.len());
+                let text = format!("the disk is nearly full: {} proven records were deleted early", oldest.len());
                 self.plant.observer.alert(false, text);
             }
         }

@@ -56,8 +56,7 @@ impl Line {
                 Ok(signed) => return Ok(block_in_place(|| self.proven(rows, &digests, signed))),
                 Err(GatewayError::Refused(Code::Malformed)) => {
                     self.signs = false;
-                    let text = "the gateway is of a version that does not sign how records stand: this robot keeps the \
-                                ciphertext of all its records until the gateway is brought up to date";
+                    let text = "this gateway version does not sign the state of records: this robot keeps the ciphertext of all its records until the gateway is updated";
                     self.outbox.plant.observer.alert(false, text.to_owned());
                 }
                 Err(error) => return Err(error.into()),

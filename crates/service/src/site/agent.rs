@@ -344,7 +344,7 @@ async fn forward(site: Arc<Site>, forwarder: Arc<tokio::sync::Mutex<Forwarder>>)
 }
 
 fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {
-    let damaged = |_| internal("the enrolment names no gateway; have its owner enrol the robot again");
+    let damaged = |_| internal("the enrolment names no gateway; ask its owner to enrol the robot again");
     enrolment.gateway().map_err(damaged)?;
     let robot = Robot {
         context: Context { provider: site.plant.provider, domain: enrolment.domain },

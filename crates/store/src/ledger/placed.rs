@@ -287,7 +287,7 @@ mod tests {
         assert_eq!(overdue(11), [one(1, &[HERE]), one(2, &[HERE])]);
         accept(&ledger, THERE, 20, &[1]);
         assert_eq!(overdue(60), [one(2, &[HERE]), one(3, &[HERE])], "both have the first");
-        assert_eq!(ledger.overdue(Timestamp(60), 3, 1), Ok(vec![one(2, &[HERE])]));
+        assert_eq!(ledger.overdue(Timestamp(60), 3, 1), Ok(vec![one(1, &[THERE, HERE])]));
         let three = ledger.overdue(Timestamp(60), 3, 9).expect("reads");
         assert!(three.contains(&one(1, &[THERE, HERE])), "the latest first: {three:?}");
         assert_eq!(ledger.placed_counts().expect("reads"), [(HERE, 3), (THERE, 1)].into());

@@ -193,7 +193,7 @@ async fn a_ring_is_asked_for_by_its_owner_alone_and_each_request_counts_once() {
     let work = tokio::spawn(async move { forwarder.run(&stored).await });
     scene.until("asked", |scene| waiting(scene) == [span(2)]).await;
     owner.upload(vec![asked(3, &scene.device, own)]).await.expect("the gateway takes it");
-    scene.until("passed over", |scene| scene.notes.with("was passed over") > 0).await;
+    scene.until("passed over", |scene| scene.notes.with("ignored a notice") > 0).await;
     owner.upload(vec![asked(4, &scene.alice.signing, SignerId([1; 32]))]).await.expect("another robot's");
     owner.upload(vec![asked(1, &scene.alice.signing, own)]).await.expect("an old number");
     owner.upload(vec![asked(5, &scene.alice.signing, own)]).await.expect("receipt");

@@ -222,7 +222,7 @@ async fn a_gateway_added_by_the_owner_is_used_and_one_added_by_a_thief_is_not() 
     // Whoever has d_C alone leads no robot away.
     let thief = EoaSecret::generate().expect("an account");
     owner.upload(vec![notice(&scene, &thief, 1, vec![listed(second.access(), true)])]).await.expect("taken");
-    scene.until("passed over", |scene| scene.notes.with("was passed over") > 0).await;
+    scene.until("passed over", |scene| scene.notes.with("ignored a notice") > 0).await;
     assert_eq!(known(), [scene.access()]);
 
     let both = vec![listed(scene.access(), false), listed(second.access(), true)];

@@ -60,7 +60,7 @@ impl State {
                 if (version, joined) != (crate::pipe::VERSION, domain) {
                     let own = crate::pipe::VERSION;
                     return Err(format!(
-                        "it speaks version {version} of the pipe, {own} is needed; install both of one release"
+                        "it uses pipe version {version}, but {own} is required; install both programs from the same release"
                     ));
                 }
                 self.joined = true;

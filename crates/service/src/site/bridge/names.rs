@@ -51,7 +51,7 @@ impl Names {
     pub fn keep_apart(&self) -> Result<(), String> {
         let why = "the graph that this site captures from; anything played there would be captured again as new:";
         let Some(prefix) = &self.prefix else {
-            return Err(format!("{why} give a --prefix, such as /shared/alice, or another graph with --to or --ros2"));
+            return Err(format!("{why} give a --prefix such as /shared/alice, or another graph with --to or --ros2"));
         };
         let inside = |name: &String| name.strip_prefix(prefix.as_str()).is_some_and(|rest| rest.starts_with('/'));
         match self.remaps.values().find(|name| !inside(name)) {

@@ -91,14 +91,14 @@ impl Domain {
         }
         let known = self.types.get(&about.name);
         if let Some(other) = known.filter(|known| **known != about.type_name) {
-            return Ok(Err(format!("{} is played as {} already", about.name, clean(other, 120))));
+            return Ok(Err(format!("{} is already being played as {}", about.name, clean(other, 120))));
         }
         let way = way(about, owner, source);
         if self.ways.contains_key(&way) {
             return Ok(Ok(()));
         }
         if known.is_none() && self.types.len() >= MOST_TOPICS {
-            return Ok(Err(format!("{MOST_TOPICS} topics are played already; choose some with --topic")));
+            return Ok(Err(format!("{MOST_TOPICS} topics are already being played; choose some with --topic")));
         }
         let alone = known.is_none() && !self.is_inside(&about.name);
         block_in_place(|| self.begin(about, way, size, alone))

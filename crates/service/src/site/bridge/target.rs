@@ -45,7 +45,7 @@ impl Target {
     /// Why messages of this encoding cannot be published here; there is no translation.
     pub fn objection(&self, encoding: Encoding) -> Option<&'static str> {
         match (self, encoding) {
-            (Self::Graph(_), Encoding::Cdr { .. }) => Some("a message of ROS 2 is not translated into ROS 1"),
+            (Self::Graph(_), Encoding::Cdr { .. }) => Some("ROS 2 messages are not translated into ROS 1"),
             (Self::Domain(_), Encoding::Ros1) => Some("a message of ROS 1 is not translated into ROS 2"),
             (Self::Graph(_), Encoding::Ros1) | (Self::Domain(_), Encoding::Cdr { .. }) => None,
         }

@@ -61,7 +61,7 @@ impl Devices {
             self.hub.notice(NoticeLevel::Warning, &failure.message);
         }
         let known = self.enrolments.of(owner)?.into_iter().rfind(|enrolled| enrolled.device == device);
-        let Enrolled { name, gateways, .. } = known.ok_or_else(|| internal("the device was not noted"))?;
+        let Enrolled { name, gateways, .. } = known.ok_or_else(|| internal("the device was not stored"))?;
         Ok(DeviceGatewaysView { name, device, gateways: gateways.into_iter().map(Into::into).collect() })
     }
 

@@ -150,7 +150,7 @@ impl Devices {
 fn check_gateways(wishes: &EnrolWishes) -> Result<(), Failure> {
     let mut addresses = wishes.further.iter().map(|(address, _)| address).chain([&wishes.gateway]);
     if addresses.any(|address| address.len() > LONGEST_GATEWAY) {
-        return Err(input("a gateway's address has at most 255 characters"));
+        return Err(input("a gateway's address can have at most 255 characters"));
     }
     if wishes.further.len() >= MOST_GATEWAYS {
         return Err(input("a robot has at most eight gateways"));

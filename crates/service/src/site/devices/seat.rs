@@ -41,7 +41,7 @@ impl Seat {
         let (signing, account) = (owner.signing(), owner.eoa());
         let applicant = Applicant { name, signing: &signing, envelope: owner.envelope().public, account: &account };
         let (transport, _) = Client::allocate(&endpoint, &mut trust, &applicant).await?;
-        let gateway = trust.pinned.ok_or_else(|| refused("the gateway did not show who it is"))?;
+        let gateway = trust.pinned.ok_or_else(|| refused("the gateway did not identify itself"))?;
         Ok(Self { endpoint, trust, gateway, transport: Some(transport) })
     }
 

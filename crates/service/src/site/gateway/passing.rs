@@ -30,7 +30,7 @@ impl GatewayDesk {
     ) -> Result<Value, RelayError> {
         let network = self.fresh_network().map_err(|refusal| silent(&refusal))?;
         let (Some(pin), Some(head)) = (network.chain.pin(), self.gateway.link.fresh_head(LONGEST_SILENCE)) else {
-            return Err(RelayError::Silent("no fresh head of the chain".to_owned()));
+            return Err(RelayError::Silent("no recent block from the chain".to_owned()));
         };
         let asker = if caller.is_some() { Asker::Registered } else { Asker::Visitor };
         match examine(Ground { pin: &pin, head: head.number }, asker, method, parameters)? {

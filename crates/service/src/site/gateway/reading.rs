@@ -28,7 +28,7 @@ impl GatewayDesk {
     pub(super) fn fresh_network(&self) -> Result<Network, Refusal> {
         let network = self.gateway.link.network_now().filter(|network| network.domain == self.domain);
         let fresh = self.gateway.link.fresh_head(LONGEST_SILENCE);
-        network.filter(|_| fresh.is_some()).ok_or_else(|| Refusal::new(Code::Stale, "no fresh head of the chain"))
+        network.filter(|_| fresh.is_some()).ok_or_else(|| Refusal::new(Code::Stale, "no recent block from the chain"))
     }
 
     /// The right by which `reader` reads `owner`'s records here, now. Waits for the ledger: not on the network's

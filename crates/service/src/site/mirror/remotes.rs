@@ -49,8 +49,8 @@ impl Remotes {
     /// Where the chain comes from, in words.
     pub fn chain_text(&self) -> String {
         match self.0.len() {
-            1 => format!("through the gateway {}; its word, not your own node's", self.addresses()),
-            _ => format!("through one of the gateways {}; its word, not your own node's", self.addresses()),
+            1 => format!("as reported by the gateway {}, not by your own node", self.addresses()),
+            _ => format!("as reported by one of the gateways {}, not by your own node", self.addresses()),
         }
     }
 
@@ -98,7 +98,7 @@ impl Remotes {
         let endpoint = Endpoint::Relay(RelayLine(Arc::new(ChainLines::new(lines, place))));
         let chain = Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?;
         if (chain.chain_id(), chain.genesis()) != (named.chain_id, named.genesis) {
-            let what = "passes on another chain than it stands on; do not go on, its operator must explain";
+            let what = "forwards a different chain than its own; do not continue, ask its operator to explain";
             let address = self.0.get(place).map_or_else(String::new, |remote| remote.address().to_owned());
             return Err(refused(format!("the gateway {address} {what}")).into());
         }

@@ -90,6 +90,8 @@ fn a_ledger_of_version_7_is_brought_up_and_finds_its_tags() {
                         DROP TABLE envelopes; DROP TABLE standings; DROP TABLE proven;
                         DROP TABLE stamps; DROP TABLE stamped_roots; DROP TABLE stamp_tokens;
                         DROP TABLE incidents; DROP TABLE incident_topics; DROP TABLE incident_notes;
+                        DROP TABLE witnesses; DROP TABLE positions; DROP TABLE witnessed_roots;
+                        DROP TABLE countersigned; DROP TABLE contradictions; DROP TABLE placed; DROP TABLE gateways;
                         ALTER TABLE bindings DROP COLUMN device; ALTER TABLE bindings DROP COLUMN notices;
                         DROP TABLE filter_streams; CREATE INDEX records_by_stream ON records (stream, captured_at);
                         PRAGMA user_version = 7";

@@ -32,10 +32,10 @@ impl Play<'_> {
             return Ok(Err(why.to_owned()));
         }
         let Some(topic) = self.names.played(&record.head.topic) else {
-            return Ok(Err(format!("{} makes no graph name with this prefix", clean(&record.head.topic, 255))));
+            return Ok(Err(format!("{} is not a valid graph name with this prefix", clean(&record.head.topic, 255))));
         };
         if self.clock.as_ref() == Some(&topic) {
-            return Ok(Err(format!("--clock tells the time as {topic} instead")));
+            return Ok(Err(format!("--clock publishes the time as {topic} instead")));
         }
         let form = match encoding {
             Encoding::Ros1 => self.of_one(item, &record, topic, latching).await?,
@@ -55,7 +55,7 @@ impl Play<'_> {
         latching: bool,
     ) -> Result<Result<Form, String>, Failure> {
         let Some(definition) = self.definition(item, record).await? else {
-            return Ok(Err("no readable record holds the definition of its type".to_owned()));
+            return Ok(Err("no readable record contains the definition of its type".to_owned()));
         };
         let (type_name, md5sum) = (record.head.type_name.clone(), record.head.md5sum.clone());
         Ok(Ok(Form::One(Advertised { topic, type_name, md5sum, definition: definition.to_string(), latching })))

@@ -51,7 +51,7 @@ impl Play<'_> {
 
     fn tell(&self, why: &str) {
         let text =
-            format!("playing into {} ended, {why}; {} messages were published", self.target.name(), self.published);
+            format!("playback into {} ended: {why}; {} messages were published", self.target.name(), self.published);
         self.bridge.hub.notice(NoticeLevel::Warning, &text);
     }
 }
