@@ -69,7 +69,7 @@ fn an_incident_is_held_found_exported_carried_by_a_backup_and_let_go() {
         list(&view, "coverage").iter().map(|one| (text(one, "topic"), count(one, "records"))).collect();
     assert_eq!(told, [("/never/seen".to_owned(), 0), (ODOM.to_owned(), 3)], "what is not there is told");
     let people = authros.run(&["incident", "show", "crash"]).expect_code(0).stdout;
-    assert!(people.contains("nothing of /never/seen is here") && !people.contains('\u{1b}'), "{people}");
+    assert!(people.contains("no records of /never/seen in that span") && !people.contains('\u{1b}'), "{people}");
     authros.fails(INPUT, &opened);
     authros.json(&["incident", "open", "second", "--since", "10m", "--topics", ODOM]);
     let found = authros.records(&["uploads", "list", "--incident", "crash"]);

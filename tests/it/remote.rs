@@ -128,7 +128,7 @@ fn only_the_gateway_whose_key_was_told_is_joined() {
     let message = other.fails(REFUSED, &["register"]);
     assert!(message.contains("not the pinned gateway") && message.contains(&wrong), "{message}");
     let unnamed = away.profile("bob").with(&["--site", &gate.address]).fails(REFUSED, &["register"]);
-    assert!(unnamed.contains(&gate.fingerprint) && unnamed.contains("compare"), "{unnamed}");
+    assert!(unnamed.contains(&gate.fingerprint) && unnamed.contains("confirm it with its operator"), "{unnamed}");
     // On explicit request; from then on it is pinned.
     let bob = away.profile("bob").with(&["--site", &gate.address]);
     bob.with(&["--trust-first"]).enrol();

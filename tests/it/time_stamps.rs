@@ -161,7 +161,7 @@ fn batches_are_stamped_by_an_authority_and_the_stamps_are_checked_offline() {
             (text(&record["time"], "standing"), text(&record["anchor"], "standing")),
             ("proven".into(), "own_chain".into())
         );
-        assert!(text(&record["time"], "text").contains("by the time stamp of The notary whom you pinned"), "{record}");
+        assert!(text(&record["time"], "text").contains("by the time stamp of The notary, whom you pinned"), "{record}");
         assert!(tokens.iter().any(|token| token["before"] == record["existed_before"]), "{record} {view}");
     }
     expect_agreement(&bundle, Some(&trust));
