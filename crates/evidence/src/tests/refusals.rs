@@ -145,7 +145,7 @@ fn every_lie_about_the_chain_is_refused_by_both_in_its_own_words() {
 
     let mut world = World { shown_at: BLOCK + 9, ..World::new() };
     world.put(Slot::anchor(world.owner, root(&world)), [0; 32]);
-    say("a later head whose slot is cleared", &world, Refused, "the state after block 49 does not have its anchor");
+    say("a later head whose slot is cleared", &world, Refused, "the state after block 49 does not contain its anchor");
 
     let mut world = World::new();
     world.put(Slot::anchor(world.owner, root(&world)), word(&[BLOCK, 6, TIME, 1]));
@@ -157,7 +157,7 @@ fn every_lie_about_the_chain_is_refused_by_both_in_its_own_words() {
 
     let mut world = World::new();
     world.put(Slot::anchor(world.owner, root(&world)), word(&[BLOCK, 5, TIME + 1, 1]));
-    say("an anchor later than its block", &world, Refused, "in a block that is later than itself");
+    say("an anchor later than its block", &world, Refused, "to a block later than the state itself");
 
     let with = |sealers: &[u8]| World { sealers: sealers.to_vec(), ..World::new() };
     say("unpinned signers", &with(&[9, 8]), Refused, "who is not a signer you pinned");
@@ -256,7 +256,7 @@ fn every_lie_about_keys_and_disclosures_is_refused_by_both_in_its_own_words() {
     let other = sealed(world.owner, &world.keys, &world.topic_key, 3, b"another");
     twice.record(other.digest, unanchored(other)).expect("added");
     let members = twice.sign(genesis(), world.owner, &world.keys, ours()).expect("packs");
-    row("two records with one number", &members, &trust, Refused, "TWO different records are number 3");
+    row("two records with one number", &members, &trust, Refused, "TWO different records carry number 3");
 }
 
 /// Its exporter signs for each flipped byte: it proves less, or is refused. What no verifier reads is left out.
