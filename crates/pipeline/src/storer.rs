@@ -56,8 +56,10 @@ pub fn store_pass(plant: &Plant) -> Result<Pass, PipelineError> {
             Some(next) => after = Some(next),
             None => return Ok(pass),
         }
-        // A vault that is down as a whole is not offered every record.
-        if pass.stored == 0 && pass.failure.is_some() && plant.vault.is_one() {
+        // A vault that is down as a whole is not offered every record. If it went down after the first ones, more might
+        // come than it has time to refuse, and nobody would be told.
+        let gone = matches!(pass.failure, Some(StoreError::Unreachable { .. }));
+        if plant.vault.is_one() && (gone || pass.stored == 0 && pass.failure.is_some()) {
             return Ok(pass);
         }
     }
@@ -114,6 +116,9 @@ pub fn put_back(plant: &Plant, stopped: &dyn Fn() -> bool) -> Result<PutBack, Pi
         after = Some(*last);
         for digest in digests {
             compare(plant, digest, &mut found)?;
+            if found.waiting > 0 && plant.vault.is_one() && plant.vault.ailing().is_some() {
+                return Ok(found);
+            }
         }
     }
     found.waiting += 1;
