@@ -266,7 +266,8 @@ fn whole_of(connection: &Connection, key: i64, mut row: IncidentRow) -> Result<I
 /// The contribution of the records of each topic and state.
 fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
     // Topics that only robots recorded have no name but the one that was learned.
-    let sql = "SELECT coalesce(nullif(t.name, ''), n.name, 'id:' || lower(hex(t.topic_id))), r.state, count(*), sum(r.bytes),
+    let sql =
+        "SELECT coalesce(nullif(t.name, ''), n.name, 'id:' || lower(hex(t.topic_id))), r.state, count(*), sum(r.bytes),
                    min(r.captured_at), max(r.captured_at), count(r.deleted_at)
                FROM topics t LEFT JOIN names n ON n.owner = t.owner AND n.id = lower(hex(t.topic_id))
                JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key
