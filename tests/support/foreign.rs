@@ -14,9 +14,9 @@ pub fn foreign(request: &Value) -> Result<Value, String> {
     if !peers.join("node_modules/@ethereumjs/mpt").is_dir() {
         return Err("no @ethereumjs/mpt; tests/run installs it into target/peers".into());
     }
-    let asks = "process.exit(process.versions.node.split('.')[0] >= 20 ? 0 : 1)";
+    let asks = "process.exit(process.versions.node.split('.')[0] >= 18 ? 0 : 1)";
     if !Command::new("node").args(["--eval", asks]).status().is_ok_and(|status| status.success()) {
-        return Err("no node 20 or later".into());
+        return Err("no node 18 or later".into());
     }
     let program = std::fs::read_to_string(root.join("tests/peers/foreign.mjs")).expect("the program");
     let mut file = tempfile::NamedTempFile::new().expect("a file");
