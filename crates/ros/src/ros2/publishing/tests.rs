@@ -30,7 +30,7 @@ fn another_release_or_domain_is_refused_and_reasons_are_cleaned() {
     let mut state = State::default();
     for (version, domain) in [(VERSION + 1, 5), (VERSION, 6)] {
         let error = state.take(Report::Hello { version, domain }, 5).expect_err("refused");
-        assert!(error.contains("one release") && !state.joined, "{error}");
+        assert!(error.contains("install both programs from the same release") && !state.joined, "{error}");
     }
     state.take(Report::Hello { version: VERSION, domain: 5 }, 5).expect("taken");
     assert!(state.joined);
