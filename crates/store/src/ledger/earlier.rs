@@ -161,31 +161,10 @@ fn store_again(connection: &Connection, from: RecordState) -> Result<u64, StoreE
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::numbered as record;
     use super::*;
-    use crate::model::{Address, RecordKind, Signature, SignerId, Timestamp, TopicId};
-    use crate::store::{Anchors, NewBatch, NewRecord, NewTransaction, Sighting};
-
-    fn record(number: u8) -> NewRecord {
-        NewRecord {
-            digest: Digest([number; 32]),
-            owner: Address([1; 20]),
-            topic_id: TopicId([2; 16]),
-            seq: u64::from(number),
-            foreign: None,
-            epoch: 1,
-            kind: RecordKind::Data,
-            signer: SignerId([3; 32]),
-            signature: Signature([4; 64]),
-            filters: Vec::new(),
-            topic: "/a".to_owned(),
-            type_name: "a/B".to_owned(),
-            bytes: 1,
-            captured_at: Timestamp(u64::from(number)),
-            simulated: false,
-            state: RecordState::Stored,
-            local_copy: None,
-        }
-    }
+    use crate::model::Address;
+    use crate::store::{Anchors, NewBatch, NewTransaction, Sighting};
 
     fn sighting(number: u8, block: u64) -> Sighting {
         let (transaction, block_hash) = (Hash([number; 32]), Hash([9; 32]));

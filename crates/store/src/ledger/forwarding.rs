@@ -138,31 +138,8 @@ fn sweep(session: &Session<'_>, receipts: BTreeSet<i64>) -> Result<(), StoreErro
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::numbered as record;
     use super::*;
-    use crate::model::{Address, RecordKind, TopicId};
-    use crate::store::NewRecord;
-
-    fn record(number: u8) -> NewRecord {
-        NewRecord {
-            digest: Digest([number; 32]),
-            owner: Address([1; 20]),
-            topic_id: TopicId([2; 16]),
-            seq: u64::from(number),
-            foreign: None,
-            epoch: 1,
-            kind: RecordKind::Data,
-            signer: SignerId([3; 32]),
-            signature: Signature([4; 64]),
-            filters: Vec::new(),
-            topic: "/a".into(),
-            type_name: "a/B".into(),
-            bytes: 1,
-            captured_at: Timestamp(u64::from(number)),
-            simulated: false,
-            state: RecordState::Stored,
-            local_copy: None,
-        }
-    }
 
     fn receipt(numbers: &[u8]) -> KeptReceipt {
         let digests = numbers.iter().map(|number| Digest([*number; 32])).collect();

@@ -6,7 +6,7 @@ use rusqlite::{Connection, OptionalExtension as _, Row, params};
 use serde::{Deserialize, Serialize};
 
 use super::append::count;
-use super::rows::unsigned;
+use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
 use super::{Ledger, database::whole};
 use crate::model::{Address, IncidentName, IncidentNameError, RecordKind, RecordState, Timestamp};
 use crate::store::StoreError;
@@ -265,17 +265,16 @@ fn whole_of(connection: &Connection, key: i64, mut row: IncidentRow) -> Result<I
 
 /// The contribution of the records of each topic and state.
 fn counted(connection: &Connection, owner: Address, span: &IncidentSpan) -> Result<Vec<SpanCoverage>, StoreError> {
-    // Topics that only robots recorded have no name but the one that was learned.
-    let sql =
-        "SELECT coalesce(nullif(t.name, ''), n.name, 'id:' || lower(hex(t.topic_id))), r.state, count(*), sum(r.bytes),
-                   min(r.captured_at), max(r.captured_at), count(r.deleted_at)
-               FROM topics t LEFT JOIN names n ON n.owner = t.owner AND n.id = lower(hex(t.topic_id))
-               JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key
-               JOIN records r INDEXED BY records_by_state ON r.state = c.state AND r.stream = s.key
-               WHERE t.owner = ?1 AND s.kind = ?2 AND c.records > 0 AND c.state <> ?3
-               AND r.captured_at >= ?4 AND r.captured_at < ?5 GROUP BY 1, r.state";
+    let sql = format!(
+        "SELECT {TOPIC_NAME}, r.state, count(*), sum(r.bytes), min(r.captured_at), max(r.captured_at),
+             count(r.deleted_at)
+         FROM topics t {LEARNED_NAME} JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key
+         JOIN records r INDEXED BY records_by_state ON r.state = c.state AND r.stream = s.key
+         WHERE t.owner = ?1 AND s.kind = ?2 AND c.records > 0 AND c.state <> ?3
+         AND r.captured_at >= ?4 AND r.captured_at < ?5 GROUP BY 1, r.state"
+    );
     let (kind, dropped) = (RecordKind::Data.code(), RecordState::Dropped.code());
-    let mut statement = connection.prepare_cached(sql)?;
+    let mut statement = connection.prepare_cached(&sql)?;
     let rows = statement.query_map(params![owner.0, kind, dropped, bound(span.since), end(span)], |row| {
         let (topic, records) = (row.get(0)?, unsigned(row, 2)?);
         if row.get::<_, u8>(1)? == RecordState::Quarantined.code() {

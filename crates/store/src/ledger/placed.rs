@@ -201,34 +201,13 @@ pub(super) fn clear(session: &Session<'_>, digests: &[Digest]) -> Result<(), Sto
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::numbered as record;
     use super::*;
-    use crate::model::{Address, RecordKind, Signature, TopicId};
-    use crate::store::{KeptReceipt, NewRecord};
+    use crate::model::Signature;
+    use crate::store::KeptReceipt;
 
     const HERE: SignerId = SignerId([1; 32]);
     const THERE: SignerId = SignerId([2; 32]);
-
-    fn record(number: u8) -> NewRecord {
-        NewRecord {
-            digest: Digest([number; 32]),
-            owner: Address([1; 20]),
-            topic_id: TopicId([2; 16]),
-            seq: u64::from(number),
-            foreign: None,
-            epoch: 1,
-            kind: RecordKind::Data,
-            signer: SignerId([3; 32]),
-            signature: Signature([4; 64]),
-            filters: Vec::new(),
-            topic: "/a".into(),
-            type_name: "a/B".into(),
-            bytes: 1,
-            captured_at: Timestamp(u64::from(number)),
-            simulated: false,
-            state: RecordState::Stored,
-            local_copy: None,
-        }
-    }
 
     fn digests(numbers: &[u8]) -> Vec<Digest> {
         numbers.iter().map(|number| Digest([*number; 32])).collect()

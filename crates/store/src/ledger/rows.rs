@@ -170,12 +170,11 @@ pub(super) struct Stream {
 /// Prefix of the pseudonym of a topic whose name is not known here; no ROS name begins like this.
 const UNNAMED: &str = "id:";
 
-const STREAMS: &str = "SELECT s.key, t.owner, r.id, t.topic_id,
-    coalesce(nullif(t.name, ''), topic_name.name, 'id:' || lower(hex(t.topic_id))),
-    s.kind, coalesce(type_name.name, s.type_name), s.signer
-    FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
-    LEFT JOIN names topic_name ON topic_name.owner = t.owner AND topic_name.id = lower(hex(t.topic_id))
-    LEFT JOIN names type_name ON type_name.owner = t.owner AND type_name.id = s.type_name";
+/// A topic `t` by its name, by the one that was learned (with [`LEARNED_NAME`] joined), or by its pseudonym.
+pub(super) const TOPIC_NAME: &str = "coalesce(nullif(t.name, ''), topic_name.name, 'id:' || lower(hex(t.topic_id)))";
+/// What was learned of a topic `t` that arrived without its name, as those that only robots recorded.
+pub(super) const LEARNED_NAME: &str =
+    "LEFT JOIN names topic_name ON topic_name.owner = t.owner AND topic_name.id = lower(hex(t.topic_id))";
 
 /// A selection of streams.
 pub(super) enum Which {
@@ -194,7 +193,11 @@ pub(super) fn streams(connection: &Connection, which: &Which) -> Result<Vec<Stre
         Which::Of(owner) => (" WHERE t.owner = ?1", Some(Value::from(owner.0.to_vec()))),
         Which::Key(key) => (" WHERE s.key = ?1", Some(Value::from(*key))),
     };
-    let mut statement = connection.prepare_cached(&format!("{STREAMS}{condition}"))?;
+    let mut statement = connection.prepare_cached(&format!(
+        "SELECT s.key, t.owner, r.id, t.topic_id, {TOPIC_NAME}, s.kind, coalesce(type_name.name, s.type_name), s.signer
+         FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder {LEARNED_NAME}
+         LEFT JOIN names type_name ON type_name.owner = t.owner AND type_name.id = s.type_name{condition}"
+    ))?;
     let rows = statement.query_map(params_from_iter(value), |row| {
         Ok(Stream {
             key: row.get(0)?,

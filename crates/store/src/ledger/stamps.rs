@@ -153,31 +153,10 @@ fn hashes(bytes: &[u8]) -> Vec<Hash> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::numbered as record;
     use super::*;
-    use crate::model::{Address, Digest, RecordKind, RecordState, Signature, SignerId, TopicId};
-    use crate::store::{NewBatch, NewRecord};
-
-    fn record(number: u8) -> NewRecord {
-        NewRecord {
-            digest: Digest([number; 32]),
-            owner: Address([1; 20]),
-            topic_id: TopicId([2; 16]),
-            seq: u64::from(number),
-            foreign: None,
-            epoch: 1,
-            kind: RecordKind::Data,
-            signer: SignerId([3; 32]),
-            signature: Signature([4; 64]),
-            filters: Vec::new(),
-            topic: "/a".to_owned(),
-            type_name: "a/B".to_owned(),
-            bytes: 1,
-            captured_at: Timestamp(u64::from(number)),
-            simulated: false,
-            state: RecordState::Stored,
-            local_copy: None,
-        }
-    }
+    use crate::model::{Address, Digest};
+    use crate::store::NewBatch;
 
     fn close(ledger: &Ledger, number: u8) {
         ledger.append(vec![record(number)]).expect("acknowledged");

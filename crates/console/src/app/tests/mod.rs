@@ -29,9 +29,11 @@ mod wide;
 
 use zeroize::Zeroizing;
 
+use super::feed::Feed;
 use super::popup::{Lookup, Popup};
 use super::{Action, Effect, Key, Screen, Settings, State, Tag, update};
 use crate::model::Timestamp;
+use crate::service::reply::{LifeLine, SiteView};
 use crate::service::{Command, Event, Failure, Part, Reply};
 
 /// Someone at the keyboard, with a site that answers when told to.
@@ -53,6 +55,29 @@ impl Robot {
         let mut robot = Self { state, sent: Vec::new(), effects: Vec::new() };
         robot.note(effects);
         robot
+    }
+
+    /// So many seconds at 44 records a second.
+    pub fn sees_records_flow(&mut self, seconds: u64) {
+        for second in 1..=seconds {
+            self.waits(1);
+            let (captured, late) = (12_345 + 44 * second, 30 + 20 * (second / 60 % 2));
+            let verified = captured - late;
+            let life = LifeLine {
+                captured,
+                sealed: captured,
+                stored: captured,
+                anchored: verified,
+                confirmed: verified,
+                verified,
+                pending: late,
+                ..fixtures::site().life
+            };
+            let verified_after = vec![(400_000, 40 * second), (900_000, 4 * second)];
+            self.hears_of(Part::Health);
+            let site = SiteView { life, verified_after, ..fixtures::site() };
+            self.is_answered(&Tag::Feed(Feed::Site, 0), Ok(Reply::Site(site)));
+        }
     }
 
     /// Opens it on a site that has answered everything.

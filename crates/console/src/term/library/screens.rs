@@ -174,25 +174,7 @@ fn submitted(mut robot: Robot) -> Robot {
 /// Ten minutes at 44 records a second, then a number of seconds in which nothing came.
 fn flowing(size: Size, after: u64) -> Robot {
     let mut robot = at(Screen::Overview, size);
-    for second in 1..=590 {
-        robot.waits(1);
-        let (captured, late) = (12_345 + 44 * second, 30 + 20 * (second / 60 % 2));
-        let verified = captured - late;
-        let life = LifeLine {
-            captured,
-            sealed: captured,
-            stored: captured,
-            anchored: verified,
-            confirmed: verified,
-            verified,
-            pending: late,
-            ..fixtures::site().life
-        };
-        let verified_after = vec![(400_000, 40 * second), (900_000, 4 * second)];
-        robot.hears_of(Part::Health);
-        let site = SiteView { life, verified_after, ..fixtures::site() };
-        robot.is_answered(&Tag::Feed(Feed::Site, 0), Ok(Reply::Site(site)));
-    }
+    robot.sees_records_flow(590);
     robot.waits(after);
     robot
 }

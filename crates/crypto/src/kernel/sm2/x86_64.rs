@@ -255,6 +255,20 @@ pub(super) fn add(a: &Limbs, b: &Limbs) -> Limbs {
     out
 }
 
+/// Adds p to `a0` to `a3` if `first` is all ones, nothing if it is zero; the carry is left in the flag.
+macro_rules! add_masked_modulus {
+    () => {
+        "mov {second}, {first}
+         mov {fourth}, {first}
+         shl {second}, 32
+         btr {fourth}, 32
+         add {a0}, {first}
+         adc {a1}, {second}
+         adc {a2}, {first}
+         adc {a3}, {fourth}"
+    };
+}
+
 /// `a / 2` modulo p, for a number below p.
 #[inline(always)]
 pub(super) fn halve(a: &Limbs) -> Limbs {
@@ -266,14 +280,7 @@ pub(super) fn halve(a: &Limbs) -> Limbs {
             "mov {first}, {a0}",
             "and {first}, 1",
             "neg {first}",
-            "mov {second}, {first}",
-            "mov {fourth}, {first}",
-            "shl {second}, 32",
-            "btr {fourth}, 32",
-            "add {a0}, {first}",
-            "adc {a1}, {second}",
-            "adc {a2}, {first}",
-            "adc {a3}, {fourth}",
+            add_masked_modulus!(),
             "sbb {first}, {first}",
             "shrd {a0}, {a1}, 1",
             "shrd {a1}, {a2}, 1",
@@ -305,14 +312,7 @@ pub(super) fn subtract(a: &Limbs, b: &Limbs) -> Limbs {
             "sbb {a3}, {b3}",
             // p if that borrowed, otherwise zero.
             "sbb {first}, {first}",
-            "mov {second}, {first}",
-            "mov {fourth}, {first}",
-            "shl {second}, 32",
-            "btr {fourth}, 32",
-            "add {a0}, {first}",
-            "adc {a1}, {second}",
-            "adc {a2}, {first}",
-            "adc {a3}, {fourth}",
+            add_masked_modulus!(),
             a0 = inout(reg) a[0] => out[0],
             a1 = inout(reg) a[1] => out[1],
             a2 = inout(reg) a[2] => out[2],

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::crypto::{
-    Enrolment, EoaSecret, EpochIssue, EpochKey, GatewayAccess, IndexKey, IssuedKeys, Notice, OwnerKeyChange,
-    Passphrase, SealRequest, SealedEnrolment, SealingKey, TopicKey, notice_topic, seal, signer_id, topic_id,
+    Enrolment, EoaSecret, EpochIssue, EpochKey, IndexKey, IssuedKeys, Notice, OwnerKeyChange, Passphrase, SealRequest,
+    SealedEnrolment, SealingKey, TopicKey, notice_topic, seal, signer_id, topic_id,
 };
 use crate::model::head::Compression;
 use crate::model::{Head, RecorderId, RingSpan, SignerId, Timestamp, Token};
@@ -15,15 +15,11 @@ fn issued(epoch: u64) -> IssuedKeys {
     IssuedKeys { now: EpochIssue { epoch, token: Token([9; 32]), ends: None, key }, next: None }
 }
 
-fn enrolment(scene: &Scene) -> Enrolment {
+pub(super) fn enrolment(scene: &Scene) -> Enrolment {
     Enrolment {
         domain: context().domain,
         chain_id: 1,
-        gateways: vec![GatewayAccess {
-            address: scene.relay.address.to_string(),
-            fingerprint: scene.stage.server.id(),
-            transport: scene.credentials.key.clone(),
-        }],
+        gateways: vec![scene.access()],
         name: scene.credentials.name.clone(),
         owner: scene.alice.account(),
         owner_key: scene.alice.signing.public,
@@ -44,7 +40,13 @@ fn notice(scene: &Scene, signer: &SmKeyPair, device: SignerId, seq: u64, epoch: 
 }
 
 /// A notice to a device.
-fn record(scene: &Scene, signer: &SmKeyPair, device: SignerId, (seq, epoch): (u64, u64), notice: &Notice) -> Upload {
+pub(super) fn record(
+    scene: &Scene,
+    signer: &SmKeyPair,
+    device: SignerId,
+    (seq, epoch): (u64, u64),
+    notice: &Notice,
+) -> Upload {
     let (name, body) = (notice_topic(&device), notice.encode());
     let head = Head {
         topic: name.clone(),

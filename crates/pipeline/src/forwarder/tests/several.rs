@@ -1,13 +1,9 @@
 //! A robot of two gateways: one takes over when the other is gone, and nothing rests on one gateway's word alone.
 
+use super::notices::{enrolment, record};
 use super::*;
-use crate::crypto::{
-    Enrolment, EoaSecret, EpochIssue, EpochKey, GatewayList, IndexKey, IssuedKeys, ListedGateway, Notice, Passphrase,
-    SealRequest, SealedEnrolment, SealingKey, TopicKey, notice_topic, seal, signer_id, topic_id,
-};
+use crate::crypto::{EoaSecret, GatewayList, ListedGateway, Notice, Passphrase, SealedEnrolment, signer_id};
 use crate::gateway::Limits;
-use crate::model::head::Compression;
-use crate::model::{Head, RecorderId, Token};
 use crate::pipeline::Author;
 use crate::pipeline::notices::Notices;
 
@@ -138,59 +134,11 @@ async fn a_gateway_that_was_away_is_tried_again_for_what_another_does_not_prove(
     scene.until("it is tried again", |_| second.holds() == 10).await;
 }
 
-fn enrolment(scene: &Scene) -> Enrolment {
-    let key = SealingKey::Epoch(EpochKey::new([1; 32]));
-    let issue = EpochIssue { epoch: 1, token: Token([9; 32]), ends: None, key };
-    Enrolment {
-        domain: context().domain,
-        chain_id: 1,
-        gateways: vec![scene.access()],
-        name: scene.credentials.name.clone(),
-        owner: scene.alice.account(),
-        owner_key: scene.alice.signing.public,
-        device: scene.device.clone(),
-        index: Some(IndexKey::new([3; 32])),
-        notice_id: topic_id(&IndexKey::new([3; 32]), &notice_topic(&signer_id(&scene.device.public))),
-        notice_key: TopicKey::new([4; 32]),
-        token: scene.credentials.token,
-        noticed: None,
-        keys: IssuedKeys { now: issue, next: None },
-        version: 2,
-    }
-}
-
 /// A notice of gateways, signed by the owner's d_C and within it by an account.
 fn notice(scene: &Scene, account: &EoaSecret, seq: u64, gateways: Vec<ListedGateway>) -> Upload {
     let device = signer_id(&scene.device.public);
     let list = GatewayList::sign(&context().domain, account, device, gateways).expect("signs");
-    let (name, body) = (notice_topic(&device), Notice::Gateways(list).encode());
-    let head = Head {
-        topic: name.clone(),
-        type_name: "authros/Keys".into(),
-        md5sum: String::new(),
-        definition: Digest([0; 32]),
-        caller_id: String::new(),
-        boot_id: [0; 16],
-        compression: Compression::None,
-        plain_length: body.len() as u64,
-        tags: std::collections::BTreeMap::new(),
-    };
-    let request = SealRequest {
-        domain: context().domain,
-        owner: scene.alice.account(),
-        signer: &scene.alice.signing,
-        epoch: 1,
-        topic_key: &TopicKey::new([4; 32]),
-        recorder: RecorderId([8; 16]),
-        seq,
-        topic_id: topic_id(&IndexKey::new([3; 32]), &name),
-        kind: RecordKind::Key,
-        filters: Vec::new(),
-        captured_at: Timestamp(seq),
-        head: &head,
-        body: &body,
-    };
-    Upload::from(&seal(context().provider, &request).expect("seals"))
+    record(scene, &scene.alice.signing, device, (seq, 1), &Notice::Gateways(list))
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,8 +1,9 @@
 //! What is kept of witnesses, over restarts.
 
+use super::super::tests::numbered;
 use super::*;
-use crate::model::{Digest, Position, PublicKey, RecordKind, RecordState, RecorderId, Signature, TopicId};
-use crate::store::{NewBatch, NewRecord, RootSighting};
+use crate::model::{Digest, Position, PublicKey, RecorderId, Signature};
+use crate::store::{NewBatch, RootSighting};
 
 const OWNER: Address = Address([1; 20]);
 const WITNESS: SignerId = SignerId([0xb; 32]);
@@ -38,26 +39,7 @@ fn countersigned(block: u64) -> Countersignature {
 }
 
 fn close(ledger: &Ledger, number: u8, block: Option<u64>) {
-    let record = NewRecord {
-        digest: Digest([number; 32]),
-        owner: OWNER,
-        topic_id: TopicId([2; 16]),
-        seq: u64::from(number),
-        foreign: None,
-        epoch: 1,
-        kind: RecordKind::Data,
-        signer: SignerId([3; 32]),
-        signature: Signature([4; 64]),
-        filters: Vec::new(),
-        topic: "/a".to_owned(),
-        type_name: "a/B".to_owned(),
-        bytes: 1,
-        captured_at: Timestamp(u64::from(number)),
-        simulated: false,
-        state: RecordState::Stored,
-        local_copy: None,
-    };
-    ledger.append(vec![record]).expect("acknowledged");
+    ledger.append(vec![numbered(number)]).expect("acknowledged");
     let root = Hash([number; 32]);
     let leaves = vec![(Digest([number; 32]), Vec::new())];
     ledger.close_batch(NewBatch { owner: OWNER, root, leaves }).expect("closed");
