@@ -5,6 +5,7 @@ mod address;
 mod cluster;
 mod node;
 mod slots;
+mod together;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -123,9 +124,9 @@ impl RedisVault {
             self.on(server, |connection| {
                 let mut pipeline = pipe();
                 for (digest, bytes) in now {
-                    pipeline.cmd("SET").arg(key(*digest)).arg(*bytes).ignore();
+                    pipeline.cmd("SET").arg(key(*digest)).arg(*bytes);
                 }
-                pipeline.exec(connection)
+                together::ask::<Value>(connection, &pipeline).map(drop)
             })?;
             rest = later;
         }
@@ -202,7 +203,7 @@ impl RedisVault {
             for key in keys {
                 pipeline.cmd("STRLEN").arg(key);
             }
-            pipeline.query(connection)
+            together::ask(connection, &pipeline)
         });
         lengths.map_err(|failure| failure.error)
     }
@@ -253,7 +254,7 @@ impl Vault for RedisVault {
             for digest in digests {
                 pipeline.cmd("GET").arg(key(*digest));
             }
-            pipeline.query(connection)
+            together::ask(connection, &pipeline)
         });
         found.map_err(|failure| failure.error)
     }
@@ -273,7 +274,7 @@ impl Vault for RedisVault {
             for digest in digests {
                 pipeline.cmd("GETRANGE").arg(key(*digest)).arg(0).arg(last);
             }
-            pipeline.query(connection)
+            together::ask(connection, &pipeline)
         });
         Ok(found.map_err(|failure| failure.error)?.into_iter().map(some).collect())
     }
@@ -351,7 +352,7 @@ impl Vault for RedisVault {
             for digest in digests {
                 pipeline.cmd("EXISTS").arg(key(*digest));
             }
-            pipeline.query(connection)
+            together::ask(connection, &pipeline)
         });
         found.map_err(|failure| failure.error)
     }

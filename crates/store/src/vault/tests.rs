@@ -207,6 +207,45 @@ fn a_server_that_is_silent_is_told_of_until_it_answers() {
 }
 
 #[test]
+fn a_silent_server_lets_many_questions_wait_once_and_not_once_each() {
+    let Some(server) = Server::start(&[]) else { return };
+    let digests: Vec<Digest> = (0..64).map(|number| blob(number, 1).0).collect();
+    let waits = |asked: &dyn Fn(&RedisVault) -> Result<(), StoreError>| {
+        let vault = RedisVault::open(&server.url()).expect("opens");
+        server.signal("STOP");
+        let begun = std::time::Instant::now();
+        let answer = asked(&vault).map_err(|error| error.kind());
+        let waited = begun.elapsed();
+        server.signal("CONT");
+        assert_eq!(answer, Err(ErrorKind::Unreachable));
+        waited
+    };
+    let one = waits(&|vault| vault.contains(digests[0]).map(drop));
+    let blobs: Vec<_> = (0..64).map(|number| blob(number, 100)).collect();
+    for many in [
+        waits(&|vault| vault.contains_many(&digests).map(drop)),
+        waits(&|vault| vault.get_many(&digests).map(drop)),
+        waits(&|vault| vault.fronts(&digests, 8).map(drop)),
+        waits(&|vault| vault.put(&borrowed(&blobs))),
+    ] {
+        assert!(many < one * 16, "one question waits {one:?}, 64 wait {many:?}");
+    }
+}
+
+#[test]
+fn a_command_that_is_refused_among_many_leaves_the_connection_in_step() {
+    let Some(server) = Server::start(&[]) else { return };
+    let vault = RedisVault::open(&server.url()).expect("opens");
+    let blobs: Vec<_> = (0..4).map(|number| blob(number, 100)).collect();
+    vault.put(&borrowed(&blobs)).expect("put");
+    server.command(&["DEL", &format!("authros:{}", blobs[1].0)]);
+    server.command(&["LPUSH", &format!("authros:{}", blobs[1].0), "not a text"]);
+    let digests: Vec<Digest> = blobs.iter().map(|(digest, _)| *digest).collect();
+    assert_eq!(vault.get_many(&digests).map_err(|error| error.kind()), Err(ErrorKind::Refused));
+    assert_eq!(vault.get(blobs[3].0), Ok(Some(blobs[3].1.clone())), "no answer of before is read");
+}
+
+#[test]
 fn a_hidden_configuration_is_a_warning_and_a_wrong_password_a_refusal() {
     let Some(server) = Server::start(&["--rename-command", "CONFIG", "", "--requirepass", "hush"]) else { return };
     let vault = RedisVault::open(&server.url().replace("://", "://:hush@")).expect("opens");

@@ -5,7 +5,9 @@
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use redis::{Client, Connection, ErrorKind, RedisError, RedisResult, ServerErrorKind, cmd};
+use redis::{
+    Client, Connection, ConnectionInfo, ErrorKind, IntoConnectionInfo, RedisError, RedisResult, ServerErrorKind, cmd,
+};
 
 use super::address::{Address, Place};
 use crate::model::{Timestamp, clean};
@@ -324,8 +326,13 @@ impl Node {
     }
 }
 
+/// Without the library's two announcements of itself, each of which a silent server may let wait.
 fn client(url: &str, shown: &str) -> Result<Client, StoreError> {
-    Client::open(url).map_err(|error| {
+    let quiet = |info: ConnectionInfo| {
+        let settings = info.redis_settings().clone().set_skip_set_lib_name();
+        info.set_redis_settings(settings)
+    };
+    url.into_connection_info().map(quiet).and_then(Client::open).map_err(|error| {
         let detail = clean(error.detail().unwrap_or(error.category()), 120);
         StoreError::VaultUrl { url: shown.to_owned(), detail }
     })
