@@ -266,7 +266,7 @@ fn a_webhook_over_tls_is_told_where_its_authority_is_known_and_nobody_else_is() 
                   context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)\n\
                   context.load_cert_chain('hook.pem', 'hook.key')\n\
                   server.socket = context.wrap_socket(server.socket, server_side=True)\n\
-                  print('PORT', server.server_port, flush=True)\n\
+                  print('PORT %d\\n' % server.server_port, end='', flush=True)\n\
                   server.serve_forever()\n";
     let mut command = Command::new(python);
     command.args(["-c", script]).current_dir(folder);

@@ -9,6 +9,7 @@ mod glance;
 mod groups;
 mod incidents;
 mod model;
+mod numbered;
 mod pages;
 mod quarantine;
 mod rights;
@@ -20,35 +21,13 @@ use std::thread;
 
 use sm3::{Digest as _, Sm3};
 
+pub(super) use self::numbered::numbered;
 use super::*;
 use crate::model::RecordState::{Confirmed, Stored, Submitted, Verified};
 use crate::model::{
     Address, Digest, ErrorKind, Hash, IncidentName, LossReason, RecordKind, RecordState, Signature, SignerId,
     Timestamp, TopicId,
 };
-
-/// A stored record of owner 1 that is this number in all.
-pub(super) fn numbered(number: u8) -> NewRecord {
-    NewRecord {
-        digest: Digest([number; 32]),
-        owner: Address([1; 20]),
-        topic_id: TopicId([2; 16]),
-        seq: u64::from(number),
-        foreign: None,
-        epoch: 1,
-        kind: RecordKind::Data,
-        signer: SignerId([3; 32]),
-        signature: Signature([4; 64]),
-        filters: Vec::new(),
-        topic: "/a".to_owned(),
-        type_name: "a/B".to_owned(),
-        bytes: 1,
-        captured_at: Timestamp(u64::from(number)),
-        simulated: false,
-        state: RecordState::Stored,
-        local_copy: None,
-    }
-}
 
 /// A record of owner `owner` on topic `topic`; its digest is spread like a real one.
 fn record(owner: u8, topic: u8, seq: u64) -> NewRecord {
