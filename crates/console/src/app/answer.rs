@@ -143,7 +143,7 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
             let site = ask::SiteStatus::heard(result)?;
             state.rates.observe(&site.life, state.now);
             state.history.observe(&site, state.now);
-            state.site = Some(site);
+            (state.site, state.site_at) = (Some(site), state.now);
         }
         Feed::Identity => state.identity = Some(ask::ShowIdentity::heard(result)?),
         Feed::Keys => state.keys = Some(ask::ListKeys::heard(result)?),

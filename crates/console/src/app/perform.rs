@@ -75,7 +75,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Last => cursor::jump(state, true),
         Verb::Mark => mark(state),
         Verb::MarkAll => cursor::mark_all(state),
-        Verb::Filter => drop(state.table_mut().map(|table| table.filtering = true)),
+        Verb::Filter => drop(state.table_mut().map(super::table::Table::begin_filter)),
         Verb::Sort => cursor::sort(state),
         Verb::Reverse => cursor::reverse(state),
         Verb::Columns => columns::open(state),

@@ -168,7 +168,7 @@ fn cells(state: &State, row: &RecordView, with_owner: bool) -> Vec<(String, Role
         (row.id.clone(), Role::Dim),
         (beginning(&row.digest.to_hex()), Role::Dim),
         (row.transaction.map(|hash| beginning(&hash.to_string())).unwrap_or_default(), Role::Dim),
-        (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Warning),
+        (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Dim),
         simulated(row.simulated),
     ]);
     cells

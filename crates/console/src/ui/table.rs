@@ -199,27 +199,33 @@ pub fn draw_plain(canvas: &mut Canvas, area: Rect, columns: &[Column], rows: Vec
 const GUTTER: u16 = 2;
 
 fn draw_title(canvas: &mut Canvas, area: Rect, sheet: &Sheet) {
-    let rest = canvas.puts(area, &[(sheet.title, Role::Title), ("  ", Role::Body), (&sheet.note, Role::Dim)]);
+    let mut rest = canvas.puts(area, &[(sheet.title, Role::Title), ("  ", Role::Body)]);
     let filter = &sheet.table.filter;
-    if !sheet.table.filtering && filter.text().is_empty() {
-        return;
+    // What narrows the list is never cut for what is said about it.
+    if sheet.table.filtering || !filter.text().is_empty() {
+        rest = canvas.puts(rest, &[("filter: ", Role::Accent)]);
+        if sheet.table.filtering {
+            let before: String = filter.text().chars().take(filter.cursor()).collect();
+            canvas.set_cursor((rest.x + columns(&before)).min(area.right().saturating_sub(1)), rest.y);
+        }
+        let selected = sheet.table.filtering && filter.is_offered();
+        let role = if selected { Role::Selection } else { Role::Accent };
+        rest = canvas.puts(rest, &[(filter.text(), role), ("  ", Role::Body)]);
     }
-    let rest = canvas.puts(rest, &[("  filter: ", Role::Accent)]);
-    canvas.put(rest, filter.text(), Role::Accent);
-    if sheet.table.filtering {
-        let before: String = filter.text().chars().take(filter.cursor()).collect();
-        canvas.set_cursor((rest.x + columns(&before)).min(area.right().saturating_sub(1)), rest.y);
-    }
+    canvas.put(rest, &sheet.note, Role::Dim);
 }
 
 fn draw_row(canvas: &mut Canvas, area: Rect, sheet: &Sheet, widths: &[u16], index: usize, here: bool) {
     let marked = sheet.keys.get(index).is_some_and(|key| sheet.table.marks.contains(key));
     canvas.puts(area, &[(if here { "▌" } else { " " }, Role::Body), (if marked { "✓" } else { " " }, Role::Body)]);
-    let mut cells = (sheet.cells)(index).into_iter();
+    let cells = (sheet.cells)(index);
+    // Both ends of the row are lit, so that the eye finds the way across; the whole row would cost too many bytes.
+    let last = cells.iter().zip(widths).rposition(|((text, _), width)| *width > 0 && !text.is_empty());
+    let mut cells = cells.into_iter().enumerate();
     draw_cells(canvas, area, sheet.columns, widths, |column| {
-        let (text, role) = cells.next().unwrap_or_default();
+        let (place, (text, role)) = cells.next().unwrap_or_default();
         let role = if sheet.old { Role::Dim } else { role };
-        (text, if here && column.width == 0 { Role::Selection } else { role })
+        (text, if here && (column.width == 0 || Some(place) == last) { Role::Selection } else { role })
     });
 }
 

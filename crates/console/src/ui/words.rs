@@ -37,6 +37,11 @@ pub fn size(bytes: u64) -> String {
     }
 }
 
+/// `once`, `3 times`.
+pub fn times(number: u64) -> String {
+    if number == 1 { "once".to_owned() } else { format!("{} times", count(number)) }
+}
+
 /// How long ago: `4 s`, `12 min`, `3 h`, `9 d`.
 pub fn age(then: Timestamp, now: Timestamp) -> String {
     let seconds = now.0.saturating_sub(then.0) / 1_000_000_000;
