@@ -210,7 +210,10 @@ fn draw_title(canvas: &mut Canvas, area: Rect, sheet: &Sheet) {
         }
         let selected = sheet.table.filtering && filter.is_offered();
         let role = if selected { Role::Selection } else { Role::Accent };
-        rest = canvas.puts(rest, &[(filter.text(), role), ("  ", Role::Body)]);
+        // While it is typed it has the line; afterwards half of it.
+        let most = if sheet.table.filtering { rest.width } else { area.width / 2 };
+        let place = Rect { width: most.min(rest.width), ..rest };
+        rest = right_of(rest, canvas.put(place, filter.text(), role) + 2);
     }
     canvas.put(rest, &sheet.note, Role::Dim);
 }
