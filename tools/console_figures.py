@@ -33,8 +33,8 @@ BEGUN = 400
 QUIET = 0.15
 # Threads of the simulated robots and of their side of ROS.
 ROBOTS = ("robot-", "ros-port", "ros-writer", "ros-master", "ros-slave", "ros-handshake")
-# What each must not exceed, of the console: bytes a second, percent of a core.
-MOST = {"idle": 0.5, "Overview, 80x24": 1_000, "cpu": 2.0, "key": 200, "frame": 100}
+# What the console must not exceed. At 200x50 a cursor key fills the pane beside the list too.
+FRAME, IDLE, KEY, OVERVIEW, CPU = 100, 0.5, 200, 1_000, 2.0
 
 
 class Terminal:
@@ -160,15 +160,20 @@ class Site:
 
     def serve(self):
         self.served = subprocess.Popen(
-            self.words + ["serve"], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env={"HOME": self.home}
+            self.words + ["serve"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={"HOME": self.home}
         )
-        for line in self.served.stderr:
-            if "serving" in line:
-                break
-        threading.Thread(target=self.served.stderr.read, daemon=True).start()
+        end = time.monotonic() + 60
+        while self.rate() < 1 and time.monotonic() < end:
+            time.sleep(1)
 
     def captured(self):
         return json.loads(self.run("--json", "status"))["life"]["captured"]
+
+    def rate(self):
+        """Records a second now."""
+        before, begun = self.captured(), time.monotonic()
+        time.sleep(1)
+        return (self.captured() - before) / (time.monotonic() - begun)
 
     def end(self):
         if self.served:
@@ -204,11 +209,11 @@ def measure(program, folder, seconds):
     for size in SIZES:
         at = f"{size[0]}x{size[1]}"
         frames = [starts(words, size) for words in [empty] + [[name] for name in others]]
-        rows.append((f"first frame, {at}, ms", MOST["frame"], frames))
+        rows.append((f"first frame, {at}, ms", FRAME, frames))
         terminals = started(empty, size, 8)
         idle = watched(terminals, seconds)
-        rows.append((f"idle, {at}, B/s", MOST["idle"], [row[0] for row in idle]))
-        rows.append((f"idle, {at}, % of a core", MOST["cpu"], [row[1] for row in idle]))
+        rows.append((f"idle, {at}, B/s", IDLE, [row[0] for row in idle]))
+        rows.append((f"idle, {at}, % of a core", CPU, [row[1] for row in idle]))
         finish(terminals)
 
     busy.serve()
@@ -222,9 +227,9 @@ def measure(program, folder, seconds):
             console.press(key)
             time.sleep(2)
             found = watched(terminals, seconds)
-            most = MOST.get(f"{screen}, {at}")
-            rows.append((f"load, {screen}, {at}, B/s", most, [row[0] for row in found]))
-            rows.append((f"load, {screen}, {at}, % of a core", MOST["cpu"], [row[1] for row in found]))
+            judged = screen == "Overview" and size == SIZES[0]
+            rows.append((f"load, {screen}, {at}, B/s", OVERVIEW if judged else None, [row[0] for row in found]))
+            rows.append((f"load, {screen}, {at}, % of a core", CPU if judged else None, [row[1] for row in found]))
         console.press("2")
         console.press("f")
         bytes_each = []
@@ -235,7 +240,7 @@ def measure(program, folder, seconds):
             for press in range(20):
                 one.press(keys[press % 2])
             bytes_each.append((one.bytes - start) / 20)
-        rows.append((f"bytes a cursor key, {at}", MOST["key"], bytes_each))
+        rows.append((f"bytes a cursor key, {at}", KEY if size == SIZES[0] else None, bytes_each))
         finish(terminals)
     rate = (busy.captured() - before) / (time.monotonic() - begun)
     busy.end()
@@ -247,7 +252,7 @@ def measure(program, folder, seconds):
     time.sleep(1)
     (_, _, by_part), = watched([own], seconds)
     own.end()
-    rows.append(("as the site, % of a core: console", MOST["cpu"], [by_part["console"]]))
+    rows.append(("as the site, % of a core: console", CPU, [by_part["console"]]))
     rows.append(("as the site, % of a core: robots", None, [by_part["robots"]]))
     rows.append(("as the site, % of a core: pipeline", None, [by_part["rest"]]))
     return others, rows, rate

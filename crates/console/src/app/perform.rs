@@ -37,6 +37,11 @@ use crate::service::{Command, Operation};
 /// Performs `verb`, or says why that is not possible now.
 pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
     if let Err(reason) = available(state, verb) {
+        if verb == Verb::Unlock && state.identity.as_ref().is_some_and(|identity| identity.unlocked) {
+            // A passphrase that is typed all the same must not be taken for commands.
+            state.popups.push(Popup::Unlocked);
+            return Vec::new();
+        }
         let name = super::verb::entry_of(verb, state.screen).map_or("", |entry| entry.name);
         state.inform(format!("{name}: {reason}"));
         return Vec::new();
@@ -291,7 +296,7 @@ fn quit(state: &mut State) -> Vec<Effect> {
 
 /// Gives a text to the terminal; only the terminal knows whether it took it.
 pub fn copy(state: &mut State, text: String) -> Effect {
-    state.inform(format!("sent to the terminal's clipboard: {text}"));
+    state.inform(format!("sent to the terminal's clipboard (W writes a file): {text}"));
     Effect::CopyText(text)
 }
 

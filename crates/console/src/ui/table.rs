@@ -218,12 +218,16 @@ fn draw_title(canvas: &mut Canvas, area: Rect, sheet: &Sheet) {
     canvas.put(rest, &sheet.note, Role::Dim);
 }
 
+/// Columns from which a row is too long to be followed from one end.
+const LONG_FROM: u16 = 100;
+
 fn draw_row(canvas: &mut Canvas, area: Rect, sheet: &Sheet, widths: &[u16], index: usize, here: bool) {
     let marked = sheet.keys.get(index).is_some_and(|key| sheet.table.marks.contains(key));
     canvas.puts(area, &[(if here { "▌" } else { " " }, Role::Body), (if marked { "✓" } else { " " }, Role::Body)]);
     let cells = (sheet.cells)(index);
-    // Both ends of the row are lit, so that the eye finds the way across; the whole row would cost too many bytes.
-    let last = cells.iter().zip(widths).rposition(|((text, _), width)| *width > 0 && !text.is_empty());
+    // Both ends of a long row are lit, so that the eye finds the way across; all of it would cost too many bytes.
+    let shown = |((text, _), width): (&(String, Role), &u16)| *width > 0 && !text.is_empty();
+    let last = cells.iter().zip(widths).rposition(shown).filter(|_| area.width >= LONG_FROM);
     let mut cells = cells.into_iter().enumerate();
     draw_cells(canvas, area, sheet.columns, widths, |column| {
         let (place, (text, role)) = cells.next().unwrap_or_default();

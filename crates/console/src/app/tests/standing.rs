@@ -82,6 +82,17 @@ fn it_does_not_ask_where_the_keyring_is_open_or_opens_in_another_way_or_somebody
 }
 
 #[test]
+fn a_passphrase_for_an_open_keyring_is_not_taken_for_commands() {
+    let mut robot = opened(true, true);
+    robot.site_answers(true);
+    robot.types("ucorrect horse 4q");
+    assert!(matches!(robot.state.popups.last(), Some(Popup::Unlocked)));
+    assert_eq!((robot.state.screen, robot.work().len()), (crate::app::Screen::Overview, 0));
+    robot.presses(Key::Enter);
+    assert!(robot.state.popups.is_empty());
+}
+
+#[test]
 fn a_question_for_a_passphrase_goes_when_the_keyring_was_opened_elsewhere() {
     let mut robot = opened(false, true);
     robot.hears_of(Part::Identity);
