@@ -57,8 +57,8 @@ impl<'a> Canvas<'a> {
 
     /// Puts a rule into the gap between two columns of a table, if there are rules.
     pub fn rule(&mut self, area: Rect) {
-        if self.rules {
-            self.put(area, RULE, Role::Dim);
+        if self.rules && self.buffer.area().contains(Position { x: area.x, y: area.y }) {
+            self.buffer[(area.x, area.y)].set_symbol(RULE);
         }
     }
 
