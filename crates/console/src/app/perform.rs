@@ -37,13 +37,7 @@ use crate::service::{Command, Operation};
 /// Performs `verb`, or says why that is not possible now.
 pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
     if let Err(reason) = available(state, verb) {
-        if verb == Verb::Unlock && state.identity.as_ref().is_some_and(|identity| identity.unlocked) {
-            // A passphrase that is typed all the same must not be taken for commands.
-            state.popups.push(Popup::Unlocked);
-            return Vec::new();
-        }
-        let name = super::verb::entry_of(verb, state.screen).map_or("", |entry| entry.name);
-        state.inform(format!("{name}: {reason}"));
+        refuse(state, verb, reason);
         return Vec::new();
     }
     match verb {
@@ -119,6 +113,16 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Rotate => state.popups.push(Popup::Confirm(confirm::rotate())),
     }
     Vec::new()
+}
+
+/// Says why it is not possible.
+fn refuse(state: &mut State, verb: Verb, reason: &str) {
+    if verb == Verb::Unlock && state.identity.as_ref().is_some_and(|identity| identity.unlocked) {
+        // A passphrase that is typed all the same must not be taken for commands.
+        return state.popups.push(Popup::Unlocked);
+    }
+    let name = super::verb::entry_of(verb, state.screen).map_or("", |entry| entry.name);
+    state.inform(format!("{name}: {reason}"));
 }
 
 /// Goes to a screen.
