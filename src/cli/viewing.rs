@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use super::connect::ProfileNeed;
+use super::lists::in_milliseconds;
 use super::show::Question;
 use super::verbs::{CHAIN, Plan};
 use crate::model::RecordState;

@@ -196,7 +196,9 @@ mod tests {
             table
         };
         let mut table = standing();
-        "topic:".chars().for_each(|character| drop(table.filter_key(Key::Char(character))));
+        for character in "topic:".chars() {
+            table.filter_key(Key::Char(character));
+        }
         assert_eq!(table.filter.text(), "topic:");
         let mut table = standing();
         table.filter_key(Key::Char(' '));
