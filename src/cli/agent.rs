@@ -71,7 +71,10 @@ async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> 
         "file": out.display().to_string(),
     });
     for away in view.gateways.iter().filter(|gateway| !gateway.known) {
-        output.note(&format!("the gateway {} is away; it and the robot are told when it is back", away.address));
+        output.note(&format!(
+            "the gateway {} does not answer; it and the robot will be told when it is back",
+            away.address
+        ));
     }
     output.result(&document, || {
         format!(
@@ -97,7 +100,7 @@ fn gateways(addresses: &[String], keys: &[String]) -> Result<Gateways, Failure> 
         return Err(Failure::new(ErrorKind::Usage, "give one --gateway-key for each --gateway, in the same order"));
     };
     if keys.is_empty() && !further.is_empty() {
-        let why = "of several gateways each is named with its key: give a --gateway-key for each --gateway";
+        let why = "with several gateways, give a --gateway-key for each --gateway";
         return Err(Failure::new(ErrorKind::Usage, why));
     }
     let further = further.iter().cloned().zip(keys.iter().skip(1).copied()).collect();

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use super::connect::ProfileNeed;
+use super::lists::in_milliseconds;
 use super::show::Question;
 use super::verbs::{CHAIN, Plan};
 use crate::model::RecordState;
@@ -41,7 +42,7 @@ pub fn opened(view: &OpenedView) -> String {
     let verdict = view.verdict.word().to_uppercase();
     let mut lines = vec![
         format!("{}  {}  seq {}  {verdict}{held}", record.id, record.topic, record.seq),
-        format!("{} from {} captured {}", record.type_name, view.caller_id, record.captured_at),
+        format!("{} from {} captured {}", record.type_name, view.caller_id, in_milliseconds(record.captured_at)),
         format!("{} bytes, sealed as {} ({})", record.bytes, view.stored, compressed(&view.compression)),
     ];
     lines.extend(view.tags.iter().map(|(key, value)| format!("tag {key} = {value}")));

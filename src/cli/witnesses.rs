@@ -81,7 +81,7 @@ fn served(one: &WitnessView) -> String {
 /// All parties of a profile.
 pub fn all(witnesses: &[WitnessView]) -> String {
     if witnesses.is_empty() {
-        return "no witness; `authros witness add HOST:PORT --account ADDRESS --key KEY` names one".to_owned();
+        return "no witnesses; add one with `authros witness add HOST:PORT --account ADDRESS --key KEY`".to_owned();
     }
     let row = |one: &WitnessView| {
         vec![
@@ -103,7 +103,7 @@ pub fn status(view: &WitnessesView) -> String {
     let mut lines = vec![format!("this profile: account {}, key {key}", view.account), all(&view.witnesses)];
     lines.extend(view.witnesses.iter().filter_map(|one| {
         let problem = one.problem.as_ref()?;
-        Some(format!("{}: {} attempts gave nothing: {problem}", one.name, one.failures))
+        Some(format!("{}: {} attempts failed: {problem}", one.name, one.failures))
     }));
     lines.extend(view.contradictions.iter().map(contradiction));
     lines.join("\n")

@@ -107,7 +107,10 @@ fn a_grant_reaches_a_second_console_that_opens_a_record_and_a_revoke_ends_it() {
     let mut bob = Operator::opens(&bob);
     bob.presses("4").sees(ODOMETRY).presses("b").sees("All records").presses("\u{1b}[B\r").sees("of 0x");
     bob.presses("/").presses(" tag:mission=elsewhere\r").no_longer_sees(ODOMETRY);
-    bob.presses("\u{1b}").sees(ODOMETRY).presses("/tag:mission=harbour type:nav_msgs/Odometry\r").sees("tag mission");
+    bob.presses("\u{1b}")
+        .sees(ODOMETRY)
+        .presses("/tag:mission=harbour type:nav_msgs/Odometry\r")
+        .sees("filter: tag:mission");
     bob.presses("\r").sees("digest matches the chain").sees("nav_msgs/Odometry").presses("q");
 
     alice.presses("x").sees("cannot be recalled").presses("x").no_longer_sees("cannot be recalled");

@@ -22,6 +22,7 @@ mod completing;
 mod console;
 mod console_journey;
 mod console_line;
+mod console_past;
 mod console_situations;
 mod console_terminal;
 mod contacts;

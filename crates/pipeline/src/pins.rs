@@ -282,11 +282,12 @@ impl Pins {
         known.first_use.get_or_insert_with(Instant::now);
         let name = clean(&publisher.to_string(), 200);
         self.note(owner, "pin on first use", &format!("{topic} {name}"), "done")?;
+        let (caller, host) = (clean(&publisher.caller_id, 100), clean(&publisher.host, 100));
         self.observer.alert(
             false,
             format!(
-                "{topic} is now pinned to its first publisher, {name}; check that it is the right one: `authros \
-                     topics pins`"
+                "{topic}: {caller} on {host} is accepted from now on (first seen); enter on Topics, or `authros topics \
+                 pins`, shows it in full"
             ),
         );
         Ok(())

@@ -143,9 +143,16 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
             let site = ask::SiteStatus::heard(result)?;
             state.rates.observe(&site.life, state.now);
             state.history.observe(&site, state.now);
-            state.site = Some(site);
+            (state.site, state.site_at) = (Some(site), state.now);
         }
-        Feed::Identity => state.identity = Some(ask::ShowIdentity::heard(result)?),
+        Feed::Identity => {
+            let identity = ask::ShowIdentity::heard(result)?;
+            if state.is_locked() && identity.unlocked {
+                // What was refused for the key's sake is asked again at once.
+                state.feeds.touch_failed();
+            }
+            state.identity = Some(identity);
+        }
         Feed::Keys => state.keys = Some(ask::ListKeys::heard(result)?),
         Feed::Topics => state.topics.set(ask::ListTopics::heard(result)?, state.now),
         Feed::Uploads => state.uploads.set(ask::ListUploads::heard(result)?, limit),

@@ -48,7 +48,9 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         }
         Verb::Readers | Verb::Browse | Verb::Play => {
             given(entry.works_on(state.screen), "other screen")?;
-            given(matches!(verb, Verb::Browse) || state.has_rows(), "nothing selected")
+            // Without any grant the answer is: nobody else.
+            let whole = matches!(verb, Verb::Browse) || state.screen == Screen::Grants;
+            given(whole || state.has_rows(), "nothing selected")
         }
         Verb::EndTour => given(state.tour.is_some(), "no tour: authros tour begins one"),
         Verb::Period | Verb::FoldAll | Verb::Columns => given(entry.works_on(state.screen), "other screen"),

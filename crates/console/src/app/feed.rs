@@ -126,6 +126,13 @@ impl Feeds {
         }
     }
 
+    /// What could not be had is out of date.
+    pub fn touch_failed(&mut self) {
+        for slot in self.0.iter_mut().filter(|slot| slot.failure.is_some()) {
+            slot.stale = true;
+        }
+    }
+
     /// The screen of a feed becomes visible: data that is not up to date is from the last visit.
     pub fn look(&mut self, feed: Feed) {
         let slot = self.slot_mut(feed);

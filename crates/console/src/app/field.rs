@@ -41,6 +41,11 @@ impl Field {
         Self { offered: !text.is_empty(), ..Self::with(text) }
     }
 
+    /// Whether the first character typed replaces the text.
+    pub fn is_offered(&self) -> bool {
+        self.offered
+    }
+
     /// The text.
     pub fn text(&self) -> &str {
         &self.text

@@ -14,6 +14,7 @@ pub mod browse;
 pub mod columns;
 pub mod confirm;
 pub mod contacts;
+pub mod countdown;
 pub mod cursor;
 pub mod detail;
 pub mod exporting;

@@ -37,8 +37,7 @@ use crate::service::{Command, Operation};
 /// Performs `verb`, or says why that is not possible now.
 pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
     if let Err(reason) = available(state, verb) {
-        let name = super::verb::entry_of(verb, state.screen).map_or("", |entry| entry.name);
-        state.inform(format!("{name}: {reason}"));
+        refuse(state, verb, reason);
         return Vec::new();
     }
     match verb {
@@ -75,7 +74,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Last => cursor::jump(state, true),
         Verb::Mark => mark(state),
         Verb::MarkAll => cursor::mark_all(state),
-        Verb::Filter => drop(state.table_mut().map(|table| table.filtering = true)),
+        Verb::Filter => drop(state.table_mut().map(super::table::Table::begin_filter)),
         Verb::Sort => cursor::sort(state),
         Verb::Reverse => cursor::reverse(state),
         Verb::Columns => columns::open(state),
@@ -114,6 +113,16 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Rotate => state.popups.push(Popup::Confirm(confirm::rotate())),
     }
     Vec::new()
+}
+
+/// Says why it is not possible.
+fn refuse(state: &mut State, verb: Verb, reason: &str) {
+    if verb == Verb::Unlock && state.identity.as_ref().is_some_and(|identity| identity.unlocked) {
+        // A passphrase that is typed all the same must not be taken for commands.
+        return state.popups.push(Popup::Unlocked);
+    }
+    let name = super::verb::entry_of(verb, state.screen).map_or("", |entry| entry.name);
+    state.inform(format!("{name}: {reason}"));
 }
 
 /// Goes to a screen.
@@ -291,7 +300,7 @@ fn quit(state: &mut State) -> Vec<Effect> {
 
 /// Gives a text to the terminal; only the terminal knows whether it took it.
 pub fn copy(state: &mut State, text: String) -> Effect {
-    state.inform(format!("sent to the terminal's clipboard: {text}"));
+    state.inform(format!("sent to the terminal's clipboard (W writes a file): {text}"));
     Effect::CopyText(text)
 }
 

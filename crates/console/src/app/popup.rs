@@ -49,6 +49,8 @@ pub enum Popup {
     Readers(Vec<String>),
     /// Running commands and what waits.
     Tasks,
+    /// The keyring to be unlocked is open already.
+    Unlocked,
     /// A line of the log, whole.
     Line(LogLine),
     /// Choosing among what others share.

@@ -36,6 +36,7 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
         Popup::Incidents(list) => incidents::hints(state, list),
         Popup::Publishers(_) => vec![("up down", "scroll"), ("p", "pin"), ("P", "unpin"), ("q", "close")],
         Popup::Tasks | Popup::Readers(_) => vec![("q", "close")],
+        Popup::Unlocked => vec![("enter", "close"), ("esc", "close")],
         Popup::Line(_) => vec![("y", "copy"), ("q", "close")],
         Popup::Provenance(_) => vec![("n p", "next/prev"), ("up down", "scroll"), ("q", "close")],
         Popup::Help(Help { filtering: true, .. }) => vec![("enter", "apply"), ("esc", "clear")],
@@ -90,6 +91,12 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
         Popup::Publishers(lookup) => publishers_key(state, lookup, key),
         Popup::Tasks | Popup::Readers(_) => {
             if !matches!(key, Key::Escape | Key::Enter | Key::Char('q' | 't' | 'i')) {
+                state.popups.push(popup);
+            }
+            Vec::new()
+        }
+        Popup::Unlocked => {
+            if !matches!(key, Key::Escape | Key::Enter) {
                 state.popups.push(popup);
             }
             Vec::new()

@@ -94,6 +94,8 @@ pub struct State {
     pub keys: Option<KeysView>,
     /// The site at a glance.
     pub site: Option<SiteView>,
+    /// When it answered so.
+    pub site_at: Timestamp,
     /// How fast records flow.
     pub rates: Rates,
     /// Their flow over the last hour.
@@ -171,6 +173,7 @@ impl State {
             identity: None,
             keys: None,
             site: None,
+            site_at: Timestamp::default(),
             rates: Rates::default(),
             history: History::default(),
             period: Period::default(),
@@ -234,6 +237,7 @@ impl State {
             ages.and_then(|()| self.topics.older_at(self.now)),
             self.alerts.forgotten_at(),
             super::detail::due(self),
+            super::countdown::moves_at(self),
             self.progress_asked_at(),
             incidents::asked_at(self),
             self.graphs_move_at(),

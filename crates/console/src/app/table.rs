@@ -79,18 +79,28 @@ impl Table {
         }
     }
 
+    /// Begins typing a filter. The present one, also one kept from the last console, stays until a character is typed
+    /// in its place, and is among the earlier ones then.
+    pub fn begin_filter(&mut self) {
+        self.remember();
+        self.filter = Field::offering(self.filter.text().trim());
+        self.filtering = true;
+    }
+
     /// Replaces the filter being typed with an earlier one, or a later one; false if something new is typed, or there
     /// is none.
     pub fn recall(&mut self, earlier: bool) -> bool {
+        let offered = self.filter.is_offered();
         let untouched = match self.recalled {
-            None => self.filter.text().is_empty() && earlier,
+            None => (self.filter.text().is_empty() || offered) && earlier,
             Some(back) => self.past(back) == Some(self.filter.text()),
         };
         if !untouched {
             return false;
         }
         let wanted = match (self.recalled, earlier) {
-            (None, _) => Some(0),
+            // The newest is the one that is offered.
+            (None, _) => Some(usize::from(offered && self.history.len() > 1)),
             (Some(back), true) => Some((back + 1).min(self.history.len().saturating_sub(1))),
             (Some(back), false) => back.checked_sub(1),
         };
@@ -131,6 +141,10 @@ impl Table {
                 return true;
             }
             _ => {
+                // A space can only mean a further word.
+                if key == Key::Char(' ') && self.filter.is_offered() {
+                    self.filter.key(Key::End);
+                }
                 // Typing starts a new search: the best match is the first row.
                 (self.selected, self.index) = (None, 0);
                 return self.filter.key(key);
@@ -172,6 +186,41 @@ mod tests {
         table.filter = Field::with("new");
         assert!(!table.recall(true));
         assert_eq!(table.filter.text(), "new");
+    }
+
+    #[test]
+    fn a_filter_that_stands_is_replaced_by_what_is_typed_or_changed_where_the_cursor_goes_into_it() {
+        let standing = || {
+            let mut table = Table { filter: Field::with("state:verified"), ..Table::default() };
+            table.begin_filter();
+            table
+        };
+        let mut table = standing();
+        for character in "topic:".chars() {
+            table.filter_key(Key::Char(character));
+        }
+        assert_eq!(table.filter.text(), "topic:");
+        let mut table = standing();
+        table.filter_key(Key::Char(' '));
+        table.filter_key(Key::Char('x'));
+        assert_eq!(table.filter.text(), "state:verified x", "a space adds to it");
+        let mut table = standing();
+        table.filter_key(Key::Backspace);
+        table.filter_key(Key::Char('x'));
+        assert_eq!(table.filter.text(), "state:verifiex", "the cursor is in it");
+        let mut table = standing();
+        table.filter_key(Key::Enter);
+        assert_eq!((table.filter.text(), table.filtering), ("state:verified", false));
+        // What was replaced is among the earlier ones, and an offered one goes to the one before.
+        table.filter = Field::with("odom");
+        table.begin_filter();
+        assert!(table.recall(true));
+        assert_eq!(table.filter.text(), "state:verified");
+        let mut table = standing();
+        table.filter_key(Key::Char('x'));
+        table.filter.clear();
+        assert!(table.recall(true));
+        assert_eq!(table.filter.text(), "state:verified");
     }
 
     #[test]

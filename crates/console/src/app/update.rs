@@ -3,11 +3,12 @@
 use super::action::{Action, Effect, Errand, Tag};
 use super::alerts;
 use super::answer::answered;
+use super::countdown;
 use super::cursor;
 use super::detail;
 use super::feed::Feed;
 use super::incidents;
-use super::key::Key;
+use super::key::{Key, chord_label};
 use super::keymap::Meaning;
 use super::leaving;
 use super::lock;
@@ -16,6 +17,7 @@ use super::paths;
 use super::perform::{perform, wants_grants};
 use super::popup::{Popup, Purpose};
 use super::popup_keys::{popup_key, popup_paste};
+use super::screen::Screen;
 use super::screens::log::MOST_AUDIT;
 use super::state::State;
 use super::tour;
@@ -96,9 +98,22 @@ fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
     match state.settings.keymap.meaning(&[key], state.screen) {
         Meaning::Does(verb) => return perform(state, verb),
         Meaning::Begins(_) => state.popups.push(Popup::Chord(vec![key])),
-        Meaning::Nothing => {}
+        Meaning::Nothing => say_where(state, key),
     }
     Vec::new()
+}
+
+/// The most screens named for a key; one that works on more is no news.
+const MOST_PLACES: usize = 3;
+
+/// A letter of other screens does nothing here, and says where it would.
+fn say_where(state: &mut State, key: Key) {
+    let means = |screen: &Screen| !matches!(state.settings.keymap.meaning(&[key], *screen), Meaning::Nothing);
+    let places: Vec<String> =
+        Screen::ALL.into_iter().filter(means).map(|at| format!("{} ({})", at.title(), at.index() + 1)).collect();
+    if matches!(key, Key::Char(_)) && (1..=MOST_PLACES).contains(&places.len()) {
+        state.inform(format!("{} works on {}", chord_label(&[key]), places.join(", ")));
+    }
 }
 
 fn filter_or_move(state: &mut State, key: Key) -> Vec<Effect> {
@@ -168,6 +183,7 @@ fn tick(state: &mut State, now: Timestamp) -> Vec<Effect> {
     state.toasts.expire(now);
     state.feeds.retry(now);
     state.rates.settle(now);
+    countdown::tick(state);
     state.ask_for_progress();
     incidents::tick(state);
     lock::tick(state)

@@ -149,11 +149,14 @@ fn due<'a>(stage: &Stage, mut scene: MutexGuard<'a, Scene>, budget: &Budget) -> 
 /// Writes a frame, unless the terminal was given away while it was drawn.
 fn send(stage: &Stage, bytes: &str) -> io::Result<()> {
     let _writing = stage.output.lock().unwrap_or_else(PoisonError::into_inner);
-    if stage.scene().suspended {
-        stage.scene().anew = true;
-        return Ok(());
-    }
-    guard::write(bytes)
+    if is_given_away(stage) { Ok(()) } else { guard::write(bytes) }
+}
+
+/// Whether the shell has the terminal: until this process is continued, or for good.
+fn is_given_away(stage: &Stage) -> bool {
+    let mut scene = stage.scene();
+    scene.anew |= scene.suspended;
+    scene.suspended || scene.over
 }
 
 #[cfg(test)]
@@ -209,6 +212,16 @@ mod tests {
         };
         assert_eq!(text(&screen), text(&wanted));
         assert_eq!(painter.paint(&mut scene), "");
+    }
+
+    #[test]
+    fn a_frame_that_was_drawn_before_the_end_is_not_written_after_it() {
+        let stage = Stage::new(State::new(Settings::default()), Theme::named("night").expect("embedded"));
+        assert!(!is_given_away(&stage));
+        stage.change(Wish::None, |scene| scene.suspended = true);
+        assert!(is_given_away(&stage) && stage.scene().anew, "all is drawn anew afterwards");
+        stage.change(Wish::None, |scene| (scene.suspended, scene.over) = (false, true));
+        assert!(is_given_away(&stage));
     }
 
     #[test]

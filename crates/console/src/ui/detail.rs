@@ -6,7 +6,7 @@ use super::canvas::{Canvas, below, right_of, row};
 use super::popups::{Piece, coverage_lines, inside, provenance_lines, put_lines, record_facts};
 use super::theme::Role;
 use super::topics::watched;
-use super::words::{count, kilobytes, rate, size, wrap};
+use super::words::{count, kilobytes, moment, rate, size, wrap};
 use super::{bottom, graph};
 use crate::app::popup::Lookup;
 use crate::app::screens::grants::{end, is_active, is_given, scope, soon};
@@ -95,7 +95,7 @@ fn about(topic: &TopicRow) -> Vec<(&'static str, String)> {
         ("captured", count(topic.messages)),
         ("quarantined", held),
         ("lost", format!("{} in transport, {} in the recorder", topic.lost_in_transport, topic.lost_in_recorder)),
-        ("last", topic.last_message.map(|last| last.to_string()).unwrap_or_default()),
+        ("last", topic.last_message.map(moment).unwrap_or_default()),
     ]
 }
 

@@ -54,12 +54,13 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) -> Rect {
 
 fn panels(state: &State, flow: Flow) -> [Panel; 4] {
     let scale = highest(&flow.captured).max(highest(&flow.verified));
-    let rate = |now: f64, values: &[Option<f64>]| format!("{now:.1}/s, peak {:.1}", highest(values));
+    let rate = |now: f64, values: &[Option<f64>]| format!("{now:.1}/s, peak {:.1}", highest(values).max(now));
     let after = flow.after.map_or_else(
         || "none verified".to_owned(),
         |(half, most)| format!("p50 {}, p99 {}", words::seconds(half), words::seconds(most)),
     );
     let pending = state.pending_records();
+    let most = highest(&flow.pending).max(f64::from(u32::try_from(pending).unwrap_or(u32::MAX)));
     [
         Panel {
             name: "captured",
@@ -77,7 +78,7 @@ fn panels(state: &State, flow: Flow) -> [Panel; 4] {
         },
         Panel {
             name: "pending",
-            text: format!("{}, peak {:.0}", words::count(pending), highest(&flow.pending)),
+            text: format!("{}, peak {most:.0}", words::count(pending)),
             scale: highest(&flow.pending),
             values: flow.pending,
             role: Role::Warning,

@@ -180,7 +180,7 @@ fn draw_busiest(canvas: &mut Canvas, area: Rect, state: &State) {
             (words::rate(row.hz), Role::Accent),
             (words::kilobytes(row.bytes_per_second), Role::Body),
             topics::watched(row),
-            (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Warning),
+            (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Dim),
             topics::simulated(row.simulated),
         ]
     });

@@ -116,7 +116,9 @@ fn draw(canvas: &mut Canvas, area: Rect, state: &State, list: (&Records, Feed, S
 
 fn note(records: &Records, wanted: &Wanted) -> String {
     let order = if records.table.sort == 0 { "newest first" } else { "oldest first" };
-    let mut note = format!("{order}, page {}", records.path.len() + 1);
+    let marked = records.table.marks.len();
+    let marked = if marked > 0 { format!("{marked} marked, ") } else { String::new() };
+    let mut note = format!("{marked}{order}, page {}", records.path.len() + 1);
     if let Some(at) = records.anchor {
         note.push_str(&format!(" as of {} (home: newest)", at.clock()));
     }
@@ -137,9 +139,6 @@ fn note(records: &Records, wanted: &Wanted) -> String {
     for word in words.into_iter().flatten().chain(searched).chain(tags) {
         note.push_str(", ");
         note.push_str(&word);
-    }
-    if !records.table.marks.is_empty() {
-        note.push_str(&format!(", {} marked", records.table.marks.len()));
     }
     if !wanted.rest.is_empty() {
         note.push_str(", ids on this page only");
@@ -168,7 +167,7 @@ fn cells(state: &State, row: &RecordView, with_owner: bool) -> Vec<(String, Role
         (row.id.clone(), Role::Dim),
         (beginning(&row.digest.to_hex()), Role::Dim),
         (row.transaction.map(|hash| beginning(&hash.to_string())).unwrap_or_default(), Role::Dim),
-        (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Warning),
+        (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Dim),
         simulated(row.simulated),
     ]);
     cells

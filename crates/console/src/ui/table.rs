@@ -199,27 +199,40 @@ pub fn draw_plain(canvas: &mut Canvas, area: Rect, columns: &[Column], rows: Vec
 const GUTTER: u16 = 2;
 
 fn draw_title(canvas: &mut Canvas, area: Rect, sheet: &Sheet) {
-    let rest = canvas.puts(area, &[(sheet.title, Role::Title), ("  ", Role::Body), (&sheet.note, Role::Dim)]);
+    let mut rest = canvas.puts(area, &[(sheet.title, Role::Title), ("  ", Role::Body)]);
     let filter = &sheet.table.filter;
-    if !sheet.table.filtering && filter.text().is_empty() {
-        return;
+    // What narrows the list is never cut for what is said about it.
+    if sheet.table.filtering || !filter.text().is_empty() {
+        rest = canvas.puts(rest, &[("filter: ", Role::Accent)]);
+        if sheet.table.filtering {
+            let before: String = filter.text().chars().take(filter.cursor()).collect();
+            canvas.set_cursor((rest.x + columns(&before)).min(area.right().saturating_sub(1)), rest.y);
+        }
+        let selected = sheet.table.filtering && filter.is_offered();
+        let role = if selected { Role::Selection } else { Role::Accent };
+        // While it is typed it has the line; afterwards half of it.
+        let most = if sheet.table.filtering { rest.width } else { area.width / 2 };
+        let place = Rect { width: most.min(rest.width), ..rest };
+        rest = right_of(rest, canvas.put(place, filter.text(), role) + 2);
     }
-    let rest = canvas.puts(rest, &[("  filter: ", Role::Accent)]);
-    canvas.put(rest, filter.text(), Role::Accent);
-    if sheet.table.filtering {
-        let before: String = filter.text().chars().take(filter.cursor()).collect();
-        canvas.set_cursor((rest.x + columns(&before)).min(area.right().saturating_sub(1)), rest.y);
-    }
+    canvas.put(rest, &sheet.note, Role::Dim);
 }
+
+/// Columns from which a row is too long to be followed from one end.
+const LONG_FROM: u16 = 100;
 
 fn draw_row(canvas: &mut Canvas, area: Rect, sheet: &Sheet, widths: &[u16], index: usize, here: bool) {
     let marked = sheet.keys.get(index).is_some_and(|key| sheet.table.marks.contains(key));
     canvas.puts(area, &[(if here { "▌" } else { " " }, Role::Body), (if marked { "✓" } else { " " }, Role::Body)]);
-    let mut cells = (sheet.cells)(index).into_iter();
+    let cells = (sheet.cells)(index);
+    // Both ends of a long row are lit, so that the eye finds the way across; all of it would cost too many bytes.
+    let shown = |((text, _), width): (&(String, Role), &u16)| *width > 0 && !text.is_empty();
+    let last = cells.iter().zip(widths).rposition(shown).filter(|_| area.width >= LONG_FROM);
+    let mut cells = cells.into_iter().enumerate();
     draw_cells(canvas, area, sheet.columns, widths, |column| {
-        let (text, role) = cells.next().unwrap_or_default();
+        let (place, (text, role)) = cells.next().unwrap_or_default();
         let role = if sheet.old { Role::Dim } else { role };
-        (text, if here && column.width == 0 { Role::Selection } else { role })
+        (text, if here && (column.width == 0 || Some(place) == last) { Role::Selection } else { role })
     });
 }
 
@@ -242,7 +255,9 @@ fn draw_cells(
         } else {
             canvas.put(place, &text, role)
         };
-        rest = right_of(rest, width + 1);
+        rest = right_of(rest, *width);
+        canvas.rule(Rect { width: rest.width.min(1), ..rest });
+        rest = right_of(rest, 1);
     }
 }
 

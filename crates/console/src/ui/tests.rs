@@ -1,6 +1,7 @@
 //! Every screen and popup as text at operators' usual sizes, and hostile text on all of them.
 
 mod hostile;
+mod rows;
 
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;

@@ -114,7 +114,7 @@ fn cells(state: &State, row: &TopicRow, scale: f64) -> Vec<(String, Role)> {
         (words::count(row.messages), Role::Body),
         (lost, if any_lost { Role::Warning } else { Role::Dim }),
         (row.last_message.map(|last| words::age(last, state.shown_at())).unwrap_or_default(), Role::Dim),
-        (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Warning),
+        (if row.simulated { "SIM".to_owned() } else { String::new() }, Role::Dim),
         simulated(row.simulated),
     ]
 }
@@ -153,7 +153,7 @@ fn capture_role(capture: Capture) -> Role {
     }
 }
 
-/// The cell that says what comes from a simulated robot.
+/// The cell that says what comes from a simulated robot: a mark in each row; the colour of warnings is for what is wrong.
 pub fn simulated(simulated: bool) -> (String, Role) {
-    (if simulated { "SIMULATED".to_owned() } else { String::new() }, Role::Warning)
+    (if simulated { "SIMULATED".to_owned() } else { String::new() }, Role::Dim)
 }

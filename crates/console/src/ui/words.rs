@@ -37,6 +37,17 @@ pub fn size(bytes: u64) -> String {
     }
 }
 
+/// `once`, `3 times`.
+pub fn times(number: u64) -> String {
+    if number == 1 { "once".to_owned() } else { format!("{} times", count(number)) }
+}
+
+/// A moment to the millisecond: `2026-11-22T03:43:21.549Z`.
+pub fn moment(at: Timestamp) -> String {
+    let second = Timestamp::from_seconds(at.seconds()).to_string();
+    format!("{}.{:03}Z", second.trim_end_matches('Z'), at.0 / 1_000_000 % 1_000)
+}
+
 /// How long ago: `4 s`, `12 min`, `3 h`, `9 d`.
 pub fn age(then: Timestamp, now: Timestamp) -> String {
     let seconds = now.0.saturating_sub(then.0) / 1_000_000_000;

@@ -118,7 +118,7 @@ impl Line {
         let urgent = matches!(link, Link::Refused(_));
         let address = clean(&self.gate.endpoint.address, 255);
         let text = match (&link, self.roster.down()) {
-            (_, None) => format!("the gateway {address} does not take records, another one does: {error}"),
+            (_, None) => format!("the gateway {address} accepts no records; another one does: {error}"),
             (Link::Refused(text), _) => format!(
                 "records wait in the outbox: {text}; if the owner recalled this robot or its loan has ended, the owner must enrol it again"
             ),

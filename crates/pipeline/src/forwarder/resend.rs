@@ -67,7 +67,7 @@ impl Line {
         };
         let (count, address) = (digests.len(), &self.gate.endpoint.address);
         let taken = format!(
-            "another gateway signed for {count} records and did not prove them in time: {} has them too now",
+            "another gateway signed for {count} records but did not prove them in time; {} now has them too",
             clean(address, 255)
         );
         match self.send(client, uploads).await? {

@@ -1,6 +1,6 @@
 //! Where a robot is and how it moves: Odometry with the paper's LV, AV, Pose, Cov, TS and Type in full words, Imu, NavSatFix.
 
-use super::numbers::{Body, count, float, number, shown, square, text, triple, turned};
+use super::numbers::{Body, count, float, number, shown, square, stamp, text, triple, turned};
 use super::{Plot, Readable};
 use crate::ros::message::Value;
 
@@ -13,7 +13,7 @@ const EARTH: f64 = 6_371_008.8;
 pub(super) fn odometry(value: &Value, _: &Body) -> Readable {
     let mut out = Readable::default();
     out.line("Type", "nav_msgs/Odometry");
-    out.line("Stamp", text(value, "header.stamp"));
+    out.line("Stamp (UTC)", stamp(value));
     out.line("Frames", format!("{} -> {}", text(value, "header.frame_id"), text(value, "child_frame_id")));
     out.line("Pose, m", triple(value, "pose.pose.position"));
     out.line("Orientation", turned(value, "pose.pose.orientation"));
@@ -44,7 +44,7 @@ pub(super) fn inertia(value: &Value, _: &Body) -> Readable {
         Some(Value::Array(items)) => !matches!(items.first(), Some(Value::Float(first)) if *first < 0.0),
         _ => true,
     };
-    out.line("Stamp", text(value, "header.stamp"));
+    out.line("Stamp (UTC)", stamp(value));
     out.line("Frame", text(value, "header.frame_id"));
     let unless = |known: bool, shown: String| if known { shown } else { String::from("not measured") };
     out.line("Orientation", unless(known("orientation_covariance"), turned(value, "orientation")));
@@ -69,7 +69,7 @@ pub(super) fn inertia(value: &Value, _: &Body) -> Readable {
 pub(super) fn fix(value: &Value, _: &Body) -> Readable {
     let mut out = Readable::default();
     let degrees = |path: &str| float(value, path).map_or_else(|| String::from("-"), |degrees| format!("{degrees:.7}°"));
-    out.line("Stamp", text(value, "header.stamp"));
+    out.line("Stamp (UTC)", stamp(value));
     out.line("Frame", text(value, "header.frame_id"));
     out.line("Fix", fix_word(value));
     out.line("Latitude", degrees("latitude"));

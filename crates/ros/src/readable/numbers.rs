@@ -2,7 +2,7 @@
 
 use super::MOST_ROWS;
 use super::Table;
-use crate::model::clean;
+use crate::model::{Timestamp, clean};
 use crate::ros::message::Value;
 
 /// The message's bytes, for arrays that were not expanded.
@@ -43,6 +43,16 @@ pub(super) fn text(value: &Value, path: &str) -> String {
         Some(other) => other.flatten(1).into_iter().next().map(|(_, text)| text).unwrap_or_default(),
         None => String::from("-"),
     }
+}
+
+/// The header's stamp as a date and as it was sent.
+pub(super) fn stamp(value: &Value) -> String {
+    let sent = text(value, "header.stamp");
+    let dated = sent.split_once('.').and_then(|(seconds, rest)| {
+        let date = Timestamp::from_seconds(seconds.parse::<u32>().ok()?.into()).to_string();
+        Some(format!("{}.{}Z ({sent})", date.trim_end_matches('Z'), rest.get(..3)?))
+    });
+    dated.unwrap_or(sent)
 }
 
 /// A time or duration of ROS 2, written like those of ROS 1.

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::codec::{MOST_PIXELS, PNG_MAGIC, decode, jpeg_file, png_file};
 use super::matrix::Matrix;
-use super::numbers::{Body, number, text};
+use super::numbers::{Body, number, stamp, text};
 use super::points::bytes;
 use super::raster::{LARGEST, Raster};
 use super::{Readable, Table};
@@ -190,7 +190,7 @@ fn encode(kind: Exported, rgb: &[u8], size: (usize, usize)) -> Result<Vec<u8>, P
 
 pub(super) fn compressed(value: &Value, body: &Body) -> Readable {
     let mut out = Readable::default();
-    out.line("Stamp", text(value, "header.stamp"));
+    out.line("Stamp (UTC)", stamp(value));
     out.line("Frame", text(value, "header.frame_id"));
     out.line("Format", text(value, "format"));
     let Some(data) = value.get("data").and_then(|data| bytes(data, body)) else { return out };
@@ -211,7 +211,7 @@ pub(super) fn compressed(value: &Value, body: &Body) -> Readable {
 
 pub(super) fn raw(value: &Value, body: &Body) -> Readable {
     let mut out = Readable::default();
-    out.line("Stamp", text(value, "header.stamp"));
+    out.line("Stamp (UTC)", stamp(value));
     out.line("Frame", text(value, "header.frame_id"));
     out.line("Encoding", text(value, "encoding"));
     out.line("Size", format!("{} x {}", text(value, "width"), text(value, "height")));

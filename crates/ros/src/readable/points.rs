@@ -1,7 +1,7 @@
 //! Scans, clouds and paths: their figures, and their points from above.
 
 use super::motion::metres;
-use super::numbers::{Body, count, float, floats, number, shown, text};
+use super::numbers::{Body, count, float, floats, number, shown, stamp, text};
 use super::{MOST_POINTS, Plot, Readable, Table};
 use crate::model::clean;
 use crate::ros::message::Value;
@@ -13,7 +13,7 @@ pub(super) fn scan(value: &Value, body: &Body) -> Readable {
     let ranges = floats(value, "ranges", body, usize::MAX);
     let valid = |range: &f64| range.is_finite() && *range >= least && *range <= most;
     let good = ranges.iter().map(|(_, range)| *range).filter(valid);
-    out.line("Stamp", text(value, "header.stamp"));
+    out.line("Stamp (UTC)", stamp(value));
     out.line("Frame", text(value, "header.frame_id"));
     let degrees = |path: &str| float(value, path).map_or_else(|| String::from("-"), |angle| number(angle.to_degrees()));
     out.line("Angles", format!("{}° to {}°", degrees("angle_min"), degrees("angle_max")));
@@ -55,7 +55,7 @@ pub(super) fn cloud(value: &Value, body: &Body) -> Readable {
     let mut out = Readable::default();
     let parts = parts(value);
     let (columns, rows) = (count(value, "width").unwrap_or(0), count(value, "height").unwrap_or(0));
-    out.line("Stamp", text(value, "header.stamp"));
+    out.line("Stamp (UTC)", stamp(value));
     out.line("Frame", text(value, "header.frame_id"));
     out.line("Points", format!("{} ({columns} x {rows})", columns.saturating_mul(rows)));
     out.line("Bytes of a point", text(value, "point_step"));
@@ -134,7 +134,7 @@ pub(super) fn bytes<'a>(value: &Value, body: &'a Body) -> Option<std::borrow::Co
 
 pub(super) fn path(value: &Value, _: &Body) -> Readable {
     let mut out = Readable::default();
-    out.line("Stamp", text(value, "header.stamp"));
+    out.line("Stamp (UTC)", stamp(value));
     out.line("Frame", text(value, "header.frame_id"));
     let Some(Value::Array(poses)) = value.get("poses") else { return out };
     out.line("Poses", poses.len().to_string());

@@ -1,13 +1,13 @@
 //! The state of a robot's parts: joints, transforms, battery, diagnostics.
 
-use super::numbers::{Body, as_float, float, floats, listed, number, shown, text, triple, turned};
+use super::numbers::{Body, as_float, float, floats, listed, number, shown, stamp, text, triple, turned};
 use super::{MOST_ROWS, Readable, Table};
 use crate::model::clean;
 use crate::ros::message::Value;
 
 pub(super) fn joints(value: &Value, body: &Body) -> Readable {
     let mut out = Readable::default();
-    out.line("Stamp", text(value, "header.stamp"));
+    out.line("Stamp (UTC)", stamp(value));
     let Some(Value::Array(names)) = value.get("name") else { return out };
     let column = |path: &str| -> Vec<String> {
         floats(value, path, body, usize::MAX).into_iter().map(|(_, value)| number(value)).collect()
@@ -52,7 +52,7 @@ pub(super) fn battery(value: &Value, body: &Body) -> Readable {
             _ => String::from("-"),
         }
     };
-    out.line("Stamp", text(value, "header.stamp"));
+    out.line("Stamp (UTC)", stamp(value));
     let share = float(value, "percentage").filter(|share| share.is_finite());
     out.line("Charge", share.map_or_else(|| String::from("unknown"), |share| format!("{} %", number(share * 100.0))));
     out.line("Voltage, V", shown(value, "voltage"));
@@ -74,7 +74,7 @@ pub(super) fn battery(value: &Value, body: &Body) -> Readable {
 
 pub(super) fn diagnostics(value: &Value, _: &Body) -> Readable {
     let mut out = Readable::default();
-    out.line("Stamp", text(value, "header.stamp"));
+    out.line("Stamp (UTC)", stamp(value));
     let head = ["level", "name", "message", "hardware"];
     let table = listed("Status", &head, value, "status", |item| {
         let level = match item.get("level") {

@@ -92,7 +92,7 @@ fn odometry_in_the_papers_words() {
     assert_eq!(line(&readable, "Angular velocity, rad/s"), "x 0  y 0  z 0.125");
     assert_eq!(line(&readable, "Pose, m"), "x 1.5  y -2  z 0");
     assert_eq!(line(&readable, "Orientation"), "roll 0°  pitch 0°  yaw 45°");
-    assert_eq!(line(&readable, "Stamp"), "1700000000.000000005");
+    assert_eq!(line(&readable, "Stamp (UTC)"), "2023-11-14T22:13:20.000Z (1700000000.000000005)");
     assert_eq!((readable.tables[0].rows.len(), readable.tables[0].rows[1][2].as_str()), (6, "0.25"));
     let here = place(&definition, &body).expect("a place");
     assert_eq!(here, Place::Metres(1.5, -2.0));

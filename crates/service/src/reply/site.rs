@@ -30,7 +30,7 @@ pub struct PartHealth {
     /// Since when it has not been well, if known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub since: Option<Timestamp>,
-    /// Seconds between attempts, if it is retried.
+    /// Seconds until the next attempt, if it is retried.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub retry: Option<u64>,
 }

@@ -1,6 +1,7 @@
 //! The site at a glance: health in words, records by state, the chain.
 
 use std::sync::Arc;
+use std::time::Instant;
 
 use tokio::task::block_in_place;
 
@@ -84,9 +85,12 @@ impl Site {
                 None => (HealthLevel::Ok, name),
             },
             NetworkState::Swapped(failure) => (HealthLevel::Failed, failure.message.clone()),
-            NetworkState::Down { failure, retry } => {
+            NetworkState::Down { failure, next } => {
+                let left = next.saturating_duration_since(Instant::now());
+                // The rest of a second counts as one: it is not over yet.
+                let retry = left.as_millis().div_ceil(1_000).try_into().unwrap_or(u64::MAX).max(1);
                 let text = format!("retry in {retry} s: {}", failure.message);
-                return PartHealth { retry: Some(*retry), ..part("chain", HealthLevel::Failed, &text) };
+                return PartHealth { retry: Some(retry), ..part("chain", HealthLevel::Failed, &text) };
             }
         };
         part("chain", level, &text)

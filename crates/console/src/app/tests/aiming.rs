@@ -92,6 +92,22 @@ fn n_and_p_lead_from_record_to_record_without_closing() {
 }
 
 #[test]
+fn a_search_begins_anew_where_the_last_console_left_a_filter() {
+    let mut robot = at_uploads();
+    robot.types("/state:verified");
+    robot.presses(Key::Enter);
+    let kept = crate::app::resume::kept(&robot.state);
+    let mut robot = Robot::at_work(true);
+    crate::app::resume::recall(&mut robot.state, &kept);
+    robot.types("/topic:/robot1/odom");
+    assert_eq!(robot.state.uploads.table.filter.text(), "topic:/robot1/odom");
+    robot.presses(Key::Enter);
+    robot.types("/");
+    robot.presses(Key::Up);
+    assert_eq!(robot.state.uploads.table.filter.text(), "state:verified", "it is among the earlier ones");
+}
+
+#[test]
 fn words_search_all_of_the_ledger_and_ids_the_page() {
     let mut robot = at_uploads();
     robot.types("/camera compressed verified 00003e8");

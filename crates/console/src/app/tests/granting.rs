@@ -101,6 +101,20 @@ fn marked_topics_are_the_scope_of_a_grant() {
 }
 
 #[test]
+fn who_can_read_is_answered_without_any_grant() {
+    let mut robot = at_grants();
+    robot.state.grants.set(Vec::new());
+    robot.types("i");
+    assert!(
+        matches!(robot.state.popups.last(), Some(Popup::Readers(topics)) if topics.is_empty()),
+        "{}",
+        robot.message()
+    );
+    let text = crate::app::confirm::readers(&robot.state, "New records of all topics:", None).join("\n");
+    assert!(text.contains("nobody but you"), "{text}");
+}
+
+#[test]
 fn x_says_plainly_what_a_revoke_cannot_do() {
     let mut robot = at_grants();
     robot.types("x");

@@ -35,6 +35,17 @@ fn in_a_window_it_tells_the_keys_of_that_window_and_q_leads_back_to_it() {
 }
 
 #[test]
+fn a_letter_of_another_screen_says_where_it_works_and_one_of_no_screen_says_nothing() {
+    let mut robot = Robot::at_work(true);
+    robot.types("3");
+    robot.types("L");
+    assert!(robot.message().starts_with("L works on ") && robot.message().contains("Keys (6)"), "{}", robot.message());
+    let mut robot = Robot::at_work(true);
+    robot.types("3%");
+    assert_eq!(robot.message(), "");
+}
+
+#[test]
 fn where_text_is_typed_a_question_mark_is_text() {
     let mut robot = Robot::at_work(false);
     robot.types("n?");

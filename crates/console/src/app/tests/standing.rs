@@ -37,6 +37,41 @@ fn a_locked_profile_asks_for_its_passphrase_at_once_and_esc_looks_around() {
 }
 
 #[test]
+fn the_seconds_until_the_next_attempt_are_counted_down_and_the_last_one_stays() {
+    let mut robot = Robot::at_work(true);
+    robot.hears_of(Part::Health);
+    let mut site = fixtures::site();
+    let chain = site.health.iter_mut().find(|part| part.part == "chain").expect("a chain");
+    (chain.level, chain.retry) = (HealthLevel::Failed, Some(4));
+    chain.text = "retry in 4 s: http://127.0.0.1:8545 does not answer".to_owned();
+    robot.is_answered(&Tag::Feed(Feed::Site, 0), Ok(Reply::Site(site)));
+    let said = |robot: &Robot| robot.state.site.as_ref().expect("known").health[1].text.clone();
+    let mut seen = Vec::new();
+    while let Some(at) = crate::app::countdown::moves_at(&robot.state) {
+        assert_eq!(at, Timestamp(robot.state.now.0 + 1_000_000_000));
+        robot.waits(1);
+        seen.push(said(&robot));
+    }
+    let left = |seconds| format!("retry in {seconds} s: http://127.0.0.1:8545 does not answer");
+    assert_eq!(seen, [left(3), left(2), left(1)]);
+    robot.waits(30);
+    assert_eq!(said(&robot), left(1), "until the site says what came of it");
+}
+
+#[test]
+fn a_frozen_view_counts_nothing_down() {
+    let mut robot = Robot::at_work(true);
+    robot.hears_of(Part::Health);
+    let mut site = fixtures::site();
+    (site.health[1].retry, site.health[1].text) = (Some(4), "retry in 4 s: it is away".to_owned());
+    robot.is_answered(&Tag::Feed(Feed::Site, 0), Ok(Reply::Site(site)));
+    robot.types("f");
+    robot.waits(2);
+    assert_eq!(crate::app::countdown::moves_at(&robot.state), None);
+    assert_eq!(robot.state.site.as_ref().expect("known").health[1].text, "retry in 4 s: it is away");
+}
+
+#[test]
 fn it_does_not_ask_where_the_keyring_is_open_or_opens_in_another_way_or_somebody_is_typing() {
     assert!(!is_asked(&opened(true, true)));
     assert!(!is_asked(&opened(false, false)));
@@ -44,6 +79,17 @@ fn it_does_not_ask_where_the_keyring_is_open_or_opens_in_another_way_or_somebody
     typing.types("2");
     typing.is_answered(&Tag::Feed(Feed::Identity, 0), Ok(Reply::Identity(fixtures::identity(true, false, true))));
     assert!(!is_asked(&typing), "no key that was meant for a screen goes into a passphrase");
+}
+
+#[test]
+fn a_passphrase_for_an_open_keyring_is_not_taken_for_commands() {
+    let mut robot = opened(true, true);
+    robot.site_answers(true);
+    robot.types("ucorrect horse 4q");
+    assert!(matches!(robot.state.popups.last(), Some(Popup::Unlocked)));
+    assert_eq!((robot.state.screen, robot.work().len()), (crate::app::Screen::Overview, 0));
+    robot.presses(Key::Enter);
+    assert!(robot.state.popups.is_empty());
 }
 
 #[test]

@@ -289,7 +289,7 @@ fn readable(camera: bool) -> Readable {
         ("Orientation", "yaw 45.0°"),
         ("Linear velocity, m/s", "0.40  0.00  0.00"),
         ("Angular velocity, rad/s", "0.00  0.00  0.10"),
-        ("Stamp (UTC)", "2023-11-14T22:13:20.123Z"),
+        ("Stamp (UTC)", "2023-11-14T22:13:20.123Z (1700000000.123456789)"),
     ];
     let turn = |step: u32| {
         let angle = f64::from(step) / 12.0;

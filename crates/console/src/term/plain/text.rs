@@ -11,7 +11,7 @@ use crate::app::popup::Popup;
 use crate::app::state::FRAME_ROWS;
 use crate::app::verb::VERBS;
 use crate::app::{Screen, State};
-use crate::ui::canvas::Canvas;
+use crate::ui::canvas::{Canvas, RULE};
 use crate::ui::{self, Theme};
 
 /// Columns that a screen is drawn in before it becomes lines.
@@ -97,14 +97,15 @@ pub fn help(state: &State) -> Vec<String> {
         }
         let reason =
             available(state, entry.verb).err().map(|reason| format!(" Not now: {reason}.")).unwrap_or_default();
-        lines.push(format!("{}: {}.{reason}", entry.name, entry.help));
+        let end = if entry.help.ends_with(['?', ')']) { "" } else { "." };
+        lines.push(format!("{}: {}{end}{reason}", entry.name, entry.help));
     }
     lines
 }
 
 fn drawn(area: Rect, theme: &Theme, draw: impl FnOnce(&mut Canvas)) -> Vec<String> {
     let mut buffer = Buffer::empty(area);
-    draw(&mut Canvas::new(&mut buffer, theme));
+    draw(&mut Canvas::new(&mut buffer, theme).with_rules());
     (0..area.height).map(|row| text_of(&buffer, area.width, row)).collect()
 }
 
@@ -120,8 +121,11 @@ fn text_of(buffer: &Buffer, width: u16, row: u16) -> String {
 
 /// A row as read aloud; `None` if nothing is left of it.
 fn spoken(row: &str) -> Option<String> {
+    let row = row.replace(RULE, "  ");
     let plain: String = row.chars().map(|character| if is_ornament(character) { ' ' } else { character }).collect();
-    let parts: Vec<&str> = plain.split("  ").map(str::trim).filter(|part| !part.is_empty()).collect();
+    // Bars that have sunk to dots say nothing without the others.
+    let says = |part: &&str| part.chars().any(|character| character != '.');
+    let parts: Vec<&str> = plain.split("  ").map(str::trim).filter(says).collect();
     if parts.is_empty() { None } else { Some(parts.join(", ").replace('✓', "marked")) }
 }
 
@@ -159,6 +163,16 @@ mod tests {
         }
         let lines = screen(&at(Screen::Topics).state, &theme());
         assert!(lines.iter().any(|line| line.starts_with("1, selected: ")), "{lines:#?}");
+    }
+
+    #[test]
+    fn each_column_of_a_list_is_a_word_of_its_own() {
+        let lines = screen(&at(Screen::Topics).state, &theme());
+        let heads = lines.iter().find(|line| line.contains("Topic,")).expect("heads");
+        for head in ["Topic", "Watched", "Hz", "kB/s", "Lost t/r", "Age"] {
+            assert!(heads.split(", ").any(|part| part == head), "{head}: {heads}");
+        }
+        assert!(!help(&at(Screen::Topics).state).iter().any(|line| line.contains("?.")));
     }
 
     #[test]

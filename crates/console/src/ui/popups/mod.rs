@@ -42,6 +42,10 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
         Popup::Publishers(lookup) => situation::draw_publishers(canvas, area, state, lookup),
         Popup::Readers(topics) => situation::draw_readers(canvas, area, state, topics),
         Popup::Line(line) => situation::draw_line(canvas, area, line),
+        Popup::Unlocked => {
+            let lines = ["The keyring is already unlocked: no passphrase is needed.".to_owned()];
+            draw_text(canvas, area, "Keyring", &lines, &[("enter", Role::Key), (" close", Role::Body)]);
+        }
         Popup::Tasks => situation::draw_tasks(canvas, area, state),
         Popup::Browse(browse) => browse::draw(canvas, area, state, browse),
         Popup::Contacts(book) => contacts::draw(canvas, area, state, book),

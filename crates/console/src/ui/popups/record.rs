@@ -125,7 +125,8 @@ fn draw_plot(canvas: &mut Canvas, area: Rect, opening: &Opening, view: &OpenedVi
 }
 
 fn readable(view: &Readable) -> Vec<Vec<Piece>> {
-    let line = |(label, value): &(String, String)| vec![(pad(label, LABEL), Role::Dim), (value.clone(), Role::Body)];
+    let widest = view.lines.iter().map(|(label, _)| columns(label) + 2).max().unwrap_or(0).max(LABEL);
+    let line = |(label, value): &(String, String)| vec![(pad(label, widest), Role::Dim), (value.clone(), Role::Body)];
     let mut lines: Vec<Vec<Piece>> = view.lines.iter().map(line).collect();
     for table in &view.tables {
         lines.push(Vec::new());

@@ -148,7 +148,7 @@ fn reason(word: &str) -> &str {
 
 /// Draws a line of the log, whole.
 pub fn draw_line(canvas: &mut Canvas, area: Rect, line: &LogLine) {
-    let about = format!("{}  {}  {}", line.at, level_word(line.level), line.key);
+    let about = format!("{}  {}  {}", words::moment(line.at), level_word(line.level), line.key);
     let role = if line.level == NoticeLevel::Info { Role::Body } else { bottom::level(line.level).1 };
     draw_lines(canvas, area, "Log line", &[(about, Role::Dim), (line.text.clone(), role)], 0);
 }
@@ -188,7 +188,7 @@ fn workers(state: &State) -> Vec<Line> {
     for task in tasks.iter().filter(|task| task.state != TaskState::Running || task.restarts > 0) {
         let next = task.next_try.map_or_else(String::new, |seconds| format!(", retry in {seconds} s"));
         let why = task.reason.as_deref().map_or_else(String::new, |reason| format!(": {reason}"));
-        let text = format!("{:<15} restarted {} times{next}{why}", task.name, task.restarts);
+        let text = format!("{:<15} restarted {}{next}{why}", task.name, words::times(task.restarts));
         lines.push((text, if task.state == TaskState::Running { Role::Warning } else { Role::Bad }));
     }
     lines
@@ -201,9 +201,10 @@ fn records_on_their_way(state: &State) -> Vec<Line> {
     let full = queue.bytes.saturating_mul(100).checked_div(queue.capacity).unwrap_or(0);
     let mut lines = vec![(
         format!(
-            "{:<15} {} messages, {} (buffer {full} % full)",
+            "{:<15} {} message{}, {} (buffer {full} % full)",
             "to be sealed",
             words::count(queue.messages),
+            if queue.messages == 1 { "" } else { "s" },
             words::size(queue.bytes)
         ),
         if full >= 80 { Role::Bad } else { Role::Body },

@@ -61,16 +61,17 @@ impl Canvas {
 
     /// Evening sky with a line of hills that turns with the robot.
     pub fn sky(&mut self, horizon: i32, pan: i32) {
+        let hill = |along: i32| horizon - 26 - (along.rem_euclid(310) - 155).abs() / 6 - grain(along / 3, 1) / 40;
+        let hills: Vec<i32> = (pan..pan + WIDTH).map(hill).collect();
         for (y, row) in self.rows().take(usize::try_from(horizon).unwrap_or_default()) {
-            for (x, pixel) in (0..).zip(row.as_chunks_mut::<3>().0) {
-                let along = x + pan;
-                let hill = horizon - 26 - (along.rem_euclid(310) - 155).abs() / 6 - grain(along / 3, 1) / 40;
-                let light = 96 + y / 2;
-                *pixel = if y > hill {
+            let light = 96 + y / 2;
+            let air = [shade(light + 30), shade(light + 24), shade(light + 62 - y / 4)];
+            for ((along, hill), pixel) in (pan..).zip(&hills).zip(row.as_chunks_mut::<3>().0) {
+                *pixel = if y > *hill {
                     let tone = 52 + grain(along / 2, y / 2) / 16;
                     [shade(tone - 8), shade(tone + 16), shade(tone)]
                 } else {
-                    [shade(light + 30), shade(light + 24), shade(light + 62 - y / 4)]
+                    air
                 };
             }
         }
@@ -82,13 +83,14 @@ impl Canvas {
         for (y, row) in self.rows().skip(usize::try_from(horizon).unwrap_or_default()) {
             let depth = 64 * 330 / (y - horizon + 4);
             let ahead = depth + travelled;
+            let (slab, gap, haze) = (ahead.div_euclid(96), ahead.rem_euclid(96) < 4, depth / 220);
             for (x, pixel) in (0..).zip(row.as_chunks_mut::<3>().0) {
                 let across = (x - WIDTH / 2) * depth / 330 + pan / 4;
-                let tile = if (ahead.div_euclid(96) + across.div_euclid(96)) % 2 == 0 { 14 } else { -6 };
-                let joint = if ahead.rem_euclid(96) < 4 || across.rem_euclid(96) < 4 { -34 } else { 0 };
+                let tile = if (slab + across.div_euclid(96)) % 2 == 0 { 14 } else { -6 };
+                let joint = if gap || across.rem_euclid(96) < 4 { -34 } else { 0 };
                 let stone = grain(across / 2 + seed * 977, ahead / 2) / 9;
                 let sensor = grain(x + flicker * 131, y + flicker * 17) / 18;
-                let tone = 84 + tile + joint + stone + sensor - depth / 220;
+                let tone = 84 + tile + joint + stone + sensor - haze;
                 *pixel = [shade(tone + 10), shade(tone + 4), shade(tone - 8)];
             }
         }

@@ -10,7 +10,7 @@ use crate::site::lifetime::Lifetime;
 use crate::site::mirror::remotes::Remotes;
 use crate::site::parts::Parts;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
@@ -96,7 +96,7 @@ impl Connection {
                 Err(Lost::Swapped(failure)) => self.link.lose_chain(failure),
                 Err(Lost::Other(failure)) => {
                     self.hub.notice(NoticeLevel::Error, &failure.message);
-                    self.link.lost(NetworkState::Down { failure, retry: pause });
+                    self.link.lost(NetworkState::Down { failure, next: Instant::now() + Duration::from_secs(pause) });
                 }
             }
             tokio::select! {

@@ -31,8 +31,8 @@ pub enum NetworkState {
     Down {
         /// Why.
         failure: Failure,
-        /// Seconds until the next attempt.
-        retry: u64,
+        /// When the next attempt is made.
+        next: Instant,
     },
 }
 

@@ -2,7 +2,7 @@
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::connection::Connection;
 use super::link::{Link, NetworkState};
@@ -21,7 +21,7 @@ async fn who_asks_waits_for_the_first_attempt_and_then_hears_why_there_is_no_cha
     });
     tokio::task::yield_now().await;
     assert!(!asked.is_finished() && link.network_now().is_none());
-    link.lost(NetworkState::Down { failure: refused("nobody answers there"), retry: 1 });
+    link.lost(NetworkState::Down { failure: refused("nobody answers there"), next: Instant::now() });
     assert_eq!(asked.await.expect("ends").expect("no chain").message, "nobody answers there");
     link.lose_chain(refused("another chain"));
     assert_eq!(link.chain().await.expect_err("no chain").message, "another chain");
@@ -32,7 +32,7 @@ async fn a_link_that_ended_is_not_lost_again() {
     let ground = Ground::with(&[]);
     let link = Link::new(Arc::clone(&ground.parts.hub), true);
     link.set(NetworkState::Off);
-    link.lost(NetworkState::Down { failure: refused("late"), retry: 1 });
+    link.lost(NetworkState::Down { failure: refused("late"), next: Instant::now() });
     assert!(matches!(*link.state(), NetworkState::Off));
     assert_eq!(link.network().await.err().expect("off").kind, ErrorKind::Internal);
 }

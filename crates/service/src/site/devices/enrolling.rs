@@ -156,7 +156,7 @@ fn check_gateways(wishes: &EnrolWishes) -> Result<(), Failure> {
         return Err(input("a robot has at most eight gateways"));
     }
     if !wishes.further.is_empty() && wishes.fingerprint.is_none() {
-        return Err(input("of several gateways each is named with its key: give a --gateway-key for each --gateway"));
+        return Err(input("with several gateways, give a --gateway-key for each --gateway"));
     }
     let mut keys: Vec<SignerId> = wishes.further.iter().map(|(_, key)| *key).chain(wishes.fingerprint).collect();
     let all = keys.len();

@@ -70,8 +70,11 @@ impl Devices {
     fn robot(&self, network: &Network, owner: &Owner, name: &str) -> Result<Enrolled, Failure> {
         let device = self.lent_device(network, owner, name)?;
         let known = self.enrolments.of(owner)?.into_iter().rfind(|robot| robot.device == device);
-        known
-            .ok_or_else(|| refused(format!("device {device} was not enrolled from this home, so it is no robot of it")))
+        known.ok_or_else(|| {
+            refused(format!(
+                "device {device} was not enrolled from this home; `authros devices list` shows those that were"
+            ))
+        })
     }
 }
 
@@ -86,12 +89,10 @@ pub(in crate::site) fn span(
 ) -> Result<RingSpan, Failure> {
     let until = until.unwrap_or_else(Timestamp::now).min(Timestamp::now());
     if since >= until {
-        return Err(input(format!(
-            "the span would end at {until}, before it begins; a ring has what was, not what comes"
-        )));
+        return Err(input(format!("the span would end at {until}, before it begins; a ring holds only the past")));
     }
     if topics.len() > TopicPatterns::MOST {
-        return Err(input(format!("a robot is asked for at most {} topics at once", TopicPatterns::MOST)));
+        return Err(input(format!("ask a robot for at most {} topics at once", TopicPatterns::MOST)));
     }
     Ok(RingSpan { since, until, topics: TopicPatterns(topics) })
 }

@@ -152,7 +152,7 @@ impl Joined {
         };
         let seconds = pause.as_secs();
         let text = format!(
-            "the records of '{}' do not come in from the gateway {}, retry in {seconds} s: {}",
+            "records of '{}' are not arriving from the gateway {}, retry in {seconds} s: {}",
             owner.profile,
             crate::model::clean(remote.address(), 255),
             failure.message

@@ -134,7 +134,7 @@ impl Joined {
                 None => {
                     let address = remote.address();
                     let text =
-                        format!("the records of the gateway {address} are still coming in; ask again in a while");
+                        format!("the records of the gateway {address} are still arriving; try again in a moment");
                     return Err(Failure::new(ErrorKind::Incomplete, text));
                 }
             }
@@ -162,7 +162,7 @@ impl Joined {
 
     fn warn_untold(&self, error: Option<GatewayError>) {
         if let Some(error) = error {
-            let text = format!("a gateway will learn of it from the chain alone, it could not be told: {error}");
+            let text = format!("a gateway could not be told and will learn of it from the chain: {error}");
             self.hub.notice(NoticeLevel::Warning, &text);
         }
     }

@@ -43,7 +43,7 @@ impl Witnesses {
         let mut rows = self.of(owner.address).await?;
         rows.retain(|row| row.address.is_some());
         if rows.is_empty() {
-            return Err(input("no witness is asked here; `authros witness add HOST:PORT` names one"));
+            return Err(input("there is no witness to ask; add one with `authros witness add HOST:PORT`"));
         }
         let network = self.link.network().await?;
         let _turn = self.turn.lock().await;
@@ -102,7 +102,10 @@ impl Witnesses {
                     last = Some(answer);
                 }
                 Answered::Last(_) if referred => {
-                    return Err(refused(format!("the witness '{}' does not say what to refer to", row.name)));
+                    return Err(refused(format!(
+                        "the witness '{}' answered twice with its last statement and did not countersign",
+                        row.name
+                    )));
                 }
                 Answered::Last(found) => (last, referred) = (Some(*found), true),
             }

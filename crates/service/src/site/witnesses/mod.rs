@@ -95,17 +95,17 @@ impl Witnesses {
     async fn add(self: &Arc<Self>, profile: &ProfileName, row: WitnessRow) -> Result<Vec<WitnessView>, Failure> {
         let own = self.owners.get(profile).map(|owner| own_key(&owner));
         if row.account == row.owner || own == Some(row.key) {
-            return Err(input("that is this profile itself; a witness is another party"));
+            return Err(input("that is this profile; a witness must be somebody else"));
         }
         if row.address.is_none() && !row.serves {
-            return Err(input("name its gateway, so that it is asked, or say --serve, so that it is served, or both"));
+            return Err(input("give its gateway so that it is asked, --serve so that it may ask here, or both"));
         }
         let known = self.of(row.owner).await?;
         if known.iter().any(|other| other.name == row.name && other.key != row.key) {
-            return Err(input(format!("'{}' is another party already; choose another --name", row.name)));
+            return Err(input(format!("the name '{}' is taken by another witness; choose another --name", row.name)));
         }
         if known.len() >= MOST && known.iter().all(|other| other.key != row.key) {
-            return Err(input(format!("there are {MOST} witnesses, as many as a profile may have")));
+            return Err(input(format!("there are {MOST} witnesses, the limit per profile")));
         }
         let (owner, subject) = (row.owner, format!("{} ({}, key {})", row.name, row.account, row.key));
         self.log.write(profile, "add witness", &subject, "begun").await?;
@@ -210,7 +210,7 @@ impl Witnesses {
         let failures: u64 = troubles.iter().map(|last| last.failures).sum();
         Ok(match troubles.into_iter().find_map(|last| last.trouble) {
             Some((since, why)) => {
-                let text = format!("{told}; {failures} attempts gave none: {why}");
+                let text = format!("{told}; {failures} attempts failed: {why}");
                 part(HealthLevel::Waiting, Some(since), &text)
             }
             None => part(HealthLevel::Ok, None, &told),
@@ -233,7 +233,7 @@ impl Witnesses {
             is_new
         });
         if is_new {
-            let text = format!("a statement waits for its witness, it is tried again: {}", failure.message);
+            let text = format!("a statement waits for its witness and will be retried: {}", failure.message);
             self.hub.notice_about(ABOUT, NoticeLevel::Warning, &text);
         }
     }
@@ -270,7 +270,7 @@ fn checked_name(name: &str) -> Result<String, Failure> {
         || name.chars().count() > LONGEST_NAME
         || clean(name, LONGEST_NAME) != name
     {
-        return Err(input(format!("a witness's name has 1 to {LONGEST_NAME} characters that can be shown")));
+        return Err(input(format!("a witness's name must have 1 to {LONGEST_NAME} printable characters")));
     }
     Ok(name.to_owned())
 }
@@ -280,6 +280,6 @@ fn checked_address(address: &str) -> Result<String, Failure> {
     let plain = address.len() <= 255 && address.bytes().all(|byte| byte.is_ascii_graphic());
     match parts.filter(|_| plain) {
         Some(_) => Ok(address.to_owned()),
-        None => Err(input(format!("'{}' is no gateway; write HOST:PORT", clean(address, 100)))),
+        None => Err(input(format!("'{}' is not the address of a gateway; use HOST:PORT", clean(address, 100)))),
     }
 }

@@ -79,7 +79,7 @@ async fn one_that_does_not_answer_is_told_once_and_asked_later_and_later() {
     assert_eq!(told, 1);
     let health = witnesses.health().expect("read").expect("there is one");
     assert_eq!(health.level, HealthLevel::Waiting);
-    assert!(health.text.contains("8 attempts gave none: nobody is there"), "{}", health.text);
+    assert!(health.text.contains("8 attempts failed: nobody is there"), "{}", health.text);
     witnesses.succeeded(&row);
     assert_eq!(witnesses.health().expect("read").expect("there is one").level, HealthLevel::Ok);
 }
