@@ -248,8 +248,11 @@ impl Position {
         match number.cmp(&before_number) {
             _ if self.recorder != before.recorder => None,
             std::cmp::Ordering::Equal if head != before_head => Some(Contradiction::TwoHeads(number)),
-            std::cmp::Ordering::Less => Some(Contradiction::HeadWentBack(before_number)),
-            std::cmp::Ordering::Equal | std::cmp::Ordering::Greater => None,
+            // Only by referring to the other one it says that it was stated later: an old statement can be brought again.
+            std::cmp::Ordering::Less if self.earlier.is_some_and(|(block, _)| block == before.block) => {
+                Some(Contradiction::HeadWentBack(before_number))
+            }
+            std::cmp::Ordering::Less | std::cmp::Ordering::Equal | std::cmp::Ordering::Greater => None,
         }
     }
 }
@@ -340,6 +343,8 @@ mod tests {
         assert_eq!(later(|position| position.head = Some((4, Digest([1; 32])))), Some(Contradiction::TwoHeads(4)));
         assert_eq!(later(|position| position.head = Some((3, Digest([1; 32])))), Some(Contradiction::HeadWentBack(4)));
         assert_eq!(later(|position| position.head = Some((5, Digest([1; 32])))), None);
+        let brought_again = Position { head: Some((3, Digest([1; 32]))), earlier: Some((80, Hash([1; 32]))), ..next };
+        assert_eq!(brought_again.contradicts(&before), None, "it does not say that it is the later one");
         let moved = later(|position| {
             (position.recorder, position.head) = (RecorderId([1; 16]), Some((1, Digest([1; 32]))));
         });

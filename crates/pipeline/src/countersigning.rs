@@ -1,6 +1,8 @@
 //! Both sides of a countersignature: what an owner states about its chain and recorder, and what a witness checks before
 //! it signs that. Two statements of one party that cannot both be true are kept, with both signatures.
 
+use std::sync::{Mutex, PoisonError};
+
 use authros_evidence::time::{MOST_ROOTS, StampTree};
 use authros_evidence::witness::{check_position, check_witness, countersign, network_of, state};
 use tokio::task::block_in_place;
@@ -17,6 +19,10 @@ use super::{Network, Owner, PipelineError, Plant};
 
 /// The most of a recorder's heads that are searched for a confirmed one.
 const MOST_HEADS: usize = 16;
+/// The most chains of which statements of one party are kept.
+const MOST_CHAINS: u64 = 64;
+/// Held while a statement is compared with those before it, until it is one of them.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 /// A statement to be countersigned, and the batches that it is about.
 #[derive(Debug, Clone)]
@@ -143,6 +149,9 @@ pub enum Unsigned {
     /// It contradicts one that was countersigned before.
     #[error("{0}")]
     Contradicts(Contradiction),
+    /// It has stated as many chains as are kept of one party.
+    #[error("the key {0} has stated {most} chains; the witness's operator can remove and add it to begin anew", most = MOST_CHAINS)]
+    TooManyChains(SignerId),
     /// The ledger, or the key, fails.
     #[error("{0}")]
     Failed(String),
@@ -168,23 +177,40 @@ pub fn countersigned(
         return Err(Unsigned::OtherAccount { key: party, found: position.owner });
     }
     check_position(stated, plant.provider).map_err(|error| Unsigned::Forged(error.to_string()))?;
+    // Two at a time could both refer to the same last one, and contradict each other.
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let network = network_of(position);
-    let last = plant.ledger.newest_countersigned(party, network).map_err(|error| failed(&error))?;
-    if let Some(last) = last {
-        if last.stated == *stated {
-            return Ok(last);
-        }
-        if let Some(contradiction) = position.contradicts(&last.stated.position) {
-            tell(plant, (&name, party), (last, *stated), contradiction).map_err(|error| failed(&error))?;
-            return Err(Unsigned::Contradicts(contradiction));
-        }
-        let refers = position.earlier.is_some_and(|(block, _)| block == last.stated.position.block);
-        if !refers {
-            return Ok(last);
-        }
+    let known = plant.ledger.countersigned_of(party, network).map_err(|error| failed(&error))?;
+    // Also an older one: anybody who has a bundle can bring it again, and it says nothing against its owner.
+    if let Some(given) = known.iter().find(|kept| kept.stated == *stated) {
+        return Ok(*given);
     }
-    if last.is_none() && plant.ledger.countersigned_count(party).map_err(|error| failed(&error))?.0 > 0 {
-        // An owner may move to another chain; whoever relies on the one before has to know.
+    let contradicted = |kept: &Countersignature| Some((*kept, position.contradicts(&kept.stated.position)?));
+    if let Some((kept, contradiction)) = known.iter().find_map(contradicted) {
+        tell(plant, (&name, party), (kept, *stated), contradiction).map_err(|error| failed(&error))?;
+        return Err(Unsigned::Contradicts(contradiction));
+    }
+    match known.first() {
+        Some(last) if position.earlier.is_none_or(|(block, _)| block != last.stated.position.block) => {
+            return Ok(*last);
+        }
+        Some(_) => {}
+        None => check_chain(plant, (&name, party), position)?,
+    }
+    let answer = countersign(*stated, Timestamp::now(), (account, key), plant.provider);
+    let answer = answer.map_err(|error| failed(&error))?;
+    plant.ledger.keep_countersigned(party, network, answer).map_err(|error| failed(&error))?;
+    Ok(answer)
+}
+
+/// A party may move to another chain; whoever relies on the one before has to know. There is an end to it.
+fn check_chain(plant: &Plant, (name, party): (&str, SignerId), position: &Position) -> Result<(), Unsigned> {
+    let counted = plant.ledger.countersigned_count(party);
+    let (_, chains) = counted.map_err(|error| Unsigned::Failed(error.to_string()))?;
+    if chains >= MOST_CHAINS {
+        return Err(Unsigned::TooManyChains(party));
+    }
+    if chains > 0 {
         plant.observer.alert(
             true,
             format!(
@@ -194,10 +220,7 @@ pub fn countersigned(
             ),
         );
     }
-    let answer = countersign(*stated, Timestamp::now(), (account, key), plant.provider);
-    let answer = answer.map_err(|error| failed(&error))?;
-    plant.ledger.keep_countersigned(party, network, answer).map_err(|error| failed(&error))?;
-    Ok(answer)
+    Ok(())
 }
 
 /// Stores and reports two statements of one party that cannot both be true.

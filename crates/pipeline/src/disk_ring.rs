@@ -30,6 +30,9 @@ struct Asked {
     span: RingSpan,
 }
 
+/// Held while the list is read and written: one task asks, another one takes what is done out.
+static CHANGING: Mutex<()> = Mutex::new(());
+
 fn all(ledger: &Ledger) -> Result<VecDeque<Asked>, StoreError> {
     let text = ledger.setting(ASKED)?;
     Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
@@ -44,8 +47,10 @@ fn note(ledger: &Ledger, asked: &VecDeque<Asked>) -> Result<(), StoreError> {
 /// # Errors
 /// [`PipelineError::Refused`] if more is asked for already than is noted, errors of the ledger.
 pub fn ask(ledger: &Ledger, number: u64, span: &RingSpan) -> Result<(), PipelineError> {
+    let _alone = CHANGING.lock().unwrap_or_else(PoisonError::into_inner);
     let mut asked = all(ledger)?;
-    if asked.iter().any(|known| known.number == number) {
+    // A restored home numbers its notices from 1 again.
+    if asked.iter().any(|known| known.number == number && known.span == *span) {
         return Ok(());
     }
     if asked.len() >= MOST {
@@ -115,8 +120,9 @@ impl Pulls {
     pub fn step(&mut self) -> Result<Step, PipelineError> {
         let Some(mut work) = self.take_work()? else { return Ok(Step::Idle) };
         let Some(part) = work.parts.front().copied() else {
+            let _alone = CHANGING.lock().unwrap_or_else(PoisonError::into_inner);
             let mut asked = all(&self.plant.ledger)?;
-            asked.retain(|known| known.number != work.asked.number);
+            asked.retain(|known| *known != work.asked);
             note(&self.plant.ledger, &asked)?;
             return Ok(Step::Done(work.asked.span, work.brought));
         };

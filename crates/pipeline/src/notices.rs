@@ -14,7 +14,7 @@ use crate::crypto::{
     Anchor, Expected, Fingerprint, GatewayAccess, IssuedKeys, Notice, Provider, SealedEnrolment, notice_topic, open,
 };
 use crate::gateway::{Client, Entry, Fetched, GatewayError, Query, Selection};
-use crate::model::{Header, RecordKind, RingSpan, Timestamp, clean};
+use crate::model::{Header, RecordKind, RecorderId, RingSpan, Timestamp, clean};
 use crate::store::Ledger;
 
 use super::forwarder::{Errand, ForwardError};
@@ -75,17 +75,21 @@ impl Notices {
         }
     }
 
-    /// Whether an entry is a notice to this device and newer than the newest one taken.
-    fn is_newer(&self, entry: &Entry) -> bool {
-        let (enrolment, selection) = (&self.sealed.enrolment, self.selection());
-        if (Some(entry.kind), Some(entry.topic_id)) != (selection.kind, selection.topic_id) {
-            return false;
-        }
-        let epoch = enrolment.keys.now.epoch;
+    /// Whether an entry says that it is a notice to this device and newer than the newest one taken.
+    fn may_be_newer(&self, entry: &Entry) -> bool {
+        let selection = self.selection();
+        (Some(entry.kind), Some(entry.topic_id)) == (selection.kind, selection.topic_id)
+            && self.is_newer((entry.recorder, entry.seq, entry.epoch))
+    }
+
+    /// Whether a notice of this recorder, number and epoch is newer than the newest one taken.
+    fn is_newer(&self, (recorder, seq, epoch): (RecorderId, u64, u64)) -> bool {
+        let enrolment = &self.sealed.enrolment;
+        let known = enrolment.keys.now.epoch;
         match enrolment.noticed {
-            Some((recorder, number)) if recorder == entry.recorder => entry.seq > number && entry.epoch >= epoch,
-            Some(_) => entry.epoch > epoch,
-            None => entry.epoch >= epoch,
+            Some((last, number)) if last == recorder => seq > number && epoch >= known,
+            Some(_) => epoch > known,
+            None => epoch >= known,
         }
     }
 
@@ -96,7 +100,7 @@ impl Notices {
         let mut newer: Vec<Entry> = Vec::new();
         loop {
             let page = client.query(&query).await?;
-            newer.extend(page.entries.into_iter().filter(|entry| self.is_newer(entry)));
+            newer.extend(page.entries.into_iter().filter(|entry| self.may_be_newer(entry)));
             let Some(next) = page.next else { break };
             query.cursor = next;
         }
@@ -110,8 +114,8 @@ impl Notices {
     }
 
     /// Takes a notice if it is the owner's, for this device, and newer; anything else changes nothing.
-    fn hear(&mut self, entry: &Entry, record: &Fetched) {
-        if !self.is_newer(entry) {
+    pub(super) fn hear(&mut self, entry: &Entry, record: &Fetched) {
+        if !self.may_be_newer(entry) {
             return;
         }
         match self.opened(record) {
@@ -151,10 +155,15 @@ impl Notices {
             }
             Notice::Pull(_) | Notice::Unknown(_) => true,
         };
-        if fits && opened.header.kind == RecordKind::Key {
-            return Ok((opened.header, notice));
+        if !fits || opened.header.kind != RecordKind::Key {
+            return Err(PipelineError::Refused("it is not a notice to a robot".to_owned()));
         }
-        Err(PipelineError::Refused("it is not a notice to a robot".to_owned()))
+        // The entry is the gateway's word; only the signed header's number tells an old notice from a new one.
+        let Header { recorder, seq, epoch, .. } = opened.header;
+        if !self.is_newer((recorder, seq, epoch)) {
+            return Err(PipelineError::Refused("it is an old one that the gateway gives out as new".to_owned()));
+        }
+        Ok((opened.header, notice))
     }
 
     fn obey(&mut self, header: &Header, notice: Notice) -> Result<(), PipelineError> {

@@ -8,7 +8,7 @@ mod tests;
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fs::{self, File};
-use std::io::{Seek as _, SeekFrom, Write as _};
+use std::io::{ErrorKind, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -214,11 +214,12 @@ impl DiskRing {
             segment.note(record.captured_at, &record.topic, record.is_definition);
             self.definitions.extend(definition);
         }
-        if self.synced.elapsed() >= SYNC_EVERY {
+        // They are in the ring now. What fails from here on is tried again with the next round, and is that one's error.
+        if self.synced.elapsed() >= SYNC_EVERY && file.sync_data().is_ok() {
             self.synced = Instant::now();
-            file.sync_data().map_err(|error| StoreError::home(&segment.path, &error))?;
         }
-        self.make_room(0)
+        drop(self.make_room(0));
+        Ok(())
     }
 
     /// Drops the oldest file although nothing is due: the disk is nearly full. Returns whether there was one.
@@ -295,13 +296,21 @@ impl DiskRing {
         if self.segments.len() == 1 {
             self.close();
         }
-        let Some((_, oldest)) = self.segments.pop_first() else { return Ok(()) };
-        for (topic, count) in &oldest.messages {
-            *self.fallen.entry(topic.clone()).or_default() += count;
+        let Some(oldest) = self.segments.first_entry() else { return Ok(()) };
+        // The file before its count: on a full disk nothing can be written until it is gone.
+        match fs::remove_file(&oldest.get().path) {
+            Err(error) if error.kind() != ErrorKind::NotFound => {
+                return Err(StoreError::home(&oldest.get().path, &error));
+            }
+            Ok(()) | Err(_) => {}
+        }
+        for (topic, count) in oldest.remove().messages {
+            *self.fallen.entry(topic).or_default() += count;
         }
         let text: String = self.fallen.iter().map(|(topic, count)| format!("{count} {topic}\n")).collect();
-        files::atomic_write(&self.folder.join(FALLEN), text.as_bytes())?;
-        fs::remove_file(&oldest.path).map_err(|error| StoreError::home(&oldest.path, &error))
+        // The next file that falls out writes all of it again.
+        drop(files::atomic_write(&self.folder.join(FALLEN), text.as_bytes()));
+        Ok(())
     }
 }
 

@@ -156,6 +156,77 @@ fn a_chain_written_anew_is_exposed_with_both_statements() {
 }
 
 #[test]
+fn a_statement_that_anybody_brings_again_accuses_nobody() {
+    let stage = Stage::new();
+    let mut given = vec![stage.ask(&stage.signed(&stage.position(10, None))).expect("countersigned")];
+    for block in [20, 30] {
+        let next = stage.signed(&stage.position(block, Some((block - 10, hash(block - 10)))));
+        given.push(stage.ask(&next).expect("countersigned"));
+    }
+    // Out of a bundle, by whoever has it: the same answer as then.
+    for known in &given {
+        assert_eq!(stage.ask(&known.stated), Ok(*known));
+    }
+    assert_eq!(stage.plant.ledger.two_histories(), Ok(Vec::new()));
+    assert!(stage.notes.all().is_empty());
+    assert_eq!(stage.plant.ledger.countersigned_count(signer_id(&stage.party.public)), Ok((3, 1)));
+}
+
+#[test]
+fn a_statement_is_held_against_all_that_were_made_and_not_only_the_last() {
+    let stage = Stage::new();
+    let first = stage.signed(&stage.position(10, None));
+    let of_head = stage.ask(&first).expect("countersigned");
+    let next = |block: u64, head: Option<(u64, Digest)>| {
+        let before = block - 10;
+        stage.signed(&Position { head, ..stage.position(block, Some((before, hash(before)))) })
+    };
+    let of_block = stage.ask(&next(20, None)).expect("it refers to block 10");
+    stage.ask(&next(30, None)).expect("countersigned");
+    let two_heads = next(40, Some((10, Digest([97; 32]))));
+    assert_eq!(stage.ask(&two_heads), Err(Unsigned::Contradicts(Contradiction::TwoHeads(10))));
+    let other = Position { block_hash: Hash([96; 32]), ..stage.position(10, Some((30, hash(30)))) };
+    let other = stage.signed(&Position { head: None, ..other });
+    assert_eq!(stage.ask(&other), Err(Unsigned::Contradicts(Contradiction::TwoBlocks(10))));
+    let found = stage.plant.ledger.two_histories().expect("read");
+    let pairs: Vec<_> = found.iter().map(|one| (one.kept, one.later)).collect();
+    assert_eq!(pairs, [(of_head, two_heads), (of_block, other)]);
+}
+
+#[test]
+fn two_histories_stated_at_once_are_never_both_countersigned() {
+    let stage = Stage::new();
+    stage.ask(&stage.signed(&stage.position(10, None))).expect("countersigned");
+    let both: Vec<SignedPosition> = (1..=8u8)
+        .map(|number| {
+            let position = Position { block_hash: Hash([number; 32]), ..stage.position(20, Some((10, hash(10)))) };
+            stage.signed(&Position { head: None, ..position })
+        })
+        .collect();
+    let (plant, keeper) = (&stage.plant, &stage.keeper);
+    let answers: Vec<bool> = std::thread::scope(|scope| {
+        let asked = both.iter().map(|stated| scope.spawn(move || countersigned(plant, (KEEPER, keeper), stated)));
+        let asked: Vec<_> = asked.collect();
+        asked.into_iter().map(|one| one.join().expect("answered").is_ok()).collect()
+    });
+    assert_eq!(answers.iter().filter(|is_given| **is_given).count(), 1, "{answers:?}");
+    assert_eq!(stage.plant.ledger.countersigned_count(signer_id(&stage.party.public)), Ok((2, 1)));
+}
+
+#[test]
+fn a_party_does_not_fill_the_disk_with_chains() {
+    let stage = Stage::new();
+    let on = |chain_id: u64| stage.signed(&Position { chain_id, ..stage.position(10, None) });
+    for chain in 1..=MOST_CHAINS {
+        stage.ask(&on(chain)).expect("countersigned");
+    }
+    let party = signer_id(&stage.party.public);
+    assert_eq!(stage.ask(&on(1000)), Err(Unsigned::TooManyChains(party)));
+    assert_eq!(stage.ask(&on(3)).expect("one of those it stated").stated.position, on(3).position);
+    assert_eq!(stage.plant.ledger.countersigned_count(party), Ok((MOST_CHAINS, MOST_CHAINS)));
+}
+
+#[test]
 fn an_answer_counts_only_if_it_is_the_witnesss_and_over_what_was_stated() {
     let stage = Stage::new();
     let signed = stage.signed(&stage.position(10, None));

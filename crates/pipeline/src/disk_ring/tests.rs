@@ -175,3 +175,27 @@ fn what_is_asked_for_outlives_the_process_and_damaged_bytes_are_left_out() {
     }
     assert!(ask(&robot.plant.ledger, 1000, &asked).is_err(), "not without bound");
 }
+
+#[test]
+fn what_is_asked_for_while_another_request_ends_is_not_lost() {
+    let home = tempfile::tempdir().expect("a folder");
+    let robot = Robot::new(home.path());
+    let (ledger, asked) = (robot.plant.ledger.clone(), span(1, 9, CAMERA));
+    let mut pulls = Pulls::new(robot.plant.clone(), Arc::clone(&robot.ring), robot.author.address);
+    // A home that was restored has asked for something else under this number.
+    ask(&ledger, 0, &span(2, 9, CAMERA)).expect("noted");
+    let asking = std::thread::spawn(move || {
+        (0..40u64).for_each(|number| ask(&ledger, number, &asked).expect("noted"));
+    });
+    let mut done = 0;
+    loop {
+        let is_last = asking.is_finished();
+        match pulls.step().expect("a step") {
+            Step::Done(..) => done += 1,
+            Step::Idle if is_last => break,
+            Step::Idle | Step::Moved(_) => {}
+        }
+    }
+    asking.join().expect("it asked");
+    assert_eq!(done, 41);
+}

@@ -2,6 +2,7 @@
 //! stand that it signed for. Another gateway is wanted when those before it do not answer, while it has records that
 //! are not proven yet, and for records that another one does not prove.
 
+use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -44,6 +45,8 @@ pub(super) struct Line {
     pub overdue: Option<(Instant, bool)>,
     /// How many of them are sent one by one, because one is refused.
     pub singly: usize,
+    /// Records of which this gateway says that it holds other bytes, told once.
+    pub disputed: HashSet<Digest>,
 }
 
 impl Line {
@@ -62,6 +65,7 @@ impl Line {
             heard: Instant::now(),
             overdue: None,
             singly: 0,
+            disputed: HashSet::new(),
         }
     }
 

@@ -38,7 +38,8 @@ impl Line {
         let before = Timestamp(Timestamp::now().0.saturating_sub(after));
         let (ledger, refused) = (&self.outbox.plant.ledger, self.outbox.refused().clone());
         let mut found = Vec::new();
-        for late in ledger.overdue(before, self.roster.len(), WINDOW)? {
+        // What is set aside stays in front of the rest.
+        for late in ledger.overdue(before, self.gate.fingerprint, WINDOW + refused.len())? {
             if self.roster.next_for(&late.gateways) == Some(self.place)
                 && !refused.contains(&late.digest)
                 && let Some(row) = ledger.record(late.digest)?

@@ -1,12 +1,14 @@
 //! What happens to records that a gateway took over.
 
+use std::sync::Arc;
+
 use tokio::task::block_in_place;
 
 use crate::chain::AnchorProof;
 use crate::chain::merkle::Leaf;
 use crate::gateway::standings::statement;
 use crate::gateway::{Client, Code, GatewayError, SignedStandings, Standing};
-use crate::model::{Digest, Header, RecordState};
+use crate::model::{Digest, Header, RecordState, clean};
 use crate::pipeline::PipelineError;
 use crate::store::{KeptStanding, RecordRow};
 
@@ -62,7 +64,13 @@ impl Line {
                 Err(error) => return Err(error.into()),
             }
         }
-        Ok(Standings { each: client.check(&digests).await?, proven: None })
+        let mut each = client.check(&digests).await?;
+        if self.roster.len() > 1 {
+            // One of several is not believed without a proof: another one may give it.
+            let unproven = each.iter_mut().filter(|standing| **standing == Standing::Verified);
+            unproven.for_each(|standing| *standing = Standing::Anchored);
+        }
+        Ok(Standings { each, proven: None })
     }
 
     fn proven(&self, rows: &[RecordRow], digests: &[Digest], signed: SignedStandings) -> Standings {
@@ -101,8 +109,9 @@ impl Line {
         digest == row.digest && inclusion.proves(&Leaf { owner, recorder, topic_id, seq, digest })
     }
 
-    fn decide(&self, verified: &[Digest], unknown: &[Digest], tampered: &[Digest]) -> Result<(), PipelineError> {
-        let (ledger, observer) = (&self.outbox.plant.ledger, &self.outbox.plant.observer);
+    fn decide(&mut self, verified: &[Digest], unknown: &[Digest], tampered: &[Digest]) -> Result<(), PipelineError> {
+        let outbox = Arc::clone(&self.outbox);
+        let (ledger, observer) = (&outbox.plant.ledger, &outbox.plant.observer);
         if !verified.is_empty() {
             ledger.settle_forwarded(verified, RecordState::Verified)?;
             observer.verified(verified);
@@ -117,7 +126,9 @@ impl Line {
                 ),
             );
         }
-        if !tampered.is_empty() && ledger.settle_forwarded(tampered, RecordState::Tampered)? > 0 {
+        if self.roster.len() > 1 {
+            self.dispute(tampered);
+        } else if !tampered.is_empty() && ledger.settle_forwarded(tampered, RecordState::Tampered)? > 0 {
             observer.tampered(tampered);
             let count = tampered.len();
             observer.alert(
@@ -131,6 +142,22 @@ impl Line {
             observer.records_changed();
         }
         Ok(())
+    }
+}
+
+impl Line {
+    /// One of several gateways says that it holds other bytes than it signed for. The originals are here, and its word
+    /// alone does not keep them from the next one.
+    fn dispute(&mut self, tampered: &[Digest]) {
+        let new = tampered.iter().filter(|digest| self.disputed.insert(**digest)).count();
+        if new > 0 {
+            let address = clean(&self.gate.endpoint.address, 255);
+            let text = format!(
+                "{new} records were altered at the gateway {address} after it signed for them; the originals are kept here \
+                 and go to the next gateway"
+            );
+            self.outbox.plant.observer.alert(true, text);
+        }
     }
 }
 

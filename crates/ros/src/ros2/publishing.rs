@@ -115,7 +115,7 @@ impl Ros2Publisher {
             self.latched_bytes += message.len();
             announced.latched.push_back(message.into());
             while announced.latched.len() > announced.topic.offer.depth.max(1) as usize
-                || self.latched_bytes > MOST_LATCHED && announced.latched.len() > 1
+                || self.latched_bytes > MOST_LATCHED && !announced.latched.is_empty()
             {
                 self.latched_bytes -= announced.latched.pop_front().map_or(0, |oldest| oldest.len());
             }

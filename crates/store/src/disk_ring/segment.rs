@@ -210,8 +210,9 @@ pub(super) fn list(folder: &Path) -> Result<Vec<(u64, PathBuf)>, StoreError> {
     for entry in std::fs::read_dir(folder).map_err(failed)? {
         let path = entry.map_err(failed)?.path();
         let is_one = path.extension().is_some_and(|end| end == "ring");
-        let number = path.file_stem().and_then(|stem| stem.to_str()).and_then(|stem| stem.parse().ok());
-        found.extend(number.filter(|_| is_one).map(|number| (number, path)));
+        let number: Option<u64> = path.file_stem().and_then(|stem| stem.to_str()).and_then(|stem| stem.parse().ok());
+        // The last number has none behind it for the next file.
+        found.extend(number.filter(|number| is_one && *number < u64::MAX).map(|number| (number, path)));
     }
     found.sort();
     Ok(found)

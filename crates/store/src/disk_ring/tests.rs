@@ -162,3 +162,26 @@ fn every_file_stands_alone_and_a_torn_or_foreign_one_hides_nothing() {
         assert!(found(&cut, &all(0, u64::MAX)).iter().all(|record| !record.blob.is_empty()));
     }
 }
+
+#[test]
+fn what_falls_out_is_gone_although_its_count_cannot_be_written() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // As on a full disk: the count cannot be replaced.
+    fs::create_dir(folder.path().join(FALLEN)).expect("in its way");
+    fs::write(folder.path().join(format!("{}.ring", u64::MAX)), b"no file of ours").expect("written");
+    let mut full = ring(folder.path(), limits(3600, 1 << 20));
+    let start = now();
+    for number in 0..20 {
+        add(&mut full, CAMERA, start + number, 10_000);
+    }
+    assert!(segment::list(folder.path()).expect("files").len() > 2);
+    while full.shrink().expect("a file goes") {}
+    assert!(segment::list(folder.path()).expect("files").is_empty());
+    let figures = full.figures();
+    assert_eq!((figures.messages, figures.bytes, figures.fallen), (0, 0, 20));
+    fs::remove_dir(folder.path().join(FALLEN)).expect("out of its way");
+    add(&mut full, CAMERA, start, 10);
+    assert!(full.shrink().expect("a file goes"));
+    let again = ring(folder.path(), limits(3600, 1 << 20));
+    assert_eq!(again.figures().fallen, 21, "the count caught up");
+}

@@ -68,24 +68,25 @@ impl Ledger {
         })
     }
 
-    /// Submitted records whose latest receipt was taken before a time, and which fewer than `most` gateways signed for,
-    /// in the order of this ledger.
+    /// Submitted records whose latest receipt was taken before a time, and which this gateway has not signed for, in the
+    /// order of this ledger.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn overdue(&self, before: Timestamp, most: usize, limit: usize) -> Result<Vec<OverduePlace>, StoreError> {
+    pub fn overdue(&self, before: Timestamp, lacking: SignerId, limit: usize) -> Result<Vec<OverduePlace>, StoreError> {
         let (before, limit) = (whole("time", before.0)?, i64::try_from(limit).unwrap_or(i64::MAX));
-        let most = i64::try_from(most).unwrap_or(i64::MAX);
         self.read(|connection| {
             let mut late = connection.prepare_cached(
-                "SELECT digest, record FROM placed JOIN records ON n = record WHERE state = ?1
-                 GROUP BY record HAVING max(at) < ?2 AND count(*) < ?3 ORDER BY record LIMIT ?4",
+                "SELECT digest, placed.record FROM placed JOIN records ON n = record WHERE state = ?1
+                 AND NOT EXISTS (SELECT 1 FROM placed AS own WHERE own.record = placed.record
+                     AND own.gateway = (SELECT key FROM gateways WHERE id = ?3))
+                 GROUP BY placed.record HAVING max(placed.at) < ?2 ORDER BY placed.record LIMIT ?4",
             )?;
             let mut holders = connection.prepare_cached(
                 "SELECT id FROM placed JOIN gateways ON key = gateway WHERE record = ?1 ORDER BY at DESC, gateway",
             )?;
             let submitted = RecordState::Submitted.code();
-            let found = late.query_map(params![submitted, before, most, limit], |row| {
+            let found = late.query_map(params![submitted, before, lacking.0, limit], |row| {
                 Ok((Digest(row.get(0)?), row.get::<_, i64>(1)?))
             })?;
             let mut overdue = Vec::new();
@@ -252,12 +253,12 @@ mod tests {
     }
 
     #[test]
-    fn what_stays_without_a_proof_is_overdue_until_all_gateways_have_it() {
+    fn what_stays_without_a_proof_is_overdue_for_each_gateway_that_lacks_it() {
         let home = tempfile::tempdir().expect("folder");
         let ledger = ledger(&home);
         accept(&ledger, HERE, 10, &[1, 2]);
         accept(&ledger, HERE, 50, &[3]);
-        let overdue = |before| ledger.overdue(Timestamp(before), 2, 9).expect("reads");
+        let overdue = |before| ledger.overdue(Timestamp(before), THERE, 9).expect("reads");
         assert!(overdue(10).is_empty(), "not yet");
         let one = |number: u8, gateways: &[SignerId]| OverduePlace {
             digest: Digest([number; 32]),
@@ -266,9 +267,12 @@ mod tests {
         assert_eq!(overdue(11), [one(1, &[HERE]), one(2, &[HERE])]);
         accept(&ledger, THERE, 20, &[1]);
         assert_eq!(overdue(60), [one(2, &[HERE]), one(3, &[HERE])], "both have the first");
-        assert_eq!(ledger.overdue(Timestamp(60), 3, 1), Ok(vec![one(1, &[THERE, HERE])]));
-        let three = ledger.overdue(Timestamp(60), 3, 9).expect("reads");
-        assert!(three.contains(&one(1, &[THERE, HERE])), "the latest first: {three:?}");
+        let third = SignerId([3; 32]);
+        let lacking = |gateway, most| ledger.overdue(Timestamp(60), gateway, most);
+        assert_eq!(lacking(third, 1), Ok(vec![one(1, &[THERE, HERE])]), "the latest first");
+        assert_eq!(lacking(third, 9).expect("reads").len(), 3);
+        assert_eq!(lacking(HERE, 9), Ok(Vec::new()), "it has all of them");
+        assert_eq!(lacking(THERE, 1), Ok(vec![one(2, &[HERE])]), "what it has stands in nobody's way");
         assert_eq!(ledger.placed_counts().expect("reads"), [(HERE, 3), (THERE, 1)].into());
     }
 

@@ -261,21 +261,18 @@ impl Ledger {
         })
     }
 
-    /// The newest statement of a party on a network that was countersigned here.
+    /// What was countersigned here for a party on a network, the newest first: at most a thousand statements.
     ///
     /// # Errors
     /// As [`Self::position`].
-    pub fn newest_countersigned(
-        &self,
-        party: SignerId,
-        network: Domain,
-    ) -> Result<Option<Countersignature>, StoreError> {
-        let sql = "SELECT countersignature FROM countersigned WHERE party = ?1 AND network = ?2
-                   ORDER BY key DESC LIMIT 1";
-        let found = self.read(|connection| {
-            Ok(connection.prepare_cached(sql)?.query_row(params![party.0, network.0], blob).optional()?)
+    pub fn countersigned_of(&self, party: SignerId, network: Domain) -> Result<Vec<Countersignature>, StoreError> {
+        let sql = "SELECT countersignature FROM countersigned WHERE party = ?1 AND network = ?2 ORDER BY key DESC";
+        let found: Vec<Vec<u8>> = self.read(|connection| {
+            let mut statement = connection.prepare_cached(sql)?;
+            let rows = statement.query_map(params![party.0, network.0], blob)?;
+            Ok(rows.collect::<Result<_, _>>()?)
         })?;
-        found.map(|bytes| self.parsed(&bytes)).transpose()
+        found.iter().map(|bytes| self.parsed(bytes)).collect()
     }
 
     /// Stores what is countersigned for a party, before it is given; the newest thousand on a network stay.

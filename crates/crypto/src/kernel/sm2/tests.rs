@@ -294,6 +294,49 @@ fn a_sum_at_infinity_verifies_nothing() {
     assert!(!verifies(&key, &r, &r, &opposite), "r + s = n");
 }
 
+/// Keys that are small multiples of the generator, with signatures whose two parts are equal, opposite or close to each
+/// other: sums that double, that pass through infinity, and that end there.
+#[test]
+#[allow(clippy::many_single_char_names, reason = "the standard's symbols")]
+fn signatures_under_keys_related_to_the_generator_are_judged_as_by_the_crate() {
+    let opposite = |number: &Scalar| Scalar::reduced(&[0; 32]).minus(number);
+    let small = |number: u64| Scalar::reduced_limbs(&[number, 0, 0, 0]);
+    let half = Scalar::reduced_limbs(&HALF);
+    let related = (1..=64).flat_map(|number| [small(number), opposite(&small(number))]);
+    let (mut sums, mut infinite) = (0, 0);
+    for k in related.chain([half, opposite(&half)]) {
+        let key = multiply_generator(&k);
+        let theirs = ProjectivePoint::mul_by_generator(&of_crate(k.limbs()));
+        assert_eq!(Some(key.to_bytes()), bytes_of_crate(&theirs));
+        let table = SignerTable::new(&key);
+        for t in [Scalar::ONE, small(3), Scalar::reduced(&[0x5a; 32])] {
+            let own = t.times(&k);
+            let near = [own, own.plus(&Scalar::ONE), opposite(&own), opposite(&own).minus(&Scalar::ONE), small(256)];
+            for s in near {
+                let r = t.minus(&s);
+                if s.is_zero() || r.is_zero() {
+                    continue;
+                }
+                let sum = theirs * of_crate(t.limbs()) + ProjectivePoint::mul_by_generator(&of_crate(s.limbs()));
+                let Some(bytes) = bytes_of_crate(&sum) else {
+                    for e in [r, Scalar::ONE, opposite(&r)] {
+                        assert!(!verifies(&key, &e, &r, &s) && !verifies(&table, &e, &r, &s), "{:x?}", k.limbs());
+                    }
+                    infinite += 1;
+                    continue;
+                };
+                let x = bytes.first_chunk::<32>().expect("x comes first");
+                let e = r.minus(&Scalar::reduced(x));
+                assert!(verifies(&key, &e, &r, &s) && verifies(&table, &e, &r, &s), "{:x?}", k.limbs());
+                let other = e.plus(&Scalar::ONE);
+                assert!(!verifies(&key, &other, &r, &s) && !verifies(&table, &other, &r, &s), "{:x?}", k.limbs());
+                sums += 1;
+            }
+        }
+    }
+    assert!(sums > 1000 && infinite > 300, "{sums} {infinite}");
+}
+
 #[test]
 fn points_off_the_curve_are_none() {
     let mut noise = Noise(26);

@@ -5,6 +5,7 @@ use crate::crypto::{
     Enrolment, EoaSecret, EpochIssue, EpochKey, IndexKey, IssuedKeys, Notice, OwnerKeyChange, Passphrase, SealRequest,
     SealedEnrolment, SealingKey, TopicKey, notice_topic, seal, signer_id, topic_id,
 };
+use crate::gateway::{Entry, Fetched};
 use crate::model::head::Compression;
 use crate::model::{Head, RecorderId, RingSpan, SignerId, Timestamp, Token};
 use crate::pipeline::notices::Notices;
@@ -201,6 +202,55 @@ async fn a_ring_is_asked_for_by_its_owner_alone_and_each_request_counts_once() {
     owner.upload(vec![asked(5, &scene.alice.signing, own)]).await.expect("receipt");
     scene.until("asked again", |scene| waiting(scene) == [span(2), span(5)]).await;
     work.abort();
+}
+
+/// A gateway that gives an owner's old notice a new number: the entry is its word, the header is signed.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_old_notice_is_not_new_because_a_gateway_says_so() {
+    let scene = Scene::new().await;
+    let passphrase = Passphrase::new("correct horse".to_owned()).expect("long enough");
+    let sealed = SealedEnrolment::new(enrolment(&scene), &passphrase).expect("stretches");
+    let (kept, author) = (SealedEnrolment::kept_in(scene.home.path()), Arc::new(Author::new(scene.alice.account())));
+    author.obey(&sealed.enrolment);
+    let observer = Arc::clone(&scene.plant.observer);
+    let mut notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept)
+        .with_ring(scene.plant.ledger.clone());
+    let own = signer_id(&scene.device.public);
+    let given = |upload: Upload, seq: u64, epoch: u64| {
+        let (header, _) = Header::parse(&upload.blob).expect("a header");
+        let entry = Entry {
+            digest: Digest(context().provider.sm3(&[&upload.blob])),
+            owner: header.owner,
+            recorder: header.recorder,
+            seq,
+            topic_id: header.topic_id,
+            epoch,
+            captured_at: header.captured_at,
+            length: upload.blob.len() as u64,
+            kind: header.kind,
+            standing: Standing::Verified,
+        };
+        let Upload { signature, blob } = upload;
+        (entry, Fetched { signer: scene.alice.signing.public, signature, proof: Vec::new(), blob })
+    };
+    let topics = "/camera/**".parse().expect("a pattern");
+    let span = RingSpan { since: Timestamp(1), until: Timestamp(100), topics };
+    let pull = || record(&scene, &scene.alice.signing, own, (4, 1), &Notice::Pull(span.clone()));
+    let waiting = || disk_ring::waiting(&scene.plant.ledger).expect("noted");
+    let mut hear = |upload: Upload, seq: u64, epoch: u64| {
+        let (entry, fetched) = given(upload, seq, epoch);
+        notices.hear(&entry, &fetched);
+    };
+    let epoch = || author.sealing().expect("keys").epoch;
+    hear(notice(&scene, &scene.alice.signing, own, 3, 2), 3, 2);
+    hear(notice(&scene, &scene.alice.signing, own, 9, 5), 9, 5);
+    assert_eq!((epoch(), scene.notes.with("ignored a notice")), (5, 0));
+    // Keys that are no longer used, and a span from before them: both are the owner's, and old.
+    hear(notice(&scene, &scene.alice.signing, own, 3, 2), 10, 6);
+    hear(pull(), 11, 6);
+    assert_eq!((epoch(), waiting(), scene.notes.with("an old one")), (5, Vec::new(), 2));
+    hear(notice(&scene, &scene.alice.signing, own, 10, 6), 10, 6);
+    assert_eq!(epoch(), 6, "a new one is taken");
 }
 
 #[test]

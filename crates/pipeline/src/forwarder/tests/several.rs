@@ -134,6 +134,30 @@ async fn a_gateway_that_was_away_is_tried_again_for_what_another_does_not_prove(
     scene.until("it is tried again", |_| second.holds() == 10).await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn one_gateways_word_alone_keeps_no_record_from_the_next() {
+    let mut scene = Scene::new().await;
+    let second = Second::beside(&scene).await;
+    let list = [scene.access(), second.access()];
+    // It says that it holds other bytes,
+    scene.stage.desk.state().standing = Some(Standing::Tampered);
+    let _work = start(&scene, scene.forwarder_to(&list).resending_after(Duration::from_millis(200)));
+    scene.capture(10, 100);
+    scene.until("told", |scene| scene.notes.with("go to the next gateway") > 0).await;
+    scene.until("the next one has them", |_| second.holds() == 10).await;
+    assert_eq!(scene.counts().data_in(RecordState::Tampered), 0);
+    // and that all is verified, as one of an earlier version would: without a signature or a proof.
+    {
+        let mut state = scene.stage.desk.state();
+        (state.earlier, state.standing) = (true, Some(Standing::Verified));
+    }
+    scene.capture(5, 100);
+    scene.until("the next one has these too", |_| second.holds() == 15).await;
+    assert_eq!(scene.counts().data_in(RecordState::Verified), 0);
+    second.stage.desk.state().standing = Some(Standing::Verified);
+    scene.until_state(RecordState::Verified, 15).await;
+}
+
 /// A notice of gateways, signed by the owner's d_C and within it by an account.
 fn notice(scene: &Scene, account: &EoaSecret, seq: u64, gateways: Vec<ListedGateway>) -> Upload {
     let device = signer_id(&scene.device.public);

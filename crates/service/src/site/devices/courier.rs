@@ -179,7 +179,9 @@ impl Devices {
         enrolled: &Enrolled,
         gateway: &EnrolledGateway,
     ) -> Result<bool, Failure> {
-        let place = format!("carried:{}:{}:{}", owner.address, enrolled.device, gateway.key);
+        // Numbers begin anew under the recorder of a home that was restored.
+        let recorder = self.plant.ledger.recorder();
+        let place = format!("carried:{}:{}:{}:{recorder}", owner.address, enrolled.device, gateway.key);
         let newest: u64 =
             block_in_place(|| self.plant.ledger.setting(&place))?.and_then(|text| text.parse().ok()).unwrap_or(0);
         let waiting = block_in_place(|| self.notices_behind(owner, enrolled, newest))?;

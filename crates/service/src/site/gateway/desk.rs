@@ -293,6 +293,7 @@ impl Desk for GatewayDesk {
                         gateway.hub.changed(crate::service::event::Part::Health);
                         Code::Tampered
                     }
+                    Unsigned::TooManyChains(_) => Code::Quota,
                     Unsigned::Failed(_) => Code::Internal,
                 };
                 Refusal::new(code, why)
