@@ -84,7 +84,7 @@ pub enum Verb {
     /// Robots without a chain: enrol one, or run the agent on it
     #[command(subcommand)]
     Agent(AgentVerb),
-    /// Enrolled robots: bring in what their rings keep
+    /// Enrolled robots: list them, set what they capture, bring in what their rings keep
     #[command(subcommand)]
     Robots(super::robots::RobotsVerb),
     /// The chain

@@ -33,7 +33,7 @@ pub use self::operate::{
 };
 pub use self::playing::{Pace, PlayWishes, Remap};
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
-pub use self::robots::{PullRing, RobotCommand};
+pub use self::robots::{ListRobots, PullRing, RobotCommand, SetRobotPolicy, ShowRobot};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
 pub use self::witnesses::{AddWitness, AskWitnesses, ListWitnesses, RemoveWitness, WitnessCommand, WitnessStatus};

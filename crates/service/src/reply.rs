@@ -45,7 +45,7 @@ pub use self::records::{
     Caveat, CheckView, EvidenceView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView, ShownState,
     StampView, StampedView,
 };
-pub use self::robots::RingPullView;
+pub use self::robots::{RingPullView, RobotRow, RobotTopicRow, RobotView};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, CoveragePart, CoverageView, HeldUp, TopicRow, TopicSummary, WatchView};
@@ -222,4 +222,8 @@ replies! {
     WitnessAnswers(WitnessAnswers);
     /// To `PullRing`.
     RingPull(RingPullView);
+    /// To `ListRobots`.
+    Robots(Vec<RobotRow>);
+    /// To `ShowRobot` and `SetRobotPolicy`.
+    Robot(RobotView);
 }

@@ -35,6 +35,7 @@ mod rights;
 mod rows;
 mod settings;
 mod sightings;
+mod signers;
 mod stamps;
 #[cfg(test)]
 mod tests;
@@ -78,6 +79,7 @@ pub use retention::{KeptTopic, OldRecord, Retained};
 pub use rights::WaitingSigner;
 pub use rows::{Foreign, NewRecord, RecordRow};
 pub use sightings::Sighting;
+pub use signers::SignerTopic;
 pub use stamps::{KeptStamp, StampCounts};
 pub use transactions::{NewTransaction, TransactionOutcome, TransactionRow, TransactionState};
 pub use usage::OwnerUsage;

@@ -30,8 +30,8 @@ pub use ledger::{
     KeptRight, KeptStamp, KeptStanding, KeptTopic, LaneCount, LastSeen, Ledger, Left, Loss, NewBatch, NewRecord,
     NewTransaction, OldRecord, OpenTransaction, OverduePlace, PinRow, PlacedPage, PositionCounts, RecordPage,
     RecordQuery, RecordRow, RecordsHeld, Reissue, Retained, RightEvent, RightKind, RootSighting, Sequence, Sighting,
-    SpanCoverage, StampCounts, StandingRights, StateCounts, TopicCounts, TransactionOutcome, TransactionRow,
-    TransactionState, Unwitnessed, WaitingBatch, WaitingSigner, WitnessRow,
+    SignerTopic, SpanCoverage, StampCounts, StandingRights, StateCounts, TopicCounts, TransactionOutcome,
+    TransactionRow, TransactionState, Unwitnessed, WaitingBatch, WaitingSigner, WitnessRow,
 };
 pub use reserve::{RESERVE_BYTES, Reserve};
 pub use vault::{Stored, Usage, Vault, open_vault};

@@ -197,7 +197,11 @@ impl Site {
             Command::Operate(operation) => self.operate(&profile, operation).await,
             Command::OfWitness(command) => self.witnesses.answer(&profile, command).await,
             Command::OfIncident(command) => self.of_incident(&profile, command).await,
-            Command::OfRobot(command) => self.devices.answer(&owner()?, command).await,
+            Command::OfRobot(command) => {
+                // What robots recorded arrives without the names of its topics.
+                self.reading.learn_own_names(&profile).await?;
+                self.devices.answer(&owner()?, command).await
+            }
         }
     }
 
