@@ -79,7 +79,9 @@ pub fn plan(verb: RobotsVerb) -> Result<Plan, Failure> {
         RobotsVerb::Policy { robot, set: Some(file), .. } => {
             SetRobotPolicy { name: robot, text: policy_of(&file)? }.into()
         }
-        RobotsVerb::Show { robot } | RobotsVerb::Policy { robot, .. } => ShowRobot { name: robot }.into(),
+        RobotsVerb::Show { robot } => ShowRobot { name: robot }.into(),
+        // To show is what is done unless something else is asked.
+        RobotsVerb::Policy { robot, show: _show, .. } => ShowRobot { name: robot }.into(),
     };
     Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, question))
 }

@@ -50,6 +50,7 @@ mod remote;
 mod restart;
 mod rights;
 mod robots;
+mod robots_policy;
 mod ros2;
 mod ros2_capture;
 mod ros2_fastdds;

@@ -71,16 +71,14 @@ impl PolicyKeeper {
     /// # Errors
     /// Errors of the ledger.
     pub fn open(ledger: &Ledger, enrolment: &Enrolment) -> Result<Self, Failure> {
+        Self::of(ledger, enrolment.domain, enrolment.owner, enrolment.device_id())
+    }
+
+    fn of(ledger: &Ledger, domain: Domain, owner: Address, device: SignerId) -> Result<Self, Failure> {
         let kept = ledger.setting(KEPT)?;
         let kept = kept.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
-        Ok(Self {
-            ledger: ledger.clone(),
-            domain: enrolment.domain,
-            owner: enrolment.owner,
-            device: enrolment.device_id(),
-            kept: Mutex::new(kept),
-            changed: watch::channel(()).0,
-        })
+        let (ledger, changed) = (ledger.clone(), watch::channel(()).0);
+        Ok(Self { ledger, domain, owner, device, kept: Mutex::new(kept), changed })
     }
 
     fn kept(&self) -> Kept {
@@ -363,5 +361,73 @@ pub(super) fn warn_of_key(site: &Site, author: &Author, name: &crate::model::Pro
              `authros devices topics add {name} {topic}`"
         );
         site.parts.hub.notice(NoticeLevel::Warning, &text);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::crypto::EoaSecret;
+
+    const DOMAIN: Domain = Domain([1; 32]);
+    const DEVICE: SignerId = SignerId([9; 32]);
+    const WATCH: &str = "[[watch]]\ntopic = \"/odom\"\n";
+
+    #[test]
+    fn a_policy_is_taken_up_signed_newer_and_valid_and_is_there_after_a_restart() {
+        let home = tempfile::tempdir().expect("a folder");
+        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
+        let (account, thief) = (EoaSecret::generate().expect("generates"), EoaSecret::generate().expect("generates"));
+        let open = || PolicyKeeper::of(&ledger, DOMAIN, account.address(), DEVICE).expect("opens");
+        let keeper = open();
+        let signed = |by: &EoaSecret, version, text: &str| {
+            SignedPolicy::sign(&DOMAIN, by, DEVICE, version, text).expect("signs")
+        };
+        let state = |keeper: &PolicyKeeper| {
+            let Kept { version, text, heard, refused } = keeper.kept();
+            (version, text, heard, refused.unwrap_or_default())
+        };
+        keeper.take(&signed(&account, 2, WATCH)).expect("kept");
+        assert_eq!(state(&keeper), (2, WATCH.to_owned(), 2, String::new()));
+
+        let other_robot = SignedPolicy::sign(&DOMAIN, &account, SignerId([8; 32]), 9, WATCH).expect("signs");
+        let not_text = SignedPolicy { text: vec![0xff; 4], ..signed(&account, 3, "") };
+        for (policy, told) in [
+            (signed(&thief, 3, ""), "did not sign"),
+            (other_robot, "did not sign"),
+            (not_text, "did not sign"),
+            (signed(&account, 1, WATCH), "lower than 2"),
+            (signed(&account, 2, ""), "same version 2"),
+            (signed(&account, 3, "vault.url = \"redis://evil\"\n"), "no 'vault.url'"),
+            (signed(&account, 4, "ring.keep = \"much\"\nring.topics = [\"/a\"]\n"), "ring.keep"),
+            (signed(&account, 5, "[["), "not valid TOML"),
+        ] {
+            let heard = policy.version;
+            keeper.take(&policy).expect("kept");
+            let (version, text, known, refused) = state(&keeper);
+            assert_eq!((version, text.as_str(), known), (2, WATCH, heard), "what runs goes on");
+            assert!(refused.contains(told), "{told}: {refused}");
+        }
+        assert_eq!(state(&open()), state(&keeper), "after a restart");
+        keeper.take(&signed(&account, 2, WATCH)).expect("kept");
+        assert_eq!(state(&keeper), (2, WATCH.to_owned(), 2, String::new()), "heard once more");
+        keeper.take(&signed(&account, 6, "")).expect("kept");
+        assert_eq!(state(&open()), (6, String::new(), 6, String::new()), "cleared");
+    }
+
+    #[test]
+    fn what_a_robots_own_settings_say_otherwise_is_named() {
+        let file = "ring.keep = \"5m, 64MiB\"\nring.topics = [\"/a\"]\n[[topic]]\nmatch = \"/b\"\nrate = 2\n";
+        let place = std::path::Path::new("config.toml");
+        let config = Config::resolve(&|_| None, &|_| None, Some((place, file))).expect("settings");
+        let wishes = AgentWishes { topics: vec!["/b".parse().expect("a name")], ..AgentWishes::default() };
+        let of = |text: &str| overruled(&RobotPolicy::read(text).expect(text), &config, &wishes);
+        assert!(of("").is_empty() && of(file).is_empty() && of("[[watch]]\ntopic = \"/b\"\n").is_empty());
+        let all = of("ring.keep = \"\"\nring.topics = \"\"\n[[watch]]\ntopic = \"/c\"\n[[topic]]\nmatch = \"/b\"\n");
+        let told: Vec<bool> = ["--topic /b", "1 [[topic]] rules", "there is to be none"]
+            .iter()
+            .map(|words| all.iter().any(|text| text.contains(words)))
+            .collect();
+        assert_eq!((told, all.len()), (vec![true; 3], 3), "{all:?}");
     }
 }
