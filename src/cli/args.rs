@@ -98,6 +98,9 @@ pub enum Verb {
     /// Incidents: records that retention must keep: open, list, show, note, close, remove
     #[command(subcommand)]
     Incident(super::incidents::IncidentVerb),
+    /// Erase chosen records for good, with their proofs kept
+    #[command(subcommand)]
+    Retention(super::retention::RetentionVerb),
     /// Parties that countersign what this home states about its chain: add, list, remove, status, ask
     #[command(subcommand)]
     Witness(super::witnesses::WitnessVerb),

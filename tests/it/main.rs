@@ -26,6 +26,7 @@ mod console_situations;
 mod console_terminal;
 mod contacts;
 mod demo;
+mod erasing;
 mod evidence;
 mod faults;
 mod fleet;

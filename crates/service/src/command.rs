@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 
 pub use self::administration::Administration;
 pub use self::ask::Ask;
-pub use self::check::{AuditRecords, BackUp, ListAllUploads, StoreCommand};
+pub use self::check::{AuditRecords, BackUp, EraseRecords, ErasureWishes, ListAllUploads, StoreCommand};
 pub use self::choices::{Epochs, Held, KeyKind, PairKind, UploadQuery};
 pub use self::evidence::EvidenceWishes;
 pub use self::filter::Term;

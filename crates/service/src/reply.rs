@@ -24,7 +24,9 @@ use serde::{Deserialize, Serialize};
 pub use self::alerts::{AlertTestView, AlertView, AlertsView, EndedAlert, Severity};
 pub use self::audit::{AuditCheck, AuditView};
 pub use self::chain::{ChainView, DeployedView, GasView, GatewayView, ServedView};
-pub use self::check::{BackupView, CheckStatus, DoctorCheck, DoctorView, FindingKind, RecordAudit, RecordFinding};
+pub use self::check::{
+    BackupView, CheckStatus, DoctorCheck, DoctorView, ErasureView, FindingKind, RecordAudit, RecordFinding,
+};
 pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
 pub use self::identity::{
     DeviceGatewaysView, DeviceTopicsView, EnrolledView, EpochView, IdentityView, KeyChangeView, KeysView,
@@ -208,6 +210,8 @@ replies! {
     RecordsAudited(Box<RecordAudit>);
     /// To `BackUp`.
     BackedUp(BackupView);
+    /// To `EraseRecords`.
+    Erased(ErasureView);
     /// To `VerifyAudit`.
     AuditChecked(AuditCheck);
     /// To `OpenIncident`, `ShowIncident`, `NoteIncident` and `CloseIncident`.

@@ -25,7 +25,7 @@ pub use error::StoreError;
 pub use files::{ConsoleLock, SiteLock, atomic_write};
 pub use ledger::{
     AlarmRow, Anchors, AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, BatchPlace, Coverage, CoveragePart,
-    CoverageQuery, EarlierAnchor, FilterChoice, Foreign, GapRow, Glance, HeldMinute, HeldQuery, HeldRow, Hold,
+    CoverageQuery, EarlierAnchor, Erasure, FilterChoice, Foreign, GapRow, Glance, HeldMinute, HeldQuery, HeldRow, Hold,
     IncidentNote, IncidentRow, IncidentSpan, KeptBinding, KeptContradiction, KeptEnvelope, KeptPosition, KeptReceipt,
     KeptRight, KeptStamp, KeptStanding, KeptTopic, LaneCount, LastSeen, Ledger, Left, Loss, NewBatch, NewRecord,
     NewTransaction, OldRecord, OpenTransaction, OverduePlace, PinRow, PlacedPage, PositionCounts, RecordPage,

@@ -2,11 +2,12 @@
 
 use super::Storage;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use crate::model::Timestamp;
 use crate::pipeline::Owner;
-use crate::pipeline::retention::{Retention, Round};
+use crate::pipeline::retention::{self, Retention, Round};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
 use crate::site::blocking;
@@ -26,19 +27,45 @@ impl Storage {
                 return;
             }
             self.drop_copies().await;
-            if keeping.is_empty() {
-                continue;
-            }
             for owner in self.owners.all() {
-                if let Err(failure) = self.apply(&owner, &mut retention).await {
+                let applied = match keeping.is_empty() {
+                    true => self.sweep(&owner).await,
+                    false => self.apply(&owner, &mut retention).await,
+                };
+                if let Err(failure) = applied {
                     let text = format!("retention of {} is waiting: {}", owner.profile, failure.message);
                     self.hub.notice(NoticeLevel::Error, &text);
                 }
             }
+            if let Err(failure) = self.look_for_named().await {
+                self.hub.notice(NoticeLevel::Warning, &failure.message);
+            }
         }
     }
 
+    /// Without rules only what a person had erased is left to delete, and mostly there is nothing.
+    async fn sweep(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
+        if !self.has_named.load(Ordering::Acquire) {
+            return Ok(());
+        }
+        let asked = Arc::clone(owner);
+        let deleted = blocking(self, move |storage| Ok(retention::delete(&storage.plant, &asked)?)).await?;
+        self.tell(owner, &Round { deleted, ..Round::default() }).await
+    }
+
+    async fn look_for_named(self: &Arc<Self>) -> Result<(), Failure> {
+        if self.has_named.load(Ordering::Acquire) {
+            let _one_at_a_time = self.naming.lock().await;
+            let left = blocking(self, |storage| Ok(storage.plant.ledger.has_named()?)).await?;
+            self.has_named.store(left, Ordering::Release);
+        }
+        Ok(())
+    }
+
     async fn apply(self: &Arc<Self>, owner: &Arc<Owner>, retention: &mut Option<Retention>) -> Result<(), Failure> {
+        // What robots brought arrives without the names that rules are about.
+        self.reading.learn_own_names(&owner.profile).await?;
+        let _one_at_a_time = self.naming.lock().await;
         let mut rules = retention.take().unwrap_or_else(|| Retention::new(self.config.keeping()));
         let asked = Arc::clone(owner);
         let (round, rules) = blocking(self, move |storage| {
