@@ -57,6 +57,7 @@ mod ros2_capture;
 mod ros2_fastdds;
 mod ros2_losses;
 mod ros2_playing;
+mod scale;
 mod sharing;
 mod site_file;
 mod status;
