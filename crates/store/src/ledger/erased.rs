@@ -3,7 +3,6 @@
 use std::fmt;
 
 use rusqlite::{OptionalExtension as _, params};
-use serde::{Deserialize, Serialize};
 
 use super::append::add;
 use super::retention::name;
@@ -12,7 +11,7 @@ use crate::model::{Digest, Timestamp, clean};
 use crate::store::StoreError;
 
 /// Who had records erased, when and why.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Erasure {
     /// When.
     pub at: Timestamp,
@@ -25,6 +24,20 @@ pub struct Erasure {
 impl fmt::Display for Erasure {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(formatter, "erased {} by {}, {}", self.at, clean(&self.by, 80), clean(&self.reason, 500))
+    }
+}
+
+impl Erasure {
+    /// As the ledger notes it: nanoseconds, profile and reason, a line each.
+    fn noted(&self) -> String {
+        format!("{}\n{}\n{}", self.at.0, self.by, self.reason)
+    }
+
+    /// From a note.
+    pub(super) fn read(text: &str) -> Option<Self> {
+        let mut lines = text.splitn(3, '\n');
+        let at = Timestamp(lines.next()?.parse().ok()?);
+        Some(Self { at, by: lines.next()?.to_owned(), reason: lines.next()?.to_owned() })
     }
 }
 
@@ -45,7 +58,7 @@ impl Ledger {
         erasure: &Erasure,
         records: Vec<(Digest, Vec<u8>)>,
     ) -> Result<(), StoreError> {
-        let (place, text) = (place(&report.digest), serde_json::to_string(erasure).unwrap_or_default());
+        let (place, text) = (place(&report.digest), erasure.noted());
         self.write_many(records.len(), move |session| {
             let (connection, now) = (session.connection, whole("time", Timestamp::now().0)?);
             add(session, &report, now)?;
@@ -68,7 +81,7 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn erasure(&self, report: Digest) -> Result<Option<Erasure>, StoreError> {
-        Ok(self.setting(&place(&report))?.and_then(|text| serde_json::from_str(&text).ok()))
+        Ok(self.setting(&place(&report))?.and_then(|text| Erasure::read(&text)))
     }
 
     /// Those of these records that somebody had erased.

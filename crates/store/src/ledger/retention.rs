@@ -217,7 +217,7 @@ impl Ledger {
                         anchored: row.get(1)?,
                         header: row.get(2)?,
                         deleted_at: row.get::<_, Option<i64>>(3)?.map(|at| Timestamp(at.cast_unsigned())),
-                        erased: row.get::<_, Option<String>>(4)?.and_then(|text| serde_json::from_str(&text).ok()),
+                        erased: row.get::<_, Option<String>>(4)?.and_then(|text| Erasure::read(&text)),
                     })
                 })
                 .optional()?;

@@ -9,13 +9,7 @@ const ROBOT: SignerId = SignerId([0x60; 32]);
 /// A record as a robot brings it to a gateway: without names.
 fn brought(topic: u8, seq: u64) -> NewRecord {
     let foreign = Some(Foreign { recorder: RecorderId([9; 16]), keeper: Address([5; 20]) });
-    NewRecord {
-        foreign,
-        signer: ROBOT,
-        topic: String::new(),
-        type_name: String::new(),
-        ..record(1, topic, seq)
-    }
+    NewRecord { foreign, signer: ROBOT, topic: String::new(), type_name: String::new(), ..record(1, topic, seq) }
 }
 
 fn move_to(ledger: &Ledger, digests: Vec<Digest>, state: RecordState) {
