@@ -14,6 +14,8 @@ use crate::site::blocking;
 
 /// Interval between looks.
 const LOOK: Duration = Duration::from_secs(1);
+/// Looks after which names are learned anew: what robots bring arrives without those that rules are about.
+const LEARN: u32 = 10;
 /// Local copies deleted at a time.
 const COPIES: usize = 1024;
 
@@ -21,13 +23,18 @@ impl Storage {
     /// Applies the rules until the site ends.
     pub(in crate::site) async fn keep_retention(self: Arc<Self>) {
         let keeping = self.config.keeping();
-        let mut retention = Some(Retention::new(keeping.clone()));
+        let (mut retention, mut looks) = (Some(Retention::new(keeping.clone())), 0u32);
         while !self.life.is_stopping() {
             if !self.life.beat(LOOK).await {
                 return;
             }
             self.drop_copies().await;
+            let learns = !keeping.is_empty() && looks.is_multiple_of(LEARN);
+            looks = looks.wrapping_add(1);
             for owner in self.owners.all() {
+                if learns && let Err(failure) = self.reading.learn_own_names(&owner.profile).await {
+                    self.hub.notice(NoticeLevel::Warning, &failure.message);
+                }
                 let applied = match keeping.is_empty() {
                     true => self.sweep(&owner).await,
                     false => self.apply(&owner, &mut retention).await,
@@ -63,8 +70,6 @@ impl Storage {
     }
 
     async fn apply(self: &Arc<Self>, owner: &Arc<Owner>, retention: &mut Option<Retention>) -> Result<(), Failure> {
-        // What robots brought arrives without the names that rules are about.
-        self.reading.learn_own_names(&owner.profile).await?;
         let _one_at_a_time = self.naming.lock().await;
         let mut rules = retention.take().unwrap_or_else(|| Retention::new(self.config.keeping()));
         let asked = Arc::clone(owner);
