@@ -51,16 +51,16 @@ fn find_erased_bytes() {
         };
         records.iter().map(blob).flat_map(parts).collect()
     };
-    assert!(!with_any(home.path(), &pieces).is_empty(), "the search finds what is there");
+    assert!(!with_any(&home.path(), &pieces).is_empty(), "the search finds what is there");
 
     authros.json(&["retention", "erase", "--topic", TOPIC, "--reason", "a face is in it", "--yes"]);
     wait_until(120, "they are gone", || {
         let records = authros.records(&["uploads", "list", "--topic", TOPIC]);
         records.iter().all(|record| record["state"] == "deleted").then_some(())
     });
-    let while_it_runs = with_any(home.path(), &pieces);
+    let while_it_runs = with_any(&home.path(), &pieces);
     site.stop("TERM", 30).expect_code(0);
-    let afterwards = with_any(home.path(), &pieces);
+    let afterwards = with_any(&home.path(), &pieces);
     let shown = authros.json(&["shared", "check", &text(&records[0], "id")]);
     let outcome = match (while_it_runs.is_empty(), afterwards.is_empty()) {
         (true, true) if shown["verdict"] == "deleted" => Outcome::Refused(format!(
