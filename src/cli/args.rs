@@ -84,7 +84,7 @@ pub enum Verb {
     /// Robots without a chain: enrol one, or run the agent on it
     #[command(subcommand)]
     Agent(AgentVerb),
-    /// Enrolled robots: bring in what their rings keep
+    /// Enrolled robots: list them, set what they capture, bring in what their rings keep
     #[command(subcommand)]
     Robots(super::robots::RobotsVerb),
     /// The chain
@@ -98,6 +98,9 @@ pub enum Verb {
     /// Incidents: records that retention must keep: open, list, show, note, close, remove
     #[command(subcommand)]
     Incident(super::incidents::IncidentVerb),
+    /// Erase chosen records for good, with their proofs kept
+    #[command(subcommand)]
+    Retention(super::retention::RetentionVerb),
     /// Parties that countersign what this home states about its chain: add, list, remove, status, ask
     #[command(subcommand)]
     Witness(super::witnesses::WitnessVerb),

@@ -174,6 +174,7 @@ pub fn records(page: &RecordPage) -> String {
     let list = table(&["id", "seq", "topic", "state", "bytes", "captured", "block", "", owner], &rows);
     let mut lines = vec![list];
     lines.extend(doubts(page));
+    lines.extend(page.records.iter().filter_map(|record| Some(format!("{} {}", record.id, record.erased.as_ref()?))));
     lines.extend(page.next.as_ref().map(|next| format!("more: --after {next}")));
     lines.join("\n")
 }

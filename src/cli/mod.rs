@@ -35,6 +35,7 @@ mod printed;
 mod progress;
 mod quarantine;
 mod recordings;
+mod retention;
 mod robots;
 mod serve;
 mod show;
@@ -171,6 +172,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Alerts(verb) => asked(runtime, global, output, |_| Ok(alerts::plan(&verb))),
         Verb::Robots(verb) => asked(runtime, global, output, |_| robots::plan(verb)),
         Verb::Incident(verb) => asked(runtime, global, output, |_| incidents::plan(verb)),
+        Verb::Retention(verb) => runtime.block_on(retention::run(Context::new(global, output)?, verb, output)),
         Verb::Witness(verb) => asked(runtime, global, output, |_| witnesses::plan(verb)),
         Verb::Audit(arguments) => asked(runtime, global, output, |context| plans::audit(context, &arguments)),
     }

@@ -15,7 +15,7 @@ use crate::service::reply::{
     CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceGatewaysView, DeviceRow,
     DeviceTopicsView, ExportedFile, GatewayStatusView, GrantRow, IdentityView, IncidentView, KeyChangeView, KeysView,
     OpenedView, PathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, Reply,
-    RingPullView, RobotGatewayView, TopicRow, TransactionView, WitnessView, WitnessesView,
+    RingPullView, RobotGatewayView, RobotRow, RobotView, TopicRow, TransactionView, WitnessView, WitnessesView,
 };
 use crate::service::{Client, Failure};
 use authros_output::Output;
@@ -124,6 +124,7 @@ documents! {
     IncidentView => incidents::incident;
     WitnessesView => witnesses::status;
     RingPullView => robots::pulled;
+    RobotView => robots::one;
 }
 
 rows! {
@@ -135,6 +136,7 @@ rows! {
     AdmittedView, "admitted" => gateway::admitted;
     IncidentView, "incidents" => incidents::all;
     WitnessView, "witnesses" => witnesses::all;
+    RobotRow, "robots" => robots::all;
 }
 
 impl Printed for () {

@@ -15,6 +15,7 @@ mod brick_the_chain_through_the_gateway;
 mod enrolled_robot;
 mod fill_the_audit_log;
 mod fill_the_pool;
+mod find_erased_bytes;
 mod forge_a_refusal;
 mod forged_evidence;
 mod freeze_the_contract_for_ever;

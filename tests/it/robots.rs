@@ -17,15 +17,15 @@ const UNWATCHED: &str = "/robot1/camera/compressed";
 const RING: &str = "6175746872696e67";
 
 /// A gateway in a home with the robot's owner.
-struct Site {
-    home: Home,
+pub struct Site {
+    pub home: Home,
     address: String,
     key: String,
     _serving: Running,
 }
 
 impl Site {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let (home, address) = (Home::new(), format!("127.0.0.1:{}", free_port()));
         let keeper = home.profile("keeper").with(&["--json"]);
         let mut serving = keeper.spawn(&["gateway", "serve", "--listen", &address]);
@@ -36,7 +36,7 @@ impl Site {
         Self { home, address, key, _serving: serving }
     }
 
-    fn owner(&self, name: &str) -> Authros {
+    pub fn owner(&self, name: &str) -> Authros {
         let owner = self.home.profile(name);
         owner.enrol();
         owner
@@ -44,13 +44,13 @@ impl Site {
 }
 
 /// A robot with a ring.
-struct Robot {
+pub struct Robot {
     home: Home,
     enrolment: String,
 }
 
 impl Robot {
-    fn enrol(site: &Site, owner: &Authros, name: &str, topics: &[&str]) -> Self {
+    pub fn enrol(site: &Site, owner: &Authros, name: &str, topics: &[&str]) -> Self {
         let home = Home::new();
         let enrolment = home.root().join("robot.enrolment").to_str().expect("UTF-8").to_owned();
         let mut arguments = vec!["agent", "enrol", "--gateway", &site.address, "--gateway-key", &site.key];
@@ -60,7 +60,7 @@ impl Robot {
         Self { home, enrolment }
     }
 
-    fn run(&self, keep: &str, topics: &str) -> Running {
+    pub fn run(&self, keep: &str, topics: &str) -> Running {
         let agent = self.home.authros().with(&["--json", "--robots", "1"]);
         let agent = agent.with_variable("AUTHROS_RING_KEEP", keep).with_variable("AUTHROS_RING_TOPICS", topics);
         agent.spawn(&["agent", "run", &self.enrolment])
@@ -68,7 +68,7 @@ impl Robot {
 }
 
 /// The newest document of a running agent that passes.
-fn when(agent: &Running, what: &str, test: impl Fn(&Value) -> bool) -> Value {
+pub fn when(agent: &Running, what: &str, test: impl Fn(&Value) -> bool) -> Value {
     wait_until(120, what, || {
         let newest = agent.stdout().lines().rev().find_map(|line| serde_json::from_str::<Value>(line).ok());
         newest.filter(|figures| test(figures))

@@ -12,6 +12,7 @@ mod lines;
 mod metrics;
 pub mod paths;
 mod read;
+mod robot_policy;
 mod site_file;
 mod source;
 #[cfg(test)]
@@ -30,6 +31,7 @@ pub use self::error::ConfigError;
 pub use self::metrics::{FiguresPlace, MetricsSettings};
 pub use self::read::without_password;
 use self::read::{Values, bytes, find, number, parsed, period, read_file, span, switch, url, value, wrong};
+pub use self::robot_policy::{RingWish, RobotPolicy};
 pub use self::site_file::{
     Decisions, Difference, Here, HomeSettings, KnownAccount, MOST_CONTACTS, Settings, SiteFile, Stays,
 };

@@ -34,6 +34,7 @@ pub mod private_file;
 pub mod provider;
 pub mod random;
 pub mod record;
+mod robot_policy;
 mod rustcrypto;
 pub mod sealed_stream;
 pub mod secret;
@@ -76,6 +77,7 @@ pub use record::{
     Anchor, Expected, OpenedRecord, SealRequest, SealedRecord, Unchecked, check, check_alone, check_deleted,
     check_many, open, seal,
 };
+pub use robot_policy::{LONGEST_POLICY, SignedPolicy};
 pub use rustcrypto::seal_by_crates;
 pub use secret::{
     EoaSecret, EpochKey, EpochSalt, FilterKey, Fingerprint, FingerprintError, IndexKey, Sm4Key, SmKeyPair, SmSecret,

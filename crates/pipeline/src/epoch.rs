@@ -154,6 +154,12 @@ pub fn tag_choice(index: &IndexKey, name: &str, value: &str, topics: &[TopicId])
     FilterChoice { id: tag_filter(index, name, value), by_topic: topics.iter().map(of_topic).collect() }
 }
 
+/// The ids by which records of a type are found: that from IK and, for each of `topics`, that from its filter key.
+pub fn type_choice(index: &IndexKey, type_name: &str, topics: &[TopicId]) -> FilterChoice {
+    let of_topic = |topic: &TopicId| (*topic, topic_filter_id(&filter_key(index, topic), "type", type_name));
+    FilterChoice { id: filter_id(index, "type", type_name), by_topic: topics.iter().map(of_topic).collect() }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -4,7 +4,7 @@ use crate::chain::ChainError;
 use crate::crypto::CryptoError;
 use crate::model::{Address, Digest, ErrorKind};
 use crate::ros::RosError;
-use crate::store::StoreError;
+use crate::store::{Retained, StoreError};
 
 use super::authority::NoRight;
 
@@ -67,6 +67,19 @@ pub enum PipelineError {
          signature and proof remain, its message does not"
     )]
     Deleted(String, Digest),
+    /// Somebody had a record's ciphertext erased.
+    #[error(
+        "record {id} was {erasure} (see retention record {report} on the chain); its header, signature and proof remain, \
+         its message does not"
+    )]
+    Erased {
+        /// The record.
+        id: String,
+        /// `erased`, when, by whom and why.
+        erasure: String,
+        /// The retention record that names it.
+        report: Digest,
+    },
     /// The keyring lacks the key of an epoch.
     #[error("the keyring has no key of epoch {0}; restore the newest keyring of this profile")]
     UnknownEpoch(u64),
@@ -112,6 +125,15 @@ pub enum PipelineError {
 }
 
 impl PipelineError {
+    /// That a record's ciphertext is gone, as its retention record says.
+    pub fn gone(id: &str, retained: Retained) -> Self {
+        let (id, report) = (id.to_owned(), retained.report);
+        match retained.erased {
+            Some(erasure) => Self::Erased { id, erasure: erasure.to_string(), report },
+            None => Self::Deleted(id, report),
+        }
+    }
+
     /// Determines the exit code.
     pub fn kind(&self) -> ErrorKind {
         match self {
@@ -127,7 +149,7 @@ impl PipelineError {
             Self::Missing(_) | Self::RowDiffers { .. } | Self::NotTakenIn { .. } | Self::NoRight { .. } => {
                 ErrorKind::Tampered
             }
-            Self::Deleted(..) => ErrorKind::Refused,
+            Self::Deleted(..) | Self::Erased { .. } => ErrorKind::Refused,
             Self::UnknownEpoch(_) | Self::Uncovered(_) => ErrorKind::Refused,
             Self::NotMined(_) | Self::Unsteady => ErrorKind::Incomplete,
         }

@@ -120,10 +120,16 @@ fn stored(
     let plant = reader.plant;
     let Some(record) = plant.vault.get(row.digest)? else {
         let gone: Option<Retained> = plant.ledger.retained(row.digest)?.filter(|retained| retained.anchored);
-        return Err(gone.map_or_else(
-            || PipelineError::Missing(row.id.clone()),
-            |retained| PipelineError::Deleted(row.id.clone(), retained.report),
-        ));
+        return match gone {
+            // What somebody had erased is no hole in the evidence that nobody explains: the rest is still evidence.
+            Some(Retained { erased: Some(erasure), report, .. }) => {
+                let text = "has no bytes in the bundle: it was";
+                notes.push(format!("record {} {text} {erasure}, as retention record {report} says", row.id));
+                Ok(None)
+            }
+            Some(retained) => Err(PipelineError::gone(&row.id, retained)),
+            None => Err(PipelineError::Missing(row.id.clone())),
+        };
     };
     let (header, _) = Header::parse(&record).map_err(crate::crypto::CryptoError::DamagedRecord)?;
     if let Some(field) = columns::header_difference(row, &header) {

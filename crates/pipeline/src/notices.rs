@@ -4,6 +4,7 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
@@ -11,7 +12,8 @@ use tokio::sync::watch;
 use tokio::task::block_in_place;
 
 use crate::crypto::{
-    Anchor, Expected, Fingerprint, GatewayAccess, IssuedKeys, Notice, Provider, SealedEnrolment, notice_topic, open,
+    Anchor, Expected, Fingerprint, GatewayAccess, IssuedKeys, Notice, Provider, SealedEnrolment, SignedPolicy,
+    notice_topic, open,
 };
 use crate::gateway::{Client, Entry, Fetched, GatewayError, Query, Selection};
 use crate::model::{Header, RecordKind, RecorderId, RingSpan, Timestamp, clean};
@@ -25,6 +27,15 @@ const LOOK: Duration = Duration::from_secs(300);
 /// Entries of one page.
 const PAGE: u16 = 100;
 
+/// Takes the policies that an owner sets for a robot, after their signer was checked with the record.
+pub trait PolicyTaker: Send + Sync {
+    /// Keeps a policy, or why it is refused; what was done, in words.
+    ///
+    /// # Errors
+    /// If that cannot be kept: the policy is heard again.
+    fn take(&self, policy: &SignedPolicy) -> Result<String, PipelineError>;
+}
+
 /// A robot's receiver for notices of its owner.
 pub struct Notices {
     provider: &'static dyn Provider,
@@ -37,6 +48,9 @@ pub struct Notices {
     gateways: watch::Sender<Vec<GatewayAccess>>,
     /// Notes what is asked of the ring, where this robot has one.
     ring: Option<Ledger>,
+    /// Whether it has one now.
+    has_ring: Arc<AtomicBool>,
+    policies: Option<Arc<dyn PolicyTaker>>,
     subscribed: bool,
     looked: Option<Instant>,
 }
@@ -51,7 +65,19 @@ impl Notices {
         kept: PathBuf,
     ) -> Self {
         let gateways = watch::channel(sealed.enrolment.gateways.clone()).0;
-        Self { provider, observer, author, sealed, kept, gateways, ring: None, subscribed: false, looked: None }
+        Self {
+            provider,
+            observer,
+            author,
+            sealed,
+            kept,
+            gateways,
+            ring: None,
+            has_ring: Arc::new(AtomicBool::new(true)),
+            policies: None,
+            subscribed: false,
+            looked: None,
+        }
     }
 
     /// The gateways to use, as the owner names them from now on.
@@ -63,6 +89,18 @@ impl Notices {
     #[must_use]
     pub fn with_ring(self, ledger: Ledger) -> Self {
         Self { ring: Some(ledger), ..self }
+    }
+
+    /// The same for a robot whose ring comes and goes with its policy.
+    #[must_use]
+    pub fn with_ring_while(self, ledger: Ledger, has_ring: &Arc<AtomicBool>) -> Self {
+        Self { has_ring: Arc::clone(has_ring), ..self.with_ring(ledger) }
+    }
+
+    /// The same for a robot that takes policies; to another one they are of an unknown kind.
+    #[must_use]
+    pub fn with_policies(self, taker: Arc<dyn PolicyTaker>) -> Self {
+        Self { policies: Some(taker), ..self }
     }
 
     fn selection(&self) -> Selection {
@@ -153,7 +191,8 @@ impl Notices {
                 list.check(&enrolment.domain, &enrolment.owner, &enrolment.device_id())?;
                 true
             }
-            Notice::Pull(_) | Notice::Unknown(_) => true,
+            // A policy is checked by whoever takes it: its refusal is to reach the owner.
+            Notice::Pull(_) | Notice::Policy(_) | Notice::Unknown(_) => true,
         };
         if !fits || opened.header.kind != RecordKind::Key {
             return Err(PipelineError::Refused("it is not a notice to a robot".to_owned()));
@@ -191,7 +230,17 @@ impl Notices {
                 enrolment.gateways.clone_from(&gateways);
                 told
             }
-            Notice::Pull(span) => asked(self.ring.as_ref(), header.seq, &span)?,
+            Notice::Pull(span) => {
+                let ring = self.ring.as_ref().filter(|_| self.has_ring.load(Ordering::Acquire));
+                asked(ring, header.seq, &span)?
+            }
+            Notice::Policy(policy) => {
+                let Some(taker) = &self.policies else {
+                    self.observer.alert(true, "the owner sets a policy, which this robot does not take".to_owned());
+                    return Ok(());
+                };
+                block_in_place(|| taker.take(&policy))?
+            }
             Notice::Unknown(kind) => {
                 let text = format!("the owner sent a notice of unknown kind {kind}; update this program");
                 self.observer.alert(true, text);

@@ -119,7 +119,7 @@ impl Reader<'_> {
         self.authorise(row)?;
         let Some(blob) = self.blob(row)? else {
             let given_up = self.given_up(row)?;
-            let why = given_up.map(|retained| PipelineError::Deleted(row.id.clone(), retained.report));
+            let why = given_up.map(|retained| PipelineError::gone(&row.id, retained));
             return Err(why.unwrap_or_else(|| PipelineError::Missing(row.id.clone())));
         };
         self.open_bytes(row, &blob).await

@@ -77,7 +77,7 @@ pub struct Recorder {
     simulated: RwLock<Vec<String>>,
     observer: Arc<dyn Observer>,
     pins: Option<Arc<Pins>>,
-    rules: TopicRules,
+    rules: RwLock<TopicRules>,
     /// Messages left out by the topics' rules, or of another type than requested.
     left_out: Mutex<HashMap<String, u64>>,
     /// Publishers of another type than requested, by their number and topic, already reported.
@@ -96,7 +96,7 @@ impl Recorder {
             simulated: RwLock::default(),
             observer,
             pins: None,
-            rules: TopicRules::default(),
+            rules: RwLock::default(),
             left_out: Mutex::default(),
             mismatched: Mutex::default(),
         }
@@ -104,7 +104,21 @@ impl Recorder {
 
     /// Messages are taken according to the rules of their topics.
     pub fn with_rules(self, rules: TopicRules) -> Self {
-        Self { rules, ..self }
+        Self { rules: RwLock::new(rules), ..self }
+    }
+
+    /// From now on messages are taken according to these rules, also of topics that are wanted already.
+    pub fn set_rules(&self, rules: TopicRules) {
+        let mut interests = self.interests.write().unwrap_or_else(PoisonError::into_inner);
+        for (topic, list) in interests.iter_mut() {
+            let rule = rules.of(topic);
+            for interest in list.iter_mut().filter(|interest| interest.rule.as_ref() != rule) {
+                interest.rule = rule.cloned();
+                interest.sampler = Mutex::default();
+            }
+        }
+        // While the interests are locked: a topic that is wanted next gets these.
+        *self.rules.write().unwrap_or_else(PoisonError::into_inner) = rules;
     }
 
     /// Messages of publishers that are not pinned are quarantined.
@@ -137,7 +151,7 @@ impl Recorder {
         let mut interests = self.interests.write().unwrap_or_else(PoisonError::into_inner);
         let list = interests.entry(topic.to_owned()).or_default();
         if !list.iter().any(|interest| interest.author.address == author.address) {
-            let rule = self.rules.of(topic).cloned();
+            let rule = self.rules.read().unwrap_or_else(PoisonError::into_inner).of(topic).cloned();
             let (author, sampler) = (Arc::clone(author), Mutex::default());
             list.push(Interest {
                 author,

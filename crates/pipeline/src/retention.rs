@@ -1,6 +1,7 @@
 //! Retention: ciphertext that no rule keeps any longer is named in a signed record, and deleted when that record is
 //! confirmed on the chain. A function of the ledger: called again, it does what is left.
 
+pub mod erasing;
 mod held;
 
 use std::collections::HashMap;
@@ -64,6 +65,9 @@ impl Retention {
         let incidents = plant.ledger.incidents(owner.address)?;
         for topic in plant.ledger.kept_topics(owner.address)? {
             self.hold((owner.address, topic.key), Held::of(&topic.name, &incidents));
+            if !topic.is_named() {
+                continue;
+            }
             let Some(rule) = self.rules.of(&topic.name) else { continue };
             let named = self.name(plant, owner, &topic, &rule)?;
             done.named.extend((named > 0).then_some((topic.name, named)));
@@ -205,13 +209,21 @@ fn report(
     Ok(true)
 }
 
-/// Deletes records named in anchored retention records.
-fn delete(plant: &Plant, owner: &Owner) -> Result<u64, PipelineError> {
+/// Deletes records named in anchored retention records; returns how many. One caller at a time.
+///
+/// # Errors
+/// Errors of vault and ledger; called again, it does what is left.
+pub fn delete(plant: &Plant, owner: &Owner) -> Result<u64, PipelineError> {
     let digests = plant.ledger.to_delete(owner.address, ROUND)?;
     if digests.is_empty() {
         return Ok(0);
     }
     // The local copies first: otherwise the vault would be refilled from them.
+    let erased = plant.ledger.erased_among(&digests)?;
+    if !erased.is_empty() {
+        plant.ledger.scour_local_copies(&erased)?;
+        plant.vault.scour(&erased)?;
+    }
     plant.ledger.drop_local_copies(&digests)?;
     plant.vault.discard(&digests)?;
     plant.ledger.deleted(&digests)?;

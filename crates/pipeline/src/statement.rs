@@ -3,7 +3,7 @@
 
 use crate::crypto::{SealRequest, SmKeyPair, TopicKey, seal};
 use crate::model::head::Compression;
-use crate::model::{Address, Digest, Domain, Head, RecordKind, Timestamp, TopicId};
+use crate::model::{Address, Digest, Domain, FilterId, Head, RecordKind, Timestamp, TopicId};
 use crate::store::{NewRecord, StoreError};
 
 use super::epoch::EpochKeys;
@@ -48,6 +48,32 @@ pub fn state(
     })
 }
 
+/// The same with the id of its type in the header, by which it is found without its key.
+///
+/// # Errors
+/// Errors of vault and ledger; nothing is acknowledged then.
+pub fn state_to_be_found(
+    plant: &Plant,
+    owner: Address,
+    keys: &EpochKeys,
+    statement: Statement<'_>,
+) -> Result<Option<Digest>, PipelineError> {
+    let Some(topic) = keys.topic(statement.topic) else { return Ok(None) };
+    let filters = topic.filters(statement.type_name, &std::collections::BTreeMap::new());
+    let speaker = Speaker {
+        domain: keys.domain,
+        owner,
+        signing: &keys.signing,
+        epoch: keys.epoch,
+        topic_id: topic.id,
+        topic_key: &topic.key,
+    };
+    put_filtered(plant, &speaker, statement, filters, |row| {
+        let digest = row.digest;
+        plant.ledger.append(vec![row]).map(|()| Some(digest))
+    })
+}
+
 /// The owner and keys of a statement.
 pub struct Speaker<'a> {
     /// The network.
@@ -74,6 +100,16 @@ pub fn put<T>(
     statement: Statement<'_>,
     acknowledge: impl FnOnce(NewRecord) -> Result<T, StoreError>,
 ) -> Result<T, PipelineError> {
+    put_filtered(plant, speaker, statement, Vec::new(), acknowledge)
+}
+
+fn put_filtered<T>(
+    plant: &Plant,
+    speaker: &Speaker<'_>,
+    statement: Statement<'_>,
+    filters: Vec<FilterId>,
+    acknowledge: impl FnOnce(NewRecord) -> Result<T, StoreError>,
+) -> Result<T, PipelineError> {
     let Statement { kind, topic, type_name, body } = statement;
     let Speaker { domain, owner, signing, epoch, topic_id, topic_key } = *speaker;
     let seq = plant.ledger.next_seq(owner, topic_id)?;
@@ -88,7 +124,7 @@ pub fn put<T>(
         seq,
         topic_id,
         kind,
-        filters: Vec::new(),
+        filters,
         captured_at: Timestamp::now(),
         head: &head,
         body,

@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 
 pub use self::administration::Administration;
 pub use self::ask::Ask;
-pub use self::check::{AuditRecords, BackUp, ListAllUploads, StoreCommand};
+pub use self::check::{AuditRecords, BackUp, EraseRecords, ErasureWishes, ListAllUploads, StoreCommand};
 pub use self::choices::{Epochs, Held, KeyKind, PairKind, UploadQuery};
 pub use self::evidence::EvidenceWishes;
 pub use self::filter::Term;
@@ -33,7 +33,7 @@ pub use self::operate::{
 };
 pub use self::playing::{Pace, PlayWishes, Remap};
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
-pub use self::robots::{PullRing, RobotCommand};
+pub use self::robots::{ListRobots, PullRing, RobotCommand, SetRobotPolicy, ShowRobot};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
 pub use self::witnesses::{AddWitness, AskWitnesses, ListWitnesses, RemoveWitness, WitnessCommand, WitnessStatus};

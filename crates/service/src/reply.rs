@@ -24,7 +24,9 @@ use serde::{Deserialize, Serialize};
 pub use self::alerts::{AlertTestView, AlertView, AlertsView, EndedAlert, Severity};
 pub use self::audit::{AuditCheck, AuditView};
 pub use self::chain::{ChainView, DeployedView, GasView, GatewayView, ServedView};
-pub use self::check::{BackupView, CheckStatus, DoctorCheck, DoctorView, FindingKind, RecordAudit, RecordFinding};
+pub use self::check::{
+    BackupView, CheckStatus, DoctorCheck, DoctorView, ErasureView, FindingKind, RecordAudit, RecordFinding,
+};
 pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
 pub use self::identity::{
     DeviceGatewaysView, DeviceTopicsView, EnrolledView, EpochView, IdentityView, KeyChangeView, KeysView,
@@ -45,7 +47,7 @@ pub use self::records::{
     Caveat, CheckView, EvidenceView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView, ShownState,
     StampView, StampedView,
 };
-pub use self::robots::RingPullView;
+pub use self::robots::{RingPullView, RobotRow, RobotTopicRow, RobotView};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, CoveragePart, CoverageView, HeldUp, TopicRow, TopicSummary, WatchView};
@@ -208,6 +210,8 @@ replies! {
     RecordsAudited(Box<RecordAudit>);
     /// To `BackUp`.
     BackedUp(BackupView);
+    /// To `EraseRecords`.
+    Erased(ErasureView);
     /// To `VerifyAudit`.
     AuditChecked(AuditCheck);
     /// To `OpenIncident`, `ShowIncident`, `NoteIncident` and `CloseIncident`.
@@ -222,4 +226,8 @@ replies! {
     WitnessAnswers(WitnessAnswers);
     /// To `PullRing`.
     RingPull(RingPullView);
+    /// To `ListRobots`.
+    Robots(Vec<RobotRow>);
+    /// To `ShowRobot` and `SetRobotPolicy`.
+    Robot(RobotView);
 }

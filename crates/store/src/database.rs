@@ -22,6 +22,8 @@ const SHORT_LOG: i64 = 1_000;
 /// The same when the disk has plenty of room. When records of many topics alternate, the same pages change in every
 /// commit: the later the checkpoint, the fewer are written twice.
 const LONG_LOG: i64 = 4_000;
+/// Deleted cells of a page are overwritten; pages that become free are only freed.
+const CELLS: &str = "FAST";
 /// How much room counts as plenty, bytes: far more than both logs and the reserve for a full disk.
 const PLENTY: u64 = 1024 * 1024 * 1024;
 
@@ -44,6 +46,8 @@ pub(super) fn open_writer(path: &Path, schema: &Schema) -> Result<Connection, St
     files::sync_directory(directory).map_err(|error| StoreError::home(path, &error))?;
     check_version(path, schema)?;
     let mut connection = connect(path)?;
+    // What is deleted in a page that is written anyway costs nothing to overwrite.
+    connection.pragma_update(None, "secure_delete", CELLS).map_err(|error| StoreError::from(error).in_file(path))?;
     migrate(&mut connection, path, schema).map_err(|error| error.in_file(path))?;
     Ok(connection)
 }
@@ -83,6 +87,37 @@ pub(super) fn check_version(path: &Path, schema: &Schema) -> Result<(), StoreErr
 pub(super) fn settle(connection: &Connection) {
     drop(connection.busy_timeout(LAST_WAIT));
     drop(connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(())));
+}
+
+/// Does `work` so that what it deletes is overwritten with zeros, not only freed.
+///
+/// # Errors
+/// Those of `work`.
+pub(super) fn overwriting<T>(
+    connection: &Connection,
+    work: impl FnOnce(&Connection) -> Result<T, StoreError>,
+) -> Result<T, StoreError> {
+    connection.pragma_update(None, "secure_delete", "ON")?;
+    let done = work(connection);
+    connection.pragma_update(None, "secure_delete", CELLS)?;
+    done
+}
+
+/// Works the log of a file into it and empties the log, so that nothing deleted stays in there.
+///
+/// # Errors
+/// [`StoreError::Database`] while somebody reads an earlier state; it can be tried again.
+pub(super) fn empty_log(path: &Path) -> Result<(), StoreError> {
+    let busy = || StoreError::Database {
+        file: path.to_owned(),
+        detail: "its log is being read, so what was erased is \
+                                                                       still in there; it is tried again"
+            .to_owned(),
+    };
+    let left: i64 = connect(path)?
+        .query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |row| row.get(0))
+        .map_err(|error| StoreError::from(error).in_file(path))?;
+    if left == 0 { Ok(()) } else { Err(busy()) }
 }
 
 /// How long a file's log may get; depends on the room on its disk.

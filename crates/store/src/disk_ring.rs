@@ -113,6 +113,16 @@ impl DiskRing {
         Ok(ring)
     }
 
+    /// How much it keeps from now on; what is too much falls out.
+    ///
+    /// # Errors
+    /// [`StoreError::Home`] if a file cannot be removed.
+    pub fn set_limits(&mut self, limits: RingLimits) -> Result<(), StoreError> {
+        self.limits = limits;
+        self.tend(Timestamp::now())?;
+        self.make_room(0)
+    }
+
     /// The recorder of what is added.
     pub fn recorder(&self) -> RecorderId {
         self.recorder

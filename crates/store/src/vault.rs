@@ -104,6 +104,15 @@ pub trait Vault: Send + Sync {
         digests.iter().try_for_each(|digest| self.delete(*digest).map(|_| ()))
     }
 
+    /// Deletes several records so that their bytes are overwritten as far as this program reaches: a server may have
+    /// them in its own files for a while.
+    ///
+    /// # Errors
+    /// See [`Vault::delete`]; then it is to be done again.
+    fn scour(&self, digests: &[Digest]) -> Result<(), StoreError> {
+        self.discard(digests)
+    }
+
     /// The process is ending: what waits beside a file is written into it, so that the next process finds it at rest.
     fn close(&self) {}
 

@@ -1,11 +1,11 @@
 //! The content of an owner's notice to a device. The first byte is the kind: 0 for keys (whose first field, an epoch,
-//! is far below 2^56), 1 for another P_C of the owner, 2 for its gateways, 3 for a span of the device's ring; further
-//! kinds take the next numbers.
+//! is far below 2^56), 1 for another P_C of the owner, 2 for its gateways, 3 for a span of the device's ring, 4 for its
+//! policy; further kinds take the next numbers.
 
 use zeroize::Zeroizing;
 
 use super::IssuedKeys;
-use crate::crypto::{GatewayList, OwnerKeyChange};
+use crate::crypto::{GatewayList, OwnerKeyChange, SignedPolicy};
 use crate::model::RingSpan;
 use crate::model::wire::WireError;
 
@@ -20,6 +20,8 @@ pub enum Notice {
     Gateways(GatewayList),
     /// A span of its ring is to be sent like other records.
     Pull(RingSpan),
+    /// The policy to work by from now on.
+    Policy(SignedPolicy),
     /// A kind that this version does not know, by its number; it is ignored.
     Unknown(u8),
 }
@@ -33,6 +35,8 @@ impl Notice {
     const GATEWAYS: u8 = 2;
     /// The kind of [`Self::Pull`].
     const PULL: u8 = 3;
+    /// The kind of [`Self::Policy`].
+    const POLICY: u8 = 4;
 
     /// Its encoding, the body of the record.
     pub fn encode(&self) -> Zeroizing<Vec<u8>> {
@@ -47,6 +51,7 @@ impl Notice {
                 out
             }
             Self::Pull(span) => Zeroizing::new([&[Self::PULL], &span.encode()[..]].concat()),
+            Self::Policy(policy) => Zeroizing::new([&[Self::POLICY], &policy.encode()[..]].concat()),
             Self::Unknown(kind) => Zeroizing::new(vec![*kind]),
         }
     }
@@ -61,6 +66,7 @@ impl Notice {
             Some((&Self::OWNER_KEY, change)) => OwnerKeyChange::parse(change).map(Self::OwnerKey),
             Some((&Self::GATEWAYS, list)) => GatewayList::parse(list).map(Self::Gateways),
             Some((&Self::PULL, span)) => RingSpan::parse(span).map(Self::Pull),
+            Some((&Self::POLICY, policy)) => SignedPolicy::parse(policy).map(Self::Policy),
             Some((kind, _)) => Ok(Self::Unknown(*kind)),
         }
     }

@@ -1,15 +1,15 @@
-//! Commands about the store as a whole: audit of records, backup.
+//! Commands about the store as a whole: audit of records, backup, erasing.
 
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
 use super::{Ask, Command, SecretText, UploadQuery};
-use crate::model::Timestamp;
-use crate::service::reply::{BackupView, RecordAudit, RecordPage};
+use crate::model::{Timestamp, TopicName};
+use crate::service::reply::{BackupView, ErasureView, RecordAudit, RecordPage};
 
 requests! {
-    /// Work on the whole store; needs no keyring.
+    /// Work on the whole store; only erasing needs the keyring.
     #[serde(rename_all = "snake_case", tag = "of_store")]
     enum StoreCommand by Command::OfStore;
     /// Compare all records with their proofs and the chain.
@@ -29,4 +29,28 @@ requests! {
         /// Protects the backup.
         passphrase: SecretText,
     } => BackupView;
+    /// Show which records would be erased, or erase them; needs the keyring.
+    EraseRecords(wishes: ErasureWishes) => ErasureView;
+}
+
+/// What is to be erased, and why.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ErasureWishes {
+    /// Messages of this topic.
+    #[serde(default)]
+    pub topic: Option<TopicName>,
+    /// Captured at this time or later.
+    #[serde(default)]
+    pub since: Option<Timestamp>,
+    /// Captured before this time.
+    #[serde(default)]
+    pub until: Option<Timestamp>,
+    /// These records, by the beginnings of their digests; then nothing else decides.
+    #[serde(default)]
+    pub records: Vec<String>,
+    /// Why; kept with who and when.
+    pub reason: String,
+    /// Do it; else it is only shown.
+    #[serde(default)]
+    pub sure: bool,
 }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Ask, Command};
 use crate::model::{IncidentName, Timestamp, TopicPattern};
-use crate::service::reply::RingPullView;
+use crate::service::reply::{RingPullView, RobotRow, RobotView};
 
 requests! {
     /// One of these; needs the keyring.
@@ -27,4 +27,18 @@ requests! {
         #[serde(default)]
         incident: Option<IncidentName>,
     } => RingPullView;
+    /// The enrolled robots, each with the policy wanted and the one it works by.
+    ListRobots => Vec<RobotRow>;
+    /// One robot with its policy, topics and losses.
+    ShowRobot {
+        /// Its name, or the beginning of its device's id.
+        name: String,
+    } => RobotView;
+    /// Set the policy of a robot.
+    SetRobotPolicy {
+        /// Its name, or the beginning of its device's id.
+        name: String,
+        /// The policy, as TOML; empty = the robot's own settings alone.
+        text: String,
+    } => RobotView;
 }

@@ -52,3 +52,30 @@ pub struct DoctorView {
     /// The findings.
     pub checks: Vec<DoctorCheck>,
 }
+
+/// What erasing would take, or took.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct ErasureView {
+    /// Messages that can be erased.
+    pub records: u64,
+    /// Their bytes.
+    pub bytes: u64,
+    /// Their topics. Cleaned.
+    pub topics: Vec<String>,
+    /// Chosen, but not verified yet: they stay for now.
+    pub waiting: u64,
+    /// Chosen, and deleted or erased earlier.
+    pub gone: u64,
+    /// Chosen, but quarantined, discarded or altered: they stay.
+    pub other: u64,
+    /// Incidents that hold some of them: nothing is erased while they do.
+    pub held: Vec<String>,
+    /// Named in signed retention records; 0 = it was only shown.
+    pub named: u64,
+    /// Not named, because their bytes are missing or altered.
+    pub missing: u64,
+    /// Whether the bytes of those named are gone; otherwise they go when the retention records are confirmed.
+    pub deleted: bool,
+    /// What erasing does not reach, in words.
+    pub stays: Vec<String>,
+}

@@ -49,6 +49,9 @@ pub struct RecordView {
     /// The field in which they differ: the record's own value is then shown, and it is `tampered`.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub differs: Option<String>,
+    /// Who had it erased, when and why, in words; none for what a rule deleted.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub erased: Option<String>,
 }
 
 /// A page of records.

@@ -1,15 +1,18 @@
 //! The agent: a site without a chain, on a robot or its host. It captures in its owner's name, within its enrolment,
 //! and forwards everything to one of its gateways.
 
+mod policy;
 mod ring;
 
 use std::collections::HashSet;
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use serde::Serialize;
 use tokio::task::{JoinHandle, block_in_place};
 
+use self::policy::{AgentPolicy, PolicyFigures, warn_of_key};
 use self::ring::AgentRing;
 
 use super::Site;
@@ -69,6 +72,9 @@ pub struct AgentFigures {
     /// What it keeps of topics that nobody watches, if it keeps a ring.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ring: Option<RingFigures>,
+    /// The policy that its owner set, if there ever was one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub policy: Option<PolicyFigures>,
 }
 
 /// Why an agent's work is over.
@@ -91,6 +97,7 @@ pub struct Agent {
     sessions: Vec<Arc<CaptureSession>>,
     topics: Vec<String>,
     ring: Option<AgentRing>,
+    policy: AgentPolicy,
     wishes: AgentWishes,
     length: Option<Duration>,
     link: tokio::sync::watch::Receiver<Link>,
@@ -116,31 +123,30 @@ impl Agent {
         let kept = SealedEnrolment::kept_in(site.parts.home.root());
         sealed.catch_up(&kept)?;
         let enrolment = &sealed.enrolment;
-        let ring = site.parts.config.ring.as_ref().map(|ring| &ring.topics);
-        let topics = topics(enrolment, &wishes.topics, ring)?;
+        let mut policy = block_in_place(|| AgentPolicy::open(&site.plant.ledger, enrolment))?;
+        policy.rule(site, &wishes);
+        let ring = policy.ring(&site.parts.config);
+        let topics = match policy.watched() {
+            Some(watched) => watched,
+            None => topics(enrolment, &wishes.topics, ring.as_ref().map(|ring| &ring.topics))?,
+        };
         site.parts.log.write(&enrolment.name, "agent", &enrolment.device_id().to_string(), "begun").await?;
         let author = Arc::new(Author::new(enrolment.owner));
         author.obey(enrolment);
         let (name, forwarder) = (enrolment.name.clone(), block_in_place(|| forwarder(site, enrolment))?);
         let (provider, observer) = (site.plant.provider, Arc::clone(&site.plant.observer));
-        let mut notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept);
-        let mut ring = AgentRing::begin(site, &author)?;
-        if ring.is_some() {
-            notices = notices.with_ring(site.plant.ledger.clone());
-        }
+        let notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept);
+        let mut ring = ring.map(|ring| AgentRing::begin(site, &author, ring)).transpose()?;
+        policy.has_ring.store(ring.is_some(), Ordering::Release);
+        let notices = notices.with_ring_while(site.plant.ledger.clone(), &policy.has_ring);
+        let notices = notices.with_policies(Arc::clone(&policy.keeper) as _);
         let told = notices.gateways();
         let forwarder = forwarder.with_errand(Box::new(notices)).following(told);
         let before = block_in_place(|| site.plant.ledger.counts(None))?.acknowledged;
         let session = Arc::new(CaptureSession::unfollowed(&topics, wishes.count, wishes.tags.clone()));
         for topic in &topics {
             site.recorder.join(topic, &author, None, &session);
-            if author.sealing().is_some_and(|keys| keys.topic(topic).is_none()) {
-                let text = format!(
-                    "there is no key for topic {topic}: its messages are dropped and counted until the owner adds it \
-                     with `authros devices topics add {name} {topic}`"
-                );
-                site.parts.hub.notice(NoticeLevel::Warning, &text);
-            }
+            warn_of_key(site, &author, &name, topic);
         }
         if let Some(ring) = &mut ring {
             ring.follow(site, &author, &topics);
@@ -159,6 +165,7 @@ impl Agent {
             sessions,
             topics,
             ring,
+            policy,
             wishes,
             length,
             link,
@@ -209,6 +216,7 @@ impl Agent {
             }
             looks = looks.wrapping_add(1);
             self.warn_of_epoch();
+            self.follow_policy();
             self.follow_topics();
             if let Some(ring) = &mut self.ring {
                 ring.follow(&self.site, &self.author, &self.topics);
@@ -238,7 +246,8 @@ impl Agent {
 
     /// Captures what the owner has added since, if the enrolment decides what is captured.
     fn follow_topics(&mut self) {
-        if !self.wishes.topics.is_empty() || self.sessions.iter().all(|session| session.is_closed()) {
+        let is_chosen = !self.wishes.topics.is_empty() || self.policy.watched().is_some();
+        if is_chosen || self.sessions.iter().all(|session| session.is_closed()) {
             return;
         }
         let covered = self.author.sealing().and_then(|keys| keys.names()).unwrap_or_default();
@@ -247,12 +256,7 @@ impl Agent {
             if is_for_ring || self.topics.contains(&topic) {
                 continue;
             }
-            let (topics, tags) = ([topic.clone()], self.wishes.tags.clone());
-            let session = Arc::new(CaptureSession::unfollowed(&topics, self.wishes.count, tags));
-            self.site.recorder.join(&topic, &self.author, None, &session);
-            self.sessions.push(session);
-            self.topics.push(topic);
-            self.site.ros.wishes_changed();
+            self.watch(&[topic]);
         }
     }
 
@@ -306,6 +310,7 @@ impl Agent {
                 Link::InPlace(text) | Link::Away(text) | Link::Refused(text) => clean(text, 300),
             },
             ring: self.ring.as_ref().map(AgentRing::figures),
+            policy: self.policy.figures(),
         }
     }
 

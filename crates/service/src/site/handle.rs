@@ -197,7 +197,11 @@ impl Site {
             Command::Operate(operation) => self.operate(&profile, operation).await,
             Command::OfWitness(command) => self.witnesses.answer(&profile, command).await,
             Command::OfIncident(command) => self.of_incident(&profile, command).await,
-            Command::OfRobot(command) => self.devices.answer(&owner()?, command).await,
+            Command::OfRobot(command) => {
+                // What robots recorded arrives without the names of its topics.
+                self.reading.learn_own_names(&profile).await?;
+                self.devices.answer(&owner()?, command).await
+            }
         }
     }
 
@@ -253,6 +257,11 @@ impl Site {
                 .map(Box::new)
                 .map(ask::AuditRecords::told),
             StoreCommand::ListAllUploads(query) => self.reading.list_all(query).await.map(ask::ListAllUploads::told),
+            StoreCommand::EraseRecords(wishes) => {
+                let owner = self.parts.owners.unlocked(profile)?;
+                self.reading.learn_own_names(profile).await?;
+                self.storage.erase(&owner, wishes).await.map(ask::EraseRecords::told)
+            }
             StoreCommand::BackUp { file, passphrase } => {
                 self.backup.back_up(profile, file, passphrase).await.map(ask::BackUp::told)
             }

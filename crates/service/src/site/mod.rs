@@ -251,7 +251,7 @@ impl Site {
             stamps,
             witnesses: Arc::new(Witnesses::new(of)),
             bridge: Arc::new(Bridge::new(of, &contacts, &ros)),
-            storage: Arc::new(Storage::new(of)),
+            storage: Arc::new(Storage::new(of, &reading)),
             clock: Arc::new(Clock::new(of)),
             alerts: Arc::new(Alerts::new(of)),
             plant,

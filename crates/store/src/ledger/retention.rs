@@ -4,8 +4,8 @@
 use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::append::{add, count};
-use super::rows::unsigned;
-use super::{Ledger, NewRecord, database::whole};
+use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
+use super::{Erasure, Ledger, NewRecord, database::whole};
 use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId};
 use crate::store::StoreError;
 
@@ -20,6 +20,13 @@ pub struct KeptTopic {
     pub name: String,
     /// Bytes of the messages whose ciphertext is still there.
     pub bytes: u64,
+}
+
+impl KeptTopic {
+    /// Whether its name is known here.
+    pub fn is_named(&self) -> bool {
+        self.name != super::RecordRow::unnamed(self.topic_id)
+    }
 }
 
 /// A record whose ciphertext could be deleted.
@@ -46,21 +53,24 @@ pub struct Retained {
     pub header: Vec<u8>,
     /// When its ciphertext was deleted.
     pub deleted_at: Option<Timestamp>,
+    /// Who had it erased, unless a rule did.
+    pub erased: Option<Erasure>,
 }
 
 impl Ledger {
-    /// The topics that an owner records and anchors here.
+    /// An owner's topics here: what the owner records, and what its robots bring to a gateway of this home. One whose name
+    /// is not known yet has its pseudonym in place of it, which no rule is about.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn kept_topics(&self, owner: Address) -> Result<Vec<KeptTopic>, StoreError> {
         self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT t.key, t.topic_id, t.name, max(0, coalesce(sum(c.bytes), 0) - coalesce(
+            let mut statement = connection.prepare_cached(&format!(
+                "SELECT t.key, t.topic_id, {TOPIC_NAME}, max(0, coalesce(sum(c.bytes), 0) - coalesce(
                      (SELECT r.bytes FROM retained_topics r WHERE r.topic = t.key), 0))
-                 FROM topics t JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key
-                 WHERE t.owner = ?1 AND t.keeper IS NULL AND s.kind = ?2 AND c.state <> ?3 GROUP BY t.key",
-            )?;
+                 FROM topics t JOIN streams s ON s.topic = t.key JOIN counters c ON c.stream = s.key {LEARNED_NAME}
+                 WHERE t.owner = ?1 AND s.kind = ?2 AND c.state <> ?3 GROUP BY t.key"
+            ))?;
             let values = params![owner.0, RecordKind::Data.code(), RecordState::Dropped.code()];
             let rows = statement.query_map(values, |row| {
                 Ok(KeptTopic {
@@ -150,16 +160,16 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn to_delete(&self, owner: Address, limit: usize) -> Result<Vec<Digest>, StoreError> {
         self.read(|connection| {
-            let mut statement = connection.prepare_cached(
+            let mut statement = connection.prepare_cached(&format!(
                 "SELECT one.digest FROM retained INDEXED BY retained_due CROSS JOIN records one ON one.n = record
-                 JOIN topics ON topics.key = one.topic JOIN records told ON told.digest = report
-                 WHERE retained.deleted_at IS NULL AND owner = ?1 AND told.state IN (?2, ?3)
-                 AND NOT EXISTS (SELECT 1 FROM incidents i WHERE i.owner = topics.owner
+                 JOIN topics t ON t.key = one.topic JOIN records told ON told.digest = report {LEARNED_NAME}
+                 WHERE retained.deleted_at IS NULL AND t.owner = ?1 AND told.state IN (?2, ?3)
+                 AND NOT EXISTS (SELECT 1 FROM incidents i WHERE i.owner = t.owner
                      AND one.captured_at >= i.since AND one.captured_at < coalesce(i.until, 9223372036854775807)
-                     AND (topics.name IN (SELECT topic FROM incident_topics WHERE incident = i.key)
+                     AND ({TOPIC_NAME} IN (SELECT topic FROM incident_topics WHERE incident = i.key)
                          OR NOT EXISTS (SELECT 1 FROM incident_topics WHERE incident = i.key)))
-                 ORDER BY record LIMIT ?4",
-            )?;
+                 ORDER BY record LIMIT ?4"
+            ))?;
             let (confirmed, verified) = (RecordState::Confirmed.code(), RecordState::Verified.code());
             let values = params![owner.0, confirmed, verified, i64::try_from(limit).unwrap_or(i64::MAX)];
             let rows = statement.query_map(values, |row| row.get(0).map(Digest))?;
@@ -197,7 +207,8 @@ impl Ledger {
         self.read(|connection| {
             let found = connection
                 .prepare_cached(
-                    "SELECT report, told.state IN (?2, ?3), header, retained.deleted_at FROM records one
+                    "SELECT report, told.state IN (?2, ?3), header, retained.deleted_at,
+                     (SELECT value FROM settings WHERE key = 'erased:' || lower(hex(report))) FROM records one
                      JOIN retained ON record = one.n JOIN records told ON told.digest = report WHERE one.digest = ?1",
                 )?
                 .query_row(params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()], |row| {
@@ -206,6 +217,7 @@ impl Ledger {
                         anchored: row.get(1)?,
                         header: row.get(2)?,
                         deleted_at: row.get::<_, Option<i64>>(3)?.map(|at| Timestamp(at.cast_unsigned())),
+                        erased: row.get::<_, Option<String>>(4)?.and_then(|text| Erasure::read(&text)),
                     })
                 })
                 .optional()?;
@@ -240,7 +252,7 @@ impl Ledger {
     }
 }
 
-fn name(connection: &Connection, digest: Digest, report: Digest, header: &[u8]) -> Result<(), StoreError> {
+pub(super) fn name(connection: &Connection, digest: Digest, report: Digest, header: &[u8]) -> Result<(), StoreError> {
     let named = connection
         .prepare_cached(
             "INSERT INTO retained (record, report, header) SELECT n, ?2, ?3 FROM records

@@ -4,6 +4,7 @@ mod adoption;
 mod ages;
 mod coverage;
 mod directory;
+mod erased;
 mod gaps;
 mod glance;
 mod groups;

@@ -130,6 +130,25 @@ impl Vault for EmbeddedVault {
         })
     }
 
+    fn scour(&self, digests: &[Digest]) -> Result<(), StoreError> {
+        if digests.is_empty() {
+            return Ok(());
+        }
+        self.on(&self.writer, |connection| {
+            database::overwriting(connection, |connection| {
+                let transaction = connection.unchecked_transaction()?;
+                for digest in digests {
+                    let mut statement = transaction.prepare_cached("DELETE FROM blobs WHERE digest = ?1")?;
+                    statement.execute([digest.0])?;
+                }
+                Ok(transaction.commit()?)
+            })
+        })?;
+        // Nobody reads through this vault meanwhile.
+        let _still = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
+        database::empty_log(&self.path)
+    }
+
     fn close(&self) {
         database::settle(&self.writer.lock().unwrap_or_else(PoisonError::into_inner));
     }

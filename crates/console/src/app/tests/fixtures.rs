@@ -186,6 +186,7 @@ pub fn record(number: u64, state: &str) -> RecordView {
         block: anchored.then_some(118),
         compared: crate::pipeline::columns::Compared::Head,
         differs: None,
+        erased: None,
     }
 }
 

@@ -3,12 +3,12 @@
 use super::*;
 use crate::crypto::{
     Enrolment, EoaSecret, EpochIssue, EpochKey, IndexKey, IssuedKeys, Notice, OwnerKeyChange, Passphrase, SealRequest,
-    SealedEnrolment, SealingKey, TopicKey, notice_topic, seal, signer_id, topic_id,
+    SealedEnrolment, SealingKey, SignedPolicy, TopicKey, notice_topic, seal, signer_id, topic_id,
 };
 use crate::gateway::{Entry, Fetched};
 use crate::model::head::Compression;
 use crate::model::{Head, RecorderId, RingSpan, SignerId, Timestamp, Token};
-use crate::pipeline::notices::Notices;
+use crate::pipeline::notices::{Notices, PolicyTaker};
 use crate::pipeline::{Author, disk_ring};
 
 fn issued(epoch: u64) -> IssuedKeys {
@@ -251,6 +251,51 @@ async fn an_old_notice_is_not_new_because_a_gateway_says_so() {
     assert_eq!((epoch(), waiting(), scene.notes.with("an old one")), (5, Vec::new(), 2));
     hear(notice(&scene, &scene.alice.signing, own, 10, 6), 10, 6);
     assert_eq!(epoch(), 6, "a new one is taken");
+}
+
+/// Notes the versions of the policies that reach it.
+#[derive(Default)]
+struct Noting(std::sync::Mutex<Vec<u64>>);
+
+impl PolicyTaker for Noting {
+    fn take(&self, policy: &SignedPolicy) -> Result<String, crate::pipeline::PipelineError> {
+        self.0.lock().expect("not poisoned").push(policy.version);
+        Ok(format!("policy {}", policy.version))
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn policies_come_from_the_owner_and_a_robot_that_takes_none_goes_on() {
+    for takes in [true, false] {
+        let scene = Scene::new().await;
+        let passphrase = Passphrase::new("correct horse".to_owned()).expect("long enough");
+        let sealed = SealedEnrolment::new(enrolment(&scene), &passphrase).expect("stretches");
+        let (kept, author) =
+            (SealedEnrolment::kept_in(scene.home.path()), Arc::new(Author::new(scene.alice.account())));
+        author.obey(&sealed.enrolment);
+        let (observer, taker) = (Arc::clone(&scene.plant.observer), Arc::new(Noting::default()));
+        let notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept);
+        let notices = if takes { notices.with_policies(Arc::clone(&taker) as _) } else { notices };
+        let mut forwarder = scene.forwarder().with_errand(Box::new(notices));
+        let stored = Arc::clone(&scene.stored);
+        let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
+        let own = signer_id(&scene.device.public);
+        let policy = |version| {
+            let signed = SignedPolicy::sign(&context().domain, &scene.alice.eoa, own, version, "").expect("signs");
+            Notice::Policy(signed)
+        };
+        let work = tokio::spawn(async move { forwarder.run(&stored).await });
+        // The robot's own key says nothing about it.
+        owner.upload(vec![record(&scene, &scene.device, own, (2, 1), &policy(7))]).await.expect("taken");
+        scene.until("passed over", |scene| scene.notes.with("ignored a notice") > 0).await;
+        owner.upload(vec![record(&scene, &scene.alice.signing, own, (3, 1), &policy(8))]).await.expect("receipt");
+        owner.upload(vec![notice(&scene, &scene.alice.signing, own, 4, 5)]).await.expect("receipt");
+        scene.until("what comes after it", |_| author.sealing().is_some_and(|keys| keys.epoch == 5)).await;
+        let heard = taker.0.lock().expect("not poisoned").clone();
+        assert_eq!(heard, if takes { vec![8] } else { Vec::new() });
+        assert_eq!(scene.notes.with("does not take"), usize::from(!takes));
+        work.abort();
+    }
 }
 
 #[test]

@@ -25,7 +25,8 @@ const LOOK: Duration = Duration::from_secs(1);
 pub(super) struct AgentRing {
     ring: SharedRing,
     pulls: Pulls,
-    patterns: TopicPatterns,
+    /// None = it is off; what is in it falls out by its age.
+    patterns: Option<TopicPatterns>,
     /// Topics that go into it.
     topics: BTreeSet<String>,
     looked: Option<Instant>,
@@ -34,23 +35,48 @@ pub(super) struct AgentRing {
 }
 
 impl AgentRing {
-    /// Opens the ring of this home, if the settings ask for one; from now on the sealer fills it.
+    /// Opens the ring of this home; from now on the sealer fills it.
     ///
     /// # Errors
     /// If its folder cannot be used.
-    pub fn begin(site: &Site, author: &Author) -> Result<Option<Self>, Failure> {
-        let Some(RingSettings { limits, topics }) = site.parts.config.ring.clone() else { return Ok(None) };
+    pub fn begin(site: &Site, author: &Author, settings: RingSettings) -> Result<Self, Failure> {
+        let RingSettings { limits, topics } = settings;
         let recorder = RecorderId::of_ring(random_bytes()?);
         let ring = block_in_place(|| DiskRing::open(&site.parts.home.ring(), limits, recorder))?;
         let ring: SharedRing = Arc::new(Mutex::new(ring));
         site.sealer.fill(&ring);
         let pulls = Pulls::new(site.plant.clone(), Arc::clone(&ring), author.address);
-        Ok(Some(Self { ring, pulls, patterns: topics, topics: BTreeSet::new(), looked: None, failed: false }))
+        Ok(Self { ring, pulls, patterns: Some(topics), topics: BTreeSet::new(), looked: None, failed: false })
+    }
+
+    /// From now on it keeps this, or nothing more.
+    ///
+    /// # Errors
+    /// If what is too much cannot be removed.
+    pub fn change(&mut self, site: &Site, author: &Arc<Author>, settings: Option<RingSettings>) -> Result<(), Failure> {
+        let (limits, patterns) = settings.map(|settings| (settings.limits, settings.topics)).unzip();
+        self.patterns = patterns;
+        let before = std::mem::take(&mut self.topics);
+        let (kept, gone): (BTreeSet<String>, BTreeSet<String>) =
+            before.into_iter().partition(|topic| self.takes(topic));
+        self.topics = kept;
+        gone.iter().for_each(|topic| site.recorder.keep_in_ring(topic, author, false));
+        self.looked = None;
+        if let Some(limits) = limits {
+            let mut ring = self.ring.lock().unwrap_or_else(PoisonError::into_inner);
+            block_in_place(|| ring.set_limits(limits))?;
+        }
+        Ok(())
+    }
+
+    /// Whether it is on.
+    pub fn is_on(&self) -> bool {
+        self.patterns.is_some()
     }
 
     /// Whether a topic is for the ring, unless it is watched.
     pub fn takes(&self, topic: &str) -> bool {
-        self.patterns.matches(topic)
+        self.patterns.as_ref().is_some_and(|patterns| patterns.matches(topic))
     }
 
     /// What falls out falls out, and topics that are new are taken in, unless they are watched.

@@ -354,7 +354,7 @@ impl<'a> Play<'a> {
     fn judge(&mut self, error: PipelineError) -> Result<Taken, Failure> {
         let follows = self.wishes.pace == Pace::Follow;
         match (&error, error.kind()) {
-            (PipelineError::Missing(_) | PipelineError::Deleted(..), _) => {
+            (PipelineError::Missing(_) | PipelineError::Deleted(..) | PipelineError::Erased { .. }, _) => {
                 self.missing += 1;
                 Ok(Taken::Done)
             }

@@ -5,6 +5,7 @@ pub(super) mod enrolled;
 pub(super) mod enrolling;
 #[cfg(test)]
 mod loan_tests;
+mod policies;
 pub(super) mod pulling;
 mod seat;
 mod telling;

@@ -36,6 +36,11 @@ impl Devices {
                 let span = span(since, until, topics)?;
                 self.pull(owner, &name, &span).await.map(ask::PullRing::told)
             }
+            RobotCommand::ListRobots => self.robot_rows(owner).await.map(ask::ListRobots::told),
+            RobotCommand::ShowRobot { name } => self.robot_view(owner, &name).await.map(ask::ShowRobot::told),
+            RobotCommand::SetRobotPolicy { name, text } => {
+                self.set_policy(owner, &name, text).await.map(ask::SetRobotPolicy::told)
+            }
         }
     }
 
@@ -67,7 +72,7 @@ impl Devices {
     }
 
     /// The lent robot that a person names.
-    fn robot(&self, network: &Network, owner: &Owner, name: &str) -> Result<Enrolled, Failure> {
+    pub(super) fn robot(&self, network: &Network, owner: &Owner, name: &str) -> Result<Enrolled, Failure> {
         let device = self.lent_device(network, owner, name)?;
         let known = self.enrolments.of(owner)?.into_iter().rfind(|robot| robot.device == device);
         known.ok_or_else(|| {

@@ -14,7 +14,7 @@ use crate::pipeline::epoch::tag_choice;
 use crate::pipeline::{Owner, PipelineError, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal};
-use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage};
+use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage, RecordView};
 use crate::site::blocking;
 use crate::site::incidents::narrowed;
 use crate::store::{BatchPlace, FilterChoice, RecordQuery, RecordRow};
@@ -40,7 +40,9 @@ impl Reading {
             Ok(ledger.list(&query)?)
         })
         .await?;
-        Ok(record_page(&self.compared(page.rows, &self.own_keys(), &filters)?, page.next, false))
+        let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &filters)?, page.next, false);
+        self.note_erased(&mut page.records)?;
+        Ok(page)
     }
 
     /// Records of all profiles of the home, each with its owner; needs no passphrase.
@@ -54,6 +56,7 @@ impl Reading {
         })
         .await?;
         let mut page = record_page(&self.compared(page.rows, &self.own_keys(), &[])?, page.next, true);
+        self.note_erased(&mut page.records)?;
         let names = self.contacts.names();
         for record in &mut page.records {
             record.owner_name = record.owner.and_then(|owner| names.get(&owner).cloned());
@@ -73,6 +76,16 @@ impl Reading {
             .map_or_else(|| self.owners.unlocked(profile).map(|owner| owner.index()), |owner| Ok(owner.index()))?;
         let topics = self.topics_of(self.owners.address_of(profile)?)?;
         Ok(tags.iter().map(|(name, value)| tag_choice(&index, name, value, &topics)).collect())
+    }
+
+    /// Says of records whose ciphertext is gone who had them erased, if somebody did.
+    pub(super) fn note_erased(&self, records: &mut [RecordView]) -> Result<(), Failure> {
+        let gone = ShownState::Verified(Caveat::Deleted);
+        for record in records.iter_mut().filter(|record| record.state == gone) {
+            let retained = block_in_place(|| self.plant.ledger.retained(record.digest))?;
+            record.erased = retained.and_then(|retained| retained.erased).map(|erasure| erasure.to_string());
+        }
+        Ok(())
     }
 
     /// The topics of which an owner has records here.
@@ -156,6 +169,7 @@ impl Reading {
         if let Some(retained) = blocking(self, move |reading| Ok(reading.plant.ledger.retained(digest)?)).await? {
             let done = retained.deleted_at.map_or("to be deleted".to_owned(), |at| format!("ciphertext deleted {at}"));
             steps.push(step("retention", format!("{done}; named in retention record {}", retained.report)));
+            steps.extend(retained.erased.map(|erasure| step("erased", erasure.to_string())));
         }
         steps.push(match (shown.differs, shown.state()) {
             (Some(field), state) => step(state.word(), altered(field)),
@@ -167,7 +181,9 @@ impl Reading {
                 step(row.state.word(), standing(row.state).to_owned())
             }
         });
-        Ok(Provenance { record: record_view(&shown, false), steps })
+        let mut record = record_view(&shown, false);
+        self.note_erased(std::slice::from_mut(&mut record))?;
+        Ok(Provenance { record, steps })
     }
 
     /// The files with which others check a record using openssl and a node; accounts are redacted in `proof.json`
@@ -188,7 +204,7 @@ impl Reading {
         let gone = blocking(self, move |reading| Ok(reading.plant.ledger.retained(digest)?)).await?;
         let gone = gone.filter(|retained| retained.anchored);
         let blob = blob.ok_or_else(|| match gone {
-            Some(retained) => PipelineError::Deleted(row.id.clone(), retained.report),
+            Some(retained) => PipelineError::gone(&row.id, retained),
             None => PipelineError::Missing(row.id.clone()),
         })?;
         let header = crate::model::Header::parse(&blob).ok().map(|(header, _)| header);

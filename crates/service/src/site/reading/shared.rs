@@ -74,7 +74,9 @@ impl Reading {
             let mut page = blocking(self, move |reading| Ok(reading.plant.ledger.list(&asked)?)).await?;
             page.rows.retain(|row| !is_held(row) && reader.topic_key(row).is_ok());
             if !page.rows.is_empty() || page.next.is_none() {
-                return Ok(record_page(&self.compared(page.rows, reader, filters)?, page.next, true));
+                let mut page = record_page(&self.compared(page.rows, reader, filters)?, page.next, true);
+                self.note_erased(&mut page.records)?;
+                return Ok(page);
             }
             query.after = page.next;
         }

@@ -78,6 +78,7 @@ pub(in crate::site) fn record_view(shown: &Shown, with_owner: bool) -> RecordVie
         block: row.block,
         compared: shown.compared,
         differs: shown.differs.map(str::to_owned),
+        erased: None,
     }
 }
 

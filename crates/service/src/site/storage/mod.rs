@@ -1,5 +1,6 @@
 //! Data on the disk: space for it, how long it is kept, and whether it is intact after a crash.
 
+mod erasing;
 mod integrity;
 mod retention;
 pub(super) mod room;
@@ -13,8 +14,10 @@ use crate::site::audit::Log;
 use crate::site::identity::owners::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
+use crate::site::reading::Reading;
 use crate::store::Reserve;
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 /// The disk under a site.
 pub(in crate::site) struct Storage {
@@ -27,11 +30,16 @@ pub(in crate::site) struct Storage {
     life: Arc<Lifetime>,
     /// Space for the states of records on a full disk.
     states: Reserve,
+    reading: Arc<Reading>,
+    /// Records are named one caller at a time.
+    naming: tokio::sync::Mutex<()>,
+    /// Whether named ciphertext may be left to delete.
+    has_named: AtomicBool,
 }
 
 impl Storage {
     /// From the shared parts.
-    pub fn new(parts: &Parts) -> Self {
+    pub fn new(parts: &Parts, reading: &Arc<Reading>) -> Self {
         let Parts { home, config, plant, hub, log, owners, life, .. } = parts.clone();
         Self {
             home,
@@ -42,6 +50,9 @@ impl Storage {
             owners,
             life,
             states: room::working_reserve(&parts.home, parts.config.disk_reserve),
+            reading: Arc::clone(reading),
+            naming: tokio::sync::Mutex::default(),
+            has_named: AtomicBool::new(true),
         }
     }
 }

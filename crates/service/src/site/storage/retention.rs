@@ -2,17 +2,20 @@
 
 use super::Storage;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use crate::model::Timestamp;
 use crate::pipeline::Owner;
-use crate::pipeline::retention::{Retention, Round};
+use crate::pipeline::retention::{self, Retention, Round};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
 use crate::site::blocking;
 
 /// Interval between looks.
 const LOOK: Duration = Duration::from_secs(1);
+/// Looks after which names are learned anew: what robots bring arrives without those that rules are about.
+const LEARN: u32 = 10;
 /// Local copies deleted at a time.
 const COPIES: usize = 1024;
 
@@ -20,25 +23,54 @@ impl Storage {
     /// Applies the rules until the site ends.
     pub(in crate::site) async fn keep_retention(self: Arc<Self>) {
         let keeping = self.config.keeping();
-        let mut retention = Some(Retention::new(keeping.clone()));
+        let (mut retention, mut looks) = (Some(Retention::new(keeping.clone())), 0u32);
         while !self.life.is_stopping() {
             if !self.life.beat(LOOK).await {
                 return;
             }
             self.drop_copies().await;
-            if keeping.is_empty() {
-                continue;
-            }
+            let learns = !keeping.is_empty() && looks.is_multiple_of(LEARN);
+            looks = looks.wrapping_add(1);
             for owner in self.owners.all() {
-                if let Err(failure) = self.apply(&owner, &mut retention).await {
+                if learns && let Err(failure) = self.reading.learn_own_names(&owner.profile).await {
+                    self.hub.notice(NoticeLevel::Warning, &failure.message);
+                }
+                let applied = match keeping.is_empty() {
+                    true => self.sweep(&owner).await,
+                    false => self.apply(&owner, &mut retention).await,
+                };
+                if let Err(failure) = applied {
                     let text = format!("retention of {} is waiting: {}", owner.profile, failure.message);
                     self.hub.notice(NoticeLevel::Error, &text);
                 }
             }
+            if let Err(failure) = self.look_for_named().await {
+                self.hub.notice(NoticeLevel::Warning, &failure.message);
+            }
         }
     }
 
+    /// Without rules only what a person had erased is left to delete, and mostly there is nothing.
+    async fn sweep(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<(), Failure> {
+        if !self.has_named.load(Ordering::Acquire) {
+            return Ok(());
+        }
+        let asked = Arc::clone(owner);
+        let deleted = blocking(self, move |storage| Ok(retention::delete(&storage.plant, &asked)?)).await?;
+        self.tell(owner, &Round { deleted, ..Round::default() }).await
+    }
+
+    async fn look_for_named(self: &Arc<Self>) -> Result<(), Failure> {
+        if self.has_named.load(Ordering::Acquire) {
+            let _one_at_a_time = self.naming.lock().await;
+            let left = blocking(self, |storage| Ok(storage.plant.ledger.has_named()?)).await?;
+            self.has_named.store(left, Ordering::Release);
+        }
+        Ok(())
+    }
+
     async fn apply(self: &Arc<Self>, owner: &Arc<Owner>, retention: &mut Option<Retention>) -> Result<(), Failure> {
+        let _one_at_a_time = self.naming.lock().await;
         let mut rules = retention.take().unwrap_or_else(|| Retention::new(self.config.keeping()));
         let asked = Arc::clone(owner);
         let (round, rules) = blocking(self, move |storage| {

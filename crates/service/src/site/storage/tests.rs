@@ -7,13 +7,16 @@ use std::time::Duration;
 use super::Storage;
 use crate::service::event::Event;
 use crate::service::reply::HealthLevel;
+use crate::site::contacts::Contacts;
+use crate::site::parts::Parts;
+use crate::site::reading::Reading;
 use crate::site::testing::Ground;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn below_the_reserve_no_record_is_taken_and_the_operator_is_told_why() {
     // No disk has as much left.
     let ground = Ground::with(&[("disk.reserve", "1000000GiB")]);
-    let storage = Arc::new(Storage::new(&ground.parts));
+    let storage = Arc::new(Storage::new(&ground.parts, &reading(&ground.parts)));
     assert!(storage.room_health().is_none() && ground.parts.plant.takes_records().is_ok());
     let mut events = ground.parts.hub.events().subscribe();
     let kept = tokio::spawn(Arc::clone(&storage).keep_room());
@@ -44,8 +47,12 @@ async fn after_an_unclean_end_it_is_told_whether_all_is_sound() {
     let (parts, _opened, _) = crate::site::parts::Parts::open(home, config, false).expect("opens");
     assert!(clean && !parts.plant.ledger.ended_cleanly());
     let mut events = parts.hub.events().subscribe();
-    Arc::new(Storage::new(&parts)).check_after_crash().await;
+    Arc::new(Storage::new(&parts, &reading(&parts))).check_after_crash().await;
     let told = tokio::time::timeout(Duration::from_secs(60), events.recv()).await.expect("soon").expect("a notice");
     assert!(matches!(told, Event::Notice { text, .. } if text.contains("ledger and vault are sound")));
     drop(folder);
+}
+
+fn reading(parts: &Parts) -> Arc<Reading> {
+    Arc::new(Reading::new(parts, &Arc::new(Contacts::new(parts))))
 }

@@ -1,0 +1,112 @@
+//! What a robot tells of the policy that its owner sets for it.
+
+use super::wire::{Reader, WireError, put_text};
+
+const LABEL: &[u8] = b"AuthROS/policy/1";
+/// The most differences named.
+const MOST: usize = 64;
+/// The longest text, bytes.
+const LONGEST: usize = 1024;
+
+/// A robot's word about its policy, sealed as a statement of its recorder: `label (16) || heard (8) || running (8) || 0, or 1 ||
+/// reason || count (1, at most 64) || differences`, a text being `length (2, at most 1,024) || UTF-8`.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct PolicyReport {
+    /// The newest version that it was told.
+    pub heard: u64,
+    /// The version that it works by; 0 = its own settings alone.
+    pub running: u64,
+    /// Why it did not take up what it was told last.
+    pub refused: Option<String>,
+    /// Where its own settings say something else, and the policy counts.
+    pub overruled: Vec<String>,
+}
+
+impl PolicyReport {
+    /// Takes the place of a message type.
+    pub const TYPE: &'static str = "authros/PolicyReport";
+
+    /// Encodes the bytes to be sealed; what is too long or too much is cut.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut out = [LABEL, &self.heard.to_be_bytes(), &self.running.to_be_bytes()].concat();
+        match &self.refused {
+            None => out.push(0),
+            Some(reason) => {
+                out.push(1);
+                put_text(&mut out, cut(reason));
+            }
+        }
+        let overruled = self.overruled.get(..MOST).unwrap_or(&self.overruled);
+        out.push(u8::try_from(overruled.len()).unwrap_or(0));
+        overruled.iter().for_each(|text| put_text(&mut out, cut(text)));
+        out
+    }
+
+    /// Parses a whole body.
+    ///
+    /// # Errors
+    /// [`WireError`] if the bytes are not exactly one.
+    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
+        let mut reader = Reader::new(bytes);
+        if reader.take(LABEL.len(), "label")? != LABEL {
+            return Err(WireError::Value("label"));
+        }
+        let (heard, running) = (reader.u64("heard")?, reader.u64("running")?);
+        let refused = match reader.u8("refused")? {
+            0 => None,
+            1 => Some(text(&mut reader)?),
+            _ => return Err(WireError::Value("refused")),
+        };
+        let count = usize::from(reader.u8("count")?);
+        if count > MOST {
+            return Err(WireError::Value("count"));
+        }
+        let mut overruled = Vec::with_capacity(count);
+        for _ in 0..count {
+            overruled.push(text(&mut reader)?);
+        }
+        reader.end()?;
+        Ok(Self { heard, running, refused, overruled })
+    }
+}
+
+fn cut(text: &str) -> &str {
+    &text[..text.floor_char_boundary(LONGEST)]
+}
+
+fn text(reader: &mut Reader<'_>) -> Result<String, WireError> {
+    reader.text("text").and_then(|text| if text.len() > LONGEST { Err(WireError::Value("text")) } else { Ok(text) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn what_is_too_long_is_cut_and_can_be_read() {
+        let report = PolicyReport {
+            refused: Some("ä".repeat(4000)),
+            overruled: vec!["x".repeat(2000); 100],
+            ..PolicyReport::default()
+        };
+        let read = PolicyReport::parse(&report.encode()).expect("it fits");
+        assert_eq!(read.refused.expect("a reason").len(), LONGEST);
+        assert_eq!((read.overruled.len(), read.overruled[0].len()), (MOST, LONGEST));
+    }
+
+    proptest! {
+        #[test]
+        fn round_trip_and_every_cut_is_refused(
+            heard: u64, running: u64, refused in proptest::option::of("[ -~]{0,40}"),
+            overruled in proptest::collection::vec("[ -~]{0,20}", 0..4), noise: Vec<u8>
+        ) {
+            let report = PolicyReport { heard, running, refused, overruled };
+            let bytes = report.encode();
+            prop_assert_eq!(PolicyReport::parse(&bytes), Ok(report));
+            prop_assert!((0..bytes.len()).all(|cut| PolicyReport::parse(&bytes[..cut]).is_err()));
+            prop_assert!(PolicyReport::parse(&[bytes, vec![0]].concat()).is_err());
+            let _ = PolicyReport::parse(&[LABEL, &noise].concat());
+        }
+    }
+}

@@ -1,0 +1,95 @@
+//! Erasing records that a person chose: named in signed retention records first, like what a rule gives up. When these
+//! are confirmed on the chain, the bytes are overwritten.
+
+use std::collections::BTreeMap;
+
+use crate::model::{Digest, RecordKind, RecordState, RecorderId, RetentionReport, TopicId};
+use crate::pipeline::statement::{self, Speaker, Statement};
+use crate::pipeline::{Owner, PipelineError, Plant};
+use crate::store::{Erasure, RecordRow};
+
+use super::{ROUND, TOPIC, TYPE, header_of, rolling};
+
+/// The longest reason, characters.
+pub const LONGEST_REASON: usize = 500;
+
+/// What became of the chosen records.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Erased {
+    /// Named: their bytes go when the retention records are confirmed.
+    pub named: u64,
+    /// Their bytes are not here, or altered: they stay as they are.
+    pub missing: u64,
+}
+
+/// Whether a record can be erased: an own message, verified, and not deleted yet.
+pub fn can_be(row: &RecordRow) -> bool {
+    row.kind == RecordKind::Data && row.state == RecordState::Verified && row.deleted_at.is_none()
+}
+
+/// Names these records of an owner, each of which [`can_be`] erased, as erased. One caller at a time.
+///
+/// # Errors
+/// [`PipelineError::Uncovered`] without keys to seal with, errors of sealing, vault and ledger; what was named stays so.
+pub fn name(plant: &Plant, owner: &Owner, rows: &[RecordRow], erasure: &Erasure) -> Result<Erased, PipelineError> {
+    let mut topics: BTreeMap<(TopicId, RecorderId), Vec<&RecordRow>> = BTreeMap::new();
+    for row in rows {
+        topics.entry((row.topic_id, row.recorder)).or_default().push(row);
+    }
+    let mut done = Erased::default();
+    for rows in topics.values().flat_map(|rows| rows.chunks(ROUND)) {
+        let mut whole = Vec::with_capacity(rows.len());
+        for row in rows {
+            if plant.ledger.retained(row.digest)?.is_some() {
+                continue;
+            }
+            match header_of(plant, row.digest)? {
+                Some(header) => whole.push((*row, header)),
+                None => done.missing += 1,
+            }
+        }
+        if !whole.is_empty() {
+            done.named += whole.len() as u64;
+            report(plant, owner, whole, erasure)?;
+        }
+    }
+    plant.observer.records_changed();
+    Ok(done)
+}
+
+/// Seals and stores the retention record of some records of one topic.
+fn report(
+    plant: &Plant,
+    owner: &Owner,
+    records: Vec<(&RecordRow, Vec<u8>)>,
+    erasure: &Erasure,
+) -> Result<(), PipelineError> {
+    let uncovered = || PipelineError::Uncovered(TOPIC.to_owned());
+    let keys = owner.sealing().ok_or_else(uncovered)?;
+    let place = keys.topic(TOPIC).ok_or_else(uncovered)?;
+    let Some((first, _)) = records.first() else { return Ok(()) };
+    let seqs = || records.iter().map(|(row, _)| row.seq);
+    let digests = records.iter().map(|(row, _)| row.digest);
+    let body = RetentionReport {
+        topic_id: first.topic_id,
+        topic: first.topic.clone(),
+        rule: erasure.to_string(),
+        first_seq: seqs().min().unwrap_or(0),
+        last_seq: seqs().max().unwrap_or(0),
+        count: records.len() as u64,
+        bytes: records.iter().map(|(row, _)| row.bytes).sum(),
+        rolling: rolling(plant, &keys.domain, owner.address, first.topic_id, digests),
+    }
+    .encode();
+    let speaker = Speaker {
+        domain: keys.domain,
+        owner: owner.address,
+        signing: &keys.signing,
+        epoch: keys.epoch,
+        topic_id: place.id,
+        topic_key: &place.key,
+    };
+    let statement = Statement { kind: RecordKind::Retention, topic: TOPIC, type_name: TYPE, body: &body };
+    let named: Vec<(Digest, Vec<u8>)> = records.into_iter().map(|(row, header)| (row.digest, header)).collect();
+    statement::put(plant, &speaker, statement, |row| plant.ledger.erase(row, erasure, named))
+}

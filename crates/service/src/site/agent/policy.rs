@@ -1,0 +1,433 @@
+//! The policy of an agent: checked and kept when it arrives, worked by from then on and after every start, and told to
+//! the owner in a statement of this robot's recorder.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use serde::{Deserialize, Serialize};
+use tokio::sync::watch;
+use tokio::task::block_in_place;
+
+use super::ring::AgentRing;
+use super::{Agent, AgentWishes};
+use crate::config::{Config, RingSettings, RingWish, RobotPolicy};
+use crate::crypto::{Enrolment, LONGEST_POLICY, SignedPolicy};
+use crate::model::bytes::hex;
+use crate::model::{Address, Domain, PolicyReport, RecordKind, SignerId, clean};
+use crate::pipeline::notices::PolicyTaker;
+use crate::pipeline::statement::{self, Statement};
+use crate::pipeline::{Author, CaptureSession, PipelineError, recorder_heads};
+use crate::service::event::NoticeLevel;
+use crate::service::reply::Failure;
+use crate::site::Site;
+use crate::store::{Ledger, StoreError};
+
+/// The setting of the robot's ledger that keeps its policy.
+const KEPT: &str = "robot policy";
+/// The setting that says what the owner was told of it last, hex.
+const TOLD: &str = "robot policy told";
+/// The widest text that reaches the owner, characters.
+const WIDEST: usize = 255;
+
+/// What a robot keeps of its policy.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+struct Kept {
+    /// The version taken up last; 0 = none yet.
+    version: u64,
+    /// Its text.
+    text: String,
+    /// The newest version heard of.
+    heard: u64,
+    /// Why the last one heard of was not taken up.
+    refused: Option<String>,
+}
+
+/// The state of an agent's policy, for people.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct PolicyFigures {
+    /// The version that the agent works by; 0 = its own settings alone.
+    pub version: u64,
+    /// Why the last one that it heard of was not taken up.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refused: Option<String>,
+    /// Where the robot's own settings say something else, and the policy counts.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub overruled: Vec<String>,
+}
+
+/// Checks and keeps what the owner sets.
+pub(super) struct PolicyKeeper {
+    ledger: Ledger,
+    domain: Domain,
+    owner: Address,
+    device: SignerId,
+    kept: Mutex<Kept>,
+    changed: watch::Sender<()>,
+}
+
+impl PolicyKeeper {
+    /// For the robot of an enrolment; what it took up before is in force.
+    ///
+    /// # Errors
+    /// Errors of the ledger.
+    pub fn open(ledger: &Ledger, enrolment: &Enrolment) -> Result<Self, Failure> {
+        Self::of(ledger, enrolment.domain, enrolment.owner, enrolment.device_id())
+    }
+
+    fn of(ledger: &Ledger, domain: Domain, owner: Address, device: SignerId) -> Result<Self, Failure> {
+        let kept = ledger.setting(KEPT)?;
+        let kept = kept.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
+        let (ledger, changed) = (ledger.clone(), watch::channel(()).0);
+        Ok(Self { ledger, domain, owner, device, kept: Mutex::new(kept), changed })
+    }
+
+    fn kept(&self) -> Kept {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// The text of a policy that may be taken up after what is kept.
+    fn judged(&self, policy: &SignedPolicy, kept: &Kept) -> Result<String, String> {
+        let unsigned = |_| "the owner's account did not sign it for this robot".to_owned();
+        policy.check(&self.domain, &self.owner, &self.device).map_err(unsigned)?;
+        let (version, runs) = (policy.version, kept.version);
+        if version < runs || version == 0 {
+            return Err(format!("its version {version} is lower than {runs}, which this robot works by"));
+        }
+        if policy.text.len() > LONGEST_POLICY {
+            return Err(format!("it has {} bytes, and {LONGEST_POLICY} are allowed", policy.text.len()));
+        }
+        let text = std::str::from_utf8(&policy.text).map_err(|_| "it is not UTF-8".to_owned())?;
+        if version == runs && text != kept.text {
+            return Err(format!("another policy with the same version {version} is in force here"));
+        }
+        RobotPolicy::read(text).map(|_| text.to_owned()).map_err(|error| clean(&error.to_string(), WIDEST))
+    }
+}
+
+impl PolicyTaker for PolicyKeeper {
+    fn take(&self, policy: &SignedPolicy) -> Result<String, PipelineError> {
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let (next, told) = match self.judged(policy, &kept) {
+            Ok(text) => {
+                let version = policy.version;
+                let told = format!("the owner's policy {version} is in force from now on");
+                (Kept { version, text, heard: version, refused: None }, told)
+            }
+            Err(why) => {
+                let told = format!("the owner's policy {} is not taken up: {why}", policy.version);
+                (Kept { heard: policy.version, refused: Some(why), ..kept.clone() }, told)
+            }
+        };
+        put(&self.ledger, &next)?;
+        *kept = next;
+        self.changed.send_replace(());
+        Ok(told)
+    }
+}
+
+fn put(ledger: &Ledger, kept: &Kept) -> Result<(), StoreError> {
+    ledger.put_setting(KEPT, &serde_json::to_string(kept).unwrap_or_default())
+}
+
+/// The policy that an agent works by.
+pub(super) struct AgentPolicy {
+    pub keeper: Arc<PolicyKeeper>,
+    changed: watch::Receiver<()>,
+    kept: Kept,
+    policy: RobotPolicy,
+    overruled: Vec<String>,
+    /// What the owner was told last.
+    told: Option<String>,
+    /// Whether there is a ring now.
+    pub has_ring: Arc<AtomicBool>,
+}
+
+impl AgentPolicy {
+    /// What was taken up in earlier runs.
+    ///
+    /// # Errors
+    /// Errors of the ledger.
+    pub fn open(ledger: &Ledger, enrolment: &Enrolment) -> Result<Self, Failure> {
+        let keeper = Arc::new(PolicyKeeper::open(ledger, enrolment)?);
+        let (changed, told) = (keeper.changed.subscribe(), ledger.setting(TOLD)?);
+        let mut policy = Self {
+            keeper,
+            changed,
+            kept: Kept::default(),
+            policy: RobotPolicy::default(),
+            overruled: Vec::new(),
+            told,
+            has_ring: Arc::new(AtomicBool::new(false)),
+        };
+        policy.read();
+        Ok(policy)
+    }
+
+    /// Takes over what is kept; returns whether it decides differently from before.
+    fn read(&mut self) -> bool {
+        self.kept = self.keeper.kept();
+        let policy = match RobotPolicy::read(&self.kept.text) {
+            Ok(policy) => policy,
+            // It was valid when it was taken up, by another version of this program.
+            Err(error) => {
+                self.kept.version = 0;
+                self.kept.refused = Some(clean(&error.to_string(), WIDEST));
+                RobotPolicy::default()
+            }
+        };
+        let changed = policy != self.policy;
+        self.policy = policy;
+        changed
+    }
+
+    /// The watched topics, if the policy names them.
+    pub fn watched(&self) -> Option<Vec<String>> {
+        self.policy.watched.as_ref().map(|topics| topics.iter().map(ToString::to_string).collect())
+    }
+
+    /// The ring to keep.
+    pub fn ring(&self, config: &Config) -> Option<RingSettings> {
+        match &self.policy.ring {
+            RingWish::Own => config.ring.clone(),
+            RingWish::Off => None,
+            RingWish::Keep(ring) => Some(ring.clone()),
+        }
+    }
+
+    /// The rules for topics are in force, and what the robot's own settings say otherwise is known.
+    pub fn rule(&mut self, site: &Site, wishes: &AgentWishes) {
+        let config = &site.parts.config;
+        let rules = self.policy.rules.as_ref().unwrap_or(&config.topic_rules);
+        site.recorder.set_rules(rules.clone());
+        self.overruled = overruled(&self.policy, config, wishes);
+        for text in &self.overruled {
+            let text = format!("policy {} counts, not this robot's own setting: {text}", self.kept.version);
+            site.parts.hub.notice(NoticeLevel::Warning, &text);
+        }
+    }
+
+    /// Its state, if the owner ever set one.
+    pub fn figures(&self) -> Option<PolicyFigures> {
+        let Kept { version, heard, refused, .. } = self.kept.clone();
+        (heard > 0).then(|| PolicyFigures { version, refused, overruled: self.overruled.clone() })
+    }
+
+    fn report(&self) -> PolicyReport {
+        let Kept { version, heard, refused, .. } = self.kept.clone();
+        PolicyReport { heard, running: version, refused, overruled: self.overruled.clone() }
+    }
+}
+
+/// Where a robot's own settings say something else than its policy, in words.
+fn overruled(policy: &RobotPolicy, config: &Config, wishes: &AgentWishes) -> Vec<String> {
+    let mut told = Vec::new();
+    if let Some(watched) =
+        policy.watched.as_ref().filter(|watched| !wishes.topics.is_empty() && **watched != wishes.topics)
+    {
+        let own: Vec<&str> = wishes.topics.iter().map(crate::model::TopicName::as_str).collect();
+        told.push(format!("--topic {}, the policy watches {} topics", own.join(" "), watched.len()));
+    }
+    if let Some(rules) =
+        policy.rules.as_ref().filter(|rules| !config.topic_rules.0.is_empty() && **rules != config.topic_rules)
+    {
+        let (own, count) = (config.topic_rules.0.len(), rules.0.len());
+        told.push(format!("{own} [[topic]] rules, the policy has {count}"));
+    }
+    let differs = match (&policy.ring, &config.ring) {
+        (RingWish::Own, _) | (_, None) => None,
+        (RingWish::Off, Some(own)) => Some((own, "there is to be none".to_owned())),
+        (RingWish::Keep(ring), Some(own)) => {
+            (ring != own).then(|| (own, format!("{} of {}", ring.limits, ring.topics)))
+        }
+    };
+    told.extend(differs.map(|(own, policy)| format!("ring {} of {}, by the policy {policy}", own.limits, own.topics)));
+    told.iter().map(|text| clean(text, WIDEST)).collect()
+}
+
+impl Agent {
+    /// Works by what the owner has set since, and tells the owner.
+    pub(super) fn follow_policy(&mut self) {
+        if self.policy.changed.has_changed().unwrap_or(false) {
+            self.policy.changed.mark_unchanged();
+            if self.policy.read() {
+                self.apply_policy();
+            }
+        }
+        if let Err(failure) = self.tell_policy() {
+            let text = format!("the owner cannot be told of this robot's policy yet: {}", failure.message);
+            self.site.parts.hub.notice(NoticeLevel::Error, &text);
+        }
+    }
+
+    fn apply_policy(&mut self) {
+        self.policy.rule(&self.site, &self.wishes);
+        let wanted = self.policy.ring(&self.site.parts.config);
+        if let Err(failure) = self.change_ring(wanted) {
+            let text = format!("the ring is not yet as the owner's policy says: {}", failure.message);
+            self.site.parts.hub.notice(NoticeLevel::Error, &text);
+        }
+        self.policy.has_ring.store(self.ring.as_ref().is_some_and(AgentRing::is_on), Ordering::Release);
+        self.watch_as_wanted();
+    }
+
+    fn change_ring(&mut self, wanted: Option<RingSettings>) -> Result<(), Failure> {
+        if let Some(ring) = &mut self.ring {
+            return ring.change(&self.site, &self.author, wanted);
+        }
+        if let Some(wanted) = wanted {
+            self.ring = Some(AgentRing::begin(&self.site, &self.author, wanted)?);
+        }
+        Ok(())
+    }
+
+    /// What is to be watched now; none if that is not known, because there is no key at present.
+    fn wanted(&self) -> Option<Vec<String>> {
+        if let Some(watched) = self.policy.watched() {
+            return Some(watched);
+        }
+        if !self.wishes.topics.is_empty() {
+            return Some(self.wishes.topics.iter().map(ToString::to_string).collect());
+        }
+        let covered = self.author.sealing()?.names().unwrap_or_default();
+        let is_for_ring = |topic: &String| self.ring.as_ref().is_some_and(|ring| ring.takes(topic));
+        let is_topic = |topic: &String| topic.parse::<crate::model::TopicName>().is_ok();
+        Some(covered.into_iter().filter(|topic| is_topic(topic) && !is_for_ring(topic)).collect())
+    }
+
+    /// Begins and ends to watch topics, after the policy has changed.
+    fn watch_as_wanted(&mut self) {
+        let Some(wanted) = self.wanted() else { return };
+        if self.sessions.iter().all(|session| session.is_closed()) {
+            return;
+        }
+        // First what begins, then the ring, then what ends: nothing that is to be kept falls between.
+        let new: Vec<String> = wanted.iter().filter(|topic| !self.topics.contains(topic)).cloned().collect();
+        self.watch(&new);
+        if let Some(ring) = &mut self.ring {
+            ring.follow(&self.site, &self.author, &wanted);
+        }
+        let before = std::mem::take(&mut self.topics);
+        let (kept, gone): (Vec<String>, Vec<String>) = before.into_iter().partition(|topic| wanted.contains(topic));
+        self.topics = kept;
+        for topic in &gone {
+            self.sessions.iter().for_each(|session| self.site.recorder.leave(topic, &self.author, session));
+        }
+        self.site.ros.wishes_changed();
+    }
+
+    /// Watches further topics.
+    pub(super) fn watch(&mut self, topics: &[String]) {
+        if topics.is_empty() {
+            return;
+        }
+        let session = Arc::new(CaptureSession::unfollowed(topics, self.wishes.count, self.wishes.tags.clone()));
+        for topic in topics {
+            self.site.recorder.join(topic, &self.author, None, &session);
+            warn_of_key(&self.site, &self.author, &self.name, topic);
+        }
+        self.sessions.push(session);
+        self.topics.extend_from_slice(topics);
+        self.site.ros.wishes_changed();
+    }
+
+    /// States which policy this robot works by, if the owner does not know yet and its keys cover that.
+    fn tell_policy(&mut self) -> Result<(), Failure> {
+        if self.policy.kept.heard == 0 {
+            return Ok(());
+        }
+        let body = self.policy.report().encode();
+        let told = hex(&body);
+        if self.policy.told.as_ref() == Some(&told) {
+            return Ok(());
+        }
+        let Some(keys) = self.author.sealing() else { return Ok(()) };
+        let (kind, topic) = (RecordKind::Audit, recorder_heads::TOPIC);
+        let statement = Statement { kind, topic, type_name: PolicyReport::TYPE, body: &body };
+        let plant = &self.site.plant;
+        if block_in_place(|| statement::state_to_be_found(plant, self.author.address, &keys, statement))?.is_some() {
+            self.site.parts.hub.stored.notify_waiters();
+        }
+        block_in_place(|| plant.ledger.put_setting(TOLD, &told))?;
+        self.policy.told = Some(told);
+        Ok(())
+    }
+}
+
+/// Tells the operator of a topic whose messages cannot be sealed.
+pub(super) fn warn_of_key(site: &Site, author: &Author, name: &crate::model::ProfileName, topic: &str) {
+    if author.sealing().is_some_and(|keys| keys.topic(topic).is_none()) {
+        let text = format!(
+            "there is no key for topic {topic}: its messages are dropped and counted until the owner adds it with \
+             `authros devices topics add {name} {topic}`"
+        );
+        site.parts.hub.notice(NoticeLevel::Warning, &text);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::crypto::EoaSecret;
+
+    const DOMAIN: Domain = Domain([1; 32]);
+    const DEVICE: SignerId = SignerId([9; 32]);
+    const WATCH: &str = "[[watch]]\ntopic = \"/odom\"\n";
+
+    #[test]
+    fn a_policy_is_taken_up_signed_newer_and_valid_and_is_there_after_a_restart() {
+        let home = tempfile::tempdir().expect("a folder");
+        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
+        let (account, thief) = (EoaSecret::generate().expect("generates"), EoaSecret::generate().expect("generates"));
+        let open = || PolicyKeeper::of(&ledger, DOMAIN, account.address(), DEVICE).expect("opens");
+        let keeper = open();
+        let signed = |by: &EoaSecret, version, text: &str| {
+            SignedPolicy::sign(&DOMAIN, by, DEVICE, version, text).expect("signs")
+        };
+        let state = |keeper: &PolicyKeeper| {
+            let Kept { version, text, heard, refused } = keeper.kept();
+            (version, text, heard, refused.unwrap_or_default())
+        };
+        keeper.take(&signed(&account, 2, WATCH)).expect("kept");
+        assert_eq!(state(&keeper), (2, WATCH.to_owned(), 2, String::new()));
+
+        let other_robot = SignedPolicy::sign(&DOMAIN, &account, SignerId([8; 32]), 9, WATCH).expect("signs");
+        let not_text = SignedPolicy { text: vec![0xff; 4], ..signed(&account, 3, "") };
+        for (policy, told) in [
+            (signed(&thief, 3, ""), "did not sign"),
+            (other_robot, "did not sign"),
+            (not_text, "did not sign"),
+            (signed(&account, 1, WATCH), "lower than 2"),
+            (signed(&account, 2, ""), "same version 2"),
+            (signed(&account, 3, "vault.url = \"redis://evil\"\n"), "no 'vault.url'"),
+            (signed(&account, 4, "ring.keep = \"much\"\nring.topics = [\"/a\"]\n"), "ring.keep"),
+            (signed(&account, 5, "[["), "not valid TOML"),
+        ] {
+            let heard = policy.version;
+            keeper.take(&policy).expect("kept");
+            let (version, text, known, refused) = state(&keeper);
+            assert_eq!((version, text.as_str(), known), (2, WATCH, heard), "what runs goes on");
+            assert!(refused.contains(told), "{told}: {refused}");
+        }
+        assert_eq!(state(&open()), state(&keeper), "after a restart");
+        keeper.take(&signed(&account, 2, WATCH)).expect("kept");
+        assert_eq!(state(&keeper), (2, WATCH.to_owned(), 2, String::new()), "heard once more");
+        keeper.take(&signed(&account, 6, "")).expect("kept");
+        assert_eq!(state(&open()), (6, String::new(), 6, String::new()), "cleared");
+    }
+
+    #[test]
+    fn what_a_robots_own_settings_say_otherwise_is_named() {
+        let file = "ring.keep = \"5m, 64MiB\"\nring.topics = [\"/a\"]\n[[topic]]\nmatch = \"/b\"\nrate = 2\n";
+        let place = std::path::Path::new("config.toml");
+        let config = Config::resolve(&|_| None, &|_| None, Some((place, file))).expect("settings");
+        let wishes = AgentWishes { topics: vec!["/b".parse().expect("a name")], ..AgentWishes::default() };
+        let of = |text: &str| overruled(&RobotPolicy::read(text).expect(text), &config, &wishes);
+        assert!(of("").is_empty() && of(file).is_empty() && of("[[watch]]\ntopic = \"/b\"\n").is_empty());
+        let all = of("ring.keep = \"\"\nring.topics = \"\"\n[[watch]]\ntopic = \"/c\"\n[[topic]]\nmatch = \"/b\"\n");
+        let told: Vec<bool> = ["--topic /b", "1 [[topic]] rules", "there is to be none"]
+            .iter()
+            .map(|words| all.iter().any(|text| text.contains(words)))
+            .collect();
+        assert_eq!((told, all.len()), (vec![true; 3], 3), "{all:?}");
+    }
+}

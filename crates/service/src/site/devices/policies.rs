@@ -1,0 +1,313 @@
+//! The policies that an owner sets for its robots, and what these tell of them.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+use tokio::task::block_in_place;
+
+use super::Devices;
+use super::enrolled::Enrolled;
+use crate::config::RobotPolicy;
+use crate::crypto::{Anchor, Expected, LONGEST_POLICY, Notice, OpenedRecord, SignedPolicy, open, topic_key};
+use crate::model::{
+    GapReport, PolicyReport, RecordKind, RecordState, SignerId, Timestamp, TopicId, clean, clean_lines,
+};
+use crate::pipeline::epoch::type_choice;
+use crate::pipeline::{Network, Owner, recorder_heads};
+use crate::service::failure::{input, refused};
+use crate::service::reply::{Failure, RobotRow, RobotTopicRow, RobotView};
+use crate::store::{RecordQuery, RecordRow, SignerTopic};
+
+/// The most reports and losses looked at, the newest.
+const MOST: usize = 10_000;
+/// The most reports of losses that are opened for one robot.
+const MOST_LOSSES: usize = 256;
+/// The most robots whose last sign of life is known.
+const MOST_ROBOTS: usize = 100_000;
+/// A robot that recorded for longer than this since a policy was set, without a word about it, knows no policies;
+/// nanoseconds.
+const SILENCE: u64 = 60 * 1_000_000_000;
+
+/// What an owner wants of a robot, as noted in its ledger.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+struct Wanted {
+    /// 0 = nothing was ever set.
+    version: u64,
+    /// Empty = the robot's own settings.
+    text: String,
+    set_at: Timestamp,
+}
+
+/// What robots told, and what they recorded.
+struct Known {
+    reports: BTreeMap<SignerId, (PolicyReport, Timestamp)>,
+    seen: BTreeMap<SignerId, Timestamp>,
+    topics: Vec<SignerTopic>,
+}
+
+impl Devices {
+    /// The robots of an owner whose loans go on, by name.
+    pub(super) async fn robot_rows(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<Vec<RobotRow>, Failure> {
+        let network = self.link.network().await?;
+        let known = block_in_place(|| self.known(owner, &network))?;
+        let robots = self.enrolments.of(owner)?.into_iter().filter(|robot| !robot.ended);
+        let mut rows = Vec::new();
+        for robot in robots {
+            rows.push(row(&robot, &self.wanted(owner, robot.device)?, &known));
+        }
+        rows.sort_by(|one, other| one.name.cmp(&other.name));
+        Ok(rows)
+    }
+
+    /// One robot with its policy, its topics and its losses.
+    pub(super) async fn robot_view(self: &Arc<Self>, owner: &Arc<Owner>, name: &str) -> Result<RobotView, Failure> {
+        let network = self.link.network().await?;
+        let robot = self.robot(&network, owner, name)?;
+        let wanted = self.wanted(owner, robot.device)?;
+        let (known, lost) = block_in_place(|| {
+            let known = self.known(owner, &network)?;
+            Ok::<_, Failure>((known, self.lost(owner, &network, &robot)?))
+        })?;
+        let report = known.reports.get(&robot.device).map(|(report, _)| report.clone()).unwrap_or_default();
+        Ok(RobotView {
+            row: row(&robot, &wanted, &known),
+            gateways: robot.gateways.iter().cloned().map(Into::into).collect(),
+            enrolled: robot.topics.iter().map(|topic| clean(topic, 255)).collect(),
+            topics: topic_rows(robot.device, &known.topics, lost),
+            refused: report.refused.map(|text| clean(&text, 300)),
+            overruled: report.overruled.iter().map(|text| clean(text, 300)).collect(),
+            policy: clean_lines(&wanted.text, LONGEST_POLICY),
+            set_at: (wanted.version > 0).then_some(wanted.set_at),
+        })
+    }
+
+    /// Sets the policy of a robot, which hears of it at its next contact; an empty one gives it back its own settings.
+    pub(super) async fn set_policy(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        name: &str,
+        text: String,
+    ) -> Result<RobotView, Failure> {
+        if text.len() > LONGEST_POLICY {
+            return Err(input(format!("the policy has {} bytes; {LONGEST_POLICY} are allowed", text.len())));
+        }
+        RobotPolicy::read(&text)?;
+        let network = self.link.network().await?;
+        let robot = self.robot(&network, owner, name)?;
+        let one_at_a_time = owner.changes.lock().await;
+        let before = self.wanted(owner, robot.device)?;
+        let reports = block_in_place(|| self.reports(owner, &network))?;
+        // After a restored backup the robot may know a higher version than this ledger.
+        let running = reports.get(&robot.device).map_or(0, |(report, _)| report.running);
+        let version = before.version.max(running).checked_add(1);
+        let version =
+            version.ok_or_else(|| refused("this robot's policy cannot be numbered higher; enrol it again"))?;
+        let what = if text.is_empty() { "cleared".to_owned() } else { format!("{} bytes", text.len()) };
+        self.log.begin(owner, "robot policy", &format!("{}: version {version}, {what}", robot.device)).await?;
+        let policy = SignedPolicy::sign(&network.domain, &owner.eoa(), robot.device, version, &text)?;
+        // Noted first: a number that was given away is never given to another policy.
+        self.note_wanted(owner, robot.device, &Wanted { version, text, set_at: Timestamp::now() })?;
+        block_in_place(|| self.enrolments.send_policy(owner, &network, &robot, policy))?;
+        drop(one_at_a_time);
+        self.robot_view(owner, name).await
+    }
+
+    fn wanted(&self, owner: &Owner, device: SignerId) -> Result<Wanted, Failure> {
+        let text = block_in_place(|| self.plant.ledger.setting(&place(owner, device)))?;
+        Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
+    }
+
+    fn note_wanted(&self, owner: &Owner, device: SignerId, wanted: &Wanted) -> Result<(), Failure> {
+        let text = serde_json::to_string(wanted).unwrap_or_default();
+        Ok(block_in_place(|| self.plant.ledger.put_setting(&place(owner, device), &text))?)
+    }
+
+    fn known(&self, owner: &Owner, network: &Network) -> Result<Known, Failure> {
+        let ledger = &self.plant.ledger;
+        let own = crate::crypto::signer_id(&owner.public_keys().0);
+        Ok(Known {
+            reports: self.reports(owner, network)?,
+            seen: ledger.last_seen(MOST_ROBOTS)?.into_iter().map(|seen| (seen.signer, seen.at)).collect(),
+            topics: ledger.signer_topics(owner.address, own)?,
+        })
+    }
+
+    /// The newest word of each robot about its policy.
+    fn reports(
+        &self,
+        owner: &Owner,
+        network: &Network,
+    ) -> Result<BTreeMap<SignerId, (PolicyReport, Timestamp)>, Failure> {
+        let topic = owner.topic_id(recorder_heads::TOPIC);
+        let query = RecordQuery {
+            owner: Some(owner.address),
+            topic_ids: Some(vec![topic]),
+            kind: Some(RecordKind::Audit),
+            filters: vec![type_choice(&owner.index(), PolicyReport::TYPE, &[topic])],
+            limit: MOST,
+            newest_first: true,
+            ..RecordQuery::default()
+        };
+        let robots = self.enrolments.of(owner)?;
+        let mut reports = BTreeMap::new();
+        for row in self.plant.ledger.list(&query)?.rows {
+            let Some(robot) = robots.iter().find(|robot| robot.device == row.signer) else { continue };
+            if reports.contains_key(&row.signer) {
+                continue;
+            }
+            let Some(opened) = self.opened(owner, network, robot, &row) else { continue };
+            if let Ok(report) = PolicyReport::parse(&opened.body) {
+                reports.insert(row.signer, (report, row.captured_at));
+            }
+        }
+        Ok(reports)
+    }
+
+    /// Messages that a robot lost, by topic, as far as its newest reports say.
+    fn lost(&self, owner: &Owner, network: &Network, robot: &Enrolled) -> Result<BTreeMap<String, u64>, Failure> {
+        let query = RecordQuery {
+            owner: Some(owner.address),
+            kind: Some(RecordKind::Gap),
+            limit: MOST,
+            newest_first: true,
+            ..RecordQuery::default()
+        };
+        let rows = self.plant.ledger.list(&query)?.rows.into_iter().filter(|row| row.signer == robot.device);
+        let mut lost: BTreeMap<String, u64> = BTreeMap::new();
+        for row in rows.take(MOST_LOSSES) {
+            let opened = self.opened(owner, network, robot, &row);
+            let Some(gap) = opened.and_then(|opened| GapReport::parse(&opened.body).ok()) else { continue };
+            let count = lost.entry(gap.topic).or_default();
+            *count = count.saturating_add(gap.count);
+        }
+        Ok(lost)
+    }
+
+    /// A record that a robot signed, if its bytes are here and whole.
+    fn opened(&self, owner: &Owner, network: &Network, robot: &Enrolled, row: &RecordRow) -> Option<OpenedRecord> {
+        let (signer, blob) = (robot.key?, self.plant.vault.get(row.digest).ok()??);
+        let key = topic_key(&owner.epoch_key(network.domain, row.epoch)?, &row.topic_id);
+        let topic_id: Option<TopicId> = Some(row.topic_id);
+        let expected = Expected { topic_id, ..Expected::any_of(network.domain, owner.address) };
+        open(self.plant.provider, &blob, &row.signature, &signer, Anchor::Unanchored, &key, &expected).ok()
+    }
+}
+
+impl super::enrolled::Enrolments {
+    /// Seals the notice that sets a robot's policy.
+    ///
+    /// # Errors
+    /// Errors of ledger and vault.
+    fn send_policy(
+        &self,
+        owner: &Owner,
+        network: &Network,
+        device: &Enrolled,
+        policy: SignedPolicy,
+    ) -> Result<(), Failure> {
+        // A robot hears only notices of the epoch it seals under, or of a later one.
+        let known = network.directory.epoch(owner.address);
+        let epoch = owner.sealing().map_or(known, |keys| keys.epoch.max(known));
+        self.seal_notice(owner, network, device, epoch, &Notice::Policy(policy))?;
+        self.hub.stored.notify_waiters();
+        Ok(())
+    }
+}
+
+fn place(owner: &Owner, device: SignerId) -> String {
+    format!("robot policy:{}:{device}", owner.address)
+}
+
+fn row(robot: &Enrolled, wanted: &Wanted, known: &Known) -> RobotRow {
+    let report = known.reports.get(&robot.device);
+    let recorded = known.seen.get(&robot.device).copied();
+    let told = report.map(|(_, at)| *at);
+    let last_seen = recorded.max(told);
+    let running = report.map(|(report, _)| report.running);
+    let drift = running.unwrap_or_default() != wanted.version;
+    let of_robot = known.topics.iter().filter(|topic| topic.signer == robot.device);
+    let waiting = of_robot.flat_map(|topic| &topic.records).filter(|(state, _)| state.is_pending());
+    RobotRow {
+        name: robot.name.clone(),
+        device: robot.device,
+        last_seen,
+        gateway: robot.gateways.iter().find(|gateway| gateway.known).map(|gateway| clean(&gateway.address, 255)),
+        waiting: waiting.map(|(_, count)| count).sum(),
+        wanted: wanted.version,
+        running,
+        standing: standing(wanted, report.map(|(report, _)| report), last_seen).to_owned(),
+        drift,
+        drift_since: drift.then_some(wanted.set_at),
+    }
+}
+
+/// How a robot stands to what is wanted of it, in words.
+fn standing(wanted: &Wanted, report: Option<&PolicyReport>, last_seen: Option<Timestamp>) -> &'static str {
+    let silent = || last_seen.is_some_and(|seen| seen.0 > wanted.set_at.0.saturating_add(SILENCE));
+    match report {
+        Some(report) if report.running == wanted.version => "in force",
+        Some(report) if report.running > wanted.version => "runs a policy not known here",
+        Some(report) if report.heard >= wanted.version && report.refused.is_some() => "refused",
+        Some(_) => "waiting",
+        None if wanted.version == 0 => "none",
+        None if silent() => "does not know policies",
+        None => "waiting",
+    }
+}
+
+fn topic_rows(robot: SignerId, topics: &[SignerTopic], mut lost: BTreeMap<String, u64>) -> Vec<RobotTopicRow> {
+    let mut rows: Vec<RobotTopicRow> = Vec::new();
+    for topic in topics.iter().filter(|topic| topic.signer == robot) {
+        let of = |wanted: fn(RecordState) -> bool| -> u64 {
+            topic.records.iter().filter(|(state, _)| wanted(**state)).map(|(_, count)| count).sum()
+        };
+        rows.push(RobotTopicRow {
+            topic: clean(&topic.topic, 255),
+            records: of(|_| true),
+            verified: of(|state| state == RecordState::Verified),
+            waiting: of(RecordState::is_pending),
+            lost: lost.remove(&topic.topic).unwrap_or_default(),
+        });
+    }
+    let nothing = |(topic, lost): (String, u64)| RobotTopicRow {
+        topic: clean(&topic, 255),
+        records: 0,
+        verified: 0,
+        waiting: 0,
+        lost,
+    };
+    rows.extend(lost.into_iter().map(nothing));
+    rows
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robots_standing_follows_from_what_it_told_and_when_it_was_last_heard() {
+        let at = |seconds: u64| Timestamp(seconds * 1_000_000_000);
+        let wanted = |version| Wanted { version, text: String::new(), set_at: at(1_000) };
+        let report = |heard, running, refused: bool| PolicyReport {
+            heard,
+            running,
+            refused: refused.then(|| "no".to_owned()),
+            overruled: Vec::new(),
+        };
+        for (expected, wanted, report, seen) in [
+            ("none", wanted(0), None, None),
+            ("waiting", wanted(1), None, None),
+            ("waiting", wanted(1), None, Some(at(1_059))),
+            ("does not know policies", wanted(1), None, Some(at(1_061))),
+            ("in force", wanted(2), Some(report(2, 2, false)), None),
+            ("in force", wanted(2), Some(report(1, 2, true)), None),
+            ("waiting", wanted(3), Some(report(2, 2, false)), Some(at(9_999))),
+            ("waiting", wanted(3), Some(report(2, 1, true)), None),
+            ("refused", wanted(3), Some(report(3, 2, true)), None),
+            ("runs a policy not known here", wanted(1), Some(report(5, 5, false)), None),
+        ] {
+            assert_eq!(standing(&wanted, report.as_ref(), seen), expected, "{wanted:?} {report:?} {seen:?}");
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! Erasing chosen records: what would go, what holds it, what stays elsewhere; and the deed.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use super::Storage;
+use crate::model::{Digest, RecordKind, RecordState, Timestamp, clean};
+use crate::pipeline::Owner;
+use crate::pipeline::retention::erasing::{self, LONGEST_REASON};
+use crate::service::command::ErasureWishes;
+use crate::service::failure::{input, refused};
+use crate::service::reply::{ErasureView, Failure};
+use crate::site::blocking;
+use crate::store::{Erasure, IncidentRow, Ledger, RecordQuery, RecordRow};
+
+/// The most records of one erasure.
+const MOST: usize = 100_000;
+/// Records of one page.
+const PAGE: usize = 10_000;
+/// How often it is looked whether the bytes are gone, and how many times.
+const LOOK: (Duration, u32) = (Duration::from_millis(500), 240);
+
+/// What erasing does not reach, said each time.
+const STAYS: [&str; 4] = [
+    "copies that readers and other gateways have fetched",
+    "backups, exports and evidence bundles made before",
+    "a robot's own disk, until its copies leave by outbox.keep or fall out of its ring",
+    "the files of a Redis vault, until its server rewrites them, and what a disk keeps of overwritten blocks",
+];
+
+impl Storage {
+    /// Shows what would be erased, or erases it.
+    pub(in crate::site) async fn erase(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        wishes: ErasureWishes,
+    ) -> Result<ErasureView, Failure> {
+        let reason = clean(wishes.reason.trim(), LONGEST_REASON);
+        if reason.is_empty() || wishes.reason.chars().count() > LONGEST_REASON {
+            return Err(input(format!("say why in 1 to {LONGEST_REASON} characters: --reason TEXT")));
+        }
+        let (asked, address, sure) = (wishes.clone(), owner.address, wishes.sure);
+        let (rows, incidents) = blocking(self, move |storage| {
+            let ledger = &storage.plant.ledger;
+            Ok((chosen(ledger, address, &asked)?, ledger.incidents(address)?))
+        })
+        .await?;
+        let (view, erasable) = planned(&rows, &incidents);
+        if !sure || erasable.is_empty() {
+            return Ok(view);
+        }
+        if !view.held.is_empty() {
+            let names = view.held.join(", ");
+            return Err(refused(format!(
+                "incidents hold some of these records: {names}; release them with `authros incident remove NAME --yes`, or \
+                 choose other records"
+            )));
+        }
+        let subject = clean(&format!("{} records of {}: {reason}", erasable.len(), view.topics.join(" ")), 900);
+        self.log.begin(owner, "erase", &subject).await?;
+        let erasure = Erasure { at: Timestamp::now(), by: owner.profile.to_string(), reason };
+        let digests = erasable.iter().map(|row| row.digest).collect();
+        let named = self.name_erased(owner, erasable, erasure).await;
+        let named = self.log.end(owner, "erase", &subject, named).await?;
+        let left = self.wait_for_erasing(digests).await?;
+        Ok(ErasureView { named: named.named, missing: named.missing, deleted: !left, ..view })
+    }
+
+    async fn name_erased(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        rows: Vec<RecordRow>,
+        erasure: Erasure,
+    ) -> Result<erasing::Erased, Failure> {
+        let _one_at_a_time = self.naming.lock().await;
+        let asked = Arc::clone(owner);
+        let named = blocking(self, move |storage| Ok(erasing::name(&storage.plant, &asked, &rows, &erasure)?)).await;
+        self.has_named.store(true, Ordering::Release);
+        self.hub.stored.notify_waiters();
+        named
+    }
+
+    /// Waits for a while until what was named of these is deleted; returns whether something is left.
+    async fn wait_for_erasing(self: &Arc<Self>, mut digests: Vec<Digest>) -> Result<bool, Failure> {
+        for _ in 0..LOOK.1 {
+            digests = blocking(self, move |storage| {
+                while let Some(last) = digests.last() {
+                    let retained = storage.plant.ledger.retained(*last)?;
+                    if retained.is_some_and(|retained| retained.deleted_at.is_none()) {
+                        break;
+                    }
+                    digests.pop();
+                }
+                Ok(digests)
+            })
+            .await?;
+            if digests.is_empty() {
+                return Ok(false);
+            }
+            if !self.life.beat(LOOK.0).await {
+                break;
+            }
+        }
+        Ok(true)
+    }
+}
+
+/// The chosen records of an owner.
+fn chosen(ledger: &Ledger, owner: crate::model::Address, wishes: &ErasureWishes) -> Result<Vec<RecordRow>, Failure> {
+    let mut rows = Vec::new();
+    for id in &wishes.records {
+        let row = ledger.record_by_id(id)?.filter(|row| row.owner == owner && row.kind == RecordKind::Data);
+        let unknown = || input(format!("there is no message '{}' of this profile here", clean(id, 70)));
+        rows.push(row.ok_or_else(unknown)?);
+    }
+    if !wishes.records.is_empty() {
+        rows.sort_by_key(|row| row.digest);
+        rows.dedup_by_key(|row| row.digest);
+        return Ok(rows);
+    }
+    let Some(topic) = &wishes.topic else {
+        return Err(input("choose what to erase: --topic, with --since and --until, or --record"));
+    };
+    let mut query = RecordQuery {
+        owner: Some(owner),
+        topic: Some(topic.to_string()),
+        kind: Some(RecordKind::Data),
+        since: wishes.since,
+        until: wishes.until,
+        limit: PAGE,
+        ..RecordQuery::default()
+    };
+    loop {
+        let page = ledger.list(&query)?;
+        rows.extend(page.rows);
+        if rows.len() > MOST {
+            return Err(input(format!("these are more than {MOST} records; choose a shorter span and repeat it")));
+        }
+        let Some(next) = page.next else { return Ok(rows) };
+        query.after = Some(next);
+    }
+}
+
+/// What would become of these records, and those that can go.
+fn planned(rows: &[RecordRow], incidents: &[IncidentRow]) -> (ErasureView, Vec<RecordRow>) {
+    let erasable: Vec<RecordRow> = rows.iter().filter(|row| erasing::can_be(row)).cloned().collect();
+    let holds = |incident: &&IncidentRow| erasable.iter().any(|row| is_held(row, incident));
+    let held = incidents.iter().filter(holds).map(|incident| incident.name.to_string()).collect();
+    let topics: BTreeSet<String> = erasable.iter().map(|row| clean(&row.topic, 255)).collect();
+    let view = ErasureView {
+        records: erasable.len() as u64,
+        bytes: erasable.iter().map(|row| row.bytes).sum(),
+        topics: topics.into_iter().collect(),
+        waiting: rows.iter().filter(|row| row.state.is_pending()).count() as u64,
+        gone: rows.iter().filter(|row| row.deleted_at.is_some()).count() as u64,
+        other: rows.iter().filter(|row| is_other(row)).count() as u64,
+        held,
+        named: 0,
+        missing: 0,
+        deleted: false,
+        stays: STAYS.map(ToOwned::to_owned).to_vec(),
+    };
+    (view, erasable)
+}
+
+/// Quarantined, discarded or altered: decided about elsewhere.
+fn is_other(row: &RecordRow) -> bool {
+    row.deleted_at.is_none() && !row.state.is_pending() && row.state != RecordState::Verified
+}
+
+fn is_held(row: &RecordRow, incident: &IncidentRow) -> bool {
+    let span = &incident.span;
+    row.captured_at >= span.since
+        && span.until.is_none_or(|until| row.captured_at < until)
+        && (span.topics.is_empty() || span.topics.contains(&row.topic))
+}

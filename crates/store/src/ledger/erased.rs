@@ -1,0 +1,133 @@
+//! Records that somebody had erased: named like those of retention, with who and why, and overwritten, not only freed.
+
+use std::fmt;
+
+use rusqlite::{OptionalExtension as _, params};
+
+use super::append::add;
+use super::retention::name;
+use super::{Ledger, NewRecord, database, database::whole};
+use crate::model::{Digest, Timestamp, clean};
+use crate::store::StoreError;
+
+/// Who had records erased, when and why.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Erasure {
+    /// When.
+    pub at: Timestamp,
+    /// The profile.
+    pub by: String,
+    /// Why, in its words.
+    pub reason: String,
+}
+
+impl fmt::Display for Erasure {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "erased {} by {}, {}", self.at, clean(&self.by, 80), clean(&self.reason, 500))
+    }
+}
+
+impl Erasure {
+    /// As the ledger notes it: nanoseconds, profile and reason, a line each.
+    fn noted(&self) -> String {
+        format!("{}\n{}\n{}", self.at.0, self.by, self.reason)
+    }
+
+    /// From a note.
+    pub(super) fn read(text: &str) -> Option<Self> {
+        let mut lines = text.splitn(3, '\n');
+        let at = Timestamp(lines.next()?.parse().ok()?);
+        Some(Self { at, by: lines.next()?.to_owned(), reason: lines.next()?.to_owned() })
+    }
+}
+
+/// The setting that says whose erasure a retention record is.
+pub(super) fn place(report: &Digest) -> String {
+    format!("erased:{report}")
+}
+
+impl Ledger {
+    /// Acknowledges the retention record of an erasure, notes who and why, and names the records with their public
+    /// headers, in one commit.
+    ///
+    /// # Errors
+    /// See [`Ledger::append`]; [`StoreError::NotReady`] if one of them is not verified, or already named.
+    pub fn erase(
+        &self,
+        report: NewRecord,
+        erasure: &Erasure,
+        records: Vec<(Digest, Vec<u8>)>,
+    ) -> Result<(), StoreError> {
+        let (place, text) = (place(&report.digest), erasure.noted());
+        self.write_many(records.len(), move |session| {
+            let (connection, now) = (session.connection, whole("time", Timestamp::now().0)?);
+            add(session, &report, now)?;
+            connection.prepare_cached("REPLACE INTO settings VALUES (?1, ?2)")?.execute([&place, &text])?;
+            for (digest, header) in &records {
+                name(connection, *digest, report.digest, header)?;
+                connection
+                    .prepare_cached(
+                        "INSERT INTO retained_topics SELECT topic, 1, bytes FROM records WHERE digest = ?1
+                         ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes",
+                    )?
+                    .execute([digest.0])?;
+            }
+            Ok(())
+        })
+    }
+
+    /// Whose erasure a retention record is; `None` for one of a rule.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn erasure(&self, report: Digest) -> Result<Option<Erasure>, StoreError> {
+        Ok(self.setting(&place(&report))?.and_then(|text| Erasure::read(&text)))
+    }
+
+    /// Those of these records that somebody had erased.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn erased_among(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT 1 FROM retained JOIN records ON n = record WHERE digest = ?1
+                 AND EXISTS (SELECT 1 FROM settings WHERE key = 'erased:' || lower(hex(report)))",
+            )?;
+            let mut erased = Vec::new();
+            for digest in digests {
+                if statement.exists(params![digest.0])? {
+                    erased.push(*digest);
+                }
+            }
+            Ok(erased)
+        })
+    }
+
+    /// Whether ciphertext of any owner is named and not deleted yet.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn has_named(&self) -> Result<bool, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT record FROM retained WHERE deleted_at IS NULL LIMIT 1";
+            Ok(connection.prepare_cached(sql)?.query_row([], |_| Ok(())).optional()?.is_some())
+        })
+    }
+
+    /// Overwrites the local copies of these records, in the file and in its log.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like; [`StoreError::Database`] while somebody reads an earlier state.
+    pub fn scour_local_copies(&self, digests: &[Digest]) -> Result<(), StoreError> {
+        let digests = digests.to_vec();
+        let found = self.write_many(digests.len(), move |session| {
+            database::overwriting(session.connection, |connection| {
+                let sql = "DELETE FROM copies WHERE record = (SELECT n FROM records WHERE digest = ?1)";
+                let mut statement = connection.prepare_cached(sql)?;
+                digests.iter().try_fold(0, |found, digest| Ok(found + statement.execute([digest.0])?))
+            })
+        })?;
+        if found == 0 { Ok(()) } else { database::empty_log(self.path()) }
+    }
+}

@@ -1,0 +1,110 @@
+//! Erasing: who and why stay with the records, and the bytes of their copies are in no file any more. And retention by
+//! name, also of topics that only robots recorded.
+
+use super::*;
+
+const OWNER: Address = Address([1; 20]);
+const ROBOT: SignerId = SignerId([0x60; 32]);
+
+/// A record as a robot brings it to a gateway: without names.
+fn brought(topic: u8, seq: u64) -> NewRecord {
+    let foreign = Some(Foreign { recorder: RecorderId([9; 16]), keeper: Address([5; 20]) });
+    NewRecord { foreign, signer: ROBOT, topic: String::new(), type_name: String::new(), ..record(1, topic, seq) }
+}
+
+fn move_to(ledger: &Ledger, digests: Vec<Digest>, state: RecordState) {
+    let moved = ledger.write(move |session| {
+        let sql = "UPDATE records SET state = ?1 WHERE digest = ?2";
+        let connection = session.connection;
+        digests.iter().try_for_each(|digest| Ok(connection.execute(sql, params![state.code(), digest.0]).map(drop)?))
+    });
+    moved.expect("moved");
+}
+
+fn pseudonym(topic: u8) -> String {
+    crate::model::bytes::hex(&[topic; 16])
+}
+
+#[test]
+fn retention_knows_topics_that_only_robots_recorded_by_the_names_that_were_learned() {
+    let (_home, ledger) = open();
+    let records = vec![brought(4, 1), brought(4, 2), brought(6, 1)];
+    let digests = records.iter().map(|record| record.digest).collect();
+    ledger.append(records).expect("acknowledged");
+    move_to(&ledger, digests, Verified);
+    ledger.name(OWNER, pseudonym(4), "/robot4/odom".to_owned()).expect("learned");
+    let mut topics = ledger.kept_topics(OWNER).expect("read");
+    topics.sort_by_key(|topic| topic.topic_id);
+    let named: Vec<(String, bool, u64)> =
+        topics.iter().map(|topic| (topic.name.clone(), topic.is_named(), topic.bytes)).collect();
+    // 101 + 102 bytes, as `record` has them; of the other one nothing is known but its pseudonym.
+    let expected = [("/robot4/odom".to_owned(), true, 203), (format!("id:{}", pseudonym(6)), false, 101)];
+    assert_eq!(named, expected);
+    let of_robot = ledger.signer_topics(OWNER, SignerId([1; 32])).expect("read");
+    let told: Vec<(SignerId, &str, u64)> =
+        of_robot.iter().map(|one| (one.signer, one.topic.as_str(), one.records.values().sum())).collect();
+    assert_eq!(told[0], (ROBOT, "/robot4/odom", 2));
+    assert_eq!((told.len(), ledger.signer_topics(OWNER, ROBOT).expect("read").len()), (2, 0), "not the owner's own");
+
+    // What was named waits while an incident holds it, by the learned name, too.
+    let due = ledger.oldest(&topics[0], (Timestamp(0), Timestamp(9_999)), 9).expect("read");
+    let due: Vec<_> = due.into_iter().map(|record| (record, vec![1])).collect();
+    let report = NewRecord { kind: RecordKind::Retention, topic: "authros/retention".to_owned(), ..record(1, 9, 1) };
+    ledger.give_up(&topics[0], report.clone(), due).expect("named");
+    move_to(&ledger, vec![report.digest], Verified);
+    assert_eq!(ledger.to_delete(OWNER, 9).expect("read").len(), 2);
+    let span = IncidentSpan { since: Timestamp(0), until: None, topics: vec!["/robot4/odom".to_owned()] };
+    ledger.open_incident(OWNER, &"crash".parse().expect("a name"), &span, None).expect("opened");
+    assert_eq!(ledger.to_delete(OWNER, 9), Ok(Vec::new()));
+}
+
+#[test]
+fn who_had_a_record_erased_and_why_stays_with_it() {
+    let (_home, ledger) = open();
+    let (one, other) = (record(1, 1, 1), record(1, 1, 2));
+    ledger.append(vec![one.clone(), other.clone()]).expect("acknowledged");
+    move_to(&ledger, vec![one.digest], Verified);
+    let report = NewRecord { kind: RecordKind::Retention, topic: "authros/retention".to_owned(), ..record(1, 9, 1) };
+    let erasure = Erasure { at: Timestamp::from_seconds(1), by: "alice".to_owned(), reason: "a \u{1b}face".to_owned() };
+    assert_eq!(ledger.has_named(), Ok(false));
+    let both = vec![(one.digest, vec![1]), (other.digest, vec![2])];
+    ledger.erase(report.clone(), &erasure, both).expect_err("one of them is not verified");
+    assert_eq!(ledger.retained(one.digest), Ok(None), "all or nothing");
+    ledger.erase(report.clone(), &erasure, vec![(one.digest, vec![1])]).expect("named");
+    assert_eq!(
+        (ledger.has_named(), ledger.erased_among(&[one.digest, other.digest])),
+        (Ok(true), Ok(vec![one.digest]))
+    );
+    move_to(&ledger, vec![report.digest], Verified);
+    assert_eq!(ledger.to_delete(OWNER, 9), Ok(vec![one.digest]));
+    ledger.deleted(&[one.digest]).expect("noted");
+    let retained = ledger.retained(one.digest).expect("read").expect("kept");
+    assert_eq!((retained.erased.clone(), retained.report), (Some(erasure.clone()), report.digest));
+    assert_eq!((ledger.has_named(), ledger.erasure(report.digest)), (Ok(false), Ok(Some(erasure))));
+    let words = retained.erased.expect("erased").to_string();
+    assert!(words.starts_with("erased 1970-01-01T00:00:01Z by alice, a ") && !words.contains('\u{1b}'), "{words}");
+}
+
+#[test]
+fn a_scoured_copy_is_in_no_file() {
+    let (home, ledger) = open();
+    let copy = |seed: u8| {
+        (0..20_000u32).map(|at| (at * 7 + u32::from(seed) * 31).to_le_bytes()[0] ^ seed).collect::<Vec<u8>>()
+    };
+    let with = |seq: u64, blob: Vec<u8>| NewRecord { local_copy: Some(blob), ..record(1, 1, seq) };
+    let (large, small) = (copy(3), copy(9)[..200].to_vec());
+    let records = [with(1, large.clone()), with(2, small.clone()), with(3, copy(5))];
+    let digests: Vec<Digest> = records.iter().map(|record| record.digest).collect();
+    ledger.append(records.to_vec()).expect("acknowledged");
+    let is_in = |piece: &[u8]| {
+        let files = std::fs::read_dir(home.path()).expect("readable").flatten();
+        let mut all = files.map(|file| std::fs::read(file.path()).expect("read"));
+        all.any(|bytes| bytes.windows(piece.len()).any(|window| window == piece))
+    };
+    let pieces = [&large[100..148], &large[10_000..10_048], &small[20..68]];
+    assert!(pieces.iter().all(|piece| is_in(piece)), "the search finds what is there");
+    ledger.scour_local_copies(&digests[..2]).expect("scoured");
+    assert!(!pieces.iter().any(|piece| is_in(piece)));
+    assert_eq!(ledger.local_copy(digests[2]), Ok(Some(copy(5))), "others stay");
+    assert_eq!(ledger.local_copy(digests[0]), Ok(None));
+}

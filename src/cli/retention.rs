@@ -1,0 +1,117 @@
+//! `retention`: erasing chosen records; what rules delete is decided by the settings.
+
+use std::io::{BufRead as _, IsTerminal as _};
+
+use clap::Subcommand;
+
+use super::connect::{Context, ProfileNeed};
+use super::incidents::moment;
+use super::parse;
+use super::verbs::CHAIN;
+use crate::model::ByteSize;
+use crate::service::command::{EraseRecords, ErasureWishes};
+use crate::service::reply::ErasureView;
+use crate::service::{Client, Failure};
+use authros_output::Output;
+
+/// What a person writes to confirm.
+const WORD: &str = "erase";
+
+/// `retention …`
+#[derive(Debug, Subcommand)]
+pub enum RetentionVerb {
+    /// Erase chosen messages for good: their bytes go, digests, signatures, anchors and proofs stay
+    Erase {
+        /// Messages of this topic
+        #[arg(long, required_unless_present = "records")]
+        topic: Option<String>,
+        /// Captured at this time or later: 2026-11-21T08:30:00Z, a day, or so long ago, as 10m
+        #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
+        since: Option<String>,
+        /// Captured before this time, written in the same way
+        #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
+        until: Option<String>,
+        /// These records, by their ids
+        #[arg(long = "record", value_name = "ID", num_args = 1.., conflicts_with_all = ["topic", "since", "until"])]
+        records: Vec<String>,
+        /// Why; shown with the records from then on
+        #[arg(long, value_name = "TEXT")]
+        reason: String,
+        /// Erase without asking; without it, what would go is shown
+        #[arg(long)]
+        yes: bool,
+    },
+}
+
+/// Shows what would be erased, asks, and erases.
+///
+/// # Errors
+/// Errors of the arguments and the site; incidents that hold some of the records.
+pub async fn run(context: Context, verb: RetentionVerb, output: &Output) -> Result<u8, Failure> {
+    let RetentionVerb::Erase { topic, since, until, records, reason, yes } = verb;
+    let wishes = ErasureWishes {
+        topic: topic.as_deref().map(parse::value).transpose()?,
+        since: since.as_deref().map(moment).transpose()?,
+        until: until.as_deref().map(moment).transpose()?,
+        records,
+        reason,
+        sure: yes,
+    };
+    let asks = !yes && !context.global.json && std::io::stdin().is_terminal();
+    let connection = context.connect(CHAIN).await?;
+    let done = async {
+        context.prepare(&connection.client, ProfileNeed::Unlocked, output).await?;
+        erase(&connection.client, wishes, asks, output).await
+    };
+    let done = done.await;
+    connection.close().await;
+    done.map(|()| 0)
+}
+
+async fn erase(client: &Client, wishes: ErasureWishes, asks: bool, output: &Output) -> Result<(), Failure> {
+    let view = client.ask(EraseRecords(wishes.clone())).await?;
+    let is_sure = asks && view.records > 0 && view.held.is_empty() && {
+        output.note(&text(&view));
+        output.note(&format!("write '{WORD}' to erase them for good:"));
+        confirmed()
+    };
+    let view = if is_sure { client.ask(EraseRecords(ErasureWishes { sure: true, ..wishes })).await? } else { view };
+    output.result(&view, || text(&view));
+    Ok(())
+}
+
+fn confirmed() -> bool {
+    let mut line = String::new();
+    std::io::stdin().lock().read_line(&mut line).is_ok_and(|_| line.trim() == WORD)
+}
+
+/// What would be erased, or was.
+fn text(view: &ErasureView) -> String {
+    let topics = if view.topics.is_empty() { String::new() } else { format!(" of {}", view.topics.join(", ")) };
+    let mut lines = vec![match (view.named, view.deleted) {
+        (0, _) => format!("{} messages{topics}, {}, would be erased", view.records, ByteSize(view.bytes)),
+        (named, true) => format!("{named} messages{topics} are erased"),
+        (named, false) => {
+            format!("{named} messages{topics} are named; their bytes go when that is confirmed on the chain")
+        }
+    }];
+    let mut count = |count: u64, what: &str| {
+        if count > 0 {
+            lines.push(format!("{count} {what}"));
+        }
+    };
+    count(view.waiting, "are not verified yet and stay; repeat this when they are");
+    count(view.gone, "were deleted or erased earlier");
+    count(view.other, "are quarantined, discarded or altered and stay");
+    count(view.missing, "stay because their bytes are missing or altered; `authros audit --deep` names them");
+    if !view.held.is_empty() {
+        let names = view.held.join(", ");
+        lines.push(format!("held by incidents: {names}; release them with `authros incident remove NAME --yes`"));
+    }
+    if view.named == 0 && view.records > 0 {
+        lines.push("nothing was erased; --yes erases without asking".to_owned());
+    }
+    lines.push("digests, signatures, anchors and proofs stay; not reached:".to_owned());
+    lines.extend(view.stays.iter().map(|what| format!("- {what}")));
+    lines.join("\n")
+}

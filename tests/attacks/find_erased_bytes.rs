@@ -1,0 +1,74 @@
+//! Someone who gets the disk of a site looks for the bytes of a recording that was erased: in the vault's file, its log,
+//! the ledger and everything else in the home, while the site runs and after it has ended.
+
+use std::path::{Path, PathBuf};
+
+use authros::model::Digest;
+use authros::store::open_vault;
+
+use crate::support::{Home, holds, is_verified, text, wait_until};
+use crate::{Outcome, judge};
+
+const TOPIC: &str = "/robot1/camera/compressed";
+
+/// The files of a home in which one of these pieces is.
+fn with_any(folder: &Path, pieces: &[Vec<u8>]) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let path = entry.path();
+        if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
+            found.extend(with_any(&path, pieces));
+        } else if let Ok(bytes) = std::fs::read(&path)
+            && pieces.iter().any(|piece| holds(&bytes, piece))
+        {
+            found.push(path);
+        }
+    }
+    found
+}
+
+#[test]
+fn find_erased_bytes() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "1"]);
+    let site = authros.serve(&home);
+    authros.enrol();
+    authros.capture(&[TOPIC, "/robot1/odom"], 5);
+    let records = wait_until(120, "all is verified", || {
+        let records = authros.records(&["uploads", "list", "--topic", TOPIC]);
+        (records.len() >= 5 && records.iter().all(is_verified)).then_some(records)
+    });
+    // Pieces from the beginning, the middle and the end of each ciphertext: it lies on many pages.
+    let pieces: Vec<Vec<u8>> = {
+        let vault = open_vault(None, &home.path().join("vault")).expect("the site's own file");
+        let blob = |record| {
+            let digest: Digest = text(record, "digest").parse().expect("a digest");
+            vault.get(digest).expect("read").expect("stored")
+        };
+        let parts = |blob: Vec<u8>| {
+            let length = blob.len();
+            [300, length / 2, length - 40].map(|at| blob[at..at + 32].to_vec())
+        };
+        records.iter().map(blob).flat_map(parts).collect()
+    };
+    assert!(!with_any(&home.path(), &pieces).is_empty(), "the search finds what is there");
+
+    authros.json(&["retention", "erase", "--topic", TOPIC, "--reason", "a face is in it", "--yes"]);
+    wait_until(120, "they are gone", || {
+        let records = authros.records(&["uploads", "list", "--topic", TOPIC]);
+        records.iter().all(|record| record["state"] == "deleted").then_some(())
+    });
+    let while_it_runs = with_any(&home.path(), &pieces);
+    site.stop("TERM", 30).expect_code(0);
+    let afterwards = with_any(&home.path(), &pieces);
+    let shown = authros.json(&["shared", "check", &text(&records[0], "id")]);
+    let outcome = match (while_it_runs.is_empty(), afterwards.is_empty()) {
+        (true, true) if shown["verdict"] == "deleted" => Outcome::Refused(format!(
+            "none of {} pieces of ciphertext is in any file, and the record's proof still stands",
+            pieces.len()
+        )),
+        (true, true) => Outcome::Otherwise(format!("the bytes are gone, but the record checks as {shown}")),
+        _ => Outcome::Succeeded(format!("ciphertext in {while_it_runs:?} {afterwards:?}")),
+    };
+    judge("find_erased_bytes", outcome);
+}

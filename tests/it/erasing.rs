@@ -1,0 +1,87 @@
+//! Erasing one recording: who and why are kept with its proofs, what an incident holds stays, and nothing looks lost or
+//! altered afterwards.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use crate::support;
+
+use serde_json::Value;
+use support::{Authros, Home, count, is_verified, list, text, wait_until};
+
+const REFUSED: i32 = 5;
+const INPUT: i32 = 3;
+const ODOM: &str = "/robot1/odom";
+const OTHER: &str = "/robot2/odom";
+const WHY: &str = "a passer-by asked for it";
+
+fn of(authros: &Authros, topic: &str) -> Vec<Value> {
+    authros.records(&["uploads", "list", "--topic", topic])
+}
+
+fn erase(authros: &Authros, more: &[&str]) -> Value {
+    authros.json(&[&["retention", "erase", "--reason", WHY], more].concat())
+}
+
+#[test]
+fn a_recording_is_erased_by_somebody_for_a_reason_and_its_proofs_stay() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "2"]);
+    let site = authros.serve(&home);
+    authros.enrol();
+    authros.capture(&[ODOM, OTHER], 6);
+    let before = wait_until(120, "all is verified", || {
+        let records = of(&authros, ODOM);
+        (records.len() >= 6 && records.iter().all(is_verified)).then_some(records)
+    });
+    let all = before.len() as u64;
+
+    // Shown, not done.
+    let plan = erase(&authros, &["--topic", ODOM]);
+    assert_eq!((count(&plan, "records"), count(&plan, "named")), (all, 0), "{plan}");
+    assert!(list(&plan, "stays").len() >= 4, "what is not reached is said: {plan}");
+    assert!(of(&authros, ODOM).iter().all(is_verified), "nothing happened");
+    authros.fails(INPUT, &["retention", "erase", "--record", "abcdef12", "--reason", WHY, "--yes"]);
+    authros.fails(INPUT, &["retention", "erase", "--topic", ODOM, "--reason", " ", "--yes"]);
+
+    // What an incident holds stays until that is released.
+    authros.json(&["incident", "open", "crash", "--since", "-10m", "--topics", ODOM]);
+    let told = authros.fails(REFUSED, &["retention", "erase", "--topic", ODOM, "--reason", WHY, "--yes"]);
+    assert!(told.contains("crash"), "{told}");
+    assert!(of(&authros, ODOM).iter().all(is_verified), "nothing happened");
+    authros.json(&["incident", "remove", "crash", "--yes"]);
+
+    // One record, then the rest.
+    let first = text(&before[0], "id");
+    let one = erase(&authros, &["--record", &first, "--yes"]);
+    assert_eq!((count(&one, "named"), &one["deleted"]), (1, &Value::Bool(true)), "{one}");
+    let done = erase(&authros, &["--topic", ODOM, "--yes"]);
+    assert_eq!((count(&done, "named"), count(&done, "gone")), (all - 1, 1), "{done}");
+    let after = wait_until(60, "all are deleted", || {
+        let records = of(&authros, ODOM);
+        records.iter().all(|record| record["state"] == "deleted").then_some(records)
+    });
+    for record in &after {
+        let erased = text(record, "erased");
+        assert!(erased.starts_with("erased 20") && erased.contains("by ") && erased.contains(WHY), "{erased}");
+    }
+    assert!(of(&authros, OTHER).iter().all(is_verified), "what was not chosen stays");
+
+    // The proofs stay, and who, when and why are said wherever the message is asked for.
+    let digests = |records: &[Value]| records.iter().map(|record| text(record, "digest")).collect::<Vec<_>>();
+    assert_eq!(digests(&before), digests(&after));
+    assert_eq!(authros.json(&["shared", "check", &first])["verdict"], "deleted");
+    assert!(authros.json(&["uploads", "show", &first])["steps"].to_string().contains(WHY));
+    assert!(authros.fails(REFUSED, &["shared", "open", &first]).contains(WHY));
+    let folder = home.root().join("exported");
+    let folder = folder.to_str().expect("UTF-8");
+    assert!(authros.fails(REFUSED, &["uploads", "export", &first, "--dir", folder]).contains(WHY));
+    let told = authros.records(&["uploads", "list", "--kind", "retention"]);
+    let report = authros.json(&["shared", "open", &text(&told[0], "id")]);
+    assert!(text(&report["message"], "rule").contains(WHY), "signed and on the chain: {report}");
+    let lines = list(&authros.json(&["audit", "list", "--action", "erase", "--limit", "1000"]), "audit");
+    assert!(lines.iter().any(|line| line["outcome"] == "begun" && text(line, "subject").contains(WHY)), "{lines:?}");
+
+    let again = erase(&authros, &["--topic", ODOM, "--yes"]);
+    assert_eq!((count(&again, "records"), count(&again, "gone")), (0, all), "{again}");
+    site.stop("TERM", 30).expect_code(0);
+    authros.run(&["audit", "--deep"]).expect_code(0);
+}

@@ -1,0 +1,89 @@
+//! Robots as code: what a robot captures is set from its owner's site, taken up at its next contact, kept over a crash,
+//! and seen as drift until then.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use crate::support;
+
+use crate::robots::{Robot, Site, when};
+use serde_json::Value;
+use support::{Authros, count, heavy, list, text, wait_until};
+
+const INPUT: i32 = 3;
+const WATCHED: &str = "/robot1/odom";
+const UNWATCHED: &str = "/robot1/camera/compressed";
+
+fn row(owner: &Authros, name: &str) -> Value {
+    let robots = owner.json(&["robots", "list"]);
+    let found = list(&robots, "robots").into_iter().find(|row| text(row, "name") == name);
+    found.unwrap_or_else(|| panic!("no robot {name}: {robots}"))
+}
+
+fn version(figures: &Value) -> u64 {
+    figures["policy"]["version"].as_u64().unwrap_or_default()
+}
+
+#[test]
+fn a_robot_works_by_the_policy_of_its_owner_and_its_drift_is_seen() {
+    let _alone = heavy();
+    let site = Site::new();
+    let alice = site.owner("alice");
+    let robot = Robot::enrol(&site, &alice, "scout", &[WATCHED, UNWATCHED]);
+    let before = row(&alice, "scout");
+    assert_eq!((text(&before, "standing"), &before["drift"]), ("none".to_owned(), &Value::Bool(false)), "{before}");
+
+    let file = site.home.root().join("scout.toml");
+    let place = file.to_str().expect("UTF-8");
+    let set = |policy: &str| std::fs::write(&file, policy).expect("written");
+    set("vault.url = \"redis://elsewhere\"\n");
+    let told = alice.fails(INPUT, &["robots", "policy", "scout", "--set", place]);
+    assert!(told.contains("vault.url"), "{told}");
+    assert_eq!(row(&alice, "scout")["wanted"], 0, "what is not valid is not sent");
+
+    // Set while the robot is away: drift until its next contact.
+    set(&format!(
+        "ring.keep = \"\"\nring.topics = \"\"\n[[watch]]\ntopic = \"{UNWATCHED}\"\n\
+         [[topic]]\nmatch = \"{UNWATCHED}\"\nevery = 2\n"
+    ));
+    alice.json(&["robots", "policy", "scout", "--set", place]);
+    let drifting = row(&alice, "scout");
+    assert_eq!((count(&drifting, "wanted"), &drifting["drift"]), (1, &Value::Bool(true)), "{drifting}");
+    assert_eq!((text(&drifting, "standing"), drifting["drift_since"].is_null()), ("waiting".to_owned(), false));
+
+    let agent = robot.run("5m, 64MiB", "[\"/robot1/camera/**\"]");
+    when(&agent, "the policy is taken up", |figures| version(figures) == 1);
+    let in_force = wait_until(120, "the owner hears of it", || {
+        let row = row(&alice, "scout");
+        (text(&row, "standing") == "in force").then_some(row)
+    });
+    assert_eq!((count(&in_force, "running"), &in_force["drift"]), (1, &Value::Bool(false)), "{in_force}");
+    wait_until(120, "what the policy watches arrives", || {
+        let records = alice.records(&["uploads", "list", "--topic", UNWATCHED]);
+        (records.len() >= 3).then_some(())
+    });
+    let odometry = alice.records(&["uploads", "list", "--topic", WATCHED]).len();
+    let shown = alice.json(&["robots", "show", "scout"]);
+    let overruled = shown["overruled"].to_string();
+    assert!(overruled.contains("ring") && overruled.contains("300s"), "its own ring does not count: {shown}");
+    assert!(text(&shown, "policy").contains("every = 2"), "{shown}");
+    let topics = list(&shown, "topics");
+    assert!(topics.iter().any(|topic| text(topic, "topic") == UNWATCHED && count(topic, "records") >= 3), "{shown}");
+
+    // Without a chance to write anything, and with its own settings as before.
+    agent.stop("KILL", 10);
+    let agent = robot.run("5m, 64MiB", "[\"/robot1/camera/**\"]");
+    when(&agent, "it is there again", |figures| count(figures, "captured") > 0 && version(figures) == 1);
+
+    // A rule of its own again.
+    alice.json(&["robots", "policy", "scout", "--clear"]);
+    when(&agent, "cleared", |figures| version(figures) == 2);
+    wait_until(120, "what its own settings watch arrives again", || {
+        let records = alice.records(&["uploads", "list", "--topic", WATCHED]);
+        (records.len() > odometry).then_some(())
+    });
+    when(&agent, "and its own ring fills", |figures| {
+        figures["ring"]["messages"].as_u64().is_some_and(|messages| messages > 0)
+    });
+    agent.stop("TERM", 30).expect_code(0);
+    let lines = alice.json(&["audit", "list", "--limit", "1000"]).to_string();
+    assert!(lines.contains("robot policy"), "who set it and when is in the audit log");
+}
