@@ -4,6 +4,7 @@ mod alerts;
 mod audit;
 mod chain;
 mod check;
+mod fleet;
 mod forging;
 mod identity;
 mod incidents;
@@ -25,6 +26,7 @@ pub use self::alerts::{AlertTestView, AlertView, AlertsView, EndedAlert, Severit
 pub use self::audit::{AuditCheck, AuditView};
 pub use self::chain::{ChainView, DeployedView, GasView, GatewayView, ServedView};
 pub use self::check::{BackupView, CheckStatus, DoctorCheck, DoctorView, FindingKind, RecordAudit, RecordFinding};
+pub use self::fleet::{FellowView, FleetView};
 pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
 pub use self::identity::{
     DeviceGatewaysView, DeviceTopicsView, EnrolledView, EpochView, IdentityView, KeyChangeView, KeysView,
@@ -222,4 +224,8 @@ replies! {
     WitnessAnswers(WitnessAnswers);
     /// To `PullRing`.
     RingPull(RingPullView);
+    /// To `AddFellow`, `RemoveFellow` and `ListFellows`.
+    Fellows(Vec<FellowView>);
+    /// To `FleetStatus`.
+    Fleet(FleetView);
 }

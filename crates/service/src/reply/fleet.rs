@@ -24,7 +24,7 @@ pub struct FellowView {
     pub lacking: u64,
     /// Records taken over from it since this site runs.
     pub taken: u64,
-    /// Records it told of whose owners may not use the gateway of this home.
+    /// Owners of records it told of who may not use the gateway of this home: their records are not taken.
     pub passed_over: u64,
     /// Records that this gateway and another one anchored, both.
     pub anchored_twice: u64,

@@ -8,7 +8,6 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 use tokio::task::block_in_place;
 
-use super::round::Course;
 use crate::crypto::signer_id;
 use crate::gateway::Code;
 use crate::model::{Address, ProfileName, SignerId, Timestamp, clean};
@@ -48,13 +47,13 @@ pub(super) struct Fellow {
 /// How reconciling with a gateway goes.
 #[derive(Debug, Default)]
 pub(super) struct Progress {
-    /// Where reading of its holdings stands.
-    pub course: Course,
+    /// Whether all of its holdings were read.
+    pub complete: bool,
     /// When it last told what it holds.
     pub heard: Option<Timestamp>,
     /// Records taken from it.
     pub taken: u64,
-    /// Those lacking, and those of owners who may not use this gateway, as of then.
+    /// Those lacking as of then, and how many owners may not use this gateway.
     pub lacking: u64,
     pub passed_over: u64,
     /// Those anchored by both.
@@ -278,7 +277,7 @@ fn view(fellow: Fellow, all: &BTreeMap<SignerId, Progress>, network: Option<&Net
         key,
         added_at,
         heard: one.heard,
-        reconciled: one.heard.is_some() && one.lacking == 0 && one.trouble.is_none() && one.course.is_at_end(),
+        reconciled: one.heard.is_some() && one.lacking == 0 && one.trouble.is_none() && one.complete,
         lacking: one.lacking,
         taken: one.taken,
         passed_over: one.passed_over,

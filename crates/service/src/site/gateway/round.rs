@@ -12,7 +12,7 @@ use crate::model::{Address, Digest, Ranges, RecorderId, TopicId};
 use crate::store::Lacking;
 
 /// The most answers about holdings that are read in a round.
-const MOST_PAGES: usize = 16;
+const MOST_PAGES: usize = 8;
 /// The most requests for records in a round.
 const MOST_REQUESTS: usize = 256;
 /// No further records are asked for once a round took so many bytes.
@@ -23,6 +23,8 @@ pub(super) const MOST_REFUSED: usize = 16;
 const MOST_SET_ASIDE: usize = 16_384;
 /// The most records remembered as anchored twice.
 const MOST_TWICE: usize = 4096;
+/// The most owners remembered as not admitted.
+const MOST_PASSED_OVER: usize = 1024;
 /// How many blocks are read again: a gateway may note anchors of a block a moment later than of the next.
 const AGAIN: u64 = 16;
 /// How often holdings are read from the beginning: anchors of old blocks may become known late.
@@ -76,6 +78,8 @@ pub(super) struct Course {
     /// Numbers that it told and did not give, or gave with something that does not hold.
     set_aside: BTreeSet<Numbered>,
     twice: BTreeSet<Digest>,
+    /// Owners whose records are not taken.
+    passed_over: BTreeSet<Address>,
 }
 
 impl Course {
@@ -84,11 +88,19 @@ impl Course {
         self.at_end
     }
 
-    fn begin(&mut self, now: Instant) {
-        if self.begun.is_none_or(|begun| now.duration_since(begun) >= WHOLE && self.at_end) {
-            (self.after, self.begun) = (HoldingPlace::default(), Some(now));
+    /// How many owners have records there that are not taken here.
+    pub fn passed_over(&self) -> u64 {
+        self.passed_over.len() as u64
+    }
+
+    /// Reads from the beginning the first time, now and then, and when an owner may use this gateway who might not before.
+    fn begin(&mut self, here: &impl Here, now: Instant) {
+        let due = self.begun.is_none_or(|begun| now.duration_since(begun) >= WHOLE && self.at_end);
+        if due || self.passed_over.iter().any(|owner| here.welcomes(owner).is_ok()) {
+            (self.after, self.begun, self.at_end) = (HoldingPlace::default(), Some(now), false);
             self.set_aside.clear();
             self.twice.clear();
+            self.passed_over.clear();
         }
     }
 }
@@ -100,8 +112,6 @@ pub(super) struct Round {
     pub taken: u64,
     /// Records that were lacking and still are.
     pub lacking: u64,
-    /// Records of owners who may not use this gateway.
-    pub passed_over: u64,
     /// Records that both anchored, newly seen.
     pub twice: u64,
     /// What was refused, by reason.
@@ -148,7 +158,7 @@ pub(super) async fn reconcile(
     course: &mut Course,
     round: &mut Round,
 ) -> Result<(), Ended> {
-    course.begin(Instant::now());
+    course.begin(here, Instant::now());
     let mut left = Left { requests: MOST_REQUESTS, bytes: MOST_BYTES, refusals: MOST_REFUSED };
     for _ in 0..MOST_PAGES {
         let page = other.holdings(course.after).await?;
@@ -186,7 +196,9 @@ async fn one(
         Ok(()) => {}
         Err(refusal) if is_of_here(refusal.code) => return Err(Ended::Here(refusal)),
         Err(_) => {
-            round.passed_over += held.ranges.count();
+            if course.passed_over.len() < MOST_PASSED_OVER {
+                course.passed_over.insert(held.owner);
+            }
             return Ok(true);
         }
     }
