@@ -98,6 +98,9 @@ pub enum Verb {
     /// Incidents: records that retention must keep: open, list, show, note, close, remove
     #[command(subcommand)]
     Incident(super::incidents::IncidentVerb),
+    /// Gateways of the same fleet, with which this home's gateway reconciles: add, list, remove, status
+    #[command(subcommand)]
+    Fleet(super::fleet::FleetVerb),
     /// Parties that countersign what this home states about its chain: add, list, remove, status, ask
     #[command(subcommand)]
     Witness(super::witnesses::WitnessVerb),

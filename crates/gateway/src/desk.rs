@@ -16,8 +16,8 @@ use crate::model::{
 
 use super::code::{Code, Refusal};
 use super::command::{
-    DeviceNotice, Entry, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, Page, Query, Registration, RevokeNotice,
-    Selection, Standing, Wanted,
+    DeviceNotice, Entry, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, Page, Query, Registration,
+    RevokeNotice, Selection, Standing, Wanted,
 };
 use super::hello::NetworkName;
 use super::standings::Stood;

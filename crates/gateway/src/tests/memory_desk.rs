@@ -13,8 +13,8 @@ use authros_chain::merkle::{Inclusion, Leaf};
 use authros_chain::{AnchorProof, RelayError};
 use authros_crypto::{SmKeyPair, signer_id};
 use authros_gateway::command::{
-    DeviceNotice, Entry, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, Page, Query, Registration, RevokeNotice,
-    Selection, Standing, Wanted,
+    DeviceNotice, Entry, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, Page, Query, Registration,
+    RevokeNotice, Selection, Standing, Wanted,
 };
 use authros_gateway::desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
 use authros_gateway::{Code, NetworkName, Refusal, Stood};

@@ -140,10 +140,7 @@ impl Ledger {
     }
 }
 
-fn topic_key(
-    connection: &rusqlite::Connection,
-    (owner, recorder, topic): Which,
-) -> Result<Option<i64>, StoreError> {
+fn topic_key(connection: &rusqlite::Connection, (owner, recorder, topic): Which) -> Result<Option<i64>, StoreError> {
     let key = connection
         .prepare_cached(
             "SELECT key FROM topics WHERE owner = ?1 AND topic_id = ?2
@@ -240,7 +237,9 @@ mod tests {
         take(&ledger, &[2, 3], 10);
         ledger.append(vec![foreign(5), foreign(6)]).expect("stored");
         let leaf = (Digest([6; 32]), Vec::new());
-        ledger.close_batch(NewBatch { owner: Address([9; 20]), root: Hash([77; 32]), leaves: vec![leaf] }).expect("closed");
+        ledger
+            .close_batch(NewBatch { owner: Address([9; 20]), root: Hash([77; 32]), leaves: vec![leaf] })
+            .expect("closed");
         let found = ledger.lacking(WHICH, &all).expect("reads");
         assert_eq!(found.numbers.iter().collect::<Vec<_>>(), [(1, 1), (4, 5), (7, 9)]);
         assert_eq!(found.twice, [Digest([6; 32])], "its own anchor is on the way");

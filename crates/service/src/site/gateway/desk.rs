@@ -15,8 +15,9 @@ use crate::chain::{Call, RelayError};
 use crate::crypto::{SmKeyPair, open_transport_key, seal_transport_key, signer_id};
 use crate::gateway::desk::Account;
 use crate::gateway::{
-    Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, Entry, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings,
-    NetworkName, Page, Query, Received, Refusal, Registration, RevokeNotice, Selection, Standing, Stood, Wanted,
+    Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, Entry, Fetched, GrantNotice, HandedOver, HoldingPlace,
+    Holdings, NetworkName, Page, Query, Received, Refusal, Registration, RevokeNotice, Selection, Standing, Stood,
+    Wanted,
 };
 use crate::model::{
     Address, Countersignature, Digest, Hash, ProfileName, PublicKey, SignedPosition, SignerId, Timestamp, Token,
@@ -96,7 +97,8 @@ impl GatewayDesk {
             Access::Admitted => false,
             Access::Guest => true,
             Access::Fellow => {
-                let text = format_args!("{owner} keeps a gateway of the fleet and was not admitted with records of its own");
+                let text =
+                    format_args!("{owner} keeps a gateway of the fleet and was not admitted with records of its own");
                 return Err(Refusal::new(Code::NotAuthorised, text));
             }
         };

@@ -92,8 +92,9 @@ impl Fellows {
         }
         let list: Vec<Fellow> = match self.plant.ledger.setting(LIST)? {
             None => Vec::new(),
-            Some(text) => serde_json::from_str(&text)
-                .map_err(|_| input("the list of the fleet's gateways in the ledger cannot be read; restore a backup"))?,
+            Some(text) => serde_json::from_str(&text).map_err(|_| {
+                input("the list of the fleet's gateways in the ledger cannot be read; restore a backup")
+            })?,
         };
         *self.list.write().unwrap_or_else(PoisonError::into_inner) = Some(list.clone());
         Ok(list)
@@ -157,7 +158,9 @@ impl Fellows {
         let [fellow] = found.as_slice() else {
             let what = if found.is_empty() { "no gateway" } else { "more than one gateway" };
             let gateway = clean(gateway, 100);
-            return Err(input(format!("{what} of the fleet is '{gateway}'; `authros fleet list` shows them with their keys")));
+            return Err(input(format!(
+                "{what} of the fleet is '{gateway}'; `authros fleet list` shows them with their keys"
+            )));
         };
         self.log.write(profile, "fleet remove", &format!("{} (key {})", fellow.address, fellow.key), "done").await?;
         list.retain(|other| other != fellow);
@@ -258,9 +261,11 @@ impl Fellows {
             is_new
         });
         if is_new {
-            let (address, level) = (clean(&fellow.address, 255), if lied { NoticeLevel::Error } else { NoticeLevel::Warning });
+            let (address, level) =
+                (clean(&fellow.address, 255), if lied { NoticeLevel::Error } else { NoticeLevel::Warning });
             let what = if lied { "sends what does not hold, nothing of it is taken" } else { "does not reconcile" };
-            let text = format!("the gateway {address} of the fleet {what}, it is asked again later: {}", clean(why, 300));
+            let text =
+                format!("the gateway {address} of the fleet {what}, it is asked again later: {}", clean(why, 300));
             self.hub.notice_about(ABOUT, level, &text);
             self.hub.changed(Part::Health);
         }

@@ -224,8 +224,12 @@ impl Gateway {
         };
         self.log.write(&keeper.profile, "gateway", &view.address, "serving").await?;
         self.hub.notice(NoticeLevel::Info, &format!("the gateway is listening at {}", view.address));
-        *self.serving.lock().unwrap_or_else(PoisonError::into_inner) =
-            Some(Serving { view: view.clone(), watch: server.watch(), under: Arc::clone(&under), place: place.clone() });
+        *self.serving.lock().unwrap_or_else(PoisonError::into_inner) = Some(Serving {
+            view: view.clone(),
+            watch: server.watch(),
+            under: Arc::clone(&under),
+            place: place.clone(),
+        });
         self.hub.changed(Part::Health);
         self.keep_gateway(place, server, ended);
         Ok(view)

@@ -57,7 +57,8 @@ impl Gateway {
             FleetCommand::ListFellows => self.fellow_rows().map(ask::ListFellows::told),
             FleetCommand::FleetStatus => {
                 let served = self.served();
-                let (address, key) = (served.as_ref().map(|view| view.address.clone()), served.map(|view| view.gateway));
+                let (address, key) =
+                    (served.as_ref().map(|view| view.address.clone()), served.map(|view| view.gateway));
                 Ok(ask::FleetStatus::told(FleetView { address, key, fellows: self.fellow_rows()? }))
             }
         }
@@ -131,7 +132,8 @@ impl Gateway {
             Err(Ended::Here(_)) => {}
             Err(Ended::Gateway(error)) => {
                 line.client = None;
-                if matches!(error, GatewayError::RefusedInClear(Code::Tag) | GatewayError::Refused(Code::NotRegistered)) {
+                if matches!(error, GatewayError::RefusedInClear(Code::Tag) | GatewayError::Refused(Code::NotRegistered))
+                {
                     line.credentials = None;
                 }
                 self.fellows.failed(&line.fellow, &told(&error), false, share());

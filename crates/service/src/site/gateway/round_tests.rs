@@ -164,7 +164,8 @@ async fn a_list_without_an_end_is_read_a_part_at_a_time_and_one_that_stands_stil
     let (_, sum, ended) = rounds(&mut endless, &here, 1).await;
     assert!(ended.is_ok() && sum.more, "{sum:?}");
     assert_eq!(endless.asked, MOST_PAGES);
-    let mut still = script(|after| Holdings { next: after, more: true, ..Holdings::default() }, |_| HandedOver::default());
+    let mut still =
+        script(|after| Holdings { next: after, more: true, ..Holdings::default() }, |_| HandedOver::default());
     let (_, _, ended) = rounds(&mut still, &here, 9).await;
     assert!(matches!(ended, Err(Ended::Lies(_))), "{ended:?}");
     assert_eq!(still.asked, 1);
@@ -208,7 +209,10 @@ async fn what_is_told_and_not_handed_over_is_asked_for_once_and_not_without_end(
     assert!(empty.asked <= 6, "{}", empty.asked);
     let mut slow = script(
         |_| Holdings { held: vec![held(FRIEND, 1..=8000)], next: place(1), more: false },
-        |wanted: Wanted| HandedOver { records: Vec::new(), next: (wanted.first < wanted.last).then(|| wanted.first + 1) },
+        |wanted: Wanted| HandedOver {
+            records: Vec::new(),
+            next: (wanted.first < wanted.last).then(|| wanted.first + 1),
+        },
     );
     let (_, sum, ended) = rounds(&mut slow, &here, 1).await;
     assert!(ended.is_ok() && sum.more, "{ended:?}");
@@ -234,5 +238,8 @@ async fn records_of_owners_who_are_not_admitted_are_not_even_asked_for() {
     assert!(ended.is_ok() && course.passed_over() == 1 && sum.refused.is_empty(), "{sum:?}");
     let stale = Shelf { stale: true, ..Shelf::default() };
     let (_, _, ended) = rounds(&mut other, &stale, 1).await;
-    assert!(matches!(ended, Err(Ended::Here(refusal)) if refusal.code == Code::Stale), "without its chain it takes nothing");
+    assert!(
+        matches!(ended, Err(Ended::Here(refusal)) if refusal.code == Code::Stale),
+        "without its chain it takes nothing"
+    );
 }

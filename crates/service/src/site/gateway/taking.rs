@@ -71,7 +71,10 @@ impl Taking<'_> {
         let Fetched { signer, signature, proof, blob } = record;
         let (header, _) = Header::parse(&blob)?;
         if header.domain != network.domain || header.owner != wanted.owner {
-            return Err(Refusal::new(Code::NotYours, format_args!("a record of {}, not of {}", header.owner, wanted.owner)));
+            return Err(Refusal::new(
+                Code::NotYours,
+                format_args!("a record of {}, not of {}", header.owner, wanted.owner),
+            ));
         }
         let asked = (header.recorder, header.topic_id) == (wanted.recorder, wanted.topic_id)
             && (wanted.first..=wanted.last).contains(&header.seq);
