@@ -72,7 +72,6 @@ use devices::enrolled::Enrolments;
 use evidence::{Evidence, TimeStamps};
 use gateway::Gateway;
 use gateway::admissions::Admissions;
-use gateway::fellows::Fellows;
 use identity::Profiles;
 use incidents::Incidents;
 use mirror::Joined;
@@ -144,7 +143,6 @@ pub struct Site {
     pins: Arc<Pinning>,
     quarantine: Arc<Quarantine>,
     admissions: Arc<Admissions>,
-    fellows: Arc<Fellows>,
     gateway: Arc<Gateway>,
     audit: Arc<Audit>,
     backup: Arc<Backup>,
@@ -218,8 +216,7 @@ impl Site {
         let (stamps, enrolments) = (Arc::new(TimeStamps::new(of)), Arc::new(Enrolments::new(of)));
         let sharing = Arc::new(Sharing::new(of, &contacts, &enrolments, &joined, &reserve));
         let admissions = Arc::new(Admissions::new(of, &contacts));
-        let fellows = Arc::new(Fellows::new(of));
-        let gateway = Arc::new(Gateway::new(of, &sharing, &admissions, &fellows, remote.clone()));
+        let gateway = Arc::new(Gateway::new(of, &sharing, &admissions, remote.clone()));
         let watches = Arc::new(Watches::new(of, &recorder, &ros));
         let asked = identity::Asked {
             connection: &connection,
@@ -275,7 +272,6 @@ impl Site {
             pins,
             quarantine,
             admissions,
-            fellows,
             gateway,
             consoles: Mutex::default(),
             guests: AtomicUsize::new(0),

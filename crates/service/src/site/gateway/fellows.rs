@@ -67,7 +67,7 @@ pub(super) struct Progress {
 }
 
 /// The gateways of the same fleet.
-pub(in crate::site) struct Fellows {
+pub(super) struct Fellows {
     plant: Plant,
     hub: Arc<Hub>,
     log: Arc<Log>,
@@ -256,7 +256,7 @@ impl Fellows {
             one.trouble = Some((since, clean(why, 300), lied));
             let (least, most) = if lied { LONG_PAUSES } else { PAUSES };
             one.pause = (one.pause * 2).clamp(least, most);
-            let pause = one.pause - one.pause / 512 * u32::from(share);
+            let pause = one.pause.saturating_sub(one.pause / 512 * u32::from(share));
             one.again = Some(Instant::now() + pause);
             is_new
         });

@@ -80,9 +80,12 @@ fn size(record: &Fetched) -> usize {
     record.blob.len() + record.proof.len() + 256
 }
 
+/// Owner, recorder, topic id.
+type Topic = ([u8; 20], [u8; 16], [u8; 16]);
+
 /// Rows as ranges, topic by topic.
 fn by_topic(rows: Vec<HoldingRow>) -> Vec<Held> {
-    let mut topics: BTreeMap<([u8; 20], [u8; 16], [u8; 16]), Vec<u64>> = BTreeMap::new();
+    let mut topics: BTreeMap<Topic, Vec<u64>> = BTreeMap::new();
     for row in rows {
         topics.entry((row.owner.0, row.recorder.0, row.topic_id.0)).or_default().push(row.seq);
     }

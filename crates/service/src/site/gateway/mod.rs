@@ -7,7 +7,7 @@ mod admission_tests;
 pub(super) mod admissions;
 mod desk;
 mod devices;
-pub(super) mod fellows;
+mod fellows;
 mod handing;
 mod live;
 mod passing;
@@ -120,7 +120,7 @@ pub(in crate::site) struct Gateway {
     supervisor: Arc<Supervisor>,
     sharing: Arc<Sharing>,
     admissions: Arc<Admissions>,
-    fellows: Arc<Fellows>,
+    fellows: Fellows,
     /// The running one, if there is one.
     serving: Mutex<Option<Serving>>,
     remote: Option<Arc<Remotes>>,
@@ -134,7 +134,6 @@ impl Gateway {
         parts: &Parts,
         sharing: &Arc<Sharing>,
         admissions: &Arc<Admissions>,
-        fellows: &Arc<Fellows>,
         remote: Option<Arc<Remotes>>,
     ) -> Self {
         let Parts { home, config, plant, hub, log, owners, link, life, supervisor, .. } = parts.clone();
@@ -150,7 +149,7 @@ impl Gateway {
             supervisor,
             sharing: Arc::clone(sharing),
             admissions: Arc::clone(admissions),
-            fellows: Arc::clone(fellows),
+            fellows: Fellows::new(parts),
             serving: Mutex::default(),
             remote,
             passed_on: OnceLock::new(),

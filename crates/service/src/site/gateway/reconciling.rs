@@ -18,7 +18,8 @@ use crate::pipeline::Network;
 use crate::pipeline::mirror::Anchors;
 use crate::service::command::{self as ask, Ask, FleetCommand};
 use crate::service::event::Part;
-use crate::service::reply::{Failure, FellowView, FleetView, Reply};
+use crate::service::figures::FellowFigures;
+use crate::service::reply::{Failure, FellowView, FleetView, PartHealth, Reply};
 
 /// How often each gateway is asked.
 const PERIOD: Duration = Duration::from_millis(500);
@@ -62,6 +63,16 @@ impl Gateway {
                 Ok(ask::FleetStatus::told(FleetView { address, key, fellows: self.fellow_rows()? }))
             }
         }
+    }
+
+    /// The state of the fleet, if there is one.
+    pub(in crate::site) fn fleet_health(&self) -> Result<Option<PartHealth>, Failure> {
+        self.fellows.health()
+    }
+
+    /// The figures of each other gateway of the fleet.
+    pub(in crate::site) fn fleet_figures(&self) -> Result<Vec<FellowFigures>, Failure> {
+        self.fellows.figures()
     }
 
     fn fellow_rows(&self) -> Result<Vec<FellowView>, Failure> {
@@ -128,8 +139,11 @@ impl Gateway {
         self.note(line, round, ended.is_ok());
         match ended {
             Ok(()) => self.fellows.succeeded(&line.fellow),
-            // The chain here is silent, or the disk is full: other parts of the status say so.
-            Err(Ended::Here(_)) => {}
+            // The chain here is silent, or the disk is full.
+            Err(Ended::Here(refusal)) => {
+                let why = format!("this gateway takes nothing now: {refusal}");
+                self.fellows.failed(&line.fellow, &why, false, share());
+            }
             Err(Ended::Gateway(error)) => {
                 line.client = None;
                 if matches!(error, GatewayError::RefusedInClear(Code::Tag) | GatewayError::Refused(Code::NotRegistered))
