@@ -243,7 +243,7 @@ mod tests {
     #[test]
     fn a_count_of_records_is_bounded_before_anything_is_kept() {
         let many = u16::try_from(MOST_HANDED + 1).expect("few").to_be_bytes();
-        assert!(Answer::parse(Command::HandOver, &[&many[..], &[0; 70_000]].concat()).is_err());
+        assert!(Answer::parse(Command::HandOver, &[&many[..], &vec![0; 70_000]].concat()).is_err());
         let long = [&1_u16.to_be_bytes()[..], &u32::MAX.to_be_bytes(), &[0; 500]].concat();
         assert!(Answer::parse(Command::HandOver, &long).is_err());
     }

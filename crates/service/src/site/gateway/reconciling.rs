@@ -124,7 +124,7 @@ impl Gateway {
     }
 
     /// The desk of the gateway that runs here, if one does.
-    fn served_desk(self: &Arc<Self>) -> Option<GatewayDesk> {
+    pub(super) fn served_desk(self: &Arc<Self>) -> Option<GatewayDesk> {
         let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
         serving.as_ref().map(|serving| self.desk(&serving.place))
     }

@@ -159,3 +159,7 @@ fn failed(error: &PipelineError) -> Refusal {
     let code = if matches!(error, PipelineError::NotTakenIn { .. }) { Code::Tampered } else { Code::Stale };
     Refusal::new(code, error)
 }
+
+#[cfg(test)]
+#[path = "taking_tests.rs"]
+mod tests;
