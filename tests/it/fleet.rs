@@ -336,7 +336,7 @@ fn three_gateways_are_killed_at_random_and_nothing_is_lost() {
     let shared = ["shared", "list", "--owner", &alice.address];
     assert_eq!(bob.verified(&shared, all), own, "the reader has the same");
     let begun = Instant::now();
-    gateways.iter().for_each(|gateway| drop(reconciled(gateway)));
+    gateways.iter().for_each(|gateway| drop(reconciled(gateway, 0)));
     println!("all three hold the same {:?} after the robot settled", begun.elapsed());
     for (gateway, name) in gateways.iter().zip(["carol", "dave", "erin"]) {
         let reader = Member::new(name, &[gateway]);
