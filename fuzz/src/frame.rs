@@ -254,10 +254,26 @@ pub fn samples() -> Vec<Sample> {
         "grant_notice",
         "revoke_notice",
         "device_notice",
+        "relay",
+        "holdings",
+        "hand_over",
     ];
     samples.extend(names.iter().zip(requests()).map(|(name, request)| sample(name, 1, &client_text(&request))));
-    let names =
-        ["list", "receipt", "registered", "page", "standings", "record", "done", "time", "event", "end", "refused"];
+    let names = [
+        "list",
+        "receipt",
+        "registered",
+        "page",
+        "standings",
+        "record",
+        "done",
+        "time",
+        "told_holdings",
+        "handed_over",
+        "event",
+        "end",
+        "refused",
+    ];
     samples.extend(names.iter().zip(answers()).map(|(name, answer)| sample(name, 2, &gateway_text(&answer))));
     samples
 }

@@ -4,13 +4,23 @@ use authros::crypto::AccountSignature;
 use authros::gateway::allocation::AllocationRequest;
 use authros::gateway::command::{Inner, Part};
 use authros::gateway::{
-    Answer, Code, Command, Entry, Fetched, GrantNotice, Page, Query, Receipt, Registration, RelayCall, Request,
-    RevokeNotice, Selection, Standing, Upload,
+    Answer, Code, Command, Entry, Fetched, GrantNotice, HandedOver, Held, HoldingPlace, Holdings, Page, Query, Receipt,
+    Registration, RelayCall, Request, RevokeNotice, Selection, Standing, Upload, Wanted,
 };
 use authros::model::{
-    Address, Digest, FilterId, Hash, Identity, PublicKey, RecordKind, RecorderId, Signature, SignerId, Timestamp,
-    Token, TopicId,
+    Address, Digest, FilterId, Hash, Identity, PublicKey, Ranges, RecordKind, RecorderId, Signature, SignerId,
+    Timestamp, Token, TopicId,
 };
+
+const PLACE: HoldingPlace = HoldingPlace { block: 1, batch: 2, leaf: 3 };
+const WANTED: Wanted =
+    Wanted { owner: Address([1; 20]), recorder: RecorderId([2; 16]), topic_id: TopicId([3; 16]), first: 4, last: 9 };
+
+fn holdings() -> Holdings {
+    let Wanted { owner, recorder, topic_id, .. } = WANTED;
+    let held = Held { owner, recorder, topic_id, ranges: Ranges::of(vec![1, 2, 3, 7]) };
+    Holdings { held: vec![held; 2], next: PLACE, more: true }
+}
 
 fn selection() -> Selection {
     Selection {
@@ -58,6 +68,8 @@ pub fn requests() -> Vec<Request> {
         Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([7; 32]), transaction }),
         Request::DeviceNotice(PublicKey([6; 64]).into()),
         Request::Relay(RelayCall { method: "eth_call".to_owned(), parameters: "[{},\"latest\"]".to_owned() }),
+        Request::Holdings(PLACE),
+        Request::HandOver(WANTED),
     ]
 }
 
@@ -90,6 +102,8 @@ pub fn answers() -> Vec<Answer> {
         Answer::Record(Box::new(record.clone())),
         Answer::Done(Command::Subscribe),
         Answer::Time(Timestamp(5)),
+        Answer::Holdings(Box::new(holdings())),
+        Answer::HandedOver(Box::new(HandedOver { records: vec![record.clone(); 2], next: Some(7) })),
         Answer::Event(Box::new((entry(), record))),
         Answer::End(Code::NotAuthorised),
         Answer::Refused(Code::Token),

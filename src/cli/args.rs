@@ -101,6 +101,9 @@ pub enum Verb {
     /// Erase chosen records for good, with their proofs kept
     #[command(subcommand)]
     Retention(super::retention::RetentionVerb),
+    /// Gateways of the same fleet, with which this home's gateway reconciles: add, list, remove, status
+    #[command(subcommand)]
+    Fleet(super::fleet::FleetVerb),
     /// Parties that countersign what this home states about its chain: add, list, remove, status, ask
     #[command(subcommand)]
     Witness(super::witnesses::WitnessVerb),

@@ -4,8 +4,8 @@ use std::io::Write as _;
 use std::path::Path;
 
 use super::{
-    adopt, alerts, audit, check, coverage, gateway, incidents, lists, parties, policy, quarantine, robots, viewing,
-    witnesses,
+    adopt, alerts, audit, check, coverage, fleet, gateway, incidents, lists, parties, policy, quarantine, robots,
+    viewing, witnesses,
 };
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
@@ -13,9 +13,10 @@ use crate::service::command::{Ask, Command, SecretBytes};
 use crate::service::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, Answer, AuditCheck, AuditView, BackupView, ChainView,
     CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceGatewaysView, DeviceRow,
-    DeviceTopicsView, ExportedFile, GatewayStatusView, GrantRow, IdentityView, IncidentView, KeyChangeView, KeysView,
-    OpenedView, PathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, Reply,
-    RingPullView, RobotGatewayView, RobotRow, RobotView, TopicRow, TransactionView, WitnessView, WitnessesView,
+    DeviceTopicsView, ExportedFile, FellowView, FleetView, GatewayStatusView, GrantRow, IdentityView, IncidentView,
+    KeyChangeView, KeysView, OpenedView, PathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit,
+    RecordPage, Reply, RingPullView, RobotGatewayView, RobotRow, RobotView, TopicRow, TransactionView, WitnessView,
+    WitnessesView,
 };
 use crate::service::{Client, Failure};
 use authros_output::Output;
@@ -123,6 +124,7 @@ documents! {
     DeviceTopicsView => device_topics;
     IncidentView => incidents::incident;
     WitnessesView => witnesses::status;
+    FleetView => fleet::status;
     RingPullView => robots::pulled;
     RobotView => robots::one;
 }
@@ -137,6 +139,7 @@ rows! {
     IncidentView, "incidents" => incidents::all;
     WitnessView, "witnesses" => witnesses::all;
     RobotRow, "robots" => robots::all;
+    FellowView, "fleet" => fleet::all;
 }
 
 impl Printed for () {

@@ -11,8 +11,10 @@ mod support;
 
 mod anchor_as_somebody_else;
 mod ask_for_every_log;
+mod ask_for_what_a_gateway_holds;
 mod brick_the_chain_through_the_gateway;
 mod enrolled_robot;
+mod feed_a_fleet_with_lies;
 mod fill_the_audit_log;
 mod fill_the_pool;
 mod find_erased_bytes;

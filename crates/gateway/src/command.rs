@@ -8,11 +8,13 @@ use crate::model::{Digest, Domain, Signature, SignerId, Token};
 use super::session::{LONGEST_TEXT, SessionId};
 
 pub mod answer;
+pub mod holdings;
 pub mod query;
 pub mod relay;
 pub mod request;
 
 pub use answer::{Answer, Fetched, Standing};
+pub use holdings::{HandedOver, Held, HoldingPlace, Holdings, Wanted};
 pub use query::{Entry, Page, Query, Selection};
 pub use relay::{RelayCall, Relayed};
 pub use request::{DeviceNotice, GrantNotice, Registration, Request, RevokeNotice, Upload};
@@ -80,6 +82,10 @@ commands! {
     Relay = 18;
     /// What an owner states about its chain, for the keeper's countersignature.
     Countersign = 19;
+    /// Which anchored records the gateway holds, for a gateway of the same fleet.
+    Holdings = 20;
+    /// The records of a range, for a gateway of the same fleet.
+    HandOver = 21;
 }
 
 impl Command {

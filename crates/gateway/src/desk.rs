@@ -16,7 +16,8 @@ use crate::model::{
 
 use super::code::{Code, Refusal};
 use super::command::{
-    DeviceNotice, Entry, Fetched, GrantNotice, Page, Query, Registration, RevokeNotice, Selection, Standing,
+    DeviceNotice, Entry, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, Page, Query, Registration,
+    RevokeNotice, Selection, Standing, Wanted,
 };
 use super::hello::NetworkName;
 use super::standings::Stood;
@@ -182,6 +183,19 @@ pub trait Desk: Send + Sync + 'static {
     async fn countersign(&self, stated: &SignedPosition) -> Result<Countersignature, Refusal> {
         let owner = stated.position.owner;
         Err(Refusal::new(Code::NotAuthorised, format_args!("nobody here is a witness for {owner}")))
+    }
+
+    /// What this gateway holds, in the order of the anchoring blocks: `NotAuthorised` unless the caller is the keeper of a
+    /// gateway that this one's keeper named.
+    async fn holdings(&self, caller: &Caller, after: &HoldingPlace) -> Result<Holdings, Refusal> {
+        let _ = after;
+        Err(Refusal::new(Code::NotAuthorised, format_args!("{} keeps no gateway of this fleet", caller.account)))
+    }
+
+    /// The records of a range with their proofs, under the same condition.
+    async fn hand_over(&self, caller: &Caller, wanted: &Wanted) -> Result<HandedOver, Refusal> {
+        let _ = wanted;
+        Err(Refusal::new(Code::NotAuthorised, format_args!("{} keeps no gateway of this fleet", caller.account)))
     }
 
     /// Reports a refusal: for the log, counted by (peer, code, minute).

@@ -54,6 +54,8 @@ pub fn check_reach(caller: &Caller, request: &Request) -> Result<(), Refusal> {
         Request::Query(query) => device.hears(&caller.account, &query.selection),
         Request::Subscribe(selection) => device.hears(&caller.account, selection),
         Request::GrantNotice(_) | Request::RevokeNotice(_) | Request::Relay(_) => false,
+        // A robot is nobody's gateway.
+        Request::Holdings(_) | Request::HandOver(_) => false,
         _ => true,
     };
     if may {
@@ -124,7 +126,11 @@ pub async fn check_records(
     tokio::task::spawn_blocking(verify).await.map_err(Refusal::because(Code::Internal))?
 }
 
-fn verify_all(context: Context, uploads: Vec<Upload>, signers: &[PublicKey]) -> Result<Vec<Received>, Refusal> {
+/// Whether each record is signed by the key beside it, in one go.
+///
+/// # Errors
+/// [`Refusal`] with `Signature`; one bad record refuses all.
+pub fn verify_all(context: Context, uploads: Vec<Upload>, signers: &[PublicKey]) -> Result<Vec<Received>, Refusal> {
     let mut records = Vec::with_capacity(uploads.len());
     for (upload, signer) in uploads.iter().zip(signers) {
         let Upload { blob, signature, .. } = upload;

@@ -43,12 +43,80 @@ pub struct Mirror<'a> {
     pub anchors: Anchors,
 }
 
-/// Anchors that the chain confirmed, by account, root and transaction: their blocks.
+/// Anchors that the chain confirmed, by account, root, leaves and transaction: their blocks.
 #[derive(Default)]
 pub struct Anchors(Mutex<BTreeMap<AnchorKey, (u64, Hash)>>);
 
-/// Account, root, transaction.
-type AnchorKey = (Address, Hash, Hash);
+/// Account, root, number of leaves, transaction.
+type AnchorKey = (Address, Hash, u64, Hash);
+
+impl Anchors {
+    /// Compares the proof with the chain; block and hash are then the chain's own.
+    ///
+    /// # Errors
+    /// [`PipelineError::NotTakenIn`] if the chain does not confirm it, otherwise errors of the chain.
+    pub async fn confirm(
+        &self,
+        network: &Network,
+        header: &Header,
+        digest: Digest,
+        proof: AnchorProof,
+    ) -> Result<AnchorProof, PipelineError> {
+        let refused = |why: &str| PipelineError::NotTakenIn { digest, why: why.to_owned() };
+        let Some(inclusion) = &proof.inclusion else {
+            let (block, block_hash) = block_of(network, digest, &proof).await?;
+            let uploaded = network.chain.uploaded_at(header.owner, digest).await?;
+            if proof.account != header.owner || uploaded != Some(block) {
+                return Err(refused("the chain does not have its digest"));
+            }
+            return Ok(AnchorProof { block, block_hash, ..proof });
+        };
+        let Header { owner, recorder, topic_id, seq, .. } = *header;
+        if !inclusion.proves(&Leaf { owner, recorder, topic_id, seq, digest }) {
+            return Err(refused("its path does not lead to its root"));
+        }
+        let key = (proof.account, inclusion.root, inclusion.count, proof.transaction);
+        let known = self.0.lock().unwrap_or_else(PoisonError::into_inner).get(&key).copied();
+        if let Some((block, block_hash)) = known {
+            return Ok(AnchorProof { block, block_hash, ..proof });
+        }
+        // The block is the transaction's, and the root must be in that very block: the right is judged by it.
+        let (block, block_hash) = block_of(network, digest, &proof).await?;
+        let (account, root, count) = (proof.account, inclusion.root, inclusion.count);
+        if !proof::is_root_in(&network.chain, account, root, count, block).await? {
+            return Err(refused("the chain does not have its root"));
+        }
+        let mut anchors = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if anchors.len() >= MOST_ANCHORS {
+            anchors.clear();
+        }
+        anchors.insert(key, (block, block_hash));
+        Ok(AnchorProof { block, block_hash, ..proof })
+    }
+}
+
+/// The block that has the proof's transaction.
+async fn block_of(network: &Network, digest: Digest, proof: &AnchorProof) -> Result<(u64, Hash), PipelineError> {
+    let receipt = network.chain.receipt(proof.transaction).await?.filter(|receipt| receipt.success);
+    let why = "the chain does not have its anchoring transaction".to_owned();
+    let receipt = receipt.ok_or(PipelineError::NotTakenIn { digest, why })?;
+    Ok((receipt.block, receipt.block_hash))
+}
+
+/// Waits until the watcher here has read a block's events, for so long at most: rights follow from them.
+///
+/// # Errors
+/// [`PipelineError::Unsteady`] if it has not, or errors of the ledger.
+pub async fn wait_for(plant: &Plant, block: u64, patience: Duration) -> Result<(), PipelineError> {
+    let deadline = Instant::now() + patience;
+    while block_in_place(|| plant.ledger.cursor(CURSOR))?.is_none_or(|(read, _)| read < block) {
+        if Instant::now() > deadline {
+            return Err(PipelineError::Unsteady);
+        }
+        tokio::time::sleep(LOOK).await;
+    }
+    Ok(())
+}
 
 /// The owners whose records a reader may have: itself, and everyone who currently shares with it.
 pub fn sources(network: &Network, reader: &Owner) -> BTreeSet<Address> {
@@ -104,7 +172,7 @@ impl Mirror<'_> {
             return Err(refused("its header names a different key than the one that signed it"));
         }
         let proof = match proof {
-            Some(proof) => Some(self.confirmed(&header, digest, proof).await?),
+            Some(proof) => Some(self.anchors.confirm(self.network, &header, digest, proof).await?),
             None => None,
         };
         if !self.check_signer(&header, digest, &fetched, proof.as_ref()).await? {
@@ -134,7 +202,7 @@ impl Mirror<'_> {
     ) -> Result<bool, PipelineError> {
         let at = match proof {
             Some(proof) => {
-                self.wait_for(proof.block).await?;
+                wait_for(self.plant, proof.block, BEHIND).await?;
                 Moment::of_block(proof.block, self.network.ask_time(proof.block).await?)
             }
             None => Moment::newest(self.network.directory.now()),
@@ -148,65 +216,6 @@ impl Mirror<'_> {
             Err(why) => return Err(PipelineError::NotTakenIn { digest, why: why.to_string() }),
         }
         Ok(true)
-    }
-
-    /// Waits until the watcher here has read a block's events: the right follows from them.
-    async fn wait_for(&self, block: u64) -> Result<(), PipelineError> {
-        let deadline = Instant::now() + BEHIND;
-        while block_in_place(|| self.plant.ledger.cursor(CURSOR))?.is_none_or(|(read, _)| read < block) {
-            if Instant::now() > deadline {
-                return Err(PipelineError::Unsteady);
-            }
-            tokio::time::sleep(LOOK).await;
-        }
-        Ok(())
-    }
-
-    /// Compares the proof with the chain; block and hash are then the chain's own.
-    async fn confirmed(
-        &self,
-        header: &Header,
-        digest: Digest,
-        proof: AnchorProof,
-    ) -> Result<AnchorProof, PipelineError> {
-        let refused = |why: &str| PipelineError::NotTakenIn { digest, why: why.to_owned() };
-        let Some(inclusion) = &proof.inclusion else {
-            let (block, block_hash) = self.block_of(digest, &proof).await?;
-            let uploaded = self.network.chain.uploaded_at(header.owner, digest).await?;
-            if proof.account != header.owner || uploaded != Some(block) {
-                return Err(refused("the chain does not have its digest"));
-            }
-            return Ok(AnchorProof { block, block_hash, ..proof });
-        };
-        let Header { owner, recorder, topic_id, seq, .. } = *header;
-        if !inclusion.proves(&Leaf { owner, recorder, topic_id, seq, digest }) {
-            return Err(refused("its path does not lead to its root"));
-        }
-        let key = (proof.account, inclusion.root, proof.transaction);
-        let known = self.anchors.0.lock().unwrap_or_else(PoisonError::into_inner).get(&key).copied();
-        if let Some((block, block_hash)) = known {
-            return Ok(AnchorProof { block, block_hash, ..proof });
-        }
-        // The block is the transaction's, and the root must be in that very block: the right is judged by it.
-        let (block, block_hash) = self.block_of(digest, &proof).await?;
-        let (account, root, count) = (proof.account, inclusion.root, inclusion.count);
-        if !proof::is_root_in(&self.network.chain, account, root, count, block).await? {
-            return Err(refused("the chain does not have its root"));
-        }
-        let mut anchors = self.anchors.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if anchors.len() >= MOST_ANCHORS {
-            anchors.clear();
-        }
-        anchors.insert(key, (block, block_hash));
-        Ok(AnchorProof { block, block_hash, ..proof })
-    }
-
-    /// The block that has the proof's transaction.
-    async fn block_of(&self, digest: Digest, proof: &AnchorProof) -> Result<(u64, Hash), PipelineError> {
-        let receipt = self.network.chain.receipt(proof.transaction).await?.filter(|receipt| receipt.success);
-        let why = "the chain does not have its anchoring transaction".to_owned();
-        let receipt = receipt.ok_or(PipelineError::NotTakenIn { digest, why })?;
-        Ok((receipt.block, receipt.block_hash))
     }
 
     async fn keep(

@@ -7,6 +7,7 @@ mod check;
 mod choices;
 mod evidence;
 pub mod filter;
+mod fleet;
 mod incidents;
 mod operate;
 mod playing;
@@ -24,6 +25,7 @@ pub use self::check::{AuditRecords, BackUp, EraseRecords, ErasureWishes, ListAll
 pub use self::choices::{Epochs, Held, KeyKind, PairKind, UploadQuery};
 pub use self::evidence::EvidenceWishes;
 pub use self::filter::Term;
+pub use self::fleet::{AddFellow, FleetCommand, FleetStatus, ListFellows, RemoveFellow};
 pub use self::incidents::{
     CloseIncident, IncidentCommand, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident,
 };
@@ -381,6 +383,8 @@ requests! {
         OfWitness(WitnessCommand),
         /// Robots: what is asked of them.
         OfRobot(RobotCommand),
+        /// The fleet: gateways that reconcile what they hold.
+        OfFleet(FleetCommand),
     }
 }
 

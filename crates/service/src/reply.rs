@@ -4,6 +4,7 @@ mod alerts;
 mod audit;
 mod chain;
 mod check;
+mod fleet;
 mod forging;
 mod identity;
 mod incidents;
@@ -27,6 +28,7 @@ pub use self::chain::{ChainView, DeployedView, GasView, GatewayView, ServedView}
 pub use self::check::{
     BackupView, CheckStatus, DoctorCheck, DoctorView, ErasureView, FindingKind, RecordAudit, RecordFinding,
 };
+pub use self::fleet::{FellowView, FleetView};
 pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
 pub use self::identity::{
     DeviceGatewaysView, DeviceTopicsView, EnrolledView, EpochView, IdentityView, KeyChangeView, KeysView,
@@ -230,4 +232,8 @@ replies! {
     Robots(Vec<RobotRow>);
     /// To `ShowRobot` and `SetRobotPolicy`.
     Robot(RobotView);
+    /// To `AddFellow`, `RemoveFellow` and `ListFellows`.
+    Fellows(Vec<FellowView>);
+    /// To `FleetStatus`.
+    Fleet(FleetView);
 }

@@ -97,6 +97,10 @@ const REQUESTS: &[&str] = &[
     r#"{"command":"of_witness","witness":"list_witnesses"}"#,
     r#"{"command":"of_witness","witness":"witness_status"}"#,
     r#"{"command":"of_witness","witness":"ask_witnesses"}"#,
+    r#"{"command":"of_fleet","fleet":"add_fellow","address":"h:1","key":"0707070707070707070707070707070707070707070707070707070707070707"}"#,
+    r#"{"command":"of_fleet","fleet":"remove_fellow","gateway":"h:1"}"#,
+    r#"{"command":"of_fleet","fleet":"list_fellows"}"#,
+    r#"{"command":"of_fleet","fleet":"fleet_status"}"#,
     r#"{"command":"open_console"}"#,
 ];
 
@@ -136,6 +140,8 @@ const REPLIES: &[&str] = &[
     r#"{"reply":"witness_status","with":{"account":"0x0707070707070707070707070707070707070707","key":null,"witnesses":[],"contradictions":[{"name":null,"key":"0707070707070707070707070707070707070707070707070707070707070707","account":"0x0707070707070707070707070707070707070707","chain_id":7,"what":"w","kept_at":"2026-01-01T00:00:00Z","at":"2026-01-01T00:00:01Z","kept":"0a","later":"0b"}]}}"#,
     r#"{"reply":"witness_answers","with":{"given":[{"witness":"w","at":"2026-01-01T00:00:00Z","batches":1,"block":2}],"problem":null}}"#,
     r#"{"reply":"ring_pull","with":{"robot":"scout","device":"0707070707070707070707070707070707070707070707070707070707070707","since":"2026-01-01T00:00:00Z","until":"2026-01-01T00:05:00Z","topics":["/camera/**"]}}"#,
+    r#"{"reply":"fellows","with":[{"address":"h:1","key":"0707070707070707070707070707070707070707070707070707070707070707","account":null,"added_at":"2026-01-01T00:00:00Z","heard":null,"reconciled":false,"lacking":1,"taken":2,"passed_over":3,"anchored_twice":4,"refused":[{"code":6,"text":"t","count":5}],"problem":"p"}]}"#,
+    r#"{"reply":"fleet","with":{"address":null,"key":null,"fellows":[]}}"#,
 ];
 
 fn changed<T: Serialize + DeserializeOwned>(lines: &[&str]) -> Vec<String> {

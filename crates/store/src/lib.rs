@@ -26,12 +26,12 @@ pub use files::{ConsoleLock, SiteLock, atomic_write};
 pub use ledger::{
     AlarmRow, Anchors, AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, BatchPlace, Coverage, CoveragePart,
     CoverageQuery, EarlierAnchor, Erasure, FilterChoice, Foreign, GapRow, Glance, HeldMinute, HeldQuery, HeldRow, Hold,
-    IncidentNote, IncidentRow, IncidentSpan, KeptBinding, KeptContradiction, KeptEnvelope, KeptPosition, KeptReceipt,
-    KeptRight, KeptStamp, KeptStanding, KeptTopic, LaneCount, LastSeen, Ledger, Left, Loss, NewBatch, NewRecord,
-    NewTransaction, OldRecord, OpenTransaction, OverduePlace, PinRow, PlacedPage, PositionCounts, RecordPage,
-    RecordQuery, RecordRow, RecordsHeld, Reissue, Retained, RightEvent, RightKind, RootSighting, Sequence, Sighting,
-    SignerTopic, SpanCoverage, StampCounts, StandingRights, StateCounts, TopicCounts, TransactionOutcome,
-    TransactionRow, TransactionState, Unwitnessed, WaitingBatch, WaitingSigner, WitnessRow,
+    HoldingPage, HoldingRow, IncidentNote, IncidentRow, IncidentSpan, KeptBinding, KeptContradiction, KeptEnvelope,
+    KeptPosition, KeptReceipt, KeptRight, KeptStamp, KeptStanding, KeptTopic, Lacking, LaneCount, LastSeen, Ledger,
+    Left, Loss, NewBatch, NewRecord, NewTransaction, OldRecord, OpenTransaction, OverduePlace, PinRow, PlacedPage,
+    PositionCounts, RecordPage, RecordQuery, RecordRow, RecordsHeld, Reissue, Retained, RightEvent, RightKind,
+    RootSighting, Sequence, Sighting, SignerTopic, SpanCoverage, StampCounts, StandingRights, StateCounts, TopicCounts,
+    TransactionOutcome, TransactionRow, TransactionState, Unwitnessed, WaitingBatch, WaitingSigner, WitnessRow,
 };
 pub use reserve::{RESERVE_BYTES, Reserve};
 pub use vault::{Stored, Usage, Vault, open_vault};

@@ -4,6 +4,7 @@ use crate::model::wire::{Reader, WireError};
 use crate::model::{Countersignature, Hash, PublicKey, Signature, Timestamp};
 
 use super::Command;
+use super::holdings::{HandedOver, Holdings};
 use super::query::{Entry, Page};
 use super::relay::Relayed;
 use super::request::{MOST_CHECKED, SIGNED};
@@ -63,14 +64,14 @@ pub struct Fetched {
 }
 
 impl Fetched {
-    fn encode(&self) -> Vec<u8> {
+    pub(super) fn encode(&self) -> Vec<u8> {
         let proof = &self.proof[..self.proof.len().min(LONGEST_PROOF)];
         let length = u32::try_from(proof.len()).unwrap_or(u32::MAX).to_be_bytes();
         let parts: [&[u8]; 5] = [&self.signer.0, &self.signature.0, &length, proof, &self.blob];
         parts.concat()
     }
 
-    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
+    pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
         let signer = PublicKey(reader.array("signer")?);
         let signature = Signature(reader.array("signature")?);
         let length = usize::try_from(reader.u32("proof length")?).unwrap_or(usize::MAX);
@@ -108,6 +109,10 @@ pub enum Answer {
     Relayed(Relayed),
     /// The keeper's countersignature: over what was sent, or the last one, to which the next statement has to refer.
     Countersigned(Box<Countersignature>),
+    /// What the gateway holds.
+    Holdings(Box<Holdings>),
+    /// The records of a range.
+    HandedOver(Box<HandedOver>),
     /// A record of a subscription: entry || record.
     Event(Box<(Entry, Fetched)>),
     /// A subscription has ended: code (2).
@@ -129,6 +134,8 @@ impl Answer {
             Self::Time(_) => Command::Ping,
             Self::Relayed(_) => Command::Relay,
             Self::Countersigned(_) => Command::Countersign,
+            Self::Holdings(_) => Command::Holdings,
+            Self::HandedOver(_) => Command::HandOver,
             Self::Event(_) => Command::Event,
             Self::End(_) => Command::End,
             Self::Refused(_) => Command::Refuse,
@@ -154,6 +161,8 @@ impl Answer {
             Self::Time(time) => time.0.to_be_bytes().to_vec(),
             Self::Relayed(relayed) => relayed.encode(),
             Self::Countersigned(countersignature) => countersignature.encode(),
+            Self::Holdings(holdings) => holdings.encode(),
+            Self::HandedOver(handed) => handed.encode(),
             Self::Event(event) => [event.0.encode(), event.1.encode()].concat(),
             Self::End(code) | Self::Refused(code) => code.number().to_be_bytes().to_vec(),
         }
@@ -189,6 +198,8 @@ impl Answer {
             Command::Fetch => Self::Record(Box::new(Fetched::read(&mut reader)?)),
             Command::Subscribe | Command::Unsubscribe => Self::Done(command),
             Command::Countersign => return countersigned(body),
+            Command::Holdings => Self::Holdings(Box::new(Holdings::read(&mut reader)?)),
+            Command::HandOver => Self::HandedOver(Box::new(HandedOver::read(&mut reader)?)),
             Command::Ping => Self::Time(Timestamp(reader.u64("time")?)),
             Command::Relay => Self::Relayed(Relayed::read(&mut reader)?),
             Command::Event => Self::Event(Box::new((Entry::read(&mut reader)?, Fetched::read(&mut reader)?))),

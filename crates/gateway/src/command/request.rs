@@ -5,6 +5,7 @@ use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, SignedPosition, Token, TopicId};
 
 use super::Command;
+use super::holdings::{HoldingPlace, Wanted};
 use super::query::{Query, Selection};
 use super::relay::RelayCall;
 use crate::gateway::allocation::AllocationRequest;
@@ -135,6 +136,10 @@ pub enum Request {
     Relay(RelayCall),
     /// What an owner states, signed by it, for a countersignature.
     Countersign(Box<SignedPosition>),
+    /// What the gateway holds, after a place in its holdings.
+    Holdings(HoldingPlace),
+    /// The records of a range.
+    HandOver(Wanted),
 }
 
 impl Request {
@@ -157,6 +162,8 @@ impl Request {
             Self::Ping => Command::Ping,
             Self::Relay(_) => Command::Relay,
             Self::Countersign(_) => Command::Countersign,
+            Self::Holdings(_) => Command::Holdings,
+            Self::HandOver(_) => Command::HandOver,
         }
     }
 
@@ -184,6 +191,8 @@ impl Request {
             Self::RevokeNotice(notice) => notice.encode(),
             Self::Relay(call) => call.encode(),
             Self::Countersign(stated) => stated.encode(),
+            Self::Holdings(after) => after.encode(),
+            Self::HandOver(wanted) => wanted.encode(),
             Self::DeviceNotice(notice) => notice.encode(),
         }
     }
@@ -218,6 +227,8 @@ impl Request {
             Command::Ping => Self::Ping,
             Command::Relay => Self::Relay(RelayCall::read(&mut reader)?),
             Command::Countersign => Self::Countersign(Box::new(SignedPosition::read(&mut reader)?)),
+            Command::Holdings => Self::Holdings(HoldingPlace::read(&mut reader)?),
+            Command::HandOver => Self::HandOver(Wanted::read(&mut reader)?),
             Command::Event | Command::End | Command::Refuse => return Err(WireError::Value("command")),
         };
         reader.end()?;

@@ -97,7 +97,7 @@ fn every_flipped_bit_of_every_commands_frame_is_refused() {
 
 proptest! {
     #[test]
-    fn garbage_never_panics_and_what_parses_has_one_encoding(number in 0u8..20, noise in proptest::collection::vec(any::<u8>(), 0..400)) {
+    fn garbage_never_panics_and_what_parses_has_one_encoding(number in 0u8..22, noise in proptest::collection::vec(any::<u8>(), 0..400)) {
         let _ = Inner::from_client(&noise);
         let _ = Inner::from_gateway(&noise);
         if let Some(command) = Command::from_number(number) {

@@ -128,6 +128,12 @@ impl Commands {
                 (self.caller.device, self.binding.device) = (Some(device), Some(device));
                 self.noted(shared, message)
             }
+            Request::Holdings(after) => {
+                desk.holdings(&self.caller, &after).await.map(|held| Answer::Holdings(Box::new(held)))
+            }
+            Request::HandOver(wanted) => {
+                desk.hand_over(&self.caller, &wanted).await.map(|handed| Answer::HandedOver(Box::new(handed)))
+            }
             _ => Err(Refusal::new(Code::NotHere, "a command for a session without a transport key")),
         }
     }

@@ -7,8 +7,8 @@ use authros_crypto::{
 };
 use authros_gateway::allocation::{AllocationRequest, Applicant};
 use authros_gateway::command::{
-    Answer, Command, Entry, Fetched, GrantNotice, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice,
-    Selection, Standing, Upload,
+    Answer, Command, Entry, Fetched, GrantNotice, HandedOver, Held, HoldingPlace, Holdings, Page, Query, Registration,
+    RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, Upload, Wanted,
 };
 use authros_gateway::hello::{ClientHello, Context, GatewayHello, ListSummary, NetworkName};
 use authros_gateway::session::Session;
@@ -16,7 +16,7 @@ use authros_gateway::{Code, Receipt};
 use authros_model::head::Compression;
 use authros_model::{
     Address, Countersignature, Digest, Domain, FilterId, Hash, Head, Identity, Position, ProfileName, PublicKey,
-    RecordKind, RecorderId, Signature, SignedPosition, SignerId, Timestamp, Token, TopicId,
+    Ranges, RecordKind, RecorderId, Signature, SignedPosition, SignerId, Timestamp, Token, TopicId,
 };
 
 pub(crate) fn context() -> Context {
@@ -175,7 +175,15 @@ pub(crate) fn sample_requests() -> Vec<Request> {
         Request::Ping,
         Request::Relay(RelayCall { method: "eth_call".into(), parameters: "[{},\"latest\"]".into() }),
         Request::Countersign(Box::new(stated())),
+        Request::Holdings(HoldingPlace { block: 1, batch: 2, leaf: 3 }),
+        Request::HandOver(wanted(4, 9)),
     ]
+}
+
+/// A range of one topic's numbers.
+pub(crate) fn wanted(first: u64, last: u64) -> Wanted {
+    let (owner, recorder) = (Address([1; 20]), RecorderId([4; 16]));
+    Wanted { owner, recorder, topic_id: TopicId([8; 16]), first, last }
 }
 
 /// What an owner states; whoever countersigns it has to check it.
@@ -202,6 +210,12 @@ pub(crate) fn countersigned(stated: &SignedPosition) -> Countersignature {
     Countersignature { stated: *stated, at: Timestamp(16), witness, key, signature: Signature([17; 64]) }
 }
 
+fn holdings() -> Holdings {
+    let (Wanted { owner, recorder, topic_id, .. }, ranges) = (wanted(1, 1), Ranges::of(vec![1, 2, 3, 7]));
+    let next = HoldingPlace { block: 5, batch: 6, leaf: 7 };
+    Holdings { held: vec![Held { owner, recorder, topic_id, ranges }; 2], next, more: true }
+}
+
 /// One answer of each shape.
 pub(crate) fn sample_answers() -> Vec<Answer> {
     let record =
@@ -222,6 +236,9 @@ pub(crate) fn sample_answers() -> Vec<Answer> {
         Answer::Relayed(Relayed::Result("\"0x7\"".into())),
         Answer::Relayed(Relayed::Fault { code: -32000, words: "reverted".into(), data: "\"0x08\"".into() }),
         Answer::Countersigned(Box::new(countersigned(&stated()))),
+        Answer::Holdings(Box::new(holdings())),
+        Answer::HandedOver(Box::new(HandedOver { records: vec![record.clone(); 2], next: Some(7) })),
+        Answer::HandedOver(Box::default()),
         Answer::Event(Box::new((entry(), record))),
         Answer::End(Code::NotAuthorised),
         Answer::Refused(Code::Token),

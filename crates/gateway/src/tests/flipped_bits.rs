@@ -9,7 +9,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
-use super::fixtures::stated;
+use super::fixtures::{stated, wanted};
 use super::hostile::text;
 use super::stage::Stage;
 use super::*;
@@ -130,6 +130,8 @@ fn accepted_requests(stage: &Stage, member: &Member) -> Vec<Request> {
         Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([2; 32]), transaction }),
         Request::Ping,
         Request::Relay(RelayCall { method: "eth_blockNumber".to_owned(), parameters: "[]".to_owned() }),
+        Request::Holdings(HoldingPlace::default()),
+        Request::HandOver(wanted(1, 3)),
         // The last one: afterwards the name is the device's.
         Request::DeviceNotice(device.public.into()),
     ]

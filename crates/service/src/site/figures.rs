@@ -136,6 +136,7 @@ impl Site {
             audit_unanchored,
             clock_ahead: look().ahead(),
             gateway: self.gateway.figures(),
+            fleet: self.gateway.fleet_figures()?,
             alerts: self.alerts.by_rule(),
             deliveries: self.alerts.deliveries(),
             latencies: Milestone::ALL.map(|milestone| self.latency(milestone)).into(),

@@ -202,6 +202,7 @@ impl Site {
                 self.reading.learn_own_names(&profile).await?;
                 self.devices.answer(&owner()?, command).await
             }
+            Command::OfFleet(command) => self.gateway.of_fleet(&profile, command).await,
         }
     }
 

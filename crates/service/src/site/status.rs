@@ -44,6 +44,7 @@ impl Site {
         health.extend(self.clock.health());
         health.extend(self.stamps.health()?);
         health.extend(self.witnesses.health()?);
+        health.extend(self.gateway.fleet_health()?);
         health.extend(self.account_health()?);
         Ok(health)
     }

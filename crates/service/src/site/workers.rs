@@ -13,6 +13,7 @@ use super::chain::lanes::Lanes;
 use super::clock::Clock;
 use super::devices::Devices;
 use super::evidence::TimeStamps;
+use super::gateway::Gateway;
 use super::mirror::Joined;
 use super::quarantine::Quarantine;
 use super::sharing::Sharing;
@@ -63,6 +64,7 @@ pub(super) fn start(
             site.parts.supervisor.keep("time stamps", &site.stamps, TimeStamps::keep);
         }
         site.parts.supervisor.keep("witnesses", &site.witnesses, Witnesses::keep);
+        site.parts.supervisor.keep("fleet", &site.gateway, Gateway::reconcile);
         site.parts.supervisor.keep("verifier", site, verify);
         site.parts.supervisor.keep("scrubber", &site.audit, Audit::keep_scrubbing);
         site.parts.supervisor.keep("expiry", &site.sharing, Sharing::keep_settled);

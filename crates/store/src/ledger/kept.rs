@@ -1,11 +1,11 @@
 //! What a gateway keeps for others: public keys of their devices, bindings of names, and anchors made elsewhere,
 //! recorded with their proofs.
 
-use rusqlite::{OptionalExtension as _, params};
+use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::batches::{self, RootSighting};
 use super::edges::{By, may};
-use super::{Ledger, rows};
+use super::{Ledger, NewRecord, append, rows};
 use crate::chain::merkle::Inclusion;
 use crate::model::{
     Address, Digest, FilterId, Hash, ProfileName, PublicKey, RecordState, SignerId, Timestamp, TopicId,
@@ -227,46 +227,72 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::NotReady`] if the record is not in state stored here, [`StoreError::DiskFull`] and the like.
     pub fn take_in(&self, digest: Digest, inclusion: Inclusion, anchor: RootSighting) -> Result<bool, StoreError> {
-        self.write(move |session| {
-            let connection = session.connection;
-            let found = connection
-                .prepare_cached("SELECT n, state FROM records WHERE digest = ?1")?
-                .query_row([digest.0], |row| Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?)))
-                .optional()?;
-            let (record, state) = found.ok_or(StoreError::NotReady { digest, found: "unknown" })?;
-            if !may(By::Batch, state, RecordState::Batched) {
-                return Ok(false);
-            }
-            connection
-                .prepare_cached(
-                    "INSERT INTO batches (root, owner, count, closed_at, account, tx)
-                     VALUES (?1, ?2, ?3, ?4, ?2, ?5) ON CONFLICT DO NOTHING",
-                )?
-                .execute(params![
-                    inclusion.root.0,
-                    anchor.account.0,
-                    whole("count", inclusion.count)?,
-                    whole("time", Timestamp::now().0)?,
-                    anchor.transaction.0
-                ])?;
-            let batch: i64 = connection
-                .prepare_cached("SELECT key FROM batches WHERE root = ?1")?
-                .query_row([inclusion.root.0], |row| row.get(0))?;
-            let path: Vec<u8> = inclusion.path.iter().flat_map(|step: &Hash| step.0).collect();
-            connection
-                .prepare_cached("DELETE FROM left_places WHERE batch = ?1 AND record = ?2")?
-                .execute(params![batch, record])?;
-            connection.prepare_cached("INSERT INTO leaves VALUES (?1, ?2, ?3, ?4)")?.execute(params![
-                record,
-                batch,
-                whole("index", inclusion.index)?,
-                path
-            ])?;
-            connection
-                .prepare_cached("UPDATE records SET state = ?2 WHERE n = ?1")?
-                .execute(params![record, RecordState::Batched.code()])?;
-            batches::see_record(connection, record, batch, &anchor)?;
-            Ok(true)
+        self.write(move |session| take_in(session.connection, digest, &inclusion, &anchor))
+    }
+
+    /// Acknowledges records with the anchors that another gateway made of them, in one commit, so that nobody here anchors
+    /// them again; a record that was here without an anchor gets it. Returns how many are anchored by this.
+    ///
+    /// # Errors
+    /// See [`Ledger::append`]; then nothing is acknowledged.
+    pub fn append_anchored(
+        &self,
+        records: Vec<NewRecord>,
+        anchors: Vec<(Digest, Inclusion, RootSighting)>,
+    ) -> Result<u64, StoreError> {
+        self.takes_records()?;
+        self.write_many(records.len(), move |session| {
+            let now = whole("time", Timestamp::now().0)?;
+            records.iter().try_for_each(|record| append::add(session, record, now))?;
+            anchors.iter().try_fold(0, |taken, (digest, inclusion, anchor)| {
+                Ok(taken + u64::from(take_in(session.connection, *digest, inclusion, anchor)?))
+            })
         })
     }
+}
+
+fn take_in(
+    connection: &Connection,
+    digest: Digest,
+    inclusion: &Inclusion,
+    anchor: &RootSighting,
+) -> Result<bool, StoreError> {
+    let found = connection
+        .prepare_cached("SELECT n, state FROM records WHERE digest = ?1")?
+        .query_row([digest.0], |row| Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?)))
+        .optional()?;
+    let (record, state) = found.ok_or(StoreError::NotReady { digest, found: "unknown" })?;
+    if !may(By::Batch, state, RecordState::Batched) {
+        return Ok(false);
+    }
+    connection
+        .prepare_cached(
+            "INSERT INTO batches (root, owner, count, closed_at, account, tx)
+             VALUES (?1, ?2, ?3, ?4, ?2, ?5) ON CONFLICT DO NOTHING",
+        )?
+        .execute(params![
+            inclusion.root.0,
+            anchor.account.0,
+            whole("count", inclusion.count)?,
+            whole("time", Timestamp::now().0)?,
+            anchor.transaction.0
+        ])?;
+    let batch: i64 = connection
+        .prepare_cached("SELECT key FROM batches WHERE root = ?1")?
+        .query_row([inclusion.root.0], |row| row.get(0))?;
+    let path: Vec<u8> = inclusion.path.iter().flat_map(|step: &Hash| step.0).collect();
+    connection
+        .prepare_cached("DELETE FROM left_places WHERE batch = ?1 AND record = ?2")?
+        .execute(params![batch, record])?;
+    connection.prepare_cached("INSERT INTO leaves VALUES (?1, ?2, ?3, ?4)")?.execute(params![
+        record,
+        batch,
+        whole("index", inclusion.index)?,
+        path
+    ])?;
+    connection
+        .prepare_cached("UPDATE records SET state = ?2 WHERE n = ?1")?
+        .execute(params![record, RecordState::Batched.code()])?;
+    batches::see_record(connection, record, batch, anchor)?;
+    Ok(true)
 }

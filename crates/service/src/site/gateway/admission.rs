@@ -19,6 +19,8 @@ pub(super) enum Standing {
     Admitted,
     /// Nobody admitted it; the gateway is open.
     Guest,
+    /// It keeps another gateway of the fleet: it may ask what is held here and send nothing of its own.
+    Fellow,
 }
 
 impl GatewayDesk {
@@ -35,6 +37,9 @@ impl GatewayDesk {
         // The successor of a lost account takes its place.
         if gateway.admissions.listed().iter().any(|lost| network.directory.successor(*lost) == Some(*account)) {
             return Ok(Standing::Admitted);
+        }
+        if self.gateway.fellows.is_keeper(network, account) {
+            return Ok(Standing::Fellow);
         }
         if self.open {
             return Ok(Standing::Guest);

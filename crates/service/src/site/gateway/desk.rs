@@ -15,8 +15,9 @@ use crate::chain::{Call, RelayError};
 use crate::crypto::{SmKeyPair, open_transport_key, seal_transport_key, signer_id};
 use crate::gateway::desk::Account;
 use crate::gateway::{
-    Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, Entry, Fetched, GrantNotice, NetworkName, Page, Query,
-    Received, Refusal, Registration, RevokeNotice, Selection, Standing, Stood,
+    Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, Entry, Fetched, GrantNotice, HandedOver, HoldingPlace,
+    Holdings, NetworkName, Page, Query, Received, Refusal, Registration, RevokeNotice, Selection, Standing, Stood,
+    Wanted,
 };
 use crate::model::{
     Address, Countersignature, Digest, Hash, ProfileName, PublicKey, SignedPosition, SignerId, Timestamp, Token,
@@ -30,7 +31,7 @@ use crate::store::{KeptBinding, NewRecord, StoreError};
 
 impl GatewayDesk {
     /// Does work that waits for disk or node, off the network's threads.
-    async fn blocking<T: Send + 'static>(
+    pub(super) async fn blocking<T: Send + 'static>(
         &self,
         work: impl FnOnce(&Self) -> Result<T, Refusal> + Send + 'static,
     ) -> Result<T, Refusal> {
@@ -78,18 +79,39 @@ impl GatewayDesk {
     }
 
     fn keep(&self, account: &Address, records: Vec<Received>) -> Result<Timestamp, Refusal> {
+        self.keep_by(account, records, |rows| self.gateway.plant.ledger.append(rows))
+    }
+
+    /// Stores records of an owner, whoever brought them; `acknowledge` writes their rows.
+    ///
+    /// # Errors
+    /// [`Refusal`]; nothing is acknowledged then.
+    pub(super) fn keep_by<Done>(
+        &self,
+        owner: &Address,
+        records: Vec<Received>,
+        acknowledge: impl FnOnce(Vec<NewRecord>) -> Result<Done, StoreError>,
+    ) -> Result<Timestamp, Refusal> {
         let network = self.fresh_network()?;
-        let guest = self.standing_of(&network, account)? == Access::Guest;
+        let guest = match self.standing_of(&network, owner)? {
+            Access::Admitted => false,
+            Access::Guest => true,
+            Access::Fellow => {
+                let text =
+                    format_args!("{owner} keeps a gateway of the fleet and was not admitted with records of its own");
+                return Err(Refusal::new(Code::NotAuthorised, text));
+            }
+        };
         // What is counted must not grow before it is stored.
         let _counting = guest.then(|| self.guests.lock().unwrap_or_else(PoisonError::into_inner));
         if guest {
-            self.check_quota(account, &records)?;
+            self.check_quota(owner, &records)?;
         }
         let plant = &self.gateway.plant;
         let row = |record: Received| NewRecord::foreign(record.into(), self.keeper.address);
         let rows: Vec<_> = records.into_iter().map(row).collect();
         let claims: Vec<_> = rows.iter().filter_map(Claim::of).collect();
-        plant.keep(rows, |rows| plant.ledger.append(rows)).map_err(|error| match error {
+        plant.keep(rows, acknowledge).map_err(|error| match error {
             StoreError::Conflict { .. } => {
                 self.tell_conflict(&claims, &error);
                 Refusal::new(Code::Malformed, error)
@@ -300,6 +322,16 @@ impl Desk for GatewayDesk {
             })
         })
         .await
+    }
+
+    async fn holdings(&self, caller: &Caller, after: &HoldingPlace) -> Result<Holdings, Refusal> {
+        let (caller, after) = (caller.clone(), *after);
+        self.blocking(move |desk| desk.told_holdings(&caller, after)).await
+    }
+
+    async fn hand_over(&self, caller: &Caller, wanted: &Wanted) -> Result<HandedOver, Refusal> {
+        let (caller, wanted) = (caller.clone(), *wanted);
+        self.blocking(move |desk| desk.handed_over(&caller, &wanted)).await
     }
 
     fn refused(&self, peer: SocketAddr, refusal: &Refusal) {

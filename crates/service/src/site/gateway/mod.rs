@@ -7,11 +7,16 @@ mod admission_tests;
 pub(super) mod admissions;
 mod desk;
 mod devices;
+mod fellows;
+mod handing;
 mod live;
 mod passing;
 mod reading;
+mod reconciling;
+mod round;
 mod standing;
 pub(super) mod status;
+mod taking;
 
 use crate::config::Config;
 use crate::paths::Home;
@@ -20,6 +25,7 @@ use crate::service::hub::Hub;
 use crate::site::audit::Log;
 use crate::site::chain::link::Link;
 use crate::site::gateway::admissions::Admissions;
+use crate::site::gateway::fellows::Fellows;
 use crate::site::identity::owners::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::mirror::remotes::Remotes;
@@ -60,6 +66,10 @@ struct Place {
     domain: Domain,
     address: SocketAddr,
     open: bool,
+    /// Accounts of the home's profiles when the gateway was started.
+    home_accounts: Arc<BTreeSet<Address>>,
+    /// Held while a guest's records are counted and stored.
+    guests: Arc<Mutex<()>>,
 }
 
 /// Serves with the existing server, or with a new one at the same address; returns early if it breaks.
@@ -110,6 +120,7 @@ pub(in crate::site) struct Gateway {
     supervisor: Arc<Supervisor>,
     sharing: Arc<Sharing>,
     admissions: Arc<Admissions>,
+    fellows: Fellows,
     /// The running one, if there is one.
     serving: Mutex<Option<Serving>>,
     remote: Option<Arc<Remotes>>,
@@ -138,6 +149,7 @@ impl Gateway {
             supervisor,
             sharing: Arc::clone(sharing),
             admissions: Arc::clone(admissions),
+            fellows: Fellows::new(parts),
             serving: Mutex::default(),
             remote,
             passed_on: OnceLock::new(),
@@ -193,10 +205,13 @@ impl Gateway {
             )));
         }
         self.admissions.open()?;
+        block_in_place(|| self.fellows.all())?;
         let open = open || self.config.gateway.open;
         let under = Arc::new(RwLock::new(keeper.envelopes()));
         let (keeper_of, kept) = (Arc::clone(keeper), Arc::clone(&under));
-        let place = Place { keeper: keeper_of, under: kept, domain: network.domain, address, open };
+        let (home_accounts, guests) = (Arc::new(self.admissions.home_accounts()), Arc::default());
+        let place =
+            Place { keeper: keeper_of, under: kept, domain: network.domain, address, open, home_accounts, guests };
         let server = self.listen(&place).await?;
         let fingerprint = Fingerprint::of(&keeper.gateway_identity().public).to_string();
         let view = GatewayView {
@@ -208,8 +223,12 @@ impl Gateway {
         };
         self.log.write(&keeper.profile, "gateway", &view.address, "serving").await?;
         self.hub.notice(NoticeLevel::Info, &format!("the gateway is listening at {}", view.address));
-        *self.serving.lock().unwrap_or_else(PoisonError::into_inner) =
-            Some(Serving { view: view.clone(), watch: server.watch(), under: Arc::clone(&under) });
+        *self.serving.lock().unwrap_or_else(PoisonError::into_inner) = Some(Serving {
+            view: view.clone(),
+            watch: server.watch(),
+            under: Arc::clone(&under),
+            place: place.clone(),
+        });
         self.hub.changed(Part::Health);
         self.keep_gateway(place, server, ended);
         Ok(view)
@@ -239,23 +258,20 @@ impl Gateway {
         );
     }
 
+    fn desk(self: &Arc<Self>, place: &Place) -> GatewayDesk {
+        let Place { keeper, under, domain, open, home_accounts, guests, .. } = place.clone();
+        GatewayDesk { gateway: Arc::clone(self), keeper, under, domain, open, home_accounts, guests }
+    }
+
     async fn listen(self: &Arc<Self>, place: &Place) -> Result<Server, Failure> {
-        let Place { keeper, under, domain, address, open } = place;
+        let Place { keeper, domain, address, .. } = place;
         let provider = self.plant.provider;
         block_in_place(|| self.resolve_devices())?;
         let cabinet = block_in_place(|| {
             let (directory, identity) = (self.home.gateway(), keeper.gateway_identity());
             Cabinet::open(&directory, provider, *domain, identity, Schedule::default(), Timestamp::now())
         })?;
-        let desk = Arc::new(GatewayDesk {
-            gateway: Arc::clone(self),
-            keeper: Arc::clone(keeper),
-            under: Arc::clone(under),
-            domain: *domain,
-            open: *open,
-            home_accounts: Arc::new(self.admissions.home_accounts()),
-            guests: Arc::default(),
-        });
+        let desk = Arc::new(self.desk(place));
         let context = Context { provider, domain: *domain };
         Server::start(*address, desk, context, cabinet, Limits::default())
             .await

@@ -138,6 +138,12 @@ impl GatewayDesk {
         if beyond || !self.reach(&network, &caller.account, &row.owner)?.covers(row.topic_id) {
             return Err(not_authorised(&row.owner, &caller.account));
         }
+        self.bytes_of(&network, &row)
+    }
+
+    /// A record with its proof, whoever is to have it.
+    pub(super) fn bytes_of(&self, network: &Network, row: &RecordRow) -> Result<Fetched, Refusal> {
+        let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
         let stored = plant.vault.get(row.digest).map_err(&internal)?;
         let blob = match stored {
             Some(blob) => Some(blob),
@@ -147,10 +153,10 @@ impl GatewayDesk {
         if Digest(plant.provider.sm3(&[&blob])) != row.digest {
             return Err(Refusal::new(Code::Tampered, format_args!("record {} was altered", row.id)));
         }
-        let signer = authority::key_of(plant, &network, &row).map_err(Refusal::because(Code::Internal))?;
+        let signer = authority::key_of(plant, network, row).map_err(Refusal::because(Code::Internal))?;
         let unknown = || Refusal::new(Code::Tampered, format_args!("the signer of record {} is unknown", row.id));
         let place = plant.ledger.batch_place(row.digest).map_err(&internal)?;
-        let proof = proof(&row, place).map(|proof| proof.encode()).unwrap_or_default();
+        let proof = proof(row, place).map(|proof| proof.encode()).unwrap_or_default();
         Ok(Fetched { signer: signer.ok_or_else(unknown)?, signature: row.signature, proof, blob })
     }
 }

@@ -1,0 +1,46 @@
+//! Answers about the fleet.
+
+use serde::{Deserialize, Serialize};
+
+use super::RefusedView;
+use crate::model::{Address, SignerId, Timestamp};
+
+/// A gateway of the same fleet.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FellowView {
+    /// HOST:PORT.
+    pub address: String,
+    /// SM3 of its identity key.
+    pub key: SignerId,
+    /// The account that registered that key; `None` = none that is known here.
+    pub account: Option<Address>,
+    /// When it was named here.
+    pub added_at: Timestamp,
+    /// When it last told what it holds, since this site runs.
+    pub heard: Option<Timestamp>,
+    /// Whether everything that it told is here, as of then.
+    pub reconciled: bool,
+    /// Records that it told of and that were not here yet, as of then.
+    pub lacking: u64,
+    /// Records taken over from it since this site runs.
+    pub taken: u64,
+    /// Owners of records it told of who may not use the gateway of this home: their records are not taken.
+    pub passed_over: u64,
+    /// Records that this gateway and another one anchored, both.
+    pub anchored_twice: u64,
+    /// Of what it sent, what was refused, by reason.
+    pub refused: Vec<RefusedView>,
+    /// Why nothing comes from it now.
+    pub problem: Option<String>,
+}
+
+/// The fleet of the gateway of this home.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FleetView {
+    /// The gateway running here: its address; `None` = none runs.
+    pub address: Option<String>,
+    /// SM3 of its identity key: what the other keepers name.
+    pub key: Option<SignerId>,
+    /// The gateways that were named.
+    pub fellows: Vec<FellowView>,
+}

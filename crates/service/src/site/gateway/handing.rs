@@ -1,0 +1,99 @@
+//! What this gateway tells and hands to the other gateways of its fleet: only to those that its keeper named, and only
+//! while it knows its chain.
+
+use std::collections::BTreeMap;
+
+use super::GatewayDesk;
+use super::admission::Standing as Access;
+use crate::gateway::command::holdings::{MOST_HANDED, MOST_HANDED_BYTES, MOST_TOLD};
+use crate::gateway::{Caller, Code, Fetched, HandedOver, Held, HoldingPlace, Holdings, Refusal, Wanted};
+use crate::model::{Address, Ranges, RecorderId, TopicId};
+use crate::pipeline::Network;
+use crate::store::HoldingRow;
+
+impl GatewayDesk {
+    /// The network, if the caller keeps a gateway that this one's keeper named.
+    fn among_fellows(&self, caller: &Caller) -> Result<Network, Refusal> {
+        let network = self.fresh_network()?;
+        if caller.device.is_none() && self.gateway.fellows.is_keeper(&network, &caller.account) {
+            return Ok(network);
+        }
+        let text = format_args!(
+            "{} keeps no gateway of this fleet; `authros fleet add` names one by its fingerprint",
+            caller.account
+        );
+        Err(Refusal::new(Code::NotAuthorised, text))
+    }
+
+    /// What is held here behind a place.
+    pub(super) fn told_holdings(&self, caller: &Caller, after: HoldingPlace) -> Result<Holdings, Refusal> {
+        self.among_fellows(caller)?;
+        let most = usize::try_from(MOST_TOLD).unwrap_or(usize::MAX);
+        let page = self.gateway.plant.ledger.holdings((after.block, after.batch, after.leaf), most);
+        let page = page.map_err(Refusal::because(Code::Internal))?;
+        let next = page.last.map_or(after, |(block, batch, leaf)| HoldingPlace { block, batch, leaf });
+        Ok(Holdings { held: by_topic(page.rows), next, more: page.more })
+    }
+
+    /// The records of a range, as many as fit into an answer.
+    pub(super) fn handed_over(&self, caller: &Caller, wanted: &Wanted) -> Result<HandedOver, Refusal> {
+        let network = self.among_fellows(caller)?;
+        let internal = Refusal::because(Code::Internal);
+        let ledger = &self.gateway.plant.ledger;
+        let which = (wanted.owner, wanted.recorder, wanted.topic_id);
+        let found = ledger.held_between(which, (wanted.first, wanted.last), MOST_HANDED).map_err(&internal)?;
+        let (mut handed, mut bytes) = (HandedOver::default(), 0);
+        let full = found.len() >= MOST_HANDED;
+        for (seq, digest) in &found {
+            let Some(row) = ledger.record(*digest).map_err(&internal)? else { continue };
+            match self.bytes_of(&network, &row) {
+                Ok(record) => {
+                    let length = size(&record);
+                    if bytes > 0 && bytes + length > MOST_HANDED_BYTES {
+                        handed.next = Some(*seq);
+                        return Ok(handed);
+                    }
+                    bytes += length;
+                    handed.records.push(record);
+                }
+                // What is not right here is nothing to give; the audit of records tells of it.
+                Err(refusal) if matches!(refusal.code, Code::NotFound | Code::Tampered) => {}
+                Err(refusal) => return Err(refusal),
+            }
+        }
+        let last = found.last().map(|(seq, _)| *seq).filter(|last| full && *last < wanted.last);
+        handed.next = last.map(|last| last + 1);
+        Ok(handed)
+    }
+
+    /// Whether records of this owner are taken here from other gateways: what its robots would be asked, too.
+    pub(super) fn check_owner(&self, owner: &Address) -> Result<(), Refusal> {
+        let network = self.fresh_network()?;
+        if self.standing_of(&network, owner)? == Access::Fellow {
+            return Err(Refusal::new(Code::NotAuthorised, format_args!("{owner} was not admitted with records")));
+        }
+        Ok(())
+    }
+}
+
+fn size(record: &Fetched) -> usize {
+    record.blob.len() + record.proof.len() + 256
+}
+
+/// Owner, recorder, topic id.
+type Topic = ([u8; 20], [u8; 16], [u8; 16]);
+
+/// Rows as ranges, topic by topic.
+fn by_topic(rows: Vec<HoldingRow>) -> Vec<Held> {
+    let mut topics: BTreeMap<Topic, Vec<u64>> = BTreeMap::new();
+    for row in rows {
+        topics.entry((row.owner.0, row.recorder.0, row.topic_id.0)).or_default().push(row.seq);
+    }
+    let held = |((owner, recorder, topic), numbers)| Held {
+        owner: Address(owner),
+        recorder: RecorderId(recorder),
+        topic_id: TopicId(topic),
+        ranges: Ranges::of(numbers),
+    };
+    topics.into_iter().map(held).collect()
+}

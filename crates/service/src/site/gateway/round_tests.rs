@@ -1,0 +1,245 @@
+//! Rounds with gateways that lie: nothing is taken, and what they cost is bounded.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use std::collections::BTreeSet;
+use std::sync::{Mutex, PoisonError};
+
+use super::*;
+use crate::model::{PublicKey, Signature};
+
+const RECORDER: RecorderId = RecorderId([2; 16]);
+const TOPIC: TopicId = TopicId([3; 16]);
+const FRIEND: Address = Address([1; 20]);
+const STRANGER: Address = Address([9; 20]);
+
+/// The record with a number, as [`Shelf`] reads it: the number is all of its bytes.
+fn record(number: u64) -> Fetched {
+    let (signer, signature) = (PublicKey([1; 64]), Signature([2; 64]));
+    Fetched { signer, signature, proof: Vec::new(), blob: number.to_be_bytes().to_vec() }
+}
+
+fn held(owner: Address, numbers: impl IntoIterator<Item = u64>) -> Held {
+    Held { owner, recorder: RECORDER, topic_id: TOPIC, ranges: Ranges::of(numbers.into_iter().collect()) }
+}
+
+/// A place that holds numbers, and takes records that are not forged: those with a number below a thousand.
+#[derive(Default)]
+struct Shelf {
+    held: Mutex<BTreeSet<u64>>,
+    takes: Mutex<usize>,
+    stale: bool,
+}
+
+impl Shelf {
+    fn numbers(&self) -> Vec<u64> {
+        self.held.lock().unwrap_or_else(PoisonError::into_inner).iter().copied().collect()
+    }
+}
+
+#[async_trait]
+impl Here for Shelf {
+    fn welcomes(&self, owner: &Address) -> Result<(), Refusal> {
+        match owner {
+            _ if self.stale => Err(Refusal::new(Code::Stale, "no recent block")),
+            owner if *owner == FRIEND => Ok(()),
+            _ => Err(Refusal::new(Code::NotAuthorised, "not admitted")),
+        }
+    }
+
+    fn lacking(&self, told: &Held) -> Result<Lacking, Refusal> {
+        let held = self.held.lock().expect("not poisoned");
+        let numbers = told.ranges.iter().flat_map(|(first, last)| first..=last);
+        let numbers = numbers.filter(|number| !held.contains(number)).collect();
+        Ok(Lacking { numbers: Ranges::of(numbers), twice: Vec::new() })
+    }
+
+    async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<(Vec<u64>, Vec<Refusal>), Refusal> {
+        *self.takes.lock().expect("not poisoned") += 1;
+        let (mut taken, mut refused) = (Vec::new(), Vec::new());
+        for record in records {
+            let number = u64::from_be_bytes(record.blob.try_into().expect("eight bytes"));
+            if number < 1000 && (wanted.first..=wanted.last).contains(&number) {
+                self.held.lock().expect("not poisoned").insert(number);
+                taken.push(number);
+            } else {
+                refused.push(Refusal::new(Code::Signature, "forged"));
+            }
+        }
+        Ok((taken, refused))
+    }
+}
+
+/// A gateway by a script: what it tells after a place, and what it hands over.
+struct Script<Tell, Hand> {
+    tell: Tell,
+    hand: Hand,
+    asked: usize,
+}
+
+#[async_trait]
+impl<Tell, Hand> Other for Script<Tell, Hand>
+where
+    Tell: FnMut(HoldingPlace) -> Holdings + Send,
+    Hand: FnMut(Wanted) -> HandedOver + Send,
+{
+    async fn holdings(&mut self, after: HoldingPlace) -> Result<Holdings, GatewayError> {
+        self.asked += 1;
+        Ok((self.tell)(after))
+    }
+
+    async fn hand_over(&mut self, wanted: Wanted) -> Result<HandedOver, GatewayError> {
+        self.asked += 1;
+        Ok((self.hand)(wanted))
+    }
+}
+
+fn script<Tell, Hand>(tell: Tell, hand: Hand) -> Script<Tell, Hand>
+where
+    Tell: FnMut(HoldingPlace) -> Holdings + Send,
+    Hand: FnMut(Wanted) -> HandedOver + Send,
+{
+    Script { tell, hand, asked: 0 }
+}
+
+fn place(block: u64) -> HoldingPlace {
+    HoldingPlace { block, ..HoldingPlace::default() }
+}
+
+/// An honest one: two numbers a block, at most four records at once.
+fn honest(upto: u64) -> Script<impl FnMut(HoldingPlace) -> Holdings, impl FnMut(Wanted) -> HandedOver> {
+    let tell = move |after: HoldingPlace| {
+        let block = after.block + 1;
+        let numbers = (block * 2 - 1..=block * 2).filter(|number| *number <= upto);
+        let more = block * 2 < upto;
+        Holdings { held: vec![held(FRIEND, numbers)], next: place(if more { block } else { upto / 2 }), more }
+    };
+    let hand = |wanted: Wanted| {
+        let last = wanted.last.min(wanted.first + 3);
+        let records = (wanted.first..=last).map(record).collect();
+        HandedOver { records, next: (last < wanted.last).then_some(last + 1) }
+    };
+    script(tell, hand)
+}
+
+async fn rounds(other: &mut impl Other, here: &Shelf, most: usize) -> (Course, Round, Result<(), Ended>) {
+    let mut course = Course::default();
+    let mut sum = Round::default();
+    for _ in 0..most {
+        let mut round = Round::default();
+        let ended = reconcile(other, here, &mut course, &mut round).await;
+        sum.taken += round.taken;
+        (sum.lacking, sum.more) = (round.lacking, round.more);
+        round.refused.iter().for_each(|(code, count)| *sum.refused.entry(*code).or_default() += count);
+        if ended.is_err() || !sum.more {
+            return (course, sum, ended);
+        }
+    }
+    (course, sum, Ok(()))
+}
+
+#[tokio::test]
+async fn what_is_lacking_is_taken_once_and_a_round_is_resumed() {
+    let (mut other, here) = (honest(99), Shelf::default());
+    let (mut course, sum, ended) = rounds(&mut other, &here, 1).await;
+    assert!(ended.is_ok() && sum.more && sum.taken == 2 * MOST_PAGES as u64, "one round has an end: {sum:?}");
+    let mut round = Round { more: true, ..Round::default() };
+    while round.more {
+        round = Round::default();
+        reconcile(&mut other, &here, &mut course, &mut round).await.expect("goes on");
+    }
+    assert_eq!(here.numbers(), (1..=99).collect::<Vec<_>>());
+    assert!(course.is_at_end());
+    // Another life of this gateway: nothing but what is held is left of the first one.
+    let (course, sum, ended) = rounds(&mut other, &here, 50).await;
+    assert!(ended.is_ok() && course.is_at_end() && sum.taken == 0, "{sum:?}");
+}
+
+#[tokio::test]
+async fn a_list_without_an_end_is_read_a_part_at_a_time_and_one_that_stands_still_is_a_lie() {
+    let mut endless = script(
+        |after: HoldingPlace| Holdings { held: Vec::new(), next: place(after.block + 1), more: true },
+        |_| HandedOver::default(),
+    );
+    let here = Shelf::default();
+    let (_, sum, ended) = rounds(&mut endless, &here, 1).await;
+    assert!(ended.is_ok() && sum.more, "{sum:?}");
+    assert_eq!(endless.asked, MOST_PAGES);
+    let mut still =
+        script(|after| Holdings { next: after, more: true, ..Holdings::default() }, |_| HandedOver::default());
+    let (_, _, ended) = rounds(&mut still, &here, 9).await;
+    assert!(matches!(ended, Err(Ended::Lies(_))), "{ended:?}");
+    assert_eq!(still.asked, 1);
+    let mut back = script(|_| Holdings::default(), |_| HandedOver::default());
+    let mut course = Course { after: place(9), begun: Some(Instant::now()), ..Course::default() };
+    let ended = reconcile(&mut back, &here, &mut course, &mut Round::default()).await;
+    assert!(matches!(ended, Err(Ended::Lies(_))), "{ended:?}");
+}
+
+#[tokio::test]
+async fn forged_records_are_not_taken_and_their_sender_is_left_alone_after_a_few() {
+    let numbers = 1..=500_u64;
+    let mut forger = script(
+        |_| Holdings { held: vec![held(FRIEND, 1..=500)], next: place(1), more: false },
+        |wanted: Wanted| HandedOver {
+            records: (wanted.first..=wanted.last.min(wanted.first + 3)).map(|number| record(number + 5000)).collect(),
+            next: (wanted.first + 4 <= wanted.last).then_some(wanted.first + 4),
+        },
+    );
+    let here = Shelf::default();
+    let (_, sum, ended) = rounds(&mut forger, &here, 9).await;
+    let Err(Ended::Lies(why)) = ended else { panic!("{ended:?}") };
+    assert!(why.contains("forged"), "{why}");
+    assert_eq!((here.numbers(), sum.refused.get(&Code::Signature)), (Vec::new(), Some(&(MOST_REFUSED as u64))));
+    assert!(forger.asked <= 1 + MOST_REFUSED && numbers.count() == 500, "{}", forger.asked);
+}
+
+#[tokio::test]
+async fn what_is_told_and_not_handed_over_is_asked_for_once_and_not_without_end() {
+    let mut empty = script(
+        |after: HoldingPlace| {
+            let first = after.block * 8192 + 1;
+            Holdings { held: vec![held(FRIEND, first..first + 8192)], next: place(after.block + 1), more: true }
+        },
+        |_| HandedOver::default(),
+    );
+    let here = Shelf::default();
+    let (_, sum, ended) = rounds(&mut empty, &here, 9).await;
+    assert!(matches!(ended, Err(Ended::Lies(_))), "{ended:?}");
+    assert_eq!(sum.taken, 0);
+    assert!(empty.asked <= 6, "{}", empty.asked);
+    let mut slow = script(
+        |_| Holdings { held: vec![held(FRIEND, 1..=8000)], next: place(1), more: false },
+        |wanted: Wanted| HandedOver {
+            records: Vec::new(),
+            next: (wanted.first < wanted.last).then(|| wanted.first + 1),
+        },
+    );
+    let (_, sum, ended) = rounds(&mut slow, &here, 1).await;
+    assert!(ended.is_ok() && sum.more, "{ended:?}");
+    assert_eq!(slow.asked, 1 + MOST_REQUESTS, "a round has an end");
+    for next in [0, 5, 6, 11, u64::MAX] {
+        let mut lost = script(
+            |_| Holdings { held: vec![held(FRIEND, 6..=10)], next: place(1), more: false },
+            move |_| HandedOver { records: Vec::new(), next: Some(next) },
+        );
+        let (_, _, ended) = rounds(&mut lost, &here, 1).await;
+        assert!(matches!(ended, Err(Ended::Lies(_))), "{next}: {ended:?}");
+    }
+}
+
+#[tokio::test]
+async fn records_of_owners_who_are_not_admitted_are_not_even_asked_for() {
+    let mut other = script(
+        |_| Holdings { held: vec![held(STRANGER, 1..=50)], next: place(1), more: false },
+        |_| panic!("asked for"),
+    );
+    let here = Shelf::default();
+    let (course, sum, ended) = rounds(&mut other, &here, 1).await;
+    assert!(ended.is_ok() && course.passed_over() == 1 && sum.refused.is_empty(), "{sum:?}");
+    let stale = Shelf { stale: true, ..Shelf::default() };
+    let (_, _, ended) = rounds(&mut other, &stale, 1).await;
+    assert!(
+        matches!(ended, Err(Ended::Here(refusal)) if refusal.code == Code::Stale),
+        "without its chain it takes nothing"
+    );
+}

@@ -1,0 +1,165 @@
+//! Records that another gateway of the fleet hands over: each is checked as if its robot had sent it here, against the
+//! chain that is known here, and goes the one way into vault and ledger. A gateway that lies gets nothing in.
+
+use std::time::Duration;
+
+use async_trait::async_trait;
+use tokio::task::block_in_place;
+
+use super::GatewayDesk;
+use super::round::Here;
+use crate::chain::AnchorProof;
+use crate::chain::merkle::Inclusion;
+use crate::crypto::signer_id;
+use crate::gateway::identity_check::verify_all;
+use crate::gateway::{Code, Context, Desk as _, Fetched, Held, Received, Refusal, Upload, Wanted};
+use crate::model::{Address, Digest, Header};
+use crate::pipeline::authority::{Moment, SigningRight, may_sign};
+use crate::pipeline::mirror::{Anchors, wait_for};
+use crate::pipeline::{Network, PipelineError};
+use crate::service::event::Part;
+use crate::store::{Lacking, RootSighting};
+
+/// How long the watcher here may lag behind the block of a proof.
+const BEHIND: Duration = Duration::from_secs(3);
+
+/// A record that holds, and its anchor as the chain has it.
+type Proven = (Received, (Digest, Inclusion, RootSighting));
+
+/// The side of a round that takes.
+pub(super) struct Taking<'a> {
+    /// Keeps records.
+    pub desk: &'a GatewayDesk,
+    /// Anchors that the chain confirmed.
+    pub anchors: &'a Anchors,
+}
+
+#[async_trait]
+impl Here for Taking<'_> {
+    fn welcomes(&self, owner: &Address) -> Result<(), Refusal> {
+        block_in_place(|| self.desk.check_owner(owner))
+    }
+
+    fn lacking(&self, held: &Held) -> Result<Lacking, Refusal> {
+        let Held { owner, recorder, topic_id, ranges } = held;
+        let found = block_in_place(|| self.desk.gateway.plant.ledger.lacking((*owner, *recorder, *topic_id), ranges));
+        found.map_err(Refusal::because(Code::Internal))
+    }
+
+    async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<(Vec<u64>, Vec<Refusal>), Refusal> {
+        let network = self.desk.fresh_network()?;
+        // Registered and not suspended, as of now.
+        if let Err(refusal) = self.desk.account(&wanted.owner).await {
+            return if refusal.code == Code::Stale { Err(refusal) } else { Ok((Vec::new(), vec![refusal])) };
+        }
+        let (mut proven, mut refusals) = (Vec::new(), Vec::new());
+        for record in records {
+            match self.proven(&network, wanted, record).await {
+                Ok(one) => proven.push(one),
+                Err(refusal) if matches!(refusal.code, Code::Stale | Code::Internal) => return Err(refusal),
+                Err(refusal) => refusals.push(refusal),
+            }
+        }
+        let taken = block_in_place(|| self.keep(&wanted.owner, proven, &mut refusals))?;
+        Ok((taken, refusals))
+    }
+}
+
+impl Taking<'_> {
+    /// What a robot's upload is asked, and in place of its session the anchor: the signer's right is judged by its block.
+    async fn proven(&self, network: &Network, wanted: &Wanted, record: Fetched) -> Result<Proven, Refusal> {
+        let Fetched { signer, signature, proof, blob } = record;
+        let (header, _) = Header::parse(&blob)?;
+        if header.domain != network.domain || header.owner != wanted.owner {
+            return Err(Refusal::new(
+                Code::NotYours,
+                format_args!("a record of {}, not of {}", header.owner, wanted.owner),
+            ));
+        }
+        let asked = (header.recorder, header.topic_id) == (wanted.recorder, wanted.topic_id)
+            && (wanted.first..=wanted.last).contains(&header.seq);
+        if !asked {
+            return Err(Refusal::new(Code::Malformed, format_args!("record {} was not asked for", header.seq)));
+        }
+        if signer_id(&signer) != header.signer {
+            return Err(Refusal::new(Code::Signature, "its header names another key than the one that came with it"));
+        }
+        let context = Context { provider: self.desk.gateway.plant.provider, domain: network.domain };
+        let upload = Upload { signature, blob };
+        let checked = tokio::task::spawn_blocking(move || verify_all(context, vec![upload], &[signer])).await;
+        let received = checked.map_err(Refusal::because(Code::Internal))??.pop();
+        let received = received.ok_or_else(|| Refusal::new(Code::Malformed, "no record"))?;
+        let proof = AnchorProof::parse(&proof)?;
+        let confirmed = self.anchors.confirm(network, &received.header, received.digest, proof).await;
+        let proof = confirmed.map_err(|error| failed(&error))?;
+        self.check_signer(network, &received, proof.block).await?;
+        let AnchorProof { account, transaction, block, block_hash, inclusion } = proof;
+        let inclusion = inclusion.ok_or_else(|| Refusal::new(Code::Malformed, "a gateway's anchors are batches"))?;
+        let anchor =
+            RootSighting { account, root: inclusion.root, count: inclusion.count, transaction, block, block_hash };
+        let digest = received.digest;
+        Ok((received, (digest, inclusion, anchor)))
+    }
+
+    async fn check_signer(&self, network: &Network, received: &Received, block: u64) -> Result<(), Refusal> {
+        let plant = &self.desk.gateway.plant;
+        wait_for(plant, block, BEHIND).await.map_err(|error| failed(&error))?;
+        let time = network.ask_time(block).await.map_err(|error| failed(&error))?;
+        let Header { owner, signer, .. } = received.header;
+        match may_sign(&network.directory, owner, signer, Moment::of_block(block, time)) {
+            Ok(SigningRight::Owner(_)) => Ok(()),
+            Ok(SigningRight::Device(_)) => {
+                let kept = block_in_place(|| plant.ledger.keep_signer(signer, received.signer));
+                kept.map_err(Refusal::because(Code::Internal))
+            }
+            Err(why) => Err(Refusal::new(Code::Signature, why)),
+        }
+    }
+
+    /// Stores what holds; if one contradicts what is here, each of them by itself.
+    fn keep(&self, owner: &Address, proven: Vec<Proven>, refusals: &mut Vec<Refusal>) -> Result<Vec<u64>, Refusal> {
+        if proven.is_empty() {
+            return Ok(Vec::new());
+        }
+        let several = proven.len() > 1;
+        let taken = match self.keep_all(owner, proven.clone()) {
+            Err(refusal) if refusal.code == Code::Malformed && several => {
+                let mut taken = Vec::new();
+                for one in proven {
+                    match self.keep_all(owner, vec![one]) {
+                        Ok(numbers) => taken.extend(numbers),
+                        Err(refusal) => refusals.push(refusal),
+                    }
+                }
+                taken
+            }
+            Err(refusal) if matches!(refusal.code, Code::Stale | Code::Internal) => return Err(refusal),
+            Err(refusal) => {
+                refusals.push(refusal);
+                Vec::new()
+            }
+            Ok(taken) => taken,
+        };
+        self.desk.gateway.hub.confirmed.notify_one();
+        self.desk.gateway.hub.changed(Part::Uploads);
+        Ok(taken)
+    }
+
+    fn keep_all(&self, owner: &Address, proven: Vec<Proven>) -> Result<Vec<u64>, Refusal> {
+        let numbers = proven.iter().map(|(received, _)| received.header.seq).collect();
+        let (records, anchors): (Vec<_>, Vec<_>) = proven.into_iter().unzip();
+        let ledger = &self.desk.gateway.plant.ledger;
+        self.desk.keep_by(owner, records, |rows| ledger.append_anchored(rows, anchors))?;
+        Ok(numbers)
+    }
+}
+
+/// A false proof is the other gateway's fault, everything else is the chain's.
+fn failed(error: &PipelineError) -> Refusal {
+    let code = if matches!(error, PipelineError::NotTakenIn { .. }) { Code::Tampered } else { Code::Stale };
+    Refusal::new(code, error)
+}
+
+#[cfg(test)]
+#[path = "taking_tests.rs"]
+mod tests;

@@ -1,0 +1,141 @@
+//! What a gateway of the fleet hands over, judged on a chain: anchors are real ones, made by somebody else.
+#![allow(clippy::expect_used, reason = "a test fails by panicking")]
+
+use std::collections::BTreeMap;
+
+use super::*;
+use crate::chain::Call;
+use crate::chain::merkle::Leaf;
+use crate::crypto::{EoaSecret, SealRequest, SealedRecord, SmKeyPair, TopicKey, prove, seal};
+use crate::model::head::Compression;
+use crate::model::{Head, RecordKind, RecordState, RecorderId, Signature, Timestamp, Token, TopicId};
+use crate::pipeline::Owner;
+use crate::site::testing::{registered, site_with_chain};
+
+const RECORDER: RecorderId = RecorderId([4; 16]);
+const TOPIC: TopicId = TopicId([8; 16]);
+
+fn record(network: &Network, owner: &Owner, signer: &SmKeyPair, (seq, body): (u64, &[u8])) -> SealedRecord {
+    let head = Head {
+        topic: "/odom".into(),
+        type_name: "nav_msgs/Odometry".into(),
+        md5sum: "cd5e73d190d741a2f92e81eda573aca7".into(),
+        definition: Digest([4; 32]),
+        caller_id: "/robot1".into(),
+        boot_id: [5; 16],
+        compression: Compression::None,
+        plain_length: body.len() as u64,
+        tags: BTreeMap::new(),
+    };
+    let request = SealRequest {
+        domain: network.domain,
+        owner: owner.address,
+        signer,
+        epoch: 1,
+        topic_key: &TopicKey::new([6; 32]),
+        recorder: RECORDER,
+        seq,
+        topic_id: TOPIC,
+        kind: RecordKind::Data,
+        filters: Vec::new(),
+        captured_at: Timestamp(seq),
+        head: &head,
+        body,
+    };
+    seal(crate::crypto::provider(crate::crypto::ProviderName::RustCrypto), &request).expect("sealed")
+}
+
+/// Sends a transaction of an account that is not of this home, and waits for its block.
+async fn by_hand(network: &Network, eoa: &EoaSecret, call: &Call) -> (crate::model::Hash, u64, crate::model::Hash) {
+    let chain = &network.chain;
+    let nonce = chain.nonce(eoa.address(), true).await.expect("a nonce");
+    let signed = chain.sign(eoa, nonce, call).await.expect("signed");
+    chain.broadcast(&signed.raw).await.expect("sent");
+    loop {
+        if let Some(receipt) = chain.receipt(signed.hash).await.expect("answered") {
+            assert!(receipt.success, "{call:?}");
+            return (signed.hash, receipt.block, receipt.block_hash);
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+/// The record as a gateway hands it over that anchored it, alone in its batch.
+async fn anchored(network: &Network, by: &EoaSecret, sealed: &SealedRecord, signer: &SmKeyPair) -> Fetched {
+    let Header { owner, recorder, topic_id, seq, .. } = sealed.header;
+    let root = Leaf { owner, recorder, topic_id, seq, digest: sealed.digest }.hash();
+    let previous = network.chain.anchor_head(by.address()).await.expect("answered");
+    let (transaction, block, block_hash) = by_hand(network, by, &Call::Anchor { root, count: 1, previous }).await;
+    let inclusion = Some(Inclusion { index: 0, count: 1, path: Vec::new(), root });
+    let proof = AnchorProof { account: by.address(), transaction, block, block_hash, inclusion }.encode();
+    Fetched { signer: signer.public, signature: sealed.signature, proof, blob: sealed.blob.clone() }
+}
+
+/// Somebody else on this chain, who keeps the other gateway.
+async fn stranger(network: &Network) -> EoaSecret {
+    let (eoa, provider) =
+        (EoaSecret::generate().expect("a key"), crate::crypto::provider(crate::crypto::ProviderName::RustCrypto));
+    let [signing, envelope] = [(); 2].map(|()| SmKeyPair::generate(provider).expect("a pair"));
+    let identity = prove(provider, &network.domain, &eoa.address(), &signing, &envelope.public, Token([3; 32]));
+    by_hand(network, &eoa, &Call::Register { identity: identity.expect("proven") }).await;
+    eoa
+}
+
+fn codes(refusals: &[Refusal]) -> Vec<Code> {
+    refusals.iter().map(|refusal| refusal.code).collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn what_another_gateway_hands_over_is_judged_by_the_block_that_anchors_it() {
+    let (site, _folder) = site_with_chain();
+    let (keeper, alice) = (registered(&site, "keeper").await, registered(&site, "alice").await);
+    let (_running, ended) = tokio::sync::oneshot::channel();
+    site.gateway.serve(&keeper, "127.0.0.1:0".parse().expect("an address"), false, ended).await.expect("serves");
+    let network = site.network().await.expect("a chain");
+    let (desk, other) = (site.gateway.served_desk().expect("serves"), stranger(&network).await);
+    let anchors = Anchors::default();
+    let here = Taking { desk: &desk, anchors: &anchors };
+    let wanted = Wanted { owner: alice.address, recorder: RECORDER, topic_id: TOPIC, first: 1, last: 9 };
+    assert!(here.welcomes(&alice.address).is_ok(), "a profile of this home");
+    let refusal = here.welcomes(&other.address()).expect_err("nobody admitted it");
+    assert_eq!(refusal.code, Code::NotAuthorised);
+
+    let own = alice.signing();
+    let first = record(&network, &alice, &own, (1, b"one"));
+    let handed = anchored(&network, &other, &first, &own).await;
+    for _ in 0..2 {
+        let (taken, refused) = here.take(&wanted, vec![handed.clone()]).await.expect("asked");
+        assert_eq!((taken, codes(&refused)), (vec![1], Vec::new()), "twice is once");
+    }
+    let ledger = &site.plant.ledger;
+    let row = ledger.record(first.digest).expect("read").expect("held");
+    assert!(row.block.is_some() && row.state >= RecordState::Mined, "{row:?}");
+    assert_eq!(ledger.stored_leaves(keeper.address, 9).expect("read"), [], "nobody anchors it again");
+
+    // A robot that is recalled: what it signed before stays good, what is anchored afterwards is not.
+    let robot = SmKeyPair::generate(site.plant.provider).expect("a pair");
+    site.devices.lend(&alice, signer_id(&robot.public), None).await.expect("lent");
+    let before = anchored(&network, &other, &record(&network, &alice, &robot, (2, b"two")), &robot).await;
+    site.devices.recall(&alice, &signer_id(&robot.public).to_string()).await.expect("recalled");
+    let after = anchored(&network, &other, &record(&network, &alice, &robot, (3, b"three")), &robot).await;
+    let (taken, refused) = here.take(&wanted, vec![before, after]).await.expect("asked");
+    assert_eq!((taken, codes(&refused)), (vec![2], vec![Code::Signature]), "{refused:?}");
+
+    // Anchored by somebody, and signed by nobody who may.
+    let thief = SmKeyPair::generate(site.plant.provider).expect("a pair");
+    let stolen = anchored(&network, &other, &record(&network, &alice, &thief, (4, b"four")), &thief).await;
+    let unsigned = Fetched { signature: Signature([7; 64]), ..handed.clone() };
+    // A true proof of another record, and another record under a number that is taken, beside a good one.
+    let elsewhere = record(&network, &alice, &own, (5, b"five"));
+    let proven = anchored(&network, &other, &elsewhere, &own).await;
+    let foreign = Fetched { proof: handed.proof.clone(), ..proven.clone() };
+    let second = anchored(&network, &other, &record(&network, &alice, &own, (1, b"another one")), &own).await;
+    let lies = vec![stolen, unsigned, foreign, second, proven];
+    let (taken, refused) = here.take(&wanted, lies).await.expect("asked");
+    let expected = [Code::Signature, Code::Signature, Code::Tampered, Code::Malformed];
+    assert_eq!((taken, codes(&refused)), (vec![5], expected.to_vec()), "{refused:?}");
+    let held = ledger.held_between((alice.address, RECORDER, TOPIC), (1, 9), 99).expect("read");
+    assert_eq!(held.iter().map(|(seq, _)| *seq).collect::<Vec<_>>(), [1, 2, 5]);
+    assert_eq!(ledger.record(first.digest).expect("read").map(|row| row.seq), Some(1), "the first one stays");
+    site.stop().await;
+}

@@ -1,0 +1,261 @@
+//! What a gateway holds for the other gateways of its fleet: anchored records in the order of the anchoring blocks, and
+//! which of another gateway's records are lacking here.
+
+use rusqlite::{OptionalExtension as _, Row, params};
+
+use super::rows::{state, unsigned};
+use super::{Ledger, database::whole};
+use crate::model::{Address, Digest, Ranges, RecordState, RecorderId, TopicId};
+use crate::store::StoreError;
+
+/// A record that is held.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct HoldingRow {
+    /// The owner.
+    pub owner: Address,
+    /// The recorder.
+    pub recorder: RecorderId,
+    /// Pseudonym of its topic.
+    pub topic_id: TopicId,
+    /// Its number.
+    pub seq: u64,
+}
+
+/// Records that are held, in the order of the blocks that anchor them.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct HoldingPage {
+    /// The records.
+    pub rows: Vec<HoldingRow>,
+    /// Block, batch and leaf of the last one looked at; `None` = there was none.
+    pub last: Option<(u64, u64, u64)>,
+    /// Whether there may be more behind it.
+    pub more: bool,
+}
+
+/// Which of another gateway's records are lacking here.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Lacking {
+    /// Numbers that are not here, or not anchored as far as this ledger knows.
+    pub numbers: Ranges,
+    /// Of the records that are here, those on their way to an anchor of their own.
+    pub twice: Vec<Digest>,
+}
+
+/// Whose records, numbered by whom, of which topic.
+type Which = (Address, RecorderId, TopicId);
+
+/// States of records that have an anchor and bytes.
+const HELD: [RecordState; 3] = [RecordState::Mined, RecordState::Confirmed, RecordState::Verified];
+
+impl Ledger {
+    /// The anchored records behind a place (block, batch, leaf), at most `limit` looked at. Those that retention deleted,
+    /// or whose bytes are wrong, are left out.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn holdings(&self, after: (u64, u64, u64), limit: usize) -> Result<HoldingPage, StoreError> {
+        // A place beyond what a ledger can have is behind everything.
+        let place = |number: u64| i64::try_from(number).unwrap_or(i64::MAX);
+        let (block, batch, leaf) = (place(after.0), place(after.1), place(after.2));
+        let most = i64::try_from(limit).unwrap_or(i64::MAX);
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT batches.block, batches.key, leaf, topics.owner, recorders.id, topics.topic_id, records.seq,
+                     records.block = batches.block AND records.deleted_at IS NULL AND records.state IN (?5, ?6, ?7)
+                 FROM batches INDEXED BY batches_anchored
+                 CROSS JOIN leaves ON leaves.batch = batches.key
+                 CROSS JOIN records ON records.n = leaves.record
+                 CROSS JOIN topics ON topics.key = records.topic
+                 CROSS JOIN recorders ON recorders.key = topics.recorder
+                 WHERE batches.block IS NOT NULL AND batches.block >= ?1
+                     AND (batches.block, batches.key, leaf) > (?1, ?2, ?3)
+                 ORDER BY batches.block, batches.key, leaf LIMIT ?4",
+            )?;
+            let [mined, confirmed, verified] = HELD.map(RecordState::code);
+            let values = params![block, batch, leaf, most, mined, confirmed, verified];
+            let found = statement.query_map(values, |row| Ok((place_of(row)?, row.get(7)?, holding(row)?)))?;
+            let found: Vec<((u64, u64, u64), bool, HoldingRow)> = found.collect::<Result<_, _>>()?;
+            let (last, more) = (found.last().map(|(place, ..)| *place), found.len() >= limit);
+            let rows = found.into_iter().filter(|(_, told, _)| *told).map(|(.., row)| row).collect();
+            Ok(HoldingPage { rows, last, more })
+        })
+    }
+
+    /// Which of these numbers are lacking here.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn lacking(&self, which: Which, told: &Ranges) -> Result<Lacking, StoreError> {
+        self.read(|connection| {
+            let Some(topic) = topic_key(connection, which)? else {
+                return Ok(Lacking { numbers: told.clone(), twice: Vec::new() });
+            };
+            let mut statement = connection.prepare_cached(
+                "SELECT seq, state, digest FROM records WHERE topic = ?1 AND seq BETWEEN ?2 AND ?3 ORDER BY seq",
+            )?;
+            let (mut numbers, mut twice) = (Vec::new(), Vec::new());
+            for (first, last) in told.iter() {
+                let range = params![topic, whole("number", first)?, whole("number", last)?];
+                let found = statement.query_map(range, |row| Ok((unsigned(row, 0)?, state(row, 1)?, row.get(2)?)))?;
+                let mut next = first;
+                for row in found {
+                    let (seq, state, digest) = row?;
+                    numbers.extend(next..seq);
+                    next = seq + 1;
+                    match state {
+                        RecordState::Stored => numbers.push(seq),
+                        RecordState::Batched | RecordState::Submitted => twice.push(Digest(digest)),
+                        _ => {}
+                    }
+                }
+                numbers.extend(next..=last);
+            }
+            Ok(Lacking { numbers: Ranges::of(numbers), twice })
+        })
+    }
+
+    /// The held records with a number from `first` to `last`, in their order, at most `limit`.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn held_between(
+        &self,
+        which: Which,
+        (first, last): (u64, u64),
+        limit: usize,
+    ) -> Result<Vec<(u64, Digest)>, StoreError> {
+        let (first, last) = (whole("number", first)?, whole("number", last)?);
+        let most = i64::try_from(limit).unwrap_or(i64::MAX);
+        self.read(|connection| {
+            let Some(topic) = topic_key(connection, which)? else { return Ok(Vec::new()) };
+            let mut statement = connection.prepare_cached(
+                "SELECT seq, digest FROM records WHERE topic = ?1 AND seq BETWEEN ?2 AND ?3 AND block IS NOT NULL
+                 AND deleted_at IS NULL AND state IN (?5, ?6, ?7) ORDER BY seq LIMIT ?4",
+            )?;
+            let [mined, confirmed, verified] = HELD.map(RecordState::code);
+            let values = params![topic, first, last, most, mined, confirmed, verified];
+            let rows = statement.query_map(values, |row| Ok((unsigned(row, 0)?, Digest(row.get(1)?))))?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+}
+
+fn topic_key(connection: &rusqlite::Connection, (owner, recorder, topic): Which) -> Result<Option<i64>, StoreError> {
+    let key = connection
+        .prepare_cached(
+            "SELECT key FROM topics WHERE owner = ?1 AND topic_id = ?2
+             AND recorder = (SELECT key FROM recorders WHERE id = ?3)",
+        )?
+        .query_row(params![owner.0, topic.0, recorder.0], |row| row.get(0))
+        .optional()?;
+    Ok(key)
+}
+
+fn place_of(row: &Row<'_>) -> rusqlite::Result<(u64, u64, u64)> {
+    Ok((unsigned(row, 0)?, unsigned(row, 1)?, unsigned(row, 2)?))
+}
+
+fn holding(row: &Row<'_>) -> rusqlite::Result<HoldingRow> {
+    let (owner, recorder) = (Address(row.get(3)?), RecorderId(row.get(4)?));
+    Ok(HoldingRow { owner, recorder, topic_id: TopicId(row.get(5)?), seq: unsigned(row, 6)? })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::numbered as record;
+    use super::*;
+    use crate::chain::merkle::{Inclusion, Leaf, Tree};
+    use crate::model::Hash;
+    use crate::store::{Foreign, NewBatch, NewRecord, RootSighting};
+
+    const THERE: RecorderId = RecorderId([7; 16]);
+    const WHICH: Which = (Address([1; 20]), THERE, TopicId([2; 16]));
+
+    fn foreign(number: u8) -> NewRecord {
+        NewRecord { foreign: Some(Foreign { recorder: THERE, keeper: Address([9; 20]) }), ..record(number) }
+    }
+
+    fn ledger(home: &tempfile::TempDir) -> Ledger {
+        Ledger::open(&home.path().join("ledger.db")).expect("opens")
+    }
+
+    /// Each of these records with its place in one batch that somebody else anchored in a block.
+    fn anchors(numbers: &[u8], block: u64) -> Vec<(Digest, Inclusion, RootSighting)> {
+        let leaf = |number: &u8| {
+            let ((owner, recorder, topic_id), seq) = (WHICH, u64::from(*number));
+            Leaf { owner, recorder, topic_id, seq, digest: Digest([*number; 32]) }
+        };
+        let leaves: Vec<Leaf> = numbers.iter().map(leaf).collect();
+        let tree = Tree::new(Leaf::hashes(&leaves)).expect("leaves");
+        let (root, count) = (tree.root(), leaves.len() as u64);
+        let (transaction, block_hash) = (Hash([50; 32]), Hash([60; 32]));
+        let anchor = RootSighting { account: Address([8; 20]), root, count, transaction, block, block_hash };
+        let place = |index: usize| Inclusion { index: index as u64, count, path: tree.path(index), root };
+        leaves.iter().enumerate().map(|(index, leaf)| (leaf.digest, place(index), anchor)).collect()
+    }
+
+    fn take(ledger: &Ledger, numbers: &[u8], block: u64) -> u64 {
+        let records = numbers.iter().map(|number| foreign(*number)).collect();
+        ledger.append_anchored(records, anchors(numbers, block)).expect("taken")
+    }
+
+    fn told(page: &HoldingPage) -> Vec<u64> {
+        page.rows.iter().map(|row| row.seq).collect()
+    }
+
+    #[test]
+    fn what_another_gateway_anchored_is_acknowledged_with_its_anchor_and_told_in_the_order_of_blocks() {
+        let home = tempfile::tempdir().expect("folder");
+        let ledger = ledger(&home);
+        assert_eq!(ledger.holdings((0, 0, 0), 9), Ok(HoldingPage::default()));
+        assert_eq!((take(&ledger, &[4, 5], 20), take(&ledger, &[1, 2, 3], 10)), (2, 3));
+        assert_eq!(take(&ledger, &[4, 5], 20), 0, "twice is once");
+        let row = ledger.record(Digest([4; 32])).expect("reads").expect("is there");
+        assert_eq!((row.state, row.block, row.transaction), (RecordState::Mined, Some(20), Some(Hash([50; 32]))));
+        assert_eq!(ledger.stored_leaves(Address([9; 20]), 9).expect("reads"), [], "nobody here anchors it again");
+        let first = ledger.holdings((0, 0, 0), 2).expect("reads");
+        assert!(first.more && told(&first).len() == 2, "{first:?}");
+        let rest = ledger.holdings(first.last.expect("a place"), 9).expect("reads");
+        let mut all = [told(&first), told(&rest)].concat();
+        assert!(!rest.more && rest.last.is_some_and(|(block, ..)| block == 20), "{rest:?}");
+        all[..3].sort_unstable();
+        all[3..].sort_unstable();
+        assert_eq!(all, [1, 2, 3, 4, 5], "block 10 before block 20");
+        assert_eq!(told(&ledger.holdings((20, 0, 0), 9).expect("reads")).len(), 2);
+        assert_eq!(ledger.holdings((u64::MAX, 0, 0), 9), Ok(HoldingPage::default()));
+        let held = ledger.held_between(WHICH, (2, 4), 9).expect("reads");
+        assert_eq!(held.iter().map(|(seq, _)| *seq).collect::<Vec<_>>(), [2, 3, 4]);
+        assert_eq!(ledger.held_between((Address([3; 20]), THERE, WHICH.2), (1, 9), 9), Ok(Vec::new()));
+    }
+
+    #[test]
+    fn lacking_is_what_is_absent_or_without_an_anchor() {
+        let home = tempfile::tempdir().expect("folder");
+        let ledger = ledger(&home);
+        let all = Ranges::of((1..=9).collect());
+        assert_eq!(ledger.lacking(WHICH, &all).expect("reads").numbers, all, "a topic that nobody knows here");
+        take(&ledger, &[2, 3], 10);
+        ledger.append(vec![foreign(5), foreign(6)]).expect("stored");
+        let leaf = (Digest([6; 32]), Vec::new());
+        ledger
+            .close_batch(NewBatch { owner: Address([9; 20]), root: Hash([77; 32]), leaves: vec![leaf] })
+            .expect("closed");
+        let found = ledger.lacking(WHICH, &all).expect("reads");
+        assert_eq!(found.numbers.iter().collect::<Vec<_>>(), [(1, 1), (4, 5), (7, 9)]);
+        assert_eq!(found.twice, [Digest([6; 32])], "its own anchor is on the way");
+        assert_eq!(take(&ledger, &[5], 11), 1, "what was here without an anchor gets it");
+        assert_eq!(ledger.lacking(WHICH, &Ranges::of(vec![5])).expect("reads"), Lacking::default());
+    }
+
+    #[test]
+    fn a_record_that_contradicts_another_is_taken_with_none_of_those_beside_it() {
+        let home = tempfile::tempdir().expect("folder");
+        let ledger = ledger(&home);
+        take(&ledger, &[2], 10);
+        let other = NewRecord { seq: 2, ..foreign(8) };
+        let records = vec![foreign(3), other];
+        let refused = ledger.append_anchored(records, anchors(&[3], 11));
+        assert!(matches!(refused, Err(StoreError::Conflict { .. })), "{refused:?}");
+        assert_eq!(ledger.record(Digest([3; 32])).expect("reads"), None);
+    }
+}

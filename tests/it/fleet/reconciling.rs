@@ -1,0 +1,114 @@
+//! Gateways that name each other: what a robot brings to one is at the other, once, whatever happens to the first.
+
+use super::*;
+use support::list;
+
+/// Each names all others.
+pub(super) fn name_each_other(gateways: &[&Gateway]) {
+    for one in gateways {
+        for other in gateways.iter().filter(|other| other.key != one.key) {
+            one.keeper().json(&["fleet", "add", &other.address(), "--gateway-key", &other.key]);
+        }
+    }
+}
+
+/// What a gateway knows of the others.
+fn fellows(gateway: &Gateway) -> Vec<Value> {
+    list(&gateway.keeper().json(&["fleet", "status"]), "fellows")
+}
+
+fn taken(gateway: &Gateway) -> u64 {
+    fellows(gateway).iter().map(|fellow| count(fellow, "taken")).sum()
+}
+
+/// Waits until a gateway has everything that the others told, and took at least so many records of them.
+pub(super) fn reconciled(gateway: &Gateway, least: u64) -> Vec<Value> {
+    wait_until(120, "it has what the others hold", || {
+        let fellows = fellows(gateway);
+        let taken: u64 = fellows.iter().map(|fellow| count(fellow, "taken")).sum();
+        (taken >= least && fellows.iter().all(|fellow| fellow["reconciled"] == true)).then_some(fellows)
+    })
+}
+
+/// Runs a robot for so many messages, until all are verified at its gateway; returns how many it has captured in all.
+fn bring(robot: &Robot, messages: &str) -> u64 {
+    let outcome = robot.run(&["--count", messages]).wait(180).expect_code(0);
+    let summary: Value = serde_json::from_str(outcome.stdout.lines().last().expect("a document")).expect("JSON");
+    assert_eq!(count(&summary, "verified"), count(&summary, "captured"), "{summary}");
+    count(&summary, "captured")
+}
+
+#[test]
+fn what_robots_bring_to_one_gateway_is_at_the_other_when_its_disk_is_gone() {
+    let _alone = heavy();
+    let ground = Ground::new();
+    let (mut first, second) = (Gateway::new(&ground), Gateway::new(&ground));
+    let both = [&first, &second];
+    let alice = Member::new("alice", &both);
+    // He asks the second one alone.
+    let bob = Member::new("bob", &[&second]);
+    alice.grant(&bob);
+    let (scout, rover) = (Robot::enrol(&alice, "scout", &[&first]), Robot::enrol(&alice, "rover", &[&second]));
+    let before = bring(&scout, "10");
+
+    // One side alone is not enough.
+    second.keeper().json(&["fleet", "add", &first.address(), "--gateway-key", &first.key]);
+    let problem =
+        wait_until(60, "the first one refuses", || fellows(&second)[0]["problem"].as_str().map(str::to_owned));
+    assert!(problem.contains("authros fleet add"), "{problem}");
+    assert_eq!(taken(&second), 0);
+    name_each_other(&both);
+    let begun = Instant::now();
+    let shared = ["shared", "list", "--owner", &alice.address];
+    bob.verified(&shared, before);
+    println!("the reader has {before} records of the other gateway {:?} after both were named", begun.elapsed());
+
+    let all = bring(&scout, "10") + bring(&rover, "10");
+    assert!(all > before + 10, "{before} and then {all}");
+    let at_bob = bob.verified(&shared, all);
+    assert_eq!(alice.verified(&["uploads", "list"], all), at_bob, "the owner, who asks both, has each once");
+    for gateway in both {
+        let found = reconciled(gateway, 10);
+        assert!(found[0]["problem"].is_null(), "{found:?}");
+        assert_eq!(list(&found[0], "refused"), Vec::<Value>::new(), "{found:?}");
+    }
+
+    first.kill();
+    let lost = std::mem::replace(&mut first.home, Home::new());
+    drop(lost);
+    let carol = Member::new("carol", &[&second]);
+    alice.grant(&carol);
+    assert_eq!(carol.verified(&shared, all), at_bob, "a reader who comes afterwards has all of them, once");
+}
+
+#[test]
+fn a_gateway_that_was_cut_off_catches_up_by_itself() {
+    let _alone = heavy();
+    let ground = Ground::new();
+    let (first, mut second) = (Gateway::new(&ground), Gateway::new(&ground));
+    let alice = Member::new("alice", &[&first, &second]);
+    let bob = Member::new("bob", &[&second]);
+    alice.grant(&bob);
+    name_each_other(&[&first, &second]);
+    let robot = Robot::enrol(&alice, "scout", &[&first]);
+    let shared = ["shared", "list", "--owner", &alice.address];
+    let before = bring(&robot, "5");
+    bob.verified(&shared, before);
+    // It neither answers nor closes anything.
+    second.site.as_ref().expect("running").signal("STOP");
+    let during = bring(&robot, "5");
+    wait_until(60, "the first one notices", || fellows(&first)[0]["problem"].as_str().map(drop));
+    second.site.as_ref().expect("running").signal("CONT");
+    bob.verified(&shared, during);
+    // It dies in the middle of things and has forgotten all but what it holds.
+    let agent = robot.run(&[]);
+    accepted(&agent, 10);
+    second.kill();
+    accepted(&agent, 20);
+    second.start();
+    agent.stop("TERM", 20);
+    let all = robot.settle();
+    let at_bob = bob.verified(&shared, all);
+    assert_eq!(alice.verified(&["uploads", "list"], all), at_bob, "the owner, who asks both, has each once");
+    wait_until(60, "the first one is at ease", || fellows(&first)[0]["problem"].is_null().then_some(()));
+}
