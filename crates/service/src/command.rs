@@ -13,6 +13,7 @@ mod playing;
 mod recordings;
 mod robots;
 mod secret;
+mod unattended;
 mod viewing;
 mod witnesses;
 
@@ -35,6 +36,7 @@ pub use self::playing::{Pace, PlayWishes, Remap};
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
 pub use self::robots::{PullRing, RobotCommand};
 pub use self::secret::{SecretBytes, SecretText};
+pub use self::unattended::{EndUnattended, PrepareUnattended, UnattendedCommand};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
 pub use self::witnesses::{AddWitness, AskWitnesses, ListWitnesses, RemoveWitness, WitnessCommand, WitnessStatus};
 use crate::chain::Revision;
@@ -381,6 +383,8 @@ requests! {
         OfWitness(WitnessCommand),
         /// Robots: what is asked of them.
         OfRobot(RobotCommand),
+        /// Capture while the profile is locked.
+        OfUnattended(UnattendedCommand),
     }
 }
 

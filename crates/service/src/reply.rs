@@ -16,6 +16,7 @@ mod robots;
 mod site;
 mod tasks;
 mod topics;
+mod unattended;
 mod viewing;
 mod witnesses;
 
@@ -49,6 +50,7 @@ pub use self::robots::RingPullView;
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, CoveragePart, CoverageView, HeldUp, TopicRow, TopicSummary, WatchView};
+pub use self::unattended::{UnattendedFile, UnattendedState, UnattendedView};
 pub use self::viewing::PathView;
 pub use self::witnesses::{ContradictionView, GivenView, WitnessAnswers, WitnessView, WitnessesView};
 use super::command::SecretBytes;
@@ -222,4 +224,6 @@ replies! {
     WitnessAnswers(WitnessAnswers);
     /// To `PullRing`.
     RingPull(RingPullView);
+    /// To `PrepareUnattended`.
+    UnattendedPrepared(UnattendedFile);
 }

@@ -197,6 +197,7 @@ impl Site {
             Command::Operate(operation) => self.operate(&profile, operation).await,
             Command::OfWitness(command) => self.witnesses.answer(&profile, command).await,
             Command::OfIncident(command) => self.of_incident(&profile, command).await,
+            Command::OfUnattended(command) => self.unattended.answer(&owner()?, command).await,
             Command::OfRobot(command) => self.devices.answer(&owner()?, command).await,
         }
     }

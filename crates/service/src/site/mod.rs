@@ -36,6 +36,7 @@ mod supervision;
 mod supervision_tests;
 #[cfg(test)]
 mod testing;
+mod unattended;
 mod witnesses;
 mod workers;
 
@@ -49,6 +50,7 @@ pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
 pub use capture::ros::RosState;
 pub use chain::link::NetworkState;
 pub(crate) use contacts::BOOK;
+pub(crate) use unattended::{NOTED, Noted};
 pub(super) use devices::enrolled::Enrolled;
 pub use devices::enrolling::EnrolWishes;
 pub use reading::view::record_page;
@@ -83,6 +85,7 @@ use reading::Reading;
 use recordings::Recordings;
 use sharing::Sharing;
 use storage::Storage;
+use unattended::Unattended;
 use witnesses::Witnesses;
 
 use super::client::{Call, Client};
@@ -132,6 +135,7 @@ pub struct Site {
     contacts: Arc<Contacts>,
     sharing: Arc<Sharing>,
     devices: Arc<Devices>,
+    unattended: Arc<Unattended>,
     reading: Arc<Reading>,
     evidence: Arc<Evidence>,
     incidents: Arc<Incidents>,
@@ -230,6 +234,17 @@ impl Site {
         };
         let profiles = Arc::new(Profiles::new(of, &asked));
         let capture = Arc::new(Capture::new(of, &recorder, &losses, &ros, &watches, &profiles, &pins));
+        let devices = Arc::new(Devices::new(of, &sharing, &enrolments));
+        let asked = unattended::Asked {
+            connection: &connection,
+            devices: &devices,
+            enrolments: &enrolments,
+            recorder: &recorder,
+            watches: &watches,
+            ros: &ros,
+            pins: &pins,
+        };
+        let unattended = Arc::new(Unattended::new(of, &asked));
         let asked = recordings::Asked {
             contacts: &contacts,
             reading: &reading,
@@ -241,7 +256,8 @@ impl Site {
         };
         Ok(Self {
             recordings: Arc::new(Recordings::new(of, &asked)),
-            devices: Arc::new(Devices::new(of, &sharing, &enrolments)),
+            devices,
+            unattended,
             administering: Arc::new(Administering::new(of, &contacts)),
             adoption: Arc::new(Adoption::new(of, &lanes, &connection, &profiles, remote)),
             audit: Arc::new(Audit::new(of, &reserve)),

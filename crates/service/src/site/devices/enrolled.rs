@@ -123,7 +123,8 @@ impl Enrolments {
         Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
     }
 
-    pub(super) fn add(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
+    /// Notes another device.
+    pub(in crate::site) fn add(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
         let _alone = self.noting.lock().unwrap_or_else(PoisonError::into_inner);
         let mut all = self.of(owner)?;
         all.push(enrolled);
