@@ -23,7 +23,17 @@ const GRANT: &str = "grant_ends";
 
 /// Every rule: the prefix of its keys.
 pub const RULES: [&str; 12] = [
-    "audit", "chain", "clock", "disk", "gap", GRANT, "quarantine", "robot_silent", "tampered", "unanchored", "unattended",
+    "audit",
+    "chain",
+    "clock",
+    "disk",
+    "gap",
+    GRANT,
+    "quarantine",
+    "robot_silent",
+    "tampered",
+    "unanchored",
+    "unattended",
     "vault",
 ];
 

@@ -36,7 +36,8 @@ pub(super) fn look(home: &Home, sheet: &mut Sheet) {
     }
     let beside = home.profiles().into_iter().find(|profile| home.passphrase(profile).exists());
     if let Some(profile) = beside.filter(|_| !standing.is_empty()) {
-        let text = format!("the passphrase of '{profile}' lies beside its keyring: whoever reads the home has all its keys");
+        let text =
+            format!("the passphrase of '{profile}' lies beside its keyring: whoever reads the home has all its keys");
         sheet.warn("unattended passphrase", &text, "move it to a safe place and give it with --passphrase-file");
     }
 }
@@ -61,7 +62,9 @@ mod tests {
             ended,
         };
         let ledger = Ledger::open(&home.ledger()).expect("a ledger");
-        for (account, list) in [("0xa1", [noted(1, 30, true), noted(2, 30, false)]), ("0xa2", [noted(3, 30, true), noted(4, 1, false)])] {
+        for (account, list) in
+            [("0xa1", [noted(1, 30, true), noted(2, 30, false)]), ("0xa2", [noted(3, 30, true), noted(4, 1, false)])]
+        {
             let text = serde_json::to_string(&list).expect("JSON");
             ledger.put_setting(&format!("{NOTED}{account}"), &text).expect("written");
         }

@@ -50,10 +50,10 @@ pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
 pub use capture::ros::RosState;
 pub use chain::link::NetworkState;
 pub(crate) use contacts::BOOK;
-pub(crate) use unattended::{NOTED, Noted};
 pub(super) use devices::enrolled::Enrolled;
 pub use devices::enrolling::EnrolWishes;
 pub use reading::view::record_page;
+pub(crate) use unattended::{NOTED, Noted};
 
 use alerts::Alerts;
 use audit::Audit;

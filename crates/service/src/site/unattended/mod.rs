@@ -17,12 +17,12 @@ pub(crate) use preparing::NOTED;
 pub(in crate::site) use preparing::noted;
 use standing::{Reach, Standing};
 
+use super::Site;
 use super::audit::Log;
 use super::capture::ros::RosSide;
 use super::capture::watches::Watches;
 use super::chain::connection::Connection;
 use super::chain::link::Link;
-use super::Site;
 use super::devices::Devices;
 use super::devices::enrolled::Enrolments;
 use super::identity::owners::Owners;
@@ -267,9 +267,10 @@ impl Unattended {
             (HealthLevel::Failed, format!("nothing is anchored unattended: {}", reason.text(standing.account)))
         } else {
             match standing.reach() {
-                Reach::Until(until, why) => {
-                    (HealthLevel::Ok, format!("unattended until {until} ({why}); profile '{}' is locked", standing.profile))
-                }
+                Reach::Until(until, why) => (
+                    HealthLevel::Ok,
+                    format!("unattended until {until} ({why}); profile '{}' is locked", standing.profile),
+                ),
                 Reach::Ended(_) => (HealthLevel::Failed, standing.text()),
             }
         };

@@ -56,7 +56,9 @@ impl Unattended {
         }
         let network = self.link.network().await?;
         network.directory.identity(owner.address)?;
-        if let Some(noted) = block_in_place(|| self.noted(owner.address))?.iter().rfind(|noted| is_open(&network, owner, noted)) {
+        if let Some(noted) =
+            block_in_place(|| self.noted(owner.address))?.iter().rfind(|noted| is_open(&network, owner, noted))
+        {
             return Err(refused(format!(
                 "device {} is on loan for unattended capture until {}; end that first with `authros unattended end`",
                 noted.device, noted.until

@@ -20,6 +20,8 @@ use crate::service::reply::Failure;
 /// The ends, in words.
 pub(super) const LOAN: &str = "the loan of its device ends";
 const EPOCH: &str = "the epoch ends with a grant";
+/// What to do about it.
+const ANOTHER: &str = "write another credential with `authros unattended prepare`";
 
 /// How often to look whether anything has changed.
 const LOOK: Duration = Duration::from_secs(1);
@@ -70,7 +72,7 @@ impl Unattended {
         if self.is_taken_over(standing) {
             return Ok(());
         }
-        if standing.note(self.reach_of(&working)) {
+        if standing.note(self.reach_of(&working)?) {
             let level = match standing.reach() {
                 Reach::Until(..) => NoticeLevel::Info,
                 Reach::Ended(_) => NoticeLevel::Error,
@@ -101,33 +103,33 @@ impl Unattended {
     }
 
     /// Until when it can go on: the end of the loan or of the epoch, whichever comes first.
-    fn reach_of(&self, working: &Working) -> Reach {
+    fn reach_of(&self, working: &Working) -> Result<Reach, Failure> {
         let author = &working.standing.author;
         let Some(keys) = author.sealing() else {
-            return Reach::Ended(
+            return Ok(Reach::Ended(
                 "the epoch of its keys is over, because a grant has ended; unlock the profile, which begins the next one"
                     .to_owned(),
-            );
+            ));
         };
-        let loan = match self.loan_of(working) {
+        let loan = match self.loan_of(working)? {
             Ok(until) => until,
-            Err(why) => return Reach::Ended(why),
+            Err(why) => return Ok(Reach::Ended(why)),
         };
         // Keys of a later epoch that are known already take their turn.
         let ends = author.next().map_or(keys.ends, |(_, next)| next.ends);
-        match ends.filter(|ends| *ends < loan) {
+        Ok(match ends.filter(|ends| *ends < loan) {
             Some(ends) => Reach::Until(ends, EPOCH),
             None => Reach::Until(loan, LOAN),
-        }
+        })
     }
 
     /// When the loan ends, by the chain if that is known; otherwise why there is none.
-    fn loan_of(&self, working: &Working) -> Result<Timestamp, String> {
+    fn loan_of(&self, working: &Working) -> Result<Result<Timestamp, String>, Failure> {
         let standing = &working.standing;
         let network = self.link.network_now().filter(|network| network.domain == working.domain);
         if let Some(Network { directory, .. }) = network {
             match may_sign(&directory, standing.author.address, standing.device, Moment::newest(directory.now())) {
-                Ok(SigningRight::Device(lending)) => return Ok(lending.until.unwrap_or(Timestamp(u64::MAX))),
+                Ok(SigningRight::Device(lending)) => return Ok(Ok(lending.until.unwrap_or(Timestamp(u64::MAX)))),
                 // It is no device of somebody: what the credential says counts.
                 Ok(SigningRight::Owner(_)) => {}
                 // The chain was not read that far yet.
@@ -140,16 +142,16 @@ impl Unattended {
                     | NoRight::Recalled { .. }
                     | NoRight::Ended { .. }
                     | NoRight::KeyUnknown { .. }),
-                ) => return Err(format!("{why}; write another credential with `authros unattended prepare`")),
+                ) => return Ok(Err(format!("{why}; {ANOTHER}"))),
             }
         }
-        if working.until <= steady_now() {
-            let until = working.until;
-            return Err(format!(
-                "the loan of its device ended at {until}; write another credential with `authros unattended prepare`"
-            ));
+        if self.enrolments.was_recalled(standing.author.address, standing.device)? {
+            return Ok(Err(format!("its device was recalled; {ANOTHER}")));
         }
-        Ok(working.until)
+        if working.until <= steady_now() {
+            return Ok(Err(format!("the loan of its device ended at {}; {ANOTHER}", working.until)));
+        }
+        Ok(Ok(working.until))
     }
 
     async fn anchor(self: Arc<Self>) {
@@ -201,7 +203,10 @@ impl Unattended {
         match self.sender.tend(&network.chain, &working.witness).await {
             Ok(reasons) => {
                 for reason in reasons {
-                    let text = format!("the contract rejected an unattended transaction of {}: {reason}", working.standing.profile);
+                    let text = format!(
+                        "the contract rejected an unattended transaction of {}: {reason}",
+                        working.standing.profile
+                    );
                     self.hub.notice(NoticeLevel::Error, &text);
                 }
             }
