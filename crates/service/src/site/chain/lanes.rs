@@ -13,8 +13,6 @@ use std::sync::Mutex;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
-use tokio::task::block_in_place;
-
 use crate::crypto::{EoaSecret, unattended_secret};
 use crate::model::{Address, Domain};
 use crate::pipeline::sender::LaneState;
@@ -59,7 +57,7 @@ impl Lanes {
         }
         let mut keys = witness::witnesses(&owner.eoa(), &network.domain, MOST_LANES)?;
         // Behind those that may be in use: what they began while the profile was locked is finished.
-        let of_devices = block_in_place(|| unattended::noted(&self.plant.ledger, owner.address))?;
+        let of_devices = unattended::noted(&self.plant.ledger, owner.address)?;
         for noted in of_devices.iter().filter(|noted| noted.domain == network.domain) {
             keys.push(unattended_secret(&owner.eoa(), &network.domain, &noted.device)?);
         }

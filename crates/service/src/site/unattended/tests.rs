@@ -16,9 +16,15 @@ use crate::site::Needs;
 use crate::site::testing::{PASSPHRASE, config, profile, registered, site_with_chain};
 use crate::store::SiteLock;
 
-fn again(folder: &Path) -> Arc<Site> {
+async fn again(folder: &Path) -> Arc<Site> {
     let home = Home::new(folder.join("home"));
-    let lock = SiteLock::acquire(&home.site_lock()).expect("a lock").expect("nobody else's");
+    // Tasks of the site before may still be ending.
+    let lock = loop {
+        if let Some(lock) = SiteLock::acquire(&home.site_lock()).expect("a lock") {
+            break lock;
+        }
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    };
     Site::start(home, config(&[]), lock, Needs { ros: false, chain: true }).expect("starts")
 }
 
@@ -80,7 +86,7 @@ async fn it_stops_when_it_is_recalled_and_makes_room_for_the_owner() {
     drop(alice);
     site.stop().await;
 
-    let site = again(folder.path());
+    let site = again(folder.path()).await;
     let other = site.capture_unattended(&profile("bob"), credential.clone()).await.expect_err("alice's");
     assert!(other.message.contains("is for profile 'alice'"), "{}", other.message);
     let view = site.capture_unattended(&profile("alice"), credential).await.expect("begun");

@@ -130,10 +130,9 @@ impl Unattended {
         if let Some(Network { directory, .. }) = network {
             match may_sign(&directory, standing.author.address, standing.device, Moment::newest(directory.now())) {
                 Ok(SigningRight::Device(lending)) => return Ok(Ok(lending.until.unwrap_or(Timestamp(u64::MAX)))),
-                // It is no device of somebody: what the credential says counts.
-                Ok(SigningRight::Owner(_)) => {}
                 // The chain was not read that far yet.
-                Err(NoRight::Unregistered { .. } | NoRight::Unknown { .. } | NoRight::LentLater { .. }) => {}
+                Ok(SigningRight::Owner(_))
+                | Err(NoRight::Unregistered { .. } | NoRight::Unknown { .. } | NoRight::LentLater { .. }) => {}
                 Err(
                     why @ (NoRight::Unproven { .. }
                     | NoRight::Suspended { .. }
