@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
-use crate::model::{ProfileName, Publisher, TopicName, clean};
+use crate::model::{Address, ProfileName, Publisher, TopicName, clean};
 use crate::pipeline::Owner;
 use crate::service::event::Part;
 use crate::service::failure::input;
