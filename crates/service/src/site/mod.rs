@@ -210,16 +210,14 @@ impl Site {
             config.site.as_ref().map(|site| Remotes::new(site, &parts.home, plant.provider)).transpose()?.map(Arc::new);
         let ros = Arc::new(RosSide::new(of, &recorder, needs.ros));
         let sealer = Arc::new(SealerThread::new(of, &rings, &losses));
-        let lanes = Arc::new(Lanes::new(of));
         let connection = Arc::new(Connection::new(of, remote.clone()));
-        let joined = Arc::new(Joined::new(of, remote.clone()));
-        let contacts = Arc::new(Contacts::new(of));
-        let pins = Arc::new(Pinning::new(of, &judges));
+        let (lanes, joined) = (Arc::new(Lanes::new(of)), Arc::new(Joined::new(of, remote.clone())));
+        let (contacts, pins) = (Arc::new(Contacts::new(of)), Arc::new(Pinning::new(of, &judges)));
         let reading = Arc::new(Reading::new(of, &contacts));
-        let quarantine = Arc::new(Quarantine::new(of, &reading));
+        let (quarantine, admissions) = (Quarantine::new(of, &reading), Admissions::new(of, &contacts));
+        let (quarantine, admissions) = (Arc::new(quarantine), Arc::new(admissions));
         let (stamps, enrolments) = (Arc::new(TimeStamps::new(of)), Arc::new(Enrolments::new(of)));
         let sharing = Arc::new(Sharing::new(of, &contacts, &enrolments, &joined, &reserve));
-        let admissions = Arc::new(Admissions::new(of, &contacts));
         let gateway = Arc::new(Gateway::new(of, &sharing, &admissions, remote.clone()));
         let watches = Arc::new(Watches::new(of, &recorder, &ros));
         let asked = identity::Asked {
@@ -235,16 +233,7 @@ impl Site {
         let profiles = Arc::new(Profiles::new(of, &asked));
         let capture = Arc::new(Capture::new(of, &recorder, &losses, &ros, &watches, &profiles, &pins));
         let devices = Arc::new(Devices::new(of, &sharing, &enrolments));
-        let asked = unattended::Asked {
-            connection: &connection,
-            devices: &devices,
-            enrolments: &enrolments,
-            recorder: &recorder,
-            watches: &watches,
-            ros: &ros,
-            pins: &pins,
-        };
-        let unattended = Arc::new(Unattended::new(of, &asked));
+        let unattended = Unattended::new(of, (&connection, &devices, &enrolments), (&recorder, &watches, &ros), &pins);
         let asked = recordings::Asked {
             contacts: &contacts,
             reading: &reading,
@@ -257,7 +246,7 @@ impl Site {
         Ok(Self {
             recordings: Arc::new(Recordings::new(of, &asked)),
             devices,
-            unattended,
+            unattended: Arc::new(unattended),
             administering: Arc::new(Administering::new(of, &contacts)),
             adoption: Arc::new(Adoption::new(of, &lanes, &connection, &profiles, remote)),
             audit: Arc::new(Audit::new(of, &reserve)),

@@ -94,20 +94,14 @@ pub(in crate::site) struct Unattended {
     noting: Mutex<()>,
 }
 
-/// The parts used by unattended capture.
-pub(in crate::site) struct Asked<'a> {
-    pub connection: &'a Arc<Connection>,
-    pub devices: &'a Arc<Devices>,
-    pub enrolments: &'a Arc<Enrolments>,
-    pub recorder: &'a Arc<Recorder>,
-    pub watches: &'a Arc<Watches>,
-    pub ros: &'a Arc<RosSide>,
-    pub pins: &'a Arc<Pinning>,
-}
-
 impl Unattended {
-    /// From the shared parts.
-    pub fn new(of: &Parts, asked: &Asked<'_>) -> Self {
+    /// From the shared parts, and those that lend, that capture, and that judge publishers.
+    pub fn new(
+        of: &Parts,
+        (connection, devices, enrolments): (&Arc<Connection>, &Arc<Devices>, &Arc<Enrolments>),
+        (recorder, watches, ros): (&Arc<Recorder>, &Arc<Watches>, &Arc<RosSide>),
+        pins: &Arc<Pinning>,
+    ) -> Self {
         let Parts { home, config, plant, hub, log, owners, link, life, sender, supervisor, .. } = of.clone();
         Self {
             home,
@@ -120,13 +114,13 @@ impl Unattended {
             life,
             sender,
             supervisor,
-            connection: Arc::clone(asked.connection),
-            devices: Arc::clone(asked.devices),
-            enrolments: Arc::clone(asked.enrolments),
-            recorder: Arc::clone(asked.recorder),
-            watches: Arc::clone(asked.watches),
-            ros: Arc::clone(asked.ros),
-            pins: Arc::clone(asked.pins),
+            connection: Arc::clone(connection),
+            devices: Arc::clone(devices),
+            enrolments: Arc::clone(enrolments),
+            recorder: Arc::clone(recorder),
+            watches: Arc::clone(watches),
+            ros: Arc::clone(ros),
+            pins: Arc::clone(pins),
             working: Mutex::default(),
             followed: Mutex::default(),
             noting: Mutex::default(),
