@@ -209,13 +209,12 @@ impl Site {
         let remote =
             config.site.as_ref().map(|site| Remotes::new(site, &parts.home, plant.provider)).transpose()?.map(Arc::new);
         let ros = Arc::new(RosSide::new(of, &recorder, needs.ros));
-        let sealer = Arc::new(SealerThread::new(of, &rings, &losses));
-        let connection = Arc::new(Connection::new(of, remote.clone()));
-        let (lanes, joined) = (Arc::new(Lanes::new(of)), Arc::new(Joined::new(of, remote.clone())));
-        let (contacts, pins) = (Arc::new(Contacts::new(of)), Arc::new(Pinning::new(of, &judges)));
+        let (lanes, connection) = (Arc::new(Lanes::new(of)), Arc::new(Connection::new(of, remote.clone())));
+        let (contacts, sealer) = (Arc::new(Contacts::new(of)), Arc::new(SealerThread::new(of, &rings, &losses)));
+        let (joined, pins) = (Arc::new(Joined::new(of, remote.clone())), Arc::new(Pinning::new(of, &judges)));
         let reading = Arc::new(Reading::new(of, &contacts));
-        let (quarantine, admissions) = (Quarantine::new(of, &reading), Admissions::new(of, &contacts));
-        let (quarantine, admissions) = (Arc::new(quarantine), Arc::new(admissions));
+        let quarantine = Arc::new(Quarantine::new(of, &reading));
+        let admissions = Arc::new(Admissions::new(of, &contacts));
         let (stamps, enrolments) = (Arc::new(TimeStamps::new(of)), Arc::new(Enrolments::new(of)));
         let sharing = Arc::new(Sharing::new(of, &contacts, &enrolments, &joined, &reserve));
         let gateway = Arc::new(Gateway::new(of, &sharing, &admissions, remote.clone()));
