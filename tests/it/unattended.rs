@@ -20,12 +20,12 @@ const OTHER: &str = "/robot2/odom";
 
 /// The owner's machine: two watched topics, one of them in the credential, and no passphrase any more.
 struct Machine {
-    home: Home,
+    _home: Home,
     authros: Authros,
     credential: PathBuf,
     /// Where the owner keeps the passphrase.
     passphrase: PathBuf,
-    /// All that the owner has, by name.
+    /// All that the owners of the home have, by name.
     secrets: Vec<(String, Vec<u8>)>,
     reader: String,
 }
@@ -54,7 +54,7 @@ impl Machine {
         let [own] = &own.collect::<Vec<_>>()[..] else { panic!("one passphrase of the profile") };
         let passphrase = home.root().join("owner.passphrase");
         fs::rename(own, &passphrase).expect("moved away");
-        Self { home, authros, credential, passphrase, secrets, reader }
+        Self { _home: home, authros, credential, passphrase, secrets, reader }
     }
 
     fn boot(&self) -> Running {
