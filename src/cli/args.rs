@@ -149,7 +149,10 @@ pub enum Verb {
         watch: bool,
     },
     /// Run the site without a console
-    Serve,
+    Serve(super::serve::ServeArguments),
+    /// Capture while the profile is locked, as at boot: make the credential for it, or end it
+    #[command(subcommand)]
+    Unattended(super::unattended::UnattendedVerb),
     /// Gateway: serve robots and operators that have no chain client
     #[command(subcommand)]
     Gateway(GatewayVerb),

@@ -2,6 +2,7 @@
 
 use std::sync::OnceLock;
 
+use clap::Args;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::broadcast;
 
@@ -11,6 +12,15 @@ use crate::service::command::Register;
 use crate::service::event::NoticeLevel;
 use crate::service::{Event, Failure, Needs};
 use authros_output::Output;
+
+/// `serve …`
+#[derive(Debug, Args)]
+pub struct ServeArguments {
+    /// Capture without unlocking the profile, with the credential of `unattended prepare` [without a file: the one named
+    /// authros in $CREDENTIALS_DIRECTORY]
+    #[arg(long, value_name = "CREDENTIAL", num_args = 0..=1, default_missing_value = "")]
+    pub unattended: Option<String>,
+}
 
 /// Whether the parent wants this process to outlive its terminal (nohup), judged by its signals at the start.
 static KEEPS_ON: OnceLock<bool> = OnceLock::new();
@@ -61,7 +71,7 @@ pub async fn asked_to_end() -> Ending {
 ///
 /// # Errors
 /// If another process is the site already, or the profile cannot be opened.
-pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
+pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -> Result<u8, Failure> {
     let connection = context.connect(Needs { ros: true, chain: true }).await.map_err(not_started)?;
     if connection.site.is_none() {
         let root = context.home.root().display();
@@ -76,38 +86,46 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     // If it worked here before, no chain is needed to start.
     let known = context.home.pin().exists() && context.home.keyring(&context.profile).exists();
     let prepared = async {
+        if let (Some(file), Some(site)) = (&arguments.unattended, &connection.site) {
+            return super::unattended::begin(&context, site, file).await.map(Some);
+        }
         context.prepare(&connection.client, ProfileNeed::Made, output).await?;
-        connection.client.ask(Register).await
+        connection.client.ask(Register).await.map(|_| None)
     };
     // Listened to from here to the end, so that no signal is missed in between.
     let end = asked_to_end();
     tokio::pin!(end);
     let ended = tokio::select! {
-        prepared = prepared => prepared.map(drop),
+        prepared = prepared => prepared,
         _ = &mut end => {
             connection.end().await;
             return Ok(0);
         }
     };
-    match ended {
-        Ok(()) => {}
-        Err(failure) if known && failure.kind == ErrorKind::Unreachable => {
+    let unattended = match ended {
+        Ok(unattended) => unattended,
+        Err(failure) if known && arguments.unattended.is_none() && failure.kind == ErrorKind::Unreachable => {
             output.note(&format!("authros: {}; waiting for it, and for what is captured meanwhile", failure.message));
+            None
         }
         Err(failure) => {
             connection.end().await;
             return Err(not_started(failure));
         }
-    }
+    };
     let master = match &connection.site {
         Some(site) if context.config.ros_master.is_none() => site.ros_uri().await.ok(),
         _ => context.config.ros_master.clone(),
     };
     let root = context.home.root().display().to_string();
-    let ready = serde_json::json!({ "serving": root, "profile": context.profile, "ros_master": master });
+    let mut ready = serde_json::json!({ "serving": root, "profile": context.profile, "ros_master": master });
+    if let Some(view) = &unattended {
+        ready["unattended"] = serde_json::json!(view);
+    }
     output.result(&ready, || {
         let ros = master.map_or_else(String::new, |uri| format!("\nROS nodes join with ROS_MASTER_URI={uri}"));
-        format!("serving {root} for profile '{}'; stop it with Ctrl-C{ros}", context.profile)
+        let alone = unattended.as_ref().map_or_else(String::new, |view| format!("\n{}", super::unattended::line(view)));
+        format!("serving {root} for profile '{}'; stop it with Ctrl-C{ros}{alone}", context.profile)
     });
     let ready = super::systemd::ready();
     follow(events, output, end).await;

@@ -64,6 +64,7 @@ mod site_file;
 mod status;
 mod succession;
 mod time_stamps;
+mod unattended;
 mod units;
 mod uploads_export;
 mod vault_faults;

@@ -12,6 +12,8 @@ use support::{Home, Running, skipped, system_program, wait_until};
 
 const UNITS: [&str; 3] = ["authros-agent.service", "authros-serve.service", "authros-backup.service"];
 
+const UNATTENDED: &str = "authros-unattended.service";
+
 fn unit(name: &str) -> String {
     fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd").join(name)).expect("a unit")
 }
@@ -20,7 +22,7 @@ fn unit(name: &str) -> String {
 fn systemd_accepts_the_units() {
     let Some(program) = system_program("systemd-analyze") else { skipped!("no systemd-analyze") };
     let home = Home::new();
-    for name in UNITS.into_iter().chain(["authros-backup.timer"]) {
+    for name in UNITS.into_iter().chain(["authros-backup.timer", UNATTENDED]) {
         let text = unit(name).replace("/usr/bin/authros", env!("CARGO_BIN_EXE_authros"));
         let path = home.file(name, text, 0o644);
         let mut command = Command::new(&program);
@@ -43,6 +45,30 @@ fn their_commands_are_known_and_no_secret_is_in_them() {
         let outcome = authros(&home).run(&arguments).expect_code(3);
         assert!(outcome.stderr.contains("passphrase cannot be read"), "{outcome}");
     }
+}
+
+#[test]
+fn the_unattended_unit_takes_a_credential_and_no_passphrase() {
+    let text = unit(UNATTENDED);
+    let line = text.lines().find_map(|line| line.strip_prefix("ExecStart=/usr/bin/authros ")).expect("a command");
+    assert!(!text.contains("passphrase:") && !line.contains("passphrase"), "{line}");
+    assert!(text.contains("LoadCredentialEncrypted=authros:"), "{text}");
+    let home = Home::new();
+    home.authros().with(&["--robots", "0"]).enrol();
+    let site = home.path().to_str().expect("UTF-8").to_owned();
+    let place =
+        |word: &str| word.replace("${STATE_DIRECTORY}", &site).replace("${CREDENTIALS_DIRECTORY}", "/not/there");
+    let words: Vec<String> = line.split(' ').map(place).collect();
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    let outcome = authros(&home).run(&words).expect_code(3);
+    assert!(outcome.stderr.contains("/not/there/authros"), "{outcome}");
+    // Hardened as the others.
+    let lines = |name: &str| {
+        let text = unit(name);
+        let from = text.find("NoNewPrivileges").expect("hardening");
+        text[from..].to_owned()
+    };
+    assert_eq!(lines(UNATTENDED), lines("authros-serve.service"));
 }
 
 #[test]

@@ -13,7 +13,7 @@ use crate::store::{Anchors, NewBatch, RecordRow, WaitingBatch};
 
 use super::pace::{LONGEST_WAIT, Pace};
 use super::sender::Outgoing;
-use super::{Network, Owner, PipelineError, Plant, Sender, adoption, authority};
+use super::{Network, PipelineError, Plant, Sender, adoption, authority};
 
 /// Records per round when uploaded individually: one ledger commit for this many signed transactions.
 const ROUND: usize = 128;
@@ -57,7 +57,8 @@ impl Anchorer {
     }
 
     /// Does what is due now; records whose signer may not sign now wait. `lanes` are the accounts that anchor batches
-    /// in parallel, the owner's own first; individual records go through the owner's own only.
+    /// in parallel, the owner's own first; individual records go through the owner's own only, and where that is not
+    /// among them everything goes in batches.
     ///
     /// # Errors
     /// Errors of chain and ledger; nothing is lost, the records stay `stored` or `batched`.
@@ -66,28 +67,32 @@ impl Anchorer {
         plant: &Plant,
         network: &Network,
         sender: &Sender,
-        owner: &Owner,
+        owner: Address,
         lanes: &[EoaSecret],
     ) -> Result<Round, PipelineError> {
-        if network.directory.epoch(owner.address) == 0 {
+        if network.directory.epoch(owner) == 0 {
             return Ok(Round::wait(IDLE));
         }
-        block_in_place(|| authority::settle_waiting(plant, network, owner.address))?;
+        block_in_place(|| authority::settle_waiting(plant, network, owner))?;
         self.resting.retain(|_, until| Instant::now() < *until);
         let free = free_lane(plant, sender, lanes, &self.resting)?;
         let Some((lane, open)) = free else { return Ok(Round::wait(IDLE)) };
         // Batches already closed come first, whatever the mode is now.
-        let waiting = block_in_place(|| plant.ledger.waiting_batches(owner.address, 1))?;
+        let waiting = block_in_place(|| plant.ledger.waiting_batches(owner, 1))?;
         if let Some(batch) = waiting.first() {
-            return self.send(plant, network, sender, lane, owner.address, *batch).await;
+            return self.send(plant, network, sender, lane, owner, *batch).await;
         }
-        match self.mode {
-            AnchorMode::Each => match again(plant, owner.address)? {
-                Some(batch) => self.send(plant, network, sender, lane, owner.address, batch).await,
-                None => one_by_one(plant, network, sender, owner).await,
+        let own = match self.mode {
+            AnchorMode::Each => lanes.iter().find(|lane| lane.address() == owner),
+            AnchorMode::Batch => None,
+        };
+        match own {
+            Some(own) => match again(plant, owner)? {
+                Some(batch) => self.send(plant, network, sender, lane, owner, batch).await,
+                None => one_by_one(plant, network, sender, (owner, own)).await,
             },
-            AnchorMode::Batch => match self.close(plant, owner.address, open == 0)? {
-                Ok(batch) => self.send(plant, network, sender, lane, owner.address, batch).await,
+            None => match self.close(plant, owner, open == 0)? {
+                Ok(batch) => self.send(plant, network, sender, lane, owner, batch).await,
                 Err(due_in) => Ok(Round::wait(due_in)),
             },
         }
@@ -220,13 +225,18 @@ async fn send(
 
 /// Up to [`ROUND`] stored records, one transaction each. Those sealed under an epoch that the chain
 /// does not know yet wait for it.
-async fn one_by_one(plant: &Plant, network: &Network, sender: &Sender, owner: &Owner) -> Result<Round, PipelineError> {
-    let room = sender.room(owner.address)?.min(ROUND);
+async fn one_by_one(
+    plant: &Plant,
+    network: &Network,
+    sender: &Sender,
+    (owner, own): (Address, &EoaSecret),
+) -> Result<Round, PipelineError> {
+    let room = sender.room(owner)?.min(ROUND);
     if room == 0 {
         return Ok(Round::wait(IDLE));
     }
-    let rows = block_in_place(|| plant.ledger.in_state(Some(owner.address), RecordState::Stored, room))?;
-    let Some(account) = network.directory.account(owner.address) else { return Ok(Round::wait(IDLE)) };
+    let rows = block_in_place(|| plant.ledger.in_state(Some(owner), RecordState::Stored, room))?;
+    let Some(account) = network.directory.account(owner) else { return Ok(Round::wait(IDLE)) };
     let mut uploads = Vec::with_capacity(rows.len());
     for row in &rows {
         let token = block_in_place(|| adoption::token_of(plant, network, &account, row))?;
@@ -235,8 +245,7 @@ async fn one_by_one(plant: &Plant, network: &Network, sender: &Sender, owner: &O
     if uploads.is_empty() {
         return Ok(Round::wait(IDLE));
     }
-    let eoa = owner.eoa();
-    let submitted = sender.submit(&network.chain, &eoa, uploads).await?.len();
+    let submitted = sender.submit(&network.chain, own, uploads).await?.len();
     Ok(Round { submitted, next: Duration::ZERO })
 }
 

@@ -12,20 +12,22 @@ use tokio::sync::watch;
 use tokio::task::block_in_place;
 
 use crate::crypto::{
-    Anchor, Expected, Fingerprint, GatewayAccess, IssuedKeys, Notice, Provider, SealedEnrolment, SignedPolicy,
-    notice_topic, open,
+    Anchor, Enrolment, Expected, Fingerprint, GatewayAccess, IssuedKeys, Notice, Provider, SealedEnrolment,
+    SignedPolicy, notice_topic, open,
 };
 use crate::gateway::{Client, Entry, Fetched, GatewayError, Query, Selection};
-use crate::model::{Header, RecordKind, RecorderId, RingSpan, Timestamp, clean};
-use crate::store::Ledger;
+use crate::model::{Header, RecordKind, RecorderId, RingSpan, Signature, Timestamp, clean};
+use crate::store::{Ledger, RecordQuery, RecordRow};
 
 use super::forwarder::{Errand, ForwardError};
-use super::{Author, Observer, PipelineError, disk_ring};
+use super::{Author, Observer, PipelineError, Plant, disk_ring};
 
 /// The time between two checks of the whole list, in case a subscription missed something.
 const LOOK: Duration = Duration::from_secs(300);
 /// Entries of one page.
 const PAGE: u16 = 100;
+/// The most notices looked at in the owner's own ledger, the newest.
+const MOST: usize = 10_000;
 
 /// Takes the policies that an owner sets for a robot, after their signer was checked with the record.
 pub trait PolicyTaker: Send + Sync {
@@ -170,39 +172,12 @@ impl Notices {
     }
 
     fn opened(&self, record: &Fetched) -> Result<(Header, Notice), PipelineError> {
-        let enrolment = &self.sealed.enrolment;
-        let expected = Expected {
-            topic_id: Some(enrolment.notice_id),
-            topic: Some(notice_topic(&enrolment.device_id())),
-            ..Expected::any_of(enrolment.domain, enrolment.owner)
-        };
-        let (signature, signer, key) = (&record.signature, &enrolment.owner_key, &enrolment.notice_key);
-        let opened = open(self.provider, &record.blob, signature, signer, Anchor::Unanchored, key, &expected)?;
-        let body = zeroize::Zeroizing::new(opened.body);
-        let notice = Notice::parse(&body)
-            .map_err(|why| crate::crypto::CryptoError::Malformed { what: "owner's notice", why })?;
-        let fits = match &notice {
-            Notice::Keys(keys) => keys.now.epoch == opened.header.epoch,
-            Notice::OwnerKey(change) => {
-                change.check(self.provider, &enrolment.domain, &enrolment.owner, &enrolment.owner_key)?;
-                true
-            }
-            Notice::Gateways(list) => {
-                list.check(&enrolment.domain, &enrolment.owner, &enrolment.device_id())?;
-                true
-            }
-            // A policy is checked by whoever takes it: its refusal is to reach the owner.
-            Notice::Pull(_) | Notice::Policy(_) | Notice::Unknown(_) => true,
-        };
-        if !fits || opened.header.kind != RecordKind::Key {
-            return Err(PipelineError::Refused("it is not a notice to a robot".to_owned()));
-        }
+        let (header, notice) = open_notice(self.provider, &self.sealed.enrolment, &record.blob, &record.signature)?;
         // The entry is the gateway's word; only the signed header's number tells an old notice from a new one.
-        let Header { recorder, seq, epoch, .. } = opened.header;
-        if !self.is_newer((recorder, seq, epoch)) {
+        if !self.is_newer((header.recorder, header.seq, header.epoch)) {
             return Err(PipelineError::Refused("it is an old one that the gateway gives out as new".to_owned()));
         }
-        Ok((opened.header, notice))
+        Ok((header, notice))
     }
 
     fn obey(&mut self, header: &Header, notice: Notice) -> Result<(), PipelineError> {
@@ -259,6 +234,86 @@ impl Notices {
         });
         Ok(())
     }
+}
+
+/// Opens a record that is to be a notice of the owner of an enrolment to its device.
+///
+/// # Errors
+/// If it is not the owner's, not for this device, or no notice.
+pub fn open_notice(
+    provider: &dyn Provider,
+    enrolment: &Enrolment,
+    blob: &[u8],
+    signature: &Signature,
+) -> Result<(Header, Notice), PipelineError> {
+    let expected = Expected {
+        topic_id: Some(enrolment.notice_id),
+        topic: Some(notice_topic(&enrolment.device_id())),
+        ..Expected::any_of(enrolment.domain, enrolment.owner)
+    };
+    let (signer, key) = (&enrolment.owner_key, &enrolment.notice_key);
+    let opened = open(provider, blob, signature, signer, Anchor::Unanchored, key, &expected)?;
+    let body = zeroize::Zeroizing::new(opened.body);
+    let notice =
+        Notice::parse(&body).map_err(|why| crate::crypto::CryptoError::Malformed { what: "owner's notice", why })?;
+    let fits = match &notice {
+        Notice::Keys(keys) => keys.now.epoch == opened.header.epoch,
+        Notice::OwnerKey(change) => {
+            change.check(provider, &enrolment.domain, &enrolment.owner, &enrolment.owner_key)?;
+            true
+        }
+        Notice::Gateways(list) => {
+            list.check(&enrolment.domain, &enrolment.owner, &enrolment.device_id())?;
+            true
+        }
+        // A policy is checked by whoever takes it: its refusal is to reach the owner.
+        Notice::Pull(_) | Notice::Policy(_) | Notice::Unknown(_) => true,
+    };
+    if fits && opened.header.kind == RecordKind::Key {
+        return Ok((opened.header, notice));
+    }
+    Err(PipelineError::Refused("it is not a notice to a robot".to_owned()))
+}
+
+/// Takes what an owner has told a device since its enrolment, from the ledger of the owner's own home: keys of later epochs and of
+/// more topics, and another P_C. Returns how many notices were taken; those that are not the owner's are told of and left out.
+///
+/// # Errors
+/// Errors of ledger and vault.
+pub fn catch_up(plant: &Plant, enrolment: &mut Enrolment) -> Result<usize, PipelineError> {
+    let query = RecordQuery {
+        owner: Some(enrolment.owner),
+        topic_ids: Some(vec![enrolment.notice_id]),
+        kind: Some(RecordKind::Key),
+        limit: MOST,
+        newest_first: true,
+        ..RecordQuery::default()
+    };
+    let mut rows = plant.ledger.list(&query)?.rows;
+    rows.sort_unstable_by_key(|row| (row.epoch, row.captured_at, row.seq));
+    let mut taken = 0;
+    for row in &rows {
+        let Some(blob) = plant.vault.get(row.digest)? else { continue };
+        match open_notice(plant.provider, enrolment, &blob, &row.signature) {
+            Ok((_, notice)) => taken += usize::from(apply(enrolment, row, notice)),
+            Err(error) => {
+                let text = format!("ignored a notice that is not from the owner or not for this device: {error}");
+                plant.observer.alert(true, clean(&text, 300));
+            }
+        }
+    }
+    Ok(taken)
+}
+
+fn apply(enrolment: &mut Enrolment, row: &RecordRow, notice: Notice) -> bool {
+    match notice {
+        Notice::Keys(keys) if keys.now.epoch >= enrolment.keys.now.epoch => enrolment.keys = keys,
+        Notice::OwnerKey(change) => enrolment.owner_key = change.new,
+        // It has neither gateways nor a ring.
+        Notice::Keys(_) | Notice::Gateways(_) | Notice::Pull(_) | Notice::Unknown(_) => return false,
+    }
+    enrolment.noticed = Some((row.recorder, row.seq));
+    true
 }
 
 /// Notes what is asked of the ring before the notice counts as taken; what was done, in words.

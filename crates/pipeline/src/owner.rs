@@ -33,11 +33,16 @@ pub struct Owner {
 impl Owner {
     /// An owner with an open keyring.
     pub fn new(profile: ProfileName, keyring: UnlockedKeyring) -> Self {
-        let address = keyring.keyring.eoa.address();
+        let author = Author::new(keyring.keyring.eoa.address());
+        Self::with_author(profile, keyring, Arc::new(author))
+    }
+
+    /// The same, going on with an author of this account: what that captures already has one author before and after.
+    pub fn with_author(profile: ProfileName, keyring: UnlockedKeyring, author: Arc<Author>) -> Self {
         Self {
             profile,
-            address,
-            author: Arc::new(Author::new(address)),
+            address: author.address,
+            author,
             keyring: Mutex::new(keyring),
             opened: Mutex::default(),
             changes: tokio::sync::Mutex::default(),

@@ -8,7 +8,7 @@ use crate::ros::Origin;
 use crate::store::{HeldMinute, Hold};
 
 use super::statement::{self, Speaker, Statement};
-use super::{Owner, PipelineError, Plant, pins};
+use super::{Author, PipelineError, Plant, pins};
 
 /// The name that quarantine records are filed under; no ROS name begins like this.
 pub const TOPIC: &str = "authros/quarantine";
@@ -40,15 +40,15 @@ pub fn rolling(
     Digest(end)
 }
 
-/// Seals a quarantine record for every (topic, minute) of the owner before minute `before` with uncounted records;
+/// Seals a quarantine record for every (topic, minute) of the author's owner before minute `before` with uncounted records;
 /// returns how many were sealed. Must not run twice at once for one owner.
 ///
 /// # Errors
 /// Errors of sealing, vault and ledger; what is sealed so far stays.
-pub fn report(plant: &Plant, owner: &Owner, before: u64) -> Result<usize, PipelineError> {
+pub fn report(plant: &Plant, author: &Author, before: u64) -> Result<usize, PipelineError> {
     let mut sealed = 0;
-    while let Some(held) = plant.ledger.unreported(owner.address, before)? {
-        if !report_one(plant, owner, &held)? {
+    while let Some(held) = plant.ledger.unreported(author.address, before)? {
+        if !report_one(plant, author, &held)? {
             break;
         }
         sealed += 1;
@@ -60,12 +60,12 @@ pub fn report(plant: &Plant, owner: &Owner, before: u64) -> Result<usize, Pipeli
 }
 
 /// `false`: there are no keys to seal with yet.
-fn report_one(plant: &Plant, owner: &Owner, held: &HeldMinute) -> Result<bool, PipelineError> {
-    let Some(keys) = owner.sealing() else { return Ok(false) };
+fn report_one(plant: &Plant, author: &Author, held: &HeldMinute) -> Result<bool, PipelineError> {
+    let Some(keys) = author.sealing() else { return Ok(false) };
     let recorder = plant.ledger.recorder();
     let seqs = || held.records.iter().map(|(seq, _)| *seq);
     let digests: Vec<Digest> = held.records.iter().map(|(_, digest)| *digest).collect();
-    let stream = (owner.address, recorder);
+    let stream = (author.address, recorder);
     let report = QuarantineReport {
         topic_id: held.topic_id,
         topic: held.topic.clone(),
@@ -79,7 +79,7 @@ fn report_one(plant: &Plant, owner: &Owner, held: &HeldMinute) -> Result<bool, P
     let topic = keys.topic(TOPIC).ok_or_else(|| PipelineError::Uncovered(TOPIC.to_owned()))?;
     let speaker = Speaker {
         domain: keys.domain,
-        owner: owner.address,
+        owner: author.address,
         signing: &keys.signing,
         epoch: keys.epoch,
         topic_id: topic.id,

@@ -97,7 +97,7 @@ impl Line {
         let (mut anchorer, lanes) = (Anchorer::new(mode), [self.owner.eoa()]);
         loop {
             let more = feed();
-            let round = anchorer.round(&self.plant, &self.network, &self.sender, &self.owner, &lanes).await;
+            let round = anchorer.round(&self.plant, &self.network, &self.sender, self.owner.address, &lanes).await;
             let round = round.expect("a round");
             let head = self.watch().await;
             if !more && self.count(RecordState::Confirmed) == all {
@@ -252,7 +252,7 @@ async fn a_witness_registers_itself_and_anchors_for_its_owner() {
     line.append(1, 1, 300);
     let mut anchorer = Anchorer::new(AnchorMode::Batch);
     while line.count(RecordState::Confirmed) < 300 {
-        let round = anchorer.round(&line.plant, &line.network, &line.sender, &line.owner, &witnesses).await;
+        let round = anchorer.round(&line.plant, &line.network, &line.sender, line.owner.address, &witnesses).await;
         round.expect("a round");
         line.watch().await;
         for key in &witnesses {

@@ -14,6 +14,7 @@ mod playing;
 mod recordings;
 mod robots;
 mod secret;
+mod unattended;
 mod viewing;
 mod witnesses;
 
@@ -37,6 +38,7 @@ pub use self::playing::{Pace, PlayWishes, Remap};
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
 pub use self::robots::{ListRobots, PullRing, RobotCommand, SetRobotPolicy, ShowRobot};
 pub use self::secret::{SecretBytes, SecretText};
+pub use self::unattended::{EndUnattended, PrepareUnattended, UnattendedCommand};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
 pub use self::witnesses::{AddWitness, AskWitnesses, ListWitnesses, RemoveWitness, WitnessCommand, WitnessStatus};
 use crate::chain::Revision;
@@ -385,6 +387,8 @@ requests! {
         OfRobot(RobotCommand),
         /// The fleet: gateways that reconcile what they hold.
         OfFleet(FleetCommand),
+        /// Capture while the profile is locked.
+        OfUnattended(UnattendedCommand),
     }
 }
 

@@ -17,6 +17,7 @@ mod robots;
 mod site;
 mod tasks;
 mod topics;
+mod unattended;
 mod viewing;
 mod witnesses;
 
@@ -53,6 +54,7 @@ pub use self::robots::{RingPullView, RobotRow, RobotTopicRow, RobotView};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, CoveragePart, CoverageView, HeldUp, TopicRow, TopicSummary, WatchView};
+pub use self::unattended::{UnattendedFile, UnattendedState, UnattendedView};
 pub use self::viewing::PathView;
 pub use self::witnesses::{ContradictionView, GivenView, WitnessAnswers, WitnessView, WitnessesView};
 use super::command::SecretBytes;
@@ -236,4 +238,6 @@ replies! {
     Fellows(Vec<FellowView>);
     /// To `FleetStatus`.
     Fleet(FleetView);
+    /// To `PrepareUnattended`.
+    UnattendedPrepared(UnattendedFile);
 }

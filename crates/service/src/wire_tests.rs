@@ -101,6 +101,8 @@ const REQUESTS: &[&str] = &[
     r#"{"command":"of_fleet","fleet":"remove_fellow","gateway":"h:1"}"#,
     r#"{"command":"of_fleet","fleet":"list_fellows"}"#,
     r#"{"command":"of_fleet","fleet":"fleet_status"}"#,
+    r#"{"command":"of_unattended","unattended":"prepare_unattended","topics":["/odom"],"until":"2026-01-01T00:00:00Z"}"#,
+    r#"{"command":"of_unattended","unattended":"end_unattended"}"#,
     r#"{"command":"open_console"}"#,
 ];
 
@@ -139,6 +141,7 @@ const REPLIES: &[&str] = &[
     r#"{"reply":"witnesses","with":[{"name":"w","account":"0x0707070707070707070707070707070707070707","key":"0707070707070707070707070707070707070707070707070707070707070707","gateway":null,"serves":true,"added_at":"2026-01-01T00:00:00Z","given":1,"newest":null,"served":2,"chains":1,"failures":3,"problem":"p"}]}"#,
     r#"{"reply":"witness_status","with":{"account":"0x0707070707070707070707070707070707070707","key":null,"witnesses":[],"contradictions":[{"name":null,"key":"0707070707070707070707070707070707070707070707070707070707070707","account":"0x0707070707070707070707070707070707070707","chain_id":7,"what":"w","kept_at":"2026-01-01T00:00:00Z","at":"2026-01-01T00:00:01Z","kept":"0a","later":"0b"}]}}"#,
     r#"{"reply":"witness_answers","with":{"given":[{"witness":"w","at":"2026-01-01T00:00:00Z","batches":1,"block":2}],"problem":null}}"#,
+    r#"{"reply":"unattended_prepared","with":{"device":"0707070707070707070707070707070707070707070707070707070707070707","account":"0x0707070707070707070707070707070707070707","topics":["/odom"],"until":"2026-01-01T00:00:00Z","file":[1]}}"#,
     r#"{"reply":"ring_pull","with":{"robot":"scout","device":"0707070707070707070707070707070707070707070707070707070707070707","since":"2026-01-01T00:00:00Z","until":"2026-01-01T00:05:00Z","topics":["/camera/**"]}}"#,
     r#"{"reply":"fellows","with":[{"address":"h:1","key":"0707070707070707070707070707070707070707070707070707070707070707","account":null,"added_at":"2026-01-01T00:00:00Z","heard":null,"reconciled":false,"lacking":1,"taken":2,"passed_over":3,"anchored_twice":4,"refused":[{"code":6,"text":"t","count":5}],"problem":"p"}]}"#,
     r#"{"reply":"fleet","with":{"address":null,"key":null,"fellows":[]}}"#,

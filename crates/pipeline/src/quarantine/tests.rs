@@ -61,10 +61,10 @@ fn every_topic_and_minute_is_counted_once_and_in_order() {
     let other = keep(&plant, record(owner.address, 2, 1, at(10, 6)));
     let two = keep(&plant, record(owner.address, 1, 2, at(10, 59)));
     let later = keep(&plant, record(owner.address, 1, 3, at(11, 0)));
-    assert_eq!(report(&plant, &owner, 10).expect("nothing is due"), 0);
-    assert_eq!(report(&plant, &owner, 11).expect("one minute is due"), 2);
-    assert_eq!(report(&plant, &owner, 11).expect("once only"), 0);
-    assert_eq!(report(&plant, &owner, u64::MAX).expect("all"), 1);
+    assert_eq!(report(&plant, &owner.author, 10).expect("nothing is due"), 0);
+    assert_eq!(report(&plant, &owner.author, 11).expect("one minute is due"), 2);
+    assert_eq!(report(&plant, &owner.author, 11).expect("once only"), 0);
+    assert_eq!(report(&plant, &owner.author, u64::MAX).expect("all"), 1);
 
     let rows = plant.ledger.in_state(Some(owner.address), RecordState::Stored, 100).expect("rows");
     assert!(rows.iter().all(|row| row.kind == RecordKind::Quarantine && row.topic == TOPIC));
@@ -106,7 +106,7 @@ fn what_is_discarded_is_gone_and_still_counted() {
     let plant = plant(home.path());
     let (owner, _) = owner_with_keys(plant.provider, home.path());
     let digests: Vec<Digest> = (1..=3).map(|seq| keep(&plant, record(owner.address, 1, seq, seq))).collect();
-    assert_eq!(report(&plant, &owner, u64::MAX).expect("counted"), 1);
+    assert_eq!(report(&plant, &owner.author, u64::MAX).expect("counted"), 1);
     assert_eq!(discard(&plant, &digests[..2]).expect("discarded"), 2);
     assert_eq!(discard(&plant, &digests[..2]).expect("again"), 0);
     assert_eq!(plant.vault.get(digests[0]), Ok(None));
@@ -127,6 +127,6 @@ fn without_keys_nothing_is_counted_and_nothing_is_lost() {
     let plant = plant(home.path());
     let (owner, _) = super::super::tests::owner_without_keys(plant.provider, home.path());
     keep(&plant, record(owner.address, 1, 1, 1));
-    assert_eq!(report(&plant, &owner, u64::MAX).expect("waits"), 0);
+    assert_eq!(report(&plant, &owner.author, u64::MAX).expect("waits"), 0);
     assert!(plant.ledger.unreported(owner.address, u64::MAX).expect("read").is_some());
 }

@@ -11,7 +11,8 @@ impl Line {
     }
 
     async fn round(&self, mode: AnchorMode, lanes: &[EoaSecret]) -> usize {
-        let round = Anchorer::new(mode).round(&self.plant, &self.network, &self.sender, &self.owner, lanes).await;
+        let round =
+            Anchorer::new(mode).round(&self.plant, &self.network, &self.sender, self.owner.address, lanes).await;
         round.expect("a round").submitted
     }
 

@@ -11,6 +11,7 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, UnixListener};
 use tokio::sync::{Mutex, Semaphore};
 
+use super::unattended::standing::Reach;
 use super::{Site, blocking};
 use crate::config::FiguresPlace;
 use crate::crypto::signer_id;
@@ -21,7 +22,7 @@ use crate::pipeline::stages::{Milestone, Stage};
 use crate::service::event::NoticeLevel;
 use crate::service::figures::{
     BOUNDS, Figures, GrantFigures, LaneFigures, Latency, OwnerFigures, PartFigures, RobotFigures, TopicFigures,
-    exposition, http, short,
+    UnattendedFigures, exposition, http, short,
 };
 use crate::service::reply::{Failure, GrantState, HealthLevel, PartHealth};
 use crate::store::StateCounts;
@@ -129,6 +130,7 @@ impl Site {
             lanes: self.lane_figures()?,
             block: self.block_figures(),
             grants: self.grant_figures(),
+            unattended: self.unattended_figures(),
             disk: free_bytes(self.home().root()).ok().map(|free| (free, self.config().disk_reserve)),
             backlog: (ledger.sealed()?, ledger.backlog()?),
             untold_gaps: ledger.untold_gaps()?,
@@ -164,7 +166,8 @@ impl Site {
     }
 
     fn robot_figures(&self) -> Result<Vec<RobotFigures>, Failure> {
-        let own: Vec<_> = self.parts.owners.all().iter().map(|owner| signer_id(&owner.signing().public)).collect();
+        let mut own: Vec<_> = self.parts.owners.all().iter().map(|owner| signer_id(&owner.signing().public)).collect();
+        own.extend(self.unattended.devices()?);
         let seen = self.plant.ledger.last_seen(MOST_ROBOTS)?.into_iter().filter(|row| !own.contains(&row.signer));
         Ok(seen.map(|row| RobotFigures { robot: short(&row.signer.to_string()), last_seen: row.at }).collect())
     }
@@ -210,6 +213,15 @@ impl Site {
         }
         let contacts = self.contacts.names();
         Some(told_of(ending, &own, |owner| contacts.contains_key(&owner)))
+    }
+
+    fn unattended_figures(&self) -> Option<UnattendedFigures> {
+        let (account, reach) = self.unattended.reach()?;
+        let until = match reach {
+            Reach::Until(until, _) => Some(until),
+            Reach::Ended(_) => None,
+        };
+        Some(UnattendedFigures { owner: short(&account.to_string()), until })
     }
 
     fn block_figures(&self) -> Option<(u64, Timestamp)> {

@@ -36,6 +36,7 @@ mod supervision;
 mod supervision_tests;
 #[cfg(test)]
 mod testing;
+mod unattended;
 mod witnesses;
 mod workers;
 
@@ -52,6 +53,7 @@ pub(crate) use contacts::BOOK;
 pub(super) use devices::enrolled::Enrolled;
 pub use devices::enrolling::EnrolWishes;
 pub use reading::view::record_page;
+pub(crate) use unattended::{NOTED, Noted};
 
 use alerts::Alerts;
 use audit::Audit;
@@ -83,6 +85,7 @@ use reading::Reading;
 use recordings::Recordings;
 use sharing::Sharing;
 use storage::Storage;
+use unattended::Unattended;
 use witnesses::Witnesses;
 
 use super::client::{Call, Client};
@@ -132,6 +135,7 @@ pub struct Site {
     contacts: Arc<Contacts>,
     sharing: Arc<Sharing>,
     devices: Arc<Devices>,
+    unattended: Arc<Unattended>,
     reading: Arc<Reading>,
     evidence: Arc<Evidence>,
     incidents: Arc<Incidents>,
@@ -205,17 +209,14 @@ impl Site {
         let remote =
             config.site.as_ref().map(|site| Remotes::new(site, &parts.home, plant.provider)).transpose()?.map(Arc::new);
         let ros = Arc::new(RosSide::new(of, &recorder, needs.ros));
-        let sealer = Arc::new(SealerThread::new(of, &rings, &losses));
-        let lanes = Arc::new(Lanes::new(of));
-        let connection = Arc::new(Connection::new(of, remote.clone()));
-        let joined = Arc::new(Joined::new(of, remote.clone()));
-        let contacts = Arc::new(Contacts::new(of));
-        let pins = Arc::new(Pinning::new(of, &judges));
+        let (lanes, connection) = (Arc::new(Lanes::new(of)), Arc::new(Connection::new(of, remote.clone())));
+        let (contacts, sealer) = (Arc::new(Contacts::new(of)), Arc::new(SealerThread::new(of, &rings, &losses)));
+        let (joined, pins) = (Arc::new(Joined::new(of, remote.clone())), Arc::new(Pinning::new(of, &judges)));
         let reading = Arc::new(Reading::new(of, &contacts));
         let quarantine = Arc::new(Quarantine::new(of, &reading));
+        let admissions = Arc::new(Admissions::new(of, &contacts));
         let (stamps, enrolments) = (Arc::new(TimeStamps::new(of)), Arc::new(Enrolments::new(of)));
         let sharing = Arc::new(Sharing::new(of, &contacts, &enrolments, &joined, &reserve));
-        let admissions = Arc::new(Admissions::new(of, &contacts));
         let gateway = Arc::new(Gateway::new(of, &sharing, &admissions, remote.clone()));
         let watches = Arc::new(Watches::new(of, &recorder, &ros));
         let asked = identity::Asked {
@@ -230,6 +231,8 @@ impl Site {
         };
         let profiles = Arc::new(Profiles::new(of, &asked));
         let capture = Arc::new(Capture::new(of, &recorder, &losses, &ros, &watches, &profiles, &pins));
+        let devices = Arc::new(Devices::new(of, &sharing, &enrolments));
+        let unattended = Unattended::new(of, (&connection, &devices, &enrolments), (&recorder, &watches, &ros), &pins);
         let asked = recordings::Asked {
             contacts: &contacts,
             reading: &reading,
@@ -241,7 +244,8 @@ impl Site {
         };
         Ok(Self {
             recordings: Arc::new(Recordings::new(of, &asked)),
-            devices: Arc::new(Devices::new(of, &sharing, &enrolments)),
+            devices,
+            unattended: Arc::new(unattended),
             administering: Arc::new(Administering::new(of, &contacts)),
             adoption: Arc::new(Adoption::new(of, &lanes, &connection, &profiles, remote)),
             audit: Arc::new(Audit::new(of, &reserve)),

@@ -122,6 +122,7 @@ async fn watch(site: Arc<Site>) {
                     site.parts.hub.confirmed.notify_one();
                 }
                 site.lanes.tend(&network).await;
+                site.unattended.tend(&network).await;
                 network.chain.next_block(head.number, watcher::PATIENCE).await.err().map(|error| error.to_string())
             }
             Err(PipelineError::Chain(error @ ChainError::Swapped { .. })) => {
@@ -192,7 +193,7 @@ async fn anchor_round(
         *spoken = Some(network.domain);
     }
     let lanes = site.lanes.of(owner, network)?;
-    Ok(anchorer.round(&site.plant, network, &site.parts.sender, owner, &lanes).await?)
+    Ok(anchorer.round(&site.plant, network, &site.parts.sender, owner.address, &lanes).await?)
 }
 
 impl Site {
@@ -255,7 +256,9 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
         if !still_open {
             return;
         }
-        let Some(network) = site.parts.link.network_now() else {
+        // What anchored unattended ends first: one at a time closes an owner's batches.
+        let waits = site.unattended.anchors_for(owner.address);
+        let Some(network) = site.parts.link.network_now().filter(|_| !waits) else {
             tokio::time::sleep(Duration::from_millis(200)).await;
             continue;
         };

@@ -115,6 +115,7 @@ pub fn site() -> SiteView {
         verified_after: Vec::new(),
         alerts: Vec::new(),
         alerts_over: Vec::new(),
+        unattended: None,
     }
 }
 

@@ -3,7 +3,7 @@
 use super::*;
 use crate::service::alerts::Standing;
 use crate::service::alerts::state::Change;
-use crate::service::alerts::troubles::{before, grant, limits, troubles, well};
+use crate::service::alerts::troubles::{before, grant, limits, troubles, unattended, well};
 
 /// A site that is well, then in trouble for three looks, then well again: the keys of the alerts that began and ended.
 fn told(trouble: &dyn Fn(&mut Figures)) -> (Vec<String>, Vec<String>) {
@@ -42,6 +42,21 @@ fn every_rule_is_named_and_every_name_is_a_rule() {
     let found: std::collections::BTreeSet<String> =
         troubles().into_iter().map(|(key, _)| rule_of(key).to_owned()).collect();
     assert_eq!(found.iter().map(String::as_str).collect::<Vec<_>>(), RULES);
+}
+
+#[test]
+fn the_end_of_unattended_capture_is_told_three_days_before_and_is_over_when_somebody_comes() {
+    let mut judge = Judge::new(limits());
+    let mut level = |unattended| {
+        let figures = Figures { unattended, ..well(0) };
+        let judged = judge.judge(&figures).into_iter().find(|judged| judged.key == "unattended/0a0b0c0d");
+        judged.map(|judged| (judged.level, judged.severity))
+    };
+    let days = |days: u64| Some(unattended(Some(days * 86_400)));
+    assert_eq!(level(days(4)).map(|(level, _)| level), Some(Level::Clear));
+    assert_eq!(level(days(3)), Some((Level::Firing, Severity::Warning)));
+    assert_eq!(level(Some(unattended(None))), Some((Level::Firing, Severity::Critical)));
+    assert_eq!(level(None), None, "the owner is there");
 }
 
 #[test]

@@ -53,7 +53,8 @@ impl Capture {
         let captured = self.captured_by_topic(profile)?;
         let alarms = self.pins.alarmed_topics(profile)?;
         let pins = self.pins.pinned_names(profile)?;
-        let owner = self.owners.get(profile).filter(|owner| owner.sealing().is_some());
+        let author = self.owners.author_of(profile);
+        let keys = author.as_ref().and_then(|author| Some((author.address, author.sealing()?)));
         let full = self.plant.ledger.takes_records().is_err();
         let watched: HashSet<&str> = watches.iter().map(|(topic, _)| topic.as_str()).collect();
         for row in &mut rows {
@@ -67,10 +68,13 @@ impl Capture {
             }
             row.alarm = alarms.contains(&row.topic);
             row.watched = watched.contains(row.topic.as_str());
-            row.held_up = match &owner {
+            row.held_up = match &keys {
                 _ if !row.watched => None,
-                None => Some(HeldUp::WaitsForKey),
-                Some(owner) => (full || !self.recorder.is_watched(&row.topic, owner.address)).then_some(HeldUp::Paused),
+                // Without its owner a profile is captured only where it has a topic's key.
+                Some((account, keys)) if keys.topic(&row.topic).is_some() => {
+                    (full || !self.recorder.is_watched(&row.topic, *account)).then_some(HeldUp::Paused)
+                }
+                _ => Some(HeldUp::WaitsForKey),
             };
         }
         rows.sort_by(|one, other| one.topic.cmp(&other.topic));

@@ -8,11 +8,12 @@ use crate::site::chain::link::Link;
 use crate::site::identity::owners::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
+use crate::site::unattended;
 use std::sync::Mutex;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
-use crate::crypto::EoaSecret;
+use crate::crypto::{EoaSecret, unattended_secret};
 use crate::model::{Address, Domain};
 use crate::pipeline::sender::LaneState;
 use crate::pipeline::witness::{self, MOST_LANES};
@@ -47,14 +48,19 @@ impl Lanes {
 }
 
 impl Lanes {
-    /// All witnesses that the owner can have on this network.
+    /// All witnesses that the owner can have on this network, then the accounts that anchored unattended.
     fn witnesses(&self, owner: &Owner, network: &Network) -> Result<Arc<Vec<(Address, EoaSecret)>>, Failure> {
         let mut known = self.witnesses.lock().unwrap_or_else(PoisonError::into_inner);
         let key = (owner.address, network.domain);
         if let Some(found) = known.get(&key) {
             return Ok(Arc::clone(found));
         }
-        let keys = witness::witnesses(&owner.eoa(), &network.domain, MOST_LANES)?;
+        let mut keys = witness::witnesses(&owner.eoa(), &network.domain, MOST_LANES)?;
+        // Behind those that may be in use: what they began while the profile was locked is finished.
+        let of_devices = unattended::noted(&self.plant.ledger, owner.address)?;
+        for noted in of_devices.iter().filter(|noted| noted.domain == network.domain) {
+            keys.push(unattended_secret(&owner.eoa(), &network.domain, &noted.device)?);
+        }
         let found = Arc::new(keys.into_iter().map(|key| (key.address(), key)).collect::<Vec<_>>());
         known.insert(key, Arc::clone(&found));
         Ok(found)

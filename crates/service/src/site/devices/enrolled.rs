@@ -9,7 +9,7 @@ use tokio::sync::watch;
 use tokio::task::block_in_place;
 
 use crate::crypto::{EpochIssue, IssuedKeys, IssuedTopic, Pseudonyms, SealingKey, filter_key, topic_id, topic_key};
-use crate::model::{ProfileName, PublicKey, SignerId, clean};
+use crate::model::{Address, ProfileName, PublicKey, SignerId, clean};
 use crate::pipeline::{Network, Owner, quarantine, recorder_heads};
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, RobotGatewayView};
@@ -119,11 +119,21 @@ impl Enrolments {
 
     /// The robots enrolled by this owner, oldest first.
     pub(in crate::site) fn of(&self, owner: &Owner) -> Result<Vec<Enrolled>, Failure> {
+        self.of_account(owner.address)
+    }
+
+    fn of_account(&self, owner: Address) -> Result<Vec<Enrolled>, Failure> {
         let text = block_in_place(|| self.plant.ledger.setting(&place(owner)))?;
         Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
     }
 
-    pub(super) fn add(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
+    /// Whether this home recalled a device of an account; what the chain says newer counts more.
+    pub(in crate::site) fn was_recalled(&self, owner: Address, device: SignerId) -> Result<bool, Failure> {
+        Ok(self.of_account(owner)?.iter().any(|enrolled| enrolled.device == device && enrolled.ended))
+    }
+
+    /// Notes another device.
+    pub(in crate::site) fn add(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
         let _alone = self.noting.lock().unwrap_or_else(PoisonError::into_inner);
         let mut all = self.of(owner)?;
         all.push(enrolled);
@@ -150,10 +160,10 @@ impl Enrolments {
 
     fn write(&self, owner: &Owner, all: &[Enrolled]) -> Result<(), Failure> {
         let text = serde_json::to_string(all).unwrap_or_default();
-        Ok(block_in_place(|| self.plant.ledger.put_setting(&place(owner), &text))?)
+        Ok(block_in_place(|| self.plant.ledger.put_setting(&place(owner.address), &text))?)
     }
 }
 
-fn place(owner: &Owner) -> String {
-    format!("enrolled:{}", owner.address)
+fn place(owner: Address) -> String {
+    format!("enrolled:{owner}")
 }

@@ -20,7 +20,7 @@ use super::blocking;
 use super::reading::view::record_view;
 use crate::model::{Digest, ErrorKind, ProfileName, RecordState, Timestamp, TopicName, clean};
 use crate::pipeline::columns::Shown;
-use crate::pipeline::{Owner, quarantine};
+use crate::pipeline::{Author, Owner, quarantine};
 use crate::service::command::Held;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::input;
@@ -65,10 +65,9 @@ impl Quarantine {
             if block_in_place(|| self.plant.takes_records()).is_err() {
                 continue;
             }
-            for owner in self.owners.all() {
-                if let Err(failure) = self.report(&owner, quarantine::minute(Timestamp::now())).await {
-                    let text =
-                        format!("quarantined messages of {} are not counted yet: {}", owner.profile, failure.message);
+            for (profile, author) in self.owners.authors() {
+                if let Err(failure) = self.report(&author, quarantine::minute(Timestamp::now())).await {
+                    let text = format!("quarantined messages of {profile} are not counted yet: {}", failure.message);
                     self.hub.notice(NoticeLevel::Error, &text);
                 }
             }
@@ -76,10 +75,10 @@ impl Quarantine {
     }
 
     /// Counts what was quarantined before this minute.
-    async fn report(self: &Arc<Self>, owner: &Arc<Owner>, before: u64) -> Result<(), Failure> {
+    async fn report(self: &Arc<Self>, author: &Arc<Author>, before: u64) -> Result<(), Failure> {
         let _one_at_a_time = self.reporting.lock().await;
-        let owner = Arc::clone(owner);
-        blocking(self, move |quarantine| Ok(quarantine::report(&quarantine.plant, &owner, before)?)).await?;
+        let author = Arc::clone(author);
+        blocking(self, move |quarantine| Ok(quarantine::report(&quarantine.plant, &author, before)?)).await?;
         Ok(())
     }
 
@@ -148,7 +147,7 @@ impl Quarantine {
         let rows = self.named(owner, &held).await?;
         self.audit_each(owner, "release quarantined", &rows).await?;
         // The record of the quarantine comes first, so that its count includes everything that was held.
-        self.report(owner, u64::MAX).await?;
+        self.report(&owner.author, u64::MAX).await?;
         let digests = self.with_definitions(owner, &rows).await?;
         let asked: Vec<Digest> = digests.into_iter().collect();
         blocking(self, move |quarantine| Ok(quarantine.plant.ledger.release(&asked)?)).await?;
@@ -179,7 +178,7 @@ impl Quarantine {
     /// Deletes quarantined messages, once the quarantine records that count them are on the chain.
     pub(super) async fn discard(self: &Arc<Self>, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
         let rows = self.named(owner, &held).await?;
-        self.report(owner, u64::MAX).await?;
+        self.report(&owner.author, u64::MAX).await?;
         // Asked again: the reports are known only now.
         let mut rows_now = self.named(owner, &held).await?;
         let known: BTreeSet<Digest> = rows.iter().map(|row| row.record.digest).collect();
