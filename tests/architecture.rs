@@ -5,9 +5,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates in their order: each may depend only on crates before it. The last is the binary's own.
-const CRATES: [&str; 17] = [
-    "model", "fault", "crypto", "evidence", "pipe", "ros2", "ros", "chain", "store", "gateway", "pipeline", "config",
-    "service", "console", "output", "bench", "authros",
+const CRATES: [&str; 19] = [
+    "model", "fault", "crypto", "evidence", "pipe", "keyless", "ros2", "rosrust", "ros", "chain", "store", "gateway",
+    "pipeline", "config", "service", "console", "output", "bench", "authros",
 ];
 /// The rooms of the console, in order.
 const CONSOLE: [&str; 3] = ["app", "ui", "term"];
