@@ -174,6 +174,11 @@ impl RosrustPublisher {
         drop(self.run.order(&Order::<Described>::Outrun, &[]));
     }
 
+    /// The number of the process in which rosrust runs.
+    pub fn process(&self) -> Option<u32> {
+        self.run.process()
+    }
+
     /// Why nothing is published now, if that is so.
     pub fn broken(&self) -> Option<String> {
         self.run.broken()

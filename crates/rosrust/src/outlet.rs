@@ -32,6 +32,7 @@ pub struct Outlet {
     ahead: VecDeque<usize>,
     ahead_bytes: usize,
     is_outrun: bool,
+    has_failed: bool,
     last: Option<TcpStream>,
 }
 
@@ -60,7 +61,8 @@ impl Outlet {
             std::thread::sleep(Duration::from_millis(1));
         }
         let (topic, ahead) = (topic.name.clone(), VecDeque::new());
-        Ok(Self { topic, publisher, served, ear, handed: 0, ahead, ahead_bytes: 0, is_outrun: false, last: None })
+        let (handed, ahead_bytes, is_outrun, has_failed, last) = (0, 0, false, false, None);
+        Ok(Self { topic, publisher, served, ear, handed, ahead, ahead_bytes, is_outrun, has_failed, last })
     }
 
     /// Its name.
@@ -77,7 +79,7 @@ impl Outlet {
 
     /// Whether nothing is known of its messages any more.
     pub fn is_deaf(&self) -> bool {
-        self.ear.is_deaf()
+        self.has_failed || self.ear.is_deaf()
     }
 
     /// Whether every subscriber has the last message: one that came after it was let in.
@@ -111,10 +113,8 @@ impl queue::Outlet for Outlet {
             return Err(message);
         }
         let message = RawMessage(message);
-        if self.publisher.send(message).is_err() {
-            // It fails only where a message cannot be written to memory; then nobody has it.
-            return Ok(u64::MAX);
-        }
+        // Of one that cannot be sent nothing comes back.
+        self.has_failed |= self.publisher.send(message).is_err();
         self.handed += 1;
         self.ahead.push_back(size);
         self.ahead_bytes += size;

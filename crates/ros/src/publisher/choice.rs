@@ -49,6 +49,14 @@ impl GraphPublisher {
         }
     }
 
+    /// The number of the process that publishes, if it is not this one.
+    pub fn process(&self) -> Option<u32> {
+        match self {
+            Self::Own(_) => None,
+            Self::Rosrust(publisher) => publisher.process(),
+        }
+    }
+
     /// Why nothing is published now, if that is so.
     pub fn broken(&self) -> Option<String> {
         match self {
