@@ -55,6 +55,7 @@ mod ros2_capture;
 mod ros2_fastdds;
 mod ros2_losses;
 mod ros2_playing;
+mod rosrust_playing;
 mod sharing;
 mod site_file;
 mod status;
