@@ -129,7 +129,11 @@ impl queue::Outlet for Outlet {
         self.ear.heard() >= self.handed
     }
 
-    fn outrun(&mut self) -> &mut bool {
-        &mut self.is_outrun
+    fn is_outrun(&self) -> bool {
+        self.is_outrun
+    }
+
+    fn outrun(&mut self, is_outrun: bool) {
+        self.is_outrun = is_outrun;
     }
 }

@@ -15,7 +15,9 @@ pub trait Outlet {
     /// Whether all messages have left.
     fn has_caught_up(&self) -> bool;
     /// Whether its subscribers are no longer waited for.
-    fn outrun(&mut self) -> &mut bool;
+    fn is_outrun(&self) -> bool;
+    /// Sets that.
+    fn outrun(&mut self, is_outrun: bool);
 }
 
 /// What has left the queue.
@@ -58,15 +60,15 @@ impl Queue {
     /// Subscribers that are behind are no longer waited for.
     pub fn outrun<O: Outlet>(&self, outlets: &mut BTreeMap<u32, O>) {
         for outlet in outlets.values_mut() {
-            *outlet.outrun() = !outlet.has_caught_up();
+            outlet.outrun(!outlet.has_caught_up());
         }
     }
 
     /// Hands on what can be handed on, and tells what has left.
     pub fn pump<O: Outlet>(&mut self, outlets: &mut BTreeMap<u32, O>) -> Taken {
         for outlet in outlets.values_mut() {
-            if *outlet.outrun() && outlet.has_caught_up() {
-                *outlet.outrun() = false;
+            if outlet.is_outrun() && outlet.has_caught_up() {
+                outlet.outrun(false);
             }
         }
         while let Some((writer, message)) = self.waiting.pop_front() {
@@ -74,7 +76,7 @@ impl Queue {
                 None => Fate::Gone,
                 Some(outlet) => match outlet.attempt(message) {
                     Ok(number) => Fate::Handed(writer, number),
-                    Err(_) if *outlet.outrun() => Fate::Dropped,
+                    Err(_) if outlet.is_outrun() => Fate::Dropped,
                     Err(message) => {
                         self.waiting.push_front((writer, message));
                         break;
@@ -86,17 +88,17 @@ impl Queue {
         self.settle(outlets)
     }
 
-    fn settle<O: Outlet>(&mut self, outlets: &mut BTreeMap<u32, O>) -> Taken {
+    fn settle<O: Outlet>(&mut self, outlets: &BTreeMap<u32, O>) -> Taken {
         let mut taken = Taken::default();
         while let Some(fate) = self.underway.front() {
             let dropped = match fate {
                 Fate::Gone => false,
                 Fate::Dropped => true,
-                Fate::Handed(writer, number) => match outlets.get_mut(writer) {
+                Fate::Handed(writer, number) => match outlets.get(writer) {
                     None => false,
                     Some(outlet) if outlet.left() >= *number => false,
                     // It is with rosrust, which may send it yet.
-                    Some(outlet) if *outlet.outrun() => true,
+                    Some(outlet) if outlet.is_outrun() => true,
                     Some(_) => break,
                 },
             };
@@ -138,8 +140,12 @@ mod tests {
             self.left == self.got.len() as u64
         }
 
-        fn outrun(&mut self) -> &mut bool {
-            &mut self.outrun
+        fn is_outrun(&self) -> bool {
+            self.outrun
+        }
+
+        fn outrun(&mut self, is_outrun: bool) {
+            self.outrun = is_outrun;
         }
     }
 

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::usage::{processor_seconds, processor_seconds_of};
+use authros_model::TopicName;
 use authros_ros::{
     Advertised, Capture, CaptureNotice, CaptureOptions, EmbeddedMaster, Graph, GraphPublisher, Message, MessageSink,
     Publisher, RosrustPublisher,
@@ -123,14 +124,14 @@ type Listeners = (Vec<Arc<Heard>>, Vec<Capture>);
 
 /// Subscribers that the master knows.
 fn listen(master: &EmbeddedMaster, clock: &Arc<Clock>, subscribers: u16) -> Result<Listeners, Failure> {
-    let topic = TOPIC.parse().map_err(|_| internal("the topic's name"))?;
+    let topic: TopicName = TOPIC.parse().map_err(|_| internal("the topic's name"))?;
     let (mut all, mut captures) = (Vec::new(), Vec::new());
     for number in 0..subscribers {
         let heard = Arc::new(Heard { clock: Arc::clone(clock), times: Mutex::default() });
         let node_name = format!("/bench_ear{number}");
         let options = CaptureOptions { master_uri: master.uri().to_owned(), own_host: None, node_name };
         let capture = Capture::start(options, Arc::clone(&heard) as Arc<dyn MessageSink>)?;
-        capture.watch(authros_model::TopicName::clone(&topic), None);
+        capture.watch(topic.clone(), None);
         all.push(heard);
         captures.push(capture);
     }
