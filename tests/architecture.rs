@@ -1,13 +1,14 @@
 //! The house rules for the source: order of rooms, size of files, where `unsafe` is allowed, names and openings.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates in their order: each may depend only on crates before it. The last is the binary's own.
-const CRATES: [&str; 17] = [
-    "model", "fault", "crypto", "evidence", "pipe", "ros2", "ros", "chain", "store", "gateway", "pipeline", "config",
-    "service", "console", "output", "bench", "authros",
+const CRATES: [&str; 19] = [
+    "model", "fault", "crypto", "evidence", "pipe", "keyless", "ros2", "rosrust", "ros", "chain", "store", "gateway",
+    "pipeline", "config", "service", "console", "output", "bench", "authros",
 ];
 /// The rooms of the console, in order.
 const CONSOLE: [&str; 3] = ["app", "ui", "term"];
@@ -172,6 +173,37 @@ fn dependencies(name: &str) -> Vec<String> {
     own.lines().filter_map(|line| Some(word(line.strip_prefix("authros-")?))).collect()
 }
 
+/// The packages of the lock file, `name version`, and what each depends on, for all targets and with its tests.
+fn locked() -> BTreeMap<String, Vec<String>> {
+    let lock = read(Path::new("Cargo.lock"));
+    let quoted = |line: &str, key: &str| Some(line.strip_prefix(key)?.trim_matches('"').to_owned());
+    let package = |block: &str| {
+        let name = block.lines().find_map(|line| quoted(line, "name = "))?;
+        let version = block.lines().find_map(|line| quoted(line, "version = "))?;
+        let needed =
+            block.lines().filter_map(|line| Some(line.strip_prefix(" \"")?.trim_end_matches("\",").to_owned()));
+        Some((format!("{name} {version}"), needed.collect()))
+    };
+    lock.split("[[package]]").filter_map(package).collect()
+}
+
+/// All that a package of ours depends on, and what that depends on.
+fn reached(name: &str) -> BTreeSet<String> {
+    let locked = locked();
+    // A version stands in the lock file only where there are several.
+    let found = |needed: &str| {
+        let is_it = |key: &&String| **key == needed || key.split(' ').next() == Some(needed);
+        locked.keys().find(is_it).cloned().unwrap_or_else(|| panic!("{needed} is not locked"))
+    };
+    let (mut reached, mut waiting) = (BTreeSet::new(), vec![found(name)]);
+    while let Some(key) = waiting.pop() {
+        if reached.insert(key.clone()) {
+            waiting.extend(locked[&key].iter().map(|needed| found(needed)));
+        }
+    }
+    reached
+}
+
 fn assert_none(what: &str, found: &[String]) {
     assert!(found.is_empty(), "{what}:\n  {}", found.join("\n  "));
 }
@@ -266,6 +298,34 @@ fn unsafe_code_is_in_the_crypto_kernel_alone() {
         "unsafe outside crates/crypto/src/kernel",
         &found.iter().map(|path| path.display().to_string()).collect::<Vec<_>>(),
     );
+}
+
+/// rosrust's HTTP has known advisories, and rustdds parses what the network sends.
+#[test]
+fn what_speaks_with_the_network_in_a_program_of_its_own_is_not_in_the_one_with_keys() {
+    let is = |package: &String, name: &str| package.split(' ').next() == Some(name);
+    let (site, rosrust, ros2) = (reached("authros"), reached("authros-rosrust"), reached("authros-ros2"));
+    let old = |package: &String| package.starts_with("hyper 0.10.");
+    assert!(rosrust.iter().any(old) && ros2.iter().any(|package| is(package, "rustdds")), "it is where it is used");
+    assert!(site.iter().any(|package| is(package, "ethers")), "the walk finds what is deep in the tree");
+    let foreign = ["rosrust", "xml-rpc", "rouille", "rustdds", "authros-rosrust", "authros-ros2", "authros-keyless"];
+    let held = |package: &&String| old(package) || foreign.iter().any(|name| is(package, name));
+    assert_none("in the program that has keys", &site.iter().filter(held).cloned().collect::<Vec<_>>());
+    let ours = |package: &&String| package.starts_with("authros-");
+    for (program, packages) in [("authros-rosrust", rosrust), ("authros-ros2", ros2)] {
+        let allowed = [program, "authros-keyless", "authros-pipe"];
+        let strange = packages.iter().filter(ours).filter(|package| !allowed.iter().any(|name| is(package, name)));
+        assert_none("in a program without keys", &strange.cloned().collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn every_advisory_that_is_ignored_has_its_reason() {
+    let text = read(Path::new("deny.toml"));
+    let named: Vec<&str> = text.lines().filter(|line| line.contains("RUSTSEC-")).collect();
+    let without = named.iter().filter(|line| line.split("reason = \"").nth(1).is_none_or(|reason| reason.len() < 20));
+    assert_none("without a reason", &without.map(|line| (*line).to_owned()).collect::<Vec<_>>());
+    assert!(named.iter().filter(|line| line.contains("authros-rosrust")).count() > 5, "those of rosrust's tree");
 }
 
 #[test]

@@ -58,6 +58,7 @@ mod ros2_capture;
 mod ros2_fastdds;
 mod ros2_losses;
 mod ros2_playing;
+mod rosrust_playing;
 mod scale;
 mod sharing;
 mod site_file;

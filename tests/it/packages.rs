@@ -7,11 +7,11 @@ use std::process::Command;
 
 use crate::support::{Home, Running, list, skipped, system_program, text};
 
-/// Packs two small programs, with the pages of the real one.
+/// Packs three small programs, with the pages of the real one.
 fn packed(folder: &Path) -> PathBuf {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("packaging/assemble");
     let mut command = Command::new(script);
-    command.args(["/bin/true", "/bin/echo", "x86_64"]).arg(folder).arg(env!("CARGO_BIN_EXE_authros"));
+    command.args(["/bin/true", "/bin/echo", "/bin/cat", "x86_64"]).arg(folder).arg(env!("CARGO_BIN_EXE_authros"));
     command.env("SOURCE_DATE_EPOCH", "1700000000");
     Running::start(command).wait(120).expect_code(0);
     folder.to_owned()
@@ -33,7 +33,7 @@ fn a_package_is_the_same_twice_and_holds_what_the_manual_says() {
     let second = packed(&home.root().join("second"));
     let sums = |folder: &Path| std::fs::read_to_string(folder.join("SHA256SUMS-x86_64")).expect("checksums");
     assert_eq!(sums(&first), sums(&second));
-    assert_eq!(sums(&first).lines().count(), 6);
+    assert_eq!(sums(&first).lines().count(), 9);
 
     let version = env!("CARGO_PKG_VERSION");
     let deb = first.join(format!("authros_{version}-1_amd64.deb"));
@@ -68,43 +68,55 @@ fn a_package_is_the_same_twice_and_holds_what_the_manual_says() {
 }
 
 #[test]
-fn the_program_that_reads_ros_2_comes_by_itself_and_only_with_its_own_version_of_the_site() {
+fn programs_without_keys_come_by_themselves_and_only_with_their_own_version_of_the_site() {
     if system_program("dpkg-deb").is_none() {
         skipped!("no dpkg-deb");
     }
     let home = Home::new();
     let folder = packed(&home.root().join("packages"));
     let version = env!("CARGO_PKG_VERSION");
-    let deb = folder.join(format!("authros-ros2_{version}-1_amd64.deb"));
+    let first = said("dpkg-deb", &["--contents"], &folder.join(format!("authros_{version}-1_amd64.deb")));
+    for (name, original, manual) in
+        [("authros-ros2", "/bin/echo", "ros2.md"), ("authros-rosrust", "/bin/cat", "bridge.md")]
+    {
+        expect_beside(&folder, name, manual);
+        // Each holds its own program, and none another's.
+        let program = format!("{name}-{version}-x86_64-linux/{name}");
+        let mut command = Command::new("tar");
+        let archive = folder.join(format!("{name}-{version}-x86_64-linux.tar.gz"));
+        command.arg("-xzf").arg(&archive).arg("-C").arg(home.root()).arg(&program);
+        Running::start(command).wait(60).expect_code(0);
+        let bytes = |path: &Path| std::fs::read(path).expect("a program");
+        assert_eq!(bytes(&home.root().join(program)), bytes(Path::new(original)));
+        assert!(!first.contains(&format!("usr/bin/{name}")), "{first}");
+    }
+}
+
+/// The package and the archive of a program that the site starts.
+fn expect_beside(folder: &Path, name: &str, manual: &str) {
+    let version = env!("CARGO_PKG_VERSION");
+    let deb = folder.join(format!("{name}_{version}-1_amd64.deb"));
     let facts = said("dpkg-deb", &["--field"], &deb);
-    let depends = format!("Depends: authros (= {version}-1), libc6 (>= 2.31)");
-    for fact in ["Package: authros-ros2", "Architecture: amd64", &depends] {
+    let (own, depends) = (format!("Package: {name}\n"), format!("Depends: authros (= {version}-1), libc6 (>= 2.31)"));
+    for fact in [&*own, "Architecture: amd64", &depends] {
         assert!(facts.contains(fact), "no '{fact}' in {facts}");
     }
     // The site looks beside its own executable.
     let held = said("dpkg-deb", &["--contents"], &deb);
-    let documents = "./usr/share/doc/authros-ros2";
-    for file in ["copyright", "THIRD-PARTY.txt.gz", "authros-ros2.cdx.json.gz", "changelog.Debian.gz"] {
+    let documents = format!("./usr/share/doc/{name}");
+    let list = format!("{name}.cdx.json");
+    for file in ["copyright", "THIRD-PARTY.txt.gz", &format!("{list}.gz"), "changelog.Debian.gz"] {
         assert!(held.contains(&format!(" {documents}/{file}\n")), "no {file} in {held}");
     }
-    for file in ["./usr/bin/authros-ros2", "./usr/share/man/man1/authros-ros2.1.gz"] {
+    for file in [format!("./usr/bin/{name}"), format!("./usr/share/man/man1/{name}.1.gz")] {
         assert!(held.contains(&format!(" {file}\n")), "no {file} in {held}");
     }
     assert!(!held.contains("systemd") && !held.contains("./etc"), "{held}");
-    let archive = folder.join(format!("authros-ros2-{version}-x86_64-linux.tar.gz"));
+    let archive = folder.join(format!("{name}-{version}-x86_64-linux.tar.gz"));
     let archived = said("tar", &["-tzf"], &archive);
-    for file in ["authros-ros2", "LICENSE", "THIRD-PARTY.txt", "authros-ros2.1", "authros-ros2.cdx.json", "ros2.md"] {
-        assert!(archived.contains(&format!("authros-ros2-{version}-x86_64-linux/{file}\n")), "no {file} in {archived}");
+    for file in [name, "LICENSE", "THIRD-PARTY.txt", &format!("{name}.1"), &list, manual] {
+        assert!(archived.contains(&format!("{name}-{version}-x86_64-linux/{file}\n")), "no {file} in {archived}");
     }
-    // Each holds its own program, and neither the other's.
-    let program = format!("authros-ros2-{version}-x86_64-linux/authros-ros2");
-    let mut command = Command::new("tar");
-    command.arg("-xzf").arg(&archive).arg("-C").arg(home.root()).arg(&program);
-    Running::start(command).wait(60).expect_code(0);
-    let bytes = |path: &Path| std::fs::read(path).expect("a program");
-    assert_eq!(bytes(&home.root().join(program)), bytes(Path::new("/bin/echo")));
-    let first = said("dpkg-deb", &["--contents"], &folder.join(format!("authros_{version}-1_amd64.deb")));
-    assert!(!first.contains("usr/bin/authros-ros2"), "{first}");
 }
 
 /// The libraries in the list that came with `program`.
@@ -127,8 +139,13 @@ fn every_library_of_a_program_is_in_its_list_with_the_checksum_of_the_lock_file(
         std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.lock")).expect("the lock file");
     let site = ["revm", "ethers", "rusqlite", "ratatui", "libsm"];
     // Neither test-only dependencies nor our own crates, nor those of the other program.
-    let held: [(&str, &[&str], &[&str]); 2] = [
-        ("authros", &site, &["divan", "proptest", "authros-model", "rustdds"]),
+    let held: [(&str, &[&str], &[&str]); 3] = [
+        ("authros", &site, &["divan", "proptest", "authros-model", "rustdds", "rosrust", "xml-rpc"]),
+        (
+            "authros-rosrust",
+            &["rosrust", "xml-rpc", "serde_json"],
+            &["revm", "ratatui", "libsm", "authros-pipe", "rustdds"],
+        ),
         ("authros-ros2", &["rustdds", "mio", "serde_json"], &["revm", "ratatui", "libsm", "authros-pipe", "proptest"]),
     ];
     for (program, expected, foreign) in held {

@@ -4,19 +4,16 @@
 
 use crate::support;
 
-use std::fs;
-use std::os::unix::fs::MetadataExt as _;
-use std::process::{Command, Stdio};
-
 use serde_json::Value;
-use support::memory::{found_in, memory_of, secrets_below};
-use support::ros2::{Listener, Network, Talker, network, reader_program};
-use support::{Authros, Home, Running, count, heavy, is_verified, skipped, tell_skipped, wait_until};
+use support::keyless::{expect_no_key_in, process_of};
+use support::ros2::{Listener, Network, Talker, network};
+use support::{Authros, Home, Running, count, heavy, is_verified, skipped, wait_until};
 
 const INCOMPLETE: i32 = 8;
 const REFUSED: i32 = 5;
 /// Where the reader plays; the robots are in domain 0.
 const OUT: &str = "7";
+const READER: &str = "authros-ros2";
 
 /// A site that captures ROS 2 of domain 0, with two profiles.
 struct Plant {
@@ -122,7 +119,8 @@ fn what_is_played_live_into_a_domain_ends_with_the_grant_and_late_subscribers_ge
     let player = plant.bob.spawn(&["--json", "shared", "play", "--follow", "--ros2", OUT]);
     let late = Listener::start(&network, OUT, &["/tf_static", "string", "latched"]);
     assert_eq!(late.hears(1, 60), original.hears(1, 20));
-    expect_no_key_in(&plant, &player_of(&plant.site));
+    let process = process_of(&plant.site, READER, "--publish");
+    expect_no_key_in(&plant.home.path(), &process, "authros-ros2 --domain 7 --publish ", &[], "/tf_static");
 
     let heard = Listener::start(&network, "0", &["/words", "string"]);
     let talker = Talker::start(&network, &["/words", "string", "200", "100", "60", "readers2"]);
@@ -132,7 +130,7 @@ fn what_is_played_live_into_a_domain_ends_with_the_grant_and_late_subscribers_ge
     assert_eq!(later.hears(1, 60), original.heard());
 
     // The program is started anew, with what was latched.
-    support::process::signal("KILL", &player_of(&plant.site));
+    support::process::signal("KILL", &process);
     let anew = Listener::start(&network, OUT, &["/tf_static", "string", "latched"]);
     assert_eq!(anew.hears(1, 60), original.heard());
 
@@ -180,58 +178,4 @@ fn records_of_ros_1_are_not_translated_and_a_missing_program_is_told_of() {
     let _site = network.inside(&absent).serve(&home);
     let said = bob.run(&["shared", "play", "--ros2", OUT]);
     assert!(said.stderr.contains("/nowhere/speaker") && said.stderr.contains("cargo build -p authros-ros2"), "{said}");
-}
-
-/// The process that publishes for a site.
-fn player_of(site: &Running) -> String {
-    let own = |folder: &std::path::Path| -> Option<String> {
-        let stat = fs::read_to_string(folder.join("stat")).ok()?;
-        let (before, after) = stat.rsplit_once(')')?;
-        let parent = after.split_whitespace().nth(1)?;
-        let arguments = fs::read_to_string(folder.join("cmdline")).ok()?;
-        let is_player = before.ends_with("(authros-ros2") && arguments.contains("--publish");
-        (is_player && parent == site.id().to_string()).then(|| before.split(' ').next().unwrap_or_default().to_owned())
-    };
-    let find = || fs::read_dir("/proc").expect("/proc").flatten().find_map(|entry| own(&entry.path()));
-    wait_until(20, "the process that publishes", find)
-}
-
-/// Searches environment, arguments, descriptors and memory of the process that publishes for what only the site may know.
-fn expect_no_key_in(plant: &Plant, process: &str) {
-    let folder = std::path::Path::new("/proc").join(process);
-    let read = |name: &str| fs::read(folder.join(name)).expect("of a process of ours");
-    assert_eq!(read("environ"), b"", "no environment");
-    let arguments = String::from_utf8_lossy(&read("cmdline")).replace('\0', " ");
-    assert!(arguments.ends_with("authros-ros2 --domain 7 --publish "), "{arguments}");
-    let entries = fs::read_dir(folder.join("fd")).expect("descriptors").flatten();
-    let links: Vec<String> =
-        entries.filter_map(|entry| Some(fs::read_link(entry.path()).ok()?.display().to_string())).collect();
-    let own =
-        |link: &String| ["pipe:", "socket:", "anon_inode:", "/dev/null"].iter().any(|kind| link.starts_with(kind));
-    assert!(links.len() > 3 && links.iter().all(own), "{links:?}");
-    // Where the site may choose a user for it, and that one can read the program.
-    let status = String::from_utf8_lossy(&read("status")).into_owned();
-    let user = status.lines().find_map(|line| line.strip_prefix("Uid:")).expect("its user").split_whitespace().next();
-    let own = fs::metadata("/proc/self").expect("Linux").uid();
-    if own == 0 && can_run_as_nobody() {
-        assert_eq!(user, Some("65534"));
-    }
-    let Some(memory) = memory_of(process) else {
-        tell_skipped("expect_no_key_in", "this user may not read the memory of a process of its own");
-        return;
-    };
-    let known = [("a topic that it publishes".to_owned(), b"/tf_static".to_vec())];
-    assert!(!found_in(&memory, &known).is_empty(), "what it does hold is found");
-    let secrets = secrets_below(&plant.home.path());
-    assert!(secrets.len() >= 2 * 6 + 2, "two profiles with passphrase, keys and epochs: {}", secrets.len());
-    assert_eq!(found_in(&memory, &secrets), Vec::<&str>::new());
-}
-
-/// Whether the program may be run by the user who owns nothing, as it is where it is installed.
-fn can_run_as_nobody() -> bool {
-    use std::os::unix::process::CommandExt as _;
-    let Some(program) = reader_program() else { return false };
-    let mut command = Command::new(program);
-    command.gid(65534).uid(65534).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-    command.status().is_ok()
 }

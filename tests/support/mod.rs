@@ -13,6 +13,7 @@ pub mod console;
 pub mod figures;
 pub mod gate;
 pub mod hostile;
+pub mod keyless;
 pub mod member;
 pub mod memory;
 pub mod process;

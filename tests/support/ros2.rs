@@ -71,8 +71,7 @@ impl Drop for Network {
 
 /// The program that reads ROS 2, if it was built beside the program under test.
 pub fn reader_program() -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_BIN_EXE_authros")).with_file_name("authros-ros2");
-    path.is_file().then_some(path)
+    super::keyless::program("authros-ros2")
 }
 
 fn python() -> Option<PathBuf> {

@@ -60,6 +60,8 @@ pub enum Bench {
     Pictures,
     /// What a record, a page of a list and a frame of the console cost while the ledger grows
     Growth(GrowthArguments),
+    /// Messages to 8 ROS 1 subscribers, by our own publisher and by rosrust: losses, latency, processor; not part of all
+    Ros(RosArguments),
 }
 
 /// The benches by their names.
@@ -214,6 +216,37 @@ pub struct PipelineArguments {
     /// Publishers, each a ROS node with a topic of its own
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=64))]
     pub publishers: u16,
+}
+
+/// Which publishers are measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum PublisherChoice {
+    /// Our own, in this process
+    Own,
+    /// rosrust, in the program authros-rosrust
+    Rosrust,
+    /// Both, in turn
+    Both,
+}
+
+/// `bench ros …`
+#[derive(Debug, Args)]
+pub struct RosArguments {
+    /// Which publishers
+    #[arg(long, value_enum, default_value = "both")]
+    pub publisher: PublisherChoice,
+    /// How long each load is published in each round, as 5s or 1m
+    #[arg(long = "for", value_name = "TIME", default_value = "5s")]
+    pub length: String,
+    /// Rounds; in each, every publisher has every load once
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub rounds: u32,
+    /// Subscribers of the topic
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=64))]
+    pub subscribers: u16,
+    /// Path of authros-rosrust [default: beside this program]
+    #[arg(long, value_name = "FILE", env = "AUTHROS_ROSRUST_PROGRAM")]
+    pub program: Option<PathBuf>,
 }
 
 /// `bench memory …`

@@ -24,6 +24,7 @@ mod progress;
 mod prototype;
 mod record;
 mod report;
+mod ros;
 mod size;
 mod spread;
 mod storer;
@@ -96,6 +97,7 @@ async fn measure(
         Bench::Pictures => tokio::task::block_in_place(|| pictures::run(provider, outlet)),
         Bench::Gas => gas::run(provider, outlet).await,
         Bench::Growth(growth) => growth::run(growth, outlet).await,
+        Bench::Ros(ros) => tokio::task::block_in_place(|| ros::run(&ros, outlet)),
         Bench::Pipeline(pipeline) => pipeline::run(global, pipeline, outlet).await,
         Bench::Memory(memory) => memory::run(global, memory, provider, outlet).await,
         Bench::Gateway(gateway) => gateway::run(gateway, provider, outlet).await,

@@ -16,7 +16,12 @@ pub fn anonymous() -> Option<u64> {
 
 /// Processor time of all threads so far, seconds; 0 if /proc does not tell.
 pub fn processor_seconds() -> f64 {
-    let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    processor_seconds_of("self")
+}
+
+/// The same of another process, by its number.
+pub fn processor_seconds_of(process: &str) -> f64 {
+    let text = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
     // The command's name, in brackets, may contain anything.
     let fields = text.rsplit_once(')').map(|(_, rest)| rest).unwrap_or_default();
     let ticks = |index: usize| fields.split_whitespace().nth(index).and_then(|field| field.parse::<f64>().ok());

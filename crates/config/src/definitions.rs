@@ -66,6 +66,24 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "path of authros-ros2, the program that reads ROS 2; empty = next to this program",
     },
     Definition {
+        name: "ros.publisher",
+        variable: "AUTHROS_PUBLISHER",
+        default: "own",
+        text: "what publishes shared records in a ROS 1 graph: own, or rosrust, in a process without keys",
+    },
+    Definition {
+        name: "ros.robots_by",
+        variable: "AUTHROS_ROBOTS_BY",
+        default: "own",
+        text: "what the simulated robots are: own nodes of this process, or rosrust, each a process without keys",
+    },
+    Definition {
+        name: "ros.rosrust_program",
+        variable: "AUTHROS_ROSRUST_PROGRAM",
+        default: "",
+        text: "path of authros-rosrust, the program in which rosrust runs; empty = next to this program",
+    },
+    Definition {
         name: "robots",
         variable: "AUTHROS_ROBOTS",
         default: "4",

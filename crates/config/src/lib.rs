@@ -11,6 +11,7 @@ mod error;
 mod lines;
 mod metrics;
 pub mod paths;
+mod published_by;
 mod read;
 mod robot_policy;
 mod site_file;
@@ -29,6 +30,7 @@ pub use self::console::{ConsoleSettings, Pictures};
 pub use self::definitions::{DEFINITIONS, Definition};
 pub use self::error::ConfigError;
 pub use self::metrics::{FiguresPlace, MetricsSettings};
+pub use self::published_by::{PublishedBy, PublishedByError};
 pub use self::read::without_password;
 use self::read::{Values, bytes, find, number, parsed, period, read_file, span, switch, url, value, wrong};
 pub use self::robot_policy::{RingWish, RobotPolicy};
@@ -75,6 +77,12 @@ pub struct Config {
     pub ros_domain: Option<u16>,
     /// The program that reads ROS 2, if it is not beside this one.
     pub ros2_program: Option<PathBuf>,
+    /// What publishes shared records in a graph of ROS 1.
+    pub publisher: PublishedBy,
+    /// What the simulated robots are.
+    pub robots_by: PublishedBy,
+    /// The program in which rosrust runs, if it is not beside this one.
+    pub rosrust_program: Option<PathBuf>,
     /// Simulated robots; 0 with a real master.
     pub robots: u16,
     /// Node of a real chain.
@@ -224,6 +232,9 @@ impl Config {
             definitions: text("ros.definitions").unwrap_or_default().to_owned(),
             ros_domain,
             ros2_program: text("ros.ros2_program").map(PathBuf::from),
+            publisher: parsed(&values, "ros.publisher")?.unwrap_or_default(),
+            robots_by: parsed(&values, "ros.robots_by")?.unwrap_or_default(),
+            rosrust_program: text("ros.rosrust_program").map(PathBuf::from),
             robots: if without_robots { 0 } else { u16::try_from(robots).unwrap_or(0) },
             ros_master,
             chain_url: url(&values, "chain.url", &["http://", "ws://", "ipc://", "/"])?,

@@ -1,4 +1,5 @@
-//! Messages between a child that publishes topics and its site. Names and types are as the site uses them.
+//! Messages between a child that publishes topics, of ROS 2 or of ROS 1, and its site. Names and types are as the site
+//! uses them.
 
 use serde::{Deserialize, Serialize};
 
@@ -31,16 +32,29 @@ pub struct Topic {
     pub offer: Offer,
 }
 
-/// From the site to the child. The end of the pipe tells the child to end.
+/// A topic of ROS 1 as published. The text of its type's definition is the payload of the order that announces it.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Described {
+    /// Its name, `/robot1/odom`.
+    pub name: String,
+    /// Its type, `package/Type`.
+    pub type_name: String,
+    /// The type's md5sum, 32 hex characters.
+    pub md5sum: String,
+    /// Whether the last message is kept for those who subscribe later.
+    pub latched: bool,
+}
+
+/// From the site to the child; `T` is how a topic is described in its ROS. The end of the pipe tells the child to end.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "order", rename_all = "snake_case")]
-pub enum Order {
+pub enum Order<T = Topic> {
     /// Announce a topic; answered by [`Report::Ready`] or [`Report::Refused`].
     Advertise {
         /// A number for it, not used before.
         writer: u32,
         /// The topic.
-        topic: Topic,
+        topic: T,
         /// Bytes of its first message, a hint for how much room it needs.
         size: u32,
         /// Refuse if somebody else publishes it.
@@ -48,7 +62,7 @@ pub enum Order {
         /// Wait for the subscribers that are known, for a while.
         patient: bool,
     },
-    /// Publish a message; its bytes with their encapsulation header are the payload.
+    /// Publish a message; its bytes, in ROS 2 with their encapsulation header, are the payload.
     Publish {
         /// The number of its topic.
         writer: u32,
@@ -68,11 +82,11 @@ pub enum Order {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "report", rename_all = "snake_case")]
 pub enum Report {
-    /// The first frame: the domain is joined.
+    /// The first frame: the domain is joined, or the graph.
     Hello {
         /// [`crate::VERSION`].
         version: u32,
-        /// The domain.
+        /// The domain; 0 in a graph of ROS 1.
         domain: u16,
     },
     /// A topic is announced.
@@ -100,7 +114,7 @@ pub enum Report {
     Left,
     /// Every half second.
     Alive {
-        /// Other participants in the domain.
+        /// Other participants in the domain; in a graph of ROS 1, connected subscribers.
         participants: u32,
     },
     /// The child is ending on its own.
@@ -126,6 +140,12 @@ mod tests {
         let report =
             serde_json::from_str::<Report>(r#"{"report":"taken","messages":2,"dropped":1}"#).expect("a report");
         assert_eq!(report, Report::Taken { messages: 2, dropped: 1 });
-        assert_eq!(serde_json::to_string(&Order::Leave).expect("JSON"), r#"{"order":"leave"}"#);
+        assert_eq!(serde_json::to_string(&Order::<Topic>::Leave).expect("JSON"), r#"{"order":"leave"}"#);
+        let topic = Described { name: "/a".into(), type_name: "b/C".into(), md5sum: "9".into(), latched: true };
+        let order = Order::Advertise { writer: 3, topic, size: 0, alone: false, patient: true };
+        assert_eq!(
+            serde_json::to_string(&order).expect("JSON"),
+            r#"{"order":"advertise","writer":3,"topic":{"name":"/a","type_name":"b/C","md5sum":"9","latched":true},"size":0,"alone":false,"patient":true}"#
+        );
     }
 }

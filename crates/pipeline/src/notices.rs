@@ -309,8 +309,10 @@ fn apply(enrolment: &mut Enrolment, row: &RecordRow, notice: Notice) -> bool {
     match notice {
         Notice::Keys(keys) if keys.now.epoch >= enrolment.keys.now.epoch => enrolment.keys = keys,
         Notice::OwnerKey(change) => enrolment.owner_key = change.new,
-        // It has neither gateways nor a ring.
-        Notice::Keys(_) | Notice::Gateways(_) | Notice::Pull(_) | Notice::Unknown(_) => return false,
+        // It has neither gateways nor a ring, and its owner sets what it watches.
+        Notice::Keys(_) | Notice::Gateways(_) | Notice::Pull(_) | Notice::Policy(_) | Notice::Unknown(_) => {
+            return false;
+        }
     }
     enrolment.noticed = Some((row.recorder, row.seq));
     true

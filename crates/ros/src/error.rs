@@ -68,6 +68,23 @@ pub enum RosError {
         /// What happened.
         reason: String,
     },
+    /// The program in which rosrust runs is not installed.
+    #[error(
+        "the program in which rosrust runs is not at {0}; install the package authros-rosrust (from source: cargo build -p \
+         authros-rosrust), set ros.rosrust_program, or do without: ros.publisher = \"own\", --robots-by own"
+    )]
+    NoRosrust(String),
+    /// The program in which rosrust runs does not publish.
+    #[error(
+        "rosrust cannot publish at {uri}: {reason}; check that roscore answers there, and ros.host, or do without: \
+         ros.publisher = \"own\", --robots-by own"
+    )]
+    NotPublishedByRosrust {
+        /// The master.
+        uri: String,
+        /// What happened.
+        reason: String,
+    },
     /// The operating system did not give what was needed.
     #[error("cannot {action} ({reason}); free some threads, sockets or memory and try again")]
     System {
@@ -115,11 +132,14 @@ impl RosError {
     /// The kind of failure.
     pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::Unreachable { .. } | Self::NotPublished { .. } => ErrorKind::Unreachable,
+            Self::Unreachable { .. } | Self::NotPublished { .. } | Self::NotPublishedByRosrust { .. } => {
+                ErrorKind::Unreachable
+            }
             Self::Refused { .. } => ErrorKind::Refused,
             Self::Address(_) | Self::Robots(_) | Self::Rate(_) => ErrorKind::Usage,
             Self::OwnHost { .. }
             | Self::NoReader(_)
+            | Self::NoRosrust(_)
             | Self::Protocol { .. }
             | Self::Definition { .. }
             | Self::NoFields { .. }
@@ -135,6 +155,10 @@ impl RosError {
 
     pub(super) fn no_reader(path: &std::path::Path) -> Self {
         Self::NoReader(clean(&path.display().to_string(), 200))
+    }
+
+    pub(super) fn no_rosrust(path: &std::path::Path) -> Self {
+        Self::NoRosrust(clean(&path.display().to_string(), 200))
     }
 
     pub(super) fn system(action: &'static str, reason: &std::io::Error) -> Self {

@@ -12,6 +12,7 @@ use authros_pipe as pipe;
 mod address;
 pub mod bag;
 pub mod capture;
+mod child;
 mod error;
 pub mod graph;
 pub mod master;
@@ -22,6 +23,7 @@ pub mod readable;
 pub mod recording;
 pub mod robot;
 pub mod ros2;
+mod rosrust;
 mod slave;
 mod tcpros;
 mod xmlrpc;
@@ -31,8 +33,9 @@ pub use error::RosError;
 pub use graph::{Graph, LastLook, TopicInfo};
 pub use master::EmbeddedMaster;
 pub use message::{Definition, Limits, Value, md5sum};
-pub use publisher::{Advertised, Publisher};
-pub use robot::{DomainFleet, Fleet, FleetOptions, MOST_ROBOTS};
+pub use publisher::{Advertised, GraphPublisher, Publisher};
+pub use robot::{DomainFleet, Fleet, FleetOptions, MOST_ROBOTS, RosrustFleet};
+pub use rosrust::RosrustPublisher;
 
 #[cfg(test)]
 mod tests;

@@ -11,6 +11,7 @@ mod letters;
 mod load;
 mod messages;
 mod picture;
+mod rosrust;
 mod track;
 
 use std::sync::Arc;
@@ -28,6 +29,7 @@ use track::Track;
 
 pub use domain::DomainFleet;
 pub use load::Load;
+pub use rosrust::RosrustFleet;
 
 pub use definitions::{COMPRESSED_IMAGE, ODOMETRY, compressed_image_definition, odometry_definition};
 
@@ -183,9 +185,13 @@ fn repeat(
 }
 
 /// A topic of ours, by its definition.
-fn outlet(topic: String, type_name: &str, definition: String) -> Outlet {
+fn about(topic: String, type_name: &str, definition: String) -> Advertised {
     let (type_name, md5sum) = (type_name.to_owned(), definitions::sum_of(type_name, &definition));
-    Outlet::new(Advertised { topic, type_name, md5sum, definition, latching: false })
+    Advertised { topic, type_name, md5sum, definition, latching: false }
+}
+
+fn outlet(topic: String, type_name: &str, definition: String) -> Outlet {
+    Outlet::new(about(topic, type_name, definition))
 }
 
 fn period(hz: f64) -> Result<Duration, RosError> {

@@ -49,6 +49,9 @@ pub struct Global {
     /// Simulated robots on the embedded master, 0 to 32
     #[arg(long, global = true, value_name = "N")]
     pub robots: Option<String>,
+    /// What they are: own (nodes of this process) or rosrust (each a process of the program authros-rosrust)
+    #[arg(long, global = true, value_name = "NAME")]
+    pub robots_by: Option<String>,
     /// Number of blocks until an anchor counts as confirmed
     #[arg(long, global = true, value_name = "N")]
     pub confirmations: Option<String>,
@@ -84,6 +87,7 @@ impl Global {
             "chain.consensus" => self.consensus.clone(),
             "vault.url" => self.vault.clone(),
             "robots" => self.robots.clone(),
+            "ros.robots_by" => self.robots_by.clone(),
             "confirmations" => self.confirmations.clone(),
             "crypto.provider" => self.crypto_provider.clone(),
             "anchor.mode" => self.anchor_mode.clone(),

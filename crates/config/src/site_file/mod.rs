@@ -17,7 +17,8 @@ use super::{Config, ConfigError, DEFINITIONS, Source, alerts};
 use crate::model::{Address, ContactName, Publisher, TopicName, TopicRules, TypeName};
 
 /// Settings about the machine that a site runs on: left out of a dump, and left alone where a file does not name them.
-const OF_THE_MACHINE: [&str; 4] = ["ros.host", "ros.ros2_program", "ros.definitions", "crypto.sm4_kernel"];
+const OF_THE_MACHINE: [&str; 5] =
+    ["ros.host", "ros.ros2_program", "ros.rosrust_program", "ros.definitions", "crypto.sm4_kernel"];
 /// URLs of services that write the key they ask for into the path.
 const KEY_IN_PATH: [&str; 2] = ["chain.url", "alerts.webhook"];
 /// Paths of such URLs that are known to hold none.

@@ -59,6 +59,7 @@ fn examples() -> Vec<(&'static str, String)> {
             }
             "alerts.disk" => "2GiB",
             "ros.domain" => "7",
+            "ros.publisher" | "ros.robots_by" => "rosrust",
             "time.authorities" => {
                 let certificate = secret.display();
                 return format!("[{{ name = \"One\", url = \"http://h:1/tsa\", certificate = \"{certificate}\" }}]");

@@ -1,6 +1,7 @@
 //! Our own publisher: a ROS node that serves topics over TCPROS. The simulated robots are such nodes, and so is the one
 //! that plays shared records into a reader's graph.
 
+mod choice;
 mod node;
 mod outlet;
 mod subscriber;
@@ -11,6 +12,7 @@ use std::time::{Duration, Instant};
 use super::RosError;
 use super::address::{Endpoint, own_host};
 
+pub use choice::GraphPublisher;
 pub(super) use node::PublisherNode;
 pub(super) use outlet::Outlet;
 

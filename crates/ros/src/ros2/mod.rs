@@ -3,7 +3,6 @@
 //! Its reports are trusted no more than a peer's. Messages that a publisher sent and that never arrived are counted
 //! here, by the publisher's own numbers, so that the count continues when the program has to be restarted.
 
-mod child;
 mod numbers;
 mod publisher;
 mod publishing;
@@ -16,16 +15,31 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use crate::model::TopicName;
+use crate::ros::child::{self, Errand};
 use crate::ros::{MessageSink, RosError};
 use supervision::Shared;
 
 pub use crate::pipe::LONGEST_PAYLOAD as LONGEST_MESSAGE;
 pub use crate::pipe::read::{Counts, Quality};
 pub use crate::pipe::write::{Offer, Topic as Offered};
-pub use child::PROGRAM;
+pub use crate::ros::child::Declined;
 pub use publisher::{QUALITY, WRITER};
-pub use publishing::{Declined, Ros2Publisher};
+pub use publishing::Ros2Publisher;
 pub use standing::{INVISIBLE, Reading, Standing};
+
+/// The program that speaks ROS 2.
+const PROGRAM: &str = "authros-ros2";
+
+fn find(program: Option<&Path>) -> Result<PathBuf, RosError> {
+    child::find(PROGRAM, program).map_err(|path| RosError::no_reader(&path))
+}
+
+/// Reading a domain, or publishing in it.
+fn errand(program: &Path, domain: u16, publishes: bool) -> Errand {
+    let arguments = ["--domain".to_owned(), domain.to_string()];
+    let arguments = arguments.into_iter().chain(publishes.then(|| "--publish".to_owned())).collect();
+    Errand { program: program.to_owned(), arguments, environment: Vec::new() }
+}
 
 /// A topic of the domain.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -64,7 +78,7 @@ impl Ros2Capture {
     /// # Errors
     /// [`RosError::NoReader`] if that program is missing, [`RosError::System`] if no thread can be started.
     pub fn start(domain: u16, program: Option<&Path>, sink: Arc<dyn MessageSink>) -> Result<Self, RosError> {
-        let program: PathBuf = child::find(program)?;
+        let program = find(program)?;
         let shared = Arc::new(Shared::new(domain, program, sink));
         let mut capture = Self { shared: Arc::clone(&shared), threads: Vec::new() };
         capture.threads.push(supervision::keep_reading(&shared)?);

@@ -2,21 +2,16 @@
 //!
 //! It is handed a bounded number of messages before it confirms some; what it held when it ended counts as missed.
 
-mod run;
-
 use std::collections::{BTreeMap, VecDeque};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-pub use self::run::Declined;
-use self::run::Run;
-use super::child;
-use crate::pipe::write::{MOST_UNCONFIRMED, MOST_UNCONFIRMED_BYTES, Order};
-use crate::pipe::{LONGEST_PAYLOAD, send};
+use super::{Offered, errand, find};
+use crate::pipe::LONGEST_PAYLOAD;
+use crate::pipe::write::Order;
 use crate::ros::RosError;
-use crate::ros::ros2::Offered;
+use crate::ros::child::{Declined, Run};
 
 /// How long the program may take to join the domain.
 const JOINING: Duration = Duration::from_secs(10);
@@ -52,8 +47,8 @@ impl Ros2Publisher {
     /// [`RosError::NoReader`] if that program is missing, [`RosError::NotPublished`] if it cannot join the domain,
     /// [`RosError::System`] if it does not start.
     pub fn start(domain: u16, program: Option<&Path>) -> Result<Self, RosError> {
-        let program = child::find(program)?;
-        let run = Run::start(&program, domain)?;
+        let program = find(program)?;
+        let run = Run::start(&errand(&program, domain, true), domain)?;
         let publisher = Self { domain, program, run, announced: BTreeMap::new(), next: 1, latched_bytes: 0, missed: 0 };
         publisher.joined().map(|()| publisher)
     }
@@ -120,13 +115,7 @@ impl Ros2Publisher {
                 self.latched_bytes -= announced.latched.pop_front().map_or(0, |oldest| oldest.len());
             }
         }
-        // Counted first: it may be confirmed at once.
-        self.run.hand_out(message.len());
-        let sent = self.order(&Order::Publish { writer }, message).is_ok();
-        if !sent {
-            self.run.take_back();
-        }
-        sent
+        self.run.publish(&Order::<Offered>::Publish { writer }, message)
     }
 
     /// Takes a topic back at once; what is queued for its subscribers is no longer sent.
@@ -140,8 +129,7 @@ impl Ros2Publisher {
 
     /// Whether more messages should wait for subscribers that are behind, or for the program.
     pub fn is_crowded(&self) -> bool {
-        let (messages, bytes) = self.run.unconfirmed();
-        messages >= MOST_UNCONFIRMED / 2 || bytes >= MOST_UNCONFIRMED_BYTES / 2
+        self.run.is_crowded()
     }
 
     /// Waits no longer for subscribers that are behind now.
@@ -162,7 +150,7 @@ impl Ros2Publisher {
         if self.run.broken().is_none() {
             return Ok(());
         }
-        let run = Run::start(&self.program, self.domain)?;
+        let run = Run::start(&errand(&self.program, self.domain, true), self.domain)?;
         self.missed += self.run.missed();
         self.run = run;
         self.joined()?;
@@ -171,8 +159,7 @@ impl Ros2Publisher {
             // Its former self may still be seen as somebody else.
             self.order(&Order::Advertise { writer, topic, size, alone: false, patient: false }, &[])?;
             for message in &announced.latched {
-                self.run.hand_out(message.len());
-                self.order(&Order::Publish { writer }, message)?;
+                self.run.publish(&Order::<Offered>::Publish { writer }, message);
             }
         }
         Ok(())
@@ -201,17 +188,7 @@ impl Ros2Publisher {
     }
 
     fn order(&self, order: &Order, payload: &[u8]) -> Result<(), RosError> {
-        let mut to = self.run.to_child();
-        let sent = to.as_mut().map(|to| send(to, order, payload).and_then(|()| Ok(to.flush()?)));
-        match sent {
-            Some(Ok(())) => Ok(()),
-            Some(Err(error)) => {
-                // Half a frame may be in the pipe: nothing can follow it.
-                *to = None;
-                Err(self.failed(&error.to_string()))
-            }
-            None => Err(self.failed("the program that publishes has ended")),
-        }
+        self.run.order(order, payload).map_err(|reason| self.failed(&reason))
     }
 }
 

@@ -8,12 +8,13 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use super::child;
+use super::errand;
 use super::standing::Reading;
 use super::state::{Outcome, State};
 use crate::model::TopicName;
 use crate::pipe::read::{Told, Wish};
 use crate::pipe::{receive, send};
+use crate::ros::child;
 use crate::ros::{CaptureNotice, MessageSink, RosError};
 
 /// Interval between checks that the program still reports.
@@ -118,7 +119,7 @@ impl Shared {
 
     /// One run of the program, to its end; returns why it ended.
     fn run_once(&self) -> String {
-        let (child, to, from) = match child::start(&self.program, self.domain, child::Purpose::Read) {
+        let (child, to, from) = match child::start(&errand(&self.program, self.domain, false)) {
             Ok(started) => started,
             Err(error) => return error.to_string(),
         };

@@ -6,11 +6,11 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::path::PathBuf;
 
 use super::Ros2Publisher;
-use super::run::State;
 use crate::model::ErrorKind;
 use crate::pipe::VERSION;
 use crate::pipe::write::Report;
 use crate::ros::RosError;
+use crate::ros::child::State;
 
 #[test]
 fn what_is_confirmed_is_no_longer_waited_for_and_what_was_dropped_is_counted() {

@@ -16,13 +16,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::{oneshot, watch};
 use tokio::task::block_in_place;
 
-use crate::config::Config;
+use crate::config::{Config, PublishedBy};
 use crate::crypto::random_bytes;
 use crate::model::bytes::hex;
 use crate::model::{Address, ErrorKind, ProfileName, Scope, clean};
 use crate::pipeline::{Network, Owner, PipelineError, Plant, authority};
 use crate::ros::ros2::Ros2Publisher;
-use crate::ros::{Graph, Publisher};
+use crate::ros::{Graph, GraphPublisher, Publisher, RosError, RosrustPublisher};
 use crate::service::command::{Pace, PlayWishes};
 use crate::service::failure::{input, refused};
 use crate::service::hub::Hub;
@@ -170,9 +170,22 @@ impl Bridge {
             if is_captured {
                 names.keep_apart().map_err(|why| refused(format!("{} is {why}", clean(&uri, 120))))?;
             }
-            let publisher = Publisher::start(&uri, self.config.ros_host.as_deref(), &node)?;
+            let publisher = self.publisher(&uri, &node)?;
             Ok(Stage::new(uri.clone(), graph, publisher, names.prefix(), is_captured))
         })
+    }
+
+    /// The node that publishes, by whom the settings say.
+    fn publisher(&self, uri: &str, node: &str) -> Result<GraphPublisher, RosError> {
+        let host = self.config.ros_host.as_deref();
+        match self.config.publisher {
+            PublishedBy::Own => Publisher::start(uri, host, node).map(GraphPublisher::Own),
+            PublishedBy::Rosrust => {
+                let program = self.config.rosrust_program.as_deref();
+                let publisher = RosrustPublisher::start(uri, host, node, program)?;
+                Ok(GraphPublisher::Rosrust(Box::new(publisher)))
+            }
+        }
     }
 }
 

@@ -8,8 +8,8 @@ use tokio::task::block_in_place;
 
 use super::NODE;
 use crate::crypto::Sm3Hasher;
-use crate::model::{Address, clean};
-use crate::ros::{Advertised, Graph, Publisher};
+use crate::model::{Address, ErrorKind, clean};
+use crate::ros::{Advertised, Graph, GraphPublisher};
 use crate::service::reply::Failure;
 
 /// How long playing waits for the subscribers known to the master, in total.
@@ -32,7 +32,7 @@ struct Shown {
 pub(super) struct Stage {
     uri: String,
     graph: Graph,
-    publisher: Publisher,
+    publisher: GraphPublisher,
     /// No name under it belongs to anybody else.
     prefix: Option<String>,
     is_captured: bool,
@@ -54,7 +54,13 @@ pub(super) fn source_of(owner: Address, caller_id: &str) -> u64 {
 
 impl Stage {
     /// A node in a graph; this site may capture from the graph or not.
-    pub fn new(uri: String, graph: Graph, publisher: Publisher, prefix: Option<String>, is_captured: bool) -> Self {
+    pub fn new(
+        uri: String,
+        graph: Graph,
+        publisher: GraphPublisher,
+        prefix: Option<String>,
+        is_captured: bool,
+    ) -> Self {
         let (shown, declined) = (HashMap::new(), HashMap::new());
         Self { uri, graph, publisher, prefix, is_captured, shown, declined, patience: WELCOME }
     }
@@ -72,10 +78,14 @@ impl Stage {
     /// Publishes a topic for a source of its messages; returns the reason if it cannot.
     ///
     /// # Errors
-    /// If the master does not answer.
+    /// If the master does not answer, or the program that publishes does not run.
     pub fn show(&mut self, about: &Advertised, owner: Address, source: u64) -> Result<Result<(), String>, Failure> {
         if let Some(why) = self.declined.get(&about.topic) {
             return Ok(Err(why.clone()));
+        }
+        if let Some(reason) = self.publisher.broken() {
+            let words = format!("nothing is published at {} now: {reason}; play again", clean(&self.uri, 120));
+            return Err(Failure::new(ErrorKind::Unreachable, words));
         }
         if let Some(shown) = self.shown.get_mut(&about.topic) {
             if (&shown.about.type_name, &shown.about.md5sum) != (&about.type_name, &about.md5sum) {
@@ -99,11 +109,8 @@ impl Stage {
             self.declined.insert(about.topic.clone(), why.clone());
             return Ok(Err(why));
         }
-        let known = self.publisher.advertise(about)?;
         let begun = Instant::now();
-        while self.publisher.subscribers(&about.topic) < known && begun.elapsed() < self.patience {
-            std::thread::sleep(Duration::from_millis(5));
-        }
+        self.publisher.advertise(about, self.patience)?;
         self.patience = self.patience.saturating_sub(begun.elapsed());
         let shown = Shown { about: about.clone(), sources: BTreeMap::from([(source, owner)]) };
         self.shown.insert(about.topic.clone(), shown);
@@ -128,7 +135,10 @@ impl Stage {
     }
 
     /// Publishes one message of a published topic.
-    pub fn publish(&self, topic: &str, source: u64, body: &[u8]) -> bool {
+    pub fn publish(&mut self, topic: &str, source: u64, body: &[u8]) -> bool {
+        if self.publisher.may_block() {
+            return block_in_place(|| self.publisher.publish(topic, source, body));
+        }
         self.publisher.publish(topic, source, body)
     }
 
@@ -142,9 +152,9 @@ impl Stage {
         self.publisher.outrun();
     }
 
-    /// Registers all topics again; a master that is away is tried again later.
-    pub fn register_again(&self) {
-        drop(block_in_place(|| self.publisher.register_again()));
+    /// Comes back after a master or a program that ended; what is away is tried again later.
+    pub fn come_back(&mut self) {
+        drop(block_in_place(|| self.publisher.come_back()));
     }
 
     /// Withdraws at once what an owner's messages have published.
@@ -162,8 +172,10 @@ impl Stage {
             }
             !is_over
         });
-        silenced.iter().for_each(|(topic, source)| self.publisher.silence(topic, *source));
-        block_in_place(|| self.publisher.cut(&cut));
+        block_in_place(|| {
+            silenced.iter().for_each(|(topic, source)| self.publisher.silence(topic, *source));
+            self.publisher.cut(&cut);
+        });
     }
 
     /// No more messages come; what is queued is still sent.
@@ -178,10 +190,10 @@ impl Stage {
 
     /// Ends; what is still queued is not sent. Returns the number of messages that subscribers did not get, without
     /// those withdrawn when a right ended.
-    pub fn finish(self, by_right: bool) -> u64 {
+    pub fn finish(mut self, by_right: bool) -> u64 {
         block_in_place(|| {
             if by_right {
-                let dropped = self.publisher.overflowed();
+                let dropped = self.publisher.missed();
                 self.publisher.cut(&self.shown.into_keys().collect::<Vec<String>>());
                 return dropped;
             }

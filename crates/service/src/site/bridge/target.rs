@@ -144,7 +144,7 @@ impl Target {
     /// Comes back after a master or a child process that ended; what is away is tried again later.
     pub fn come_back(&mut self) {
         match self {
-            Self::Graph(stage) => stage.register_again(),
+            Self::Graph(stage) => stage.come_back(),
             Self::Domain(domain) => domain.revive(),
         }
     }

@@ -15,11 +15,13 @@ use tokio::task::JoinHandle;
 
 use tokio::task::block_in_place;
 
-use crate::config::MeterMode;
+use crate::config::{MeterMode, PublishedBy};
 use crate::crypto::random_bytes;
 use crate::model::TopicName;
 use crate::model::bytes::hex;
-use crate::ros::{Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, LastLook, TopicInfo};
+use crate::ros::{
+    Capture, CaptureOptions, EmbeddedMaster, Fleet, FleetOptions, Graph, LastLook, RosError, RosrustFleet, TopicInfo,
+};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::internal;
 use crate::service::reply::Failure;
@@ -49,6 +51,33 @@ pub enum RosState {
     },
 }
 
+/// Simulated robots: nodes of this process, or rosrust in processes of their own.
+pub enum Robots {
+    /// Ours.
+    Own {
+        /// They unregister when dropped.
+        _fleet: Fleet,
+    },
+    /// rosrust's.
+    Rosrust {
+        /// See [`Self::Own`].
+        _fleet: RosrustFleet,
+    },
+}
+
+impl Robots {
+    fn start(config: &Config, uri: &str) -> Result<Self, RosError> {
+        let (robots, options) = (config.robots, FleetOptions::default());
+        match config.robots_by {
+            PublishedBy::Own => Ok(Self::Own { _fleet: Fleet::start(uri, robots, options)? }),
+            PublishedBy::Rosrust => {
+                let program = config.rosrust_program.as_deref();
+                Ok(Self::Rosrust { _fleet: RosrustFleet::start(uri, program, robots, options)? })
+            }
+        }
+    }
+}
+
 /// A working connection to a master.
 pub struct RosLink {
     /// The master.
@@ -58,7 +87,7 @@ pub struct RosLink {
     /// The monitoring node.
     pub capture: Capture,
     /// Simulated robots.
-    pub fleet: Option<Fleet>,
+    pub fleet: Option<Robots>,
     /// Simulated robots, counted.
     pub robots: u16,
     graph: Graph,
@@ -240,7 +269,7 @@ impl RosSide {
         graph.ping()?;
         let robots = self.config.robots;
         let fleet = match &master {
-            Some(_) if robots > 0 => Some(Fleet::start(&uri, robots, FleetOptions::default())?),
+            Some(_) if robots > 0 => Some(Robots::start(&self.config, &uri)?),
             _ => None,
         };
         self.recorder.set_simulated(if fleet.is_some() {

@@ -1,18 +1,18 @@
 //! One run of the program that publishes: its pipe, its reports, and its end if it falls silent.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::io::{BufReader, Read};
-use std::path::Path;
+use std::io::{BufReader, Read, Write};
 use std::process::{Child, ChildStdin};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use super::child;
+use super::Errand;
 use crate::model::clean;
-use crate::pipe::receive;
-use crate::pipe::write::Report;
+use crate::pipe::write::{MOST_UNCONFIRMED, MOST_UNCONFIRMED_BYTES, Order, Report};
+use crate::pipe::{receive, send};
 use crate::ros::RosError;
+use serde::Serialize;
 
 /// Interval between checks that the program still reports.
 const TICK: Duration = Duration::from_millis(500);
@@ -180,32 +180,67 @@ pub struct Run {
 }
 
 impl Run {
-    /// Starts the program.
+    /// Starts the program, which is to say that it has joined `domain`.
     ///
     /// # Errors
     /// [`RosError::System`] if it, or a thread for it, does not start.
-    pub fn start(program: &Path, domain: u16) -> Result<Self, RosError> {
-        let (child, to, from) = child::start(program, domain, child::Purpose::Publish)?;
+    pub fn start(errand: &Errand, domain: u16) -> Result<Self, RosError> {
+        let (child, to, from) = super::start(errand)?;
         let shared = Arc::new(Shared::default());
         *locked(&shared.child) = Some(child);
         *locked(&shared.to_child) = Some(to);
         let mut run = Self { shared: Arc::clone(&shared), threads: Vec::new() };
         let reading = Arc::clone(&shared);
-        run.keep("ros2 out", move || {
+        run.keep("ros out", move || {
             let reason = reading.read(&mut BufReader::new(from), domain);
             reading.state().broken.get_or_insert(reason);
             reading.changed.notify_all();
             // Whoever writes to it must not wait for it.
             reading.kill();
         })?;
-        run.keep("ros2 out watch", move || shared.watch_over())?;
+        run.keep("ros out watch", move || shared.watch_over())?;
         Ok(run)
     }
 
     fn keep(&mut self, name: &str, work: impl FnOnce() + Send + 'static) -> Result<(), RosError> {
         let started = std::thread::Builder::new().name(name.to_owned()).spawn(work);
-        self.threads.push(started.map_err(|error| RosError::system("start a thread for ROS 2", &error))?);
+        self.threads.push(started.map_err(|error| RosError::system("start a thread for a program", &error))?);
         Ok(())
+    }
+
+    /// Sends an order with its payload.
+    ///
+    /// # Errors
+    /// Why the program does not get it.
+    pub fn order<T: Serialize>(&self, order: &Order<T>, payload: &[u8]) -> Result<(), String> {
+        let mut to = locked(&self.shared.to_child);
+        let sent = to.as_mut().map(|to| send(to, order, payload).and_then(|()| Ok(to.flush()?)));
+        match sent {
+            Some(Ok(())) => Ok(()),
+            Some(Err(error)) => {
+                // Half a frame may be in the pipe: nothing can follow it.
+                *to = None;
+                Err(error.to_string())
+            }
+            None => Err("the program that publishes has ended".to_owned()),
+        }
+    }
+
+    /// Hands out a message; false if the program does not get it.
+    pub fn publish<T: Serialize>(&self, order: &Order<T>, message: &[u8]) -> bool {
+        // Counted first: it may be confirmed at once.
+        self.shared.state().hand_out(message.len());
+        let sent = self.order(order, message).is_ok();
+        if !sent {
+            self.shared.state().take_back();
+        }
+        sent
+    }
+
+    /// Whether more messages should wait for subscribers that are behind, or for the program.
+    pub fn is_crowded(&self) -> bool {
+        let (messages, bytes) = self.unconfirmed();
+        messages >= MOST_UNCONFIRMED / 2 || bytes >= MOST_UNCONFIRMED_BYTES / 2
     }
 
     /// Waits until the state has something, at most for `patience`.
@@ -234,24 +269,14 @@ impl Run {
         }
     }
 
-    /// Its input, while there is one.
-    pub fn to_child(&self) -> MutexGuard<'_, Option<ChildStdin>> {
-        locked(&self.shared.to_child)
-    }
-
     /// Ends it at once.
     pub fn kill(&self) {
         self.shared.kill();
     }
 
-    /// See [`State::hand_out`].
-    pub fn hand_out(&self, size: usize) {
-        self.shared.state().hand_out(size);
-    }
-
-    /// See [`State::take_back`].
-    pub fn take_back(&self) {
-        self.shared.state().take_back();
+    /// The number of its process.
+    pub fn process(&self) -> Option<u32> {
+        locked(&self.shared.child).as_ref().map(Child::id)
     }
 
     /// See [`State::unconfirmed`].
@@ -278,10 +303,10 @@ impl Run {
 impl Drop for Run {
     fn drop(&mut self) {
         // The end of its pipe tells it to leave.
-        self.to_child().take();
+        locked(&self.shared.to_child).take();
         let child = locked(&self.shared.child).take();
         if let Some(mut child) = child {
-            child::end(&mut child);
+            super::end(&mut child);
         }
         self.shared.state().broken.get_or_insert_with(|| "it was ended".to_owned());
         self.shared.changed.notify_all();

@@ -1,0 +1,159 @@
+//! A subscriber of our own for each topic. rosrust does not tell what has left its queue; what comes back here has.
+
+use std::io::{self, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
+
+use xml_rpc::Value;
+
+/// How long one step of a handshake may take: a silent subscriber keeps rosrust's port busy.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// The longest connection header, bytes.
+const LONGEST_HEADER: u32 = 64 << 20;
+/// The stack of a thread that only counts, bytes.
+const STACK: usize = 64 << 10;
+
+/// Where a topic is served.
+#[derive(Debug, Clone)]
+pub struct Served {
+    host: String,
+    port: u16,
+    topic: String,
+}
+
+/// A subscriber that counts.
+pub struct Ear {
+    heard: Arc<AtomicU64>,
+    is_deaf: Arc<AtomicBool>,
+}
+
+impl Ear {
+    /// Listens to a topic under this name.
+    ///
+    /// # Errors
+    /// If it is not let in.
+    pub fn open(served: &Served, name: &str) -> io::Result<Self> {
+        let stream = shake_hands(served, name)?;
+        stream.set_read_timeout(None)?;
+        let (heard, is_deaf) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicBool::new(false)));
+        let ear = Self { heard: Arc::clone(&heard), is_deaf: Arc::clone(&is_deaf) };
+        let listen = move || {
+            let mut stream = BufReader::with_capacity(256 << 10, stream);
+            while skip_frame(&mut stream, u32::MAX).is_ok() {
+                heard.fetch_add(1, Ordering::AcqRel);
+            }
+            is_deaf.store(true, Ordering::Release);
+        };
+        std::thread::Builder::new().name("ear".into()).stack_size(STACK).spawn(listen)?;
+        Ok(ear)
+    }
+
+    /// Messages so far.
+    pub fn heard(&self) -> u64 {
+        self.heard.load(Ordering::Acquire)
+    }
+
+    /// Whether no more messages come.
+    pub fn is_deaf(&self) -> bool {
+        self.is_deaf.load(Ordering::Acquire)
+    }
+}
+
+/// Asks a node where it serves a topic.
+///
+/// # Errors
+/// What is wrong with its answer.
+pub fn find(node_uri: &str, topic: &str) -> io::Result<Served> {
+    let wrong = |what: &str| io::Error::other(format!("rosrust does not say where it serves the topic: {what}"));
+    let uri: xml_rpc::Url = node_uri.parse().map_err(|_| wrong("its own address is none"))?;
+    let protocols = Value::Array(vec![Value::Array(vec![Value::String("TCPROS".into())])]);
+    let about = vec![Value::String("/ear".into()), Value::String(topic.into()), protocols];
+    let answer = xml_rpc::call_value(&uri, "requestTopic", about);
+    let answer = answer.map_err(|error| wrong(&error.to_string()))?.map_err(|fault| wrong(&fault.message))?;
+    let served = answer.into_iter().next().and_then(|answer| place(answer, topic));
+    served.ok_or_else(|| wrong("no TCPROS"))
+}
+
+/// The place in `[code, message, [protocol, host, port]]`.
+fn place(answer: Value, topic: &str) -> Option<Served> {
+    let Value::Array(answer) = answer else { return None };
+    let Some(Value::Array(place)) = answer.into_iter().nth(2) else { return None };
+    let [Value::String(_), Value::String(host), Value::Int(port)] = place.as_slice() else { return None };
+    Some(Served { host: host.clone(), port: u16::try_from(*port).ok()?, topic: topic.to_owned() })
+}
+
+/// Subscribes under a name; messages follow.
+///
+/// # Errors
+/// If it is not let in.
+pub fn shake_hands(served: &Served, name: &str) -> io::Result<TcpStream> {
+    let mut stream = TcpStream::connect((served.host.as_str(), served.port))?;
+    stream.set_read_timeout(Some(PATIENCE))?;
+    stream.set_write_timeout(Some(PATIENCE))?;
+    stream.write_all(&header(&[
+        ("callerid", name),
+        ("topic", &served.topic),
+        ("type", "*"),
+        ("md5sum", "*"),
+        ("tcp_nodelay", "1"),
+    ]))?;
+    skip_frame(&mut stream, LONGEST_HEADER)?;
+    Ok(stream)
+}
+
+fn header(fields: &[(&str, &str)]) -> Vec<u8> {
+    let mut body = Vec::new();
+    for (name, value) in fields {
+        let field = format!("{name}={value}");
+        body.extend_from_slice(&u32::try_from(field.len()).unwrap_or(0).to_le_bytes());
+        body.extend_from_slice(field.as_bytes());
+    }
+    [u32::try_from(body.len()).unwrap_or(0).to_le_bytes().as_slice(), &body].concat()
+}
+
+/// Reads over one frame, a length and as many bytes, without keeping it.
+fn skip_frame(from: &mut impl Read, longest: u32) -> io::Result<()> {
+    let mut length = [0; 4];
+    from.read_exact(&mut length)?;
+    let length = u32::from_le_bytes(length);
+    if length > longest {
+        return Err(io::Error::other("it is longer than any header"));
+    }
+    let skipped = io::copy(&mut from.take(u64::from(length)), &mut io::sink())?;
+    if skipped == u64::from(length) { Ok(()) } else { Err(io::ErrorKind::UnexpectedEof.into()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_header_is_lengths_and_fields() {
+        // As in the ROS wiki's description of TCPROS, written by hand.
+        assert_eq!(header(&[("a", "bc"), ("d", "")]), b"\x0e\0\0\0\x04\0\0\0a=bc\x02\0\0\0d=");
+    }
+
+    #[test]
+    fn frames_are_read_over_one_by_one_and_a_cut_one_is_an_end() {
+        let mut bytes: &[u8] = b"\x02\0\0\0ab\0\0\0\0\x05\0\0\0abc";
+        assert!(skip_frame(&mut bytes, 9).is_ok() && skip_frame(&mut bytes, 9).is_ok());
+        assert!(skip_frame(&mut bytes, 9).is_err());
+        let mut long: &[u8] = b"\x0a\0\0\0abcdefghij";
+        assert!(skip_frame(&mut long, 9).is_err());
+    }
+
+    #[test]
+    fn the_place_of_a_topic_is_the_third_part_of_the_answer() {
+        let text = |text: &str| Value::String(text.into());
+        let place_of = |port| {
+            let place = Value::Array(vec![text("TCPROS"), text("127.0.0.1"), Value::Int(port)]);
+            super::place(Value::Array(vec![Value::Int(1), text("ready"), place]), "/a")
+        };
+        let served = place_of(4321).expect("a place");
+        assert_eq!((served.host.as_str(), served.port, served.topic.as_str()), ("127.0.0.1", 4321, "/a"));
+        assert!(place_of(70_000).is_none());
+        assert!(place(Value::Array(vec![Value::Int(0), text("no such topic"), Value::Int(0)]), "/a").is_none());
+    }
+}

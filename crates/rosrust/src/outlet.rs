@@ -1,0 +1,139 @@
+//! One published topic: rosrust's publisher, and the ear that tells how far it is.
+
+use std::collections::VecDeque;
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use rosrust::api::Ros;
+use rosrust::{Publisher, RawMessage, RawMessageDescription};
+
+use crate::ear::{self, Ear, Served};
+use crate::error::told;
+use crate::pipe::write::Described;
+use crate::queue;
+
+/// The most messages that rosrust holds of one topic, and of more than one message the most bytes.
+const MOST_AHEAD: usize = 64;
+const MOST_AHEAD_BYTES: usize = 4 << 20;
+/// How long the ear may take to be let in.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// The names under which it counts, and under which it makes sure of the last message.
+const EAR: &str = "/ear";
+const LAST: &str = "/last_ear";
+
+/// A published topic.
+pub struct Outlet {
+    topic: String,
+    publisher: Publisher<RawMessage>,
+    served: Served,
+    ear: Ear,
+    handed: u64,
+    /// Sizes of the messages that have not come back.
+    ahead: VecDeque<usize>,
+    ahead_bytes: usize,
+    is_outrun: bool,
+    has_failed: bool,
+    last: Option<TcpStream>,
+}
+
+impl Outlet {
+    /// Announces a topic.
+    ///
+    /// # Errors
+    /// Why that fails, in words.
+    pub fn begin(ros: &Ros, topic: &Described, definition: String) -> Result<Self, String> {
+        let description = RawMessageDescription {
+            msg_definition: definition,
+            md5sum: topic.md5sum.clone(),
+            msg_type: topic.type_name.clone(),
+        };
+        // Without a limit of its own: it would drop the oldest.
+        let publisher = ros.publish_with_description::<RawMessage>(&topic.name, 0, description);
+        let mut publisher = publisher.map_err(|error| told(&error))?;
+        publisher.set_latching(topic.latched);
+        let served = ear::find(ros.uri(), &topic.name).map_err(|error| error.to_string())?;
+        let ear = Ear::open(&served, EAR).map_err(|error| error.to_string())?;
+        let begun = Instant::now();
+        while !is_known(&publisher, EAR) {
+            if begun.elapsed() >= PATIENCE {
+                return Err("rosrust does not let in the subscriber that counts its messages".to_owned());
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let (topic, ahead) = (topic.name.clone(), VecDeque::new());
+        let (handed, ahead_bytes, is_outrun, has_failed, last) = (0, 0, false, false, None);
+        Ok(Self { topic, publisher, served, ear, handed, ahead, ahead_bytes, is_outrun, has_failed, last })
+    }
+
+    /// Its name.
+    pub fn topic(&self) -> &str {
+        &self.topic
+    }
+
+    /// Connected subscribers, without our own.
+    pub fn subscribers(&self) -> Vec<String> {
+        let mut names = self.publisher.subscriber_names();
+        names.retain(|name| name != EAR && name != LAST);
+        names
+    }
+
+    /// Whether nothing is known of its messages any more.
+    pub fn is_deaf(&self) -> bool {
+        self.has_failed || self.ear.is_deaf()
+    }
+
+    /// Whether every subscriber has the last message: one that came after it was let in.
+    pub fn is_sent(&mut self) -> bool {
+        if self.last.is_none() {
+            let Ok(last) = ear::shake_hands(&self.served, LAST) else { return true };
+            self.last = Some(last);
+        }
+        is_known(&self.publisher, LAST)
+    }
+
+    /// What came back leaves room.
+    fn make_room(&mut self) {
+        let waiting = usize::try_from(self.handed.saturating_sub(self.ear.heard())).unwrap_or(usize::MAX);
+        while self.ahead.len() > waiting {
+            self.ahead_bytes -= self.ahead.pop_front().unwrap_or(0);
+        }
+    }
+}
+
+fn is_known(publisher: &Publisher<RawMessage>, name: &str) -> bool {
+    publisher.subscriber_names().iter().any(|known| known == name)
+}
+
+impl queue::Outlet for Outlet {
+    fn attempt(&mut self, message: Vec<u8>) -> Result<u64, Vec<u8>> {
+        self.make_room();
+        let size = message.len();
+        let is_full = self.ahead.len() >= MOST_AHEAD || self.ahead_bytes + size > MOST_AHEAD_BYTES;
+        if is_full && !self.ahead.is_empty() {
+            return Err(message);
+        }
+        let message = RawMessage(message);
+        // Of one that cannot be sent nothing comes back.
+        self.has_failed |= self.publisher.send(message).is_err();
+        self.handed += 1;
+        self.ahead.push_back(size);
+        self.ahead_bytes += size;
+        Ok(self.handed)
+    }
+
+    fn left(&self) -> u64 {
+        self.ear.heard()
+    }
+
+    fn has_caught_up(&self) -> bool {
+        self.ear.heard() >= self.handed
+    }
+
+    fn is_outrun(&self) -> bool {
+        self.is_outrun
+    }
+
+    fn outrun(&mut self, is_outrun: bool) {
+        self.is_outrun = is_outrun;
+    }
+}

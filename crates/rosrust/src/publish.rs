@@ -1,0 +1,210 @@
+//! Orders of the site, in their order, to the topics of the node. A topic that is taken back is gone at once, with what
+//! was queued for it.
+
+use std::collections::BTreeMap;
+use std::io::{BufWriter, Read, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::time::{Duration, Instant};
+
+use rosrust::api::Ros;
+
+use crate::RosrustError;
+use crate::error::told;
+use crate::outlet::Outlet;
+use crate::pipe::write::{Described, MOST_UNCONFIRMED, Order, Report};
+use crate::pipe::{PipeError, VERSION, receive, send};
+use crate::queue::Queue;
+
+/// The longest wait for an order, and the longest while something is on its way.
+const BEAT: Duration = Duration::from_millis(50);
+const SHORT_BEAT: Duration = Duration::from_millis(1);
+/// Interval between signs of life.
+const ALIVE: Duration = Duration::from_millis(500);
+/// The longest that a topic waits for its subscribers, and how often it looks.
+const PATIENCE: Duration = Duration::from_secs(2);
+const LOOK: Duration = Duration::from_millis(10);
+/// The most topics announced at once.
+const MOST_TOPICS: usize = 1024;
+
+/// Publishes as a node what the site orders, until the orders end or `stop` is set. The graph is told on every way out.
+///
+/// # Errors
+/// [`RosrustError`] if the graph cannot be joined, the pipe breaks, or somebody ends the node.
+pub fn run(
+    node: &str,
+    from: impl Read + Send + 'static,
+    to: impl Write,
+    stop: &AtomicBool,
+) -> Result<(), RosrustError> {
+    let mut out = BufWriter::new(to);
+    let result = Child::begin(node, from, &mut out).and_then(|mut child| {
+        let result = child.run(stop);
+        child.end();
+        result
+    });
+    if let Err(error) = &result {
+        // If the pipe itself broke, nobody hears it.
+        drop(send(&mut out, &Report::Failed { reason: error.to_string() }, &[]));
+    }
+    drop(out.flush());
+    result
+}
+
+/// An order with its payload; `None` when there will be no more.
+type Arrival = Option<(Order<Described>, Vec<u8>)>;
+
+struct Child<'a, W: Write> {
+    ros: Ros,
+    outlets: BTreeMap<u32, Outlet>,
+    queue: Queue,
+    orders: Receiver<Arrival>,
+    is_leaving: bool,
+    has_left: bool,
+    out: &'a mut W,
+}
+
+impl<'a, W: Write> Child<'a, W> {
+    fn begin(node: &str, from: impl Read + Send + 'static, out: &'a mut W) -> Result<Self, RosrustError> {
+        let ros = Ros::new(node).map_err(|error| RosrustError::Join(told(&error)))?;
+        let (outlets, queue, orders) = (BTreeMap::new(), Queue::default(), listen(from)?);
+        Ok(Self { ros, outlets, queue, orders, is_leaving: false, has_left: false, out })
+    }
+
+    fn run(&mut self, stop: &AtomicBool) -> Result<(), RosrustError> {
+        send(self.out, &Report::Hello { version: VERSION, domain: 0 }, &[])?;
+        let mut alive = None::<Instant>;
+        loop {
+            self.out.flush().map_err(PipeError::from)?;
+            if !self.take_orders()? || stop.load(Ordering::Acquire) {
+                return Ok(());
+            }
+            let taken = self.queue.pump(&mut self.outlets);
+            if taken.messages > 0 {
+                send(self.out, &Report::Taken { messages: taken.messages, dropped: taken.dropped }, &[])?;
+            }
+            self.leave()?;
+            if alive.is_none_or(|last| last.elapsed() >= ALIVE) {
+                self.look()?;
+                let subscribers: usize = self.outlets.values().map(|outlet| outlet.subscribers().len()).sum();
+                send(self.out, &Report::Alive { participants: u32::try_from(subscribers).unwrap_or(u32::MAX) }, &[])?;
+                alive = Some(Instant::now());
+            }
+        }
+    }
+
+    /// Whether the node is still what it was.
+    fn look(&self) -> Result<(), RosrustError> {
+        if !self.ros.is_ok() {
+            return Err(RosrustError::ShutDown);
+        }
+        match self.outlets.values().find(|outlet| outlet.is_deaf()) {
+            Some(deaf) => Err(RosrustError::Deaf(deaf.topic().to_owned())),
+            None => Ok(()),
+        }
+    }
+
+    /// Takes all orders that are there; false if there will be no more.
+    fn take_orders(&mut self) -> Result<bool, RosrustError> {
+        let waits = !self.queue.is_empty() || self.is_leaving && !self.has_left;
+        let mut next = match self.orders.recv_timeout(if waits { SHORT_BEAT } else { BEAT }) {
+            Ok(next) => next,
+            Err(RecvTimeoutError::Timeout) => return Ok(true),
+            Err(RecvTimeoutError::Disconnected) => None,
+        };
+        loop {
+            let Some((order, payload)) = next else { return Ok(false) };
+            self.take_order(order, payload)?;
+            next = match self.orders.try_recv() {
+                Ok(next) => next,
+                Err(_) => return Ok(true),
+            };
+        }
+    }
+
+    fn take_order(&mut self, order: Order<Described>, payload: Vec<u8>) -> Result<(), RosrustError> {
+        match order {
+            Order::Advertise { writer, topic, patient, .. } => {
+                let report = match self.announce(&topic, payload) {
+                    Ok(outlet) => {
+                        if patient {
+                            self.welcome(&outlet);
+                        }
+                        self.outlets.insert(writer, outlet);
+                        Report::Ready { writer }
+                    }
+                    Err(reason) => Report::Refused { writer, reason, occupied: false },
+                };
+                send(self.out, &report, &[])?;
+            }
+            Order::Publish { writer } => self.queue.push(writer, payload),
+            // Its subscribers are cut off first; then the master is told.
+            Order::Withdraw { writer } => drop(self.outlets.remove(&writer)),
+            Order::Outrun => self.queue.outrun(&mut self.outlets),
+            Order::Leave => self.is_leaving = true,
+        }
+        Ok(())
+    }
+
+    fn announce(&self, topic: &Described, definition: Vec<u8>) -> Result<Outlet, String> {
+        if self.outlets.len() >= MOST_TOPICS {
+            return Err(format!("{MOST_TOPICS} topics are announced already"));
+        }
+        if self.outlets.values().any(|outlet| outlet.topic() == topic.name) {
+            return Err("the topic is announced already".to_owned());
+        }
+        let definition = String::from_utf8(definition).map_err(|_| "its definition is no text".to_owned())?;
+        Outlet::begin(&self.ros, topic, definition)
+    }
+
+    /// Waits for the subscribers that the master knows.
+    fn welcome(&self, outlet: &Outlet) {
+        let Ok(state) = self.ros.state() else { return };
+        let known = state.subscribers.into_iter().find(|topic| topic.name == outlet.topic());
+        let known = known.map(|topic| topic.connections).unwrap_or_default();
+        let begun = Instant::now();
+        while begun.elapsed() < PATIENCE {
+            let here = outlet.subscribers();
+            if known.iter().all(|name| here.contains(name)) {
+                return;
+            }
+            std::thread::sleep(LOOK);
+        }
+    }
+
+    /// Reports once when everything has arrived.
+    fn leave(&mut self) -> Result<(), RosrustError> {
+        if !self.is_leaving || self.has_left || !self.queue.is_empty() {
+            return Ok(());
+        }
+        if self.outlets.values_mut().all(Outlet::is_sent) {
+            self.has_left = true;
+            send(self.out, &Report::Left, &[])?;
+        }
+        Ok(())
+    }
+
+    /// Tells the master: the topics, then the node's log.
+    fn end(&mut self) {
+        self.outlets.clear();
+        self.ros.shutdown_sender().shutdown();
+    }
+}
+
+/// Reads orders in a thread of its own.
+fn listen(mut from: impl Read + Send + 'static) -> Result<Receiver<Arrival>, RosrustError> {
+    let (sender, receiver) = sync_channel(4 * MOST_UNCONFIRMED);
+    let read = move || {
+        loop {
+            let order = receive::<Order<Described>>(&mut from).ok().flatten();
+            let ended = order.is_none();
+            if sender.send(order).is_err() || ended {
+                break;
+            }
+        }
+    };
+    let started = std::thread::Builder::new().name("orders".into()).spawn(read);
+    let failed = |error: std::io::Error| RosrustError::System { action: "start a thread", reason: error.to_string() };
+    started.map_err(failed)?;
+    Ok(receiver)
+}
