@@ -212,11 +212,8 @@ async fn run_bench(
     let provider = global.crypto_provider.as_deref().map(parse::value).transpose()?.unwrap_or_default();
     let settings = |name: &str| global.setting(name);
     let global = authros_bench::Global { json: global.json, provider, settings: &settings };
-    tokio::select! {
-        done = authros_bench::run(global, arguments, output) => done,
-        _ = serve::asked_to_end() => {
-            Err(Failure::new(ErrorKind::Incomplete, "the benchmark was stopped before it finished; run it again for \
-                                                     its figures"))
-        }
-    }
+    let stop = async {
+        serve::asked_to_end().await;
+    };
+    authros_bench::run(global, arguments, output, stop).await
 }

@@ -14,6 +14,7 @@ mod audit;
 mod bags;
 mod bags_altered;
 mod bench;
+mod bench_funder;
 mod chain_commands;
 mod chain_faults;
 mod check;

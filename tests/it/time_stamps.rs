@@ -1,7 +1,7 @@
 //! External time: an openssl authority, queried over HTTP by a home, and its stamps checked by somebody without one.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
-use crate::evidence::{expect_agreement, unzipped, verified};
+use crate::evidence::{expect_agreement, expect_same_levels, unzipped, verified};
 use crate::support;
 
 use std::fs;
@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 
-use support::{Home, list, skipped, system_program, text};
+use support::{Authros, Home, list, skipped, system_program, text};
 
 const SETTINGS: &str = "[req]\ndistinguished_name = dn\nprompt = no\n[dn]\nCN = unused\n\
     [ca]\nbasicConstraints = critical,CA:true\nkeyUsage = critical,keyCertSign\n\
@@ -166,6 +166,7 @@ fn batches_are_stamped_by_an_authority_and_the_stamps_are_checked_offline() {
     }
     expect_agreement(&bundle, Some(&trust));
     by_hand(folder.path(), &bundle);
+    on_another_machine(&authros, &home, &bundle, &trust);
     let page = String::from_utf8(unzipped(&bundle, "report.html")).expect("text");
     let before = "Existed before, by authorities&#39; time stamps</td><td>20";
     assert!(page.contains(before) && page.contains("openssl ts -verify"), "{page}");
@@ -175,6 +176,19 @@ fn batches_are_stamped_by_an_authority_and_the_stamps_are_checked_offline() {
     let report = verified(&bundle, Some(&trust)).expect_code(8).document();
     let told: Vec<String> = list(&report, "records").iter().map(|record| text(&record["time"], "standing")).collect();
     assert!(told.iter().all(|standing| standing == "unproven"), "{told:?}");
+}
+
+/// A home restored from its backup exports the same: proofs and tokens are in it, and no authority is asked.
+fn on_another_machine(authros: &Authros, home: &Home, bundle: &Path, trust: &Path) {
+    let secret = home.file("secret", "a passphrase of it\n", 0o600);
+    let backup = home.root().join("case.backup").to_str().expect("UTF-8").to_owned();
+    authros.json(&["backup", &backup, "--passphrase-file", &secret]);
+    let other = Home::new();
+    let restored = other.authros().with(&["--robots", "1"]);
+    restored.json(&["restore", &backup, "--passphrase-file", &secret]);
+    let again = other.root().join("again.authros");
+    restored.json(&["evidence", "export", again.to_str().expect("UTF-8"), "--topic", "/robot1/odom"]);
+    expect_same_levels(bundle, &again, trust);
 }
 
 /// The lines of `VERIFY.txt`, by openssl alone.

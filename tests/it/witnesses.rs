@@ -2,7 +2,7 @@
 //! what the witness says once one of them has another chain.
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
-use crate::evidence::{expect_agreement, unzipped, verified};
+use crate::evidence::{expect_agreement, expect_same_levels, unzipped, verified};
 use crate::support;
 
 use std::fs;
@@ -95,6 +95,8 @@ fn sites_are_each_others_witnesses_and_one_that_writes_its_chain_anew_is_exposed
 
     let (backup, secret) =
         (place(&fleet.home, "old.backup").1, fleet.home.file("secret", "a passphrase of it\n", 0o600));
+    let (then, name) = place(&fleet.home, "then.authros");
+    fleet.authros.json(&["evidence", "export", &name, "--topic", TOPIC]);
     fleet.authros.json(&["backup", &backup, "--passphrase-file", &secret]);
     fleet.authros.capture(&[TOPIC], 2);
     let newest = list(&fleet.authros.json(&["witness", "ask"]), "given");
@@ -110,6 +112,7 @@ fn sites_are_each_others_witnesses_and_one_that_writes_its_chain_anew_is_exposed
     restored.json(&["evidence", "export", &name, "--topic", TOPIC]);
     let levels = witnessed(&bundle, &fleet_home.root().join("trust.toml"));
     assert!(!levels.is_empty() && levels.iter().all(|(standing, _)| standing == "proven"), "{levels:?}");
+    expect_same_levels(&then, &bundle, &fleet_home.root().join("trust.toml"));
     restored.capture(&[TOPIC], 3);
     let message = restored.fails(TAMPERED, &["witness", "ask"]);
     assert!(message.contains("The harbour") && message.contains("contradicts"), "{message}");

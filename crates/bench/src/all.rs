@@ -69,7 +69,7 @@ pub async fn run(
     for (turn, (name, bench, what)) in plan.iter().enumerate() {
         outlet.note(&format!("bench {bench} ({} of {}): {what}", turn + 1, plan.len()));
         let started = Instant::now();
-        let done = measure(global, short(*name, &arguments), provider, &outlet).await;
+        let done = measure(global, short(*name, &arguments), provider, &outlet, None).await;
         let (code, error) = match done {
             Ok(judgement) => (judgement.exit_code(), None),
             Err(failure) => (failure.kind.exit_code(), Some(failure.message)),
@@ -104,10 +104,11 @@ fn short(name: BenchName, arguments: &AllArguments) -> Bench {
             node,
             period: ConsensusArguments::PERIOD,
             difficulty: Consensus::PAPER_DIFFICULTY,
+            funder: None,
         }),
         BenchName::Size => {
             let networks = vec![NetworkChoice::Poa, NetworkChoice::Pow];
-            Bench::Size(SizeArguments { runs: arguments.runs, networks, node })
+            Bench::Size(SizeArguments { runs: arguments.runs, networks, node, funder: None })
         }
         BenchName::Gateway => Bench::Gateway(GatewayArguments { records: 256, idle: 200 }),
         BenchName::Pipeline => Bench::Pipeline(PipelineArguments {

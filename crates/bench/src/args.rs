@@ -126,9 +126,13 @@ pub struct SizeArguments {
     /// Embedded networks to measure on; several, with commas
     #[arg(long, value_enum, value_name = "NAME", value_delimiter = ',', default_values = ["poa", "pow"])]
     pub networks: Vec<NetworkChoice>,
-    /// Also on this node, which must give ether to test accounts or ask no fees
+    /// Also on this node, which must give ether to test accounts or ask no fees, unless --funder does
     #[arg(long, value_name = "URL")]
     pub node: Option<String>,
+    /// File with the key of an account on that node (hex, readable by you alone), which lends the test accounts ether
+    /// and gets the rest back
+    #[arg(long, value_name = "FILE", requires = "node")]
+    pub funder: Option<PathBuf>,
 }
 
 /// `bench growth …`
@@ -163,9 +167,13 @@ pub struct ConsensusArguments {
     #[arg(long, value_name = "N", value_delimiter = ',', default_values_t = [300, 500, 700],
           value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub uploaders: Vec<u32>,
-    /// Also on this node, which must give ether to test accounts or ask no fees
+    /// Also on this node, which must give ether to test accounts or ask no fees, unless --funder does
     #[arg(long, value_name = "URL")]
     pub node: Option<String>,
+    /// File with the key of an account on that node (hex, readable by you alone), which lends the test accounts ether
+    /// and gets the rest back
+    #[arg(long, value_name = "FILE", requires = "node")]
+    pub funder: Option<PathBuf>,
     /// Least time between two blocks of the PoA chain, milliseconds
     #[arg(long, value_name = "MS", default_value_t = Self::PERIOD,
           value_parser = clap::value_parser!(u64).range(1..=60_000))]

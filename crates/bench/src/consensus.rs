@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
+use super::funder::Funder;
 use super::judgement::Judgement;
 use super::machine::Machine;
 use super::network::{Directory, Network, Place, reach};
@@ -109,6 +110,7 @@ pub async fn run(
     arguments: ConsensusArguments,
     provider: &'static dyn Provider,
     outlet: &Outlet,
+    funder: Option<&Funder>,
 ) -> Result<Judgement, Failure> {
     if let Some(url) = &arguments.node {
         reach(url).await?;
@@ -120,7 +122,7 @@ pub async fn run(
     let (mut results, mut presets) = (Vec::new(), Vec::new());
     for place in &places {
         let directory = Directory::new()?;
-        let network = Arc::new(Network::open(place, provider, directory.path()).await?);
+        let network = Arc::new(Network::open(place, provider, directory.path(), funder).await?);
         presets.push(network.preset());
         for uploaders in &arguments.uploaders {
             for way in [Way::Each, Way::Batch] {

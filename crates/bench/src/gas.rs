@@ -79,7 +79,7 @@ struct Acceptance {
 pub async fn run(provider: &'static dyn Provider, outlet: &Outlet) -> Result<Judgement, Failure> {
     let consensus = Consensus::Poa { signers: 1, period: Duration::ZERO };
     let directory = Directory::new()?;
-    let network = Network::open(&Place::Embedded(consensus), provider, directory.path()).await?;
+    let network = Network::open(&Place::Embedded(consensus), provider, directory.path(), None).await?;
     let mut progress = Progress::new("gas");
     let all = 1 + BATCHES.len() + SIZES.len();
     let mut results = vec![each(&network).await?];

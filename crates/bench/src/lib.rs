@@ -8,6 +8,7 @@ mod algorithms;
 mod all;
 mod batcher;
 mod consensus;
+mod funder;
 mod gas;
 mod gateway;
 mod growth;
@@ -34,9 +35,11 @@ mod usage;
 mod yardstick;
 
 use std::fmt::Display;
+use std::future::Future;
 use std::str::FromStr;
 
 use self::algorithms::Algorithm;
+use self::funder::Funder;
 use self::judgement::Judgement;
 use self::outlet::{Form, Outlet};
 use crate::args::{Bench, BenchArguments, BenchVerb};
@@ -56,12 +59,17 @@ pub struct Global<'a> {
     pub settings: &'a (dyn Fn(&str) -> Option<String> + Sync),
 }
 
-/// Runs one bench, or all, and returns the exit code: 0 whatever the figures are, unless they are to be judged.
-/// Dropping the future ends it.
+/// Runs one bench, or all, and returns the exit code: 0 whatever the figures are, unless they are to be judged. `stop`
+/// ends it early; ether that was lent is taken back then, too.
 ///
 /// # Errors
-/// Errors of the bench or the arguments.
-pub async fn run(global: Global<'_>, arguments: BenchArguments, output: &Output) -> Result<u8, Failure> {
+/// Errors of the bench or the arguments, or that it was stopped.
+pub async fn run(
+    global: Global<'_>,
+    arguments: BenchArguments,
+    output: &Output,
+    stop: impl Future<Output = ()>,
+) -> Result<u8, Failure> {
     let form = match (arguments.csv, global.json) {
         (true, true) => return Err(Failure::new(ErrorKind::Usage, "give --json or --csv, not both")),
         (true, false) => Form::Csv,
@@ -70,10 +78,36 @@ pub async fn run(global: Global<'_>, arguments: BenchArguments, output: &Output)
     };
     let provider = provider(global.provider);
     let outlet = Outlet::open(form, *output, arguments.svg)?;
-    match arguments.verb {
-        BenchVerb::One(bench) => Ok(measure(global, bench, provider, &outlet).await?.ended(arguments.judge)),
-        BenchVerb::All(all) => all::run(global, all, provider, outlet, arguments.judge).await,
+    let funder = Funder::of(&arguments.verb)?;
+    let (judge, verb) = (arguments.judge, arguments.verb);
+    let lender = funder.as_ref();
+    let work = async move {
+        match verb {
+            BenchVerb::One(bench) => Ok(measure(global, bench, provider, &outlet, lender).await?.ended(judge)),
+            BenchVerb::All(all) => all::run(global, all, provider, outlet, judge).await,
+        }
+    };
+    let done = tokio::select! {
+        done = work => done,
+        () = stop => Err(stopped()),
+    };
+    let given_back = match &funder {
+        Some(funder) => funder.take_back().await,
+        None => Ok(()),
+    };
+    match (done, given_back) {
+        (Ok(code), given_back) => given_back.map(|()| code),
+        (Err(failure), Ok(())) => Err(failure),
+        (Err(failure), Err(kept)) => {
+            output.note(&format!("authros: {}", kept.message));
+            Err(failure)
+        }
     }
+}
+
+fn stopped() -> Failure {
+    let text = "the benchmark was stopped before it finished; run it again for its figures";
+    Failure::new(ErrorKind::Incomplete, text)
 }
 
 /// Reads a name given by a setting or an environment variable.
@@ -86,14 +120,15 @@ async fn measure(
     bench: Bench,
     provider: &'static dyn Provider,
     outlet: &Outlet,
+    funder: Option<&Funder>,
 ) -> Result<Judgement, Failure> {
     match bench {
         Bench::Sm2(runs) => algorithms::run(Algorithm::Sm2, runs, provider, outlet).await,
         Bench::Sm3(runs) => algorithms::run(Algorithm::Sm3, runs, provider, outlet).await,
         Bench::Sm4(runs) => algorithms::run(Algorithm::Sm4, runs, provider, outlet).await,
         Bench::Record(runs) => record::run(runs.runs, provider, outlet).await,
-        Bench::Consensus(consensus) => consensus::run(consensus, provider, outlet).await,
-        Bench::Size(size) => size::run(size, provider, outlet).await,
+        Bench::Consensus(consensus) => consensus::run(consensus, provider, outlet, funder).await,
+        Bench::Size(size) => size::run(size, provider, outlet, funder).await,
         Bench::Pictures => tokio::task::block_in_place(|| pictures::run(provider, outlet)),
         Bench::Gas => gas::run(provider, outlet).await,
         Bench::Growth(growth) => growth::run(growth, outlet).await,

@@ -9,6 +9,7 @@ use tempfile::TempDir;
 use tokio::sync::{Mutex, Semaphore};
 
 use super::account::Account;
+use super::funder::Funder;
 use super::storer::Storer;
 use authros_chain::{Chain, ChainError, ChainOptions, Consensus, Endpoint, Receipt, Sealing, SignedTransaction};
 use authros_crypto::{EoaSecret, Provider};
@@ -17,7 +18,7 @@ use authros_service::Failure;
 use authros_service::failure::internal;
 
 /// How long a single transaction may wait for its block.
-const PATIENCE: Duration = Duration::from_secs(120);
+pub const PATIENCE: Duration = Duration::from_secs(120);
 
 /// How often removing a directory is tried.
 const REMOVALS: u32 = 10;
@@ -102,15 +103,24 @@ pub struct Network {
 }
 
 impl Network {
-    /// Opens it, deploys the contract, registers the accounts, opens a vault; the files are in `directory`.
+    /// Opens it, deploys the contract, registers the accounts, opens a vault; the files are in `directory`. On a node
+    /// a funder pays, if there is one.
     ///
     /// # Errors
     /// If the node does not answer or gives no ether, or nothing can be written.
-    pub async fn open(place: &Place, provider: &'static dyn Provider, directory: &Path) -> Result<Self, Failure> {
+    pub async fn open(
+        place: &Place,
+        provider: &'static dyn Provider,
+        directory: &Path,
+        funder: Option<&Funder>,
+    ) -> Result<Self, Failure> {
         let chain = connect(place, directory).await?;
         let [one, other] = [EoaSecret::generate()?, EoaSecret::generate()?];
         for eoa in [&one, &other] {
-            chain.fund_from_node(eoa.address()).await?;
+            match funder.filter(|_| matches!(place, Place::Node(_))) {
+                Some(funder) => funder.lend(&chain, eoa).await?,
+                None => chain.fund_from_node(eoa.address()).await.map(drop)?,
+            }
         }
         chain.deploy(&one).await.map_err(|error| poor(error, &chain))?;
         let one = join(&chain, one, provider).await?;
@@ -200,8 +210,8 @@ fn poor(error: ChainError, chain: &Chain) -> Failure {
     match error {
         ChainError::InsufficientFunds => {
             let text = format!(
-                "the benchmark's temporary accounts have no ether on {}; use a development node such as anvil, or a \
-                 network without fees",
+                "the benchmark's temporary accounts have no ether on {}; name an account that lends it \
+                 with --funder, or use a development node such as anvil, or a network without fees",
                 chain.url()
             );
             Failure::new(ErrorKind::Refused, text)
@@ -238,7 +248,11 @@ pub async fn settle(chain: &Chain, signed: SignedTransaction) -> Result<Receipt,
     ))
 }
 
-async fn receipt(chain: &Chain, hash: Hash) -> Result<Receipt, Failure> {
+/// Waits for the block of a transaction.
+///
+/// # Errors
+/// Errors of the chain, or that it is in none after two minutes.
+pub async fn receipt(chain: &Chain, hash: Hash) -> Result<Receipt, Failure> {
     let begun = Instant::now();
     while begun.elapsed() < PATIENCE {
         let head = chain.head().await?.number;

@@ -9,6 +9,7 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use super::consensus::{Paper, milliseconds};
+use super::funder::Funder;
 use super::judgement::Judgement;
 use super::machine::Machine;
 use super::network::{Directory, Network, Place, reach};
@@ -86,6 +87,7 @@ pub async fn run(
     arguments: SizeArguments,
     provider: &'static dyn Provider,
     outlet: &Outlet,
+    funder: Option<&Funder>,
 ) -> Result<Judgement, Failure> {
     if let Some(url) = &arguments.node {
         reach(url).await?;
@@ -95,7 +97,7 @@ pub async fn run(
     let (mut results, mut presets) = (Vec::new(), Vec::new());
     for place in &places {
         let directory = Directory::new()?;
-        let network = Arc::new(Network::open(place, provider, directory.path()).await?);
+        let network = Arc::new(Network::open(place, provider, directory.path(), funder).await?);
         presets.push(network.preset());
         let prototype = Arc::new(deploy(&network).await?);
         for bytes in SIZES {

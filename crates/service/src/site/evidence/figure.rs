@@ -40,7 +40,8 @@ pub(super) fn plot(out: &mut String, plot: &Plot) {
     let points: Vec<(f64, f64)> = finite(&plot.points).collect();
     let here: Vec<(f64, f64)> = finite(plot.here.as_slice()).collect();
     let all = || points.iter().chain(&here);
-    if all().next().is_none() {
+    // A single place in an empty frame says nothing that its numbers do not.
+    if all().all(|point| all().next() == Some(point)) {
         return;
     }
     let (x, y) = (ends(all().map(|point| point.0)), ends(all().map(|point| point.1)));
@@ -50,7 +51,10 @@ pub(super) fn plot(out: &mut String, plot: &Plot) {
         format!("{across:.1},{down:.1}")
     };
     let path: Vec<String> = points.iter().map(place).collect();
-    let mut svg = format!("<p>{}</p>\n<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\">\n", escape(&plot.title));
+    let mut svg = format!(
+        "<p class=\"title\">{}</p>\n<svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" width=\"{WIDTH}\">\n",
+        escape(&plot.title)
+    );
     if plot.path {
         let _infallible = writeln!(svg, "<polyline fill=\"none\" stroke=\"#036\" points=\"{}\"/>", path.join(" "));
     }
@@ -94,6 +98,7 @@ mod tests {
         assert!(!out.contains("<script") && !out.contains("NaN") && out.contains("&lt;y&gt;"), "{out}");
         let mut nothing = String::new();
         plot(&mut nothing, &Plot { points: vec![(f64::NAN, 0.0)], ..Plot::default() });
-        assert_eq!(nothing, "");
+        plot(&mut nothing, &Plot { points: vec![(1.0, 2.0)], here: Some((1.0, 2.0)), ..Plot::default() });
+        assert_eq!(nothing, "", "one place is no plot");
     }
 }

@@ -29,12 +29,14 @@ const HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\
     body { font: 14px/1.45 serif; max-width: 60em; margin: 2em auto; padding: 0 1em; color: #111; background: #fff }\n\
     h1, h2, h3 { font-family: sans-serif; line-height: 1.2 } h2 { border-bottom: 1px solid #999 }\n\
     table { border-collapse: collapse; width: 100%; margin: .6em 0 } th, td { border: 1px solid #bbb; padding: .2em .4em; \
-    text-align: left; vertical-align: top; overflow-wrap: anywhere }\n\
+    text-align: left; vertical-align: top; overflow-wrap: break-word }\n\
+    th, .levels td + td { white-space: nowrap } td.long { overflow-wrap: anywhere } .facts td:first-child { width: 11em }\n\
     th { background: #eee } code, td.n { font: 12px/1.4 monospace; overflow-wrap: anywhere }\n\
     pre { font: 12px/1.4 monospace; white-space: pre-wrap; border: 1px solid #bbb; padding: .5em }\n\
     .mark { border: 3px solid #a00; padding: .6em 1em } .bad { color: #a00; font-weight: bold }\n\
     img { image-rendering: pixelated; width: 480px; max-width: 100%; border: 1px solid #bbb } svg { border: 1px solid #bbb }\n\
-    @media print { body { margin: 0; max-width: none; font-size: 11px } section { break-inside: avoid } h2 { break-after: avoid } }\n\
+    @media print { body { margin: 0; max-width: none; font-size: 11px } tr, svg, img { break-inside: avoid } \
+    h2, h3, p.title { break-after: avoid } svg, img { width: 340px; height: auto } .levels { font-size: 9px } }\n\
     </style>\n</head>\n<body>\n";
 
 const MARK: &str = "<p class=\"mark\"><b>This page is not authoritative.</b> It was written by the program of the \
@@ -63,16 +65,34 @@ fn put(out: &mut String, text: std::fmt::Arguments<'_>) {
     let _infallible = out.write_fmt(text);
 }
 
+/// Digits and letters without a space from which a cell may be broken anywhere, characters.
+const LONG_WORD: usize = 40;
+
 fn row<'a>(out: &mut String, cell: &str, cells: impl IntoIterator<Item = &'a str>) {
     out.push_str("<tr>");
-    cells.into_iter().for_each(|text| put(out, format_args!("<{cell}>{}</{cell}>", escape(text))));
+    for text in cells {
+        let class = if text.split_whitespace().any(|word| word.len() > LONG_WORD) { " class=\"long\"" } else { "" };
+        put(out, format_args!("<{cell}{class}>{}</{cell}>", escape(text)));
+    }
     out.push_str("</tr>\n");
 }
 
+/// A table of facts, each with its name before it.
+fn facts(out: &mut String, rows: &[Vec<String>]) {
+    classed(out, "facts", &[], rows);
+}
+
 fn table(out: &mut String, head: &[&str], rows: &[Vec<String>]) {
-    out.push_str("<table>\n");
+    classed(out, "plain", head, rows);
+}
+
+fn classed(out: &mut String, class: &str, head: &[&str], rows: &[Vec<String>]) {
+    put(out, format_args!("<table class=\"{class}\">\n"));
     if !head.is_empty() {
+        // Paper repeats it on each sheet.
+        out.push_str("<thead>");
         row(out, "th", head.iter().copied());
+        out.push_str("</thead>\n");
     }
     rows.iter().for_each(|cells| row(out, "td", cells.iter().map(String::as_str)));
     out.push_str("</table>\n");
@@ -120,8 +140,8 @@ fn summary(out: &mut String, bundle: &Bundle, report: &Report) {
     rows.extend(
         owners.into_iter().map(|(owner, records)| vec!["Owner".to_owned(), format!("{owner}: {records} records")]),
     );
-    table(out, &[], &rows);
-    put(out, format_args!("<p>{}</p>\n", escape(report.last_line())));
+    facts(out, &rows);
+    put(out, format_args!("<p><b>By the exporter's own pins: {}.</b></p>\n", escape(report.last_line())));
 }
 
 /// What its owner calls the incident of these records. Its topics appear as their pseudonyms, as in the whole file.
@@ -134,7 +154,7 @@ fn incident(out: &mut String, about: &IncidentView) {
         vec!["To".to_owned(), until],
     ];
     rows.extend(about.notes.iter().map(|note| vec![format!("Note of {}", note.at), note.text.clone()]));
-    table(out, &[], &rows);
+    facts(out, &rows);
 }
 
 fn levels(out: &mut String, report: &Report) {
@@ -143,8 +163,10 @@ fn levels(out: &mut String, report: &Report) {
          anchored in a block; (d) an outside authority's time; (e) opened by its owner's disclosure; (g) a witness \
          countersigned what its owner stated.</p>\n",
     );
-    let rows: Vec<Vec<String>> = report.records.iter().take(MOST_ROWS).map(level_row).collect();
-    table(out, &["record", "number", "captured", "block", "(a)", "(b)", "(c)", "(d)", "(e)", "(g)"], &rows);
+    let mut sorted: Vec<&RecordReport> = report.records.iter().collect();
+    sorted.sort_by_key(|record| (record.captured_at, record.seq, record.digest));
+    let rows: Vec<Vec<String>> = sorted.into_iter().take(MOST_ROWS).map(level_row).collect();
+    classed(out, "levels", &["record", "number", "captured", "block", "(a)", "(b)", "(c)", "(d)", "(e)", "(g)"], &rows);
     if let Some(more) = report.records.len().checked_sub(MOST_ROWS).filter(|more| *more > 0) {
         put(out, format_args!("<p>and {more} more records</p>\n"));
     }
@@ -173,7 +195,7 @@ fn completeness(out: &mut String, report: &Report) {
             names.into_iter().chain([stretch.standing.word().to_owned(), stretch.text.clone()]).collect()
         })
         .collect();
-    table(out, &["topic", "recorder", "", ""], &rows);
+    table(out, &["topic", "recorder", "result", "what is present"], &rows);
 }
 
 /// Whether it was disclosed for itself: a recorder's statements are reported under (f).
@@ -211,7 +233,7 @@ fn one(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordReport
             .levels()
             .map(|(letter, level)| vec![format!("({letter}) {}", level.standing.word()), level.text.clone()]),
     );
-    table(out, &[], &rows);
+    facts(out, &rows);
     message(out, bundle, report, record, limits);
     out.push_str("</section>\n");
 }
@@ -238,9 +260,9 @@ fn message(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordRe
 fn easy(out: &mut String, readable: &Readable) {
     let lines: Vec<Vec<String>> =
         readable.lines.iter().map(|(label, value)| vec![label.clone(), value.clone()]).collect();
-    table(out, &[], &lines);
+    facts(out, &lines);
     for shown in &readable.tables {
-        put(out, format_args!("<p>{}</p>\n", escape(&shown.title)));
+        put(out, format_args!("<p class=\"title\">{}</p>\n", escape(&shown.title)));
         let head: Vec<&str> = shown.head.iter().map(String::as_str).collect();
         table(out, &head, &shown.rows);
     }
