@@ -49,7 +49,7 @@ fn expect_given_back(node: &Anvil, before: u128) {
 
 /// A node on which one account alone has ether.
 fn poor_node(more: &[&str]) -> Option<Anvil> {
-    let node = Anvil::start(&[&["--gas-limit", "4294967295"], more].concat())?;
+    let node = Anvil::start(&[&["--gas-limit", "4294967295"][..], more].concat())?;
     let accounts = node.call("eth_accounts", &json!([]));
     let others = accounts.as_array().expect("accounts").iter().filter_map(Value::as_str);
     others.filter(|one| !one.eq_ignore_ascii_case(RICH_ADDRESS)).for_each(|one| node.set_balance(one, "0x0"));
