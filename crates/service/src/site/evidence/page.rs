@@ -220,14 +220,17 @@ fn disclosed(out: &mut String, bundle: &Bundle, report: &Report) {
 }
 
 fn one(out: &mut String, bundle: &Bundle, report: &Report, record: &RecordReport, limits: &mut Limits) {
-    let Some(facts) = &record.disclosed else { return };
-    put(out, format_args!("<section>\n<h3>{} <code>{}</code></h3>\n", escape(&facts.topic), escape(&facts.type_name)));
+    let Some(opened) = &record.disclosed else { return };
+    put(
+        out,
+        format_args!("<section>\n<h3>{} <code>{}</code></h3>\n", escape(&opened.topic), escape(&opened.type_name)),
+    );
     let mut rows = vec![
         vec!["Record".to_owned(), record.digest.to_string()],
-        vec!["Published by".to_owned(), facts.publisher.clone()],
-        vec!["Message".to_owned(), format!("{} bytes, SM3 {}", facts.length, facts.message_sm3)],
+        vec!["Published by".to_owned(), opened.publisher.clone()],
+        vec!["Message".to_owned(), format!("{} bytes, SM3 {}", opened.length, opened.message_sm3)],
     ];
-    rows.extend(facts.tags.iter().map(|(name, value)| vec![format!("Tag {name}"), value.clone()]));
+    rows.extend(opened.tags.iter().map(|(name, value)| vec![format!("Tag {name}"), value.clone()]));
     rows.extend(
         record
             .levels()
