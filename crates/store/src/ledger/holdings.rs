@@ -61,7 +61,7 @@ impl Ledger {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
                 "SELECT batches.block, batches.key, leaf, topics.owner, recorders.id, topics.topic_id, records.seq,
-                     records.block = batches.block AND records.deleted_at IS NULL AND records.state IN (?5, ?6, ?7)
+                     coalesce(records.block = batches.block, 0) AND records.deleted_at IS NULL AND records.state IN (?5, ?6, ?7)
                  FROM batches INDEXED BY batches_anchored
                  CROSS JOIN leaves ON leaves.batch = batches.key
                  CROSS JOIN records ON records.n = leaves.record

@@ -170,10 +170,10 @@ impl Gateway {
             for (code, count) in round.refused {
                 *one.refused.entry(code).or_default() += count;
             }
+            one.passed_over = line.course.passed_over();
             if whole {
                 one.heard = Some(Timestamp::now());
                 (one.lacking, one.complete) = (round.lacking, line.course.is_at_end());
-                one.passed_over = line.course.passed_over();
             }
         });
     }
