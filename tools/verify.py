@@ -645,6 +645,11 @@ class Committed:
         unsealed = self.extra[:4] + ([] if self.is_ibft else [[]])
         return keccak(encode(self.header[:12] + [encode(unsealed)] + self.header[13:]))
 
+    def hash(self):
+        """The block's: without seals, and with round 0 (QBFT) or without a round (IBFT 2.0)."""
+        unsealed = self.extra[:3] + ([] if self.is_ibft else [b"", []])
+        return keccak(encode(self.header[:12] + [encode(unsealed)] + self.header[13:]))
+
     def seals(self, pinned):
         """The pinned who sealed the header, and the first who did; refused if two thirds of those it names did not."""
         hash_, all_ = self.signed(), []
@@ -658,6 +663,12 @@ class Committed:
         if len(all_) < -(-2 * len(self.named) // 3):
             raise Refused("too few of the validators that the header names have sealed it")
         return {one for one in all_ if one in pinned}, all_[0] if all_ else None
+
+
+def hash_of(raw):
+    header = rlp(raw)
+    committed = Committed.of(header) if header[8] else None
+    return committed.hash() if committed else keccak(raw)
 
 
 class Record:
@@ -873,7 +884,7 @@ class Record:
             domain = sm3(b"AuthROS/domain/1" + one["chain"] + one["genesis"] + one["contract"])
             held = (sm2_verify(one["witness_key"], b"AuthROS/countersignature/1" + domain + data[:477], der(one["countersignature"]))
                     and sm2_verify(one["key"], b"AuthROS/position/1" + domain + data[:321], der(one["signature"])))
-            other = any(at and at in self.bundle.headers and keccak(self.bundle.headers[at]) != hash_ for at, hash_ in blocks)
+            other = any(at and at in self.bundle.headers and hash_of(self.bundle.headers[at]) != hash_ for at, hash_ in blocks)
             pin = pins.get(one["witness"])
             if not held or domain != self.domain or other or pin not in (None, sm3(b"\4" + one["witness_key"]).hex()):
                 worth[data] = "refused"

@@ -66,7 +66,8 @@ impl Funder {
                 | Bench::Gateway(_)
                 | Bench::Memory(_)
                 | Bench::Pictures
-                | Bench::Growth(_),
+                | Bench::Growth(_)
+                | Bench::Ros(_),
             ) => (None, 0),
         };
         file.map(|file| Self::open(file, gas.saturating_add(FOUNDING))).transpose()

@@ -3,9 +3,11 @@
 use authros_crypto::{SmKeyPair, signer_id};
 use authros_model::{Address, Countersignature, Hash, Position, PublicKey, RecorderId, SignedPosition, Timestamp};
 
+use super::committed::Commit;
 use super::second::agree;
 use super::world::{BLOCK, CONTRACT, World, genesis, header, ours, pair};
 use crate::archive::Members;
+use crate::header::BlockHeader;
 use crate::time::StampTree;
 use crate::trust::PinnedWitness;
 use crate::witness::{check_countersignature, countersign, state};
@@ -100,6 +102,24 @@ fn a_pinned_witness_saw_what_the_owner_stated() {
     let own = self::trust(&world.keys);
     let members = with(&world, &[seen(&stated(&world, &position(&world)), &world.keys)]);
     expect(&members, &own, Standing::Unproven, "by its owner himself");
+}
+
+/// Its hash covers neither seals nor round: whoever hashes the bytes that are here takes it for another block.
+#[test]
+fn a_stated_block_of_qbft_or_ibft_is_known_by_its_own_hash() {
+    let (world, witness) = (World::new(), pair());
+    for ibft2 in [false, true] {
+        let commit = Commit { ibft2, ..Commit::by(&[1, 2, 3]) };
+        let block = commit.header(60, Hash([8; 32]), Hash([7; 32]));
+        let block_hash = BlockHeader::parse(&block).expect("a header").hash;
+        assert_ne!(block_hash, Hash(authros_crypto::keccak256(&[&block])));
+        let found = seen(&stated(&world, &Position { block_hash, ..position(&world) }), &witness);
+        let mut packing = world.packing();
+        packing.countersignature(&found, &tree(&world), &[root(&world)], ours()).expect("added");
+        packing.header(60, block);
+        let members = packing.sign(genesis(), world.owner, &world.keys, ours()).expect("packs");
+        expect(&members, &trust(&witness), Standing::Proven, "block 60 of the chain, the one that is here");
+    }
 }
 
 #[test]

@@ -57,14 +57,16 @@ impl Ledger {
         })
     }
 
-    /// Whether a gateway signed for a record that is not verified yet.
+    /// Whether a gateway signed for a record that is not decided yet.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn is_placed_at(&self, gateway: SignerId) -> Result<bool, StoreError> {
         self.read(|connection| {
-            let sql = "SELECT EXISTS (SELECT 1 FROM placed WHERE gateway = (SELECT key FROM gateways WHERE id = ?1))";
-            Ok(connection.prepare_cached(sql)?.query_row(params![gateway.0], |row| row.get(0))?)
+            let sql = "SELECT EXISTS (SELECT 1 FROM placed JOIN records ON n = record
+                       WHERE gateway = (SELECT key FROM gateways WHERE id = ?1) AND state = ?2)";
+            let values = params![gateway.0, RecordState::Submitted.code()];
+            Ok(connection.prepare_cached(sql)?.query_row(values, |row| row.get(0))?)
         })
     }
 
@@ -250,6 +252,11 @@ mod tests {
         assert!(!ledger.is_placed_at(THERE).expect("reads"));
         let stored = ledger.in_state(None, RecordState::Stored, 9).expect("rows");
         assert_eq!(stored.iter().map(|row| row.digest.0[0]).collect::<Vec<_>>(), [1, 4, 5], "sent again");
+        accept(&ledger, THERE, 40, &[5]);
+        assert!(ledger.is_placed_at(THERE).expect("reads"));
+        // Damaged here: nobody is asked about it any more.
+        ledger.advance(&digests(&[5]), RecordState::Submitted, RecordState::Tampered).expect("moves");
+        assert!(!ledger.is_placed_at(THERE).expect("reads"));
     }
 
     #[test]
