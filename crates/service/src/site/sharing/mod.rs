@@ -129,7 +129,10 @@ impl Sharing {
             transaction: Some(transaction),
             block: Some(receipt.block),
             epoch,
-            text: format!("{grantee} can read {what}, from epoch {epoch} on"),
+            text: match epochs {
+                Epochs::Current => format!("{grantee} can read {what}, from epoch {epoch} on"),
+                Epochs::All => format!("{grantee} can read {what}, earlier epochs included"),
+            },
         })
     }
 
