@@ -71,7 +71,11 @@ async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> 
         "file": out.display().to_string(),
     });
     for away in view.gateways.iter().filter(|gateway| !gateway.known) {
-        output.note(&format!("the gateway {} is away; it and the robot are told when it is back", away.address));
+        output.note(&format!(
+            "the gateway {} does not know the robot yet (it is away, or refused: the site's log says which); it and the \
+             robot are told when it serves",
+            away.address
+        ));
     }
     output.result(&document, || {
         format!(

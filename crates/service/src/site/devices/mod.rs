@@ -200,7 +200,10 @@ fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
     let wanted: String = text.chars().filter(|character| !character.is_whitespace()).collect::<String>().to_lowercase();
     let wanted = wanted.trim_start_matches("0x");
     if wanted.len() < SHORTEST || !wanted.bytes().all(|byte| byte.is_ascii_hexdigit()) {
-        return Err(input(format!("give at least {SHORTEST} hex characters of the device's id")));
+        return Err(input(format!(
+            "no robot of this profile has that name; give the name that it was enrolled under, or at least {SHORTEST} hex \
+             characters of the id that `authros devices list` shows"
+        )));
     }
     let open = lendings.iter().filter(|lending| lending.recalled.is_none());
     let mut found: Vec<SignerId> =
