@@ -72,7 +72,8 @@ async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> 
     });
     for away in view.gateways.iter().filter(|gateway| !gateway.known) {
         output.note(&format!(
-            "the gateway {} does not answer; it and the robot will be told when it is back",
+            "the gateway {} does not know the robot yet (it is away, or refused: the site's log says which); it and the \
+             robot are told when it serves",
             away.address
         ));
     }

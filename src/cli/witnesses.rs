@@ -134,7 +134,7 @@ fn answers(view: &WitnessAnswers) -> String {
         })
         .collect();
     if lines.is_empty() && view.problem.is_none() {
-        lines.push("the witnesses have countersigned all that is confirmed".to_owned());
+        lines.push("nothing to state: no confirmed batch waits for a countersignature".to_owned());
     }
     lines.extend(view.problem.iter().map(|problem| format!("note: {problem}; it will be retried")));
     lines.join("\n")

@@ -111,7 +111,7 @@ pub struct ListArguments {
 #[derive(Debug, Subcommand)]
 #[allow(clippy::large_enum_variant, reason = "there is one in a process")]
 pub enum UploadsVerb {
-    /// List your own records
+    /// List your own records: of --profile, without it of all profiles of this home
     List(ListArguments),
     /// Show one record with its provenance
     Show {

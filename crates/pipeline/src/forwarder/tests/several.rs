@@ -128,7 +128,7 @@ async fn a_gateway_that_was_away_is_tried_again_for_what_another_does_not_prove(
     let list = [scene.access(), second.access()];
     let work = start(&scene, scene.forwarder_to(&list).resending_after(Duration::from_millis(200)));
     scene.capture(10, 100);
-    scene.until("the next one was tried", |scene| scene.notes.with("does not take records") > 0).await;
+    scene.until("the next one was tried", |scene| scene.notes.with("accepts no records") > 0).await;
     assert_eq!((scene.at_gateway(), second.holds(), work.link.borrow().clone()), (10, 0, Link::Up));
     second.relay.lead_to(there);
     scene.until("it is tried again", |_| second.holds() == 10).await;

@@ -408,7 +408,9 @@ impl RosSide {
         match settled {
             RosState::Up(link) | RosState::Down { link: Some(link), .. } => Ok(link),
             RosState::Down { failure, link: None } => Err(failure),
-            _ => Err(internal("this site was started without ROS; run the command again")),
+            _ => Err(internal(
+                "the running site has no ROS (a gateway never has); stop it, or run the command again once it has ended",
+            )),
         }
     }
 }

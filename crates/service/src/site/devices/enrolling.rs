@@ -63,6 +63,7 @@ impl Devices {
         let passphrase = Passphrase::new(wishes.passphrase.expose().to_owned())?;
         let topics = covered(&wishes)?;
         check_gateways(&wishes)?;
+        self.check_name(&network, owner, &wishes.name)?;
         let device = SmKeyPair::generate(self.plant.provider)?;
         let id = signer_id(&device.public);
         self.log.begin(owner, "enrol device", &format!("{} {id}", wishes.name)).await?;
@@ -103,6 +104,17 @@ impl Devices {
         self.enrolments.add(owner, enrolled.clone())?;
         let file = block_in_place(|| SealedEnrolment::new(enrolment, &passphrase).and_then(|sealed| sealed.seal()))?;
         enrolled_view(enrolled, SecretBytes::new(file))
+    }
+
+    /// One name is one robot: whoever recalls it by its name must not leave another one able to read.
+    fn check_name(&self, network: &Network, owner: &Owner, name: &ProfileName) -> Result<(), Failure> {
+        match self.called(network, owner, name.as_str())?.into_iter().find(|(_, lent)| *lent) {
+            Some((device, _)) => Err(refused(format!(
+                "a robot called '{name}' is enrolled already, as device {device}; `authros devices recall {name}` ends \
+                 it, or give this one another name"
+            ))),
+            None => Ok(()),
+        }
     }
 
     /// A token of the owner that is on the chain.

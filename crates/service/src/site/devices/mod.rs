@@ -25,7 +25,7 @@ use std::sync::Arc;
 
 use crate::chain::Call;
 use crate::crypto::Fingerprint;
-use crate::model::{SignerId, Timestamp, bytes::hex};
+use crate::model::{SignerId, Timestamp, bytes::hex, clean};
 use crate::pipeline::directory::Lending;
 use crate::pipeline::{Network, Owner, authority};
 use crate::service::event::Part;
@@ -180,15 +180,40 @@ impl Devices {
         Ok(self.lendings(&network, owner).iter().rev().map(row).collect())
     }
 
-    /// The lent device identified by a person.
+    /// The lent device identified by a person: a robot's name, or the beginning of a device's id.
     pub(super) fn lent_device(&self, network: &Network, owner: &Owner, text: &str) -> Result<SignerId, Failure> {
-        let lendings = self.lendings(network, owner);
-        let enrolled = self.enrolments.of(owner)?;
-        let named = enrolled.iter().rfind(|device| device.name.as_str() == text && !device.ended);
-        match named.filter(|named| lendings.iter().any(|loan| loan.device == named.device && loan.recalled.is_none())) {
-            Some(named) => Ok(named.device),
-            None => find(&lendings, text),
+        let called = self.called(network, owner, text)?;
+        let lent: Vec<SignerId> = called.iter().filter(|(_, lent)| *lent).map(|(device, _)| *device).collect();
+        match (lent.as_slice(), called.last()) {
+            ([device], _) => Ok(*device),
+            ([], Some((ended, _))) => Ok(*ended),
+            ([], None) => find(&self.lendings(network, owner), text),
+            (several, _) => {
+                let ids: Vec<String> = several.iter().map(ToString::to_string).collect();
+                let (name, ids) = (clean(text, 64), ids.join(", "));
+                Err(input(format!("several robots are called '{name}'; name the one by its device's id: {ids}")))
+            }
         }
+    }
+
+    /// The enrolled robots of this name that were not recalled, oldest first, and whether their loan still runs. An
+    /// earlier version let several have one name.
+    pub(super) fn called(
+        &self,
+        network: &Network,
+        owner: &Owner,
+        name: &str,
+    ) -> Result<Vec<(SignerId, bool)>, Failure> {
+        let lendings = self.lendings(network, owner);
+        let state = |device: SignerId| {
+            let open: Vec<_> =
+                lendings.iter().filter(|loan| loan.device == device && loan.recalled.is_none()).collect();
+            let lent = open.iter().any(|loan| authority::is_lent(&network.directory, loan));
+            (!open.is_empty()).then_some((device, lent))
+        };
+        let enrolled = self.enrolments.of(owner)?;
+        let named = enrolled.into_iter().filter(|robot| robot.name.as_str() == name && !robot.ended);
+        Ok(named.filter_map(|robot| state(robot.device)).collect())
     }
 
     fn lendings(&self, network: &Network, owner: &Owner) -> Vec<Lending> {
@@ -201,7 +226,10 @@ fn find(lendings: &[Lending], text: &str) -> Result<SignerId, Failure> {
     let wanted: String = text.chars().filter(|character| !character.is_whitespace()).collect::<String>().to_lowercase();
     let wanted = wanted.trim_start_matches("0x");
     if wanted.len() < SHORTEST || !wanted.bytes().all(|byte| byte.is_ascii_hexdigit()) {
-        return Err(input(format!("give at least {SHORTEST} hex characters of the device's id")));
+        return Err(input(format!(
+            "no robot of this profile has that name; give the name that it was enrolled under, or at least {SHORTEST} hex \
+             characters of the id that `authros devices list` shows"
+        )));
     }
     let open = lendings.iter().filter(|lending| lending.recalled.is_none());
     let mut found: Vec<SignerId> =
