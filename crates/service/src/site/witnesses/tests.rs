@@ -45,7 +45,7 @@ async fn a_party_is_added_changed_and_removed_and_the_log_says_so() {
         gateway: Some("h:1".to_owned()),
         serves: false,
     };
-    assert!(listed(&witnesses, own).await.expect_err("refused").message.contains("this profile itself"));
+    assert!(listed(&witnesses, own).await.expect_err("refused").message.contains("that is this profile"));
     listed(&witnesses, add("The harbour", Some("h:1"), false)).await.expect("added");
     let rows = listed(&witnesses, add("The harbour", Some("h:2"), true)).await.expect("changed");
     assert_eq!((rows.len(), rows[0].gateway.as_deref(), rows[0].serves), (1, Some("h:2"), true));
