@@ -268,7 +268,11 @@ fn a_recalled_device_and_a_topic_without_a_key_are_refused() {
     assert!(twice.contains("never overwritten"), "{twice}");
     let other = "ab".repeat(32);
     let out = robot.home.root().join("other").to_str().expect("UTF-8").to_owned();
-    let enrol = ["agent", "enrol", "--gateway", &address, "--gateway-key", &other, "--name", "scout", "--out", &out];
+    let known = &gateway.fingerprint;
+    let second = ["agent", "enrol", "--gateway", &address, "--gateway-key", known, "--name", "scout", "--out", &out];
+    let second = alice.fails(5, &[&second[..], &["--all-topics"]].concat());
+    assert!(second.contains("enrolled already") && second.contains(&robot.device), "one name, one robot: {second}");
+    let enrol = ["agent", "enrol", "--gateway", &address, "--gateway-key", &other, "--name", "rover", "--out", &out];
     let wrong = alice.fails(5, &[&enrol[..], &["--all-topics"]].concat());
     assert!(wrong.contains("not the pinned gateway"), "{wrong}");
     let unsaid = alice.fails(2, &enrol);

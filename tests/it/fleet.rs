@@ -224,7 +224,6 @@ fn a_robot_turns_to_the_next_gateway_and_goes_home() {
 
 #[test]
 fn the_disk_of_a_gateway_is_deleted_after_its_receipts_and_nothing_is_lost() {
-    let _alone = heavy();
     let ground = Ground::new();
     // It signs receipts and never gets as far as a proof.
     let mut first = Gateway::confirming_after(&ground, "1000");
@@ -252,7 +251,6 @@ fn the_disk_of_a_gateway_is_deleted_after_its_receipts_and_nothing_is_lost() {
 
 #[test]
 fn a_robot_of_one_gateway_goes_on_and_is_given_another() {
-    let _alone = heavy();
     let ground = Ground::new();
     let (mut first, mut second) = (Gateway::new(&ground), Gateway::new(&ground));
     let alice = Member::new("alice", &[&first, &second]);

@@ -7,7 +7,7 @@ use crate::support;
 use std::collections::BTreeSet;
 
 use serde_json::Value;
-use support::{Authros, Home, Running, count, free_port, heavy, is_verified, list, text, wait_until};
+use support::{Authros, Home, Running, count, free_port, is_verified, list, text, wait_until};
 
 const INPUT: i32 = 3;
 const USAGE: i32 = 2;
@@ -85,7 +85,6 @@ fn texts(records: &[Value], field: &str) -> BTreeSet<String> {
 
 #[test]
 fn what_a_ring_kept_before_the_button_is_in_the_incident_though_nobody_watched_it() {
-    let _alone = heavy();
     let site = Site::new();
     let alice = site.owner("alice");
     let robot = Robot::enrol(&site, &alice, "scout", &[WATCHED, UNWATCHED]);

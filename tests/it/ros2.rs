@@ -57,7 +57,7 @@ fn messages_of_ros_2_are_looked_at_like_those_of_ros_1() {
 
     assert_eq!(opened["/chatter"]["message"], json!({"data": "hello from ROS 2"}));
     assert_eq!(field(&opened["/odom"], "header.stamp.sec"), "1700000000");
-    assert_eq!(line(&opened["/odom"], "Stamp"), "1700000000.000000005");
+    assert_eq!(line(&opened["/odom"], "Stamp (UTC)"), "2023-11-14T22:13:20.000Z (1700000000.000000005)");
     assert_eq!(line(&opened["/odom"], "Pose, m"), "x 1.5  y -2.25  z 0");
     assert_eq!(line(&opened["/scan"], "Beams"), "200, of these 200 in range");
     assert_eq!(list(&opened["/scan"]["readable"]["plot"], "points").len(), 200);
