@@ -19,9 +19,13 @@ use authros_output::Output;
 ///
 /// # Errors
 /// Errors of the arguments, the site or the outbox.
-pub async fn run(global: Global, verb: AgentVerb, output: &Output) -> Result<u8, Failure> {
+pub async fn run(mut global: Global, verb: AgentVerb, output: &Output) -> Result<u8, Failure> {
     match verb {
-        AgentVerb::Enrol(arguments) => enrol(Context::new(global, output)?, arguments, output).await,
+        AgentVerb::Enrol(arguments) => {
+            // It is the key of the robot's gateway here, not of the one that this home's site has joined.
+            global.gateway_key = None;
+            enrol(Context::new(global, output)?, arguments, output).await
+        }
         AgentVerb::Run(arguments) => capture(global, arguments, output).await,
     }
 }

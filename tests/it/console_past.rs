@@ -12,7 +12,7 @@ use std::sync::Arc;
 use authros::model::Timestamp;
 use authros::ros::bag::BagWriter;
 use authros::ros::recording::{Channel, ChunkCompression, Encoding};
-use support::{Console, Home, Terminal, heavy, text, wait_until};
+use support::{Console, Home, Terminal, heavy, poll, text, wait_until};
 
 const LIVE: &str = "/robot1/odom";
 const PAST: &str = "/dive/depth";
@@ -70,22 +70,23 @@ fn rows(console: &Console) -> Vec<(String, String)> {
 }
 
 fn waits_for(console: &Console, what: &str, holds: impl Fn(&Console) -> bool) {
-    wait_until(PATIENCE, what, || holds(console).then_some(()));
+    let held = poll(PATIENCE, || holds(console).then_some(()));
+    assert!(held.is_some(), "{what} is not there:\n{}", console.shown());
 }
 
 /// Turns pages until the moment is on screen; the times of all of the past seen on the way.
 fn page_back(console: &mut Console, until: &str) -> BTreeSet<String> {
     let mut seen = BTreeSet::new();
     for page in 2.. {
-        let past = rows(console).into_iter().filter(|(topic, _)| topic == PAST);
-        seen.extend(past.map(|(_, clock)| clock));
+        let before = rows(console);
+        seen.extend(before.iter().filter(|(topic, _)| topic == PAST).map(|(_, clock)| clock.clone()));
         if seen.contains(until) {
             break;
         }
         console.press("\u{1b}[6~");
         waits_for(console, &format!("page {page}"), |console| {
-            let shown = console.shown();
-            shown.contains(&format!("page {page} ")) && !shown.contains("reading") && !rows(console).is_empty()
+            let now = rows(console);
+            !console.shown().contains("reading") && !now.is_empty() && now != before
         });
     }
     seen
