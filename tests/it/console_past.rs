@@ -78,15 +78,16 @@ fn waits_for(console: &Console, what: &str, holds: impl Fn(&Console) -> bool) {
 fn page_back(console: &mut Console, until: &str) -> BTreeSet<String> {
     let mut seen = BTreeSet::new();
     for page in 2.. {
-        let before = rows(console);
-        seen.extend(before.iter().filter(|(topic, _)| topic == PAST).map(|(_, clock)| clock.clone()));
+        // The list with its cursor, which goes to the last row before the next page is read.
+        let list = |console: &Console| console.shown().lines().skip(2).map(str::to_owned).collect::<Vec<_>>();
+        let before = list(console);
+        seen.extend(rows(console).into_iter().filter(|(topic, _)| topic == PAST).map(|(_, clock)| clock));
         if seen.contains(until) {
             break;
         }
         console.press("\u{1b}[6~");
         waits_for(console, &format!("page {page}"), |console| {
-            let now = rows(console);
-            !console.shown().contains("reading") && !now.is_empty() && now != before
+            !console.shown().contains("reading") && !rows(console).is_empty() && list(console) != before
         });
     }
     seen
