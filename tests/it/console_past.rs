@@ -74,10 +74,20 @@ fn waits_for(console: &Console, what: &str, holds: impl Fn(&Console) -> bool) {
     assert!(held.is_some(), "{what} is not there:\n{}", console.shown());
 }
 
+/// Hides what is told: a message of several lines lies over the last rows of the list.
+fn hide_messages(console: &mut Console) {
+    while console.shown().contains("esc: hide") {
+        let before = console.shown();
+        console.press("\u{1b}");
+        waits_for(console, "the message to be hidden", |console| console.shown() != before);
+    }
+}
+
 /// Turns pages until the moment is on screen; the times of all of the past seen on the way.
 fn page_back(console: &mut Console, until: &str) -> BTreeSet<String> {
     let mut seen = BTreeSet::new();
     for page in 2.. {
+        hide_messages(console);
         // The list with its cursor, which goes to the last row before the next page is read.
         let list = |console: &Console| console.shown().lines().skip(2).map(str::to_owned).collect::<Vec<_>>();
         let before = list(console);
@@ -154,7 +164,11 @@ fn an_hour_is_paged_back_to_searched_and_exported_from_a_frozen_view_while_recor
             let shown = rows(console);
             !shown.is_empty() && shown.iter().all(|(topic, _)| topic == LIVE)
         });
-        console.press("\u{1b}");
+        // What is told is hidden first, and marks go before the filter.
+        for _ in 0..3 {
+            hide_messages(&mut console);
+            console.press("\u{1b}");
+        }
         waits_for(&console, "no filter", |console| !console.shown().contains("filter:"));
         console.signal("TERM");
         console.wait(PATIENCE);

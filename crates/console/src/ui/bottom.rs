@@ -38,6 +38,24 @@ pub fn level(level: NoticeLevel) -> (&'static str, Role) {
     }
 }
 
+/// Rows above its own that the message shown now takes.
+pub fn covered(state: &State, width: u16) -> u16 {
+    let lines = state.toasts.shown().map(|toast| wrap(&toast.text, width_beside(&hint(state), width)).len());
+    u16::try_from(lines.unwrap_or_default().clamp(1, MOST_LINES) - 1).unwrap_or_default()
+}
+
+fn hint(state: &State) -> String {
+    match state.toasts.unseen() {
+        0 => String::new(),
+        1 => " esc: hide".to_owned(),
+        more => format!(" esc: hide, {} more", more - 1),
+    }
+}
+
+fn width_beside(hint: &str, width: u16) -> u16 {
+    width.saturating_sub(columns(hint) + 3)
+}
+
 fn draw_message(canvas: &mut Canvas, area: Rect, state: &State) {
     let last = row(area, area.height - 1);
     let Some(toast) = state.toasts.shown() else {
@@ -46,14 +64,9 @@ fn draw_message(canvas: &mut Canvas, area: Rect, state: &State) {
         }
         return;
     };
-    let hint = match state.toasts.unseen() {
-        0 => String::new(),
-        1 => " esc: hide".to_owned(),
-        more => format!(" esc: hide, {} more", more - 1),
-    };
     let (mark, role) = level(toast.level);
-    let width = area.width.saturating_sub(columns(&hint) + 3);
-    let lines = wrap(&toast.text, width);
+    let hint = hint(state);
+    let lines = wrap(&toast.text, width_beside(&hint, area.width));
     let shown = lines.len().min(MOST_LINES);
     let top = area.height - u16::try_from(shown).unwrap_or(1);
     for (index, line) in (0u16..).zip(lines.iter().take(shown)) {

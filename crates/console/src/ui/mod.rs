@@ -78,7 +78,9 @@ fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
     let strip = crate::app::tour::rows(state);
     let content = Rect { y: area.y + 2, height: area.height - 4 - strip, ..area };
     header::draw(canvas, Rect { height: 2, ..area }, state);
-    draw_content(canvas, content, state);
+    // A message of several lines never lies over the row under the cursor: the list is shorter for so long.
+    let covered = bottom::covered(state, area.width).saturating_sub(strip).min(content.height / 2);
+    draw_content(canvas, Rect { height: content.height - covered, ..content }, state);
     if let Some(popup) = state.popups.last() {
         popups::draw(canvas, content, state, popup);
     }
