@@ -83,21 +83,27 @@ fn hide_messages(console: &mut Console) {
     }
 }
 
+/// The number of the page and the row under the cursor, which goes to the last row before the next page is read.
+fn place(console: &Console) -> (Option<String>, Option<String>) {
+    let shown = console.shown();
+    let number = shown.split("page ").nth(1).map(|rest| rest.chars().take_while(char::is_ascii_digit).collect());
+    let row = shown.lines().find(|line| line.starts_with('▌')).map(|line| line.trim_end().to_owned());
+    (number, row)
+}
+
 /// Turns pages until the moment is on screen; the times of all of the past seen on the way.
 fn page_back(console: &mut Console, until: &str) -> BTreeSet<String> {
     let mut seen = BTreeSet::new();
     for page in 2.. {
         hide_messages(console);
-        // The list with its cursor, which goes to the last row before the next page is read.
-        let list = |console: &Console| console.shown().lines().skip(2).map(str::to_owned).collect::<Vec<_>>();
-        let before = list(console);
+        let before = place(console);
         seen.extend(rows(console).into_iter().filter(|(topic, _)| topic == PAST).map(|(_, clock)| clock));
         if seen.contains(until) {
             break;
         }
         console.press("\u{1b}[6~");
         waits_for(console, &format!("page {page}"), |console| {
-            !console.shown().contains("reading") && !rows(console).is_empty() && list(console) != before
+            !console.shown().contains("reading") && !rows(console).is_empty() && place(console) != before
         });
     }
     seen
