@@ -101,7 +101,7 @@ fn what_a_ring_kept_before_the_button_is_in_the_incident_though_nobody_watched_i
     assert_eq!(count(&after["ring"], "fallen"), 0, "{after}");
     let opened = ["incident", "open", "crash", "--since", "-10m", "--topics", UNWATCHED, "--robot", "scout"];
     let told = alice.fails(INPUT, &[&opened[..], &["another"]].concat());
-    assert!(told.contains("give at least"), "{told}");
+    assert!(told.contains("no robot of this profile has that name"), "{told}");
     assert!(list(&alice.json(&["incident", "list"]), "incidents").is_empty(), "of two robots one is not known");
     alice.json(&opened);
     let least = usize::try_from(kept + 10).expect("few");
