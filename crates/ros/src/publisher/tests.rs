@@ -55,10 +55,12 @@ fn what_is_published_arrives_whole_in_order_and_as_it_was_described() {
     let (_capture, kept) = listener(&master, &["/words", "/more"]);
     let publisher = Publisher::start(master.uri(), None, "/mouth").expect("publisher");
     let ([words, more], graph) = ([topic("/words", false), topic("/more", false)], Graph::new(master.uri(), "/x"));
-    until("the subscriber's registration", || {
-        graph.as_ref().is_ok_and(|graph| graph.presence("/more").is_ok_and(|nodes| nodes.subscribers == ["/ear"]))
-    });
     for about in [&words, &more] {
+        until("the subscriber's registration", || {
+            graph
+                .as_ref()
+                .is_ok_and(|graph| graph.presence(&about.topic).is_ok_and(|nodes| nodes.subscribers == ["/ear"]))
+        });
         assert_eq!(publisher.advertise(about), Ok(1), "the master knows the subscriber");
         until("the connection", || publisher.subscribers(&about.topic) == 1);
     }
