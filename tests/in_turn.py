@@ -3,9 +3,10 @@
 
 usage: tests/in_turn.py [WORD...]    only those whose name contains one of the words
 
-A flow (tests/it, tests/attacks) is a process of its own, and so are all unit tests of a crate. The longest begins
-first, by the seconds of the run before (target/tests.seconds). Of the flows that take `heavy()` one runs at a time,
-so that none holds a place while it waits for another. RUST_TEST_THREADS says how many places there are.
+A flow (tests/it, tests/attacks) is a process of its own, and so are all unit tests of a crate and the checks of the
+contract. The longest begins first, by the seconds of the run before (target/tests.seconds). Of the flows that take
+`heavy()` one runs at a time, so that none holds a place while it waits for another. RUST_TEST_THREADS says how many
+places there are.
 """
 
 import json
@@ -25,7 +26,7 @@ PLACES = int(os.environ.get("RUST_TEST_THREADS") or 2 * (os.cpu_count() or 1))
 FLOWS = ("it", "attacks")
 THREADS = "2"
 # How long something takes that never ran here.
-UNKNOWN = {"flow": 5, "heavy flow": 15, "unit tests": 40}
+UNKNOWN = {"flow": 5, "heavy flow": 15, "unit tests": 40, "checks": 90}
 SLOWEST = 20
 # Every so many seconds it says what is still running.
 STILL = 300
@@ -103,6 +104,7 @@ def jobs():
             kind = "heavy flow" if flow in heavy else "flow"
             found.append(Job(flow, [program, "--exact", flow, "--show-output"], folder, kind, known))
     found.append(Job("examples", ["cargo", "test", "--workspace", "--doc", "--quiet"], ROOT, "unit tests", known))
+    found.append(Job("contract", [os.path.join(ROOT, "contracts", "check")], ROOT, "checks", known))
     words = sys.argv[1:] or [""]
     wanted = [job for job in found if any(word in job.name for word in words)]
     return sorted(wanted, key=lambda job: -job.expected), known

@@ -99,7 +99,7 @@ fn control_z_gives_the_terminal_to_the_shell_and_fg_brings_it_back() {
     shell.press("fg\r");
     shell.wait_for("Overview", 30);
     shell.press("2");
-    shell.wait_for("nav_msgs/Odometry", 30);
+    shell.wait_for("Pinned", 30);
     shell.press("q");
     shell.wait_for("ready>", 30);
     // Keys typed before the process has ended are its own.
