@@ -4,7 +4,10 @@
 
 use crate::support;
 
+mod enduring;
+mod killing;
 mod reconciling;
+mod swarm;
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -44,6 +47,7 @@ struct Gateway {
     confirmations: &'static str,
     site: Option<Running>,
     key: String,
+    domain: String,
 }
 
 impl Gateway {
@@ -55,7 +59,8 @@ impl Gateway {
     fn confirming_after(ground: &Ground, confirmations: &'static str) -> Self {
         let chain = [ground.url.clone(), ground.contract.clone()];
         let (home, port) = (Home::new(), free_port());
-        let mut gateway = Self { home, port, chain, confirmations, site: None, key: String::new() };
+        let mut gateway =
+            Self { home, port, chain, confirmations, site: None, key: String::new(), domain: String::new() };
         gateway.start();
         gateway
     }
@@ -74,7 +79,8 @@ impl Gateway {
         let mut site = self.keeper().with(&["--json"]).spawn(&["gateway", "serve", "--listen", &self.address()]);
         let said = site.wait_for_text("\"gateway\"", 120);
         let line = said.lines().find(|line| line.contains("\"gateway\"")).expect("a document");
-        self.key = text(&serde_json::from_str::<Value>(line).expect("JSON")["gateway"], "gateway");
+        let view = serde_json::from_str::<Value>(line).expect("JSON")["gateway"].clone();
+        (self.key, self.domain) = (text(&view, "gateway"), text(&view, "domain"));
         self.site = Some(site);
     }
 
