@@ -46,6 +46,7 @@ fn look(gateways: &[Gateway; 2], owner: &str) -> u64 {
 }
 
 /// Kills the second gateway now and then; the first one's memory is never begun anew.
+#[allow(clippy::print_stdout, reason = "figures for who runs the long form")]
 fn endure(gateways: &mut [Gateway; 2], swarm: &Swarm, (owner, time): (&str, Duration)) -> u32 {
     let (begun, mut killed, mut minutes, mut looks) = (Instant::now(), 0, 0, 0);
     let between = KILLED.min(time / 4);

@@ -39,6 +39,7 @@ fn kill_at_random(gateways: &mut [Gateway; 3], swarm: &Swarm, time: Duration, ch
 }
 
 /// Every record of these is held by some gateway, then verified by each; none of them has anything else.
+#[allow(clippy::print_stdout, reason = "figures for who reads the run")]
 fn all_is_held(swarm: &Swarm, acknowledged: &BTreeSet<Digest>) {
     let returned = Instant::now();
     swarm.listed(HELD, "what has a receipt is held by a living gateway", |lists| {
