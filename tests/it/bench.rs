@@ -214,6 +214,28 @@ fn a_gateway_keeps_every_record_it_is_measured_with() {
 }
 
 #[test]
+fn a_fleet_loses_nothing_while_a_gateway_is_stopped_and_begun_again() {
+    let _alone = heavy();
+    let home = Home::new();
+    let size = ["--robots", "6", "--gateways", "2", "--records", "24", "--size", "200", "--failures", "1"];
+    let report = bare(&home).json_within(LIMIT, &[&["bench", "fleet"][..], &size].concat());
+    expect_shape(&report, "fleet", &home);
+    let rows = list(&report, "results");
+    let of = |row: &Value| (text(row, "part"), count(row, "gateways"), count(row, "copies"), count(row, "records"));
+    let expected = [("one", 1, 1, 24), ("apart", 2, 1, 24), ("reconciling", 2, 2, 24), ("failures", 2, 2, 24)];
+    let expected = expected.map(|(part, gateways, copies, records)| (part.to_owned(), gateways, copies, records));
+    assert_eq!(rows.iter().map(of).collect::<Vec<_>>(), expected);
+    for row in &rows {
+        let bad = ["lost", "lacking", "doubled", "left"].map(|field| count(row, field));
+        assert!(bad == [0; 4] && row["settled"] == true && number(row, "processor") > 0.0, "{row}");
+    }
+    // A record crosses once, with its header of 220 bytes; gateways that do not know each other say nothing.
+    assert!(rows[..2].iter().all(|row| number(row, "between") < 1e-9), "{rows:?}");
+    assert!(rows[2..].iter().all(|row| number(row, "between") > 420.0), "{rows:?}");
+    assert_eq!((count(&rows[3], "failures"), count(&rows[2], "failures")), (1, 0));
+}
+
+#[test]
 fn memory_is_told_for_each_of_many() {
     let _alone = heavy();
     let home = Home::new();

@@ -4,7 +4,10 @@
 
 use crate::support;
 
+mod enduring;
+mod killing;
 mod reconciling;
+mod swarm;
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -44,6 +47,9 @@ struct Gateway {
     confirmations: &'static str,
     site: Option<Running>,
     key: String,
+    domain: String,
+    /// The port of its figures, if it shows any.
+    figures: Option<u16>,
 }
 
 impl Gateway {
@@ -55,7 +61,17 @@ impl Gateway {
     fn confirming_after(ground: &Ground, confirmations: &'static str) -> Self {
         let chain = [ground.url.clone(), ground.contract.clone()];
         let (home, port) = (Home::new(), free_port());
-        let mut gateway = Self { home, port, chain, confirmations, site: None, key: String::new() };
+        let (site, key, domain, figures) = (None, String::new(), String::new(), None);
+        let mut gateway = Self { home, port, chain, confirmations, site, key, domain, figures };
+        gateway.start();
+        gateway
+    }
+
+    /// One that shows figures.
+    fn with_figures(ground: &Ground) -> Self {
+        let mut gateway = Self::new(ground);
+        gateway.kill();
+        gateway.figures = Some(free_port());
         gateway.start();
         gateway
     }
@@ -71,10 +87,13 @@ impl Gateway {
     }
 
     fn start(&mut self) {
-        let mut site = self.keeper().with(&["--json"]).spawn(&["gateway", "serve", "--listen", &self.address()]);
+        let figures = self.figures.map(|port| format!("127.0.0.1:{port}")).unwrap_or_default();
+        let keeper = self.keeper().with(&["--json"]).with_variable("AUTHROS_METRICS_LISTEN", &figures);
+        let mut site = keeper.spawn(&["gateway", "serve", "--listen", &self.address()]);
         let said = site.wait_for_text("\"gateway\"", 120);
         let line = said.lines().find(|line| line.contains("\"gateway\"")).expect("a document");
-        self.key = text(&serde_json::from_str::<Value>(line).expect("JSON")["gateway"], "gateway");
+        let view = serde_json::from_str::<Value>(line).expect("JSON")["gateway"].clone();
+        (self.key, self.domain) = (text(&view, "gateway"), text(&view, "domain"));
         self.site = Some(site);
     }
 

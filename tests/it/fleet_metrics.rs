@@ -10,7 +10,7 @@ use crate::support::{Home, count, free_port, text, wait_until};
 const TOPIC: &str = "/robot1/odom";
 
 /// The captured count of an account, and the sum of the other terms.
-fn law(told: &str, owner: &str) -> (f64, f64) {
+pub(super) fn law(told: &str, owner: &str) -> (f64, f64) {
     let terms = ["verified", "pending", "right_ended", "quarantined", "dropped", "tampered"]
         .map(|state| value(told, &format!("authros_records{{owner=\"{owner}\",state=\"{state}\"}}")));
     (value(told, &format!("authros_records_captured_total{{owner=\"{owner}\"}}")), terms.iter().sum())

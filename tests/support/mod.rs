@@ -74,6 +74,16 @@ pub fn long() -> bool {
     std::env::var_os("AUTHROS_LONG").is_some()
 }
 
+/// How long a flow goes on: `short` in every run; `usual` in the long one, or as many seconds as `AUTHROS_LONG_SECONDS` says if
+/// that is less.
+pub fn length(short: Duration, usual: Duration) -> Duration {
+    if !long() {
+        return short;
+    }
+    let asked = std::env::var("AUTHROS_LONG_SECONDS").ok().map(|text| text.parse().expect("whole seconds"));
+    asked.map_or(usual, Duration::from_secs).min(usual)
+}
+
 /// A file of the shared data beside the checkout, if it is there.
 pub fn shared_data(name: &str) -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data").join(name);

@@ -60,6 +60,9 @@ pub enum Bench {
     Pictures,
     /// What a record, a page of a list and a frame of the console cost while the ledger grows
     Growth(GrowthArguments),
+    /// Robots and gateways of a fleet in this process, gateways stopped and begun again: processor per record at one gateway
+    /// and at several, bytes between gateways, losses, fail-over; not part of all
+    Fleet(FleetArguments),
     /// Messages to 8 ROS 1 subscribers, by our own publisher and by rosrust: losses, latency, processor; not part of all
     Ros(RosArguments),
 }
@@ -281,4 +284,34 @@ pub struct GatewayArguments {
     /// Idle connections; as many as open files allow
     #[arg(long, value_name = "N", default_value_t = 5000, value_parser = clap::value_parser!(u32).range(0..=50_000))]
     pub idle: u32,
+}
+
+/// `bench fleet …`
+#[derive(Debug, Clone, Args)]
+pub struct FleetArguments {
+    /// Simulated robots, each with a lent key, a recorder and a network address of its own
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub robots: u32,
+    /// Gateways on one chain; their figures are set beside those of one
+    #[arg(long, value_name = "G", default_value_t = 5, value_parser = clap::value_parser!(u16).range(2..=64))]
+    pub gateways: u16,
+    /// Records that all robots together bring in each part, at least one each
+    #[arg(long, value_name = "N", default_value_t = 10_000,
+          value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
+    pub records: u64,
+    /// Bytes of a message
+    #[arg(long, value_name = "B", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(64..=1_048_576))]
+    pub size: u32,
+    /// How often a gateway is stopped and begun again
+    #[arg(long, value_name = "K", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=1000))]
+    pub failures: u32,
+    /// Which gateways are stopped, and when: the same for the same seed
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    pub seed: u64,
+    /// What is not brought and verified by then is counted and left
+    #[arg(long, value_name = "MAX", default_value_t = 900, value_parser = clap::value_parser!(u64).range(10..=86_400))]
+    pub seconds: u64,
+    /// Robots connected at once; they take turns
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub connected: u32,
 }

@@ -2,6 +2,7 @@
 //! and records. One request after the other, or several in flight with `send` and `receive`.
 
 use std::collections::VecDeque;
+use std::net::IpAddr;
 use std::time::{Duration, Instant};
 
 use tokio::time::timeout;
@@ -73,8 +74,21 @@ impl Client {
         trust: &mut Trust,
         credentials: &Credentials,
     ) -> Result<Self, GatewayError> {
-        let key = Some(&credentials.key);
-        let mut client = Self::open(endpoint, trust, &credentials.name, key, credentials.token).await?;
+        Self::connect_from(None, endpoint, trust, credentials).await
+    }
+
+    /// The same from one of this machine's addresses: a gateway limits each address by itself.
+    ///
+    /// # Errors
+    /// [`GatewayError`]; `Unreachable` also if the address is not of this machine.
+    pub async fn connect_from(
+        source: Option<IpAddr>,
+        endpoint: &Endpoint,
+        trust: &mut Trust,
+        credentials: &Credentials,
+    ) -> Result<Self, GatewayError> {
+        let who = (source, &credentials.name, Some(&credentials.key));
+        let mut client = Self::open(endpoint, trust, who, credentials.token).await?;
         // Both sides hold K_T: from the pong on, large frames are accepted.
         client.ping().await?;
         client.line.raise_cap();
@@ -84,11 +98,10 @@ impl Client {
     async fn open(
         endpoint: &Endpoint,
         trust: &mut Trust,
-        name: &ProfileName,
-        key: Option<&TransportKey>,
+        who: exchange::Who<'_>,
         token: Token,
     ) -> Result<Self, GatewayError> {
-        let (line, agreed, session) = timeout(endpoint.patience, exchange::hello(endpoint, trust, name, key))
+        let (line, agreed, session) = timeout(endpoint.patience, exchange::hello(endpoint, trust, who))
             .await
             .map_err(|_| GatewayError::TimedOut)??;
         Ok(Self {
@@ -113,7 +126,20 @@ impl Client {
         trust: &mut Trust,
         applicant: &Applicant<'_>,
     ) -> Result<(TransportKey, Receipt), GatewayError> {
-        let mut client = Self::open(endpoint, trust, applicant.name, None, Token([0; 32])).await?;
+        Self::allocate_from(None, endpoint, trust, applicant).await
+    }
+
+    /// The same from one of this machine's addresses.
+    ///
+    /// # Errors
+    /// As [`Self::allocate`] and [`Self::connect_from`].
+    pub async fn allocate_from(
+        source: Option<IpAddr>,
+        endpoint: &Endpoint,
+        trust: &mut Trust,
+        applicant: &Applicant<'_>,
+    ) -> Result<(TransportKey, Receipt), GatewayError> {
+        let mut client = Self::open(endpoint, trust, (source, applicant.name, None), Token([0; 32])).await?;
         let list = client.system_keys().await?;
         let context = endpoint.context;
         let system_key = list.check(context.provider, &context.domain, &client.agreed, Timestamp::now())?;
@@ -134,7 +160,7 @@ impl Client {
         name: &ProfileName,
         registration: Registration,
     ) -> Result<Hash, GatewayError> {
-        let mut client = Self::open(endpoint, trust, name, None, Token([0; 32])).await?;
+        let mut client = Self::open(endpoint, trust, (None, name, None), Token([0; 32])).await?;
         match client.ask(&Request::Register(Box::new(registration))).await? {
             Answer::Registered(hash) => Ok(hash),
             _ => Err(GatewayError::Unexpected("no transaction")),
@@ -154,7 +180,7 @@ impl Client {
     /// # Errors
     /// [`GatewayError`].
     pub async fn visit(endpoint: &Endpoint, trust: &mut Trust, name: &ProfileName) -> Result<Self, GatewayError> {
-        let mut client = Self::open(endpoint, trust, name, None, Token([0; 32])).await?;
+        let mut client = Self::open(endpoint, trust, (None, name, None), Token([0; 32])).await?;
         // The gateway signed the hello and holds its keys: from the pong on, large frames are accepted.
         client.ping().await?;
         client.line.raise_cap();

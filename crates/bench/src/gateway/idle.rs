@@ -44,7 +44,7 @@ impl Idle {
 
 /// Opens this many connections, as far as file limits allow, and measures the memory.
 pub(super) async fn measure(sender: &Sender, asked: usize) -> Result<Idle, Failure> {
-    let files = most_files().unwrap_or(usize::MAX);
+    let files = usage::most_files().unwrap_or(usize::MAX);
     let count = asked.min(files.saturating_sub(OTHER_FILES) / 2);
     let limited_by = (count < asked).then(|| {
         format!(
@@ -72,12 +72,6 @@ pub(super) async fn measure(sender: &Sender, asked: usize) -> Result<Idle, Failu
     stage.close().await;
     let bytes_each = resident.checked_div(connections as u64).unwrap_or(0);
     Ok(Idle { asked, connections, resident, bytes_each, limited_by })
-}
-
-/// The soft limit; `None` if there is none.
-fn most_files() -> Option<usize> {
-    let text = std::fs::read_to_string("/proc/self/limits").ok()?;
-    text.lines().find_map(|line| line.strip_prefix("Max open files"))?.split_whitespace().next()?.parse().ok()
 }
 
 /// Resident memory of this process, bytes.

@@ -1,8 +1,10 @@
 //! How a client's requests and the gateway's answers are sent and received.
 
+use std::io;
+use std::net::{IpAddr, SocketAddr};
 use std::time::Duration;
 
-use tokio::net::TcpStream;
+use tokio::net::{TcpSocket, TcpStream, lookup_host};
 use tokio::time::timeout;
 
 use crate::crypto::{SmKeyPair, TransportKey};
@@ -25,15 +27,31 @@ use super::{Client, Endpoint};
 /// The most events that wait for a reader while an answer is awaited.
 const MOST_WAITING: usize = 64;
 
+/// Who connects: from which of this machine's addresses (`None` = whichever fits), N, and K_T if there is one.
+pub(super) type Who<'a> = (Option<IpAddr>, &'a ProfileName, Option<&'a TransportKey>);
+
+async fn dial(source: Option<IpAddr>, address: &str) -> io::Result<TcpStream> {
+    let Some(source) = source else { return TcpStream::connect(address).await };
+    let mut failed = io::Error::from(io::ErrorKind::AddrNotAvailable);
+    for place in lookup_host(address).await?.filter(|place| place.is_ipv4() == source.is_ipv4()) {
+        let socket = if source.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+        socket.bind(SocketAddr::new(source, 0))?;
+        match socket.connect(place).await {
+            Ok(stream) => return Ok(stream),
+            Err(error) => failed = error,
+        }
+    }
+    Err(failed)
+}
+
 /// Connects and agrees on a session.
 pub(super) async fn hello(
     endpoint: &Endpoint,
     trust: &mut Trust,
-    name: &ProfileName,
-    key: Option<&TransportKey>,
+    (source, name, key): Who<'_>,
 ) -> Result<(Line, Agreed, Session), GatewayError> {
     let address = &endpoint.address;
-    let stream = TcpStream::connect(address).await.map_err(|source| unreachable(address, source))?;
+    let stream = dial(source, address).await.map_err(|source| unreachable(address, source))?;
     let mut line = Line::new(stream);
     let hello = ClientHello::begin(endpoint.context)?;
     let send = |error| line_error(address, error);
