@@ -71,9 +71,7 @@ pub use kept_key::{open_transport_key, seal_transport_key};
 pub use kernel::{Kernel, KernelError};
 pub use keyring::{EpochSecret, EpochState, Keyring, NetworkKeys, PublicIdentity, UnlockedKeyring, read_public};
 pub use libsm_provider::seal_by_libsm;
-pub use operator::{
-    MOST_OPERATORS, OperatorKey, OperatorList, OperatorStatement, OperatorTerms, check_operator,
-};
+pub use operator::{MOST_OPERATORS, OperatorKey, OperatorList, OperatorStatement, OperatorTerms, check_operator};
 pub use owner_key::OwnerKeyChange;
 pub use passphrase::Passphrase;
 pub use provider::{Provider, ProviderName, provider};

@@ -11,7 +11,9 @@ use super::clean;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum OperatorError {
     /// Not a name.
-    #[error("'{0}' is not a valid operator name; use 1 to 32 characters from a-z, 0-9, - and _, starting with a letter")]
+    #[error(
+        "'{0}' is not a valid operator name; use 1 to 32 characters from a-z, 0-9, - and _, starting with a letter"
+    )]
     Name(String),
     /// Not rights.
     #[error("'{0}' is not a right of an operator; give look, capture or grant, separated by commas")]

@@ -22,6 +22,7 @@ mod identity;
 mod incidents;
 mod lifetime;
 mod mirror;
+mod operators;
 mod parts;
 mod pins;
 mod progress;
@@ -49,6 +50,7 @@ use tokio::sync::{broadcast, mpsc};
 pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
 pub use capture::ros::RosState;
 pub use chain::link::NetworkState;
+pub(crate) use consoles::{Claims, joiner};
 pub(crate) use contacts::BOOK;
 pub(super) use devices::enrolled::Enrolled;
 pub use devices::enrolling::EnrolWishes;
@@ -78,6 +80,7 @@ use identity::Profiles;
 use incidents::Incidents;
 use mirror::Joined;
 use mirror::remotes::Remotes;
+use operators::Operators;
 use parts::Parts;
 use pins::Pinning;
 use quarantine::Quarantine;
@@ -147,6 +150,7 @@ pub struct Site {
     pins: Arc<Pinning>,
     quarantine: Arc<Quarantine>,
     admissions: Arc<Admissions>,
+    operators: Arc<Operators>,
     gateway: Arc<Gateway>,
     audit: Arc<Audit>,
     backup: Arc<Backup>,
@@ -252,6 +256,7 @@ impl Site {
             backup: Arc::new(Backup::new(of, &quarantine)),
             evidence: Arc::new(Evidence::new(of, &reading, &stamps)),
             incidents: Arc::new(Incidents::new(of)),
+            operators: Arc::new(Operators::new(of)),
             stamps,
             witnesses: Arc::new(Witnesses::new(of)),
             bridge: Arc::new(Bridge::new(of, &contacts, &ros)),
@@ -293,18 +298,17 @@ impl Site {
     /// A client of this site, in this process.
     pub fn client(self: &Arc<Self>, profile: ProfileName) -> Client {
         let (calls, receiver) = mpsc::unbounded_channel();
-        tokio::spawn(Arc::clone(self).serve(receiver));
+        tokio::spawn(Arc::clone(self).serve(receiver, Claims::default()));
         Client::new(profile, calls, self.parts.hub.events().clone())
     }
 
     /// Answers calls until their sender is gone; consoles claimed through it are then free again.
-    pub async fn serve(self: Arc<Self>, mut calls: mpsc::UnboundedReceiver<Call>) {
-        let claims = consoles::Claims::default();
+    pub(super) async fn serve(self: Arc<Self>, mut calls: mpsc::UnboundedReceiver<Call>, claims: Claims) {
         while let Some(Call { request, answer }) = calls.recv().await {
             let (site, claims) = (Arc::clone(&self), Arc::clone(&claims));
             tokio::spawn(async move {
                 // It is not an error if nobody waits for the answer any more.
-                drop(answer.send(site.handle(request, &claims).await));
+                drop(answer.send(site.answer(request, &claims).await));
             });
         }
         self.release(&claims);
