@@ -22,6 +22,8 @@ pub(in crate::site) struct Acting {
 struct Known {
     challenge: Option<[u8; 32]>,
     acting: Option<Acting>,
+    /// The operator was found to be one no more.
+    ended: bool,
     /// Profiles whose passphrase was given.
     proven: BTreeSet<ProfileName>,
 }
@@ -69,6 +71,11 @@ impl Asker {
         is_first
     }
 
+    /// Its operator is one no more.
+    pub(super) fn end(&self) {
+        self.known().ended = true;
+    }
+
     /// Whether it is the site's own process, or gave the passphrase of a profile.
     pub(super) fn is_owner(&self, profile: &ProfileName) -> bool {
         !self.joined || self.known().proven.contains(profile)
@@ -79,9 +86,9 @@ impl Asker {
         self.known().proven.insert(profile.clone());
     }
 
-    /// Whether it has shown who it is.
+    /// Whether it has shown who it is, and is that still as far as was seen.
     pub fn is_known(&self) -> bool {
         let known = self.known();
-        !self.joined || known.acting.is_some() || !known.proven.is_empty()
+        !self.joined || !known.ended && (known.acting.is_some() || !known.proven.is_empty())
     }
 }

@@ -38,7 +38,7 @@ impl Operators {
             return Ok(None);
         }
         if let Some(acting) = asker.acting() {
-            self.allow(&acting, profile, needed).await?;
+            self.allow(&acting, asker, (profile, needed)).await?;
             return Ok(Some(acting.name));
         }
         if !self.config.operators_required || asker.is_owner(profile) {
@@ -58,8 +58,13 @@ impl Operators {
         ))
     }
 
-    async fn allow(self: &Arc<Self>, acting: &Acting, profile: &ProfileName, needed: Needed) -> Result<(), Failure> {
-        let Err(why) = self.refusal(acting, profile, needed).await? else { return Ok(()) };
+    async fn allow(
+        self: &Arc<Self>,
+        acting: &Acting,
+        asker: &Asker,
+        (profile, needed): (&ProfileName, Needed),
+    ) -> Result<(), Failure> {
+        let Some(why) = self.refusal(acting, asker, (profile, needed)).await? else { return Ok(()) };
         if counts(needed) {
             let who = by(acting.profile.as_str(), &acting.name);
             let _first = self.log.refused(&who, &format!("needs {}", needed.word()));
@@ -67,37 +72,39 @@ impl Operators {
         Err(refused(why))
     }
 
-    /// Whether an operator may do this now, or why not.
+    /// Why an operator may not do this now; `None` if it may.
     async fn refusal(
         self: &Arc<Self>,
         acting: &Acting,
-        profile: &ProfileName,
-        needed: Needed,
-    ) -> Result<Result<(), String>, Failure> {
+        asker: &Asker,
+        (profile, needed): (&ProfileName, Needed),
+    ) -> Result<Option<String>, Failure> {
         let name = &acting.name;
         if acting.profile != *profile {
-            return Ok(Err(format!("'{name}' is an operator of profile '{}', not of '{profile}'", acting.profile)));
+            return Ok(Some(format!("'{name}' is an operator of profile '{}', not of '{profile}'", acting.profile)));
         }
         let (list, certifier) = self.stated(profile).await?;
         let Some(statement) = list.of(name).filter(|statement| statement.terms.key == acting.key) else {
-            return Ok(Err(format!("operator '{name}' was removed; ask the owner of profile '{profile}'")));
+            asker.end();
+            return Ok(Some(format!("operator '{name}' was removed; ask the owner of profile '{profile}'")));
         };
         let state = self.state(statement, &certifier);
         if state != OperatorState::Stands {
-            return Ok(Err(format!(
+            asker.end();
+            return Ok(Some(format!(
                 "operator '{name}' may not act now ({}); ask the owner of profile '{profile}' to add it again",
                 state.word()
             )));
         }
         let rights = statement.terms.rights;
         Ok(match needed {
-            Needed::Nothing => Ok(()),
-            Needed::Right(right) if rights.has(right) => Ok(()),
-            Needed::Right(right) => Err(format!(
+            Needed::Nothing => None,
+            Needed::Right(right) if rights.has(right) => None,
+            Needed::Right(right) => Some(format!(
                 "this needs the right '{}'; operator '{name}' has {rights}; ask the owner of profile '{profile}'",
                 right.word()
             )),
-            Needed::Owner => Err(format!(
+            Needed::Owner => Some(format!(
                 "only the owner of profile '{profile}' may do this, and '{name}' is an operator with {rights}"
             )),
         })
