@@ -126,7 +126,7 @@ fn name(line: &str) -> String {
 
 #[test]
 fn each_request_needs_the_right_that_the_pages_say() {
-    let right = |right| Needed::Right(right);
+    let right = Needed::Right;
     let lists = [
         (LOOK, right(OperatorRight::Look)),
         (CAPTURE, right(OperatorRight::Capture)),
