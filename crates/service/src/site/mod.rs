@@ -212,17 +212,16 @@ impl Site {
         let (recorder, judges) = recorder(&parts, &rings, &losses);
         let remote =
             config.site.as_ref().map(|site| Remotes::new(site, &parts.home, plant.provider)).transpose()?.map(Arc::new);
-        let ros = Arc::new(RosSide::new(of, &recorder, needs.ros));
         let (lanes, connection) = (Arc::new(Lanes::new(of)), Arc::new(Connection::new(of, remote.clone())));
         let (contacts, sealer) = (Arc::new(Contacts::new(of)), Arc::new(SealerThread::new(of, &rings, &losses)));
         let (joined, pins) = (Arc::new(Joined::new(of, remote.clone())), Arc::new(Pinning::new(of, &judges)));
-        let reading = Arc::new(Reading::new(of, &contacts));
-        let quarantine = Arc::new(Quarantine::new(of, &reading));
-        let admissions = Arc::new(Admissions::new(of, &contacts));
+        let (ros, reading) = (Arc::new(RosSide::new(of, &recorder, needs.ros)), Arc::new(Reading::new(of, &contacts)));
+        let (quarantine, admissions) =
+            (Arc::new(Quarantine::new(of, &reading)), Arc::new(Admissions::new(of, &contacts)));
         let (stamps, enrolments) = (Arc::new(TimeStamps::new(of)), Arc::new(Enrolments::new(of)));
         let sharing = Arc::new(Sharing::new(of, &contacts, &enrolments, &joined, &reserve));
         let gateway = Arc::new(Gateway::new(of, &sharing, &admissions, remote.clone()));
-        let watches = Arc::new(Watches::new(of, &recorder, &ros));
+        let (watches, operators) = (Arc::new(Watches::new(of, &recorder, &ros)), Arc::new(Operators::new(of)));
         let asked = identity::Asked {
             connection: &connection,
             sharing: &sharing,
@@ -256,7 +255,6 @@ impl Site {
             backup: Arc::new(Backup::new(of, &quarantine)),
             evidence: Arc::new(Evidence::new(of, &reading, &stamps)),
             incidents: Arc::new(Incidents::new(of)),
-            operators: Arc::new(Operators::new(of)),
             stamps,
             witnesses: Arc::new(Witnesses::new(of)),
             bridge: Arc::new(Bridge::new(of, &contacts, &ros)),
@@ -281,6 +279,7 @@ impl Site {
             pins,
             quarantine,
             admissions,
+            operators,
             gateway,
             consoles: Mutex::default(),
             guests: AtomicUsize::new(0),
