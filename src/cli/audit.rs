@@ -49,9 +49,12 @@ pub enum AuditVerb {
         /// Only this action: grant, decrypt, refused, …
         #[arg(long, value_name = "WORD")]
         action: Option<String>,
-        /// Only by this profile (refusals: by this peer)
+        /// Only by this profile and its operators, or by PROFILE/OPERATOR (refusals: by this peer)
         #[arg(long, value_name = "NAME")]
         by: Option<String>,
+        /// Only by operators of this name
+        #[arg(long, value_name = "NAME")]
+        by_operator: Option<String>,
         /// Only lines before this number, to page back
         #[arg(long, value_name = "N")]
         before: Option<u64>,
@@ -93,7 +96,7 @@ pub fn lines(lines: &[AuditView]) -> String {
         vec![
             line.line.to_string(),
             line.at.to_string(),
-            line.profile.clone(),
+            line.by(),
             line.action.clone(),
             line.subject.clone(),
             line.outcome.clone(),

@@ -100,7 +100,10 @@ async fn running_site(context: &Context) -> Option<Result<SiteView, String>> {
         return None;
     }
     let joined = match socket::join(&context.home, context.profile.clone()).await {
-        Ok(Some((client, _))) => client.ask(SiteStatus).await,
+        Ok(Some((client, greeting))) => match super::operators::introduce(context, &client, &greeting).await {
+            Ok(()) => client.ask(SiteStatus).await,
+            Err(failure) => Err(failure),
+        },
         Ok(None) => return Some(Err("its socket is missing".to_owned())),
         Err(failure) => Err(failure),
     };

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::args::Global;
-use super::passphrase;
+use super::{operators, passphrase};
 use crate::config::{Config, Source};
+use crate::crypto::OperatorKey;
 use crate::model::{ErrorKind, ProfileName};
 use crate::paths::{Home, PlaceError};
 use crate::service::command::{CreateIdentity, ShowIdentity, SiteStatus, Unlock};
@@ -29,6 +30,8 @@ pub struct Context {
     pub profile: ProfileName,
     /// The settings.
     pub config: Config,
+    /// The operator who asks, if it is not the profile's owner.
+    pub operator: Option<OperatorKey>,
 }
 
 /// A client, and the site if this process is it.
@@ -82,7 +85,8 @@ impl Context {
         if let Some(kernel) = config.sm4_kernel {
             kernel.force().map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
         }
-        Ok(Self { global, home, profile, config })
+        let operator = operators::key(&global, config.provider)?;
+        Ok(Self { global, home, profile, config, operator })
     }
 
     /// For an agent: without `--home` it has its own home below the standard one.
@@ -121,8 +125,10 @@ impl Context {
         for _ in 0..50 {
             if let Some((client, greeting)) = socket::join(&self.home, self.profile.clone()).await? {
                 self.agree(&greeting)?;
+                operators::introduce(self, &client, &greeting).await?;
                 return Ok(Connection { client, site: None });
             }
+            operators::needs_site(self)?;
             if let Some(lock) = self.lock()? {
                 let site = Site::start(self.home.clone(), self.config.clone(), lock, needs)?;
                 socket::listen(&site)?;
@@ -172,7 +178,8 @@ impl Context {
     /// # Errors
     /// If there is no identity or no passphrase.
     pub async fn prepare(&self, client: &Client, need: ProfileNeed, output: &Output) -> Result<(), Failure> {
-        if need == ProfileNeed::None {
+        // The keyring is the owner's to make and to open.
+        if need == ProfileNeed::None || self.operator.is_some() {
             return Ok(());
         }
         let identity = client.ask(ShowIdentity).await?;

@@ -121,7 +121,7 @@ async fn relay(site: Client, mut calls: Calls, events: broadcast::Sender<Event>)
 
 /// Opens the keyring automatically if its passphrase was given or is stored beside it.
 async fn unlock(context: Context, client: Client) {
-    if !context.home.keyring(&context.profile).exists() {
+    if context.operator.is_some() || !context.home.keyring(&context.profile).exists() {
         return;
     }
     if let Ok(Some(passphrase)) = passphrase::given(&context.global, &context.home, &context.profile) {

@@ -28,15 +28,18 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
         ascii: arguments.ascii
             || settings.ascii.unwrap_or_else(|| !locale_has_unicode(|name| std::env::var(name).ok())),
         mouse: settings.mouse,
+        operator: context.operator.as_ref().map(|operator| operator.name.to_string()),
         read_only: arguments.read_only,
         bytes_per_second: settings.bytes_per_second,
         directory: None,
         kept: Some(context.home.console(&context.profile)),
         pictures: settings.pictures,
-        lock_after: settings.lock_after,
+        // The keyring is the owner's to lock and to unlock.
+        lock_after: settings.lock_after.filter(|_| context.operator.is_none()),
         profiles: context.home.profiles(),
         tour: None,
-        asks_passphrase: !passphrase::is_given(&context.global, &context.home, &context.profile),
+        asks_passphrase: context.operator.is_none()
+            && !passphrase::is_given(&context.global, &context.home, &context.profile),
     };
     if let Some(name) = &options.theme {
         options.themes.named(name).map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;

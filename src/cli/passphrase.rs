@@ -82,7 +82,7 @@ pub fn change(context: &Context, file: Option<&Path>, descriptor: Option<u32>) -
     let new = match (file, descriptor) {
         (Some(path), _) => from_file(path)?,
         (None, Some(number)) => from_descriptor(number)?,
-        (None, None) => asked_twice()?,
+        (None, None) => asked_twice("--new-passphrase-file")?,
     };
     Ok(Plan::new(NEITHER, ProfileNeed::None, ChangePassphrase { old, new }))
 }
@@ -118,9 +118,9 @@ fn asked(question: &str, option: &str) -> Result<SecretText, Failure> {
     Ok(SecretText::new(answer.to_string()))
 }
 
-fn asked_twice() -> Result<SecretText, Failure> {
-    let new = asked("New passphrase, at least 8 characters", "--new-passphrase-file")?;
-    let again = asked("Repeat", "--new-passphrase-file")?;
+fn asked_twice(option: &str) -> Result<SecretText, Failure> {
+    let new = asked("New passphrase, at least 8 characters", option)?;
+    let again = asked("Repeat", option)?;
     if new.expose() == again.expose() {
         return Ok(new);
     }
@@ -138,6 +138,28 @@ pub fn of_file(global: &Global, beside: &Path) -> Result<Option<SecretText>, Fai
         (None, None) if beside.exists() => from_file(beside).map(Some),
         (None, None) => Ok(None),
     }
+}
+
+/// The passphrase of a new file: from a file, or asked for twice.
+///
+/// # Errors
+/// If it is neither given nor can be asked for.
+pub fn of_new(file: Option<&Path>, option: &str) -> Result<Passphrase, Failure> {
+    let secret = file.map_or_else(|| asked_twice(option), from_file)?;
+    Ok(Passphrase::new(secret.expose().to_owned())?)
+}
+
+/// The passphrase of an operator's key: given, or asked for.
+///
+/// # Errors
+/// If it is neither given nor can be asked for.
+pub fn of_operator(global: &Global, file: &Path) -> Result<Passphrase, Failure> {
+    let secret = match (&global.passphrase_file, global.passphrase_fd) {
+        (Some(path), _) => from_file(path)?,
+        (None, Some(number)) => from_descriptor(number)?,
+        (None, None) => asked(&format!("Passphrase of {}", file.display()), "--passphrase-file")?,
+    };
+    Ok(Passphrase::new(secret.expose().to_owned())?)
 }
 
 /// The passphrase given, or a new random one stored beside the keyring, which is reported.

@@ -28,9 +28,15 @@ pub fn audit(context: &Context, arguments: &AuditArguments) -> Result<Plan, Fail
         return Err(Failure::new(ErrorKind::Usage, "--deep and --since apply to the audit of records; omit them here"));
     }
     Ok(match verb {
-        AuditVerb::List { since, action, by, before, limit } => {
+        AuditVerb::List { since, action, by, by_operator, before, limit } => {
             let query = super::audit::query(since.as_deref(), *limit)?;
-            let query = AuditQuery { action: action.clone(), profile: by.clone(), before: *before, ..query };
+            let query = AuditQuery {
+                action: action.clone(),
+                profile: by.clone(),
+                operator: by_operator.clone(),
+                before: *before,
+                ..query
+            };
             Plan::new(NEITHER, ProfileNeed::None, ListAudit(query))
         }
         AuditVerb::Verify { without_heads: true } => {

@@ -4,8 +4,8 @@ use std::io::Write as _;
 use std::path::Path;
 
 use super::{
-    adopt, alerts, audit, check, coverage, fleet, gateway, incidents, lists, parties, policy, quarantine, robots,
-    viewing, witnesses,
+    adopt, alerts, audit, check, coverage, fleet, gateway, incidents, lists, operators, parties, policy, quarantine,
+    robots, viewing, witnesses,
 };
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
@@ -14,9 +14,9 @@ use crate::service::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, Answer, AuditCheck, AuditView, BackupView, ChainView,
     CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceGatewaysView, DeviceRow,
     DeviceTopicsView, ExportedFile, FellowView, FleetView, GatewayStatusView, GrantRow, IdentityView, IncidentView,
-    KeyChangeView, KeysView, OpenedView, PathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit,
-    RecordPage, Reply, RingPullView, RobotGatewayView, RobotRow, RobotView, TopicRow, TransactionView, WitnessView,
-    WitnessesView,
+    KeyChangeView, KeysView, OpenedView, OperatorView, PathView, PinsView, PolicyView, Provenance, QuarantineView,
+    RecordAudit, RecordPage, Reply, RingPullView, RobotGatewayView, RobotRow, RobotView, TopicRow, TransactionView,
+    WitnessView, WitnessesView,
 };
 use crate::service::{Client, Failure};
 use authros_output::Output;
@@ -140,6 +140,7 @@ rows! {
     WitnessView, "witnesses" => witnesses::all;
     RobotRow, "robots" => robots::all;
     FellowView, "fleet" => fleet::all;
+    OperatorView, "operators" => operators::all;
 }
 
 impl Printed for () {

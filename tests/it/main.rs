@@ -43,6 +43,7 @@ mod messages;
 mod metrics;
 mod newer_home;
 mod node_forging;
+mod operators;
 mod packages;
 mod places;
 mod playing;

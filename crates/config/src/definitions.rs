@@ -234,6 +234,12 @@ pub const DEFINITIONS: &[Definition] = &[
                \"http://HOST/PATH\", certificate = \"/PATH/OF.pem\" }]; empty = none",
     },
     Definition {
+        name: "operators.required",
+        variable: "AUTHROS_OPERATORS_REQUIRED",
+        default: "no",
+        text: "yes = a running site answers only operators, and whoever gives the profile's passphrase",
+    },
+    Definition {
         name: "metrics.listen",
         variable: "AUTHROS_METRICS_LISTEN",
         default: "",

@@ -125,6 +125,8 @@ pub struct Config {
     pub audit_every: Duration,
     /// Per cent of the stored records that a running site re-hashes per hour.
     pub scrub_percent: u64,
+    /// Whether the site's socket answers only operators, and whoever gives a passphrase.
+    pub operators_required: bool,
     /// Where figures are served, and which.
     pub metrics: MetricsSettings,
     /// The time stamp authorities to ask.
@@ -260,6 +262,7 @@ impl Config {
             anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
             scrub_percent: number(&values, "audit.scrub", 0, 1_000_000)?,
+            operators_required: switch(&values, "operators.required", ("yes", "no"))?,
             metrics: MetricsSettings::read(&values)?,
             time_authorities: time::authorities(&values)?,
             alerts: AlertSettings::read(&values)?,

@@ -10,8 +10,12 @@ pub mod filter;
 mod fleet;
 mod incidents;
 mod operate;
+mod operators;
 mod playing;
 mod recordings;
+mod right;
+#[cfg(test)]
+mod right_tests;
 mod robots;
 mod secret;
 mod unattended;
@@ -34,8 +38,12 @@ pub use self::operate::{
     Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, ListAlerts, ListWatches, Lock, Operation,
     TestAlert,
 };
+pub use self::operators::{
+    ActAsOperator, AddOperator, ChallengeOperator, ListOperators, OperatorCommand, RemoveOperator,
+};
 pub use self::playing::{Pace, PlayWishes, Remap};
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
+pub use self::right::Needed;
 pub use self::robots::{ListRobots, PullRing, RobotCommand, SetRobotPolicy, ShowRobot};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::unattended::{EndUnattended, PrepareUnattended, UnattendedCommand};
@@ -389,6 +397,8 @@ requests! {
         OfFleet(FleetCommand),
         /// Capture while the profile is locked.
         OfUnattended(UnattendedCommand),
+        /// Operators: people who work at the profile with keys of their own.
+        OfOperator(OperatorCommand),
     }
 }
 

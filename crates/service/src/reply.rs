@@ -9,6 +9,7 @@ mod forging;
 mod identity;
 mod incidents;
 mod operate;
+mod operators;
 mod parties;
 mod playing;
 mod recordings;
@@ -37,6 +38,7 @@ pub use self::identity::{
 };
 pub use self::incidents::{IncidentNoteView, IncidentView, SpanCoverageView};
 pub use self::operate::{AdmittedView, GatewayStatusView, RefusedView, SenderView, SystemKeyView};
+pub use self::operators::{OperatorChallenge, OperatorState, OperatorView};
 pub use self::parties::{
     AdministrationView, CompareView, ContactRow, DeviceRow, Direction, GrantRow, GrantState, ProposalView,
     RecoveryView, SuccessionView,
@@ -240,4 +242,10 @@ replies! {
     Fleet(FleetView);
     /// To `PrepareUnattended`.
     UnattendedPrepared(UnattendedFile);
+    /// To `AddOperator`, `RemoveOperator` and `ListOperators`.
+    Operators(Vec<OperatorView>);
+    /// To `ChallengeOperator`.
+    OperatorChallenged(OperatorChallenge);
+    /// To `ActAsOperator`.
+    ActingOperator(OperatorView);
 }

@@ -19,7 +19,7 @@ use super::client::{Call, Client};
 use super::command::Request;
 use super::event::Event;
 use super::reply::{Failure, Reply};
-use super::site::Site;
+use super::site::{Claims, Site, joiner};
 use crate::model::{ErrorKind, ProfileName};
 use crate::paths::Home;
 
@@ -33,6 +33,9 @@ pub struct Greeting {
     pub version: String,
     /// Settings that bind every joiner: name and value.
     pub settings: Vec<(String, String)>,
+    /// Whether only operators are answered, and whoever gives a passphrase.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub operators_required: bool,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -101,9 +104,12 @@ async fn serve_joiner(site: Arc<Site>, stream: UnixStream) {
     let (lines, queue) = mpsc::unbounded_channel();
     tokio::spawn(write_lines(writer, queue));
     send(&lines, &FromSite::Greeting(greeting(&site)));
-    tokio::spawn(forward_events(site.events(), lines.clone()));
+    let claims = joiner();
+    // Where operators are required, nobody unknown hears what happens.
+    let asker = site.config().operators_required.then(|| Arc::clone(&claims));
+    tokio::spawn(forward_events(site.events(), asker, lines.clone()));
     let (calls, receiver) = mpsc::unbounded_channel();
-    tokio::spawn(Arc::clone(&site).serve(receiver));
+    tokio::spawn(Arc::clone(&site).serve(receiver, claims));
     let mut reader = BufReader::new(reader);
     let mut line = Vec::new();
     loop {
@@ -144,12 +150,19 @@ pub fn greeting(site: &Site) -> Greeting {
     Greeting {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         settings: settings.map(|setting| (setting.name.to_owned(), setting.value)).collect(),
+        operators_required: site.config().operators_required,
     }
 }
 
-async fn forward_events(mut events: broadcast::Receiver<Event>, lines: mpsc::UnboundedSender<Vec<u8>>) {
+async fn forward_events(
+    mut events: broadcast::Receiver<Event>,
+    asker: Option<Claims>,
+    lines: mpsc::UnboundedSender<Vec<u8>>,
+) {
     loop {
         match events.recv().await {
+            Ok(_) if lines.is_closed() => return,
+            Ok(_) if asker.as_ref().is_some_and(|asker| !asker.is_known()) => {}
             Ok(event) => {
                 if !send(&lines, &FromSite::Event(event)) {
                     return;

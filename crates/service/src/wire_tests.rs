@@ -6,7 +6,7 @@ use serde::de::DeserializeOwned;
 
 use crate::service::{Command, Reply};
 
-const REQUESTS: &[&str] = &[
+pub(crate) const REQUESTS: &[&str] = &[
     r#"{"command":"create_identity","passphrase":"p"}"#,
     r#"{"command":"show_identity"}"#,
     r#"{"command":"unlock","passphrase":"p"}"#,
@@ -103,6 +103,11 @@ const REQUESTS: &[&str] = &[
     r#"{"command":"of_fleet","fleet":"fleet_status"}"#,
     r#"{"command":"of_unattended","unattended":"prepare_unattended","topics":["/odom"],"until":"2026-01-01T00:00:00Z"}"#,
     r#"{"command":"of_unattended","unattended":"end_unattended"}"#,
+    r#"{"command":"of_operator","operator":"add_operator","name":"bob","key":"07070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707","rights":"look,capture","until":null}"#,
+    r#"{"command":"of_operator","operator":"remove_operator","name":"bob"}"#,
+    r#"{"command":"of_operator","operator":"list_operators"}"#,
+    r#"{"command":"of_operator","operator":"challenge_operator"}"#,
+    r#"{"command":"of_operator","operator":"act_as_operator","name":"bob","proof":"08080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808"}"#,
     r#"{"command":"open_console"}"#,
 ];
 
@@ -145,6 +150,10 @@ const REPLIES: &[&str] = &[
     r#"{"reply":"ring_pull","with":{"robot":"scout","device":"0707070707070707070707070707070707070707070707070707070707070707","since":"2026-01-01T00:00:00Z","until":"2026-01-01T00:05:00Z","topics":["/camera/**"]}}"#,
     r#"{"reply":"fellows","with":[{"address":"h:1","key":"0707070707070707070707070707070707070707070707070707070707070707","account":null,"added_at":"2026-01-01T00:00:00Z","heard":null,"reconciled":false,"lacking":1,"taken":2,"passed_over":3,"anchored_twice":4,"refused":[{"code":6,"text":"t","count":5}],"problem":"p"}]}"#,
     r#"{"reply":"fleet","with":{"address":null,"key":null,"fellows":[]}}"#,
+    r#"{"reply":"audit","with":[{"line":1,"at":"2026-01-01T00:00:00Z","profile":"default","operator":"bob","action":"watch","subject":"/odom","outcome":"done"}]}"#,
+    r#"{"reply":"operators","with":[{"name":"bob","key":"0707070707070707070707070707070707070707070707070707070707070707","rights":"look,grant","from":"2026-01-01T00:00:00Z","until":null,"state":"not_signed"}]}"#,
+    r#"{"reply":"operator_challenged","with":{"challenge":"0707070707070707070707070707070707070707070707070707070707070707","account":"0x0707070707070707070707070707070707070707"}}"#,
+    r#"{"reply":"acting_operator","with":{"name":"bob","key":"0707070707070707070707070707070707070707070707070707070707070707","rights":"look","from":"2026-01-01T00:00:00Z","until":"2026-01-02T00:00:00Z","state":"stands"}}"#,
 ];
 
 fn changed<T: Serialize + DeserializeOwned>(lines: &[&str]) -> Vec<String> {

@@ -20,7 +20,7 @@ const COLUMNS: &str = "line, at, profile, action, subject, outcome, hash";
 pub struct AuditEntry {
     /// When it happened.
     pub at: Timestamp,
-    /// Who did it.
+    /// Who did it: a profile, or `profile/operator`, which no profile's name can be; for refusals, a peer.
     pub profile: String,
     /// The action, in a word: `grant`, `open`, ….
     pub action: String,
@@ -51,9 +51,12 @@ pub struct AuditQuery {
     /// Only this action: `grant`, `decrypt`, ….
     #[serde(default)]
     pub action: Option<String>,
-    /// Only those by this profile (for refusals: by this peer).
+    /// Only those by this profile and its operators, or by `profile/operator` (for refusals: by this peer).
     #[serde(default)]
     pub profile: Option<String>,
+    /// Only those by an operator of this name, of whichever profile.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub operator: Option<String>,
     /// Only lines before this one, for paging back.
     #[serde(default)]
     pub before: Option<u64>,
@@ -186,10 +189,13 @@ impl AuditLog {
         self.ledger.read(|connection| {
             let sql = format!(
                 "SELECT {COLUMNS} FROM audit WHERE line < ?1 AND at >= ?2 AND (?3 IS NULL OR action = ?3) \
-                 AND (?4 IS NULL OR profile = ?4) ORDER BY line DESC LIMIT ?5"
+                 AND (?4 IS NULL OR profile = ?4 OR substr(profile, 1, length(?4) + 1) = ?4 || '/') \
+                 AND (?6 IS NULL OR (instr(profile, '/') > 0 AND substr(profile, instr(profile, '/') + 1) = ?6)) \
+                 ORDER BY line DESC LIMIT ?5"
             );
             let mut statement = connection.prepare_cached(&sql)?;
-            let rows = statement.query_map(params![before, since, query.action, query.profile, limit], line_of)?;
+            let values = params![before, since, query.action, query.profile, limit, query.operator];
+            let rows = statement.query_map(values, line_of)?;
             let mut lines = rows.collect::<Result<Vec<_>, _>>()?;
             lines.reverse();
             Ok(lines)
@@ -301,6 +307,25 @@ mod tests {
         let of_a = AuditQuery { action: Some("grant".to_owned()), profile: Some("a".to_owned()), ..Default::default() };
         assert_eq!(numbers(of_a).len(), 7);
         assert_eq!((log.written_after(0), log.written_after(7)), (Ok(Some(Timestamp(1))), Ok(None)));
+    }
+
+    #[test]
+    fn lines_of_operators_are_found_by_profile_and_by_operator() {
+        let (_home, log) = log_of(1);
+        for who in ["a/bob", "ab/bob", "a/bobby", "a"] {
+            log.append(AuditEntry { profile: who.to_owned(), ..entry(9) }).expect("appended");
+        }
+        assert_eq!(log.verify(), Ok(5));
+        let numbers = |profile: Option<&str>, operator: Option<&str>| {
+            let (profile, operator) = (profile.map(str::to_owned), operator.map(str::to_owned));
+            let lines = log.list(&AuditQuery { profile, operator, limit: 100, ..AuditQuery::default() });
+            lines.expect("page").iter().map(|line| line.line).collect::<Vec<_>>()
+        };
+        assert_eq!(numbers(Some("a"), None), [1, 2, 4, 5]);
+        assert_eq!(numbers(Some("a/bob"), None), [2]);
+        assert_eq!(numbers(None, Some("bob")), [2, 3]);
+        assert_eq!(numbers(Some("a"), Some("bob")), [2]);
+        assert_eq!(numbers(None, Some("a")), [0; 0], "a profile is no operator");
     }
 
     #[test]

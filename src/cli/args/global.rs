@@ -28,6 +28,9 @@ pub struct Global {
     /// File descriptor to read the keyring's passphrase from
     #[arg(long, global = true, value_name = "N")]
     pub passphrase_fd: Option<u32>,
+    /// Act at a running site as the operator whose key this file holds; its passphrase is given as a keyring's
+    #[arg(long, global = true, value_name = "FILE")]
+    pub operator: Option<PathBuf>,
     /// Real ROS master, such as http://host:11311
     #[arg(long, global = true, value_name = "URI")]
     pub ros_master: Option<String>,

@@ -411,6 +411,7 @@ async fn person(context: &Context, site: &Arc<Site>, name: &str, output: Output)
         home: context.home.clone(),
         profile: profile.clone(),
         config: context.config.clone(),
+        operator: None,
     };
     own.prepare(&client, ProfileNeed::Made, &output).await?;
     client.ask(Register).await?;

@@ -43,6 +43,8 @@ pub const GRAPH_PARTS: usize = 45;
 pub struct Settings {
     /// The profile it speaks for.
     pub profile: ProfileName,
+    /// The operator who speaks, if it is not the profile's owner.
+    pub operator: Option<String>,
     /// Hide what changes keys, grants or records.
     pub read_only: bool,
     /// Where relative paths start.

@@ -52,6 +52,8 @@ pub struct ConsoleOptions {
     pub ascii: bool,
     /// Take the mouse from the beginning.
     pub mouse: bool,
+    /// The operator who speaks, if it is not the profile's owner.
+    pub operator: Option<String>,
     /// Hide what changes keys, grants or records.
     pub read_only: bool,
     /// Bytes a second for drawing of data; `None` = 4 kB/s over SSH, else no limit.
@@ -134,6 +136,7 @@ fn directory(options: &ConsoleOptions) -> io::Result<PathBuf> {
 fn first_state(client: &Client, options: &ConsoleOptions, directory: &Path) -> State {
     let mut state = State::new(Settings {
         profile: client.profile().clone(),
+        operator: options.operator.clone(),
         read_only: options.read_only,
         directory: directory.to_owned(),
         home: std::env::var_os("HOME").map(PathBuf::from),

@@ -49,8 +49,9 @@ fn badges(state: &State) -> Vec<(String, Role)> {
     let frozen = state.frozen.map(|at| format!(" FROZEN {} ", at.clock()));
     let locked = state.is_locked().then(|| " LOCKED ".to_owned());
     let read_only = state.settings.read_only.then(|| " READ-ONLY ".to_owned());
+    let operator = state.settings.operator.as_ref().map(|name| format!(" OPERATOR {name} "));
     let mut badges: Vec<(String, Role)> =
-        [frozen, locked, read_only].into_iter().flatten().map(|badge| (badge, Role::Badge)).collect();
+        [operator, frozen, locked, read_only].into_iter().flatten().map(|badge| (badge, Role::Badge)).collect();
     // What is unusual takes precedence over where the site runs, and the health of its parts over both.
     let room = if badges.is_empty() { NAMED_FROM } else { ADDRESS_FROM };
     if state.size.0 >= room {

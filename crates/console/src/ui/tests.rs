@@ -346,3 +346,12 @@ fn no_screen_breaks_at_any_size() {
         }
     }
 }
+
+#[test]
+fn an_operator_is_named_on_top() {
+    let mut robot = at(Screen::Topics, SIZES[0]);
+    assert!(!shown(&robot.state, &night()).contains("OPERATOR"));
+    robot.state.settings.operator = Some("bob".to_owned());
+    let text = shown(&robot.state, &night());
+    assert!(text.lines().next().is_some_and(|first| first.ends_with(" OPERATOR bob")), "{text}");
+}

@@ -13,12 +13,25 @@ pub struct AuditView {
     pub at: Timestamp,
     /// The profile.
     pub profile: String,
+    /// The operator who did it, if it was not the profile's owner.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub operator: Option<String>,
     /// The deed.
     pub action: String,
     /// Its object, cleaned.
     pub subject: String,
     /// Its outcome.
     pub outcome: String,
+}
+
+impl AuditView {
+    /// Who did it: the profile, or `profile/operator`.
+    pub fn by(&self) -> String {
+        match &self.operator {
+            Some(operator) => format!("{}/{operator}", self.profile),
+            None => self.profile.clone(),
+        }
+    }
 }
 
 /// The result of a check of the audit log.

@@ -8,6 +8,7 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 
 use super::Site;
+use super::operators::Asker;
 use crate::model::{ErrorKind, ProfileName};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
@@ -17,9 +18,24 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// How often to check that.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
 
-/// What a connection holds as long as it lasts.
+/// A connection: who asks through it, and what it holds as long as it lasts.
 #[derive(Default)]
-pub struct Held {
+pub struct Connected {
+    /// Who asks.
+    pub(super) asker: Asker,
+    held: Mutex<Held>,
+}
+
+impl Connected {
+    /// Whether it has shown who asks through it.
+    pub(crate) fn is_known(&self) -> bool {
+        self.asker.is_known()
+    }
+}
+
+/// What a connection holds.
+#[derive(Default)]
+struct Held {
     consoles: HashSet<ProfileName>,
     /// Profiles whose keyrings were opened through it.
     opened: HashSet<ProfileName>,
@@ -27,8 +43,13 @@ pub struct Held {
     servers: Vec<oneshot::Sender<()>>,
 }
 
-/// What a connection holds, shared by its requests.
-pub type Claims = Arc<Mutex<Held>>;
+/// A connection, shared by its requests.
+pub type Claims = Arc<Connected>;
+
+/// The connection of another process.
+pub(crate) fn joiner() -> Claims {
+    Arc::new(Connected { asker: Asker::joined(), held: Mutex::default() })
+}
 
 /// The consoles of a site.
 #[derive(Debug, Default)]
@@ -39,7 +60,7 @@ pub(super) struct Consoles {
 }
 
 fn held(claims: &Claims) -> std::sync::MutexGuard<'_, Held> {
-    claims.lock().unwrap_or_else(PoisonError::into_inner)
+    claims.held.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Notes that a keyring was opened through a connection.

@@ -5,6 +5,7 @@
 use std::sync::Arc;
 
 use super::Site;
+use super::audit::acting::is_operator;
 use super::consoles::{Claims, opened_by, until_released};
 use crate::model::ProfileName;
 use crate::pipeline::Owner;
@@ -24,6 +25,8 @@ impl Site {
         let Request { profile, command } = request;
         let owner = || self.parts.owners.unlocked(&profile);
         match command {
+            // An operator's console takes nothing from the owner's.
+            Command::OpenConsole if is_operator() => Ok(ask::OpenConsole::told(())),
             Command::OpenConsole => self.claim(profile, claims).map(ask::OpenConsole::told),
             Command::CreateIdentity { passphrase } => {
                 let made = self.profiles.create(profile.clone(), passphrase).await?;
@@ -204,6 +207,7 @@ impl Site {
             }
             Command::OfFleet(command) => self.gateway.of_fleet(&profile, command).await,
             Command::OfUnattended(command) => self.unattended.answer(&owner()?, command).await,
+            Command::OfOperator(command) => self.operators.answer(&profile, command, claims).await,
         }
     }
 

@@ -22,6 +22,7 @@ mod identity;
 mod incidents;
 mod lifetime;
 mod mirror;
+mod operators;
 mod parts;
 mod pins;
 mod progress;
@@ -49,6 +50,7 @@ use tokio::sync::{broadcast, mpsc};
 pub use agent::{Agent, AgentEnd, AgentFigures, AgentWishes};
 pub use capture::ros::RosState;
 pub use chain::link::NetworkState;
+pub(crate) use consoles::{Claims, joiner};
 pub(crate) use contacts::BOOK;
 pub(super) use devices::enrolled::Enrolled;
 pub use devices::enrolling::EnrolWishes;
@@ -78,6 +80,7 @@ use identity::Profiles;
 use incidents::Incidents;
 use mirror::Joined;
 use mirror::remotes::Remotes;
+use operators::Operators;
 use parts::Parts;
 use pins::Pinning;
 use quarantine::Quarantine;
@@ -147,6 +150,7 @@ pub struct Site {
     pins: Arc<Pinning>,
     quarantine: Arc<Quarantine>,
     admissions: Arc<Admissions>,
+    operators: Arc<Operators>,
     gateway: Arc<Gateway>,
     audit: Arc<Audit>,
     backup: Arc<Backup>,
@@ -208,17 +212,16 @@ impl Site {
         let (recorder, judges) = recorder(&parts, &rings, &losses);
         let remote =
             config.site.as_ref().map(|site| Remotes::new(site, &parts.home, plant.provider)).transpose()?.map(Arc::new);
-        let ros = Arc::new(RosSide::new(of, &recorder, needs.ros));
         let (lanes, connection) = (Arc::new(Lanes::new(of)), Arc::new(Connection::new(of, remote.clone())));
         let (contacts, sealer) = (Arc::new(Contacts::new(of)), Arc::new(SealerThread::new(of, &rings, &losses)));
         let (joined, pins) = (Arc::new(Joined::new(of, remote.clone())), Arc::new(Pinning::new(of, &judges)));
-        let reading = Arc::new(Reading::new(of, &contacts));
-        let quarantine = Arc::new(Quarantine::new(of, &reading));
-        let admissions = Arc::new(Admissions::new(of, &contacts));
+        let (ros, reading) = (Arc::new(RosSide::new(of, &recorder, needs.ros)), Arc::new(Reading::new(of, &contacts)));
+        let (quarantine, admissions) =
+            (Arc::new(Quarantine::new(of, &reading)), Arc::new(Admissions::new(of, &contacts)));
         let (stamps, enrolments) = (Arc::new(TimeStamps::new(of)), Arc::new(Enrolments::new(of)));
         let sharing = Arc::new(Sharing::new(of, &contacts, &enrolments, &joined, &reserve));
         let gateway = Arc::new(Gateway::new(of, &sharing, &admissions, remote.clone()));
-        let watches = Arc::new(Watches::new(of, &recorder, &ros));
+        let (watches, operators) = (Arc::new(Watches::new(of, &recorder, &ros)), Arc::new(Operators::new(of)));
         let asked = identity::Asked {
             connection: &connection,
             sharing: &sharing,
@@ -276,6 +279,7 @@ impl Site {
             pins,
             quarantine,
             admissions,
+            operators,
             gateway,
             consoles: Mutex::default(),
             guests: AtomicUsize::new(0),
@@ -293,18 +297,17 @@ impl Site {
     /// A client of this site, in this process.
     pub fn client(self: &Arc<Self>, profile: ProfileName) -> Client {
         let (calls, receiver) = mpsc::unbounded_channel();
-        tokio::spawn(Arc::clone(self).serve(receiver));
+        tokio::spawn(Arc::clone(self).serve(receiver, Claims::default()));
         Client::new(profile, calls, self.parts.hub.events().clone())
     }
 
     /// Answers calls until their sender is gone; consoles claimed through it are then free again.
-    pub async fn serve(self: Arc<Self>, mut calls: mpsc::UnboundedReceiver<Call>) {
-        let claims = consoles::Claims::default();
+    pub(super) async fn serve(self: Arc<Self>, mut calls: mpsc::UnboundedReceiver<Call>, claims: Claims) {
         while let Some(Call { request, answer }) = calls.recv().await {
             let (site, claims) = (Arc::clone(&self), Arc::clone(&claims));
             tokio::spawn(async move {
                 // It is not an error if nobody waits for the answer any more.
-                drop(answer.send(site.handle(request, &claims).await));
+                drop(answer.send(site.answer(request, &claims).await));
             });
         }
         self.release(&claims);

@@ -178,7 +178,7 @@ pub fn level_word(level: NoticeLevel) -> &'static str {
 fn audit_line(view: AuditView) -> LogLine {
     let good = ["ok", "done", "begun"].contains(&view.outcome.as_str());
     let level = if good { NoticeLevel::Info } else { NoticeLevel::Warning };
-    let text = format!("{} {} {}: {}", view.profile, view.action, view.subject, view.outcome);
+    let text = format!("{} {} {}: {}", view.by(), view.action, view.subject, view.outcome);
     let (key, text) = (format!("audit {}", view.line), clean(&text, WIDEST));
     LogLine { at: view.at, level, key, source: Source::Audit, text, about: None, seen: true }
 }

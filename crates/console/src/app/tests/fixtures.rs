@@ -373,6 +373,7 @@ fn audit() -> Vec<AuditView> {
         line,
         at: Timestamp(NOW.0 - (10 - line) * 1_000_000_000),
         profile: "default".to_owned(),
+        operator: None,
         action: action.to_owned(),
         subject: subject.to_owned(),
         outcome: outcome.to_owned(),

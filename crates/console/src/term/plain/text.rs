@@ -53,8 +53,9 @@ pub fn status(state: &State) -> String {
     let badges =
         [(state.is_frozen(), ", paused"), (state.is_locked(), ", locked"), (state.settings.read_only, ", read-only")];
     let badges: String = badges.into_iter().filter(|(on, _)| *on).map(|(_, word)| word).collect();
+    let operator = state.settings.operator.as_ref().map_or_else(String::new, |name| format!(", operator {name}"));
     format!(
-        "Profile {}{badges}: {}.",
+        "Profile {}{operator}{badges}: {}.",
         state.settings.profile,
         health.unwrap_or_else(|| "the site is starting".to_owned())
     )

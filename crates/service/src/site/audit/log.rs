@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::acting::doer;
 use super::refusals::Refusals;
 use crate::model::{ProfileName, Timestamp, clean};
 use crate::pipeline::{Owner, PipelineError};
@@ -34,7 +35,7 @@ impl Log {
         &self.lines
     }
 
-    /// Writes one line; durable when this returns.
+    /// Writes one line, with the operator whose request this is, if it is one's; durable when this returns.
     pub(crate) async fn write(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -42,7 +43,7 @@ impl Log {
         subject: &str,
         outcome: &str,
     ) -> Result<(), Failure> {
-        let entry = entry(profile.as_str(), action, subject, outcome);
+        let entry = entry(&doer(profile.as_str()), action, subject, outcome);
         blocking(self, move |log| Ok(log.lines.append(entry)?)).await
     }
 
@@ -76,13 +77,13 @@ impl Log {
         action: &str,
         query: &UploadQuery,
     ) -> Result<(), Failure> {
-        let (profile, text) = (owner.profile.as_str(), query_text(query));
-        if !self.counted.is_new_query(Timestamp::now(), profile, &text) {
+        let (doer, text) = (doer(owner.profile.as_str()), query_text(query));
+        if !self.counted.is_new_query(Timestamp::now(), &doer, &text) {
             return Ok(());
         }
         let written = self.write(&owner.profile, action, &text, "done").await;
         if written.is_err() {
-            self.counted.forget_query(profile, &text);
+            self.counted.forget_query(&doer, &text);
         }
         written
     }
@@ -107,7 +108,7 @@ impl Log {
     /// Counts a local refusal if there is one.
     pub fn count_refusal<T>(&self, owner: &Owner, outcome: &Result<T, PipelineError>) {
         if let Err(PipelineError::NotGranted { .. }) = outcome {
-            let _first = self.refused(owner.profile.as_str(), "not_granted");
+            let _first = self.refused(&doer(owner.profile.as_str()), "not_granted");
         }
     }
 
@@ -184,10 +185,16 @@ fn entry(profile: &str, action: &str, subject: &str, outcome: &str) -> AuditEntr
 }
 
 fn view(line: AuditLine) -> AuditView {
+    let by = clean(&line.entry.profile, 100);
+    let (profile, operator) = match by.split_once('/') {
+        Some((profile, operator)) => (profile.to_owned(), Some(operator.to_owned())),
+        None => (by, None),
+    };
     AuditView {
         line: line.line,
         at: line.entry.at,
-        profile: clean(&line.entry.profile, 100),
+        profile,
+        operator,
         action: clean(&line.entry.action, 100),
         subject: clean(&line.entry.subject, 200),
         outcome: clean(&line.entry.outcome, 100),

@@ -1,5 +1,6 @@
 //! The audit: the log of deeds, what is only counted, and the audit of the records themselves.
 
+pub(in crate::site) mod acting;
 pub(crate) mod log;
 mod records;
 mod refusals;

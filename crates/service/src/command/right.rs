@@ -1,0 +1,196 @@
+//! Which right a request needs, in one place. An operator's connection may do what its rights say; all else is the owner's.
+//! Looking is what decrypts no message, changes nothing and hands out no file: opening records is not looking.
+
+#![deny(clippy::wildcard_enum_match_arm)]
+
+use super::{
+    Command, FleetCommand, IncidentCommand, Operation, OperatorCommand, PolicyCommand, RecordingCommand, RobotCommand,
+    StoreCommand, UnattendedCommand, Viewing, WitnessCommand,
+};
+use crate::model::OperatorRight;
+
+/// Who may make a request.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Needed {
+    /// Anybody who reaches the socket: it shows only who asks.
+    Nothing,
+    /// An operator with this right, and the owner.
+    Right(OperatorRight),
+    /// The owner alone.
+    Owner,
+}
+
+const LOOK: Needed = Needed::Right(OperatorRight::Look);
+const CAPTURE: Needed = Needed::Right(OperatorRight::Capture);
+const GRANT: Needed = Needed::Right(OperatorRight::Grant);
+
+impl Needed {
+    /// Its word, a constant: what is counted where it is refused.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Nothing => "nothing",
+            Self::Right(right) => right.word(),
+            Self::Owner => "owner",
+        }
+    }
+}
+
+impl Command {
+    /// What this request needs.
+    #[allow(clippy::too_many_lines, reason = "an arm for each request")]
+    pub fn needs(&self) -> Needed {
+        match self {
+            Self::ShowIdentity
+            | Self::ListKeys
+            | Self::ForeseeKeyChange { .. }
+            | Self::ListTopics
+            | Self::TopicCoverage { .. }
+            | Self::ListPins { .. }
+            | Self::ListQuarantine { .. }
+            | Self::ListUploads(_)
+            | Self::ShowUpload { .. }
+            | Self::ListGrants
+            | Self::ListShared(_)
+            | Self::CheckShared { .. }
+            | Self::ListDevices
+            | Self::CompareFingerprint { .. }
+            | Self::ListContacts
+            | Self::ChainStatus
+            | Self::ListSuccessions
+            | Self::SiteStatus
+            | Self::ListAudit(_)
+            | Self::VerifyAudit { .. }
+            | Self::OpenConsole => LOOK,
+            Self::WatchTopic { .. }
+            | Self::UnwatchTopic { .. }
+            | Self::PinTopic { .. }
+            | Self::UnpinTopic { .. }
+            | Self::UnpinPublisher { .. }
+            | Self::Capture { .. }
+            | Self::StopCapture => CAPTURE,
+            Self::Grant { .. } | Self::ExtendGrant { .. } | Self::Revoke { .. } => GRANT,
+            Self::CreateIdentity { .. }
+            | Self::Unlock { .. }
+            | Self::Register
+            | Self::LoadKey { .. }
+            | Self::RotateKeys
+            | Self::RotateEnvelope
+            | Self::ChangePassphrase { .. }
+            | Self::ExportKey { .. }
+            | Self::ReleaseHeld { .. }
+            | Self::DiscardHeld { .. }
+            | Self::ExportUpload { .. }
+            | Self::ExportEvidence(_)
+            | Self::StampEvidence
+            | Self::OpenShared { .. }
+            | Self::View(Viewing::ViewFile { .. } | Viewing::ViewPath { .. })
+            | Self::Play(_)
+            | Self::StopPlay
+            | Self::LendDevice { .. }
+            | Self::RecallDevice { .. }
+            | Self::AddDeviceTopics { .. }
+            | Self::AddDeviceGateway { .. }
+            | Self::EnrolDevice(_)
+            | Self::AddContact { .. }
+            | Self::RemoveContact { .. }
+            | Self::ConfirmContact { .. }
+            | Self::Administer(_)
+            | Self::NameRecovery { .. }
+            | Self::AdoptChain
+            | Self::DeployContract { .. }
+            | Self::ServeChain { .. }
+            | Self::ServeGateway { .. }
+            | Self::ExportAudit { .. }
+            | Self::OfUnattended(UnattendedCommand::PrepareUnattended { .. } | UnattendedCommand::EndUnattended) => {
+                Needed::Owner
+            }
+            Self::Policy { with } => of_policy(with),
+            Self::Recording { with } => of_recording(with),
+            Self::OfStore(command) => of_store(command),
+            Self::Operate(operation) => of_operation(operation),
+            Self::OfIncident(command) => of_incident(command),
+            Self::OfWitness(command) => of_witness(command),
+            Self::OfRobot(command) => of_robot(command),
+            Self::OfFleet(command) => of_fleet(command),
+            Self::OfOperator(command) => of_operator(command),
+        }
+    }
+}
+
+/// Learning looks at the graph only, for rules to be written.
+fn of_policy(command: &PolicyCommand) -> Needed {
+    match command {
+        PolicyCommand::Show => LOOK,
+        PolicyCommand::Learn { .. } => CAPTURE,
+    }
+}
+
+fn of_recording(command: &RecordingCommand) -> Needed {
+    match command {
+        RecordingCommand::Progress => LOOK,
+        // They read and write files as the site's user.
+        RecordingCommand::Import(_) | RecordingCommand::Export(_) => Needed::Owner,
+    }
+}
+
+fn of_store(command: &StoreCommand) -> Needed {
+    match command {
+        StoreCommand::AuditRecords { .. } => LOOK,
+        // Records of other profiles are not this owner's to show.
+        StoreCommand::ListAllUploads(_) | StoreCommand::BackUp { .. } | StoreCommand::EraseRecords(_) => Needed::Owner,
+    }
+}
+
+fn of_operation(operation: &Operation) -> Needed {
+    match operation {
+        Operation::ListWatches | Operation::ListAlerts | Operation::GatewayStatus | Operation::ListAdmitted => LOOK,
+        Operation::HoldCapture { .. } => CAPTURE,
+        Operation::Lock
+        | Operation::BackUpKeys
+        | Operation::TestAlert
+        | Operation::Admit { .. }
+        | Operation::Dismiss { .. } => Needed::Owner,
+    }
+}
+
+fn of_incident(command: &IncidentCommand) -> Needed {
+    match command {
+        IncidentCommand::ListIncidents | IncidentCommand::ShowIncident { .. } => LOOK,
+        IncidentCommand::OpenIncident { .. }
+        | IncidentCommand::NoteIncident { .. }
+        | IncidentCommand::CloseIncident { .. }
+        | IncidentCommand::RemoveIncident { .. } => Needed::Owner,
+    }
+}
+
+fn of_witness(command: &WitnessCommand) -> Needed {
+    match command {
+        WitnessCommand::ListWitnesses | WitnessCommand::WitnessStatus => LOOK,
+        WitnessCommand::AddWitness { .. } | WitnessCommand::RemoveWitness { .. } | WitnessCommand::AskWitnesses => {
+            Needed::Owner
+        }
+    }
+}
+
+fn of_robot(command: &RobotCommand) -> Needed {
+    match command {
+        RobotCommand::ListRobots | RobotCommand::ShowRobot { .. } => LOOK,
+        // The account signs what a robot obeys.
+        RobotCommand::PullRing { .. } | RobotCommand::SetRobotPolicy { .. } => Needed::Owner,
+    }
+}
+
+fn of_fleet(command: &FleetCommand) -> Needed {
+    match command {
+        FleetCommand::ListFellows | FleetCommand::FleetStatus => LOOK,
+        FleetCommand::AddFellow { .. } | FleetCommand::RemoveFellow { .. } => Needed::Owner,
+    }
+}
+
+fn of_operator(command: &OperatorCommand) -> Needed {
+    match command {
+        OperatorCommand::ChallengeOperator | OperatorCommand::ActAsOperator { .. } => Needed::Nothing,
+        OperatorCommand::ListOperators => LOOK,
+        OperatorCommand::AddOperator { .. } | OperatorCommand::RemoveOperator { .. } => Needed::Owner,
+    }
+}

@@ -1,0 +1,150 @@
+//! Every request there is, from the names that the reader of its lines lists, with the right it needs.
+#![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::{Command, Needed};
+use crate::model::OperatorRight;
+use crate::service::wire_tests::REQUESTS;
+
+/// Requests that the list of lines has no example of.
+const FURTHER: &[&str] = &[
+    r#"{"command":"unpin_publisher","topic":"/odom","publisher":{"caller_id":"/n","host":"h","type":"std_msgs/String","md5sum":"992ce8a1687cec8c8bd883ec73ca41d1"}}"#,
+    r#"{"command":"enrol_device","gateway":"h:1","fingerprint":null,"name":"scout","topics":[],"until":null,"passphrase":"p"}"#,
+    r#"{"command":"add_device_gateway","device":"scout","address":"h:1","key":"0707070707070707070707070707070707070707070707070707070707070707"}"#,
+    r#"{"command":"play","owner":null,"topics":[],"since":null,"until":null,"pace":"at_once","clock":false,"prefix":null,"remaps":[],"master":null}"#,
+    r#"{"command":"stop_play"}"#,
+    r#"{"command":"of_store","of_store":"erase_records","reason":"asked"}"#,
+    r#"{"command":"of_robot","robot":"list_robots"}"#,
+    r#"{"command":"of_robot","robot":"show_robot","name":"scout"}"#,
+    r#"{"command":"of_robot","robot":"set_robot_policy","name":"scout","text":""}"#,
+];
+
+/// Groups of requests, and the key that tells their members apart.
+const GROUPS: &[(&str, &str)] = &[
+    ("view", "view"),
+    ("of_store", "of_store"),
+    ("operate", "operation"),
+    ("of_incident", "incident"),
+    ("of_witness", "witness"),
+    ("of_robot", "robot"),
+    ("of_fleet", "fleet"),
+    ("of_unattended", "unattended"),
+    ("of_operator", "operator"),
+];
+/// Groups whose members are no texts.
+const OTHERS: &[&str] = &["policy show", "policy learn", "recording import", "recording export", "recording progress"];
+
+const LOOK: &[&str] = &[
+    "show_identity",
+    "list_keys",
+    "foresee_key_change",
+    "list_topics",
+    "topic_coverage",
+    "list_pins",
+    "list_quarantine",
+    "policy show",
+    "recording progress",
+    "list_uploads",
+    "show_upload",
+    "list_grants",
+    "list_shared",
+    "check_shared",
+    "list_devices",
+    "compare_fingerprint",
+    "list_contacts",
+    "chain_status",
+    "list_successions",
+    "site_status",
+    "list_audit",
+    "verify_audit",
+    "open_console",
+    "of_store audit_records",
+    "operate list_watches",
+    "operate list_alerts",
+    "operate gateway_status",
+    "operate list_admitted",
+    "of_incident list_incidents",
+    "of_incident show_incident",
+    "of_witness list_witnesses",
+    "of_witness witness_status",
+    "of_robot list_robots",
+    "of_robot show_robot",
+    "of_fleet list_fellows",
+    "of_fleet fleet_status",
+    "of_operator list_operators",
+];
+const CAPTURE: &[&str] = &[
+    "watch_topic",
+    "unwatch_topic",
+    "pin_topic",
+    "unpin_topic",
+    "unpin_publisher",
+    "capture",
+    "stop_capture",
+    "policy learn",
+    "operate hold_capture",
+];
+const GRANT: &[&str] = &["grant", "extend_grant", "revoke"];
+const NOTHING: &[&str] = &["of_operator challenge_operator", "of_operator act_as_operator"];
+
+/// What may stand at a place of a line, as its reader lists it when it finds something else.
+fn listed(line: &str) -> Vec<String> {
+    let error = serde_json::from_str::<Command>(line).expect_err("there is no such request").to_string();
+    let (_, names) = error.split_once("expected").unwrap_or_else(|| panic!("a list of names: {error}"));
+    names.split('`').skip(1).step_by(2).map(str::to_owned).collect()
+}
+
+/// The names of all requests.
+fn all() -> BTreeSet<String> {
+    let grouped =
+        |name: &String| GROUPS.iter().any(|(group, _)| group == name) || name == "policy" || name == "recording";
+    let mut names: BTreeSet<String> = listed(r#"{"command":"?"}"#).into_iter().filter(|name| !grouped(name)).collect();
+    for (group, key) in GROUPS {
+        let members = listed(&format!(r#"{{"command":"{group}","{key}":"?"}}"#));
+        assert!(!members.is_empty(), "{group}");
+        names.extend(members.iter().map(|member| format!("{group} {member}")));
+    }
+    names.extend(OTHERS.iter().map(|name| (*name).to_owned()));
+    names
+}
+
+fn name(line: &str) -> String {
+    let read: serde_json::Value = serde_json::from_str(line).expect("JSON");
+    let command = read["command"].as_str().expect("a command");
+    let member = match GROUPS.iter().find(|(group, _)| *group == command) {
+        Some((_, key)) => read[*key].as_str().map(str::to_owned),
+        None if command == "policy" || command == "recording" => {
+            let with = &read["with"];
+            let first = with.as_object().and_then(|members| members.keys().next().cloned());
+            first.or_else(|| with.as_str().map(str::to_owned))
+        }
+        None => None,
+    };
+    member.map_or_else(|| command.to_owned(), |member| format!("{command} {member}"))
+}
+
+#[test]
+fn each_request_needs_the_right_that_the_pages_say() {
+    let right = Needed::Right;
+    let lists = [
+        (LOOK, right(OperatorRight::Look)),
+        (CAPTURE, right(OperatorRight::Capture)),
+        (GRANT, right(OperatorRight::Grant)),
+        (NOTHING, Needed::Nothing),
+    ];
+    let mut found = BTreeMap::new();
+    for line in REQUESTS.iter().chain(FURTHER) {
+        let command: Command = serde_json::from_str(line).unwrap_or_else(|error| panic!("{line}: {error}"));
+        found.insert(name(line), command.needs());
+    }
+    let seen: BTreeSet<String> = found.keys().cloned().collect();
+    assert_eq!(seen, all(), "an example of each request");
+    for (list, _) in lists {
+        assert!(list.iter().all(|name| seen.contains(*name)), "{list:?}");
+    }
+    for (name, needs) in found {
+        let expected = lists.iter().find(|(list, _)| list.contains(&name.as_str()));
+        assert_eq!(needs, expected.map_or(Needed::Owner, |(_, needs)| *needs), "{name}");
+    }
+}

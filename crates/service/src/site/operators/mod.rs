@@ -1,0 +1,222 @@
+//! Operators of profiles: certified by the owner's key, known by a signature over a challenge of their connection, and
+//! judged by request. Each request reads what is stated of them now, so an end is heeded by connections that stand.
+
+mod asker;
+mod judging;
+#[cfg(test)]
+mod tests;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+pub(crate) use asker::Asker;
+
+use super::audit::Log;
+use super::blocking;
+use super::consoles::Claims;
+use super::identity::owners::Owners;
+use super::parts::Parts;
+use crate::config::Config;
+use crate::crypto::{
+    MOST_OPERATORS, OperatorList, OperatorStatement, OperatorTerms, check_operator, random_bytes, read_public,
+    signer_id,
+};
+use crate::model::{Address, Digest, OperatorName, ProfileName, PublicKey, Signature, Timestamp};
+use crate::paths::Home;
+use crate::pipeline::{Owner, Plant};
+use crate::service::command::{self as ask, Ask as _, OperatorCommand};
+use crate::service::failure::{input, refused};
+use crate::service::reply::{Failure, OperatorChallenge, OperatorState, OperatorView, Reply};
+use asker::Acting;
+
+/// The operators of a home's profiles.
+pub(super) struct Operators {
+    home: Home,
+    config: Arc<Config>,
+    plant: Plant,
+    log: Arc<Log>,
+    owners: Arc<Owners>,
+    changing: tokio::sync::Mutex<()>,
+    /// Deriving a key from a passphrase takes 128 MiB: one at a time.
+    proving: tokio::sync::Mutex<()>,
+}
+
+/// Whose signature counts: P_C and the account of a profile.
+type Certifier = (PublicKey, Address);
+
+impl Operators {
+    /// From the shared parts.
+    pub fn new(parts: &Parts) -> Self {
+        let Parts { home, config, plant, log, owners, .. } = parts.clone();
+        Self {
+            home,
+            config,
+            plant,
+            log,
+            owners,
+            changing: tokio::sync::Mutex::default(),
+            proving: tokio::sync::Mutex::default(),
+        }
+    }
+
+    /// Answers one of the requests about operators.
+    pub async fn answer(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        command: OperatorCommand,
+        claims: &Claims,
+    ) -> Result<Reply, Failure> {
+        match command {
+            OperatorCommand::AddOperator { name, key, rights, until } => {
+                let terms = OperatorTerms { name, key, rights, from: Timestamp::now(), until };
+                self.add(&self.owners.unlocked(profile)?, terms).await.map(ask::AddOperator::told)
+            }
+            OperatorCommand::RemoveOperator { name } => {
+                self.remove(profile, &name).await.map(ask::RemoveOperator::told)
+            }
+            OperatorCommand::ListOperators => self.rows(profile).await.map(ask::ListOperators::told),
+            OperatorCommand::ChallengeOperator => {
+                let challenge = random_bytes()?;
+                claims.asker.challenge(challenge);
+                let account = self.owners.address_of(profile)?;
+                Ok(ask::ChallengeOperator::told(OperatorChallenge { challenge: Digest(challenge), account }))
+            }
+            OperatorCommand::ActAsOperator { name, proof } => {
+                self.act(profile, name, proof, &claims.asker).await.map(ask::ActAsOperator::told)
+            }
+        }
+    }
+
+    fn file(&self, profile: &ProfileName) -> PathBuf {
+        self.home.profile(profile).join("operators")
+    }
+
+    /// Waits for the disk.
+    fn certifier(&self, profile: &ProfileName) -> Result<Certifier, Failure> {
+        if let Some(owner) = self.owners.get(profile) {
+            return Ok((owner.public_keys().0, owner.address));
+        }
+        let public = read_public(&self.home.keyring(profile))?;
+        Ok((public.signing, public.address))
+    }
+
+    /// The statements of a profile, and whose signature they need.
+    async fn stated(self: &Arc<Self>, profile: &ProfileName) -> Result<(OperatorList, Certifier), Failure> {
+        let profile = profile.clone();
+        blocking(self, move |operators| {
+            Ok((OperatorList::read(&operators.file(&profile))?, operators.certifier(&profile)?))
+        })
+        .await
+    }
+
+    fn state(&self, statement: &OperatorStatement, (signing, account): &Certifier) -> OperatorState {
+        let (now, terms) = (Timestamp::now(), &statement.terms);
+        if statement.check(self.plant.provider, signing, account).is_err() {
+            OperatorState::NotSigned
+        } else if now < terms.from {
+            OperatorState::NotYet
+        } else if terms.until.is_some_and(|until| now >= until) {
+            OperatorState::Expired
+        } else {
+            OperatorState::Stands
+        }
+    }
+
+    fn view(&self, statement: &OperatorStatement, certifier: &Certifier) -> OperatorView {
+        let OperatorTerms { name, key, rights, from, until } = statement.terms.clone();
+        OperatorView { name, key: signer_id(&key), rights, from, until, state: self.state(statement, certifier) }
+    }
+
+    async fn rows(self: &Arc<Self>, profile: &ProfileName) -> Result<Vec<OperatorView>, Failure> {
+        let (list, certifier) = self.stated(profile).await?;
+        Ok(list.0.iter().map(|statement| self.view(statement, &certifier)).collect())
+    }
+
+    async fn write(self: &Arc<Self>, profile: &ProfileName, list: OperatorList) -> Result<(), Failure> {
+        let path = self.file(profile);
+        blocking(self, move |_| Ok(list.write(&path)?)).await
+    }
+
+    async fn add(self: &Arc<Self>, owner: &Arc<Owner>, terms: OperatorTerms) -> Result<Vec<OperatorView>, Failure> {
+        let (profile, name) = (&owner.profile, &terms.name);
+        if terms.until.is_some_and(|until| until <= terms.from) {
+            return Err(input("the end of an operator's time must be later than now"));
+        }
+        let (signing, envelope) = owner.public_keys();
+        if [signing, envelope].contains(&terms.key) {
+            return Err(input("that is a key of the profile itself; an operator needs one of its own"));
+        }
+        let _one_at_a_time = self.changing.lock().await;
+        let (mut list, certifier) = self.stated(profile).await?;
+        if list.of(name).is_some() {
+            return Err(refused(format!(
+                "profile '{profile}' has an operator '{name}' already; end it first with `authros operators remove {name}`"
+            )));
+        }
+        if let Some(other) = list.0.iter().find(|other| other.terms.key == terms.key) {
+            return Err(refused(format!(
+                "this key is that of operator '{}'; give each a key of its own",
+                other.terms.name
+            )));
+        }
+        if list.0.len() >= MOST_OPERATORS {
+            return Err(refused(format!("a profile has at most {MOST_OPERATORS} operators; remove one first")));
+        }
+        let end = terms.until.map_or_else(String::new, |until| format!(" until {until}"));
+        let subject = format!("{name}: {}{end} (key {})", terms.rights, signer_id(&terms.key));
+        let statement = OperatorStatement::sign(self.plant.provider, &owner.signing(), &certifier.1, terms)?;
+        self.log.begin(owner, "add operator", &subject).await?;
+        list.0.push(statement);
+        let written = self.write(profile, list).await;
+        self.log.end(owner, "add operator", &subject, written).await?;
+        self.rows(profile).await
+    }
+
+    /// Needs no keyring: an end must be possible at any time.
+    async fn remove(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        name: &OperatorName,
+    ) -> Result<Vec<OperatorView>, Failure> {
+        let _one_at_a_time = self.changing.lock().await;
+        let (mut list, _) = self.stated(profile).await?;
+        let Some(statement) = list.of(name) else {
+            return Err(input(format!(
+                "profile '{profile}' has no operator '{name}'; `authros operators list` shows them"
+            )));
+        };
+        let subject = format!("{name} (key {})", signer_id(&statement.terms.key));
+        self.log.write(profile, "remove operator", &subject, "begun").await?;
+        list.0.retain(|other| other.terms.name != *name);
+        self.write(profile, list).await?;
+        self.rows(profile).await
+    }
+
+    /// Takes a connection for that of an operator, who signed its challenge.
+    async fn act(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        name: OperatorName,
+        proof: Signature,
+        asker: &Asker,
+    ) -> Result<OperatorView, Failure> {
+        let challenge = asker.take_challenge();
+        let (list, certifier) = self.stated(profile).await?;
+        let statement = list.of(&name).filter(|one| self.state(one, &certifier) == OperatorState::Stands);
+        let proven = challenge.zip(statement).filter(|(challenge, statement)| {
+            let asked = (challenge, &certifier.1, profile.as_str());
+            check_operator(self.plant.provider, &statement.terms, asked, &proof).is_ok()
+        });
+        let Some((_, statement)) = proven else {
+            let _first = self.log.refused(profile.as_str(), "operator's proof");
+            return Err(refused(format!(
+                "'{name}' is no operator of profile '{profile}' now, or this is not its key, or the signature is of \
+                 another connection; its owner sees who is one with `authros operators list`"
+            )));
+        };
+        if !asker.act(Acting { profile: profile.clone(), name, key: statement.terms.key }) {
+            return Err(refused("this connection acts as an operator already; open another one"));
+        }
+        Ok(self.view(statement, &certifier))
+    }
+}
