@@ -112,7 +112,7 @@ impl Gateway {
                 continue;
             };
             // Without its chain it could judge nothing that it is handed.
-            let Ok(network) = desk.fresh_network() else { continue };
+            let Ok(network) = desk.known_network() else { continue };
             let mut more = true;
             while more && !self.life.is_stopping() {
                 more = tokio::select! {
