@@ -99,7 +99,13 @@ mod tests {
     #[test]
     fn proof_of_work_is_given_ten_mean_pauses_whatever_is_in_its_blocks() {
         assert_eq!(seconds("pow", &[(12, false); 8]), Some(120));
-        assert_eq!(seconds("pow", &[(3, false), (45, true), (1, false), (7, true), (2, true), (30, true), (4, false), (4, true)]), Some(120));
+        assert_eq!(
+            seconds(
+                "pow",
+                &[(3, false), (45, true), (1, false), (7, true), (2, true), (30, true), (4, false), (4, true)]
+            ),
+            Some(120)
+        );
         assert_eq!(seconds("pow", &[(12, true); 7]), None, "too few to tell");
     }
 }

@@ -54,7 +54,14 @@ impl Link {
     pub fn new(hub: Arc<Hub>, needed: bool) -> Self {
         let state = if needed { NetworkState::Connecting } else { NetworkState::Off };
         let (state, scanned) = (watch::channel(state).0, watch::channel(0).0);
-        Self { hub, state, scanned, silent: AtomicBool::new(false), head: Mutex::default(), freshness: Mutex::default() }
+        Self {
+            hub,
+            state,
+            scanned,
+            silent: AtomicBool::new(false),
+            head: Mutex::default(),
+            freshness: Mutex::default(),
+        }
     }
 
     /// Its present state.

@@ -79,9 +79,10 @@ impl Watch {
     /// `None` = it is gone, or nobody listens any more.
     async fn right(&self, keys: &Keys, sender: &mpsc::Sender<Entry>) -> Option<ReadingRight> {
         while !sender.is_closed() {
-            let found = self.desk.freshen().await.and_then(|()| {
-                tokio::task::block_in_place(|| self.reach().and_then(|now| Ok((now, self.keys()?))))
-            });
+            let found =
+                self.desk.freshen().await.and_then(|()| {
+                    tokio::task::block_in_place(|| self.reach().and_then(|now| Ok((now, self.keys()?))))
+                });
             match found {
                 Ok((now, same)) if same == *keys => return Some(now),
                 Err(refusal) if refusal.code == Code::Stale => tokio::time::sleep(AGAIN).await,

@@ -4,12 +4,12 @@ use std::time::{Duration, Instant};
 
 use super::GatewayDesk;
 use super::standing::{entry, proof, standing};
-use crate::site::chain::freshness::GRACE;
 use crate::gateway::{Caller, Code, Fetched, Page, Query, Refusal, Selection, Standing, Stood};
 use crate::model::{Address, Digest, Scope, SignerId, Timestamp};
 use crate::pipeline::Network;
 use crate::pipeline::authority::{self, Moment, NoRight, Policy, ReadRefused, ReadingRight, SigningRight};
 use crate::pipeline::authority::{may_read, may_sign};
+use crate::site::chain::freshness::GRACE;
 use crate::store::{RecordQuery, RecordRow};
 use tokio::time::timeout;
 
