@@ -181,6 +181,10 @@ impl Desk for GatewayDesk {
             let key = key.ok_or_else(|| Refusal::new(Code::Internal, "the transport key at rest does not open"))?;
             drop(under);
             let KeptBinding { account, signing, envelope, device, .. } = kept;
+            if desk.known_network().is_ok_and(|network| desk.check_reserved(&network, &account, &name).is_err()) {
+                // Taken before such names were reserved: whose it is may have it now.
+                return Ok(None);
+            }
             let device = device.map(|(id, notices)| BoundDevice { id, notices });
             if let Some(device) = &device
                 && desk.is_recalled(&account, &device.id)?

@@ -13,6 +13,7 @@ mod live;
 mod passing;
 mod reading;
 mod reconciling;
+pub(super) mod reserved;
 mod round;
 mod standing;
 pub(super) mod status;
