@@ -5,6 +5,8 @@ mod admission;
 #[cfg(test)]
 mod admission_tests;
 pub(super) mod admissions;
+#[cfg(test)]
+mod cut_off_tests;
 mod desk;
 mod devices;
 mod fellows;
