@@ -31,7 +31,7 @@ async fn served(chain: &Chain, address: &str) -> Served {
     let ended = tokio::spawn(async move {
         chain.serve(listener, async { drop(stopped.await) }).await.expect("serves");
     });
-    Served { address, stop: stop, ended }
+    Served { address, stop, ended }
 }
 
 impl Served {
