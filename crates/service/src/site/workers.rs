@@ -117,7 +117,10 @@ async fn watch(site: Arc<Site>) {
                 site.parts.link.has_scanned(head.number);
                 site.parts.hub.stages.spent(Stage::Watch, begun.elapsed());
                 site.parts.link.answers(true);
-                site.parts.link.measure(&network.chain).await;
+                // Only a gateway has to know, and it costs a few requests.
+                if site.gateway.is_serving() {
+                    site.parts.link.measure(&network.chain).await;
+                }
                 if head.number != seen {
                     seen = head.number;
                     site.parts.hub.changed(Part::Chain);

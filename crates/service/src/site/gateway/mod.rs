@@ -166,6 +166,11 @@ impl Gateway {
         self.serving.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|serving| serving.view.clone())
     }
 
+    /// Whether a gateway is running here.
+    pub fn is_serving(&self) -> bool {
+        self.serving.lock().unwrap_or_else(PoisonError::into_inner).is_some()
+    }
+
     /// Figures of the gateway running here, if there is one.
     pub fn figures(&self) -> Option<GatewayFigures> {
         let serving = self.serving.lock().unwrap_or_else(PoisonError::into_inner);
