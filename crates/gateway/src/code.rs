@@ -76,8 +76,9 @@ codes! {
     Busy = 19 Unreachable "the gateway has no room at the moment; try again later";
     /// Not allowed in this session.
     NotHere = 20 Refused "this command is not accepted in this session; connect with a transport key";
-    /// The chain has no recent head, so authority cannot be determined.
-    Stale = 21 Unreachable "the gateway cannot reach the chain; try again later";
+    /// The gateway does not know the chain as it is now, so authority cannot be determined.
+    Stale = 21 Unreachable "the gateway does not know the chain's newest block now, so it cannot tell who may do this; \
+                            it answers again as soon as it does, so try again in a few seconds";
     /// The gateway is stopping.
     Closing = 22 Unreachable "the gateway is stopping; try again later";
     /// An internal error of the gateway.

@@ -2,6 +2,8 @@
 //! signed by d_C and numbered. This is the robot's side: it subscribes at its gateway, takes notices newer than those it has, saves them
 //! and applies them.
 
+mod newest;
+
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,7 +17,7 @@ use crate::crypto::{
     Anchor, Enrolment, Expected, Fingerprint, GatewayAccess, IssuedKeys, Notice, Provider, SealedEnrolment,
     SignedPolicy, notice_topic, open,
 };
-use crate::gateway::{Client, Entry, Fetched, GatewayError, Query, Selection};
+use crate::gateway::{Client, Code, Entry, Fetched, GatewayError, Query, Selection};
 use crate::model::{Header, RecordKind, RecorderId, RingSpan, Signature, Timestamp, clean};
 use crate::store::{Ledger, RecordQuery, RecordRow};
 
@@ -24,6 +26,8 @@ use super::{Author, Observer, PipelineError, Plant, disk_ring};
 
 /// The time between two checks of the whole list, in case a subscription missed something.
 const LOOK: Duration = Duration::from_secs(300);
+/// How long to wait after a gateway could not tell who may read, or a notice could not be stored.
+const AGAIN: Duration = Duration::from_secs(2);
 /// Entries of one page.
 const PAGE: u16 = 100;
 /// The most notices looked at in the owner's own ledger, the newest.
@@ -53,8 +57,13 @@ pub struct Notices {
     /// Whether it has one now.
     has_ring: Arc<AtomicBool>,
     policies: Option<Arc<dyn PolicyTaker>>,
+    /// Remembers when the newest notice taken was sealed.
+    memory: Option<Ledger>,
     subscribed: bool,
+    /// When the list was read. Until it is, what a subscription brings is left to it: notices are taken in order.
     looked: Option<Instant>,
+    /// Nothing is asked before.
+    rests_until: Option<Instant>,
 }
 
 impl Notices {
@@ -77,8 +86,10 @@ impl Notices {
             ring: None,
             has_ring: Arc::new(AtomicBool::new(true)),
             policies: None,
+            memory: None,
             subscribed: false,
             looked: None,
+            rests_until: None,
         }
     }
 
@@ -97,6 +108,13 @@ impl Notices {
     #[must_use]
     pub fn with_ring_while(self, ledger: Ledger, has_ring: &Arc<AtomicBool>) -> Self {
         Self { has_ring: Arc::clone(has_ring), ..self.with_ring(ledger) }
+    }
+
+    /// The same for a robot that remembers in its ledger when the newest notice was sealed: it then obeys an owner whose home
+    /// was restored, and whose notices are numbered anew.
+    #[must_use]
+    pub fn with_memory(self, ledger: Ledger) -> Self {
+        Self { memory: Some(ledger), ..self }
     }
 
     /// The same for a robot that takes policies; to another one they are of an unknown kind.
@@ -119,18 +137,24 @@ impl Notices {
     fn may_be_newer(&self, entry: &Entry) -> bool {
         let selection = self.selection();
         (Some(entry.kind), Some(entry.topic_id)) == (selection.kind, selection.topic_id)
-            && self.is_newer((entry.recorder, entry.seq, entry.epoch))
+            && self.is_newer((entry.recorder, entry.seq, entry.epoch), entry.captured_at)
     }
 
-    /// Whether a notice of this recorder, number and epoch is newer than the newest one taken.
-    fn is_newer(&self, (recorder, seq, epoch): (RecorderId, u64, u64)) -> bool {
+    /// Whether a notice of this recorder, number and epoch, sealed at `at`, is newer than the newest one taken. A restored home
+    /// is another recorder and numbers from 1: then the owner's signed time decides, so that nothing old is new.
+    fn is_newer(&self, (recorder, seq, epoch): (RecorderId, u64, u64), at: Timestamp) -> bool {
         let enrolment = &self.sealed.enrolment;
         let known = enrolment.keys.now.epoch;
         match enrolment.noticed {
             Some((last, number)) if last == recorder => seq > number && epoch >= known,
-            Some(_) => epoch > known,
+            Some(last) => epoch > known || epoch == known && self.sealed_at(last).is_some_and(|last| at > last),
             None => epoch >= known,
         }
+    }
+
+    /// When the newest notice taken was sealed, if this robot remembers it.
+    fn sealed_at(&self, newest: (RecorderId, u64)) -> Option<Timestamp> {
+        self.memory.as_ref().and_then(|ledger| block_in_place(|| newest::sealed_at(ledger, newest)))
     }
 
     /// Searches the list for newer notices, and takes them in order: they may be of several kinds.
@@ -144,29 +168,47 @@ impl Notices {
             let Some(next) = page.next else { break };
             query.cursor = next;
         }
-        newer.sort_unstable_by_key(|entry| (entry.epoch, entry.seq));
+        let last = self.sealed.enrolment.noticed.map(|(recorder, _)| recorder);
+        newer.sort_unstable_by_key(|entry| {
+            let is_other = last.is_some_and(|last| last != entry.recorder);
+            (entry.epoch, is_other, if is_other { entry.captured_at.0 } else { 0 }, entry.seq)
+        });
         for entry in newer {
             let record = client.fetch(&entry.digest).await?;
-            self.hear(&entry, &record);
+            if !self.hear(&entry, &record) {
+                // Those behind it would count as newer, and it would never be taken.
+                self.rest();
+                return Ok(());
+            }
         }
         self.looked = Some(Instant::now());
         Ok(())
     }
 
-    /// Takes a notice if it is the owner's, for this device, and newer; anything else changes nothing.
-    pub(super) fn hear(&mut self, entry: &Entry, record: &Fetched) {
+    /// Nothing is asked for a moment; then the list is read again.
+    fn rest(&mut self) {
+        (self.looked, self.rests_until) = (None, Some(Instant::now() + AGAIN));
+    }
+
+    /// Takes a notice if it is the owner's, for this device, and newer; anything else changes nothing. Returns whether it is
+    /// dealt with: one that could not be stored has to be heard again before those behind it.
+    pub(super) fn hear(&mut self, entry: &Entry, record: &Fetched) -> bool {
         if !self.may_be_newer(entry) {
-            return;
+            return true;
         }
         match self.opened(record) {
             Ok((header, notice)) => {
-                if let Err(error) = self.obey(&header, notice) {
-                    self.observer.alert(true, format!("the owner's notice cannot be stored: {error}"));
-                }
+                let before = self.sealed.enrolment.clone();
+                let Err(error) = self.obey(&header, notice) else { return true };
+                self.observer.alert(true, format!("the owner's notice cannot be stored: {error}"));
+                self.sealed.enrolment = before;
+                // What this robot will not do is not better the next time.
+                matches!(error, PipelineError::Refused(_))
             }
             Err(error) => {
                 let text = format!("ignored a notice that is not from the owner or not for this robot: {error}");
                 self.observer.alert(true, clean(&text, 300));
+                true
             }
         }
     }
@@ -174,7 +216,7 @@ impl Notices {
     fn opened(&self, record: &Fetched) -> Result<(Header, Notice), PipelineError> {
         let (header, notice) = open_notice(self.provider, &self.sealed.enrolment, &record.blob, &record.signature)?;
         // The entry is the gateway's word; only the signed header's number tells an old notice from a new one.
-        if !self.is_newer((header.recorder, header.seq, header.epoch)) {
+        if !self.is_newer((header.recorder, header.seq, header.epoch), header.captured_at) {
             return Err(PipelineError::Refused("it is an old one that the gateway gives out as new".to_owned()));
         }
         Ok((header, notice))
@@ -223,7 +265,11 @@ impl Notices {
                 return Ok(());
             }
         };
-        enrolment.noticed = Some((header.recorder, header.seq));
+        let newest = (header.recorder, header.seq);
+        enrolment.noticed = Some(newest);
+        if let Some(ledger) = &self.memory {
+            block_in_place(|| newest::remember(ledger, newest, header.captured_at))?;
+        }
         block_in_place(|| self.sealed.save(&self.kept))?;
         self.observer.alert(false, told);
         let gateways = &self.sealed.enrolment.gateways;
@@ -347,11 +393,27 @@ fn told(before: &IssuedKeys, after: &IssuedKeys) -> String {
 impl Errand for Notices {
     async fn begin(&mut self, client: &mut Client) -> Result<(), ForwardError> {
         self.subscribed = false;
-        self.looked = None;
+        (self.looked, self.rests_until) = (None, None);
         self.run(client).await
     }
 
     async fn run(&mut self, client: &mut Client) -> Result<(), ForwardError> {
+        if self.rests_until.is_some_and(|until| Instant::now() < until) {
+            return Ok(());
+        }
+        match self.attend(client).await {
+            // That gateway does not know its chain now and tells nobody anything; it takes records all the same.
+            Err(ForwardError::Gateway(GatewayError::Refused(Code::Stale))) => {
+                self.rest();
+                Ok(())
+            }
+            done => done,
+        }
+    }
+}
+
+impl Notices {
+    async fn attend(&mut self, client: &mut Client) -> Result<(), ForwardError> {
         if !self.subscribed {
             client.subscribe(&self.selection()).await?;
             self.subscribed = true;
@@ -359,9 +421,17 @@ impl Errand for Notices {
         if self.looked.is_none_or(|at| at.elapsed() > LOOK) {
             self.look(client).await?;
         }
+        if self.looked.is_none() {
+            return Ok(());
+        }
         loop {
             match client.next_event(Duration::ZERO).await {
-                Ok((_, entry, record)) => self.hear(&entry, &record),
+                Ok((_, entry, record)) => {
+                    if !self.hear(&entry, &record) {
+                        self.rest();
+                        return Ok(());
+                    }
+                }
                 Err(GatewayError::TimedOut) => return Ok(()),
                 // The subscription ended; what it missed is in the list.
                 Err(GatewayError::Refused(code)) if !code.ends_session() => {

@@ -24,6 +24,8 @@ const PARTS: u32 = 16;
 const LARGEST: u64 = 16 << 20;
 /// Between two fsyncs: a process that is killed loses nothing, a machine without power what came since.
 const SYNC_EVERY: Duration = Duration::from_secs(1);
+/// Nanoseconds; what a clock gains or loses less than that at once is no jump.
+const SHORTEST_JUMP: i128 = 5_000_000_000;
 
 /// The file with what fell out: lines of count and topic.
 const FALLEN: &str = "fallen";
@@ -83,6 +85,8 @@ pub struct DiskRing {
     definitions: HashSet<KnownDefinition>,
     /// Messages that are gone, by topic.
     fallen: BTreeMap<String, u64>,
+    /// When the clock was last looked at, and what it said.
+    looked: (Instant, Timestamp),
 }
 
 impl DiskRing {
@@ -104,6 +108,7 @@ impl DiskRing {
             definitions: HashSet::new(),
             // What cannot be read begins anew: it is a count of what is gone, and nothing rests on it.
             fallen: counts(&fs::read_to_string(folder.join(FALLEN)).unwrap_or_default()),
+            looked: (Instant::now(), Timestamp::now()),
         };
         for (number, path) in segment::list(folder)? {
             ring.segments.insert(number, Segment::open(path)?);
@@ -119,7 +124,8 @@ impl DiskRing {
     /// [`StoreError::Home`] if a file cannot be removed.
     pub fn set_limits(&mut self, limits: RingLimits) -> Result<(), StoreError> {
         self.limits = limits;
-        self.tend(Timestamp::now())?;
+        let now = self.now();
+        self.tend(now)?;
         self.make_room(0)
     }
 
@@ -153,6 +159,28 @@ impl DiskRing {
         *self.fallen.entry(topic.to_owned()).or_default() += 1;
     }
 
+    /// The time by this machine's clock. If that has jumped since it was last looked at, what is in the ring is no older and
+    /// no younger for it.
+    pub fn now(&mut self) -> Timestamp {
+        let (at, now) = (Instant::now(), Timestamp::now());
+        let passed = i128::try_from(at.saturating_duration_since(self.looked.0).as_nanos()).unwrap_or(i128::MAX);
+        let jump = i128::from(now.0) - i128::from(self.looked.1.0) - passed;
+        self.looked = (at, now);
+        if jump.abs() >= SHORTEST_JUMP {
+            self.jumped(jump, now);
+        }
+        now
+    }
+
+    /// The clock gained or lost so many nanoseconds at once and says `now`. From here on there is another file.
+    fn jumped(&mut self, by: i128, now: Timestamp) {
+        self.close();
+        for segment in self.segments.values_mut() {
+            let moved = (i128::from(segment.ages_from().0) + by).clamp(0, i128::from(now.0));
+            segment.moved = u64::try_from(moved).ok().map(Timestamp);
+        }
+    }
+
     /// What falls out by its age falls out.
     ///
     /// # Errors
@@ -160,7 +188,7 @@ impl DiskRing {
     pub fn tend(&mut self, now: Timestamp) -> Result<(), StoreError> {
         let time = u64::try_from(self.limits.time.as_nanos()).unwrap_or(u64::MAX);
         let due = Timestamp(now.0.saturating_sub(time));
-        while let Some(oldest) = self.segments.values().next().filter(|oldest| oldest.last < due) {
+        while let Some(oldest) = self.segments.values().next().filter(|oldest| oldest.ages_from() < due) {
             // Nothing of a file is older than the messages that are not in it yet.
             if self.writer.is_some() && self.segments.len() == 1 && oldest.messages.is_empty() {
                 break;

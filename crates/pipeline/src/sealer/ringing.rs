@@ -7,7 +7,7 @@ use std::sync::{Arc, PoisonError};
 use super::plan::{Content, Plan, Task};
 use super::sealing::seal_all;
 use super::{Sealer, cause};
-use crate::model::{LossReason, Timestamp, TopicId};
+use crate::model::{LossReason, TopicId};
 use crate::pipeline::PipelineError;
 use crate::pipeline::disk_ring::SharedRing;
 use crate::pipeline::recorder::CapturedMessage;
@@ -49,7 +49,8 @@ impl Sealer {
             return Err(full.into());
         }
         let incoming = items.iter().map(|item| (item.weight() + item.message.definition.len()) as u64).sum();
-        ring.begin_round(incoming, Timestamp::now())?;
+        let now = ring.now();
+        ring.begin_round(incoming, now)?;
         let plan = self.ring_plan(&mut ring, items);
         let ready = seal_all(&self.plant, self.boot_id, &plan.tasks)?;
         self.learn(&plan.tasks, &ready);

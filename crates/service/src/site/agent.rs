@@ -138,6 +138,7 @@ impl Agent {
         let notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept);
         let mut ring = ring.map(|ring| AgentRing::begin(site, &author, ring)).transpose()?;
         policy.has_ring.store(ring.is_some(), Ordering::Release);
+        let notices = notices.with_memory(site.plant.ledger.clone());
         let notices = notices.with_ring_while(site.plant.ledger.clone(), &policy.has_ring);
         let notices = notices.with_policies(Arc::clone(&policy.keeper) as _);
         let told = notices.gateways();

@@ -112,10 +112,15 @@ async fn watch(site: Arc<Site>) {
         let begun = Instant::now();
         let pause = match watcher::watch_round(&site.plant, &network).await {
             Ok(head) => {
+                // The head was asked for at the earliest when the round began. Who waits for its block looks at it next.
+                site.parts.link.saw_head(head, begun);
                 site.parts.link.has_scanned(head.number);
                 site.parts.hub.stages.spent(Stage::Watch, begun.elapsed());
                 site.parts.link.answers(true);
-                site.parts.link.saw_head(head);
+                // Only a gateway has to know, and it costs a few requests.
+                if site.gateway.is_serving() {
+                    site.parts.link.measure(&network.chain).await;
+                }
                 if head.number != seen {
                     seen = head.number;
                     site.parts.hub.changed(Part::Chain);

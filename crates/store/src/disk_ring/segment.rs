@@ -31,6 +31,8 @@ pub(super) struct Segment {
     /// Capture of its first and last record.
     pub first: Timestamp,
     pub last: Timestamp,
+    /// From when on it ages in place of its last capture, because the clock has jumped since.
+    pub moved: Option<Timestamp>,
     /// Messages of each topic, without definitions.
     pub messages: BTreeMap<String, u64>,
 }
@@ -59,7 +61,7 @@ impl Segment {
     /// An empty one.
     pub fn new(path: PathBuf) -> Self {
         let (first, last) = (Timestamp(u64::MAX), Timestamp(0));
-        Self { path, bytes: MAGIC.len() as u64, first, last, messages: BTreeMap::new() }
+        Self { path, bytes: MAGIC.len() as u64, first, last, moved: None, messages: BTreeMap::new() }
     }
 
     /// What is in a file; what was not written to its end is cut off.
@@ -86,6 +88,11 @@ impl Segment {
             file.set_len(segment.bytes).map_err(failed)?;
         }
         Ok(segment)
+    }
+
+    /// From when on it ages.
+    pub fn ages_from(&self) -> Timestamp {
+        self.moved.unwrap_or(self.last)
     }
 
     /// Counts a record that is in the file now.

@@ -130,6 +130,40 @@ fn what_is_older_or_does_not_fit_falls_out_and_is_counted() {
 }
 
 #[test]
+fn a_clock_that_jumps_empties_no_ring() {
+    const DAY: u64 = 86_400 * SECOND;
+    for (by, name) in [(i128::from(DAY), "ahead"), (-i128::from(DAY), "back")] {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut ring = ring(folder.path(), limits(160, 1 << 24));
+        let begun = now() - 100 * SECOND;
+        for second in 0..100 {
+            add(&mut ring, CAMERA, begun + second * SECOND, 50);
+        }
+        let jumped = u64::try_from(i128::from(begun + 100 * SECOND) + by).expect("a time");
+        ring.jumped(by, Timestamp(jumped));
+        add(&mut ring, CAMERA, jumped, 50);
+        assert_eq!(ring.figures().messages, 101, "{name}");
+        // It ages as if the clock had not jumped: ten seconds a file.
+        add(&mut ring, CAMERA, jumped + 110 * SECOND, 50);
+        let left = ring.figures().messages;
+        assert!((52..=63).contains(&left), "{name}: {left} left after 210 seconds");
+        add(&mut ring, CAMERA, jumped + 175 * SECOND, 50);
+        assert_eq!(ring.figures().messages, 2, "{name}: what came before the jump is gone");
+    }
+    // A machine that begins in 1970 and is set then: what is of the last start ages from now on.
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut ring = ring(folder.path(), limits(160, 1 << 24));
+    add(&mut ring, CAMERA, now(), 50);
+    let set = now() + 3600 * SECOND;
+    ring.jumped(i128::from(set), Timestamp(set));
+    ring.tend(Timestamp(set + 159 * SECOND)).expect("tended");
+    assert_eq!(ring.figures().messages, 1);
+    ring.tend(Timestamp(set + 161 * SECOND)).expect("tended");
+    assert_eq!(ring.figures().messages, 0);
+    assert!(ring.now().0 >= set - 3600 * SECOND, "and the clock that did not jump moves nothing");
+}
+
+#[test]
 fn every_file_stands_alone_and_a_torn_or_foreign_one_hides_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut begun = ring(folder.path(), limits(3600, 1 << 20));

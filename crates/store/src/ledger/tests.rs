@@ -8,6 +8,7 @@ mod erased;
 mod gaps;
 mod glance;
 mod groups;
+mod holdings;
 mod incidents;
 mod model;
 mod numbered;

@@ -48,6 +48,17 @@ pub(super) fn record(
     (seq, epoch): (u64, u64),
     notice: &Notice,
 ) -> Upload {
+    numbered(scene, signer, device, (RecorderId([8; 16]), seq, epoch, Timestamp(seq)), notice)
+}
+
+/// The same with the owner's recorder and time.
+fn numbered(
+    scene: &Scene,
+    signer: &SmKeyPair,
+    device: SignerId,
+    (recorder, seq, epoch, captured_at): (RecorderId, u64, u64, Timestamp),
+    notice: &Notice,
+) -> Upload {
     let (name, body) = (notice_topic(&device), notice.encode());
     let head = Head {
         topic: name.clone(),
@@ -66,12 +77,12 @@ pub(super) fn record(
         signer,
         epoch,
         topic_key: &TopicKey::new([4; 32]),
-        recorder: RecorderId([8; 16]),
+        recorder,
         seq,
         topic_id: topic_id(&IndexKey::new([3; 32]), &name),
         kind: RecordKind::Key,
         filters: Vec::new(),
-        captured_at: Timestamp(seq),
+        captured_at,
         head: &head,
         body: &body,
     };
@@ -204,6 +215,65 @@ async fn a_ring_is_asked_for_by_its_owner_alone_and_each_request_counts_once() {
     work.abort();
 }
 
+/// A notice as a gateway gives it, under the number and epoch that it says.
+fn given(scene: &Scene, upload: Upload, seq: u64, epoch: u64) -> (Entry, Fetched) {
+    let (header, _) = Header::parse(&upload.blob).expect("a header");
+    let entry = Entry {
+        digest: Digest(context().provider.sm3(&[&upload.blob])),
+        owner: header.owner,
+        recorder: header.recorder,
+        seq,
+        topic_id: header.topic_id,
+        epoch,
+        captured_at: header.captured_at,
+        length: upload.blob.len() as u64,
+        kind: header.kind,
+        standing: Standing::Verified,
+    };
+    let Upload { signature, blob } = upload;
+    (entry, Fetched { signer: scene.alice.signing.public, signature, proof: Vec::new(), blob })
+}
+
+/// The owner's home was restored: another recorder, numbers from 1, the same epoch.
+#[tokio::test(flavor = "multi_thread")]
+async fn after_a_restore_an_owner_is_obeyed_at_once_and_what_is_older_never() {
+    let scene = Scene::new().await;
+    let passphrase = Passphrase::new("correct horse".to_owned()).expect("long enough");
+    let own = signer_id(&scene.device.public);
+    let topics = "/camera/**".parse().expect("a pattern");
+    let span = RingSpan { since: Timestamp(1), until: Timestamp(100), topics };
+    let (before, restored) = (RecorderId([8; 16]), RecorderId([7; 16]));
+    for remembers in [false, true] {
+        let sealed = SealedEnrolment::new(enrolment(&scene), &passphrase).expect("stretches");
+        let (kept, author) =
+            (scene.home.path().join(format!("kept-{remembers}")), Arc::new(Author::new(scene.alice.account())));
+        author.obey(&sealed.enrolment);
+        let ledger = || scene.plant.ledger.clone();
+        let notices = Notices::new(context().provider, Arc::clone(&scene.plant.observer), author, sealed, kept);
+        let mut notices = notices.with_ring(ledger());
+        if remembers {
+            notices = notices.with_memory(ledger());
+        }
+        let mut hear = |recorder, seq, at| {
+            let (signer, place) = (&scene.alice.signing, (recorder, seq, 1, Timestamp(at)));
+            let upload = numbered(&scene, signer, own, place, &Notice::Pull(span.clone()));
+            let (entry, fetched) = given(&scene, upload, seq, 1);
+            assert!(notices.hear(&entry, &fetched), "dealt with");
+            disk_ring::waiting(&scene.plant.ledger).expect("noted").len()
+        };
+        // A request counts once by its number, so the second round finds the first one's.
+        assert_eq!(hear(before, 9, 900), 1);
+        assert_eq!(hear(restored, 1, 800), 1, "older than what was taken");
+        // Without that memory nobody can tell a restored home from a replay, and the next epoch decides.
+        let expected = if remembers { [2, 3, 3] } else { [1, 1, 1] };
+        assert_eq!(hear(restored, 1, 1000), expected[0]);
+        assert_eq!(hear(restored, 2, 999), expected[1], "by its number");
+        if remembers {
+            assert_eq!(hear(before, 10, 950), expected[2], "of the home before, and replayed");
+        }
+    }
+}
+
 /// A gateway that gives an owner's old notice a new number: the entry is its word, the header is signed.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_old_notice_is_not_new_because_a_gateway_says_so() {
@@ -216,29 +286,12 @@ async fn an_old_notice_is_not_new_because_a_gateway_says_so() {
     let mut notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept)
         .with_ring(scene.plant.ledger.clone());
     let own = signer_id(&scene.device.public);
-    let given = |upload: Upload, seq: u64, epoch: u64| {
-        let (header, _) = Header::parse(&upload.blob).expect("a header");
-        let entry = Entry {
-            digest: Digest(context().provider.sm3(&[&upload.blob])),
-            owner: header.owner,
-            recorder: header.recorder,
-            seq,
-            topic_id: header.topic_id,
-            epoch,
-            captured_at: header.captured_at,
-            length: upload.blob.len() as u64,
-            kind: header.kind,
-            standing: Standing::Verified,
-        };
-        let Upload { signature, blob } = upload;
-        (entry, Fetched { signer: scene.alice.signing.public, signature, proof: Vec::new(), blob })
-    };
     let topics = "/camera/**".parse().expect("a pattern");
     let span = RingSpan { since: Timestamp(1), until: Timestamp(100), topics };
     let pull = || record(&scene, &scene.alice.signing, own, (4, 1), &Notice::Pull(span.clone()));
     let waiting = || disk_ring::waiting(&scene.plant.ledger).expect("noted");
     let mut hear = |upload: Upload, seq: u64, epoch: u64| {
-        let (entry, fetched) = given(upload, seq, epoch);
+        let (entry, fetched) = given(&scene, upload, seq, epoch);
         notices.hear(&entry, &fetched);
     };
     let epoch = || author.sealing().expect("keys").epoch;

@@ -8,7 +8,7 @@ use tokio::task::block_in_place;
 
 use crate::config::RingSettings;
 use crate::crypto::random_bytes;
-use crate::model::{RecorderId, Timestamp, TopicName, TopicPatterns, clean};
+use crate::model::{RecorderId, TopicName, TopicPatterns, clean};
 use crate::pipeline::disk_ring::{Brought, Pulls, SharedRing, Step};
 use crate::pipeline::{Author, Observer as _};
 use crate::service::reply::Failure;
@@ -86,7 +86,8 @@ impl AgentRing {
         }
         self.looked = Some(Instant::now());
         let mut ring = self.ring.lock().unwrap_or_else(PoisonError::into_inner);
-        let tended = block_in_place(|| ring.tend(Timestamp::now()));
+        let now = ring.now();
+        let tended = block_in_place(|| ring.tend(now));
         drop(ring);
         if let Err(error) = tended {
             self.tell(site, &format!("what is too old for the ring is still in it: {error}"));

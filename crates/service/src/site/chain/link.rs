@@ -1,12 +1,14 @@
 //! The site's link to its chain: whether there is a chain and a contract now, the newest head, the watcher's progress.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 
+use super::freshness::{Freshness, NotFresh};
 use crate::chain::{BlockRef, Chain};
+use crate::model::steady_clock::look;
 use crate::pipeline::Network;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, internal};
@@ -44,6 +46,7 @@ pub(in crate::site) struct Link {
     silent: AtomicBool,
     /// The newest head, and when the chain reported it.
     head: Mutex<Option<(Instant, BlockRef)>>,
+    freshness: Mutex<Freshness>,
 }
 
 impl Link {
@@ -51,7 +54,14 @@ impl Link {
     pub fn new(hub: Arc<Hub>, needed: bool) -> Self {
         let state = if needed { NetworkState::Connecting } else { NetworkState::Off };
         let (state, scanned) = (watch::channel(state).0, watch::channel(0).0);
-        Self { hub, state, scanned, silent: AtomicBool::new(false), head: Mutex::default() }
+        Self {
+            hub,
+            state,
+            scanned,
+            silent: AtomicBool::new(false),
+            head: Mutex::default(),
+            freshness: Mutex::default(),
+        }
     }
 
     /// Its present state.
@@ -75,6 +85,8 @@ impl Link {
 
     /// Sets a new state.
     pub fn set(&self, state: NetworkState) {
+        // It may be another chain, or another node.
+        *self.freshness() = Freshness::default();
         self.state.send_replace(state);
     }
 
@@ -145,9 +157,36 @@ impl Link {
         }
     }
 
-    /// Notes a head that the chain just reported.
-    pub fn saw_head(&self, head: BlockRef) {
+    fn freshness(&self) -> MutexGuard<'_, Freshness> {
+        self.freshness.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Notes that everything was read up to this head, which the chain reported when it was asked at `asked`.
+    pub fn saw_head(&self, head: BlockRef, asked: Instant) {
         *self.head.lock().unwrap_or_else(PoisonError::into_inner) = Some((Instant::now(), head));
+        self.freshness().read(head, asked, look().machine.seconds());
+    }
+
+    /// The newest block, if everything up to it was read and it is known now that it is the newest.
+    ///
+    /// # Errors
+    /// [`NotFresh`]: nobody's right is known.
+    pub fn view(&self) -> Result<BlockRef, NotFresh> {
+        self.freshness().judge(Instant::now())
+    }
+
+    /// The chain was asked at `asked` and reported this head; whether everything up to it was read.
+    pub fn is_named(&self, head: &BlockRef, asked: Instant) -> bool {
+        self.freshness().is_named(head, asked)
+    }
+
+    /// Measures how often blocks come, where that is due.
+    pub async fn measure(&self, chain: &Chain) {
+        if self.freshness().is_to_measure() {
+            // A node that does not answer is noticed as such.
+            let due = chain.due_within().await.unwrap_or_default();
+            self.freshness().measured(due);
+        }
     }
 
     /// The newest head reported by the chain.

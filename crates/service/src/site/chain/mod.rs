@@ -4,6 +4,7 @@ pub(super) mod administration;
 pub(super) mod adoption;
 pub(super) mod connection;
 mod exposure;
+pub(super) mod freshness;
 pub(super) mod lanes;
 pub(super) mod link;
 #[cfg(test)]

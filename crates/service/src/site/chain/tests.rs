@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::connection::Connection;
+use super::freshness::NotFresh;
 use super::link::{Link, NetworkState};
 use crate::chain::{BlockRef, Pin};
 use crate::model::{Address, ErrorKind, Hash};
@@ -42,8 +43,10 @@ async fn a_head_is_fresh_for_as_long_as_was_asked_and_no_longer() {
     let ground = Ground::with(&[]);
     let link = Link::new(Arc::clone(&ground.parts.hub), true);
     assert!(link.fresh_head(Duration::MAX).is_none(), "none was told");
+    assert_eq!(link.view(), Err(NotFresh::Unread));
     let head = BlockRef { number: 7, hash: Hash([1; 32]), timestamp: 1_700_000_000 };
-    link.saw_head(head);
+    link.saw_head(head, Instant::now());
+    assert_eq!(link.view().map(|head| head.number), Ok(7));
     assert_eq!(link.fresh_head(Duration::MAX).map(|head| head.number), Some(7));
     std::thread::sleep(Duration::from_millis(2));
     assert!(link.fresh_head(Duration::from_millis(1)).is_none());

@@ -20,6 +20,7 @@ use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, internal, refused};
 use crate::service::reply::{DeviceGatewaysView, Failure};
+use crate::site::gateway::reserved::courier_of;
 use crate::store::{RecordQuery, RecordRow};
 
 /// The pauses between two rounds: while something is left, and otherwise.
@@ -249,6 +250,5 @@ impl Devices {
 
 /// The name under which an owner's site brings notices to gateways: its own, whatever profiles there are called.
 fn courier(owner: &Owner) -> Result<ProfileName, Failure> {
-    let digits: String = owner.address.to_string().chars().filter(char::is_ascii_hexdigit).skip(1).take(16).collect();
-    format!("courier-{}", digits.to_lowercase()).parse().map_err(|_| internal("the name of couriers"))
+    courier_of(&owner.address).parse().map_err(|_| internal("the name of couriers"))
 }

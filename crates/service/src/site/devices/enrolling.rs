@@ -17,6 +17,7 @@ use crate::pipeline::{Network, Owner};
 use crate::service::command::{SecretBytes, SecretText};
 use crate::service::failure::{input, refused};
 use crate::service::reply::{DeviceTopicsView, EnrolledView, Failure};
+use crate::site::gateway::reserved::is_reserved;
 
 /// The most topics that a robot can be limited to; one place is reserved for its own statements.
 const MOST_NAMED: usize = crate::crypto::enrolment::MOST_TOPICS - 1;
@@ -108,6 +109,11 @@ impl Devices {
 
     /// One name is one robot: whoever recalls it by its name must not leave another one able to read.
     fn check_name(&self, network: &Network, owner: &Owner, name: &ProfileName) -> Result<(), Failure> {
+        if is_reserved(name) {
+            return Err(input(format!(
+                "'{name}' is a name that sites and gateways give themselves; give the robot another one"
+            )));
+        }
         match self.called(network, owner, name.as_str())?.into_iter().find(|(_, lent)| *lent) {
             Some((device, _)) => Err(refused(format!(
                 "a robot called '{name}' is enrolled already, as device {device}; `authros devices recall {name}` ends \

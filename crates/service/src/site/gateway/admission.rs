@@ -3,7 +3,8 @@
 
 use std::collections::BTreeSet;
 
-use super::GatewayDesk;
+use super::{GatewayDesk, reserved};
+use crate::crypto::signer_id;
 use crate::gateway::{Code, Received, Refusal};
 use crate::model::bytes::hex;
 use crate::model::{Address, ProfileName};
@@ -48,11 +49,28 @@ impl GatewayDesk {
         Err(Refusal::new(Code::NotAuthorised, detail))
     }
 
+    /// Whether a name is not that of another account's own program.
+    ///
+    /// # Errors
+    /// [`Refusal`] with `NameBound`.
+    pub(super) fn check_reserved(
+        &self,
+        network: &Network,
+        account: &Address,
+        name: &ProfileName,
+    ) -> Result<(), Refusal> {
+        reserved::check(name, account, || {
+            let known = network.directory.account(*account).map(|account| account.identities).unwrap_or_default();
+            known.iter().filter(|identity| identity.proven).map(|identity| signer_id(&identity.signing)).collect()
+        })
+    }
+
     /// Whether an account may have one more name here.
     ///
     /// # Errors
-    /// [`Refusal`] with `NotAuthorised` or `Quota`.
+    /// [`Refusal`] with `NameBound`, `NotAuthorised` or `Quota`.
     pub(super) fn check_name(&self, network: &Network, account: &Address, name: &ProfileName) -> Result<(), Refusal> {
+        self.check_reserved(network, account, name)?;
         if self.standing_of(network, account)? == Standing::Admitted {
             return Ok(());
         }

@@ -74,6 +74,7 @@ impl GatewayDesk {
 
     /// The caller may read something of this owner, or is refused before anything is logged.
     async fn check_reach(&self, caller: &Caller, owner: Address) -> Result<(), Refusal> {
+        self.freshen().await?;
         let reader = caller.account;
         self.blocking(move |desk| desk.reach(&desk.fresh_network()?, &reader, &owner).map(drop)).await
     }
@@ -92,7 +93,7 @@ impl GatewayDesk {
         records: Vec<Received>,
         acknowledge: impl FnOnce(Vec<NewRecord>) -> Result<Done, StoreError>,
     ) -> Result<Timestamp, Refusal> {
-        let network = self.fresh_network()?;
+        let network = self.known_network()?;
         let guest = match self.standing_of(&network, owner)? {
             Access::Admitted => false,
             Access::Guest => true,
@@ -127,7 +128,7 @@ impl GatewayDesk {
 #[async_trait]
 impl Desk for GatewayDesk {
     async fn account(&self, account: &Address) -> Result<Account, Refusal> {
-        let network = self.fresh_network()?;
+        let network = self.known_network()?;
         let identity = network.directory.identity(*account).map_err(Refusal::because(Code::NotRegistered))?;
         if authority::is_suspended(&network.directory, *account) {
             return Err(Refusal::new(Code::Suspended, format_args!("{account} is suspended")));
@@ -136,13 +137,13 @@ impl Desk for GatewayDesk {
     }
 
     async fn admits(&self, account: &Address) -> Result<(), Refusal> {
-        self.standing_of(&self.fresh_network()?, account).map(drop)
+        self.standing_of(&self.known_network()?, account).map(drop)
     }
 
     async fn is_token(&self, account: &Address, token: &Token) -> Result<bool, Refusal> {
         let (account, token) = (*account, *token);
         self.blocking(move |desk| {
-            let directory = desk.fresh_network()?.directory;
+            let directory = desk.known_network()?.directory;
             let known = kept::has_token(&desk.gateway.plant.ledger, &directory, account, token);
             known.map_err(Refusal::because(Code::Internal))
         })
@@ -180,6 +181,10 @@ impl Desk for GatewayDesk {
             let key = key.ok_or_else(|| Refusal::new(Code::Internal, "the transport key at rest does not open"))?;
             drop(under);
             let KeptBinding { account, signing, envelope, device, .. } = kept;
+            if desk.known_network().is_ok_and(|network| desk.check_reserved(&network, &account, &name).is_err()) {
+                // Taken before such names were reserved: whose it is may have it now.
+                return Ok(None);
+            }
             let device = device.map(|(id, notices)| BoundDevice { id, notices });
             if let Some(device) = &device
                 && desk.is_recalled(&account, &device.id)?
@@ -192,13 +197,13 @@ impl Desk for GatewayDesk {
     }
 
     async fn successor(&self, lost: &Address) -> Result<Option<Address>, Refusal> {
-        Ok(self.fresh_network()?.directory.successor(*lost))
+        Ok(self.known_network()?.directory.successor(*lost))
     }
 
     async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal> {
         let subject = format!("{name} for {}", binding.account);
         let (asked, account) = (name.clone(), binding.account);
-        self.blocking(move |desk| desk.check_name(&desk.fresh_network()?, &account, &asked)).await?;
+        self.blocking(move |desk| desk.check_name(&desk.known_network()?, &account, &asked)).await?;
         let audited = self.gateway.log.write(&self.keeper.profile, "allocate key", &subject, "begun").await;
         audited.map_err(|failure| Refusal::new(Code::Internal, failure.message))?;
         let name = name.clone();
@@ -217,7 +222,7 @@ impl Desk for GatewayDesk {
     }
 
     async fn register(&self, registration: &Registration) -> Result<Hash, Refusal> {
-        let network = self.fresh_network()?;
+        let network = self.known_network()?;
         let call = Call::Register { identity: registration.identity };
         let transaction = network.chain.expect_call(&registration.transaction, registration.account, &call);
         let transaction = transaction.map_err(Refusal::because(Code::Transaction))?;
@@ -240,16 +245,23 @@ impl Desk for GatewayDesk {
     }
 
     async fn check(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Standing>, Refusal> {
+        if caller.device.is_none() {
+            self.freshen().await?;
+        }
         let (caller, digests) = (caller.clone(), digests.to_vec());
         self.blocking(move |desk| desk.standings(&caller, &digests)).await
     }
 
     async fn prove(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal> {
+        if caller.device.is_none() {
+            self.freshen().await?;
+        }
         let (caller, digests) = (caller.clone(), digests.to_vec());
         self.blocking(move |desk| desk.proven(&caller, &digests)).await
     }
 
     async fn fetch(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal> {
+        self.freshen().await?;
         let (caller, digest) = (caller.clone(), *digest);
         self.blocking(move |desk| desk.record(&caller, &digest)).await
     }
@@ -277,7 +289,7 @@ impl Desk for GatewayDesk {
     }
 
     async fn network_name(&self) -> Result<NetworkName, Refusal> {
-        let pin = self.fresh_network()?.chain.pin().ok_or_else(|| Refusal::new(Code::Stale, "no contract"))?;
+        let pin = self.known_network()?.chain.pin().ok_or_else(|| Refusal::new(Code::Stale, "no contract"))?;
         Ok(NetworkName { chain_id: pin.chain_id, genesis: pin.genesis, contract: pin.contract })
     }
 
@@ -286,6 +298,7 @@ impl Desk for GatewayDesk {
     }
 
     async fn device(&self, caller: &Caller, notice: &DeviceNotice) -> Result<(), Refusal> {
+        self.freshen().await?;
         let DeviceNotice { key, notices } = *notice;
         let device = signer_id(&key);
         if let Err(why) = self.may_sign_now(&caller.account, &device)? {
@@ -325,11 +338,13 @@ impl Desk for GatewayDesk {
     }
 
     async fn holdings(&self, caller: &Caller, after: &HoldingPlace) -> Result<Holdings, Refusal> {
+        self.freshen().await?;
         let (caller, after) = (caller.clone(), *after);
         self.blocking(move |desk| desk.told_holdings(&caller, after)).await
     }
 
     async fn hand_over(&self, caller: &Caller, wanted: &Wanted) -> Result<HandedOver, Refusal> {
+        self.freshen().await?;
         let (caller, wanted) = (caller.clone(), *wanted);
         self.blocking(move |desk| desk.handed_over(&caller, &wanted)).await
     }

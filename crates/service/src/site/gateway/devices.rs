@@ -20,7 +20,7 @@ const LINES: usize = 1_000_000;
 impl GatewayDesk {
     /// Whether the newest loan of a device was recalled; a later loan is valid again.
     pub(super) fn is_recalled(&self, owner: &Address, device: &SignerId) -> Result<bool, Refusal> {
-        let account = self.fresh_network()?.directory.account(*owner);
+        let account = self.known_network()?.directory.account(*owner);
         let loans = account.map(|account| account.devices).unwrap_or_default();
         Ok(loans.iter().rfind(|loan| loan.device == *device).is_some_and(|loan| loan.recalled.is_some()))
     }

@@ -68,7 +68,7 @@ impl GatewayDesk {
 
     /// Whether records of this owner are taken here from other gateways: what its robots would be asked, too.
     pub(super) fn check_owner(&self, owner: &Address) -> Result<(), Refusal> {
-        let network = self.fresh_network()?;
+        let network = self.known_network()?;
         if self.standing_of(&network, owner)? == Access::Fellow {
             return Err(Refusal::new(Code::NotAuthorised, format_args!("{owner} was not admitted with records")));
         }

@@ -1,6 +1,7 @@
 //! Live subscriptions: verified records as they come, ended the moment the right to them is gone.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::mpsc;
@@ -12,8 +13,14 @@ use crate::model::{Digest, PublicKey, RecordState};
 use crate::pipeline::authority::ReadingRight;
 use crate::store::RecordRow;
 
+/// P_S and P_E of a caller that is no device.
+type Keys = Option<(PublicKey, PublicKey)>;
+
 /// Entries that may wait for a slow reader; beyond that, the subscription waits for it.
 const AHEAD: usize = 64;
+
+/// How often it is looked whether the chain is fresh again.
+const AGAIN: Duration = Duration::from_millis(500);
 
 /// One running subscription.
 pub(super) struct Watch {
@@ -35,10 +42,9 @@ impl Watch {
                     // Whether the caller may read is decided before looking at what there is to read.
                     biased;
                     changed = authority.changed() => {
-                        let now = tokio::task::block_in_place(|| self.reach().and_then(|now| Ok((now, self.keys()?))));
-                        match now {
-                            Ok((now, same)) if same == keys => reach = now,
-                            _ => return,
+                        match self.right(&keys, &sender).await {
+                            Some(now) => reach = now,
+                            None => return,
                         }
                         if changed.is_err() {
                             return;
@@ -47,6 +53,12 @@ impl Watch {
                     () = sender.closed() => return,
                     digests = settled.recv() => match digests {
                         Ok(digests) => {
+                            if self.desk.freshen().await.is_err() {
+                                match self.right(&keys, &sender).await {
+                                    Some(now) => reach = now,
+                                    None => return,
+                                }
+                            }
                             let entries = tokio::task::block_in_place(|| self.entries(&digests, &reach));
                             for entry in entries {
                                 if sender.send(entry).await.is_err() {
@@ -63,6 +75,23 @@ impl Watch {
         Ok(receiver)
     }
 
+    /// The right as it is now. While it is not known, because the chain is silent, nothing is delivered and nothing ends.
+    /// `None` = it is gone, or nobody listens any more.
+    async fn right(&self, keys: &Keys, sender: &mpsc::Sender<Entry>) -> Option<ReadingRight> {
+        while !sender.is_closed() {
+            let found =
+                self.desk.freshen().await.and_then(|()| {
+                    tokio::task::block_in_place(|| self.reach().and_then(|now| Ok((now, self.keys()?))))
+                });
+            match found {
+                Ok((now, same)) if same == *keys => return Some(now),
+                Err(refusal) if refusal.code == Code::Stale => tokio::time::sleep(AGAIN).await,
+                Ok(_) | Err(_) => return None,
+            }
+        }
+        None
+    }
+
     fn reach(&self) -> Result<ReadingRight, Refusal> {
         let network = self.desk.fresh_network()?;
         self.desk.check_loan(&network, &self.caller)?;
@@ -71,7 +100,7 @@ impl Watch {
 
     /// The caller's keys on the chain: a change ends what was begun under the old ones. None for a device, which is
     /// valid as long as its loan, whatever keys its owner has.
-    fn keys(&self) -> Result<Option<(PublicKey, PublicKey)>, Refusal> {
+    fn keys(&self) -> Result<Keys, Refusal> {
         if self.caller.device.is_some() {
             return Ok(None);
         }

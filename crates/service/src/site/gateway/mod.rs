@@ -5,6 +5,8 @@ mod admission;
 #[cfg(test)]
 mod admission_tests;
 pub(super) mod admissions;
+#[cfg(test)]
+mod cut_off_tests;
 mod desk;
 mod devices;
 mod fellows;
@@ -13,6 +15,7 @@ mod live;
 mod passing;
 mod reading;
 mod reconciling;
+pub(super) mod reserved;
 mod round;
 mod standing;
 pub(super) mod status;
@@ -161,6 +164,11 @@ impl Gateway {
     /// The gateway as reported, while one is running.
     pub fn served(&self) -> Option<GatewayView> {
         self.serving.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|serving| serving.view.clone())
+    }
+
+    /// Whether a gateway is running here.
+    pub fn is_serving(&self) -> bool {
+        self.serving.lock().unwrap_or_else(PoisonError::into_inner).is_some()
     }
 
     /// Figures of the gateway running here, if there is one.

@@ -28,7 +28,7 @@ impl GatewayDesk {
         method: &str,
         parameters: &Value,
     ) -> Result<Value, RelayError> {
-        let network = self.fresh_network().map_err(|refusal| silent(&refusal))?;
+        let network = self.known_network().map_err(|refusal| silent(&refusal))?;
         let (Some(pin), Some(head)) = (network.chain.pin(), self.gateway.link.fresh_head(LONGEST_SILENCE)) else {
             return Err(RelayError::Silent("no recent block from the chain".to_owned()));
         };

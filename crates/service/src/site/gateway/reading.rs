@@ -1,6 +1,6 @@
 //! Queries of a gateway's callers: what they may read at this moment, pages, checks, one record.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::GatewayDesk;
 use super::standing::{entry, proof, standing};
@@ -9,9 +9,12 @@ use crate::model::{Address, Digest, Scope, SignerId, Timestamp};
 use crate::pipeline::Network;
 use crate::pipeline::authority::{self, Moment, NoRight, Policy, ReadRefused, ReadingRight, SigningRight};
 use crate::pipeline::authority::{may_read, may_sign};
+use crate::site::chain::freshness::GRACE;
 use crate::store::{RecordQuery, RecordRow};
+use tokio::time::timeout;
 
-/// How long the chain may be silent before nobody is authorised any more.
+/// How long the chain may be silent before nothing is stored or passed on any more. Reading ends sooner, see
+/// [`GatewayDesk::fresh_network`].
 pub(super) const LONGEST_SILENCE: Duration = Duration::from_secs(30);
 
 /// The setting for a revoke that is announced and not on the chain yet: the epoch that it begins.
@@ -24,8 +27,36 @@ fn not_authorised(owner: &Address, reader: &Address) -> Refusal {
 }
 
 impl GatewayDesk {
-    /// The network, if the chain has reported a head recently.
+    /// The network, if everything that is on the chain is known here, as of two seconds ago at most: only then is it known
+    /// who may read. Who asks calls [`Self::freshen`] before.
     pub(super) fn fresh_network(&self) -> Result<Network, Refusal> {
+        let network = self.known_network()?;
+        self.gateway.link.view().map_err(Refusal::because(Code::Stale))?;
+        Ok(network)
+    }
+
+    /// Asks the chain for its newest block unless it was asked lately, and waits until that was read.
+    ///
+    /// # Errors
+    /// [`Refusal`] with `Stale` if the chain does not answer, is cut off, or reading its block takes too long.
+    pub(super) async fn freshen(&self) -> Result<(), Refusal> {
+        let link = &self.gateway.link;
+        if link.view().is_ok() {
+            return Ok(());
+        }
+        let (network, asked) = (self.known_network()?, Instant::now());
+        if let Ok(Ok(head)) = timeout(GRACE, network.chain.head()).await
+            && !link.is_named(&head, asked)
+        {
+            // Whether it has is seen below.
+            drop(timeout(GRACE, link.scanned(head.number)).await);
+        }
+        link.view().map(drop).map_err(Refusal::because(Code::Stale))
+    }
+
+    /// The network, if the chain has reported a head recently: enough for storing, since what is stored is judged again by
+    /// the block that anchors it.
+    pub(super) fn known_network(&self) -> Result<Network, Refusal> {
         let network = self.gateway.link.network_now().filter(|network| network.domain == self.domain);
         let fresh = self.gateway.link.fresh_head(LONGEST_SILENCE);
         network.filter(|_| fresh.is_some()).ok_or_else(|| Refusal::new(Code::Stale, "no recent block from the chain"))
@@ -38,7 +69,7 @@ impl GatewayDesk {
             return Ok(ReadingRight::Own);
         }
         let policy = Policy::Gateway {
-            head: self.gateway.link.fresh_head(LONGEST_SILENCE),
+            head: self.gateway.link.view().ok(),
             confirmations: network.confirmations,
             revoke_announced: self.is_revoke_announced(network, owner, reader)?,
         };
@@ -56,7 +87,7 @@ impl GatewayDesk {
         owner: &Address,
         signer: &SignerId,
     ) -> Result<Result<SigningRight, NoRight>, Refusal> {
-        let network = self.fresh_network()?;
+        let network = self.known_network()?;
         let head = self.gateway.link.fresh_head(LONGEST_SILENCE).map_or(0, |head| head.timestamp);
         let at = Moment::newest(network.directory.now().max(Timestamp::from_seconds(head)));
         Ok(may_sign(&network.directory, *owner, *signer, at))
@@ -88,7 +119,8 @@ impl GatewayDesk {
     }
 
     pub(super) fn standings(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Standing>, Refusal> {
-        let network = self.fresh_network()?;
+        // A robot asks about its own records, and learns nothing that its recall should end.
+        let network = if caller.device.is_some() { self.known_network()? } else { self.fresh_network()? };
         self.check_loan(&network, caller)?;
         let mut known: Vec<(Address, Option<ReadingRight>)> = Vec::new();
         let mut standings = Vec::with_capacity(digests.len());

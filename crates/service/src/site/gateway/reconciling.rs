@@ -8,6 +8,7 @@ use std::time::Duration;
 use tokio::task::block_in_place;
 
 use super::fellows::Fellow;
+use super::reserved::gateway_of;
 use super::round::{Course, Ended, Round, reconcile};
 use super::taking::Taking;
 use super::{Gateway, GatewayDesk};
@@ -25,8 +26,6 @@ use crate::service::reply::{Failure, FellowView, FleetView, PartHealth, Reply};
 const PERIOD: Duration = Duration::from_millis(500);
 /// How long it may take to answer.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Characters of its key in the name under which this gateway is known to the others.
-const OF_KEY: usize = 16;
 
 /// The line to one gateway.
 struct Line {
@@ -112,7 +111,7 @@ impl Gateway {
                 continue;
             };
             // Without its chain it could judge nothing that it is handed.
-            let Ok(network) = desk.fresh_network() else { continue };
+            let Ok(network) = desk.known_network() else { continue };
             let mut more = true;
             while more && !self.life.is_stopping() {
                 more = tokio::select! {
@@ -206,8 +205,7 @@ impl Gateway {
             credentials.token = token;
             return Client::connect(&endpoint, &mut line.trust, &credentials).await;
         }
-        let own = signer_id(&keeper.gateway_identity().public).to_hex();
-        let name = format!("gateway-{}", own.get(..OF_KEY).unwrap_or_default());
+        let name = gateway_of(&signer_id(&keeper.gateway_identity().public));
         let name: ProfileName = name.parse().map_err(|_| GatewayError::Unexpected("no name of this gateway"))?;
         let (signing, account, (_, envelope)) = (keeper.signing(), keeper.eoa(), keeper.public_keys());
         let applicant = Applicant { name: &name, signing: &signing, envelope, account: &account };

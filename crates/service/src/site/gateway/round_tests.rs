@@ -28,6 +28,8 @@ struct Shelf {
     held: Mutex<BTreeSet<u64>>,
     takes: Mutex<usize>,
     stale: bool,
+    /// What is on its way to an anchor here.
+    twice: Vec<Digest>,
 }
 
 impl Shelf {
@@ -50,7 +52,7 @@ impl Here for Shelf {
         let held = self.held.lock().expect("not poisoned");
         let numbers = told.ranges.iter().flat_map(|(first, last)| first..=last);
         let numbers = numbers.filter(|number| !held.contains(number)).collect();
-        Ok(Lacking { numbers: Ranges::of(numbers), twice: Vec::new() })
+        Ok(Lacking { numbers: Ranges::of(numbers), twice: self.twice.clone() })
     }
 
     async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<(Vec<u64>, Vec<Refusal>), Refusal> {
@@ -128,6 +130,7 @@ async fn rounds(other: &mut impl Other, here: &Shelf, most: usize) -> (Course, R
         let mut round = Round::default();
         let ended = reconcile(other, here, &mut course, &mut round).await;
         sum.taken += round.taken;
+        sum.twice += round.twice;
         (sum.lacking, sum.more) = (round.lacking, round.more);
         round.refused.iter().for_each(|(code, count)| *sum.refused.entry(*code).or_default() += count);
         if ended.is_err() || !sum.more {
@@ -242,4 +245,16 @@ async fn records_of_owners_who_are_not_admitted_are_not_even_asked_for() {
         matches!(ended, Err(Ended::Here(refusal)) if refusal.code == Code::Stale),
         "without its chain it takes nothing"
     );
+}
+
+#[tokio::test]
+async fn what_both_anchored_is_counted_once_and_asked_for_never() {
+    let own = [1, 2].map(|byte| Digest([byte; 32])).to_vec();
+    let here = Shelf { held: Mutex::new((1..=10).collect()), twice: own, ..Shelf::default() };
+    let mut other = honest(10);
+    let (mut course, round, ended) = rounds(&mut other, &here, 9).await;
+    assert!(ended.is_ok() && round.twice == 2, "told of on each page, counted once: {round:?}");
+    let mut again = Round::default();
+    reconcile(&mut other, &here, &mut course, &mut again).await.expect("honest");
+    assert_eq!((again.twice, *here.takes.lock().expect("not poisoned")), (0, 0));
 }

@@ -47,7 +47,7 @@ impl Here for Taking<'_> {
     }
 
     async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<(Vec<u64>, Vec<Refusal>), Refusal> {
-        let network = self.desk.fresh_network()?;
+        let network = self.desk.known_network()?;
         // Registered and not suspended, as of now.
         if let Err(refusal) = self.desk.account(&wanted.owner).await {
             return if refusal.code == Code::Stale { Err(refusal) } else { Ok((Vec::new(), vec![refusal])) };

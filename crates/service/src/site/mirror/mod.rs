@@ -46,6 +46,8 @@ const SILENCE: Duration = Duration::from_secs(30);
 const LATE: u64 = 24 * 3600;
 /// How often a listing starts from the very beginning.
 const WHOLE: u64 = 24 * 3600;
+/// How long a gateway that does not know its chain now is asked again without a word.
+const QUIET: Duration = Duration::from_secs(15);
 /// Records that may wait to be stored.
 const WAITING: usize = 64;
 
@@ -70,6 +72,13 @@ impl From<PipelineError> for Broken {
 impl From<Failure> for Broken {
     fn from(failure: Failure) -> Self {
         Self::Other(failure)
+    }
+}
+
+impl Broken {
+    /// The gateway does not know its chain as it is now, and tells nobody anything until it does.
+    fn is_stale(&self) -> bool {
+        matches!(self, Self::Gateway(GatewayError::Refused(Code::Stale)))
     }
 }
 
@@ -108,7 +117,7 @@ impl Joined {
     /// Mirrors a profile's records of the gateway at a place of the list until its owner is closed or the site ends.
     pub(super) async fn mirror(self: Arc<Self>, owner: Arc<Owner>, place: usize) {
         let Some(remote) = self.remotes.as_ref().and_then(|remotes| remotes.all().get(place)) else { return };
-        let mut pause = PAUSES.0;
+        let (mut pause, mut stale) = (PAUSES.0, None);
         while !self.life.is_stopping() && self.owners.is_open(&owner) {
             let Some(network) = self.link.network_now() else {
                 tokio::time::sleep(TICK).await;
@@ -126,8 +135,18 @@ impl Joined {
                 continue;
             }
             match self.mirror_round(remote, &owner, &network).await {
-                Ok(()) => pause = PAUSES.0,
+                Ok(()) => (pause, stale) = (PAUSES.0, None),
+                Err(broken) if broken.is_stale() && stale.get_or_insert_with(Instant::now).elapsed() < QUIET => {
+                    remote.note(&owner.profile, Mirrored::Behind);
+                    tokio::select! {
+                        () = tokio::time::sleep(TICK) => {}
+                        () = self.life.stopped() => return,
+                    }
+                }
                 Err(broken) => {
+                    if !broken.is_stale() {
+                        stale = None;
+                    }
                     self.tell_broken(remote, &owner, broken, pause);
                     tokio::select! {
                         () = tokio::time::sleep(pause) => {}
