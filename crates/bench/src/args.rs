@@ -60,6 +60,8 @@ pub enum Bench {
     Pictures,
     /// What a record, a page of a list and a frame of the console cost while the ledger grows
     Growth(GrowthArguments),
+    /// Bundles of evidence: bytes per record, proof bytes per batch, and verification beside SM2 and SM3 alone
+    Evidence(EvidenceArguments),
     /// Messages to 8 ROS 1 subscribers, by our own publisher and by rosrust: losses, latency, processor; not part of all
     Ros(RosArguments),
 }
@@ -80,6 +82,7 @@ pub enum BenchName {
     Memory,
     Pictures,
     Growth,
+    Evidence,
 }
 
 /// `bench all …`
@@ -270,6 +273,23 @@ pub struct MemoryArguments {
     #[arg(long, value_name = "N", default_value_t = 1_000_000,
           value_parser = clap::value_parser!(u64).range(10_000..=10_000_000))]
     pub records: u64,
+}
+
+/// `bench evidence …`
+#[derive(Debug, Args)]
+pub struct EvidenceArguments {
+    /// Records of the largest bundle, which is verified
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub records: u32,
+    /// Batches of the bundle whose proof bytes are counted: as many as an hour has seconds
+    #[arg(long, value_name = "N", default_value_t = 3600, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub batches: u32,
+    /// Signers of one batch, each a registered account
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub signers: u32,
+    /// How often reading, checking and the reference are timed
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub runs: u32,
 }
 
 /// `bench gateway …`

@@ -67,6 +67,7 @@ impl Funder {
                 | Bench::Memory(_)
                 | Bench::Pictures
                 | Bench::Growth(_)
+                | Bench::Evidence(_)
                 | Bench::Ros(_),
             ) => (None, 0),
         };

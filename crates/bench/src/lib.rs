@@ -8,6 +8,7 @@ mod algorithms;
 mod all;
 mod batcher;
 mod consensus;
+mod evidence;
 mod funder;
 mod gas;
 mod gateway;
@@ -136,5 +137,6 @@ async fn measure(
         Bench::Pipeline(pipeline) => pipeline::run(global, pipeline, outlet).await,
         Bench::Memory(memory) => memory::run(global, memory, provider, outlet).await,
         Bench::Gateway(gateway) => gateway::run(gateway, provider, outlet).await,
+        Bench::Evidence(evidence) => evidence::run(evidence, provider, outlet).await,
     }
 }
