@@ -132,9 +132,9 @@ pub struct SizeArguments {
     /// Also on this node, which must give ether to test accounts or ask no fees, unless --funder does
     #[arg(long, value_name = "URL")]
     pub node: Option<String>,
-    /// File with the key of an account on that node (hex, readable by you alone), which lends the test accounts ether
-    /// and gets the rest back
-    #[arg(long, value_name = "FILE", requires = "node")]
+    /// Who lends the test accounts ether on that node, and gets the rest back: a profile of this home, or a file with the
+    /// key of an account (hex, readable by you alone)
+    #[arg(long, value_name = "PROFILE|FILE", requires = "node")]
     pub funder: Option<PathBuf>,
 }
 
@@ -173,9 +173,9 @@ pub struct ConsensusArguments {
     /// Also on this node, which must give ether to test accounts or ask no fees, unless --funder does
     #[arg(long, value_name = "URL")]
     pub node: Option<String>,
-    /// File with the key of an account on that node (hex, readable by you alone), which lends the test accounts ether
-    /// and gets the rest back
-    #[arg(long, value_name = "FILE", requires = "node")]
+    /// Who lends the test accounts ether on that node, and gets the rest back: a profile of this home, or a file with the
+    /// key of an account (hex, readable by you alone)
+    #[arg(long, value_name = "PROFILE|FILE", requires = "node")]
     pub funder: Option<PathBuf>,
     /// Least time between two blocks of the PoA chain, milliseconds
     #[arg(long, value_name = "MS", default_value_t = Self::PERIOD,
