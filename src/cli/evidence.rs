@@ -1,5 +1,7 @@
 //! `evidence export`, and `verify` of a bundle: the meaning of the levels, for people.
 
+use std::collections::BTreeMap;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
@@ -13,7 +15,7 @@ use crate::ros::{Definition, Limits};
 use crate::service::Failure;
 use crate::service::command::{EvidenceWishes, ExportEvidence, StampEvidence};
 use crate::service::reply::{EvidenceView, StampView};
-use authros_evidence::{Bundle, Outcome, RecordReport, Report, Trust};
+use authros_evidence::{Bundle, LONGEST_TRUST, Outcome, RecordReport, Report, Standing, Trust};
 use authros_output::{Output, table};
 
 /// The most characters of a disclosed message that are shown.
@@ -140,9 +142,21 @@ pub fn run_verify(path: &Path, trust: Option<&Path>, output: &Output) -> Result<
     })
 }
 
+/// The reader's pins. Nothing of the bundle is shown where they cannot be read: without them it would look as if nothing
+/// were proven.
 fn read_trust(path: &Path) -> Result<Trust, Failure> {
     let failed = |why: String| Failure::new(ErrorKind::Input, format!("{}: {why}", path.display()));
-    let bytes = std::fs::read(path).map_err(|error| failed(error.to_string()))?;
+    let unread = |error: std::io::Error| match error.kind() {
+        std::io::ErrorKind::NotFound => failed(
+            "there is no such trust file, so the bundle was not checked; write what you know of its chain and its \
+             people into one (docs/evidence.md has an example), or leave out --trust to see what the bundle claims"
+                .to_owned(),
+        ),
+        _ => failed(format!("the trust file cannot be read, so the bundle was not checked: {error}")),
+    };
+    // One byte more than the longest: a longer one is refused as such.
+    let (mut bytes, most) = (Vec::new(), LONGEST_TRUST as u64 + 1);
+    std::fs::File::open(path).and_then(|file| file.take(most).read_to_end(&mut bytes)).map_err(unread)?;
     Trust::parse(&bytes).map_err(|error| failed(error.to_string()))
 }
 
@@ -204,8 +218,33 @@ fn bounded(fields: &serde_json::Value) -> String {
     clean_lines(&first, MOST_SHOWN) + more
 }
 
+/// The verdict, and how many records reach each level.
+fn summary(report: &Report) -> [String; 2] {
+    const STANDINGS: [Standing; 5] =
+        [Standing::Proven, Standing::OwnChain, Standing::Unproven, Standing::Absent, Standing::Refused];
+    let mut levels: BTreeMap<char, Vec<Standing>> = BTreeMap::new();
+    for (letter, level) in report.records.iter().flat_map(RecordReport::levels) {
+        levels.entry(letter).or_default().push(level.standing);
+    }
+    levels.insert('f', report.complete.iter().map(|stretch| stretch.standing).collect());
+    let told = |(letter, standings): (&char, &Vec<Standing>)| {
+        let count = |standing: &Standing| standings.iter().filter(|one| *one == standing).count();
+        let counts =
+            STANDINGS.iter().map(|standing| (count(standing), standing.word())).filter(|(count, _)| *count > 0);
+        let words: Vec<String> = match standings.iter().all(|one| Some(one) == standings.first()) {
+            true => counts.map(|(_, word)| word.to_owned()).collect(),
+            false => counts.map(|(count, word)| format!("{count} {word}")).collect(),
+        };
+        (!words.is_empty()).then(|| format!("({letter}) {}", words.join(", ")))
+    };
+    let told: Vec<String> = levels.iter().filter_map(told).collect();
+    let (records, topics) = (report.records.len(), report.complete.len());
+    [format!("{records} records, {topics} topics: {}", report.last_line()), told.join("; ")]
+}
+
 fn text(bundle: &Bundle, report: &Report) -> String {
-    let (mut lines, mut limits) = (Vec::new(), Limits::default());
+    let (mut lines, mut limits) = (summary(report).to_vec(), Limits::default());
+    lines.push(String::new());
     for record in &report.records {
         lines.push(format!("record {} {}", record.digest, whose(record)));
         if let (Some(seq), Some(captured)) = (record.seq, record.captured_at) {
@@ -240,4 +279,76 @@ fn text(bundle: &Bundle, report: &Report) -> String {
     lines.extend(report.warnings.iter().map(|warning| format!("note: {warning}")));
     lines.push(report.last_line().to_owned());
     lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use authros_evidence::Level;
+
+    use super::*;
+    use crate::model::Timestamp;
+
+    fn record(number: u8, key: Standing) -> RecordReport {
+        let level = |standing| Level::new(standing, "why");
+        RecordReport {
+            digest: Digest([number; 32]),
+            owner: None,
+            person: None,
+            signer: None,
+            owner_key: None,
+            recorder: None,
+            topic_id: None,
+            seq: None,
+            captured_at: Some(Timestamp::from_seconds(1)),
+            anchored_at: None,
+            block: None,
+            seconds_to_anchor: None,
+            existed_before: None,
+            witnessed_at: None,
+            bytes: level(Standing::Proven),
+            key: level(key),
+            anchor: level(Standing::OwnChain),
+            time: level(Standing::Absent),
+            opened: level(Standing::Absent),
+            witnessed: level(Standing::Absent),
+            disclosed: None,
+        }
+    }
+
+    #[test]
+    fn the_summary_counts_each_level_only_where_records_differ() {
+        let records = vec![record(1, Standing::OwnChain), record(2, Standing::Unproven), record(3, Standing::Unproven)];
+        let report = Report {
+            outcome: Outcome::Incomplete,
+            pinned: true,
+            exporter: Level::new(Standing::Unproven, "by nobody"),
+            warnings: Vec::new(),
+            records,
+            complete: Vec::new(),
+            messages: BTreeMap::new(),
+        };
+        let [verdict, levels] = summary(&report);
+        assert_eq!(verdict, "3 records, 0 topics: NOT EVERYTHING IS PROVEN: the levels show what is not");
+        assert_eq!(
+            levels,
+            "(a) proven; (b) 1 own chain, 2 not proven; (c) own chain; (d) absent; (e) absent; (g) absent"
+        );
+    }
+
+    #[test]
+    fn a_trust_file_that_is_not_there_is_told_apart_from_one_that_is_none() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let place = folder.path().join("trust.toml");
+        let missing = read_trust(&place).expect_err("missing");
+        assert!(
+            missing.kind == ErrorKind::Input && missing.message.contains("there is no such trust file"),
+            "{missing}"
+        );
+        std::fs::write(&place, "chain = 1").expect("written");
+        let wrong = read_trust(&place).expect_err("none");
+        assert!(wrong.message.contains("the trust file cannot be used"), "{wrong}");
+        std::fs::write(&place, vec![b'#'; LONGEST_TRUST + 10]).expect("written");
+        assert!(read_trust(&place).expect_err("long").message.contains("too long"));
+        assert!(read_trust(folder.path()).expect_err("a folder").message.contains("cannot be read"));
+    }
 }

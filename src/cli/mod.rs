@@ -35,6 +35,7 @@ mod playing;
 mod policy;
 mod printed;
 mod progress;
+mod purse;
 mod quarantine;
 mod recordings;
 mod retention;
@@ -128,7 +129,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
             runtime.block_on(backups::check(Context::new(global, output)?, &file, output))
         }
         Verb::Restore { file, check: false } => check::run_restore(&Context::new(global, output)?, &file, output),
-        Verb::Bench(bench) => runtime.block_on(run_bench(&global, bench, output)),
+        Verb::Bench(bench) => runtime.block_on(run_bench(global, bench, output)),
         Verb::Evidence(verb) => runtime.block_on(evidence::run(Context::new(global, output)?, verb, output)),
         Verb::Verify { path, trust, genesis: None } if trust.is_some() || evidence::is_bundle(&path) => {
             evidence::run_verify(&path, trust.as_deref(), output)
@@ -207,13 +208,15 @@ fn asked(
 
 /// Measures until it is done or interrupted.
 async fn run_bench(
-    global: &args::Global,
+    global: args::Global,
     arguments: authros_bench::args::BenchArguments,
     output: &Output,
 ) -> Result<u8, Failure> {
     let provider = global.crypto_provider.as_deref().map(parse::value).transpose()?.unwrap_or_default();
     let settings = |name: &str| global.setting(name);
-    let global = authros_bench::Global { json: global.json, provider, settings: &settings };
+    // Only who names a profile needs a home.
+    let purse = |named: &str| purse::of_profile(&connect::Context::new(global.clone(), output)?, named);
+    let global = authros_bench::Global { json: global.json, provider, settings: &settings, purse: &purse };
     let stop = async {
         serve::asked_to_end().await;
     };

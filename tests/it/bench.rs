@@ -172,14 +172,25 @@ fn a_set_of_benches_gives_one_set_of_figures() {
     let directory = plots.root().to_str().expect("UTF-8");
     let plan = bare(&home).json(&["bench", "all", "--plan", "--skip", "sm2"]);
     let named: Vec<String> = list(&plan, "results").iter().map(|row| text(row, "bench")).collect();
-    for name in
-        ["sm3", "sm4", "record", "gas", "consensus", "size", "gateway", "pipeline", "memory", "pictures", "growth"]
-    {
+    for name in [
+        "sm3",
+        "sm4",
+        "record",
+        "gas",
+        "consensus",
+        "size",
+        "gateway",
+        "pipeline",
+        "memory",
+        "pictures",
+        "growth",
+        "evidence",
+    ] {
         assert!(named.iter().any(|found| found == name), "{name}: {named:?}");
     }
     assert!(!named.iter().any(|found| found == "sm2"), "{named:?}");
     bare(&home).run(&["bench", "all", "--skip", "nothing"]).expect_code(2);
-    let others = "sm2,sm3,sm4,record,consensus,size,gateway,pipeline,memory,pictures,growth";
+    let others = "sm2,sm3,sm4,record,consensus,size,gateway,pipeline,memory,pictures,growth,evidence";
     let report = bare(&home).json_within(LIMIT, &["bench", "all", "--skip", others, "--svg", directory]);
     expect_shape(&report, "all", &home);
     let rows = list(&report, "results");
@@ -358,4 +369,33 @@ fn what_is_published_is_verified_and_counted() {
         };
         assert!(["seal", "commit", "anchor", "verify"].into_iter().all(|stage| seconds(stage) > 0.0), "{load}");
     }
+}
+
+#[test]
+fn bundles_are_measured_and_each_one_holds() {
+    let (home, plots) = (Home::new(), Home::new());
+    let directory = plots.root().to_str().expect("UTF-8");
+    let sizes = ["--records", "300", "--batches", "20", "--signers", "12", "--runs", "1", "--svg", directory];
+    let report = bare(&home).json_within(LIMIT, &[&["bench", "evidence"][..], &sizes].concat());
+    expect_shape(&report, "evidence", &home);
+    let rows = list(&report, "results");
+    let of = |what: &str, records: u64| {
+        let found = rows.iter().find(|row| row["what"] == what && count(row, "records") == records);
+        found.unwrap_or_else(|| panic!("no {what} of {records}: {rows:?}"))
+    };
+    for (records, batches) in [(1, 1), (100, 1), (300, 2)] {
+        let row = of("bundle", records);
+        assert_eq!((count(row, "batches"), count(row, "signers")), (batches, 1), "{row}");
+        // A record of 1 KiB is longer than its message, and a bundle of one more than a hundredth of one of a hundred.
+        assert!(number(row, "min") > 1024.0 && count(row, "nodes_bytes") > 0, "{row}");
+    }
+    assert!(number(of("bundle", 1), "min") > number(of("bundle", 100), "min"), "what all share counts once");
+    let hour = of("hour", 20);
+    assert!(count(hour, "total_bytes") > count(hour, "nodes_bytes") && count(hour, "batches") == 20, "{hour}");
+    assert_eq!((count(of("signers", 12), "signers"), count(of("prove", 12), "batches")), (12, 1));
+    for what in ["reference", "read", "check", "verify"] {
+        assert!(number(of(what, 300), "of_reference") > 0.0 && number(of(what, 12), "of_reference") > 0.0);
+    }
+    assert_eq!(list(&report, "acceptance").len(), 1);
+    expect_pages(&plots, &["evidence"], &["Verification, beside SM2 and SM3 alone", "Proof bytes per batch"]);
 }

@@ -11,7 +11,7 @@ use authros_crypto::{
     random_bytes, seal, token, topic_id, topic_key,
 };
 use authros_model::head::Compression;
-use authros_model::{Address, Digest, Domain, Head, RecordKind, RecorderId, Timestamp, Token, TopicId};
+use authros_model::{Address, Digest, Domain, Head, RecordKind, RecorderId, Signature, Timestamp, Token, TopicId};
 use authros_service::Failure;
 use authros_service::failure::internal;
 
@@ -45,6 +45,8 @@ pub struct Sealed {
     pub captured_at: Timestamp,
     /// Its bytes.
     pub blob: Vec<u8>,
+    /// The account's signature.
+    pub signature: Signature,
 }
 
 impl Account {
@@ -89,6 +91,16 @@ impl Account {
         self.nonce.store(nonce, Ordering::Relaxed);
     }
 
+    /// Its signing keys.
+    pub fn signing(&self) -> &SmKeyPair {
+        &self.signing
+    }
+
+    /// The domain of its records.
+    pub fn domain(&self) -> Domain {
+        self.domain
+    }
+
     /// Takes the next nonce of its lane.
     pub fn next_nonce(&self) -> u64 {
         self.nonce.fetch_add(1, Ordering::Relaxed)
@@ -116,9 +128,9 @@ impl Account {
             head: &head,
             body,
         };
-        let SealedRecord { blob, digest, .. } = seal(self.provider, &request)?;
+        let SealedRecord { blob, digest, signature, .. } = seal(self.provider, &request)?;
         let leaf = Leaf { owner: self.address, recorder: self.recorder, topic_id: self.topic_id, seq, digest };
-        Ok(Sealed { leaf, captured_at, blob })
+        Ok(Sealed { leaf, captured_at, blob, signature })
     }
 }
 

@@ -11,8 +11,8 @@ use super::outlet::Outlet;
 use super::report::Report;
 use crate::Global;
 use crate::args::{
-    AlgorithmArguments, AllArguments, Bench, BenchName, ConsensusArguments, GatewayArguments, GrowthArguments,
-    LoadChoice, MemoryArguments, NetworkChoice, PipelineArguments, RecordArguments, SizeArguments,
+    AlgorithmArguments, AllArguments, Bench, BenchName, ConsensusArguments, EvidenceArguments, GatewayArguments,
+    GrowthArguments, LoadChoice, MemoryArguments, NetworkChoice, PipelineArguments, RecordArguments, SizeArguments,
 };
 use authros_crypto::Provider;
 use authros_model::Consensus;
@@ -32,7 +32,7 @@ struct Entry {
 }
 
 /// Every bench in its order, with what it measures in this set.
-const PLAN: [(BenchName, &str, &str); 12] = [
+const PLAN: [(BenchName, &str, &str); 13] = [
     (BenchName::Sm3, "sm3", "digests of 1 KB to 800 KB beside libsm, libgcrypt and the paper"),
     (BenchName::Sm4, "sm4", "sealing and opening of 1 KB to 800 KB beside the crates, libsm and libgcrypt"),
     (BenchName::Sm2, "sm2", "signatures and envelopes beside the crate, libsm and OpenSSL"),
@@ -45,6 +45,7 @@ const PLAN: [(BenchName, &str, &str); 12] = [
     (BenchName::Memory, "memory", "memory of 200 idle robots, 200 watched topics, 10^5 records"),
     (BenchName::Pictures, "pictures", "raw pictures, clouds and small messages by codec"),
     (BenchName::Growth, "growth", "a record, a page and a frame with 10^3 to 10^5 records there"),
+    (BenchName::Evidence, "evidence", "bundles of 1 to 10^4 records: bytes, and verification beside SM2 and SM3 alone"),
 ];
 
 /// Runs all that is not skipped; the exit code is the first one that is not 0, of those that failed or, where figures are
@@ -123,6 +124,9 @@ fn short(name: BenchName, arguments: &AllArguments) -> Bench {
         BenchName::Memory => Bench::Memory(MemoryArguments { idle_robots: 200, topics: 200, records: 100_000 }),
         BenchName::Pictures => Bench::Pictures,
         BenchName::Growth => Bench::Growth(GrowthArguments { records: 100_000 }),
+        BenchName::Evidence => {
+            Bench::Evidence(EvidenceArguments { records: 10_000, batches: 300, signers: 100, runs: 3 })
+        }
     }
 }
 

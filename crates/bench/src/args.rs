@@ -63,6 +63,8 @@ pub enum Bench {
     /// Robots and gateways of a fleet in this process, gateways stopped and begun again: processor per record at one gateway
     /// and at several, bytes between gateways, losses, fail-over; not part of all
     Fleet(FleetArguments),
+    /// Bundles of evidence: bytes per record, proof bytes per batch, and verification beside SM2 and SM3 alone
+    Evidence(EvidenceArguments),
     /// Messages to 8 ROS 1 subscribers, by our own publisher and by rosrust: losses, latency, processor; not part of all
     Ros(RosArguments),
 }
@@ -83,6 +85,7 @@ pub enum BenchName {
     Memory,
     Pictures,
     Growth,
+    Evidence,
 }
 
 /// `bench all …`
@@ -132,9 +135,9 @@ pub struct SizeArguments {
     /// Also on this node, which must give ether to test accounts or ask no fees, unless --funder does
     #[arg(long, value_name = "URL")]
     pub node: Option<String>,
-    /// File with the key of an account on that node (hex, readable by you alone), which lends the test accounts ether
-    /// and gets the rest back
-    #[arg(long, value_name = "FILE", requires = "node")]
+    /// Who lends the test accounts ether on that node, and gets the rest back: a profile of this home, or a file with the
+    /// key of an account (hex, readable by you alone)
+    #[arg(long, value_name = "PROFILE|FILE", requires = "node")]
     pub funder: Option<PathBuf>,
 }
 
@@ -173,9 +176,9 @@ pub struct ConsensusArguments {
     /// Also on this node, which must give ether to test accounts or ask no fees, unless --funder does
     #[arg(long, value_name = "URL")]
     pub node: Option<String>,
-    /// File with the key of an account on that node (hex, readable by you alone), which lends the test accounts ether
-    /// and gets the rest back
-    #[arg(long, value_name = "FILE", requires = "node")]
+    /// Who lends the test accounts ether on that node, and gets the rest back: a profile of this home, or a file with the
+    /// key of an account (hex, readable by you alone)
+    #[arg(long, value_name = "PROFILE|FILE", requires = "node")]
     pub funder: Option<PathBuf>,
     /// Least time between two blocks of the PoA chain, milliseconds
     #[arg(long, value_name = "MS", default_value_t = Self::PERIOD,
@@ -273,6 +276,23 @@ pub struct MemoryArguments {
     #[arg(long, value_name = "N", default_value_t = 1_000_000,
           value_parser = clap::value_parser!(u64).range(10_000..=10_000_000))]
     pub records: u64,
+}
+
+/// `bench evidence …`
+#[derive(Debug, Args)]
+pub struct EvidenceArguments {
+    /// Records of the largest bundle, which is verified
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub records: u32,
+    /// Batches of the bundle whose proof bytes are counted: as many as an hour has seconds
+    #[arg(long, value_name = "N", default_value_t = 3600, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub batches: u32,
+    /// Signers of one batch, each a registered account
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub signers: u32,
+    /// How often reading, checking and the reference are timed
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub runs: u32,
 }
 
 /// `bench gateway …`

@@ -12,6 +12,7 @@ use authros_chain::{Chain, SignedTransaction};
 use authros_crypto::{EoaSecret, keyfile};
 use authros_model::{Address, ErrorKind};
 use authros_service::Failure;
+use authros_store::SiteLock;
 
 /// Gas of a transfer without data.
 const TRANSFER: u128 = 21_000;
@@ -33,9 +34,19 @@ struct Lent {
     gift: SignedTransaction,
 }
 
+/// An account of the operator's.
+pub struct Purse {
+    /// Its key.
+    pub eoa: EoaSecret,
+    /// If it is a profile's: its home, which nobody else opens meanwhile.
+    pub home: Option<SiteLock>,
+}
+
 /// The operator's account, and what it lent.
 pub struct Funder {
     purse: EoaSecret,
+    /// Held until everything is given back.
+    _home: Option<SiteLock>,
     /// Gas that one account may need.
     gas: u64,
     lent: Mutex<Vec<Lent>>,
@@ -45,9 +56,12 @@ impl Funder {
     /// The one that the arguments name, if they do.
     ///
     /// # Errors
-    /// If its key file cannot be used.
-    pub fn of(verb: &BenchVerb) -> Result<Option<Self>, Failure> {
-        let (file, gas) = match verb {
+    /// If its key file or profile cannot be used.
+    pub fn of(
+        verb: &BenchVerb,
+        purse: &(dyn Fn(&str) -> Result<Purse, Failure> + Sync),
+    ) -> Result<Option<Self>, Failure> {
+        let (named, gas) = match verb {
             BenchVerb::One(Bench::Consensus(asked)) => {
                 let uploaders: u64 = asked.uploaders.iter().map(|count| u64::from(*count)).sum();
                 (asked.funder.as_deref(), uploaders.saturating_mul(EACH_UPLOADER))
@@ -68,14 +82,16 @@ impl Funder {
                 | Bench::Pictures
                 | Bench::Growth(_)
                 | Bench::Fleet(_)
+                | Bench::Evidence(_)
                 | Bench::Ros(_),
             ) => (None, 0),
         };
-        file.map(|file| Self::open(file, gas.saturating_add(FOUNDING))).transpose()
-    }
-
-    fn open(file: &Path, gas: u64) -> Result<Self, Failure> {
-        Ok(Self { purse: keyfile::load_eoa(file, None)?, gas, lent: Mutex::default() })
+        let Some(named) = named else { return Ok(None) };
+        let Purse { eoa, home } = match profile(named) {
+            Some(profile) => purse(profile)?,
+            None => Purse { eoa: keyfile::load_eoa(named, None)?, home: None },
+        };
+        Ok(Some(Self { purse: eoa, _home: home, gas: gas.saturating_add(FOUNDING), lent: Mutex::default() }))
     }
 
     /// Lends an account what its uploads may cost. On a network without fees that is nothing.
@@ -138,6 +154,12 @@ impl Funder {
     }
 }
 
+/// The profile that is named, unless it is a file: a path of several parts, or one that is there.
+fn profile(named: &Path) -> Option<&str> {
+    let is_file = named.components().count() != 1 || named.symlink_metadata().is_ok();
+    named.to_str().filter(|_| !is_file)
+}
+
 /// The account's next nonce, once none of its transactions waits for a block.
 async fn settled(chain: &Chain, account: Address) -> Result<u64, Failure> {
     let begun = Instant::now();
@@ -166,4 +188,18 @@ fn kept(account: Address, failure: &Failure) -> Failure {
         failure.message
     );
     Failure::new(failure.kind, text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_word_is_a_profile_unless_there_is_such_a_file() {
+        let folder = tempfile::tempdir().expect("a folder");
+        assert_eq!(profile(Path::new("alice")), Some("alice"));
+        assert_eq!(profile(Path::new("./alice")), None);
+        assert_eq!(profile(&folder.path().join("absent")), None);
+        assert_eq!(profile(Path::new("/")), None, "a folder that is there");
+    }
 }

@@ -9,6 +9,7 @@ mod all;
 mod batcher;
 mod consensus;
 mod fleet;
+mod evidence;
 mod funder;
 mod gas;
 mod gateway;
@@ -41,6 +42,7 @@ use std::str::FromStr;
 
 use self::algorithms::Algorithm;
 use self::funder::Funder;
+pub use self::funder::Purse;
 use self::judgement::Judgement;
 use self::outlet::{Form, Outlet};
 use crate::args::{Bench, BenchArguments, BenchVerb};
@@ -58,6 +60,8 @@ pub struct Global<'a> {
     pub provider: ProviderName,
     /// The flags' values for settings.
     pub settings: &'a (dyn Fn(&str) -> Option<String> + Sync),
+    /// Opens the account of a profile of the home.
+    pub purse: &'a (dyn Fn(&str) -> Result<Purse, Failure> + Sync),
 }
 
 /// Runs one bench, or all, and returns the exit code: 0 whatever the figures are, unless they are to be judged. `stop`
@@ -79,7 +83,7 @@ pub async fn run(
     };
     let provider = provider(global.provider);
     let outlet = Outlet::open(form, *output, arguments.svg)?;
-    let funder = Funder::of(&arguments.verb)?;
+    let funder = Funder::of(&arguments.verb, global.purse)?;
     let (judge, verb) = (arguments.judge, arguments.verb);
     let lender = funder.as_ref();
     let work = async move {
@@ -138,5 +142,6 @@ async fn measure(
         Bench::Pipeline(pipeline) => pipeline::run(global, pipeline, outlet).await,
         Bench::Memory(memory) => memory::run(global, memory, provider, outlet).await,
         Bench::Gateway(gateway) => gateway::run(gateway, provider, outlet).await,
+        Bench::Evidence(evidence) => evidence::run(evidence, provider, outlet).await,
     }
 }

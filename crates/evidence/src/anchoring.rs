@@ -79,7 +79,7 @@ fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a Ancho
     {
         return refused("the contract's code is not the code you pinned");
     }
-    match in_state(&storage, digest, header, claim, shown_at) {
+    match in_state((check, &storage), digest, header, claim, shown_at) {
         Ok(found) => found.map_or_else(
             || refused(format!("the state after block {} does not contain its anchor", claim.shown_at)),
             |found| compare(found, claim, shown_at),
@@ -96,7 +96,7 @@ fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a Ancho
 type Counted<'a> = (Anchored<'a>, Option<u64>);
 
 fn in_state<'a>(
-    storage: &Storage<'a>,
+    (check, storage): (&Check<'a>, &Storage<'a>),
     digest: Digest,
     header: &Header,
     claim: &AnchorClaim,
@@ -105,6 +105,7 @@ fn in_state<'a>(
     // Revision 1, and digests by themselves, store no time: it is known if the block is the one whose state this is.
     let own_time = |block: u64| (block == shown_at.number).then_some(shown_at.timestamp);
     let (storage, shown_at, claimed_keys) = (*storage, shown_at.number, claim.keys);
+    let known = &check.known;
     let anchored =
         |block, time, account, keys| Anchored { storage, shown_at, block, time, account, keys, claimed_keys };
     match &claim.anchor {
@@ -113,7 +114,7 @@ fn in_state<'a>(
             Ok(block.map(|block| (anchored(block, own_time(block), header.owner, None), None)))
         }
         Anchoring::Batch { account, root, .. } => {
-            let Some(word) = storage.anchor(*account, *root)? else { return Ok(None) };
+            let Some(word) = known.anchor((shown_at, &storage), *account, *root)? else { return Ok(None) };
             let time = Some(word.time).filter(|time| *time != 0).or_else(|| own_time(word.block));
             let keys = Some(word.keys).filter(|keys| *keys != 0);
             Ok(Some((anchored(word.block, time, *account, keys), Some(word.count))))

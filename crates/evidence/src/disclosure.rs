@@ -1,5 +1,6 @@
 //! Level (e): the owner signed the disclosure, and its secret is the record's.
 
+use authros_crypto::Provider;
 use authros_crypto::record::{Revealed, open_revealed_within, reveal_bytes};
 use authros_model::{Digest, Header, PublicKey};
 
@@ -12,26 +13,33 @@ pub(crate) const MOST_PLAIN: u64 = 256 * 1024 * 1024;
 /// The most identities tried for one owner.
 const MOST_IDENTITIES: usize = 16;
 
-/// Level (e), as far as the state itself is trusted, and the message if it was opened. The signer is checked first:
-/// nothing is produced that nobody vouches for.
-pub(crate) fn opened(
+/// Level (e) before the message is opened, as far as the state itself is trusted: who signed the disclosure.
+pub(crate) fn vouched(
     check: &Check<'_>,
     digest: Digest,
     record: &BundledRecord,
     header: &Header,
     owner_key: Option<PublicKey>,
+) -> Level {
+    let disclosure = record.disclosure.as_ref();
+    disclosure.map_or_else(
+        || Level::new(Standing::Absent, "sealed: its owner did not disclose it"),
+        |disclosure| signed(check, digest, disclosure, header, owner_key),
+    )
+}
+
+/// Level (e), and the message if it was opened; at most `left` bytes are produced, and counted there. The signer was
+/// checked first: nothing is produced that nobody vouches for.
+pub(crate) fn opened(
+    provider: &dyn Provider,
+    record: &BundledRecord,
+    level: Level,
+    left: &mut u64,
 ) -> (Level, Option<Revealed>) {
-    let Some(disclosure) = &record.disclosure else {
-        return (Level::new(Standing::Absent, "sealed: its owner did not disclose it"), None);
-    };
-    let level = signed(check, digest, disclosure, header, owner_key);
-    if level.standing == Standing::Refused {
+    let Some(disclosure) = record.disclosure.as_ref().filter(|_| level.standing != Standing::Refused) else {
         return (level, None);
-    }
-    let mut left = check.known.plain_left.get();
-    let opened = open_revealed_within(check.provider, &record.record, &disclosure.secret, &mut left);
-    check.known.plain_left.set(left);
-    match opened {
+    };
+    match open_revealed_within(provider, &record.record, &disclosure.secret, left) {
         Ok(Some(revealed)) => (level, Some(revealed)),
         Ok(None) => {
             let text = "its message is not opened: too much is disclosed in a single file";

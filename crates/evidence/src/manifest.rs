@@ -1,7 +1,7 @@
 //! `manifest.json`: every member with its length and hashes, and the chain that the bundle claims to be of; and the
 //! exporter's signature over it.
 
-use authros_crypto::{Provider, signature_from_der, signer_id};
+use authros_crypto::{Provider, pool, signature_from_der, signer_id};
 use authros_model::{Address, Hash, PublicKey, SignerId, clean};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
@@ -17,6 +17,8 @@ pub const MEDIA_TYPE: &str = "application/vnd.authros.evidence+zip";
 pub const MANIFEST: &str = "manifest.json";
 /// The name of its signature, DER.
 pub const SIGNATURE: &str = "manifest.der";
+/// Members hashed side by side.
+const AT_ONCE: usize = 64;
 /// Members not in the manifest: itself, its signature, and those that are the same in each bundle.
 const UNLISTED: [&str; 3] = [MIMETYPE, MANIFEST, SIGNATURE];
 
@@ -71,17 +73,26 @@ pub struct Member {
 }
 
 impl Member {
-    fn of(name: &str, bytes: &[u8], provider: &dyn Provider) -> Self {
-        let sha256 = Hash(Sha256::digest(bytes).into());
-        Self { name: name.to_owned(), bytes: bytes.len() as u64, sm3: Hash(provider.sm3(&[bytes])), sha256 }
+    fn of_each(members: &[(&String, &Vec<u8>)], provider: &dyn Provider) -> Vec<Self> {
+        let texts: Vec<&[u8]> = members.iter().map(|(_, bytes)| bytes.as_slice()).collect();
+        let of = |((name, bytes), sm3): (&(&String, &Vec<u8>), [u8; 32])| {
+            let (sm3, sha256) = (Hash(sm3), Hash(Sha256::digest(bytes).into()));
+            Self { name: (*name).clone(), bytes: bytes.len() as u64, sm3, sha256 }
+        };
+        members.iter().zip(provider.sm3_many(&texts)).map(of).collect()
     }
 }
 
 impl Manifest {
     /// Of these members.
     pub fn of(members: &Members, chain: ClaimedChain, exporter: Exporter, provider: &dyn Provider) -> Self {
-        let listed = members.iter().filter(|(name, _)| !UNLISTED.contains(&name.as_str()));
-        let members = listed.map(|(name, bytes)| Member::of(name, bytes, provider)).collect();
+        let listed: Vec<(&String, &Vec<u8>)> =
+            members.iter().filter(|(name, _)| !UNLISTED.contains(&name.as_str())).collect();
+        let bytes = listed.iter().map(|(_, bytes)| bytes.len()).fold(0, usize::saturating_add);
+        let pieces: Vec<&[(&String, &Vec<u8>)]> = listed.chunks(AT_ONCE).collect();
+        let hashed = |piece: &&[(&String, &Vec<u8>)]| Member::of_each(piece, provider);
+        let members = pool::each(&pieces, pool::helpers_for(pieces.len(), bytes), hashed);
+        let members = members.into_iter().flatten().collect();
         Self { format: FORMAT.to_owned(), chain, exporter, members }
     }
 

@@ -21,7 +21,7 @@ pub(crate) fn signing_right(check: &Check<'_>, header: &Header, anchored: &Ancho
     match owner_key(check, header, anchored) {
         Ok(Own::Unknown(why)) => Signed { level: Level::new(Standing::Unproven, why), owner_key: None },
         Ok(Own::Registered(key)) => {
-            let level = judged(header, anchored, &key).unwrap_or_else(|why| unshown(why, anchored));
+            let level = judged(check, header, anchored, &key).unwrap_or_else(|why| unshown(why, anchored));
             Signed { level, owner_key: Some(key) }
         }
         Err(why) => Signed { level: unshown(why, anchored), owner_key: None },
@@ -43,7 +43,12 @@ fn refused(text: impl Into<String>) -> Level {
     Level::new(Standing::Refused, text)
 }
 
-fn judged(header: &Header, anchored: &Anchored<'_>, registered: &PublicKey) -> Result<Level, Unproven> {
+fn judged(
+    check: &Check<'_>,
+    header: &Header,
+    anchored: &Anchored<'_>,
+    registered: &PublicKey,
+) -> Result<Level, Unproven> {
     let (owner, block, at) = (header.owner, anchored.block, anchored.shown_at);
     let how = match signer_id(registered) == header.signer {
         true => format!("the key was {owner}'s at block {block}"),
@@ -57,7 +62,7 @@ fn judged(header: &Header, anchored: &Anchored<'_>, registered: &PublicKey) -> R
     // The contract lets no suspended account anchor, which holds for the moment of anchoring. A right is the state
     // after the block, so the block's own state is used if present: the owner may have been suspended later in that
     // block. A later state in which the owner is suspended does not show that this came after the block.
-    let suspended = anchored.storage.is_suspended(owner)?;
+    let suspended = check.known.is_suspended((at, &anchored.storage), owner)?;
     Ok(match (suspended, at == block) {
         (true, true) => refused(format!("{owner} was suspended at block {block}")),
         (false, true) => Level::new(Standing::Proven, format!("{how}, and {owner} was not suspended")),
@@ -85,18 +90,18 @@ enum Own {
 
 /// The key that the owner had registered at the anchoring block.
 fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Result<Own, Unproven> {
-    let (owner, block, storage) = (header.owner, anchored.block, &anchored.storage);
+    let (owner, block, state) = (header.owner, anchored.block, (anchored.shown_at, &anchored.storage));
     let version = anchored.keys.filter(|_| anchored.account == owner).unwrap_or(anchored.claimed_keys);
     if version == 0 {
         return Ok(Own::Unknown(
             "the contract has revision 1, which keeps no key history, so nothing shows it".to_owned(),
         ));
     }
-    let Some(keys) = storage.keys(owner, version)? else {
+    let Some(keys) = check.known.keys(state, owner, version)? else {
         return Ok(Own::Unknown(format!("{owner} has no version {version} of its keys on this chain")));
     };
     // The contract notes the version with the owner's own anchor, but the keys may have changed later in that block.
-    let after = version.checked_add(1).map(|next| storage.keys(owner, next)).transpose()?.flatten();
+    let after = version.checked_add(1).map(|next| check.known.keys(state, owner, next)).transpose()?.flatten();
     if keys.block > block || after.is_some_and(|after| after.block <= block) {
         return Ok(Own::Unknown(format!(
             "version {version} of {owner}'s keys was not the one in force at block {block}"

@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 
 use authros_crypto::record::{Revealed, signed_bytes};
-use authros_crypto::{Provider, domain, signer_id};
+use authros_crypto::{Provider, domain, pool, signer_id};
 use authros_model::{Address, Digest, Domain, Hash, Header, Identity, Timestamp, clean};
 
 use crate::anchoring::{Anchored, anchored};
 use crate::bundle::{Bundle, BundledRecord};
 use crate::completeness::stretches;
-use crate::disclosure::opened;
+use crate::disclosure::{MOST_PLAIN, opened, vouched};
 use crate::known::Known;
 use crate::report::{Disclosed, Level, Outcome, RecordReport, Report, Standing};
 use crate::signing::signing_right;
@@ -46,9 +46,7 @@ pub fn verify(bundle: &Bundle, trust: Option<&Trust>, provider: &dyn Provider) -
     let stamps = Stamps::new(bundle, trust);
     let witnessed = Witnessed::new(bundle, trust, &bound, provider);
     let check = Check { bundle, trust, provider, domain: bound, contract, stamps, witnessed, known: Known::default() };
-    let mut messages = Messages::new();
-    let records: Vec<RecordReport> =
-        bundle.records.iter().map(|(digest, record)| check.record(*digest, record, &mut messages)).collect();
+    let (records, messages) = check.records();
     let complete = stretches(&bundle.heights, &records, &messages);
     let exporter = check.exporter(&records);
     let standings =
@@ -67,7 +65,44 @@ pub fn verify(bundle: &Bundle, trust: Option<&Trust>, provider: &dyn Provider) -
 }
 
 impl<'a> Check<'a> {
-    fn record(&self, digest: Digest, record: &'a BundledRecord, messages: &mut Messages) -> RecordReport {
+    /// Each record, in order. Everything but the messages is checked on all cores; messages are opened one after the
+    /// other, so that the same ones are opened each time, however many there are, and no more than one is in work.
+    fn records(&self) -> (Vec<RecordReport>, Messages) {
+        let all: Vec<(&'a Digest, &'a BundledRecord)> = self.bundle.records.iter().collect();
+        let bytes = all.iter().map(|(_, record)| record.record.len()).fold(0, usize::saturating_add);
+        let judge = |one: &(&'a Digest, &'a BundledRecord)| self.record(*one.0, one.1);
+        let judged = pool::each(&all, pool::helpers_for(all.len(), bytes), judge);
+        let (mut reports, mut messages, mut left) = (Vec::with_capacity(all.len()), Messages::new(), MOST_PLAIN);
+        for ((digest, record), (mut report, header)) in all.into_iter().zip(judged) {
+            if let Some(header) = header {
+                self.open((*digest, record), &header, &mut report, (&mut messages, &mut left));
+            }
+            reports.push(report);
+        }
+        (reports, messages)
+    }
+
+    /// Opens a record whose disclosure somebody vouches for; (e) is then judged by the seals, too.
+    fn open(
+        &self,
+        (digest, record): (Digest, &BundledRecord),
+        header: &Header,
+        report: &mut RecordReport,
+        (messages, left): (&mut Messages, &mut u64),
+    ) {
+        let vouched = std::mem::replace(&mut report.opened, Level::new(Standing::Absent, ""));
+        let (level, revealed) = opened(self.provider, record, vouched, left);
+        report.opened = capped(level, &report.anchor);
+        let Some(revealed) = revealed else { return };
+        if let Some(why) = self.witnessed.other_head(digest, header, &revealed) {
+            (report.witnessed, report.witnessed_at) = (Level::new(Standing::Refused, why), None);
+        }
+        report.disclosed = Some(self.disclosed(&revealed));
+        messages.insert(digest, revealed);
+    }
+
+    /// All but the message: (e) says so far who vouches for the disclosure. With the header, if (a) is proven.
+    fn record(&self, digest: Digest, record: &'a BundledRecord) -> (RecordReport, Option<Header>) {
         let mut report = RecordReport {
             digest,
             owner: None,
@@ -95,7 +130,7 @@ impl<'a> Check<'a> {
             Ok(found) => found,
             Err(why) => {
                 report.bytes = Level::new(Standing::Refused, why);
-                return report;
+                return (report, None);
             }
         };
         report.owner = Some(header.owner);
@@ -124,16 +159,8 @@ impl<'a> Check<'a> {
             report.anchored_at = time.map(Timestamp::from_seconds);
             report.seconds_to_anchor = time.and_then(|time| seconds_between(header.captured_at.seconds(), time));
         }
-        let (level, revealed) = opened(self, digest, record, &header, owner_key);
-        report.opened = capped(level, &report.anchor);
-        if let Some(revealed) = revealed {
-            if let Some(why) = self.witnessed.other_head(digest, &header, &revealed) {
-                (report.witnessed, report.witnessed_at) = (Level::new(Standing::Refused, why), None);
-            }
-            report.disclosed = Some(self.disclosed(&revealed));
-            messages.insert(digest, revealed);
-        }
-        report
+        report.opened = vouched(self, digest, record, &header, owner_key);
+        (report, Some(header))
     }
 
     /// (a): the digest, the network, the signature.

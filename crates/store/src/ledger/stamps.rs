@@ -35,12 +35,13 @@ pub struct StampCounts {
 }
 
 impl Ledger {
-    /// Puts the batches closed since the last time under a new stamp, the oldest `most` of them; returns how many.
+    /// Puts the batches closed since the last time under a new stamp made `at`, the oldest `most` of them; returns how
+    /// many.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like: then nothing is begun.
-    pub fn begin_stamp(&self, most: usize) -> Result<u64, StoreError> {
-        let (most, now) = (i64::try_from(most).unwrap_or(i64::MAX), whole("time", Timestamp::now().0)?);
+    pub fn begin_stamp(&self, most: usize, at: Timestamp) -> Result<u64, StoreError> {
+        let (most, at) = (i64::try_from(most).unwrap_or(i64::MAX), whole("time", at.0)?);
         self.write(move |session| {
             let connection = session.connection;
             let sql = "SELECT key, root FROM batches WHERE key > coalesce((SELECT max(upto) FROM stamps), 0)
@@ -53,7 +54,7 @@ impl Ledger {
             let roots: Vec<u8> = found.iter().flat_map(|(_, root)| *root).collect();
             connection
                 .prepare_cached("INSERT INTO stamps (made_at, upto, roots) VALUES (?1, ?2, ?3)")?
-                .execute(params![now, upto, roots])?;
+                .execute(params![at, upto, roots])?;
             let key = connection.last_insert_rowid();
             let mut add = connection.prepare_cached("INSERT OR IGNORE INTO stamped_roots VALUES (?1, ?2)")?;
             for (_, root) in &found {
@@ -169,9 +170,10 @@ mod tests {
         let home = tempfile::tempdir().expect("folder");
         let path = home.path().join("ledger.db");
         let ledger = Ledger::open(&path).expect("opens");
-        assert_eq!((ledger.begin_stamp(9), ledger.stamp_counts()), (Ok(0), Ok(StampCounts::default())));
+        let begin = |most| ledger.begin_stamp(most, Timestamp(40));
+        assert_eq!((begin(9), ledger.stamp_counts()), (Ok(0), Ok(StampCounts::default())));
         (1..=3).for_each(|number| close(&ledger, number));
-        assert_eq!([ledger.begin_stamp(2), ledger.begin_stamp(2), ledger.begin_stamp(2)], [Ok(2), Ok(1), Ok(0)]);
+        assert_eq!([begin(2), begin(2), begin(2)], [Ok(2), Ok(1), Ok(0)]);
         let (one, other) = (Hash([0xa; 32]), Hash([0xb; 32]));
         let waiting = |authority| -> Vec<Vec<u8>> {
             let stamps = ledger.waiting_stamps(authority, 9).expect("read");
@@ -191,6 +193,7 @@ mod tests {
         assert_eq!((stamp.roots, stamp.tokens), (vec![Hash([1; 32]), Hash([2; 32])], vec![vec![7]]));
         assert_eq!((ledger.stamp_of(Hash([9; 32])), ledger.stamp(99)), (Ok(None), Ok(None)));
         close(&ledger, 4);
-        assert_eq!(ledger.begin_stamp(9), Ok(1));
+        assert_eq!(ledger.begin_stamp(9, Timestamp(70)), Ok(1));
+        assert_eq!(ledger.stamp_counts().expect("read").newest, Some(Timestamp(70)));
     }
 }

@@ -2,6 +2,8 @@
 
 mod figure;
 mod page;
+#[cfg(test)]
+mod tests;
 mod time;
 
 pub(in crate::site) use self::time::TimeStamps;
@@ -59,11 +61,7 @@ impl Evidence {
         let network = self.link.network().await?;
         let about = self.incident(owner, &wishes).await?;
         let mut rows = self.chosen(owner, &wishes).await?;
-        let before = rows.len();
-        if about.is_some() {
-            rows.retain(|row| row.deleted_at.is_none() || wishes.records.contains(&row.id));
-        }
-        let deleted = before - rows.len();
+        let left_out = about.as_ref().map_or_else(Vec::new, |about| leave_out(&mut rows, about, &wishes.records));
         let mut reveal = BTreeSet::new();
         for id in &wishes.reveal {
             let row = self.reading.own_record(&owner.profile, id).await?;
@@ -75,19 +73,14 @@ impl Evidence {
             self.log.begin(owner, "disclose record", &row.id).await?;
         }
         if rows.is_empty() {
-            return Err(input(
-                "that selection contains none of your records; `authros uploads list` shows them".to_owned(),
-            ));
+            let none = "that selection contains none of your records; `authros uploads list` shows them".to_owned();
+            return Err(input([vec![none], left_out].concat().join("; ")));
         }
         let file = clean(&wishes.file.display().to_string(), 300);
         self.log.begin(owner, "export evidence", &file).await?;
         let written = self.write_evidence(owner, &network, (&rows, &reveal), about.as_ref(), &wishes.file).await;
         let written = written.map(|mut view| {
-            view.notes.extend((deleted > 0).then(|| {
-                format!(
-                    "{deleted} records of the incident are not in the bundle: retention had already deleted their bytes"
-                )
-            }));
+            view.notes.extend(left_out);
             view
         });
         for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {
@@ -142,7 +135,9 @@ impl Evidence {
                 Ok(ledger.list(&query)?)
             })
             .await?;
-            rows.extend(page.rows.into_iter().filter(is_stored));
+            // Of an incident it is told what is left out because it is not stored yet.
+            let is_awaited = |row: &RecordRow| wishes.incident.is_some() && is_early(row);
+            rows.extend(page.rows.into_iter().filter(|row| is_stored(row) || is_awaited(row)));
             if rows.len() > MOST_RECORDS {
                 return Err(input(format!(
                     "that is more than {MOST_RECORDS} records; narrow it with --topic, --since and --until"
@@ -197,6 +192,47 @@ impl Evidence {
             revealed: gathered.revealed,
             notes: gathered.notes,
         })
+    }
+}
+
+/// Takes out the records of an incident that prove nothing in its bundle, unless they are named: those whose bytes are
+/// gone; and those that no block anchors yet, as long as it is open and will be exported again. Says how many.
+fn leave_out(rows: &mut Vec<RecordRow>, about: &IncidentView, named: &[String]) -> Vec<String> {
+    let mut notes = Vec::new();
+    let mut take_out = |is_out: fn(&RecordRow) -> bool, why: &str| {
+        let before = rows.len();
+        rows.retain(|row| !is_out(row) || named.contains(&row.id));
+        let out = before - rows.len();
+        notes.extend((out > 0).then(|| format!("{out} records of the incident {why}")));
+    };
+    take_out(|row| row.deleted_at.is_some(), "are not in the bundle: retention had already deleted their bytes");
+    take_out(is_early, "are not stored yet and are left out: export it again later");
+    if about.open {
+        take_out(is_unanchored, "are not anchored yet and are left out: it is still open, export it again later");
+    }
+    notes
+}
+
+/// Whether a record is not in the vault yet.
+fn is_early(row: &RecordRow) -> bool {
+    matches!(row.state, RecordState::Captured | RecordState::Sealed)
+}
+
+/// Whether no block is known to anchor a record.
+fn is_unanchored(row: &RecordRow) -> bool {
+    match row.state {
+        RecordState::Captured
+        | RecordState::Sealed
+        | RecordState::Stored
+        | RecordState::Batched
+        | RecordState::Submitted
+        | RecordState::RightEnded => row.block.is_none(),
+        RecordState::Mined
+        | RecordState::Confirmed
+        | RecordState::Verified
+        | RecordState::Quarantined
+        | RecordState::Dropped
+        | RecordState::Tampered => false,
     }
 }
 

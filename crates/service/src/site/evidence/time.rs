@@ -1,6 +1,9 @@
 //! External time: each hour the configured authorities stamp the roots of the batches closed since. An authority that
 //! does not answer is asked again, at growing intervals; nothing waits for it.
 
+#[cfg(test)]
+mod tests;
+
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -40,6 +43,19 @@ const AT_ONCE: usize = 64;
 const LONGEST_CERTIFICATE: u64 = 64 * 1024;
 /// The subject of notices.
 const ABOUT: &str = "time stamps";
+
+/// When a round begins: by the machine's clock, and by one that does not jump.
+#[derive(Debug, Clone, Copy)]
+struct Moment {
+    wall: Timestamp,
+    steady: Instant,
+}
+
+impl Moment {
+    fn now() -> Self {
+        Self { wall: Timestamp::now(), steady: Instant::now() }
+    }
+}
 
 /// The result of the last round.
 #[derive(Default)]
@@ -85,28 +101,32 @@ impl TimeStamps {
     /// Stamps what is due, until the site ends.
     pub async fn keep(self: Arc<Self>) {
         while self.life.beat(LOOK).await {
-            if self.with(|last| last.again.is_some_and(|again| again > Instant::now())) {
-                continue;
-            }
-            let _turn = self.turn.lock().await;
-            if let Err(failure) = blocking(&self, |stamps| stamps.begin(false)).await {
-                self.failed(&failure);
-                continue;
-            }
-            drop(self.ask_all().await);
+            self.look(Moment::now()).await;
+        }
+    }
+
+    /// Stamps what is due at this moment, unless it is too early to ask again.
+    async fn look(self: &Arc<Self>, now: Moment) {
+        if self.with(|last| last.again.is_some_and(|again| again > now.steady)) {
+            return;
+        }
+        let _turn = self.turn.lock().await;
+        match blocking(self, move |stamps| stamps.begin(false, now.wall)).await {
+            Ok(_) => drop(self.ask_all(now).await),
+            Err(failure) => self.failed(&failure, now),
         }
     }
 
     /// Puts batches under stamps: at once, or if the last time was long enough ago.
-    fn begin(&self, at_once: bool) -> Result<u64, Failure> {
+    fn begin(&self, at_once: bool, now: Timestamp) -> Result<u64, Failure> {
         let newest = self.plant.ledger.stamp_counts()?.newest;
-        let due = newest.is_none_or(|newest| Timestamp::now().0.saturating_sub(newest.0) >= nanoseconds(PERIOD));
+        let due = newest.is_none_or(|newest| now.0.saturating_sub(newest.0) >= nanoseconds(PERIOD));
         if !at_once && !due {
             return Ok(0);
         }
         let mut roots = 0;
         loop {
-            let more = self.plant.ledger.begin_stamp(MOST_ROOTS)?;
+            let more = self.plant.ledger.begin_stamp(MOST_ROOTS, now)?;
             roots += more;
             if more < MOST_ROOTS as u64 {
                 return Ok(roots);
@@ -120,8 +140,9 @@ impl TimeStamps {
             return Err(input("no time stamp authority is configured; set time.authorities (see docs/evidence.md)"));
         }
         let _turn = self.turn.lock().await;
-        let roots = blocking(self, |stamps| stamps.begin(true)).await?;
-        let (tokens, problem) = self.ask_all().await;
+        let now = Moment::now();
+        let roots = blocking(self, move |stamps| stamps.begin(true, now.wall)).await?;
+        let (tokens, problem) = self.ask_all(now).await;
         let waiting = blocking(self, |stamps| Ok(stamps.plant.ledger.stamp_counts()?.waiting)).await?;
         match problem {
             Some(failure) if tokens.is_empty() => Err(failure),
@@ -130,11 +151,11 @@ impl TimeStamps {
     }
 
     /// Asks each authority for its missing stamps; returns what it gave, and the first failure.
-    async fn ask_all(self: &Arc<Self>) -> (Vec<StampedView>, Option<Failure>) {
+    async fn ask_all(self: &Arc<Self>, now: Moment) -> (Vec<StampedView>, Option<Failure>) {
         let (mut tokens, mut problem) = (Vec::new(), None);
         for authority in &self.authorities {
             if let Err(failure) = self.ask(authority, &mut tokens).await {
-                self.failed(&failure);
+                self.failed(&failure, now);
                 problem.get_or_insert(failure);
             }
         }
@@ -144,14 +165,14 @@ impl TimeStamps {
         (tokens, problem)
     }
 
-    fn failed(&self, failure: &Failure) {
+    fn failed(&self, failure: &Failure, now: Moment) {
         self.failures.fetch_add(1, Ordering::AcqRel);
         let is_new = self.with(|last| {
             let is_new = last.trouble.is_none();
-            let since = last.trouble.as_ref().map_or_else(Timestamp::now, |(since, _)| *since);
+            let since = last.trouble.as_ref().map_or(now.wall, |(since, _)| *since);
             last.trouble = Some((since, failure.message.clone()));
             last.pause = (last.pause * 2).clamp(PAUSES.0, PAUSES.1);
-            last.again = Some(Instant::now() + last.pause);
+            last.again = Some(now.steady + last.pause);
             is_new
         });
         if is_new {
