@@ -88,6 +88,8 @@ pub enum Report {
         version: u32,
         /// The domain; 0 in a graph of ROS 1.
         domain: u16,
+        /// Whether it can open no file and no local socket.
+        confined: bool,
     },
     /// A topic is announced.
     Ready {

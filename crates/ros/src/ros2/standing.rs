@@ -27,12 +27,18 @@ pub struct Standing {
     pub counts: Counts,
     /// How often the program was restarted.
     pub restarts: u64,
+    /// Whether the program can open no file and no local socket of this machine; `None` before it says so.
+    pub confined: Option<bool>,
 }
 
 /// What cannot be seen from here, and how to be seen.
 pub const INVISIBLE: &str = "not visible from here: robots with another ROS_DOMAIN_ID, on another network, or using \
                              Fast DDS over shared memory only or with LARGE_DATA (FASTDDS_BUILTIN_TRANSPORTS), a \
                              Discovery Server, SROS2 or rmw_zenoh";
+
+/// Said where the kernel raises no walls around the program that reads.
+pub const UNCONFINED: &str = "this kernel does not confine the program that speaks ROS 2 (Landlock and seccomp are needed): \
+                              taken over, it could open what its user can open";
 
 impl Standing {
     /// In one line.
@@ -68,7 +74,7 @@ mod tests {
     fn nobody_no_topics_and_other_names_are_told_apart() {
         let text = |participants, writers, foreign| {
             let counts = Counts { participants, writers, foreign };
-            Standing { domain: 3, reading: Reading::Up, counts, restarts: 0 }.text()
+            Standing { domain: 3, reading: Reading::Up, counts, restarts: 0, confined: None }.text()
         };
         for hidden in ["LARGE_DATA", "shared memory", "Discovery Server", "SROS2", "ROS_DOMAIN_ID"] {
             assert!(text(0, 0, 0).contains(hidden), "{hidden}");
