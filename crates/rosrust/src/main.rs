@@ -44,7 +44,7 @@ fn node(arguments: &[String]) -> Option<&str> {
     let is_name = name.len() <= LONGEST
         && name.starts_with(|first: char| first.is_ascii_alphabetic())
         && name.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '_');
-    (flag == "--node" && is_name).then_some(name)
+    (flag == "--node" && is_name).then_some(name.as_str())
 }
 
 fn fail(reason: &str) -> ExitCode {

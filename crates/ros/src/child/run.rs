@@ -271,6 +271,11 @@ impl Run {
         }
     }
 
+    /// Whether it has said that it can open no file and no local socket.
+    pub fn is_confined(&self) -> bool {
+        self.shared.state().confined
+    }
+
     /// Ends it at once.
     pub fn kill(&self) {
         self.shared.kill();

@@ -36,10 +36,6 @@ pub const INVISIBLE: &str = "not visible from here: robots with another ROS_DOMA
                              Fast DDS over shared memory only or with LARGE_DATA (FASTDDS_BUILTIN_TRANSPORTS), a \
                              Discovery Server, SROS2 or rmw_zenoh";
 
-/// Said where the kernel raises no walls around the program that reads.
-pub const UNCONFINED: &str = "this kernel does not confine the program that speaks ROS 2 (Landlock and seccomp are needed): \
-                              taken over, it could open what its user can open";
-
 impl Standing {
     /// In one line.
     pub fn text(&self) -> String {

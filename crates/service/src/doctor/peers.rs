@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 use super::{Sheet, files};
 use crate::config::{Config, without_password};
 use crate::paths::Home;
-use crate::ros::ros2::{Reading, Ros2Capture, UNCONFINED};
-use crate::ros::{CaptureNotice, Graph, Message, MessageSink};
+use crate::ros::ros2::{Reading, Ros2Capture};
+use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
 use crate::store::vault::policy::{self, Gravity};
 
 /// The longest look at a ROS 2 domain.
