@@ -57,7 +57,7 @@ enum Purpose<'a> {
 }
 
 fn purpose(arguments: &[String]) -> Option<Purpose<'_>> {
-    let domain = |value: &str| value.parse().ok().filter(|domain| *domain <= HIGHEST_DOMAIN);
+    let domain = |value: &str| value.parse::<u16>().ok().filter(|domain| *domain <= HIGHEST_DOMAIN);
     match arguments {
         [first, paths @ ..] if first == ATTEMPT => Some(Purpose::Attempt(paths)),
         [first, value] if first == "--domain" => Some(Purpose::Read(domain(value)?)),
