@@ -56,7 +56,9 @@ pub fn expect_no_key_in(home: &Path, process: &str, arguments: &str, environment
     let own =
         |link: &String| ["pipe:", "socket:", "anon_inode:", "/dev/null"].iter().any(|kind| link.starts_with(kind));
     assert!(links.len() > 3 && links.iter().all(own), "{links:?}");
-    expect_another_user(home, &String::from_utf8_lossy(&read("status")), &folder);
+    let status = String::from_utf8_lossy(&read("status")).into_owned();
+    expect_walls(home, &status, &folder);
+    expect_another_user(home, &status, &folder);
     let secrets = secrets_below(home);
     assert!(secrets.len() >= 2 * 6 + 2, "two profiles with passphrase, keys and epochs: {}", secrets.len());
     for (name, secret) in &secrets {
@@ -72,6 +74,37 @@ pub fn expect_no_key_in(home: &Path, process: &str, arguments: &str, environment
     assert_eq!(found_in(&memory, &secrets), Vec::<&str>::new());
 }
 
+/// What a program says when it tries to open each of `paths` as it began for a site: `reached`, or the kind of error.
+/// `None`, and told, where this kernel raises no walls.
+pub fn attempts(program: &Path, paths: &[PathBuf]) -> Option<Vec<String>> {
+    let output = Command::new(program).arg("--attempt").args(paths).stdin(Stdio::null()).output().expect("it starts");
+    let said = String::from_utf8(output.stdout).expect("UTF-8");
+    let (first, rest) = said.split_once('\n').expect("a line");
+    if first == "confined false" {
+        tell_skipped("keyless::attempts", "this kernel has no Landlock or no seccomp");
+        return None;
+    }
+    assert_eq!(first, "confined true", "{said}");
+    Some(rest.lines().map(str::to_owned).collect())
+}
+
+/// A process of a program has raised its walls, and behind them the keyring and the socket of `home` are out of reach.
+fn expect_walls(home: &Path, status: &str, folder: &Path) {
+    let program = fs::read_link(folder.join("exe")).expect("its program");
+    let wanted: Vec<PathBuf> = keyrings_and_sockets(home);
+    let Some(outcomes) = attempts(&program, &wanted) else { return };
+    let expected: Vec<String> = wanted.iter().map(|path| format!("PermissionDenied {}", path.display())).collect();
+    assert_eq!(outcomes, expected);
+    for line in ["NoNewPrivs:\t1", "Seccomp:\t2"] {
+        assert!(status.lines().any(|own| own == line), "{line} in {status}");
+    }
+}
+
+/// What nobody but a site may open.
+pub fn keyrings_and_sockets(home: &Path) -> Vec<PathBuf> {
+    files_below(home).into_iter().filter(|path| path.ends_with("keyring") || path.ends_with("site.sock")).collect()
+}
+
 /// Where the site may choose a user for it, and that one can read the program, it is nobody, who reaches neither keyring
 /// nor socket.
 fn expect_another_user(home: &Path, status: &str, folder: &Path) {
@@ -82,7 +115,7 @@ fn expect_another_user(home: &Path, status: &str, folder: &Path) {
         return;
     }
     assert_eq!(user, Some("65534"));
-    for path in files_below(home).into_iter().filter(|path| path.ends_with("keyring") || path.ends_with("site.sock")) {
+    for path in keyrings_and_sockets(home) {
         let mut look = Command::new("/usr/bin/test");
         look.arg("-r").arg(&path).uid(NOBODY).gid(NOBODY);
         assert!(!look.status().expect("it runs").success(), "nobody can open {}", path.display());

@@ -1,14 +1,22 @@
 //! How a program without keys begins, which a site starts to speak with the outside: nothing of what was inherited stays
-//! open but the pipe, memory is bounded, and signals end it in order.
+//! open but the pipe, memory is bounded, files and local sockets are out of its reach, and signals end it in order.
 
 mod inherited;
+mod walls;
 
 use std::fs::File;
+use std::io::Write;
 use std::os::fd::AsFd;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+
+pub use walls::Network;
+
+/// The first argument with which such a program only tries to open what the others name; see [`attempt_all`].
+pub const ATTEMPT: &str = "--attempt";
 
 /// What peers can make a program take is bounded by this, bytes; the site starts anew what ended at its bound.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -28,6 +36,8 @@ pub struct Begun {
     pub to: File,
     /// Set when a signal asks it to end.
     pub stop: Arc<AtomicBool>,
+    /// Whether it can open no file and no local socket, however it may be misled.
+    pub confined: bool,
 }
 
 /// Closes what was inherited. Only for the very beginning, while nothing of this process is open.
@@ -35,11 +45,11 @@ pub fn close_inherited() {
     inherited::close();
 }
 
-/// Bounds the memory and takes over pipe and signals.
+/// Bounds the memory, takes over pipe and signals, and raises the walls. Only while this is the only thread.
 ///
 /// # Errors
 /// The reason, in words, if there is no pipe, or signals cannot be listened for.
-pub fn begin(memory: Memory) -> Result<Begun, &'static str> {
+pub fn begin(memory: Memory, network: Network) -> Result<Begun, &'static str> {
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT, signal_hook::consts::SIGHUP] {
         let registered = signal_hook::flag::register(signal, Arc::clone(&stop));
@@ -48,7 +58,24 @@ pub fn begin(memory: Memory) -> Result<Begun, &'static str> {
     bound(memory);
     let pipes = (std::io::stdin().as_fd().try_clone_to_owned(), std::io::stdout().as_fd().try_clone_to_owned());
     let (Ok(from), Ok(to)) = pipes else { return Err("its input or output is closed; authros has to start it") };
-    Ok(Begun { from: File::from(from), to: File::from(to), stop })
+    let confined = walls::raise(network);
+    Ok(Begun { from: File::from(from), to: File::from(to), stop, confined })
+}
+
+/// Tries to open each path and says what came of it, one line for each: so a test can see what a program that began like
+/// the others reaches.
+///
+/// # Errors
+/// The reason, in words, if nobody listens.
+pub fn attempt_all(paths: &[String], begun: Begun) -> Result<(), &'static str> {
+    let Begun { mut to, confined, .. } = begun;
+    let line = |path: &String| {
+        let outcome = walls::attempt(Path::new(path));
+        let word = outcome.map_or_else(|error| format!("{:?}", error.kind()), |()| "reached".to_owned());
+        format!("{word} {path}\n")
+    };
+    let lines: String = paths.iter().map(line).collect();
+    write!(to, "confined {confined}\n{lines}").map_err(|_| "its output is closed; authros has to start it")
 }
 
 /// A limit that cannot be set is no reason not to work.

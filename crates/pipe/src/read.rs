@@ -55,6 +55,9 @@ pub enum Told {
         version: u32,
         /// The domain being read.
         domain: u16,
+        /// Whether it can open no file and no local socket; earlier versions did not say.
+        #[serde(default)]
+        confined: bool,
     },
     /// A publisher appeared, or changed its offer.
     WriterHere(Writer),
@@ -115,7 +118,13 @@ mod tests {
         let text = |told: &Told| serde_json::to_string(told).expect("JSON");
         let sample = Told::Sample { writer: "0110".into(), number: 7, sent: None, arrived: 9 };
         assert_eq!(text(&sample), r#"{"told":"sample","writer":"0110","number":7,"sent":null,"arrived":9}"#);
-        assert_eq!(text(&Told::Hello { version: 1, domain: 3 }), r#"{"told":"hello","version":1,"domain":3}"#);
+        assert_eq!(
+            text(&Told::Hello { version: 1, domain: 3, confined: true }),
+            r#"{"told":"hello","version":1,"domain":3,"confined":true}"#
+        );
+        // A child of another release is understood far enough to be told apart.
+        let former = serde_json::from_str::<Told>(r#"{"told":"hello","version":1,"domain":3}"#).expect("a hello");
+        assert_eq!(former, Told::Hello { version: 1, domain: 3, confined: false });
         let alive = Told::Alive(Counts { participants: 1, writers: 2, foreign: 3 });
         assert_eq!(text(&alive), r#"{"told":"alive","participants":1,"writers":2,"foreign":3}"#);
         let wish = serde_json::from_str::<Wish>(r#"{"wish":"watch","topic":"/a"}"#).expect("a wish");

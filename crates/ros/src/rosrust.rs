@@ -174,6 +174,11 @@ impl RosrustPublisher {
         drop(self.run.order(&Order::<Described>::Outrun, &[]));
     }
 
+    /// Whether its program can open no file and no local socket.
+    pub fn is_confined(&self) -> bool {
+        self.run.is_confined()
+    }
+
     /// The number of the process in which rosrust runs.
     pub fn process(&self) -> Option<u32> {
         self.run.process()

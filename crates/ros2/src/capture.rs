@@ -37,13 +37,18 @@ const LEAVING: Duration = Duration::from_secs(2);
 /// The most topics read at once.
 const MOST_TOPICS: usize = 4096;
 
-/// Reads `domain` until the wishes end or `stop` is set. Leaves the domain on every way out.
+/// Reads `domain` until the wishes end or `stop` is set; tells whether it is confined. Leaves the domain on every way out.
 ///
 /// # Errors
 /// [`Ros2Error`] if the domain cannot be joined, the pipe breaks or the network threads are gone.
-pub fn run(domain: u16, from: impl Read + Send + 'static, to: impl Write, stop: &AtomicBool) -> Result<(), Ros2Error> {
+pub fn run(
+    (domain, confined): (u16, bool),
+    from: impl Read + Send + 'static,
+    to: impl Write,
+    stop: &AtomicBool,
+) -> Result<(), Ros2Error> {
     let mut out = BufWriter::with_capacity(256 << 10, to);
-    send(&mut out, &Told::Hello { version: VERSION, domain }, &[])?;
+    send(&mut out, &Told::Hello { version: VERSION, domain, confined }, &[])?;
     out.flush().map_err(crate::pipe::PipeError::from)?;
     let result = Child::begin(domain, from, &mut out).and_then(|mut child| {
         let result = child.run(stop);

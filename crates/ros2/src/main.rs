@@ -3,47 +3,67 @@
 
 use std::process::ExitCode;
 
-use authros_keyless::{Begun, Memory, begin, close_inherited};
+use authros_keyless::{ATTEMPT, Begun, Memory, Network, attempt_all, begin, close_inherited};
 
 /// The largest address space: memory that the network makes this process take is bounded here; the site restarts it.
 const MOST_MEMORY: u64 = 2 << 30;
 
+/// More are not looked at.
+const MOST_ARGUMENTS: usize = 16;
 /// The highest domain with valid ports.
 const HIGHEST_DOMAIN: u16 = 232;
 
 fn main() -> ExitCode {
     close_inherited();
-    let Some((domain, publishes)) = purpose() else {
+    let arguments: Vec<String> = std::env::args().skip(1).take(MOST_ARGUMENTS).collect();
+    let Some(purpose) = purpose(&arguments) else {
         return fail(
             "usage: authros-ros2 --domain N (0 to 232); authros --ros2 starts this program, do not run it by hand",
         );
     };
-    let Begun { from, to, stop } = match begin(Memory::AddressSpace(MOST_MEMORY)) {
+    let begun = match begin(Memory::AddressSpace(MOST_MEMORY), Network::Datagrams) {
         Ok(begun) => begun,
         Err(reason) => return fail(reason),
     };
-    let done = if publishes {
-        authros_ros2::publish(domain, from, to, &stop)
-    } else {
-        authros_ros2::run(domain, from, to, &stop)
+    let done = match purpose {
+        Purpose::Attempt(paths) => attempt_all(paths, begun).map_err(str::to_owned),
+        Purpose::Read(domain) => read(domain, begun),
+        Purpose::Publish(domain) => publish(domain, begun),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => fail(&error.to_string()),
+        Err(reason) => fail(&reason),
     }
 }
 
-/// The domain, and whether to publish in it.
-fn purpose() -> Option<(u16, bool)> {
-    let arguments: Vec<String> = std::env::args().skip(1).take(4).collect();
-    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
-    let (value, publishes) = match arguments[..] {
-        ["--domain", value] => (value, false),
-        ["--domain", value, "--publish"] => (value, true),
-        _ => return None,
-    };
-    let domain = value.parse().ok().filter(|domain| *domain <= HIGHEST_DOMAIN)?;
-    Some((domain, publishes))
+fn read(domain: u16, begun: Begun) -> Result<(), String> {
+    let Begun { from, to, stop, confined } = begun;
+    authros_ros2::run((domain, confined), from, to, &stop).map_err(|error| error.to_string())
+}
+
+fn publish(domain: u16, begun: Begun) -> Result<(), String> {
+    let Begun { from, to, stop, confined } = begun;
+    authros_ros2::publish((domain, confined), from, to, &stop).map_err(|error| error.to_string())
+}
+
+/// What it was started for.
+enum Purpose<'a> {
+    /// To read a domain.
+    Read(u16),
+    /// To publish in one.
+    Publish(u16),
+    /// To try to open what it should not.
+    Attempt(&'a [String]),
+}
+
+fn purpose(arguments: &[String]) -> Option<Purpose<'_>> {
+    let domain = |value: &str| value.parse::<u16>().ok().filter(|domain| *domain <= HIGHEST_DOMAIN);
+    match arguments {
+        [first, paths @ ..] if first == ATTEMPT => Some(Purpose::Attempt(paths)),
+        [first, value] if first == "--domain" => Some(Purpose::Read(domain(value)?)),
+        [first, value, last] if first == "--domain" && last == "--publish" => Some(Purpose::Publish(domain(value)?)),
+        _ => None,
+    }
 }
 
 fn fail(reason: &str) -> ExitCode {

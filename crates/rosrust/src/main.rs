@@ -3,40 +3,48 @@
 
 use std::process::ExitCode;
 
-use authros_keyless::{Begun, Memory, begin, close_inherited};
+use authros_keyless::{ATTEMPT, Begun, Memory, Network, attempt_all, begin, close_inherited};
 
 /// The most memory that can be written to. Each topic has three threads, and each thread a stack.
-const MOST_MEMORY: u64 = 4 << 30;
+const MEMORY: Memory = Memory::Data(4 << 30);
+/// More arguments are not looked at.
+const MOST_ARGUMENTS: usize = 16;
 /// The longest name.
 const LONGEST: usize = 200;
 
 fn main() -> ExitCode {
     close_inherited();
-    let given = (node(), std::env::var_os("ROS_MASTER_URI"));
+    let arguments: Vec<String> = std::env::args().skip(1).take(MOST_ARGUMENTS).collect();
+    if let [first, paths @ ..] = &arguments[..]
+        && first == ATTEMPT
+    {
+        let done = begin(MEMORY, Network::Streams).and_then(|begun| attempt_all(paths, begun));
+        return done.map_or_else(fail, |()| ExitCode::SUCCESS);
+    }
+    let given = (node(&arguments), std::env::var_os("ROS_MASTER_URI"));
     let (Some(node), Some(_)) = given else {
         return fail(
             "usage: ROS_MASTER_URI=URI authros-rosrust --node NAME; authros starts this program where ros.publisher or \
              --robots-by is rosrust, do not run it by hand",
         );
     };
-    let Begun { from, to, stop } = match begin(Memory::Data(MOST_MEMORY)) {
+    let Begun { from, to, stop, confined } = match begin(MEMORY, Network::Streams) {
         Ok(begun) => begun,
         Err(reason) => return fail(reason),
     };
-    match authros_rosrust::run(&node, from, to, &stop) {
+    match authros_rosrust::run((node, confined), from, to, &stop) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => fail(&error.to_string()),
     }
 }
 
 /// The node's name. rosrust reads the arguments too, and would take one with `:=` for a remapping.
-fn node() -> Option<String> {
-    let mut arguments = std::env::args().skip(1);
-    let (flag, name) = (arguments.next()?, arguments.next()?);
+fn node(arguments: &[String]) -> Option<&str> {
+    let [flag, name] = arguments else { return None };
     let is_name = name.len() <= LONGEST
         && name.starts_with(|first: char| first.is_ascii_alphabetic())
         && name.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '_');
-    (flag == "--node" && is_name && arguments.next().is_none()).then_some(name)
+    (flag == "--node" && is_name).then_some(name.as_str())
 }
 
 fn fail(reason: &str) -> ExitCode {

@@ -27,19 +27,19 @@ const LOOK: Duration = Duration::from_millis(10);
 /// The most topics announced at once.
 const MOST_TOPICS: usize = 1024;
 
-/// Publishes as a node what the site orders, until the orders end or `stop` is set. The graph is told on every way out.
+/// Publishes as a node what the site orders, until the orders end or `stop` is set; tells whether it is confined. The graph is told on every way out.
 ///
 /// # Errors
 /// [`RosrustError`] if the graph cannot be joined, the pipe breaks, or somebody ends the node.
 pub fn run(
-    node: &str,
+    (node, confined): (&str, bool),
     from: impl Read + Send + 'static,
     to: impl Write,
     stop: &AtomicBool,
 ) -> Result<(), RosrustError> {
     let mut out = BufWriter::new(to);
     let result = Child::begin(node, from, &mut out).and_then(|mut child| {
-        let result = child.run(stop);
+        let result = child.run(confined, stop);
         child.end();
         result
     });
@@ -71,8 +71,8 @@ impl<'a, W: Write> Child<'a, W> {
         Ok(Self { ros, outlets, queue, orders, is_leaving: false, has_left: false, out })
     }
 
-    fn run(&mut self, stop: &AtomicBool) -> Result<(), RosrustError> {
-        send(self.out, &Report::Hello { version: VERSION, domain: 0 }, &[])?;
+    fn run(&mut self, confined: bool, stop: &AtomicBool) -> Result<(), RosrustError> {
+        send(self.out, &Report::Hello { version: VERSION, domain: 0, confined }, &[])?;
         let mut alive = None::<Instant>;
         loop {
             self.out.flush().map_err(PipeError::from)?;

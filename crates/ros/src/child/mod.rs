@@ -14,6 +14,9 @@ pub use run::{Declined, Run};
 
 /// The user and the group `nobody` of Linux.
 const NOBODY: u32 = 65534;
+/// Said where the kernel raises no walls around such a program.
+pub const UNCONFINED: &str = "this kernel does not confine the program that speaks with the network (Landlock and seccomp \
+                              are needed): taken over, it could open what its user can open";
 /// How long it may take to leave its domain before it is killed.
 const LEAVING: Duration = Duration::from_millis(1500);
 

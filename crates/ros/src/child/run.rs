@@ -37,6 +37,8 @@ pub struct Declined {
 pub struct State {
     /// It is in the domain.
     pub joined: bool,
+    /// It can open no file and no local socket.
+    pub confined: bool,
     /// Its answers about topics, by their number.
     pub answers: BTreeMap<u32, Result<(), Declined>>,
     /// Sizes of the messages that it has not confirmed, oldest first.
@@ -56,14 +58,14 @@ impl State {
     pub fn take(&mut self, report: Report, domain: u16) -> Result<(), String> {
         self.reports += 1;
         match report {
-            Report::Hello { version, domain: joined } => {
+            Report::Hello { version, domain: joined, confined } => {
                 if (version, joined) != (crate::pipe::VERSION, domain) {
                     let own = crate::pipe::VERSION;
                     return Err(format!(
                         "it uses pipe version {version}, but {own} is required; install both programs from the same release"
                     ));
                 }
-                self.joined = true;
+                (self.joined, self.confined) = (true, confined);
             }
             Report::Ready { writer } => self.answer(writer, Ok(())),
             Report::Refused { writer, reason, occupied } => {
@@ -267,6 +269,11 @@ impl Run {
             }
             state = self.shared.changed.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
         }
+    }
+
+    /// Whether it has said that it can open no file and no local socket.
+    pub fn is_confined(&self) -> bool {
+        self.shared.state().confined
     }
 
     /// Ends it at once.

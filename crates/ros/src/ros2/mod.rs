@@ -114,6 +114,7 @@ impl Ros2Capture {
             reading: state.reading.clone(),
             counts: state.counts,
             restarts: state.restarts,
+            confined: state.confined,
         }
     }
 }

@@ -65,6 +65,11 @@ impl Ros2Publisher {
         RosError::NotPublished { domain: self.domain, reason: reason.to_owned() }
     }
 
+    /// Whether its program can open no file and no local socket.
+    pub fn is_confined(&self) -> bool {
+        self.run.is_confined()
+    }
+
     /// The domain.
     pub fn domain(&self) -> u16 {
         self.domain

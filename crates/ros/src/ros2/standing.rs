@@ -27,6 +27,8 @@ pub struct Standing {
     pub counts: Counts,
     /// How often the program was restarted.
     pub restarts: u64,
+    /// Whether the program can open no file and no local socket of this machine; `None` before it says so.
+    pub confined: Option<bool>,
 }
 
 /// What cannot be seen from here, and how to be seen.
@@ -68,7 +70,7 @@ mod tests {
     fn nobody_no_topics_and_other_names_are_told_apart() {
         let text = |participants, writers, foreign| {
             let counts = Counts { participants, writers, foreign };
-            Standing { domain: 3, reading: Reading::Up, counts, restarts: 0 }.text()
+            Standing { domain: 3, reading: Reading::Up, counts, restarts: 0, confined: None }.text()
         };
         for hidden in ["LARGE_DATA", "shared memory", "Discovery Server", "SROS2", "ROS_DOMAIN_ID"] {
             assert!(text(0, 0, 0).contains(hidden), "{hidden}");

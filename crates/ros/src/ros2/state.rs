@@ -43,6 +43,8 @@ pub struct State {
     pub counts: Counts,
     /// How often the program was restarted.
     pub restarts: u64,
+    /// Whether the program can open no file and no local socket; `None` before it says so.
+    pub confined: Option<bool>,
     domain: u16,
     publishers: BTreeMap<String, Publisher>,
     /// How often the program said hello.
@@ -58,6 +60,7 @@ impl State {
             reading: Reading::Looking,
             counts: Counts::default(),
             restarts: 0,
+            confined: None,
             domain,
             publishers: BTreeMap::new(),
             started: 0,
@@ -72,7 +75,10 @@ impl State {
     pub fn take(&mut self, told: Told, payload: Vec<u8>, now: Instant) -> Result<Outcome, String> {
         let mut outcome = Outcome::default();
         match told {
-            Told::Hello { version, domain } => self.greet(version, domain, now)?,
+            Told::Hello { version, domain, confined } => {
+                self.greet(version, domain, now)?;
+                self.confined = Some(confined);
+            }
             Told::WriterHere(writer) => self.here(writer, &mut outcome),
             Told::WriterGone { id } => self.gone(&id, now, &mut outcome),
             Told::Sample { writer, number, sent, arrived } => {
@@ -250,7 +256,7 @@ mod tests {
     }
 
     fn hello() -> Told {
-        Told::Hello { version: crate::pipe::VERSION, domain: 0 }
+        Told::Hello { version: crate::pipe::VERSION, domain: 0, confined: true }
     }
 
     fn sample(id: &str, number: i64) -> Told {
@@ -309,7 +315,8 @@ mod tests {
     #[test]
     fn another_release_and_impossible_names_are_refused() {
         let (mut state, now) = (State::new(0), Instant::now());
-        let error = state.take(Told::Hello { version: 99, domain: 0 }, Vec::new(), now).expect_err("another release");
+        let error = state.take(Told::Hello { version: 99, domain: 0, confined: true }, Vec::new(), now);
+        let error = error.expect_err("another release");
         assert!(error.contains("same release"), "{error}");
         state.take(writer("aa", "/bad name", true), Vec::new(), now).expect("taken");
         state.take(writer(&"a".repeat(65), "/good", true), Vec::new(), now).expect("taken");

@@ -37,14 +37,19 @@ const SENDING: Duration = Duration::from_millis(200);
 /// The most topics announced at once.
 const MOST_WRITERS: usize = 4096;
 
-/// Publishes in `domain` what the site orders, until the orders end or `stop` is set. Leaves the domain on every way out.
+/// Publishes in `domain` what the site orders, until the orders end or `stop` is set; tells whether it is confined. Leaves the domain on every way out.
 ///
 /// # Errors
 /// [`Ros2Error`] if the domain cannot be joined, the pipe breaks or the network threads are gone.
-pub fn run(domain: u16, from: impl Read + Send + 'static, to: impl Write, stop: &AtomicBool) -> Result<(), Ros2Error> {
+pub fn run(
+    (domain, confined): (u16, bool),
+    from: impl Read + Send + 'static,
+    to: impl Write,
+    stop: &AtomicBool,
+) -> Result<(), Ros2Error> {
     let mut out = BufWriter::new(to);
     let result = Child::begin(domain, from, &mut out).and_then(|mut child| {
-        let result = child.run(domain, stop);
+        let result = child.run((domain, confined), stop);
         capture::leave_soon();
         result
     });
@@ -115,8 +120,8 @@ impl<'a, W: Write> Child<'a, W> {
         })
     }
 
-    fn run(&mut self, domain: u16, stop: &AtomicBool) -> Result<(), Ros2Error> {
-        send(self.out, &Report::Hello { version: VERSION, domain }, &[])?;
+    fn run(&mut self, (domain, confined): (u16, bool), stop: &AtomicBool) -> Result<(), Ros2Error> {
+        send(self.out, &Report::Hello { version: VERSION, domain, confined }, &[])?;
         let mut alive = None::<Instant>;
         loop {
             self.out.flush().map_err(crate::pipe::PipeError::from)?;

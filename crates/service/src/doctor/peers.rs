@@ -7,7 +7,7 @@ use super::{Sheet, files};
 use crate::config::{Config, without_password};
 use crate::paths::Home;
 use crate::ros::ros2::{Reading, Ros2Capture};
-use crate::ros::{CaptureNotice, Graph, Message, MessageSink};
+use crate::ros::{CaptureNotice, Graph, Message, MessageSink, UNCONFINED};
 use crate::store::vault::policy::{self, Gravity};
 
 /// The longest look at a ROS 2 domain.
@@ -70,6 +70,18 @@ pub(super) fn second(config: &Config, sheet: &mut Sheet) {
         }
         Reading::Up if standing.is_empty() => sheet.warn("ros 2", &standing.text(), advice),
         Reading::Up => sheet.ok("ros 2", &standing.text()),
+    }
+    walls(standing.confined, sheet);
+}
+
+/// Whether what parses the network reaches nothing else of this machine.
+fn walls(confined: Option<bool>, sheet: &mut Sheet) {
+    let advice = "use a kernel of 5.13 or later with landlock among its security modules (/sys/kernel/security/lsm); until \
+                  then start the site as root, which gives the program a user of its own";
+    match confined {
+        Some(true) => sheet.ok("ros 2 walls", "the program that speaks ROS 2 can open no file and no local socket"),
+        Some(false) => sheet.warn("ros 2 walls", UNCONFINED, advice),
+        None => {}
     }
 }
 

@@ -29,11 +29,11 @@ fn what_is_confirmed_is_no_longer_waited_for_and_what_was_dropped_is_counted() {
 fn another_release_or_domain_is_refused_and_reasons_are_cleaned() {
     let mut state = State::default();
     for (version, domain) in [(VERSION + 1, 5), (VERSION, 6)] {
-        let error = state.take(Report::Hello { version, domain }, 5).expect_err("refused");
+        let error = state.take(Report::Hello { version, domain, confined: true }, 5).expect_err("refused");
         assert!(error.contains("install both programs from the same release") && !state.joined, "{error}");
     }
-    state.take(Report::Hello { version: VERSION, domain: 5 }, 5).expect("taken");
-    assert!(state.joined);
+    state.take(Report::Hello { version: VERSION, domain: 5, confined: true }, 5).expect("taken");
+    assert!(state.joined && state.confined);
     state.take(Report::Refused { writer: 1, reason: "a\u{1b}[2Jb".into(), occupied: true }, 5).expect("taken");
     let answer = state.answers.remove(&1).expect("an answer").expect_err("refused");
     assert!(answer.occupied && !answer.reason.contains('\u{1b}'), "{answer:?}");

@@ -22,8 +22,9 @@ use crate::model::bytes::hex;
 use crate::model::{Address, ErrorKind, ProfileName, Scope, clean};
 use crate::pipeline::{Network, Owner, PipelineError, Plant, authority};
 use crate::ros::ros2::Ros2Publisher;
-use crate::ros::{Graph, GraphPublisher, Publisher, RosError, RosrustPublisher};
+use crate::ros::{Graph, GraphPublisher, Publisher, RosError, RosrustPublisher, UNCONFINED};
 use crate::service::command::{Pace, PlayWishes};
+use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, refused};
 use crate::service::hub::Hub;
 use crate::service::reply::{Failure, PlayedView};
@@ -146,6 +147,7 @@ impl Bridge {
             names.keep_apart().map_err(|why| refused(format!("ROS 2 domain {domain} is {why}")))?;
         }
         let publisher = block_in_place(|| Ros2Publisher::start(domain, self.config.ros2_program.as_deref()))?;
+        self.tell_of_walls(publisher.is_confined());
         Ok(Domain::new(publisher, names.prefix(), is_captured))
     }
 
@@ -175,6 +177,12 @@ impl Bridge {
         })
     }
 
+    fn tell_of_walls(&self, is_confined: bool) {
+        if !is_confined {
+            self.hub.notice(NoticeLevel::Warning, UNCONFINED);
+        }
+    }
+
     /// The node that publishes, by whom the settings say.
     fn publisher(&self, uri: &str, node: &str) -> Result<GraphPublisher, RosError> {
         let host = self.config.ros_host.as_deref();
@@ -183,6 +191,7 @@ impl Bridge {
             PublishedBy::Rosrust => {
                 let program = self.config.rosrust_program.as_deref();
                 let publisher = RosrustPublisher::start(uri, host, node, program)?;
+                self.tell_of_walls(publisher.is_confined());
                 Ok(GraphPublisher::Rosrust(Box::new(publisher)))
             }
         }

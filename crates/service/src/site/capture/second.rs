@@ -8,7 +8,7 @@ use crate::config::{Config, Source};
 use crate::model::{TopicName, clean};
 use crate::pipeline::Recorder;
 use crate::ros::ros2::{Reading, Ros2Capture, Ros2Topic, Standing};
-use crate::ros::{CaptureNotice, MessageSink, TopicInfo};
+use crate::ros::{CaptureNotice, MessageSink, TopicInfo, UNCONFINED};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::hub::Hub;
 use crate::service::reply::{Failure, HealthLevel};
@@ -155,6 +155,9 @@ impl Second {
             told.first_look = true;
             let level = if standing.is_empty() { NoticeLevel::Warning } else { NoticeLevel::Info };
             self.hub.notice(level, &standing.text());
+            if standing.confined == Some(false) {
+                self.hub.notice(NoticeLevel::Warning, UNCONFINED);
+            }
         }
         let text = Some(standing.text());
         let (stands, lists) = (told.standing == text, told.topics == topics);

@@ -1,0 +1,108 @@
+//! Walls around a program without keys: whoever owns a file, the program opens none but those named here, starts no other
+//! program and speaks with no socket of this machine. By Landlock and seccomp: no privilege is needed for them, and nothing
+//! inside can take them down.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io;
+use std::os::unix::fs::FileTypeExt;
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+
+use landlock::{
+    ABI, Access, AccessFs, AccessNet, Ruleset, RulesetAttr, RulesetCreatedAttr, RulesetError, RulesetStatus, Scope,
+    path_beneath_rules,
+};
+use nix::libc;
+use seccompiler::{
+    BackendError, BpfProgram, SeccompAction, SeccompCmpArgLen, SeccompCmpOp, SeccompCondition, SeccompFilter,
+    SeccompRule, TargetArch, apply_filter,
+};
+
+/// How a program speaks with the network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Network {
+    /// By UDP alone, with addresses: it needs no TCP and no names of hosts.
+    Datagrams,
+    /// By TCP, with names of hosts.
+    Streams,
+}
+
+/// Which of its own threads run, which processors there are. Secrets of other processes in it need a right to trace them,
+/// which Landlock takes.
+const PROCESSES: &[&str] = &["/proc"];
+/// What the C library reads to find the address of a name.
+const HOST_NAMES: &[&str] = &[
+    "/etc/hosts",
+    "/etc/host.conf",
+    "/etc/nsswitch.conf",
+    "/etc/resolv.conf",
+    "/etc/gai.conf",
+    "/etc/ld.so.cache",
+    "/run/systemd/resolve",
+    "/lib",
+    "/lib64",
+    "/usr/lib",
+    "/usr/lib64",
+];
+/// The interface of Landlock that this was written for; of an older kernel's as much is used as there is.
+const INTERFACE: ABI = ABI::V6;
+/// The second set of numbers that x86-64 has for its system calls.
+const OTHER_NUMBERS: i64 = 0x4000_0000;
+
+/// Raises the walls, for this thread and all that it starts; whether all of them stand.
+pub fn raise(network: Network) -> bool {
+    let files = raise_around_files(network).unwrap_or(false);
+    let sockets = filter().is_ok_and(|filter| apply_filter(&filter).is_ok());
+    files && sockets
+}
+
+/// False where the kernel has no Landlock.
+fn raise_around_files(network: Network) -> Result<bool, RulesetError> {
+    let ruleset = Ruleset::default().handle_access(AccessFs::from_all(INTERFACE))?;
+    let (ruleset, names) = match network {
+        Network::Datagrams => (ruleset.handle_access(AccessNet::from_all(INTERFACE))?, &[][..]),
+        Network::Streams => (ruleset, HOST_NAMES),
+    };
+    let readable = PROCESSES.iter().chain(names);
+    let status = ruleset
+        .scope(Scope::from_all(INTERFACE))?
+        .create()?
+        .add_rules(path_beneath_rules(readable, AccessFs::ReadFile | AccessFs::ReadDir))?
+        .restrict_self()?;
+    Ok(status.ruleset != RulesetStatus::NotEnforced)
+}
+
+/// Sockets of the network alone: Landlock of most kernels does not keep a program from those with a path.
+fn filter() -> Result<BpfProgram, BackendError> {
+    let mut rules = BTreeMap::new();
+    for numbers in [0, OTHER_NUMBERS] {
+        rules.insert(libc::SYS_socket | numbers, vec![of_no_network()?]);
+        // Always: by the last one sockets are made that no filter sees.
+        rules.insert(libc::SYS_socketpair | numbers, Vec::new());
+        rules.insert(libc::SYS_io_uring_setup | numbers, Vec::new());
+    }
+    let refused = SeccompAction::Errno(libc::EACCES.unsigned_abs());
+    let machine: TargetArch = std::env::consts::ARCH.try_into()?;
+    SeccompFilter::new(rules, SeccompAction::Allow, refused, machine)?.try_into()
+}
+
+fn of_no_network() -> Result<SeccompRule, BackendError> {
+    let mut conditions = Vec::new();
+    for family in [libc::AF_INET, libc::AF_INET6, libc::AF_NETLINK] {
+        let family = u64::from(family.unsigned_abs());
+        conditions.push(SeccompCondition::new(0, SeccompCmpArgLen::Dword, SeccompCmpOp::Ne, family)?);
+    }
+    SeccompRule::new(conditions)
+}
+
+/// Opens a file, or connects to a socket, as whoever took the program over would.
+///
+/// # Errors
+/// The system's.
+pub fn attempt(path: &Path) -> io::Result<()> {
+    if fs::symlink_metadata(path)?.file_type().is_socket() {
+        return UnixStream::connect(path).map(drop);
+    }
+    File::open(path).map(drop)
+}
