@@ -11,7 +11,7 @@ use crate::model::bytes::hex;
 use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId};
 use crate::pipeline::columns::{self, Caveat, ShownState};
 use crate::pipeline::epoch::tag_choice;
-use crate::pipeline::{Owner, PipelineError, authority};
+use crate::pipeline::{Network, Owner, PipelineError, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal};
 use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage, RecordView};
