@@ -175,7 +175,7 @@ impl Unattended {
         self.owners.stand_in(&standing)?;
         *self.working.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::new(working));
         if self.home.passphrase(profile).exists() {
-            let text = "the passphrase of this profile lies beside its keyring, so whoever reads the home has all its keys: \
+            let text = "the passphrase of this profile is stored beside its keyring, so anyone who reads the home has all its keys: \
                         unattended capture protects nothing until that file is moved away";
             self.hub.notice(NoticeLevel::Warning, text);
         }
