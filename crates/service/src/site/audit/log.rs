@@ -66,16 +66,20 @@ impl Log {
 
     /// A deed between its two lines: what it is, durable before it begins, and how it ended. Nothing of the deed runs if
     /// the first cannot be written.
-    pub(in crate::site) async fn deed<T>(
-        self: &Arc<Self>,
-        profile: &ProfileName,
-        action: &str,
-        subject: &str,
-        deed: impl Future<Output = Result<T, Failure>>,
-    ) -> Result<T, Failure> {
-        self.write(profile, action, subject, "begun").await?;
-        let outcome = deed.await;
-        self.ended(profile, action, subject, outcome).await
+    pub(in crate::site) fn deed<'a, T: Send + 'a>(
+        self: &'a Arc<Self>,
+        profile: &'a ProfileName,
+        action: &'a str,
+        subject: &'a str,
+        deed: impl Future<Output = Result<T, Failure>> + Send + 'a,
+    ) -> impl Future<Output = Result<T, Failure>> + Send + 'a {
+        // Some deeds are large futures; whoever waits for one holds a pointer.
+        let deed = Box::pin(deed);
+        async move {
+            self.write(profile, action, subject, "begun").await?;
+            let outcome = deed.await;
+            self.ended(profile, action, subject, outcome).await
+        }
     }
 
     /// The second line of a deed: `done`, or `failed` and why.

@@ -215,7 +215,10 @@ impl Desk for GatewayDesk {
             desk.gateway.plant.ledger.bind(&name, kept).map_err(Refusal::because(Code::Internal))
         });
         let bound = bound.await;
-        let told = bound.as_ref().map(|_| ()).map_err(|refusal| internal(refusal.detail.clone()));
+        let told = match &bound {
+            Ok(()) => Ok(()),
+            Err(refusal) => Err(internal(refusal.detail.clone())),
+        };
         if let Err(failure) = self.gateway.log.ended(&self.keeper.profile, "allocate key", &subject, told).await
             && bound.is_ok()
         {
