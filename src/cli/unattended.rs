@@ -70,7 +70,7 @@ async fn prepare(context: Context, wishes: PrepareUnattended, out: &Path, output
     if context.home.passphrase(&context.profile).exists() {
         let beside = context.home.passphrase(&context.profile);
         output.note(&format!(
-            "{} lies beside the keyring, so whoever reads this home has all keys of '{}'; move it away, or unattended \
+            "{} is stored beside the keyring, so anyone who reads this home has all keys of '{}'; move it away, or unattended \
              capture protects nothing",
             beside.display(),
             context.profile

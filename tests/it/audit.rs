@@ -60,6 +60,7 @@ fn every_deed_is_a_line_and_refusals_are_counted() {
         ("register", own.as_str(), "done"),
         ("deploy", "0x", "done"),
         ("capture start", TOPIC, "begun"),
+        ("capture start", TOPIC, "done"),
         ("capture stop", TOPIC, "2 captured"),
         ("refused", "not_granted", "3 in the minute from"),
         ("grant", &reader, "begun"),
@@ -67,16 +68,26 @@ fn every_deed_is_a_line_and_refusals_are_counted() {
         ("list shared", "records", "done"),
         ("list shared", "records", "3 times again"),
         ("check", &id, "begun"),
+        ("check", &id, "done"),
         ("decrypt", &id, "begun"),
+        ("decrypt", &id, "done"),
         ("watch", TOPIC, "done"),
         ("unwatch", TOPIC, "done"),
         ("revoke", &format!("{reader} epoch 2"), "done"),
         ("export key", "sm2", "begun"),
+        ("export key", "sm2", "done"),
         ("lend device", &device, "begun"),
+        ("lend device", &device, "done"),
         ("recall device", &device, "begun"),
+        ("recall device", &device, "done"),
         ("unlock", "keyring", "refused"),
     ] {
         assert!(has(&all, action, subject, outcome), "{action} {subject}: {outcome} in {all:#?}");
+    }
+    for begun in all.iter().filter(|line| line["outcome"] == "begun") {
+        let of_it = |line: &&Value| line["action"] == begun["action"] && line["subject"] == begun["subject"];
+        let has_ended = |line: &Value| line["outcome"] == "done" || text(line, "outcome").starts_with("failed: ");
+        assert!(all.iter().filter(of_it).any(has_ended), "{begun} has not ended: {all:#?}");
     }
     let refused = lines(&alice, &["--action", "refused"]);
     assert!(refused.len() == 1 && refused[0]["profile"] == "bob", "one line for three refusals: {refused:?}");

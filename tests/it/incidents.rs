@@ -117,7 +117,9 @@ fn an_incident_is_held_found_exported_carried_by_a_backup_and_let_go() {
     site.stop("INT", 60).expect_code(0);
     let deeds = list(&authros.json(&["audit", "list", "--limit", "1000"]), "audit");
     for (deed, times) in [("open incident", 2), ("note incident", 1), ("close incident", 1), ("remove incident", 2)] {
-        assert_eq!(deeds.iter().filter(|line| line["action"] == deed).count(), times, "{deed}");
+        let of =
+            |outcome: &str| deeds.iter().filter(|line| line["action"] == deed && line["outcome"] == outcome).count();
+        assert_eq!((of("begun"), of("done")), (times, times), "{deed}");
     }
     authros.json(&["audit"]);
 }

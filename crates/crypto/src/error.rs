@@ -119,6 +119,9 @@ pub enum CryptoError {
         /// The system's reason.
         source: std::io::Error,
     },
+    /// A file that is never overwritten, and stands there already.
+    #[error("{0} already exists and is never overwritten; choose another file")]
+    Exists(String),
     /// A keyring whose bytes were altered.
     #[error("the keyring {0} is damaged; restore it from its backup")]
     DamagedKeyring(String),
@@ -154,6 +157,7 @@ impl CryptoError {
                 ErrorKind::Tampered
             }
             Self::Write { .. } => ErrorKind::Home,
+            Self::Exists(_) => ErrorKind::Input,
         }
     }
 

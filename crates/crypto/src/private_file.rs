@@ -1,7 +1,7 @@
 //! Files that hold secrets: read only if nobody else can read them, replaced in one step.
 
 use std::fs::{self, DirBuilder, File};
-use std::io::{Read as _, Write as _};
+use std::io::{ErrorKind, Read as _, Write as _};
 use std::os::unix::fs::{DirBuilderExt as _, PermissionsExt as _};
 use std::path::{Path, PathBuf};
 
@@ -51,7 +51,7 @@ pub fn write_private(path: &Path, bytes: &[u8]) -> Result<(), CryptoError> {
 /// Like [`write_private`], but never over an existing file.
 ///
 /// # Errors
-/// [`CryptoError::Write`], also if the file exists.
+/// [`CryptoError::Exists`] if there is one, else [`CryptoError::Write`].
 pub fn create_private(path: &Path, bytes: &[u8]) -> Result<(), CryptoError> {
     replace(path, bytes, false)
 }
@@ -63,7 +63,10 @@ fn replace(path: &Path, bytes: &[u8], over: bool) -> Result<(), CryptoError> {
     file.write_all(bytes).map_err(&write)?;
     file.as_file().sync_all().map_err(&write)?;
     let moved = if over { file.persist(path) } else { file.persist_noclobber(path) };
-    moved.map_err(|error| write(error.error))?;
+    moved.map_err(|error| match error.error.kind() {
+        ErrorKind::AlreadyExists if !over => CryptoError::Exists(shown(path)),
+        _ => write(error.error),
+    })?;
     File::open(&directory).and_then(|directory| directory.sync_all()).map_err(&write)
 }
 
@@ -109,7 +112,7 @@ fn check_mode(path: &Path, mode: u32, wanted: u32) -> Result<(), CryptoError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::ErrorKind;
+    use crate::model::ErrorKind as Kind;
 
     #[test]
     fn written_files_are_private_and_replaced_whole() {
@@ -122,7 +125,7 @@ mod tests {
         assert_eq!(fs::metadata(&path).expect("there").permissions().mode() & 0o777, 0o600);
         assert_eq!(fs::metadata(home.path().join("keys")).expect("there").permissions().mode() & 0o777, 0o700);
         assert_eq!(fs::read_dir(home.path().join("keys")).expect("lists").count(), 1, "no temporary file stays");
-        assert!(matches!(create_private(&path, b"three"), Err(CryptoError::Write { .. })));
+        assert!(matches!(create_private(&path, b"three"), Err(CryptoError::Exists(_))));
         assert!(matches!(read_private(&path, 2), Err(CryptoError::Length { .. })));
     }
 
@@ -133,7 +136,7 @@ mod tests {
         write_private(&path, b"one").expect("writes");
         fs::set_permissions(&path, fs::Permissions::from_mode(0o644)).expect("chmod");
         let error = read_private(&path, 10).expect_err("refused");
-        assert_eq!(error.kind(), ErrorKind::Input);
+        assert_eq!(error.kind(), Kind::Input);
         assert!(error.to_string().contains(&format!("chmod 600 {}", path.display())), "{error}");
         fs::set_permissions(home.path(), fs::Permissions::from_mode(0o755)).expect("chmod");
         let error = make_private_directory(home.path()).expect_err("refused");

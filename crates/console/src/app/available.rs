@@ -56,6 +56,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::Period | Verb::FoldAll | Verb::Columns => given(entry.works_on(state.screen), "other screen"),
         Verb::Release | Verb::Discard => held(state),
         Verb::BackUp | Verb::Incident | Verb::Incidents => identity(state),
+        Verb::PrepareUnattended | Verb::EndUnattended => identity(state),
         Verb::Lock => lock(state),
         Verb::Undo => given(state.undo.is_some(), "nothing to undo"),
         Verb::Administer(act) => administer(state, act),

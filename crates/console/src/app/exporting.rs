@@ -23,7 +23,7 @@ pub struct Exports {
 }
 
 /// The line that asks for a folder.
-fn folder_line(state: &State) -> Line {
+pub fn folder_line(state: &State) -> Line {
     let hint = "empty = where this console was started";
     Line::text("Folder", hint, Field::offering(&state.exports.last)).path(PathKind::Folder)
 }

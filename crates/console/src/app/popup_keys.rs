@@ -24,6 +24,7 @@ use super::popup::{Confirm, Help, Lookup, Palette, Popup, Purpose};
 use super::profiles;
 use super::state::State;
 use super::themes;
+use super::unattended;
 use super::verb::Verb;
 use crate::service::reply::PinsView;
 
@@ -329,7 +330,7 @@ fn need_of(confirm: &Confirm) -> Option<Need> {
         Tag::Register | Tag::Watch(_) | Tag::Unwatch(_) | Tag::Grant(_) | Tag::Revoke(_) | Tag::Rotate => {
             Some(Need::Registered)
         }
-        Tag::Administer(_) => Some(Need::Registered),
+        Tag::Administer(_) | Tag::PrepareUnattended | Tag::EndUnattended => Some(Need::Registered),
     }
 }
 
@@ -383,6 +384,10 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
             let errand = forms::read_export(form)?;
             exporting::goes_to(state, &errand.tag, form, 3);
             return Ok(identity_path::run(state, Need::Unlocked, vec![errand]));
+        }
+        Purpose::Unattended => {
+            let errand = unattended::read(state, form)?;
+            return Ok(identity_path::run(state, Need::Registered, vec![errand]));
         }
         Purpose::Export => return Ok(exporting::submit(state, form)),
         Purpose::Grant => {

@@ -98,6 +98,10 @@ pub enum Verb {
     Play,
     /// A copy of the keyring.
     BackUp,
+    /// Make a credential with which a site captures while the profile is locked.
+    PrepareUnattended,
+    /// Recall its device.
+    EndUnattended,
     /// Wipe the keys from memory.
     Lock,
     /// Running commands.
@@ -338,6 +342,12 @@ pub static VERBS: &[Entry] = &[
         "Write the keyring, protected by its passphrase, to a file",
     )
     .on(&[Screen::Keys]),
+    entry(Verb::PrepareUnattended, "prepare-unattended", "", &[], "Write a credential for capture while locked")
+        .on(&[Screen::Keys])
+        .changing(),
+    entry(Verb::EndUnattended, "end-unattended", "", &[], "Recall the device of unattended capture")
+        .on(&[Screen::Keys])
+        .changing(),
     entry(Verb::Administer(Act::Deploy), "deploy", "deploy", &[Key::Char('d')], "Deploy the contract")
         .on(ON_CHAIN)
         .changing(),

@@ -36,8 +36,9 @@ pub(super) fn look(home: &Home, sheet: &mut Sheet) {
     }
     let beside = home.profiles().into_iter().find(|profile| home.passphrase(profile).exists());
     if let Some(profile) = beside.filter(|_| !standing.is_empty()) {
-        let text =
-            format!("the passphrase of '{profile}' lies beside its keyring: whoever reads the home has all its keys");
+        let text = format!(
+            "the passphrase of '{profile}' is stored beside its keyring: anyone who reads the home has all its keys"
+        );
         sheet.warn("unattended passphrase", &text, "move it to a safe place and give it with --passphrase-file");
     }
 }

@@ -18,7 +18,7 @@ use self::ring::AgentRing;
 use super::Site;
 use crate::crypto::{Enrolment, SealedEnrolment};
 use crate::gateway::Context;
-use crate::model::{Digest, ErrorKind, ProfileName, RecordState, TopicName, TopicPatterns, clean};
+use crate::model::{Digest, ErrorKind, ProfileName, RecordState, SignerId, TopicName, TopicPatterns, clean};
 use crate::pipeline::forwarder::{CopyKeeping, Forwarder, Link, Robot};
 use crate::pipeline::notices::Notices;
 use crate::pipeline::session::TopicFigures;
@@ -92,6 +92,7 @@ pub enum AgentEnd {
 pub struct Agent {
     site: Arc<Site>,
     name: ProfileName,
+    device: SignerId,
     author: Arc<Author>,
     /// The first covers all topics at the start; there is another for each topic that the owner has added since.
     sessions: Vec<Arc<CaptureSession>>,
@@ -130,7 +131,8 @@ impl Agent {
             Some(watched) => watched,
             None => topics(enrolment, &wishes.topics, ring.as_ref().map(|ring| &ring.topics))?,
         };
-        site.parts.log.write(&enrolment.name, "agent", &enrolment.device_id().to_string(), "begun").await?;
+        let device = enrolment.device_id();
+        site.parts.log.write(&enrolment.name, "agent", &device.to_string(), "begun").await?;
         let author = Arc::new(Author::new(enrolment.owner));
         author.obey(enrolment);
         let (name, forwarder) = (enrolment.name.clone(), block_in_place(|| forwarder(site, enrolment))?);
@@ -162,6 +164,7 @@ impl Agent {
         Ok(Self {
             site,
             name,
+            device,
             author,
             sessions,
             topics,
@@ -341,6 +344,10 @@ impl Agent {
             ring.end(&self.site, &self.author);
         }
         self.forwarder.abort();
+        let log = &self.site.parts.log;
+        if let Err(failure) = log.write(&self.name, "agent", &self.device.to_string(), "done").await {
+            self.site.parts.hub.notice(NoticeLevel::Error, &failure.message);
+        }
         Arc::clone(&self.site).stop().await;
     }
 }

@@ -24,6 +24,7 @@ mod pulling;
 mod records;
 mod standing;
 mod touring;
+mod unattended;
 mod watching;
 mod wide;
 

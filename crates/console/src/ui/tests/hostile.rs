@@ -93,6 +93,57 @@ fn open_everything(robot: &mut Robot, text: &str) {
     assert_harmless(robot);
 }
 
+/// Names drawn at once; with `AUTHROS_LONG=1` so many times that it is a million.
+const AT_ONCE: u64 = 500;
+
+/// A name of characters that a terminal may take for commands, of bidirectional marks, and of wide and plain letters.
+fn hostile_name(random: &mut u64) -> String {
+    let mut next = || {
+        *random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        *random >> 33
+    };
+    let length = next() % 12 + 1;
+    let character = |next: &mut dyn FnMut() -> u64| {
+        let drawn = next();
+        let point = match drawn % 6 {
+            0 => next() % 0x20,
+            1 => 0x7f + next() % 0x21,
+            2 => 0x200b + next() % 5,
+            3 => 0x2028 + next() % 0x48,
+            4 => 0x673a,
+            _ => 0x20 + next() % 0x5f,
+        };
+        u32::try_from(point).ok().and_then(char::from_u32).unwrap_or('x')
+    };
+    (0..length).map(|_| character(&mut next)).chain("\u{1b}]52;c;eA==\u{7}".chars()).collect()
+}
+
+#[test]
+fn a_million_hostile_names_draw_no_control_character() {
+    let rounds = if std::env::var_os("AUTHROS_LONG").is_some() { 1_000_000 / AT_ONCE } else { 2 };
+    let mut random = 19;
+    for _ in 0..rounds {
+        let names: Vec<String> = (0..AT_ONCE).map(|_| hostile_name(&mut random)).collect();
+        assert!(names.iter().all(|name| name.contains('\u{1b}')), "the names are hostile");
+        let mut robot = Robot::at_work(true);
+        robot.act(Action::Resize { columns: 100, rows: 540 });
+        infect(&mut robot, &names[0]);
+        robot.state.topics.rows = names.iter().map(|name| topic(name)).collect();
+        robot.state.uploads.rows = names.iter().map(|name| record(name)).collect();
+        robot.state.shared.rows = names.iter().map(|name| record(name)).collect();
+        let grant = |name: &String| {
+            let row = fixtures::grant("given", fixtures::OTHER, "active", 1);
+            GrantRow { topics: vec![name.clone()], ..row }
+        };
+        robot.state.grants.rows = names.iter().map(grant).collect();
+        names.iter().for_each(|name| robot.state.log.notice(fixtures::NOW, NoticeLevel::Error, name));
+        for screen in '1'..='9' {
+            robot.presses(Key::Char(screen));
+            assert_harmless(&robot);
+        }
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
     #[test]

@@ -16,6 +16,8 @@ use crate::store::{AuditEntry, AuditLine, AuditLog, AuditQuery, Ledger};
 
 /// Lines exported at a time.
 const PAGE: usize = 1000;
+/// The longest outcome, characters: a reason may be a sentence or two.
+const LONGEST_OUTCOME: usize = 300;
 
 /// The log of a home, which every part writes.
 pub(crate) struct Log {
@@ -60,8 +62,40 @@ impl Log {
         subject: &str,
         outcome: Result<T, Failure>,
     ) -> Result<T, Failure> {
-        let word = if outcome.is_ok() { "done" } else { "failed" };
-        let written = self.write(&owner.profile, action, subject, word).await;
+        self.ended(&owner.profile, action, subject, outcome).await
+    }
+
+    /// A deed between its two lines: what it is, durable before it begins, and how it ended. Nothing of the deed runs if
+    /// the first cannot be written.
+    pub(in crate::site) fn deed<'a, T: Send + 'a>(
+        self: &'a Arc<Self>,
+        profile: &'a ProfileName,
+        action: &'a str,
+        subject: &'a str,
+        deed: impl Future<Output = Result<T, Failure>> + Send + 'a,
+    ) -> impl Future<Output = Result<T, Failure>> + Send + 'a {
+        // Some deeds are large futures; whoever waits for one holds a pointer.
+        let deed = Box::pin(deed);
+        async move {
+            self.write(profile, action, subject, "begun").await?;
+            let outcome = deed.await;
+            self.ended(profile, action, subject, outcome).await
+        }
+    }
+
+    /// The second line of a deed: `done`, or `failed` and why.
+    pub(in crate::site) async fn ended<T>(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        action: &str,
+        subject: &str,
+        outcome: Result<T, Failure>,
+    ) -> Result<T, Failure> {
+        let words = match &outcome {
+            Ok(_) => "done".to_owned(),
+            Err(failure) => format!("failed: {}", failure.message),
+        };
+        let written = self.write(profile, action, subject, &words).await;
         let done = outcome?;
         // The deed is done and was announced durably; if its outcome cannot be written, that is reported, not undone.
         if let Err(failure) = written {
@@ -148,8 +182,13 @@ impl Log {
         owner: &Arc<Owner>,
         addresses: bool,
     ) -> Result<Vec<ExportedFile>, Failure> {
-        self.begin(owner, "export audit", if addresses { "with addresses" } else { "redacted" }).await?;
-        let bytes = blocking(self, move |log| {
+        let subject = if addresses { "with addresses" } else { "redacted" };
+        let bytes = self.deed(&owner.profile, "export audit", subject, self.whole(addresses)).await?;
+        Ok(vec![ExportedFile { name: "audit.jsonl".to_owned(), bytes }])
+    }
+
+    async fn whole(self: &Arc<Self>, addresses: bool) -> Result<Vec<u8>, Failure> {
+        blocking(self, move |log| {
             let (mut pages, mut before) = (Vec::new(), None);
             loop {
                 let page = log.lines.list(&AuditQuery { before, limit: PAGE, ..AuditQuery::default() })?;
@@ -169,8 +208,7 @@ impl Log {
             }
             Ok(bytes)
         })
-        .await?;
-        Ok(vec![ExportedFile { name: "audit.jsonl".to_owned(), bytes }])
+        .await
     }
 }
 
@@ -180,7 +218,7 @@ fn entry(profile: &str, action: &str, subject: &str, outcome: &str) -> AuditEntr
         profile: clean(profile, 100),
         action: clean(action, 100),
         subject: clean(subject, 200),
-        outcome: clean(outcome, 100),
+        outcome: clean(outcome, LONGEST_OUTCOME),
     }
 }
 
@@ -197,7 +235,7 @@ fn view(line: AuditLine) -> AuditView {
         operator,
         action: clean(&line.entry.action, 100),
         subject: clean(&line.entry.subject, 200),
-        outcome: clean(&line.entry.outcome, 100),
+        outcome: clean(&line.entry.outcome, LONGEST_OUTCOME),
     }
 }
 

@@ -75,16 +75,15 @@ impl Backup {
             return Err(input(format!("{shown} already exists; choose a new file, backups are never overwritten")));
         }
         let running = self.runs.begin(profile, &shown, "copying into", "files");
-        self.log.write(profile, "back up", &shown, "begun").await?;
         let runtime = Handle::current();
-        // Work that deletes ciphertext before the ledger records it waits until the moment is taken.
-        let quiet = self.quarantine.quiet().await;
-        let moment = blocking(self, move |backup| backup.moment(&runtime)).await?;
-        drop(quiet);
-        let written = blocking(self, move |backup| backup.pack(&moment, &file, &passphrase, &running.run)).await;
-        let outcome = if written.is_ok() { "done" } else { "failed" };
-        self.log.write(profile, "back up", &shown, outcome).await?;
-        written
+        let written = async {
+            // Work that deletes ciphertext before the ledger records it waits until the moment is taken.
+            let quiet = self.quarantine.quiet().await;
+            let moment = blocking(self, move |backup| backup.moment(&runtime)).await?;
+            drop(quiet);
+            blocking(self, move |backup| backup.pack(&moment, &file, &passphrase, &running.run)).await
+        };
+        self.log.deed(profile, "back up", &shown, written).await
     }
 
     /// The three databases as of one moment.

@@ -108,9 +108,12 @@ impl Capture {
         }
         let names: Vec<String> = topics.iter().map(ToString::to_string).collect();
         let listed = names.join(" ");
-        self.log.begin(owner, "capture start", &listed).await?;
         let session = Arc::new(CaptureSession::new(&names, count, tags));
-        self.begin(owner, &names, type_name.as_ref(), &session);
+        let started = async {
+            self.begin(owner, &names, type_name.as_ref(), &session);
+            Ok(())
+        };
+        self.log.deed(&owner.profile, "capture start", &listed, started).await?;
         let time_is_up = async {
             match milliseconds {
                 Some(milliseconds) => self.last(Duration::from_millis(milliseconds), topics, &session).await,

@@ -76,7 +76,7 @@ impl Administering {
         let recovery = recovery.map(|party| self.contacts.resolve(party)).transpose()?;
         if recovery == Some(owner.address) {
             return Err(refused(
-                "whoever steals this account must not be able to stop its succession; name another account",
+                "a thief of this account must not be able to stop its succession; name another account",
             ));
         }
         let call = Call::NameRecovery { recovery };

@@ -13,7 +13,7 @@ use crate::site::identity::Profiles;
 use crate::site::identity::owners::Owners;
 use crate::site::mirror::remotes::Remotes;
 use crate::site::parts::Parts;
-use crate::site::progress::Runs;
+use crate::site::progress::{Run, Runs};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -95,37 +95,60 @@ impl Adoption {
         running.run.stage(1, "reaching the chain");
         // Until the first attempt to connect has ended, which needs the lock as well.
         let known = self.link.network().await;
-        let left = {
-            let _one_at_a_time = self.connection.one_at_a_time().await;
-            let (pinned, outgrown) = self.to_leave(known)?;
-            self.log.begin(owner, "adopt chain", &format!("in place of {}", pinned.contract)).await?;
-            let chain = match &outgrown {
-                Some(network) => network.chain.apart(),
-                None => self.chain_there().await?,
-            };
-            running.run.stage(2, "finding the contract, or deploying one");
-            let pin = self.contract_there(&chain, owner, &pinned).await?;
-            running.run.stage(3, "waiting for pending transactions to the earlier contract");
-            let moved = match &outgrown {
-                Some(network) => self.come_to_rest(network).await,
-                None => Ok(()),
-            };
-            running.run.stage(4, "recording what stays and what is anchored again");
-            let left = match moved {
-                Ok(()) => self.leave(&chain, pinned, &pin).await,
-                Err(failure) => Err(failure),
-            };
-            // If nothing was left behind, the contract in use stays in use.
-            if let (Err(_), Some(network)) = (&left, outgrown) {
-                self.link.set(NetworkState::Up(Box::new(network)));
-            }
-            let left = left?;
-            self.connection.save_pin(&pin)?;
-            self.connection.use_network(chain, &pin).await?;
-            left
+        let one_at_a_time = self.connection.one_at_a_time().await;
+        let (pinned, outgrown) = self.to_leave(known)?;
+        let subject = format!("in place of {}", pinned.contract);
+        let adopted = async {
+            let left = self.move_over(owner, &running.run, pinned, outgrown).await;
+            drop(one_at_a_time);
+            self.settle_in(owner, &running.run, left?).await
         };
+        self.log.deed(&owner.profile, "adopt chain", &subject, adopted).await
+    }
+
+    /// Leaves the pinned chain for the one that answers now. The caller holds the lock of the connection.
+    async fn move_over(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        run: &Run,
+        pinned: Pin,
+        outgrown: Option<Network>,
+    ) -> Result<Left, Failure> {
+        let chain = match &outgrown {
+            Some(network) => network.chain.apart(),
+            None => self.chain_there().await?,
+        };
+        run.stage(2, "finding the contract, or deploying one");
+        let pin = self.contract_there(&chain, owner, &pinned).await?;
+        run.stage(3, "waiting for pending transactions to the earlier contract");
+        let moved = match &outgrown {
+            Some(network) => self.come_to_rest(network).await,
+            None => Ok(()),
+        };
+        run.stage(4, "recording what stays and what is anchored again");
+        let left = match moved {
+            Ok(()) => self.leave(&chain, pinned, &pin).await,
+            Err(failure) => Err(failure),
+        };
+        // If nothing was left behind, the contract in use stays in use.
+        if let (Err(_), Some(network)) = (&left, outgrown) {
+            self.link.set(NetworkState::Up(Box::new(network)));
+        }
+        let left = left?;
+        self.connection.save_pin(&pin)?;
+        self.connection.use_network(chain, &pin).await?;
+        Ok(left)
+    }
+
+    /// Registers the profiles on the adopted chain, and waits for the adoption record.
+    async fn settle_in(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        run: &Run,
+        left: Left,
+    ) -> Result<TransactionView, Failure> {
         self.hub.changed(Part::Uploads);
-        running.run.stage(5, "registering the profiles");
+        run.stage(5, "registering the profiles");
         self.profiles.register(owner).await?;
         for other in self.owners.all().iter().filter(|other| !Arc::ptr_eq(other, owner)) {
             if let Err(failure) = self.profiles.register(other).await {
@@ -135,7 +158,7 @@ impl Adoption {
             }
         }
         let network = self.link.network().await?;
-        running.run.stage(6, "waiting until the adoption record is in a block");
+        run.stage(6, "waiting until the adoption record is in a block");
         self.wait_for_word(owner, &network).await?;
         self.log.write(&owner.profile, "adopt chain", &network.domain.to_string(), "done").await?;
         let (kept, anew) = (left.kept, left.anew);

@@ -51,7 +51,8 @@ impl Connection {
             return Err(input(format!("this site uses the node at {}; point other tools there", chain.url())));
         }
         let listener = serve::listen(address).await?;
-        self.log.write(profile, "serve chain", &address.to_string(), "begun").await?;
+        let (by, subject) = (profile.clone(), address.to_string());
+        self.log.write(profile, "serve chain", &subject, "begun").await?;
         let address = listener.local_addr().map_err(|error| input(format!("no address to listen on: {error}")))?;
         let view = ServedView {
             url: format!("http://{address}"),
@@ -68,8 +69,9 @@ impl Connection {
                     _ = ended => {}
                 }
             };
-            if let Err(error) = chain.serve(listener, stop).await {
-                connection.hub.notice(NoticeLevel::Error, &error.to_string());
+            let served = chain.serve(listener, stop).await.map_err(Failure::from);
+            if let Err(failure) = connection.log.ended(&by, "serve chain", &subject, served).await {
+                connection.hub.notice(NoticeLevel::Error, &failure.message);
             }
         });
         Ok(view)

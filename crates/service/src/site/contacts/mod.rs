@@ -135,8 +135,18 @@ impl Contacts {
         }
         let fingerprint = fingerprint.map(|text| read(&text)).transpose()?.map(|found| found.to_string());
         let network = self.link.network().await.ok();
-        let found = || network.as_ref().and_then(|network| Self::registered_fingerprint(network, address));
-        let fingerprint = fingerprint.or_else(found);
+        let registered = network.as_ref().and_then(|network| Self::registered_fingerprint(network, address));
+        // Where only a gateway tells what is registered, the given one is the better word, and `list` shows the difference.
+        if let (Some(given), Some(registered)) = (&fingerprint, &registered)
+            && given != registered
+            && !self.is_joined
+        {
+            return Err(refused(format!(
+                "{address} has registered {registered}, not {given}, so '{name}' was not added; ask '{name}' over another \
+                 channel which one is right"
+            )));
+        }
+        let fingerprint = fingerprint.or(registered);
         {
             let _one_at_a_time = self.changing.lock().await;
             let mut book = self.book()?;

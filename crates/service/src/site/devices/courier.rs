@@ -54,10 +54,11 @@ impl Devices {
         if enrolled.gateways.len() >= MOST_GATEWAYS {
             return Err(input("a robot has at most eight gateways"));
         }
-        self.log.begin(owner, "device gateways", &format!("{device}: {}", clean(&address, 255))).await?;
+        let subject = format!("{device}: {}", clean(&address, 255));
         let added = EnrolledGateway { address, key, known: false };
         let change = |enrolled: &mut Enrolled| enrolled.gateways.push(added.clone());
-        self.enrolments.change(owner, device, change)?;
+        let changed = async { self.enrolments.change(owner, device, change) };
+        self.log.deed(&owner.profile, "device gateways", &subject, changed).await?;
         if let Err(failure) = self.attend(owner, &network).await {
             self.hub.notice(NoticeLevel::Warning, &failure.message);
         }

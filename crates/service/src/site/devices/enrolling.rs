@@ -67,13 +67,27 @@ impl Devices {
         self.check_name(&network, owner, &wishes.name)?;
         let device = SmKeyPair::generate(self.plant.provider)?;
         let id = signer_id(&device.public);
-        self.log.begin(owner, "enrol device", &format!("{} {id}", wishes.name)).await?;
+        let subject = format!("{} {id}", wishes.name);
+        let enrolled = self.enrol_device(owner, &network, wishes, (topics, passphrase), device);
+        self.log.deed(&owner.profile, "enrol device", &subject, enrolled).await
+    }
+
+    /// Enrols this new device; what can be checked was.
+    async fn enrol_device(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+        wishes: EnrolWishes,
+        (topics, passphrase): (Vec<String>, Passphrase),
+        device: SmKeyPair,
+    ) -> Result<EnrolledView, Failure> {
+        let id = signer_id(&device.public);
         let context = Context { provider: self.plant.provider, domain: network.domain };
         let mut seats = Seat::allocate_all(owner, context, &wishes).await?;
         self.lend(owner, id, wishes.until).await?;
         let notice_id = owner.topic_id(&notice_topic(&id));
         let notice = DeviceNotice { key: device.public, notices: Some(notice_id) };
-        let token = self.known_token(owner, &network)?;
+        let token = self.known_token(owner, network)?;
         if let Err(failure) = seat::tell_all(&mut seats, owner, (&wishes.name, token), notice).await {
             // A device that nobody will ever use should not stay lent; if this fails too, `devices list` shows it.
             drop(self.unlend_device(owner, id).await);
@@ -83,7 +97,7 @@ impl Devices {
         let gateways: Vec<EnrolledGateway> = seats.iter().map(Seat::noted).collect();
         let (key, name, ended) = (Some(device.public), wishes.name.clone(), false);
         let enrolled = Enrolled { name, device: id, topics, version, ended, key, gateways };
-        let keys = self.enrolments.issue(owner, &network, &enrolled)?;
+        let keys = self.enrolments.issue(owner, network, &enrolled)?;
         let enrolment = Enrolment {
             domain: network.domain,
             chain_id: network.chain.chain_id(),
@@ -158,9 +172,12 @@ impl Devices {
         if enrolled.topics.len() > MOST_NAMED {
             return Err(input(TOO_MANY));
         }
-        self.log.begin(owner, "device topics", &format!("{device}: {}", added.join(" "))).await?;
-        self.enrolments.change(owner, device, |noted| noted.topics.clone_from(&enrolled.topics))?;
-        block_in_place(|| self.enrolments.tell_devices(owner, &network))?;
+        let told = async {
+            self.enrolments.change(owner, device, |noted| noted.topics.clone_from(&enrolled.topics))?;
+            block_in_place(|| self.enrolments.tell_devices(owner, &network))
+        };
+        let subject = format!("{device}: {}", added.join(" "));
+        self.log.deed(&owner.profile, "device topics", &subject, told).await?;
         Ok(DeviceTopicsView { name: enrolled.name, device, added, topics: enrolled.topics })
     }
 }

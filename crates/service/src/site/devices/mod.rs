@@ -97,12 +97,12 @@ impl Devices {
                 "device {device} is already on loan; `authros devices list` shows until when"
             )));
         }
-        self.log.begin(owner, "lend device", &device.to_string()).await?;
         let text = match until {
             Some(until) => format!("device {device} may sign for {} until {until}", owner.address),
             None => format!("device {device} may sign for {} until it is recalled", owner.address),
         };
-        self.change_devices(owner, &network, Call::Lend { device, until }, "lend", text).await
+        let lent = self.change_devices(owner, &network, Call::Lend { device, until }, "lend", text);
+        self.log.deed(&owner.profile, "lend device", &device.to_string(), lent).await
     }
 
     /// Recalls a device and begins a new epoch, so that what the device holds opens nothing sealed from now on.
@@ -111,12 +111,21 @@ impl Devices {
         let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
         let device = self.lent_device(&network, owner, device)?;
-        self.log.begin(owner, "recall device", &device.to_string()).await?;
+        let recalled = self.recall_device(owner, &network, device);
+        self.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await
+    }
+
+    async fn recall_device(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+        device: SignerId,
+    ) -> Result<TransactionView, Failure> {
         // In the keyring before anything is sent: if interrupted in between, it is resumed at the next start.
         owner.prepare_epoch(network.domain, network.directory.epoch(owner.address) + 1)?;
-        let recalled = self.send_recall(owner, &network, device).await?;
+        let recalled = self.send_recall(owner, network, device).await?;
         self.enrolments.note_recalled(owner, device)?;
-        let rotated = self.sharing.next_epoch(owner, &network, "recall").await.map_err(|failure| {
+        let rotated = self.sharing.next_epoch(owner, network, "recall").await.map_err(|failure| {
             let what = "is recalled, but the new epoch is not on the chain yet and its keys still open new records; \
                         `authros keys rotate` starts it";
             Failure { message: format!("device {device} {what}: {}", failure.message), ..failure }
@@ -133,8 +142,8 @@ impl Devices {
     pub(super) async fn unlend_device(self: &Arc<Self>, owner: &Arc<Owner>, device: SignerId) -> Result<(), Failure> {
         let network = self.link.network().await?;
         let _one_at_a_time = owner.changes.lock().await;
-        self.log.begin(owner, "recall device", &device.to_string()).await?;
-        self.send_recall(owner, &network, device).await.map(drop)
+        let recalled = self.send_recall(owner, &network, device);
+        self.log.deed(&owner.profile, "recall device", &device.to_string(), recalled).await.map(drop)
     }
 
     async fn send_recall(

@@ -104,11 +104,14 @@ impl Devices {
         let version =
             version.ok_or_else(|| refused("this robot's policy cannot be numbered higher; enrol it again"))?;
         let what = if text.is_empty() { "cleared".to_owned() } else { format!("{} bytes", text.len()) };
-        self.log.begin(owner, "robot policy", &format!("{}: version {version}, {what}", robot.device)).await?;
-        let policy = SignedPolicy::sign(&network.domain, &owner.eoa(), robot.device, version, &text)?;
-        // Noted first: a number that was given away is never given to another policy.
-        self.note_wanted(owner, robot.device, &Wanted { version, text, set_at: Timestamp::now() })?;
-        block_in_place(|| self.enrolments.send_policy(owner, &network, &robot, policy))?;
+        let subject = format!("{}: version {version}, {what}", robot.device);
+        let sent = async {
+            let policy = SignedPolicy::sign(&network.domain, &owner.eoa(), robot.device, version, &text)?;
+            // Noted first: a number that was given away is never given to another policy.
+            self.note_wanted(owner, robot.device, &Wanted { version, text, set_at: Timestamp::now() })?;
+            block_in_place(|| self.enrolments.send_policy(owner, &network, &robot, policy))
+        };
+        self.log.deed(&owner.profile, "robot policy", &subject, sent).await?;
         drop(one_at_a_time);
         self.robot_view(owner, name).await
     }

@@ -56,8 +56,8 @@ impl Devices {
         let RingSpan { since, until, topics } = span;
         let told = if topics.0.is_empty() { "all topics".to_owned() } else { topics.to_string() };
         let subject = clean(&format!("{}: {since} to {until}, {told}", robot.device), 400);
-        self.log.begin(owner, "pull ring", &subject).await?;
-        block_in_place(|| self.enrolments.ask_for_ring(owner, &network, &robot, span))?;
+        let asked = async { block_in_place(|| self.enrolments.ask_for_ring(owner, &network, &robot, span)) };
+        self.log.deed(&owner.profile, "pull ring", &subject, asked).await?;
         let topics = topics.0.iter().map(|topic| clean(topic.as_str(), WIDEST)).collect();
         Ok(RingPullView { robot: robot.name, device: robot.device, since: *since, until: *until, topics })
     }

@@ -69,12 +69,14 @@ impl Evidence {
             if !rows.iter().any(|known| known.digest == row.digest) {
                 rows.push(row.clone());
             }
-            // A disclosure cannot be undone: it is logged before anything leaves.
-            self.log.begin(owner, "disclose record", &row.id).await?;
         }
         if rows.is_empty() {
             let none = "that selection contains none of your records; `authros uploads list` shows them".to_owned();
             return Err(input([vec![none], left_out].concat().join("; ")));
+        }
+        for row in rows.iter().filter(|row| reveal.contains(&row.digest)) {
+            // A disclosure cannot be undone: it is logged before anything leaves.
+            self.log.begin(owner, "disclose record", &row.id).await?;
         }
         let file = clean(&wishes.file.display().to_string(), 300);
         self.log.begin(owner, "export evidence", &file).await?;

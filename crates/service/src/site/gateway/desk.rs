@@ -27,6 +27,7 @@ use crate::pipeline::countersigning::{Unsigned, countersigned};
 use crate::pipeline::directory::kept;
 use crate::pipeline::equivocation::{self, Claim};
 use crate::service::event::NoticeLevel;
+use crate::service::failure::internal;
 use crate::store::{KeptBinding, NewRecord, StoreError};
 
 impl GatewayDesk {
@@ -207,7 +208,7 @@ impl Desk for GatewayDesk {
         let audited = self.gateway.log.write(&self.keeper.profile, "allocate key", &subject, "begun").await;
         audited.map_err(|failure| Refusal::new(Code::Internal, failure.message))?;
         let name = name.clone();
-        self.blocking(move |desk| {
+        let bound = self.blocking(move |desk| {
             // Held until it is stored: a change of the keeper's pair re-encrypts what is there.
             let under = desk.under.read().unwrap_or_else(PoisonError::into_inner);
             let pair =
@@ -217,8 +218,18 @@ impl Desk for GatewayDesk {
             let Binding { account, signing, envelope, .. } = binding;
             let kept = KeptBinding { account, signing, envelope, sealed_key, device: None };
             desk.gateway.plant.ledger.bind(&name, kept).map_err(Refusal::because(Code::Internal))
-        })
-        .await
+        });
+        let bound = bound.await;
+        let told = match &bound {
+            Ok(()) => Ok(()),
+            Err(refusal) => Err(internal(refusal.detail.clone())),
+        };
+        if let Err(failure) = self.gateway.log.ended(&self.keeper.profile, "allocate key", &subject, told).await
+            && bound.is_ok()
+        {
+            return Err(Refusal::new(Code::Internal, failure.message));
+        }
+        bound
     }
 
     async fn register(&self, registration: &Registration) -> Result<Hash, Refusal> {

@@ -150,20 +150,29 @@ impl Profiles {
         kind: KeyKind,
         passphrase: Option<SecretText>,
     ) -> Result<SecretBytes, Failure> {
-        self.log.begin(owner, "export key", &format!("{kind:?}").to_lowercase()).await?;
+        let word = format!("{kind:?}").to_lowercase();
+        let exported = self.key_file(owner, kind, passphrase);
+        self.log.deed(&owner.profile, "export key", &word, exported).await.map(SecretBytes::new)
+    }
+
+    async fn key_file(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        kind: KeyKind,
+        passphrase: Option<SecretText>,
+    ) -> Result<Vec<u8>, Failure> {
         let (sm4, signing, eoa) = {
             let keyring = owner.keyring();
             (keyring.keyring.sm4.clone(), keyring.keyring.signing.clone(), keyring.keyring.eoa.clone())
         };
-        let bytes = match kind {
-            KeyKind::Sm4 => keyfile::sm4_hex(&sm4).as_bytes().to_vec(),
-            KeyKind::Sm2 => keyfile::sm2_pem(&signing.secret)?.as_bytes().to_vec(),
+        match kind {
+            KeyKind::Sm4 => Ok(keyfile::sm4_hex(&sm4).as_bytes().to_vec()),
+            KeyKind::Sm2 => Ok(keyfile::sm2_pem(&signing.secret)?.as_bytes().to_vec()),
             KeyKind::Eoa => {
                 let passphrase = passphrase
                     .ok_or_else(|| input("a V3 keystore needs a passphrase; pass --keystore-passphrase-file"))?;
-                blocking(self, move |_| Ok(keyfile::eoa_keystore(&eoa, passphrase.expose())?.into_bytes())).await?
+                blocking(self, move |_| Ok(keyfile::eoa_keystore(&eoa, passphrase.expose())?.into_bytes())).await
             }
-        };
-        Ok(SecretBytes::new(bytes))
+        }
     }
 }

@@ -41,10 +41,10 @@ impl Profiles {
         if !path.exists() {
             return Err(input(format!("profile '{profile}' has no identity yet, so there is nothing to back up")));
         }
-        self.log.write(profile, "back up keys", "keyring", "begun").await?;
         let read = move |_: &Self| {
             std::fs::read(&path).map_err(|error| internal(format!("the keyring cannot be read: {error}")))
         };
-        Ok(SecretBytes::new(blocking(self, read).await?))
+        let bytes = self.log.deed(profile, "back up keys", "keyring", blocking(self, read)).await?;
+        Ok(SecretBytes::new(bytes))
     }
 }

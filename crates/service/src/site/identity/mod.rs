@@ -176,9 +176,7 @@ impl Profiles {
             Ok(())
         });
         let changed = changed.await;
-        let outcome = if changed.is_ok() { "done" } else { "refused" };
-        self.log.write(profile, "change passphrase", "keyring", outcome).await?;
-        changed
+        self.log.ended(profile, "change passphrase", "keyring", changed).await
     }
 
     /// Puts an open keyring into the site, replacing the profile's previous one.

@@ -89,15 +89,12 @@ impl Incidents {
                 "there are {MOST} incidents, the limit per profile; remove one with `authros incident remove NAME`"
             )));
         }
-        self.log.write(profile, "open incident", &subject(&name, &span), "begun").await?;
-        let named = name.clone();
+        let (subject, named) = (subject(&name, &span), name.clone());
         let opened = blocking(self, move |incidents| {
-            Ok(incidents.plant.ledger.open_incident(owner, &named, &span, note.as_deref())?)
-        })
-        .await?;
-        if !opened {
-            return Err(taken(&name));
-        }
+            let opened = incidents.plant.ledger.open_incident(owner, &named, &span, note.as_deref())?;
+            if opened { Ok(()) } else { Err(taken(&named)) }
+        });
+        self.log.deed(profile, "open incident", &subject, opened).await?;
         self.hub.changed(Part::Uploads);
         self.show(owner, name).await
     }
@@ -133,10 +130,10 @@ impl Incidents {
         if self.show(owner, name.clone()).await?.notes.len() >= MOST_NOTES {
             return Err(input(format!("{name} has {MOST_NOTES} notes, the limit per incident")));
         }
-        self.log.write(profile, "note incident", name.as_str(), "begun").await?;
         let named = name.clone();
-        blocking(self, move |incidents| found(&named, incidents.plant.ledger.note_incident(owner, &named, &text)?))
-            .await?;
+        let noted =
+            blocking(self, move |incidents| found(&named, incidents.plant.ledger.note_incident(owner, &named, &text)?));
+        self.log.deed(profile, "note incident", name.as_str(), noted).await?;
         self.show(owner, name).await
     }
 
@@ -149,9 +146,10 @@ impl Incidents {
         if !self.show(owner, name.clone()).await?.open {
             return Err(input(format!("{name} is already closed; its records are held until it is removed")));
         }
-        self.log.write(profile, "close incident", name.as_str(), "begun").await?;
         let named = name.clone();
-        blocking(self, move |incidents| found(&named, incidents.plant.ledger.close_incident(owner, &named)?)).await?;
+        let closed =
+            blocking(self, move |incidents| found(&named, incidents.plant.ledger.close_incident(owner, &named)?));
+        self.log.deed(profile, "close incident", name.as_str(), closed).await?;
         self.hub.changed(Part::Uploads);
         self.show(owner, name).await
     }
@@ -164,8 +162,9 @@ impl Incidents {
     ) -> Result<Vec<IncidentView>, Failure> {
         let view = self.show(owner, name.clone()).await?;
         let told = format!("{name}: {} records were held", view.records);
-        self.log.write(profile, "remove incident", &told, "begun").await?;
-        blocking(self, move |incidents| found(&name, incidents.plant.ledger.remove_incident(owner, &name)?)).await?;
+        let removed =
+            blocking(self, move |incidents| found(&name, incidents.plant.ledger.remove_incident(owner, &name)?));
+        self.log.deed(profile, "remove incident", &told, removed).await?;
         self.hub.changed(Part::Uploads);
         self.list(owner).await
     }

@@ -103,9 +103,10 @@ impl Pinning {
             )));
         }
         for publisher in &publishers {
-            self.log.write(profile, "pin", &format!("{topic} {publisher}"), "begun").await?;
+            let (subject, one) = (format!("{topic} {publisher}"), std::slice::from_ref(publisher));
+            let pinned = async { Ok(block_in_place(|| self.pins.pin(owner, topic.as_str(), one))?) };
+            self.log.deed(profile, "pin", &subject, pinned).await?;
         }
-        block_in_place(|| self.pins.pin(owner, topic.as_str(), &publishers))?;
         self.hub.changed(Part::Topics);
         self.view(profile, Some(topic)).await
     }
@@ -122,12 +123,15 @@ impl Pinning {
         if self.pins.listed(topic.as_str()).iter().any(|publisher| publisher.caller_id == caller_id) {
             return Err(input(format!("{name} is pinned to {topic} by ros.publishers; remove it there")));
         }
-        self.log.write(profile, "unpin", &format!("{topic} {name}"), "begun").await?;
-        if block_in_place(|| self.pins.unpin(owner, topic.as_str(), caller_id))? == 0 {
-            return Err(input(format!(
-                "{name} is not pinned to {topic}; `authros topics pins` lists the pinned publishers"
-            )));
-        }
+        let unpinned = async {
+            match block_in_place(|| self.pins.unpin(owner, topic.as_str(), caller_id))? {
+                0 => Err(input(format!(
+                    "{name} is not pinned to {topic}; `authros topics pins` lists the pinned publishers"
+                ))),
+                _ => Ok(()),
+            }
+        };
+        self.log.deed(profile, "unpin", &format!("{topic} {name}"), unpinned).await?;
         self.hub.changed(Part::Topics);
         self.view(profile, Some(topic)).await
     }
@@ -140,8 +144,8 @@ impl Pinning {
         publisher: &Publisher,
     ) -> Result<PinsView, Failure> {
         let owner = self.owners.address_of(profile)?;
-        self.log.write(profile, "unpin", &format!("{topic} {publisher}"), "begun").await?;
-        block_in_place(|| self.pins.unpin_one(owner, topic.as_str(), publisher))?;
+        let unpinned = async { Ok(block_in_place(|| self.pins.unpin_one(owner, topic.as_str(), publisher))?) };
+        self.log.deed(profile, "unpin", &format!("{topic} {publisher}"), unpinned).await?;
         self.hub.changed(Part::Topics);
         self.view(profile, Some(topic)).await
     }

@@ -50,9 +50,13 @@ async fn another_publisher_is_held_back_until_the_operator_pins_it_and_after_it_
     assert_eq!(left.pins.iter().map(|pin| pin.publisher.caller_id.as_str()).collect::<Vec<_>>(), ["/driver"]);
     assert_eq!(pinning.pins.judge(owner.address, "/odom", &origin(4, "/other")), Some(Doubt::New));
     let pinned = ground.audited("pin");
-    assert_eq!(pinned.len(), 2);
-    assert!(pinned.iter().all(|(_, outcome)| outcome == "begun"), "written before the deed: {pinned:?}");
-    assert_eq!(ground.audited("unpin"), [("/odom /other".to_owned(), "begun".to_owned())]);
+    let words: Vec<&str> = pinned.iter().map(|(_, outcome)| outcome.as_str()).collect();
+    assert_eq!(words, ["begun", "done", "begun", "done"], "before the deed and after it: {pinned:?}");
+    let unpinned = ["begun", "done"].map(|outcome| ("/odom /other".to_owned(), outcome.to_owned()));
+    assert_eq!(ground.audited("unpin"), unpinned);
+    pinning.unpin(&alice, &topic, "/other").await.expect_err("pinned no longer");
+    let failed = ground.audited("unpin").pop().expect("a line").1;
+    assert!(failed.starts_with("failed: /other is not pinned to /odom"), "{failed}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -145,17 +145,23 @@ impl Quarantine {
     /// Lets quarantined messages be anchored; the tag in their sealed head stays.
     pub(super) async fn release(self: &Arc<Self>, owner: &Arc<Owner>, held: Held) -> Result<DecidedView, Failure> {
         let rows = self.named(owner, &held).await?;
-        self.audit_each(owner, "release quarantined", &rows).await?;
-        // The record of the quarantine comes first, so that its count includes everything that was held.
-        self.report(&owner.author, u64::MAX).await?;
-        let digests = self.with_definitions(owner, &rows).await?;
-        let asked: Vec<Digest> = digests.into_iter().collect();
-        blocking(self, move |quarantine| Ok(quarantine.plant.ledger.release(&asked)?)).await?;
-        self.decided(owner, &held)?;
+        let action = "release quarantined";
+        let subjects = self.audit_each(owner, action, &rows).await?;
+        let released = self.release_rows(owner, &held, &rows).await;
+        self.audit_ends(owner, action, &subjects, released).await?;
         self.hub.stored.notify_waiters();
         let messages = messages(&rows);
         let text = format!("{messages} messages released; they are anchored like others and keep their tag");
         Ok(DecidedView { decision: "released".to_owned(), messages, reports: Vec::new(), text })
+    }
+
+    async fn release_rows(self: &Arc<Self>, owner: &Arc<Owner>, held: &Held, rows: &[HeldRow]) -> Result<(), Failure> {
+        // The record of the quarantine comes first, so that its count includes everything that was held.
+        self.report(&owner.author, u64::MAX).await?;
+        let digests = self.with_definitions(owner, rows).await?;
+        let asked: Vec<Digest> = digests.into_iter().collect();
+        blocking(self, move |quarantine| Ok(quarantine.plant.ledger.release(&asked)?)).await?;
+        self.decided(owner, held)
     }
 
     /// A released message needs its definition, which is quarantined with its first message.
@@ -184,13 +190,10 @@ impl Quarantine {
         let known: BTreeSet<Digest> = rows.iter().map(|row| row.record.digest).collect();
         rows_now.retain(|row| row.is_message() && known.contains(&row.record.digest));
         let reports = self.anchored_reports(&rows_now).await?;
-        self.audit_each(owner, "discard quarantined", &rows_now).await?;
-        let digests: Vec<Digest> = rows_now.iter().map(|row| row.record.digest).collect();
-        // A backup taken now must not see the bytes gone while the rows are not.
-        let one_at_a_time = self.reporting.lock().await;
-        blocking(self, move |quarantine| Ok(quarantine::discard(&quarantine.plant, &digests)?)).await?;
-        drop(one_at_a_time);
-        self.decided(owner, &held)?;
+        let action = "discard quarantined";
+        let subjects = self.audit_each(owner, action, &rows_now).await?;
+        let discarded = self.discard_rows(owner, &held, &rows_now).await;
+        self.audit_ends(owner, action, &subjects, discarded).await?;
         let messages = messages(&rows_now);
         let counted = reports.len();
         let text = format!(
@@ -198,6 +201,15 @@ impl Quarantine {
              them"
         );
         Ok(DecidedView { decision: "discarded".to_owned(), messages, reports, text })
+    }
+
+    async fn discard_rows(self: &Arc<Self>, owner: &Arc<Owner>, held: &Held, rows: &[HeldRow]) -> Result<(), Failure> {
+        let digests: Vec<Digest> = rows.iter().map(|row| row.record.digest).collect();
+        // A backup taken now must not see the bytes gone while the rows are not.
+        let one_at_a_time = self.reporting.lock().await;
+        blocking(self, move |quarantine| Ok(quarantine::discard(&quarantine.plant, &digests)?)).await?;
+        drop(one_at_a_time);
+        self.decided(owner, held)
     }
 
     /// The quarantine records that count these, as soon as all of them are in a block.
@@ -232,15 +244,38 @@ impl Quarantine {
         ))
     }
 
-    /// One line for each topic, before the deed.
-    async fn audit_each(self: &Arc<Self>, owner: &Arc<Owner>, action: &str, rows: &[HeldRow]) -> Result<(), Failure> {
+    /// One line for each topic, before the deed; returns their subjects.
+    async fn audit_each(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        action: &str,
+        rows: &[HeldRow],
+    ) -> Result<Vec<String>, Failure> {
+        let mut subjects = Vec::new();
         let topics: BTreeSet<&str> = rows.iter().map(|row| row.record.topic.as_str()).collect();
         for topic in topics {
             let of_topic = || rows.iter().filter(|row| row.record.topic == topic && row.is_message());
             let (count, first) = (of_topic().count(), of_topic().next().map_or("none", |row| row.record.id.as_str()));
-            self.log.begin(owner, action, &format!("{topic}: {count} messages starting with {first}")).await?;
+            let subject = format!("{topic}: {count} messages starting with {first}");
+            self.log.begin(owner, action, &subject).await?;
+            subjects.push(subject);
         }
-        Ok(())
+        Ok(subjects)
+    }
+
+    /// The second line of each, after the deed.
+    async fn audit_ends(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        action: &str,
+        subjects: &[String],
+        outcome: Result<(), Failure>,
+    ) -> Result<(), Failure> {
+        for subject in subjects {
+            // What went wrong is reported once, below.
+            drop(self.log.end(owner, action, subject, outcome.clone()).await);
+        }
+        outcome
     }
 
     /// Deciding about a whole topic closes its alarms.

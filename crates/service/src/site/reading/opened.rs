@@ -93,9 +93,12 @@ impl Reading {
     async fn opened(self: &Arc<Self>, owner: &Arc<Owner>, id: &str, deed: &str) -> Result<Opened, Failure> {
         let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
-        self.log.begin(owner, deed, &row.id).await?;
-        let record = reader.open(&row).await?;
-        let described = self.described(&reader, &row, &record).await?;
+        let opened = async {
+            let record = reader.open(&row).await?;
+            let described = self.described(&reader, &row, &record).await?;
+            Ok((record, described))
+        };
+        let (record, described) = self.log.deed(&owner.profile, deed, &row.id, opened).await?;
         let row = as_signed(row, &record);
         Ok(Opened { row, record, described })
     }
@@ -124,9 +127,18 @@ impl Reading {
         let records = records.clamp(2, LONGEST_PATH);
         let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
-        self.log.begin(owner, "decrypt", &format!("{} and up to {records} records before it", row.id)).await?;
+        let subject = format!("{} and up to {records} records before it", row.id);
+        self.log.deed(&owner.profile, "decrypt", &subject, self.path_of(&reader, row, records)).await
+    }
+
+    async fn path_of(
+        self: &Arc<Self>,
+        reader: &Reader<'_>,
+        row: RecordRow,
+        records: usize,
+    ) -> Result<PathView, Failure> {
         let last = reader.open(&row).await?;
-        let described = self.described(&reader, &row, &last).await?;
+        let described = self.described(reader, &row, &last).await?;
         let definition = described.definition.clone().ok_or_else(|| without_definition(&row, &described))?;
         let here = readable::place(&definition, &last.body).ok_or_else(|| {
             let kind = clean(definition.type_name(), 120);

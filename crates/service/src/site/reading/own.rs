@@ -11,7 +11,7 @@ use crate::model::bytes::hex;
 use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId};
 use crate::pipeline::columns::{self, Caveat, ShownState};
 use crate::pipeline::epoch::tag_choice;
-use crate::pipeline::{Owner, PipelineError, authority};
+use crate::pipeline::{Network, Owner, PipelineError, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal};
 use crate::service::reply::{ExportedFile, Failure, Provenance, RecordPage, RecordView};
@@ -196,7 +196,16 @@ impl Reading {
     ) -> Result<Vec<ExportedFile>, Failure> {
         let row = self.own_record(&owner.profile, id).await?;
         let network = self.link.network().await?;
-        self.log.begin(owner, "export record", &row.id).await?;
+        let files = self.files_of(&network, &row, addresses);
+        self.log.deed(&owner.profile, "export record", &row.id, files).await
+    }
+
+    async fn files_of(
+        self: &Arc<Self>,
+        network: &Network,
+        row: &RecordRow,
+        addresses: bool,
+    ) -> Result<Vec<ExportedFile>, Failure> {
         let digest = row.digest;
         let stored =
             move |reading: &Self| Ok((reading.plant.vault.get(digest)?, reading.plant.ledger.batch_place(digest)?));
@@ -208,12 +217,12 @@ impl Reading {
             None => PipelineError::Missing(row.id.clone()),
         })?;
         let header = crate::model::Header::parse(&blob).ok().map(|(header, _)| header);
-        if let Some(field) = header.as_ref().and_then(|header| columns::header_difference(&row, header)) {
-            return Err(PipelineError::RowDiffers { id: row.id, field }.into());
+        if let Some(field) = header.as_ref().and_then(|header| columns::header_difference(row, header)) {
+            return Err(PipelineError::RowDiffers { id: row.id.clone(), field }.into());
         }
         // A record of an earlier chain is bound to that chain's domain.
         let bound = header.map_or(network.domain, |header| header.domain);
-        let contract = tokio::task::block_in_place(|| network.place_of(&self.plant, &row))?;
+        let contract = tokio::task::block_in_place(|| network.place_of(&self.plant, row))?;
         let (asked, asking) = (row.clone(), network.clone());
         let signer = blocking(self, move |reading| Ok(authority::signer_of(&reading.plant, &asking, &asked)?)).await?;
         let signer = signer.map_err(|why| PipelineError::NoRight { id: row.id.clone(), why: Box::new(why) })?;
@@ -221,7 +230,7 @@ impl Reading {
         let pin = contract.chain.pin();
         // The record's own header and leaf must contain the owner: only the files beside them are redacted.
         let shown = |account: Address| if addresses { account.to_string() } else { account.redacted() };
-        let mut anchor = anchor_json(&row, place.as_ref(), &shown);
+        let mut anchor = anchor_json(row, place.as_ref(), &shown);
         let block = match row.block {
             Some(number) => network.chain.block(number).await.ok().flatten(),
             None => None,

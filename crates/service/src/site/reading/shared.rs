@@ -149,8 +149,8 @@ impl Reading {
     ) -> Result<CheckView, Failure> {
         let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
-        self.log.begin(owner, "check", &row.id).await?;
-        let (verdict, digest) = reader.check(&row).await?;
+        let checked = async { Ok(reader.check(&row).await?) };
+        let (verdict, digest) = self.log.deed(&owner.profile, "check", &row.id, checked).await?;
         Ok(CheckView { id: row.id, verdict, digest, transaction: row.transaction, block: row.block })
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use crate::chain::Call;
 use crate::crypto::{GrantedKeys, WrappedKeys, wrap};
-use crate::model::{GrantTerms, Scope};
+use crate::model::{Address, GrantTerms, Scope};
 use crate::pipeline::directory::Granted;
 use crate::pipeline::{Network, Owner, authority};
 use crate::service::event::{NoticeLevel, Part};
@@ -43,10 +43,10 @@ impl Sharing {
             owner.seal_under(network.domain, next)?;
         }
         let sent = self.sender.send(&network.chain, &owner.eoa(), call(token), purpose).await;
-        let outcome = if sent.is_ok() { "done" } else { "failed" };
         let (action, what) = purpose.split_once(' ').unwrap_or((purpose, ""));
-        self.log.write(&owner.profile, action, format!("{what} epoch {next}").trim_start(), outcome).await?;
-        let (transaction, receipt) = sent?;
+        let subject = format!("{what} epoch {next}");
+        let sent = sent.map_err(Failure::from);
+        let (transaction, receipt) = self.log.ended(&owner.profile, action, subject.trim_start(), sent).await?;
         self.link.scanned(receipt.block).await;
         owner.confirm_epoch(network.domain, next)?;
         if let Err(failure) = self.rewrap(owner, network).await {
@@ -129,15 +129,29 @@ impl Sharing {
                 Err(failure) => failed = Some(failure),
             }
         }
-        if !envelopes.is_empty() {
-            let readers: Vec<String> = envelopes.iter().map(|(reader, _)| reader.short()).collect();
-            self.log.begin(owner, "wrap", &format!("epoch {epoch} for {}", readers.join(" "))).await?;
+        if envelopes.is_empty() {
+            return failed.map_or(Ok(()), Err);
         }
+        let readers: Vec<String> = envelopes.iter().map(|(reader, _)| reader.short()).collect();
+        let subject = format!("epoch {epoch} for {}", readers.join(" "));
+        let sent =
+            self.log.deed(&owner.profile, "wrap", &subject, self.wrap_all(owner, network, epoch, &envelopes)).await;
+        sent.and(failed.map_or(Ok(()), Err))
+    }
+
+    async fn wrap_all(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+        epoch: u64,
+        envelopes: &[(Address, Vec<u8>)],
+    ) -> Result<(), Failure> {
+        let mut failed = None;
         for chunk in envelopes.chunks(ENVELOPES_A_CALL) {
             let call = Call::Wrap { epoch, envelopes: chunk.to_vec() };
             match self.sender.send(&network.chain, &owner.eoa(), call, "wrap").await {
                 Ok((_, receipt)) => self.link.scanned(receipt.block).await,
-                Err(error) => failed = Some(error.into()),
+                Err(error) => failed = Some(Failure::from(error)),
             }
         }
         failed.map_or(Ok(()), Err)

@@ -144,7 +144,18 @@ impl Unattended {
         let enrolment = &mut credential.enrolment;
         block_in_place(|| notices::catch_up(&self.plant, enrolment))?;
         let (device, account) = (enrolment.device_id(), credential.witness.address());
-        self.log.write(profile, "unattended", &device.to_string(), "begun").await?;
+        let started = async { self.start(profile, credential, device, account) };
+        self.log.deed(profile, "unattended", &device.to_string(), started).await
+    }
+
+    fn start(
+        self: &Arc<Self>,
+        profile: &ProfileName,
+        credential: UnattendedCredential,
+        device: SignerId,
+        account: Address,
+    ) -> Result<UnattendedView, Failure> {
+        let enrolment = &credential.enrolment;
         block_in_place(|| self.plant.ledger.keep_signer(device, enrolment.device.public))?;
         let author = Arc::new(Author::new(enrolment.owner));
         author.obey(enrolment);
@@ -164,7 +175,7 @@ impl Unattended {
         self.owners.stand_in(&standing)?;
         *self.working.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::new(working));
         if self.home.passphrase(profile).exists() {
-            let text = "the passphrase of this profile lies beside its keyring, so whoever reads the home has all its keys: \
+            let text = "the passphrase of this profile is stored beside its keyring, so anyone who reads the home has all its keys: \
                         unattended capture protects nothing until that file is moved away";
             self.hub.notice(NoticeLevel::Warning, text);
         }

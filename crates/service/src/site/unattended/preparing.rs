@@ -9,7 +9,7 @@ use super::{Noted, Unattended};
 use crate::crypto::{
     Enrolment, SmKeyPair, UnattendedCredential, notice_key, notice_topic, signer_id, unattended_secret,
 };
-use crate::model::{Address, ErrorKind, ProfileName, Timestamp, TopicName};
+use crate::model::{Address, ErrorKind, ProfileName, SignerId, Timestamp, TopicName};
 use crate::pipeline::authority::{Moment, may_sign};
 use crate::pipeline::{Network, Owner, witness};
 use crate::service::command::{self as ask, Ask as _, SecretBytes, UnattendedCommand};
@@ -67,14 +67,26 @@ impl Unattended {
         let topics = self.covered(&owner.profile, topics)?;
         let device = SmKeyPair::generate(self.plant.provider)?;
         let id = signer_id(&device.public);
-        self.log.begin(owner, "prepare unattended", &id.to_string()).await?;
+        let made = self.make(owner, &network, (device, id), topics, until);
+        self.log.deed(&owner.profile, "prepare unattended", &id.to_string(), made).await
+    }
+
+    /// The credential of this new device.
+    async fn make(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+        (device, id): (SmKeyPair, SignerId),
+        topics: Vec<String>,
+        until: Timestamp,
+    ) -> Result<UnattendedFile, Failure> {
         let witness = unattended_secret(&owner.eoa(), &network.domain, &id)?;
         let (domain, account) = (network.domain, witness.address());
         let until = Timestamp::from_seconds(until.seconds());
         // Before anything is sent from that account: its transactions are found again. It stands once all is done.
         let noted = Noted { device: id, account, domain, topics: topics.clone(), until, ended: true };
         block_in_place(|| self.note(owner.address, |all| all.push(noted)))?;
-        self.register_account(owner, &network, &witness).await?;
+        self.register_account(owner, network, &witness).await?;
         self.devices.lend(owner, id, Some(until)).await?;
         block_in_place(|| self.plant.ledger.keep_signer(id, device.public))?;
         let name: ProfileName = NAME.parse().map_err(|_| internal("the name of the device"))?;
@@ -87,7 +99,7 @@ impl Unattended {
             key: Some(device.public),
             gateways: Vec::new(),
         };
-        let keys = self.enrolments.issue(owner, &network, &enrolled)?;
+        let keys = self.enrolments.issue(owner, network, &enrolled)?;
         let enrolment = Enrolment {
             domain,
             chain_id: network.chain.chain_id(),

@@ -84,7 +84,7 @@ impl Witnesses {
             let position = next.signed.position;
             if let Some(found) = last.and_then(|last| position.contradicts(&last.stated.position)) {
                 let text = format!(
-                    "the witness '{}' countersigned another history of this chain: {found}. It was written anew, or this \
+                    "the witness '{}' countersigned another history of this chain: {found}. It was rewritten, or this \
                      home was restored; the witness will say so",
                     row.name
                 );
@@ -131,7 +131,7 @@ fn told(row: &WitnessRow, error: GatewayError) -> Failure {
         GatewayError::Refused(Code::Tampered) => Failure::new(
             ErrorKind::Tampered,
             format!(
-                "the witness '{name}' holds an earlier statement that contradicts this one: the chain was written anew, or \
+                "the witness '{name}' holds an earlier statement that contradicts this one: the chain was rewritten, or \
                  this home was restored from an earlier state; both operators have to settle it (docs/evidence.md)"
             ),
         ),

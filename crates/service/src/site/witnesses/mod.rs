@@ -108,9 +108,9 @@ impl Witnesses {
             return Err(input(format!("there are {MOST} witnesses, the limit per profile")));
         }
         let (owner, subject) = (row.owner, format!("{} ({}, key {})", row.name, row.account, row.key));
-        self.log.write(profile, "add witness", &subject, "begun").await?;
         self.with(|last| last.remove(&(row.owner, row.key)));
-        blocking(self, move |witnesses| Ok(witnesses.plant.ledger.put_witness(row)?)).await?;
+        let added = blocking(self, move |witnesses| Ok(witnesses.plant.ledger.put_witness(row)?));
+        self.log.deed(profile, "add witness", &subject, added).await?;
         self.hub.changed(Part::Health);
         self.rows(owner).await
     }
@@ -126,9 +126,10 @@ impl Witnesses {
         let row = found.ok_or_else(|| {
             input(format!("no witness is named '{}'; `authros witness list` shows them", clean(name, LONGEST_NAME)))
         })?;
-        self.log.write(profile, "remove witness", &format!("{} (key {})", row.name, row.key), "begun").await?;
+        let subject = format!("{} (key {})", row.name, row.key);
         self.with(|last| last.remove(&(owner, row.key)));
-        blocking(self, move |witnesses| Ok(witnesses.plant.ledger.remove_witness(owner, row.key)?)).await?;
+        let removed = blocking(self, move |witnesses| Ok(witnesses.plant.ledger.remove_witness(owner, row.key)?));
+        self.log.deed(profile, "remove witness", &subject, removed).await?;
         self.hub.changed(Part::Health);
         self.rows(owner).await
     }
