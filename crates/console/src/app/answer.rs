@@ -47,10 +47,10 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Beside(_, id) => detail::opened(state, id, ask::OpenShared::heard(result)),
         Tag::Show(id) => looked_up(state, id, ask::ShowUpload::heard(result)),
         Tag::Publishers(topic) => publishers(state, topic, ask::ListPins::heard(result)),
-        Tag::HoldCapture => done(state, tag, ask::HoldCapture::heard(result), |state, ()| {
-            // What the site knew before says nothing about what is still in flight now.
-            state.feeds.renew(Feed::Site);
-        }),
+        // What the site knew before says nothing about what is still in flight now.
+        Tag::HoldCapture => {
+            done(state, tag, ask::HoldCapture::heard(result), |state, ()| state.feeds.renew(Feed::Site))
+        }
         Tag::Lock => locked(state, ask::Lock::heard(result)),
         Tag::Export(id) => {
             return written(state, tag, ask::ExportUpload::heard(result), |_, base, files| exported(id, base, files));
@@ -60,19 +60,13 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
                 secret(base, key_file(state, *kind), &key)
             });
         }
-        Tag::BackUp => {
-            let name = format!("{}.keyring", state.settings.profile);
-            return written(state, tag, ask::BackUpKeys::heard(result), |_, base, keys| secret(base, name, &keys));
-        }
+        Tag::BackUp => return named(state, tag, ask::BackUpKeys::heard(result), "keyring", |keys| keys),
         Tag::PrepareUnattended => {
-            let name = format!("{}.unattended", state.settings.profile);
-            return written(state, tag, ask::PrepareUnattended::heard(result), |_, base, made| {
-                secret(base, name, &made.file)
-            });
+            return named(state, tag, ask::PrepareUnattended::heard(result), "unattended", |made| &made.file);
         }
-        Tag::EndUnattended => {
-            done(state, tag, ask::EndUnattended::heard(result), |state, done| state.inform(done.text))
-        }
+        Tag::EndUnattended => done(state, tag, ask::EndUnattended::heard(result), |state, ended| {
+            state.inform(ended.text);
+        }),
         Tag::Play(_) => done(state, tag, ask::Play::heard(result), |state, view| playing::ended(state, &view)),
         Tag::StopPlay => done(state, tag, ask::StopPlay::heard(result), |_, ()| {}),
         Tag::Check(_) => done(state, tag, ask::CheckShared::heard(result), |state, check| checked(state, &check)),
@@ -300,6 +294,18 @@ fn written<T>(
             Vec::new()
         }
     }
+}
+
+/// A secret in a file named after the profile.
+fn named<T>(
+    state: &mut State,
+    tag: &Tag,
+    result: Result<T, Failure>,
+    ending: &str,
+    bytes: impl FnOnce(&T) -> &SecretBytes,
+) -> Vec<Effect> {
+    let name = format!("{}.{ending}", state.settings.profile);
+    written(state, tag, result, |_, base, answer| secret(base, name, bytes(&answer)))
 }
 
 fn exported(id: &str, base: Option<PathBuf>, files: Vec<ExportedFile>) -> Effect {
