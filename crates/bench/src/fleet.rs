@@ -53,7 +53,7 @@ const NOTES: [&str; 7] = [
     "Gateways, robots and the chain are real and share this process and its cores; processor = all of them together, from the \
      first connection until every record is verified at every gateway that should have it. Records are sealed before that.",
     "per copy: processor divided by gateways that keep the record. A gateway that keeps a record checks it, so reconciling \
-     costs about as many times as much as there are gateways, whatever the number of robots.",
+     costs more with every gateway, whatever the number of robots.",
     "Robots take turns: each connects, brings its records in uploads of at most 8, and leaves. They know two gateways each. \
      A gateway is stopped as by SIGTERM; kill -9 is for the flows of tests/it/fleet.",
     "between: bytes on the lines between gateways, both ways, per record: what was told, asked and handed over.",
