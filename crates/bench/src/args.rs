@@ -60,7 +60,7 @@ pub enum Bench {
     Pictures,
     /// What a record, a page of a list and a frame of the console cost while the ledger grows
     Growth(GrowthArguments),
-    /// Robots and gateways of a fleet in this process, gateways stopped and begun again: processor per record at one gateway
+    /// Robots (--robots, else 1,000) and gateways of a fleet in this process, gateways stopped and begun again: processor per record at one gateway
     /// and at several, bytes between gateways, losses, fail-over; not part of all
     Fleet(FleetArguments),
     /// Bundles of evidence: bytes per record, proof bytes per batch, and verification beside SM2 and SM3 alone
@@ -309,9 +309,6 @@ pub struct GatewayArguments {
 /// `bench fleet …`
 #[derive(Debug, Clone, Args)]
 pub struct FleetArguments {
-    /// Simulated robots, each with a lent key, a recorder and a network address of its own
-    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    pub robots: u32,
     /// Gateways on one chain; their figures are set beside those of one
     #[arg(long, value_name = "G", default_value_t = 5, value_parser = clap::value_parser!(u16).range(2..=64))]
     pub gateways: u16,

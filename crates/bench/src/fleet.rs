@@ -36,6 +36,9 @@ use authros_service::Failure;
 
 /// What is asked: processor time per record at several gateways over that at one.
 const ASKED: f64 = 1.1;
+/// Robots, unless it is said how many, and the most.
+const ROBOTS: usize = 1000;
+const MOST_ROBOTS: usize = 100_000;
 /// Bytes of sealed records that are kept in memory at most, and what a record has beside its message.
 const MOST_SEALED: u64 = 1 << 30;
 const BESIDE: u64 = 512;
@@ -50,7 +53,7 @@ const NOTES: [&str; 7] = [
     "Gateways, robots and the chain are real and share this process and its cores; processor = all of them together, from the \
      first connection until every record is verified at every gateway that should have it. Records are sealed before that.",
     "per copy: processor divided by gateways that keep the record. A gateway that keeps a record checks it, so reconciling \
-     costs about as many times as much as there are gateways, whatever the number of robots.",
+     costs more with every gateway, whatever the number of robots.",
     "Robots take turns: each connects, brings its records in uploads of at most 8, and leaves. They know two gateways each. \
      A gateway is stopped as by SIGTERM; kill -9 is for the flows of tests/it/fleet.",
     "between: bytes on the lines between gateways, both ways, per record: what was told, asked and handed over.",
@@ -170,9 +173,16 @@ async fn several(
     Ok(())
 }
 
+/// The flag of the whole program says how many, here without the bound for robots of ROS.
+fn robots(global: Global<'_>) -> Result<usize, Failure> {
+    let Some(asked) = (global.settings)("robots") else { return Ok(ROBOTS) };
+    let robots = asked.parse().ok().filter(|robots| (1..=MOST_ROBOTS).contains(robots));
+    robots.ok_or_else(|| Failure::new(ErrorKind::Usage, format!("--robots takes 1 to {MOST_ROBOTS} for this bench")))
+}
+
 /// What is wanted, within what this machine allows.
 fn plan(global: Global<'_>, arguments: &FleetArguments, provider: &'static dyn Provider) -> Result<Plan, Failure> {
-    let (robots, gateways) = (arguments.robots as usize, usize::from(arguments.gateways));
+    let (robots, gateways) = (robots(global)?, usize::from(arguments.gateways));
     let records = arguments.records.max(robots as u64);
     if records.saturating_mul(u64::from(arguments.size) + BESIDE) > MOST_SEALED {
         let text = format!(

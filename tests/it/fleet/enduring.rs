@@ -14,7 +14,7 @@ use support::{Conservation, length};
 
 /// How long it goes on.
 const LENGTH: Duration = Duration::from_secs(1800);
-/// How often one of the gateways is killed; within a shorter run, three times in all.
+/// How often one of the gateways is killed; in a shorter run, at each quarter of it.
 const KILLED: Duration = Duration::from_secs(300);
 const MINUTE: Duration = Duration::from_secs(60);
 /// 20 robots with 25 records each half second: 1,000 records a second.
