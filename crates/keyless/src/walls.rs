@@ -50,6 +50,9 @@ const INTERFACE: ABI = ABI::V6;
 /// The second set of numbers that x86-64 has for its system calls.
 const OTHER_NUMBERS: i64 = 0x4000_0000;
 
+/// The bits of a socket's type beside its flags.
+const KIND_OF_SOCKET: u64 = 0xf;
+
 /// Raises the walls, for this thread and all that it starts; whether all of them stand.
 pub fn raise(network: Network) -> bool {
     let files = raise_around_files(network).unwrap_or(false);
@@ -78,13 +81,23 @@ fn filter() -> Result<BpfProgram, BackendError> {
     let mut rules = BTreeMap::new();
     for numbers in [0, OTHER_NUMBERS] {
         rules.insert(libc::SYS_socket | numbers, vec![of_no_network()?]);
-        // Always: by the last one sockets are made that no filter sees.
-        rules.insert(libc::SYS_socketpair | numbers, Vec::new());
+        rules.insert(libc::SYS_socketpair | numbers, of_other_pairs()?);
+        // Always: by it sockets are made that no filter sees.
         rules.insert(libc::SYS_io_uring_setup | numbers, Vec::new());
     }
     let refused = SeccompAction::Errno(libc::EACCES.unsigned_abs());
     let machine: TargetArch = std::env::consts::ARCH.try_into()?;
     SeccompFilter::new(rules, SeccompAction::Allow, refused, machine)?.try_into()
+}
+
+/// rustdds wakes itself by a pair of streams, which stay connected to each other; the others can be pointed elsewhere.
+fn of_other_pairs() -> Result<Vec<SeccompRule>, BackendError> {
+    let is_of = |kind: i32| {
+        let masked = SeccompCmpOp::MaskedEq(KIND_OF_SOCKET);
+        let condition = SeccompCondition::new(1, SeccompCmpArgLen::Dword, masked, u64::from(kind.unsigned_abs()))?;
+        SeccompRule::new(vec![condition])
+    };
+    [libc::SOCK_DGRAM, libc::SOCK_RAW, libc::SOCK_SEQPACKET].into_iter().map(is_of).collect()
 }
 
 fn of_no_network() -> Result<SeccompRule, BackendError> {
