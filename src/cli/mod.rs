@@ -74,7 +74,7 @@ pub fn main() -> ExitCode {
             let code = error.exit_code();
             // If stdout or stderr is closed there is nobody to inform.
             drop(error.print());
-            if let Some(name) = profile_like_a_command(std::env::args()).filter(|_| code != 0) {
+            if let Some(name) = profile_like_a_command(words_given()).filter(|_| code != 0) {
                 Output::new(false).note(&format!(
                     "'{name}' is a command, also behind --profile; for a profile of that name write --profile={name}"
                 ));
@@ -226,6 +226,10 @@ async fn run_bench(
         serve::asked_to_end().await;
     };
     authros_bench::run(global, arguments, output, stop).await
+}
+
+fn words_given() -> impl Iterator<Item = String> {
+    std::env::args_os().map(|word| word.to_string_lossy().into_owned())
 }
 
 /// The name behind `--profile` that is taken for a command, because commands take precedence over values.
