@@ -21,7 +21,7 @@ use super::state::State;
 use super::undo;
 use crate::model::{ErrorKind, Verdict};
 use crate::service::command::{self as ask, Ask, SecretBytes};
-use crate::service::reply::{CheckView, ExportedFile, IdentityView, PinsView, Provenance};
+use crate::service::reply::{CheckView, ExportedFile, IdentityView, PinsView, Provenance, TransactionView};
 use crate::service::{Failure, KeyKind, NoticeLevel, Reply};
 
 type Answer = Result<Reply, Failure>;
@@ -64,9 +64,7 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::PrepareUnattended => {
             return named(state, tag, ask::PrepareUnattended::heard(result), "unattended", |made| &made.file);
         }
-        Tag::EndUnattended => done(state, tag, ask::EndUnattended::heard(result), |state, ended| {
-            state.inform(ended.text);
-        }),
+        Tag::EndUnattended => told(state, tag, ask::EndUnattended::heard(result)),
         Tag::Play(_) => done(state, tag, ask::Play::heard(result), |state, view| playing::ended(state, &view)),
         Tag::StopPlay => done(state, tag, ask::StopPlay::heard(result), |_, ()| {}),
         Tag::Check(_) => done(state, tag, ask::CheckShared::heard(result), |state, check| checked(state, &check)),
@@ -87,12 +85,12 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Unwatch(topic) => done(state, tag, ask::UnwatchTopic::heard(result), |state, ()| {
             state.inform(format!("no longer watching {topic} (U: undo)"));
         }),
-        Tag::Grant(_) => done(state, tag, ask::Grant::heard(result), |state, done| state.inform(done.text)),
-        Tag::Extend(_) => done(state, tag, ask::ExtendGrant::heard(result), |state, done| state.inform(done.text)),
-        Tag::Revoke(_) => done(state, tag, ask::Revoke::heard(result), |state, done| state.inform(done.text)),
-        Tag::Rotate => done(state, tag, ask::RotateKeys::heard(result), |state, done| state.inform(done.text)),
-        Tag::Adopt => done(state, tag, ask::AdoptChain::heard(result), |state, done| state.inform(done.text)),
-        Tag::Administer(_) => done(state, tag, ask::Administer::heard(result), |state, done| state.inform(done.text)),
+        Tag::Grant(_) => told(state, tag, ask::Grant::heard(result)),
+        Tag::Extend(_) => told(state, tag, ask::ExtendGrant::heard(result)),
+        Tag::Revoke(_) => told(state, tag, ask::Revoke::heard(result)),
+        Tag::Rotate => told(state, tag, ask::RotateKeys::heard(result)),
+        Tag::Adopt => told(state, tag, ask::AdoptChain::heard(result)),
+        Tag::Administer(_) => told(state, tag, ask::Administer::heard(result)),
         Tag::Deploy => done(state, tag, ask::DeployContract::heard(result), |state, deployed| {
             state.inform(format!("contract {} deployed", deployed.pin.contract));
         }),
@@ -227,6 +225,11 @@ fn locked(state: &mut State, result: Result<IdentityView, Failure>) {
 }
 
 /// An act's answer: reported, noted for undoing, and what it made out of date is requested again.
+/// Says what a transaction did.
+fn told(state: &mut State, tag: &Tag, result: Result<TransactionView, Failure>) {
+    done(state, tag, result, |state, view| state.inform(view.text));
+}
+
 fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl FnOnce(&mut State, T)) {
     match result {
         Ok(answer) => {
