@@ -53,7 +53,7 @@ fn who_did_what_is_in_the_log_by_operator() {
     assert!(rows.len() == 2 && rows.iter().all(|row| row["state"] == "stands"), "{rows:?}");
     let secret = fs::read(home.root().join("bob.operator")).expect("the file");
     assert!(
-        files_below(&home.path()).iter().all(|path| fs::read(path).is_ok_and(|bytes| bytes != secret)),
+        files_below(&home.path()).iter().all(|path| !fs::read(path).is_ok_and(|bytes| bytes == secret)),
         "not in the home"
     );
 
