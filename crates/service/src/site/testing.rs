@@ -93,11 +93,16 @@ pub fn site_of(settings: &[(&str, &str)], needs: Needs) -> (Arc<Site>, tempfile:
     (site, folder)
 }
 
-/// Makes, opens and registers a profile of this site.
-pub async fn registered(site: &Arc<Site>, name: &str) -> Arc<Owner> {
+/// Makes and opens a profile of this site.
+pub async fn made(site: &Arc<Site>, name: &str) -> Arc<Owner> {
     let secret = crate::service::command::SecretText::new(PASSPHRASE.to_owned());
     site.profiles.create(profile(name), secret).await.expect("an identity");
-    let owner = site.unlocked(&profile(name)).expect("open");
+    site.unlocked(&profile(name)).expect("open")
+}
+
+/// Makes, opens and registers a profile of this site.
+pub async fn registered(site: &Arc<Site>, name: &str) -> Arc<Owner> {
+    let owner = made(site, name).await;
     site.profiles.register(&owner).await.expect("registers");
     owner
 }

@@ -5,7 +5,7 @@ use super::*;
 use crate::crypto::Fingerprint;
 use crate::model::{ErrorKind, SignerId};
 use crate::pipeline::directory::GrantState;
-use crate::site::testing::{profile, registered, site_with_chain};
+use crate::site::testing::{made, profile, registered, site_with_chain};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_grant_is_given_once_to_a_known_key_and_its_end_begins_an_epoch() {
@@ -41,11 +41,18 @@ async fn a_grant_is_given_once_to_a_known_key_and_its_end_begins_an_epoch() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn nothing_is_granted_to_a_contact_with_another_key_until_it_is_confirmed() {
     let (site, _folder) = site_with_chain();
-    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let (alice, bob) = (registered(&site, "alice").await, made(&site, "bob").await);
     let name: crate::model::ContactName = "bobby".parse().expect("a name");
     let other = Fingerprint::of_signer(&SignerId([7; 32])).to_string();
-    let added = site.contacts.add(&profile("alice"), name.clone(), bob.address, Some(other.clone())).await;
-    assert_eq!(added.expect("added").first().map(|row| row.state.clone()), Some("differs".to_owned()));
+    let add = |name: &crate::model::ContactName| {
+        site.contacts.add(&profile("alice"), name.clone(), bob.address, Some(other.clone()))
+    };
+    add(&name).await.expect("nothing is registered yet that could differ");
+    site.profiles.register(&bob).await.expect("registers");
+    let refused = add(&"second".parse().expect("a name")).await.expect_err("another key is registered");
+    assert!(refused.kind == ErrorKind::Refused && refused.message.contains(&other), "{}", refused.message);
+    let rows = site.contacts.rows().await.expect("rows");
+    assert_eq!(rows.iter().map(|row| row.state.clone()).collect::<Vec<_>>(), ["differs"]);
     let to_bob = Party::Contact(name.clone());
     let refused = site.sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect_err("another key");
     assert_eq!(refused.kind, ErrorKind::Refused);
