@@ -93,6 +93,22 @@ impl Course {
         self.passed_over.len() as u64
     }
 
+    /// How many of the numbers that were set aside are not here still; those that came another way are forgotten.
+    fn still_aside(&mut self, here: &impl Here) -> Result<u64, Ended> {
+        let mut topics: BTreeMap<(Address, RecorderId, TopicId), Vec<u64>> = BTreeMap::new();
+        for (owner, recorder, topic_id, number) in &self.set_aside {
+            topics.entry((*owner, *recorder, *topic_id)).or_default().push(*number);
+        }
+        self.set_aside.clear();
+        for ((owner, recorder, topic_id), numbers) in topics {
+            let held = Held { owner, recorder, topic_id, ranges: Ranges::of(numbers) };
+            let lacking = here.lacking(&held).map_err(Ended::Here)?.numbers;
+            let numbers = lacking.iter().flat_map(|(first, last)| first..=last);
+            self.set_aside.extend(numbers.map(|number| (owner, recorder, topic_id, number)));
+        }
+        Ok(self.set_aside.len() as u64)
+    }
+
     /// Reads from the beginning the first time, now and then, and when an owner may use this gateway who might not before.
     fn begin(&mut self, here: &impl Here, now: Instant) {
         let due = self.begun.is_none_or(|begun| now.duration_since(begun) >= WHOLE && self.at_end);
@@ -159,6 +175,18 @@ pub(super) async fn reconcile(
     round: &mut Round,
 ) -> Result<(), Ended> {
     course.begin(here, Instant::now());
+    read_on(other, here, course, round).await?;
+    // What it told and did not give is not here, whenever it told it.
+    round.lacking += course.still_aside(here)?;
+    Ok(())
+}
+
+async fn read_on(
+    other: &mut impl Other,
+    here: &impl Here,
+    course: &mut Course,
+    round: &mut Round,
+) -> Result<(), Ended> {
     let mut left = Left { requests: MOST_REQUESTS, bytes: MOST_BYTES, refusals: MOST_REFUSED };
     for _ in 0..MOST_PAGES {
         let page = other.holdings(course.after).await?;

@@ -228,6 +228,28 @@ async fn what_is_told_and_not_handed_over_is_asked_for_once_and_not_without_end(
 }
 
 #[tokio::test]
+async fn what_is_not_handed_over_stays_lacking_until_it_is_here_another_way() {
+    let mut damaged = script(
+        |_| Holdings { held: vec![held(FRIEND, 1..=10)], next: place(1), more: false },
+        |wanted: Wanted| {
+            let kept = (wanted.first..=wanted.last).filter(|number| ![3, 4, 9].contains(number));
+            HandedOver { records: kept.map(record).collect(), next: None }
+        },
+    );
+    let (here, mut course) = (Shelf::default(), Course::default());
+    for asked in [2, 1] {
+        let (before, mut round) = (damaged.asked, Round::default());
+        reconcile(&mut damaged, &here, &mut course, &mut round).await.expect("no lie");
+        assert!(round.lacking == 3 && course.is_at_end(), "{round:?}");
+        assert_eq!(damaged.asked - before, asked, "it is not asked for again in this pass");
+    }
+    here.held.lock().expect("not poisoned").extend([3, 9]);
+    let mut round = Round::default();
+    reconcile(&mut damaged, &here, &mut course, &mut round).await.expect("no lie");
+    assert_eq!(round.lacking, 1, "a robot brought two of them");
+}
+
+#[tokio::test]
 async fn records_of_owners_who_are_not_admitted_are_not_even_asked_for() {
     let mut other = script(
         |_| Holdings { held: vec![held(STRANGER, 1..=50)], next: place(1), more: false },
