@@ -19,6 +19,8 @@ const MOST_REQUESTS: usize = 256;
 const MOST_BYTES: usize = 64 * 1024 * 1024;
 /// After so many refusals of what it sent, a gateway is left alone for a while.
 pub(super) const MOST_REFUSED: usize = 16;
+/// After so many records whose anchors the chain here does not have yet, the round is over.
+const MOST_LATER: usize = 1024;
 /// The most numbers that are remembered as not to be had, until holdings are read from the beginning again.
 const MOST_SET_ASIDE: usize = 16_384;
 /// The most records remembered as anchored twice.
@@ -60,9 +62,19 @@ pub(super) trait Here: Sync {
     /// Which of these records are lacking.
     fn lacking(&self, held: &Held) -> Result<Lacking, Refusal>;
 
-    /// Takes records of a range, each checked as if its robot had sent it; returns the numbers that are held now, and why
-    /// the others are not.
-    async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<(Vec<u64>, Vec<Refusal>), Refusal>;
+    /// Takes records of a range, each checked as if its robot had sent it.
+    async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<Took, Refusal>;
+}
+
+/// What became of records that were handed over.
+#[derive(Debug, Default)]
+pub(super) struct Took {
+    /// The numbers that are held now.
+    pub taken: Vec<u64>,
+    /// Those whose anchors the chain here does not have yet: they are asked for again.
+    pub later: Vec<u64>,
+    /// Why others are not held.
+    pub refused: Vec<Refusal>,
 }
 
 /// A number of a topic.
@@ -162,6 +174,7 @@ struct Left {
     requests: usize,
     bytes: usize,
     refusals: usize,
+    later: usize,
 }
 
 /// One round; what was done is in `round` even if it ends early.
@@ -187,7 +200,8 @@ async fn read_on(
     course: &mut Course,
     round: &mut Round,
 ) -> Result<(), Ended> {
-    let mut left = Left { requests: MOST_REQUESTS, bytes: MOST_BYTES, refusals: MOST_REFUSED };
+    let mut left = Left { requests: MOST_REQUESTS, bytes: MOST_BYTES, refusals: MOST_REFUSED, later: MOST_LATER };
+    let before = course.newest;
     for _ in 0..MOST_PAGES {
         let page = other.holdings(course.after).await?;
         if page.next < course.after || page.more && page.next == course.after {
@@ -203,6 +217,9 @@ async fn read_on(
         course.newest = course.newest.max(page.next.block);
         course.at_end = !page.more;
         if !page.more {
+            if left.later < MOST_LATER {
+                course.newest = before;
+            }
             course.after = HoldingPlace { block: course.newest.saturating_sub(AGAIN), ..HoldingPlace::default() };
             return Ok(());
         }
@@ -277,14 +294,15 @@ async fn some(
     };
     let bytes: usize = handed.records.iter().map(|record| record.blob.len()).sum();
     (left.requests, left.bytes) = (left.requests - 1, left.bytes.saturating_sub(bytes));
-    let (taken, refusals) = here.take(asked, handed.records).await.map_err(Ended::Here)?;
-    for number in (asked.first..=until).filter(|number| !taken.contains(number)) {
+    let Took { taken, later, refused } = here.take(asked, handed.records).await.map_err(Ended::Here)?;
+    round.lacking += later.len() as u64;
+    for number in (asked.first..=until).filter(|number| !taken.contains(number) && !later.contains(number)) {
         if course.set_aside.len() >= MOST_SET_ASIDE {
             return Err(Ended::Lies("it tells of far more than it hands over".to_owned()));
         }
         course.set_aside.insert((asked.owner, asked.recorder, asked.topic_id, number));
     }
-    for refusal in refusals {
+    for refusal in refused {
         *round.refused.entry(refusal.code).or_default() += 1;
         // Room and admission are this keeper's business, and no lie of the other one.
         if matches!(refusal.code, Code::Quota | Code::NotAuthorised | Code::Suspended | Code::NotRegistered) {
@@ -294,6 +312,11 @@ async fn some(
         if left.refusals == 0 {
             return Err(Ended::Lies(format!("{MOST_REFUSED} of its records do not hold, the last one: {refusal}")));
         }
+    }
+    left.later = left.later.saturating_sub(later.len());
+    if left.later == 0 {
+        let why = "the node here does not have the blocks with its anchors yet";
+        return Err(Ended::Here(Refusal::new(Code::Stale, why)));
     }
     Ok((until, taken.len() as u64))
 }
