@@ -304,8 +304,12 @@ async fn some(
     }
     for refusal in refused {
         *round.refused.entry(refusal.code).or_default() += 1;
-        // Room and admission are this keeper's business, and no lie of the other one.
-        if matches!(refusal.code, Code::Quota | Code::NotAuthorised | Code::Suspended | Code::NotRegistered) {
+        // Room and admission are this keeper's business, and no lie of the other one; nor is a record of the contract that it
+        // used before.
+        if matches!(
+            refusal.code,
+            Code::NotYours | Code::Quota | Code::NotAuthorised | Code::Suspended | Code::NotRegistered
+        ) {
             continue;
         }
         left.refusals -= 1;

@@ -62,6 +62,8 @@ impl Here for Shelf {
             let number = u64::from_be_bytes(record.blob.try_into().expect("eight bytes"));
             if self.unseen.is_some_and(|unseen| number >= unseen) {
                 later.push(number);
+            } else if (700..800).contains(&number) {
+                refused.push(Refusal::new(Code::NotYours, "of another network"));
             } else if number < 1000 && (wanted.first..=wanted.last).contains(&number) {
                 self.held.lock().expect("not poisoned").insert(number);
                 taken.push(number);
@@ -262,6 +264,17 @@ async fn a_node_that_lags_makes_nobody_a_liar_and_what_it_has_not_got_is_asked_f
     let (_, sum, ended) = rounds(&mut ahead, &here, 1).await;
     assert!(matches!(&ended, Err(Ended::Here(refusal)) if refusal.code == Code::Stale), "{ended:?}");
     assert!(sum.taken == 0 && ahead.asked <= 2 + MOST_LATER / 100 + 1, "{}", ahead.asked);
+}
+
+#[tokio::test]
+async fn records_of_another_contract_do_not_keep_those_of_the_present_one_away() {
+    let mut mixed = script(
+        |_| Holdings { held: vec![held(FRIEND, 701..=810)], next: place(1), more: false },
+        |wanted: Wanted| HandedOver { records: (wanted.first..=wanted.last).map(record).collect(), next: None },
+    );
+    let (here, mut course, mut round) = (Shelf::default(), Course::default(), Round::default());
+    reconcile(&mut mixed, &here, &mut course, &mut round).await.expect("no lie");
+    assert_eq!((round.taken, round.lacking, round.refused.get(&Code::NotYours)), (11, 99, Some(&99)));
 }
 
 #[tokio::test]

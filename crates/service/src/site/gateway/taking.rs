@@ -83,13 +83,11 @@ impl Taking<'_> {
     async fn proven(&self, network: &Network, wanted: &Wanted, record: Fetched) -> Result<Judged, Refusal> {
         let Fetched { signer, signature, proof, blob } = record;
         let (header, _) = Header::parse(&blob)?;
-        if header.domain != network.domain || header.owner != wanted.owner {
-            return Err(Refusal::new(
-                Code::NotYours,
-                format_args!("a record of {}, not of {}", header.owner, wanted.owner),
-            ));
+        if header.domain != network.domain {
+            return Err(Refusal::new(Code::NotYours, format_args!("record {} is of another network", header.seq)));
         }
-        let asked = (header.recorder, header.topic_id) == (wanted.recorder, wanted.topic_id)
+        let asked = (header.owner, header.recorder, header.topic_id)
+            == (wanted.owner, wanted.recorder, wanted.topic_id)
             && (wanted.first..=wanted.last).contains(&header.seq);
         if !asked {
             return Err(Refusal::new(Code::Malformed, format_args!("record {} was not asked for", header.seq)));
