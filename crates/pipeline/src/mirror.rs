@@ -53,6 +53,11 @@ pub struct Anchors(Mutex<BTreeMap<AnchorKey, (u64, Hash)>>);
 type AnchorKey = (Address, Hash, u64, Hash);
 
 impl Anchors {
+    /// Forgets what the chain said: it replaced blocks.
+    pub fn forget(&self) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+
     /// Compares the proof with the chain; block and hash are then the chain's own.
     ///
     /// # Errors
@@ -266,7 +271,14 @@ impl Mirror<'_> {
             Some(inclusion) => {
                 let (root, count) = (inclusion.root, inclusion.count);
                 let anchor = RootSighting { account, root, count, transaction, block, block_hash };
-                ledger.take_in(digest, inclusion, anchor)?
+                match ledger.take_in(digest, inclusion, anchor) {
+                    // It waits for its proof like one that is not anchored yet; the chain is asked again.
+                    Err(StoreError::Replaced { .. }) => {
+                        self.anchors.forget();
+                        false
+                    }
+                    taken => taken?,
+                }
             }
         })
     }

@@ -214,6 +214,7 @@ mod tests {
     }
 
     fn mine(ledger: &Ledger, numbers: &[u8], block: u64) -> u64 {
+        ledger.walk_to("watcher", (block, Hash([60; 32])), Vec::new()).expect("walked");
         let records = numbers.iter().map(|number| foreign(*number)).collect();
         ledger.append_anchored(records, anchors(numbers, block)).expect("taken")
     }
@@ -297,6 +298,34 @@ mod tests {
         assert_eq!((told(&page), page.last.map(|(block, ..)| block)), (vec![3], Some(20)));
         let held = ledger.held_between(WHICH, (1, 9), 9).expect("reads");
         assert_eq!(held, [(3, Digest([3; 32]))]);
+    }
+
+    #[test]
+    fn an_anchor_in_a_block_that_was_replaced_is_not_taken_from_anybody() {
+        let home = tempfile::tempdir().expect("folder");
+        let ledger = ledger(&home);
+        let walk = |block, hash| ledger.walk_to("watcher", (block, Hash([hash; 32])), Vec::new()).expect("walked");
+        let of_batch = |index: usize, block, hash| {
+            let (digest, inclusion, anchor) = anchors(&[1, 2], block).remove(index);
+            vec![(digest, inclusion, RootSighting { block_hash: Hash([hash; 32]), ..anchor })]
+        };
+        let found = |number| ledger.record(Digest([number; 32])).expect("reads").map(|row| (row.state, row.block));
+        walk(10, 60);
+        ledger.append_anchored(vec![foreign(1)], of_batch(0, 10, 60)).expect("taken");
+        assert_eq!(found(1), Some((RecordState::Mined, Some(10))));
+        ledger.unmine(10).expect("the block is gone");
+        let replaced = Err(StoreError::Replaced { digest: Digest([2; 32]), block: 10 });
+        assert_eq!(ledger.append_anchored(vec![foreign(2)], of_batch(1, 10, 60)), replaced, "before it is read again");
+        walk(10, 61);
+        assert_eq!(ledger.append_anchored(vec![foreign(2)], of_batch(1, 10, 60)), replaced, "nor afterwards");
+        assert_eq!((found(1), found(2)), (Some((RecordState::Batched, None)), None));
+        walk(11, 62);
+        ledger.append_anchored(vec![foreign(2)], of_batch(1, 11, 62)).expect("taken");
+        let there = Some((RecordState::Mined, Some(11)));
+        assert_eq!((found(1), found(2)), (there, there), "where it is now");
+        walk(2000, 63);
+        let old = vec![anchors(&[3], 5).remove(0)];
+        assert_eq!(ledger.append_anchored(vec![foreign(3)], old), Ok(1), "of old blocks not each is kept");
     }
 
     #[test]

@@ -163,8 +163,12 @@ impl Taking<'_> {
         let numbers = proven.iter().map(|(received, _)| received.header.seq).collect();
         let (records, anchors): (Vec<_>, Vec<_>) = proven.into_iter().unzip();
         let ledger = &self.desk.gateway.plant.ledger;
-        self.desk.keep_by(owner, records, |rows| ledger.append_anchored(rows, anchors))?;
-        Ok(numbers)
+        let kept = self.desk.keep_by(owner, records, |rows| ledger.append_anchored(rows, anchors));
+        if kept.is_err() {
+            // A block may have been replaced since the chain was asked.
+            self.anchors.forget();
+        }
+        kept.map(|_| numbers)
     }
 }
 
