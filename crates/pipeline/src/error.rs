@@ -103,6 +103,17 @@ pub enum PipelineError {
     /// The chain kept changing while it was read.
     #[error("the chain changed while it was being read; it is read again; check that all nodes behind the URL agree")]
     Unsteady,
+    /// The anchor of a record from a gateway is in a block that the chain here may get yet.
+    #[error(
+        "the node here does not have block {block} with the anchor of record {digest} yet; it is asked again; if it stays \
+         behind, check the node"
+    )]
+    NotSeen {
+        /// The record.
+        digest: Digest,
+        /// The block that the gateway named.
+        block: u64,
+    },
     /// A record from a gateway with an invalid claim.
     #[error("record {digest} from the gateway was rejected: {why}; tell its owner and the gateway's operator")]
     NotTakenIn {
@@ -151,7 +162,7 @@ impl PipelineError {
             }
             Self::Deleted(..) | Self::Erased { .. } => ErrorKind::Refused,
             Self::UnknownEpoch(_) | Self::Uncovered(_) => ErrorKind::Refused,
-            Self::NotMined(_) | Self::Unsteady => ErrorKind::Incomplete,
+            Self::NotMined(_) | Self::Unsteady | Self::NotSeen { .. } => ErrorKind::Incomplete,
         }
     }
 }

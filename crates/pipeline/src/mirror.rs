@@ -26,6 +26,8 @@ const TAG: u64 = 16;
 const BEHIND: Duration = Duration::from_secs(30);
 /// How often the watcher's position is checked.
 const LOOK: Duration = Duration::from_millis(50);
+/// A gateway's node may be so many blocks ahead of the one here.
+const AHEAD: u64 = 256;
 /// The most anchors cached.
 const MOST_ANCHORS: usize = 4096;
 
@@ -51,10 +53,16 @@ pub struct Anchors(Mutex<BTreeMap<AnchorKey, (u64, Hash)>>);
 type AnchorKey = (Address, Hash, u64, Hash);
 
 impl Anchors {
+    /// Forgets what the chain said: it replaced blocks.
+    pub fn forget(&self) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+
     /// Compares the proof with the chain; block and hash are then the chain's own.
     ///
     /// # Errors
-    /// [`PipelineError::NotTakenIn`] if the chain does not confirm it, otherwise errors of the chain.
+    /// [`PipelineError::NotTakenIn`] if the chain does not confirm it, [`PipelineError::NotSeen`] if it may have its block
+    /// later, otherwise errors of the chain.
     pub async fn confirm(
         &self,
         network: &Network,
@@ -97,10 +105,16 @@ impl Anchors {
 
 /// The block that has the proof's transaction.
 async fn block_of(network: &Network, digest: Digest, proof: &AnchorProof) -> Result<(u64, Hash), PipelineError> {
-    let receipt = network.chain.receipt(proof.transaction).await?.filter(|receipt| receipt.success);
+    if let Some(receipt) = network.chain.receipt(proof.transaction).await?.filter(|receipt| receipt.success) {
+        return Ok((receipt.block, receipt.block_hash));
+    }
+    // Two nodes do not have a block at the same moment, and the newest ones may be replaced.
+    let (block, head) = (proof.block, network.chain.head().await?.number);
+    if block.saturating_add(network.confirmations) > head && block <= head.saturating_add(AHEAD) {
+        return Err(PipelineError::NotSeen { digest, block });
+    }
     let why = "the chain does not have its anchoring transaction".to_owned();
-    let receipt = receipt.ok_or(PipelineError::NotTakenIn { digest, why })?;
-    Ok((receipt.block, receipt.block_hash))
+    Err(PipelineError::NotTakenIn { digest, why })
 }
 
 /// Waits until the watcher here has read a block's events, for so long at most: rights follow from them.
@@ -172,7 +186,11 @@ impl Mirror<'_> {
             return Err(refused("its header names a different key than the one that signed it"));
         }
         let proof = match proof {
-            Some(proof) => Some(self.anchors.confirm(self.network, &header, digest, proof).await?),
+            Some(proof) => match self.anchors.confirm(self.network, &header, digest, proof).await {
+                // Until its block is here it counts as one without a proof.
+                Err(PipelineError::NotSeen { .. }) => None,
+                confirmed => Some(confirmed?),
+            },
             None => None,
         };
         if !self.check_signer(&header, digest, &fetched, proof.as_ref()).await? {
@@ -253,7 +271,14 @@ impl Mirror<'_> {
             Some(inclusion) => {
                 let (root, count) = (inclusion.root, inclusion.count);
                 let anchor = RootSighting { account, root, count, transaction, block, block_hash };
-                ledger.take_in(digest, inclusion, anchor)?
+                match ledger.take_in(digest, inclusion, anchor) {
+                    // It waits for its proof like one that is not anchored yet; the chain is asked again.
+                    Err(StoreError::Replaced { .. }) => {
+                        self.anchors.forget();
+                        false
+                    }
+                    taken => taken?,
+                }
             }
         })
     }

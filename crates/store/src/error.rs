@@ -98,6 +98,17 @@ pub enum StoreError {
         /// The state requested.
         to: RecordState,
     },
+    /// An anchor in a block that is not among those read here, or not any more.
+    #[error(
+        "record {digest} is anchored in block {block} of a chain that the one here does not continue (any more); it is asked \
+         for again; if that stays so, compare the nodes"
+    )]
+    Replaced {
+        /// The record.
+        digest: Digest,
+        /// The block's number.
+        block: u64,
+    },
     /// A record to be submitted has moved on (or never arrived) in the meantime.
     #[error("record {digest} is {found}, not ready to be submitted; read the stored records again")]
     NotReady {
@@ -194,6 +205,7 @@ impl StoreError {
             | Self::Conflict { .. }
             | Self::IllegalEdge { .. }
             | Self::NotReady { .. }
+            | Self::Replaced { .. }
             | Self::Transaction { .. } => ErrorKind::Internal,
         }
     }

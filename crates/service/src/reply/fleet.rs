@@ -18,9 +18,9 @@ pub struct FellowView {
     pub added_at: Timestamp,
     /// When it last told what it holds, since this site runs.
     pub heard: Option<Timestamp>,
-    /// Whether everything that it told is here, as of then.
+    /// Whether everything that it told of owners who may use the gateway of this home is here, as of then.
     pub reconciled: bool,
-    /// Records that it told of and that were not here yet, as of then.
+    /// Records of such owners that it told of and that were not here, as of then: not taken yet, not handed over, or refused.
     pub lacking: u64,
     /// Records taken over from it since this site runs.
     pub taken: u64,

@@ -44,12 +44,16 @@ pub struct Lacking {
 /// Whose records, numbered by whom, of which topic.
 type Which = (Address, RecorderId, TopicId);
 
-/// States of records that have an anchor and bytes.
-const HELD: [RecordState; 3] = [RecordState::Mined, RecordState::Confirmed, RecordState::Verified];
+/// For so many blocks the list ends before a record that is anchored and not verified yet: whoever reads it goes on behind
+/// its end, and would miss what is told a little later.
+const WAITED_FOR: u64 = 256;
+
+/// A row that was looked at: its place, whether its anchor and bytes are here, its state.
+type Looked = ((u64, u64, u64), bool, RecordState, HoldingRow);
 
 impl Ledger {
-    /// The anchored records behind a place (block, batch, leaf), at most `limit` looked at. Those that retention deleted,
-    /// or whose bytes are wrong, are left out.
+    /// The verified records behind a place (block, batch, leaf), at most `limit` looked at. Those that retention deleted,
+    /// or whose bytes are wrong, are left out, and those anchored in a contract that is not in use any more.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
@@ -61,7 +65,10 @@ impl Ledger {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
                 "SELECT batches.block, batches.key, leaf, topics.owner, recorders.id, topics.topic_id, records.seq,
-                     coalesce(records.block = batches.block, 0) AND records.deleted_at IS NULL AND records.state IN (?5, ?6, ?7)
+                     coalesce(records.block = batches.block, 0) AND records.deleted_at IS NULL
+                         AND NOT EXISTS (SELECT 1 FROM earlier_anchors AS earlier
+                             WHERE earlier.record = records.n AND earlier.block = records.block),
+                     records.state
                  FROM batches INDEXED BY batches_anchored
                  CROSS JOIN leaves ON leaves.batch = batches.key
                  CROSS JOIN records ON records.n = leaves.record
@@ -71,12 +78,13 @@ impl Ledger {
                      AND (batches.block, batches.key, leaf) > (?1, ?2, ?3)
                  ORDER BY batches.block, batches.key, leaf LIMIT ?4",
             )?;
-            let [mined, confirmed, verified] = HELD.map(RecordState::code);
-            let values = params![block, batch, leaf, most, mined, confirmed, verified];
-            let found = statement.query_map(values, |row| Ok((place_of(row)?, row.get(7)?, holding(row)?)))?;
-            let found: Vec<((u64, u64, u64), bool, HoldingRow)> = found.collect::<Result<_, _>>()?;
-            let (last, more) = (found.last().map(|(place, ..)| *place), found.len() >= limit);
-            let rows = found.into_iter().filter(|(_, told, _)| *told).map(|(.., row)| row).collect();
+            let looked = |row: &Row<'_>| Ok((place_of(row)?, row.get(7)?, state(row, 8)?, holding(row)?));
+            let found = statement.query_map(params![block, batch, leaf, most], looked)?;
+            let found: Vec<Looked> = found.collect::<Result<_, _>>()?;
+            let more = found.len() >= limit;
+            let last = if more { found.last().map(|(place, ..)| *place) } else { end_of(&found) };
+            let told = |(_, whole, state, _): &Looked| *whole && *state == RecordState::Verified;
+            let rows = found.into_iter().filter(told).map(|(.., row)| row).collect();
             Ok(HoldingPage { rows, last, more })
         })
     }
@@ -114,7 +122,7 @@ impl Ledger {
         })
     }
 
-    /// The held records with a number from `first` to `last`, in their order, at most `limit`.
+    /// The records that [`Ledger::holdings`] tells with a number from `first` to `last`, in their order, at most `limit`.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
@@ -130,10 +138,12 @@ impl Ledger {
             let Some(topic) = topic_key(connection, which)? else { return Ok(Vec::new()) };
             let mut statement = connection.prepare_cached(
                 "SELECT seq, digest FROM records WHERE topic = ?1 AND seq BETWEEN ?2 AND ?3 AND block IS NOT NULL
-                 AND deleted_at IS NULL AND state IN (?5, ?6, ?7) ORDER BY seq LIMIT ?4",
+                 AND deleted_at IS NULL AND state = ?5
+                 AND NOT EXISTS (SELECT 1 FROM earlier_anchors AS earlier
+                     WHERE earlier.record = records.n AND earlier.block = records.block)
+                 ORDER BY seq LIMIT ?4",
             )?;
-            let [mined, confirmed, verified] = HELD.map(RecordState::code);
-            let values = params![topic, first, last, most, mined, confirmed, verified];
+            let values = params![topic, first, last, most, RecordState::Verified.code()];
             let rows = statement.query_map(values, |row| Ok((unsigned(row, 0)?, Digest(row.get(1)?))))?;
             Ok(rows.collect::<Result<_, _>>()?)
         })
@@ -149,6 +159,15 @@ fn topic_key(connection: &rusqlite::Connection, (owner, recorder, topic): Which)
         .query_row(params![owner.0, topic.0, recorder.0], |row| row.get(0))
         .optional()?;
     Ok(key)
+}
+
+/// Where a list ends that has no more rows: before the first record of the newest blocks that is to be verified.
+fn end_of(found: &[Looked]) -> Option<(u64, u64, u64)> {
+    let newest = found.last().map_or(0, |((block, ..), ..)| *block);
+    let waits = |((block, ..), whole, state, _): &Looked| {
+        *whole && matches!(state, RecordState::Mined | RecordState::Confirmed) && block + WAITED_FOR >= newest
+    };
+    found.iter().take_while(|row| !waits(row)).last().map(|(place, ..)| *place)
 }
 
 fn place_of(row: &Row<'_>) -> rusqlite::Result<(u64, u64, u64)> {
@@ -194,9 +213,22 @@ mod tests {
         leaves.iter().enumerate().map(|(index, leaf)| (leaf.digest, place(index), anchor)).collect()
     }
 
-    fn take(ledger: &Ledger, numbers: &[u8], block: u64) -> u64 {
+    fn mine(ledger: &Ledger, numbers: &[u8], block: u64) -> u64 {
+        ledger.walk_to("watcher", (block, Hash([60; 32])), Vec::new()).expect("walked");
         let records = numbers.iter().map(|number| foreign(*number)).collect();
         ledger.append_anchored(records, anchors(numbers, block)).expect("taken")
+    }
+
+    fn verify(ledger: &Ledger, numbers: &[u8], block: u64) {
+        ledger.confirm(block).expect("confirmed");
+        let digests: Vec<Digest> = numbers.iter().map(|number| Digest([*number; 32])).collect();
+        ledger.advance(&digests, RecordState::Confirmed, RecordState::Verified).expect("verified");
+    }
+
+    fn take(ledger: &Ledger, numbers: &[u8], block: u64) -> u64 {
+        let taken = mine(ledger, numbers, block);
+        verify(ledger, numbers, block);
+        taken
     }
 
     fn told(page: &HoldingPage) -> Vec<u64> {
@@ -209,9 +241,9 @@ mod tests {
         let ledger = ledger(&home);
         assert_eq!(ledger.holdings((0, 0, 0), 9), Ok(HoldingPage::default()));
         assert_eq!((take(&ledger, &[4, 5], 20), take(&ledger, &[1, 2, 3], 10)), (2, 3));
-        assert_eq!(take(&ledger, &[4, 5], 20), 0, "twice is once");
+        assert_eq!(mine(&ledger, &[4, 5], 20), 0, "twice is once");
         let row = ledger.record(Digest([4; 32])).expect("reads").expect("is there");
-        assert_eq!((row.state, row.block, row.transaction), (RecordState::Mined, Some(20), Some(Hash([50; 32]))));
+        assert_eq!((row.state, row.block, row.transaction), (RecordState::Verified, Some(20), Some(Hash([50; 32]))));
         assert_eq!(ledger.stored_leaves(Address([9; 20]), 9).expect("reads"), [], "nobody here anchors it again");
         let first = ledger.holdings((0, 0, 0), 2).expect("reads");
         assert!(first.more && told(&first).len() == 2, "{first:?}");
@@ -226,6 +258,74 @@ mod tests {
         let held = ledger.held_between(WHICH, (2, 4), 9).expect("reads");
         assert_eq!(held.iter().map(|(seq, _)| *seq).collect::<Vec<_>>(), [2, 3, 4]);
         assert_eq!(ledger.held_between((Address([3; 20]), THERE, WHICH.2), (1, 9), 9), Ok(Vec::new()));
+    }
+
+    #[test]
+    fn what_is_to_be_verified_is_not_told_yet_and_not_passed_either() {
+        let home = tempfile::tempdir().expect("folder");
+        let ledger = ledger(&home);
+        take(&ledger, &[1, 2], 10);
+        mine(&ledger, &[3], 11);
+        let held =
+            || ledger.held_between(WHICH, (1, 9), 9).expect("reads").iter().map(|(seq, _)| *seq).collect::<Vec<_>>();
+        let page = ledger.holdings((0, 0, 0), 9).expect("reads");
+        assert_eq!((told(&page), page.last.map(|(block, ..)| block), page.more), (vec![1, 2], Some(10), false));
+        assert_eq!(held(), [1, 2], "nor is it handed over");
+        let behind = ledger.holdings(page.last.expect("a place"), 9).expect("reads");
+        assert_eq!((told(&behind), behind.last), (Vec::new(), None), "nobody goes past it");
+        ledger.confirm(11).expect("confirmed");
+        assert_eq!(held(), [1, 2], "its signer's right was not judged yet");
+        take(&ledger, &[4], 12);
+        let page = ledger.holdings((0, 0, 0), 9).expect("reads");
+        assert_eq!((told(&page), page.last.map(|(block, ..)| block)), (vec![1, 2, 4], Some(10)), "others do not wait");
+        // One that is never verified is not waited for without end.
+        take(&ledger, &[5], 11 + WAITED_FOR + 1);
+        let page = ledger.holdings((0, 0, 0), 9).expect("reads");
+        assert_eq!(page.last.map(|(block, ..)| block), Some(11 + WAITED_FOR + 1));
+        verify(&ledger, &[3], 11);
+        assert_eq!(told(&ledger.holdings((0, 0, 0), 9).expect("reads")), [1, 2, 3, 4, 5]);
+        assert_eq!(held(), [1, 2, 3, 4, 5]);
+    }
+
+    #[test]
+    fn what_a_former_contract_anchors_is_nothing_to_tell_those_who_know_the_present_one() {
+        let home = tempfile::tempdir().expect("folder");
+        let ledger = ledger(&home);
+        take(&ledger, &[1, 2], 10);
+        ledger.leave_contract(crate::model::Domain([8; 32]), "adoptions", "[1]").expect("left");
+        take(&ledger, &[3], 20);
+        let page = ledger.holdings((0, 0, 0), 9).expect("reads");
+        assert_eq!((told(&page), page.last.map(|(block, ..)| block)), (vec![3], Some(20)));
+        let held = ledger.held_between(WHICH, (1, 9), 9).expect("reads");
+        assert_eq!(held, [(3, Digest([3; 32]))]);
+    }
+
+    #[test]
+    fn an_anchor_in_a_block_that_was_replaced_is_not_taken_from_anybody() {
+        let home = tempfile::tempdir().expect("folder");
+        let ledger = ledger(&home);
+        let walk = |block, hash| ledger.walk_to("watcher", (block, Hash([hash; 32])), Vec::new()).expect("walked");
+        let of_batch = |index: usize, block, hash| {
+            let (digest, inclusion, anchor) = anchors(&[1, 2], block).remove(index);
+            vec![(digest, inclusion, RootSighting { block_hash: Hash([hash; 32]), ..anchor })]
+        };
+        let found = |number| ledger.record(Digest([number; 32])).expect("reads").map(|row| (row.state, row.block));
+        walk(10, 60);
+        ledger.append_anchored(vec![foreign(1)], of_batch(0, 10, 60)).expect("taken");
+        assert_eq!(found(1), Some((RecordState::Mined, Some(10))));
+        ledger.unmine(10).expect("the block is gone");
+        let replaced = Err(StoreError::Replaced { digest: Digest([2; 32]), block: 10 });
+        assert_eq!(ledger.append_anchored(vec![foreign(2)], of_batch(1, 10, 60)), replaced, "before it is read again");
+        walk(10, 61);
+        assert_eq!(ledger.append_anchored(vec![foreign(2)], of_batch(1, 10, 60)), replaced, "nor afterwards");
+        assert_eq!((found(1), found(2)), (Some((RecordState::Batched, None)), None));
+        walk(11, 62);
+        ledger.append_anchored(vec![foreign(2)], of_batch(1, 11, 62)).expect("taken");
+        let there = Some((RecordState::Mined, Some(11)));
+        assert_eq!((found(1), found(2)), (there, there), "where it is now");
+        walk(2000, 63);
+        let old = vec![anchors(&[3], 5).remove(0)];
+        assert_eq!(ledger.append_anchored(vec![foreign(3)], old), Ok(1), "of old blocks not each is kept");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::batches::{self, RootSighting};
 use super::edges::{By, may};
-use super::{Ledger, NewRecord, append, rows};
+use super::{Ledger, NewRecord, append, rows, trail};
 use crate::chain::merkle::Inclusion;
 use crate::model::{
     Address, Digest, FilterId, Hash, ProfileName, PublicKey, RecordState, SignerId, Timestamp, TopicId,
@@ -225,7 +225,8 @@ impl Ledger {
     /// on the chain. From then on it counts as if anchored from here. Returns whether anything changed.
     ///
     /// # Errors
-    /// [`StoreError::NotReady`] if the record is not in state stored here, [`StoreError::DiskFull`] and the like.
+    /// [`StoreError::NotReady`] if the record is unknown here, [`StoreError::Replaced`] if the watcher did not read that
+    /// block, [`StoreError::DiskFull`] and the like.
     pub fn take_in(&self, digest: Digest, inclusion: Inclusion, anchor: RootSighting) -> Result<bool, StoreError> {
         self.write(move |session| take_in(session.connection, digest, &inclusion, &anchor))
     }
@@ -234,7 +235,7 @@ impl Ledger {
     /// them again; a record that was here without an anchor gets it. Returns how many are anchored by this.
     ///
     /// # Errors
-    /// See [`Ledger::append`]; then nothing is acknowledged.
+    /// See [`Ledger::append`] and [`Ledger::take_in`]; then nothing is acknowledged.
     pub fn append_anchored(
         &self,
         records: Vec<NewRecord>,
@@ -264,6 +265,9 @@ fn take_in(
     let (record, state) = found.ok_or(StoreError::NotReady { digest, found: "unknown" })?;
     if !may(By::Batch, state, RecordState::Batched) {
         return Ok(false);
+    }
+    if !is_read(connection, anchor)? {
+        return Err(StoreError::Replaced { digest, block: anchor.block });
     }
     connection
         .prepare_cached(
@@ -295,4 +299,18 @@ fn take_in(
         .execute(params![record, RecordState::Batched.code()])?;
     batches::see_record(connection, record, batch, anchor)?;
     Ok(true)
+}
+
+/// Whether the watcher read this very block. Of old ones not each is kept: no reorg goes as deep.
+fn is_read(connection: &Connection, anchor: &RootSighting) -> Result<bool, StoreError> {
+    let read = connection
+        .prepare_cached(
+            "SELECT EXISTS (SELECT 1 FROM trail WHERE block = ?1 AND hash = ?2)
+                 OR ?1 + ?3 < coalesce((SELECT max(block) FROM trail), 0)",
+        )?
+        .query_row(
+            params![whole("block", anchor.block)?, anchor.block_hash.0, whole("block", trail::DENSE)?],
+            |row| row.get(0),
+        )?;
+    Ok(read)
 }

@@ -65,7 +65,7 @@ impl Ledger {
     /// Blocks from this one on are gone: their mined and confirmed records lose their block. If the record's own
     /// transaction was signed here, it counts as open again and the record as submitted, so that the sender sends the
     /// same bytes again; otherwise the record is stored, or batched, and will be anchored again. Returns how many
-    /// records moved.
+    /// records moved. The blocks leave the trail; its walker stays where it is.
     ///
     /// Verified records stay: a block deeper than the required confirmations disappears only if the chain is broken,
     /// and that is for the operator to decide. [`Ledger::verified_from`] counts them and [`Ledger::unverify`] moves
@@ -110,6 +110,8 @@ impl Ledger {
                 )?
                 .execute([block])?;
             batches::take_back(connection, block)?;
+            // In the same commit, so that no anchor in one of them is taken in from elsewhere until the chain is read again.
+            connection.prepare_cached("DELETE FROM trail WHERE block >= ?1")?.execute([block])?;
             connection.prepare_cached("DELETE FROM passed_over WHERE block >= ?1")?.execute([block])?;
             connection
                 .prepare_cached(

@@ -7,7 +7,7 @@ use crate::model::Hash;
 use crate::store::StoreError;
 
 /// Below the newest block, how many blocks have every entry kept.
-const DENSE: u64 = 1024;
+pub(super) const DENSE: u64 = 1024;
 /// Below those, one entry is kept for this many blocks.
 const SPARSE: u64 = 256;
 

@@ -190,7 +190,7 @@ impl Fellows {
         });
         let told = format!("{} other gateways, {unheard} not heard yet, {lacking} records lacking", list.len());
         let (level, since, text) = match worst {
-            None if unheard == 0 => (HealthLevel::Ok, None, told),
+            None if unheard == 0 && lacking == 0 => (HealthLevel::Ok, None, told),
             None => (HealthLevel::Waiting, None, told),
             Some((address, (since, why, lied))) => {
                 let level = if lied { HealthLevel::Failed } else { HealthLevel::Waiting };

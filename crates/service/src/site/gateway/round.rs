@@ -19,6 +19,8 @@ const MOST_REQUESTS: usize = 256;
 const MOST_BYTES: usize = 64 * 1024 * 1024;
 /// After so many refusals of what it sent, a gateway is left alone for a while.
 pub(super) const MOST_REFUSED: usize = 16;
+/// After so many records whose anchors the chain here does not have yet, the round is over.
+const MOST_LATER: usize = 1024;
 /// The most numbers that are remembered as not to be had, until holdings are read from the beginning again.
 const MOST_SET_ASIDE: usize = 16_384;
 /// The most records remembered as anchored twice.
@@ -60,9 +62,19 @@ pub(super) trait Here: Sync {
     /// Which of these records are lacking.
     fn lacking(&self, held: &Held) -> Result<Lacking, Refusal>;
 
-    /// Takes records of a range, each checked as if its robot had sent it; returns the numbers that are held now, and why
-    /// the others are not.
-    async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<(Vec<u64>, Vec<Refusal>), Refusal>;
+    /// Takes records of a range, each checked as if its robot had sent it.
+    async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<Took, Refusal>;
+}
+
+/// What became of records that were handed over.
+#[derive(Debug, Default)]
+pub(super) struct Took {
+    /// The numbers that are held now.
+    pub taken: Vec<u64>,
+    /// Those whose anchors the chain here does not have yet: they are asked for again.
+    pub later: Vec<u64>,
+    /// Why others are not held.
+    pub refused: Vec<Refusal>,
 }
 
 /// A number of a topic.
@@ -91,6 +103,22 @@ impl Course {
     /// How many owners have records there that are not taken here.
     pub fn passed_over(&self) -> u64 {
         self.passed_over.len() as u64
+    }
+
+    /// How many of the numbers that were set aside are not here still; those that came another way are forgotten.
+    fn still_aside(&mut self, here: &impl Here) -> Result<u64, Ended> {
+        let mut topics: BTreeMap<(Address, RecorderId, TopicId), Vec<u64>> = BTreeMap::new();
+        for (owner, recorder, topic_id, number) in &self.set_aside {
+            topics.entry((*owner, *recorder, *topic_id)).or_default().push(*number);
+        }
+        self.set_aside.clear();
+        for ((owner, recorder, topic_id), numbers) in topics {
+            let held = Held { owner, recorder, topic_id, ranges: Ranges::of(numbers) };
+            let lacking = here.lacking(&held).map_err(Ended::Here)?.numbers;
+            let numbers = lacking.iter().flat_map(|(first, last)| first..=last);
+            self.set_aside.extend(numbers.map(|number| (owner, recorder, topic_id, number)));
+        }
+        Ok(self.set_aside.len() as u64)
     }
 
     /// Reads from the beginning the first time, now and then, and when an owner may use this gateway who might not before.
@@ -146,6 +174,7 @@ struct Left {
     requests: usize,
     bytes: usize,
     refusals: usize,
+    later: usize,
 }
 
 /// One round; what was done is in `round` even if it ends early.
@@ -159,7 +188,20 @@ pub(super) async fn reconcile(
     round: &mut Round,
 ) -> Result<(), Ended> {
     course.begin(here, Instant::now());
-    let mut left = Left { requests: MOST_REQUESTS, bytes: MOST_BYTES, refusals: MOST_REFUSED };
+    read_on(other, here, course, round).await?;
+    // What it told and did not give is not here, whenever it told it.
+    round.lacking += course.still_aside(here)?;
+    Ok(())
+}
+
+async fn read_on(
+    other: &mut impl Other,
+    here: &impl Here,
+    course: &mut Course,
+    round: &mut Round,
+) -> Result<(), Ended> {
+    let mut left = Left { requests: MOST_REQUESTS, bytes: MOST_BYTES, refusals: MOST_REFUSED, later: MOST_LATER };
+    let before = course.newest;
     for _ in 0..MOST_PAGES {
         let page = other.holdings(course.after).await?;
         if page.next < course.after || page.more && page.next == course.after {
@@ -175,6 +217,9 @@ pub(super) async fn reconcile(
         course.newest = course.newest.max(page.next.block);
         course.at_end = !page.more;
         if !page.more {
+            if left.later < MOST_LATER {
+                course.newest = before;
+            }
             course.after = HoldingPlace { block: course.newest.saturating_sub(AGAIN), ..HoldingPlace::default() };
             return Ok(());
         }
@@ -249,23 +294,33 @@ async fn some(
     };
     let bytes: usize = handed.records.iter().map(|record| record.blob.len()).sum();
     (left.requests, left.bytes) = (left.requests - 1, left.bytes.saturating_sub(bytes));
-    let (taken, refusals) = here.take(asked, handed.records).await.map_err(Ended::Here)?;
-    for number in (asked.first..=until).filter(|number| !taken.contains(number)) {
+    let Took { taken, later, refused } = here.take(asked, handed.records).await.map_err(Ended::Here)?;
+    round.lacking += later.len() as u64;
+    for number in (asked.first..=until).filter(|number| !taken.contains(number) && !later.contains(number)) {
         if course.set_aside.len() >= MOST_SET_ASIDE {
             return Err(Ended::Lies("it tells of far more than it hands over".to_owned()));
         }
         course.set_aside.insert((asked.owner, asked.recorder, asked.topic_id, number));
     }
-    for refusal in refusals {
+    for refusal in refused {
         *round.refused.entry(refusal.code).or_default() += 1;
-        // Room and admission are this keeper's business, and no lie of the other one.
-        if matches!(refusal.code, Code::Quota | Code::NotAuthorised | Code::Suspended | Code::NotRegistered) {
+        // Room and admission are this keeper's business, and no lie of the other one; nor is a record of the contract that it
+        // used before.
+        if matches!(
+            refusal.code,
+            Code::NotYours | Code::Quota | Code::NotAuthorised | Code::Suspended | Code::NotRegistered
+        ) {
             continue;
         }
         left.refusals -= 1;
         if left.refusals == 0 {
             return Err(Ended::Lies(format!("{MOST_REFUSED} of its records do not hold, the last one: {refusal}")));
         }
+    }
+    left.later = left.later.saturating_sub(later.len());
+    if left.later == 0 {
+        let why = "the node here does not have the blocks with its anchors yet";
+        return Err(Ended::Here(Refusal::new(Code::Stale, why)));
     }
     Ok((until, taken.len() as u64))
 }

@@ -30,6 +30,8 @@ struct Shelf {
     stale: bool,
     /// What is on its way to an anchor here.
     twice: Vec<Digest>,
+    /// From this number on the blocks of anchors are not known.
+    unseen: Option<u64>,
 }
 
 impl Shelf {
@@ -55,19 +57,23 @@ impl Here for Shelf {
         Ok(Lacking { numbers: Ranges::of(numbers), twice: self.twice.clone() })
     }
 
-    async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<(Vec<u64>, Vec<Refusal>), Refusal> {
+    async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<Took, Refusal> {
         *self.takes.lock().expect("not poisoned") += 1;
-        let (mut taken, mut refused) = (Vec::new(), Vec::new());
+        let Took { mut taken, mut later, mut refused } = Took::default();
         for record in records {
             let number = u64::from_be_bytes(record.blob.try_into().expect("eight bytes"));
-            if number < 1000 && (wanted.first..=wanted.last).contains(&number) {
+            if self.unseen.is_some_and(|unseen| number >= unseen) {
+                later.push(number);
+            } else if (700..800).contains(&number) {
+                refused.push(Refusal::new(Code::NotYours, "of another network"));
+            } else if number < 1000 && (wanted.first..=wanted.last).contains(&number) {
                 self.held.lock().expect("not poisoned").insert(number);
                 taken.push(number);
             } else {
                 refused.push(Refusal::new(Code::Signature, "forged"));
             }
         }
-        Ok((taken, refused))
+        Ok(Took { taken, later, refused })
     }
 }
 
@@ -228,6 +234,72 @@ async fn what_is_told_and_not_handed_over_is_asked_for_once_and_not_without_end(
         let (_, _, ended) = rounds(&mut lost, &here, 1).await;
         assert!(matches!(ended, Err(Ended::Lies(_))), "{next}: {ended:?}");
     }
+}
+
+#[tokio::test]
+async fn a_node_that_lags_makes_nobody_a_liar_and_what_it_has_not_got_is_asked_for_again() {
+    let all = || {
+        script(
+            |_| Holdings { held: vec![held(FRIEND, 1..=40)], next: place(90), more: false },
+            |wanted: Wanted| HandedOver { records: (wanted.first..=wanted.last).map(record).collect(), next: None },
+        )
+    };
+    let (mut here, mut course) = (Shelf { unseen: Some(11), ..Shelf::default() }, Course::default());
+    for taken in [10, 0] {
+        let mut round = Round::default();
+        reconcile(&mut all(), &here, &mut course, &mut round).await.expect("no lie");
+        assert_eq!((round.taken, round.lacking, round.refused.len()), (taken, 30, 0));
+        assert_eq!(course.after, HoldingPlace::default(), "their blocks are read again, however many there are");
+    }
+    here.unseen = None;
+    let mut round = Round::default();
+    reconcile(&mut all(), &here, &mut course, &mut round).await.expect("goes on");
+    assert_eq!((round.taken, round.lacking, course.after), (30, 0, place(90 - AGAIN)));
+    // One that tells of blocks that never come is left alone like one that does not answer.
+    let mut ahead = script(
+        |_| Holdings { held: vec![held(FRIEND, 1..=8000)], next: place(1), more: false },
+        |wanted: Wanted| HandedOver {
+            records: (wanted.first..=wanted.first + 99).map(record).collect(),
+            next: (wanted.first + 100 <= wanted.last).then_some(wanted.first + 100),
+        },
+    );
+    let here = Shelf { unseen: Some(1), ..Shelf::default() };
+    let (_, sum, ended) = rounds(&mut ahead, &here, 1).await;
+    assert!(matches!(&ended, Err(Ended::Here(refusal)) if refusal.code == Code::Stale), "{ended:?}");
+    assert!(sum.taken == 0 && ahead.asked <= 2 + MOST_LATER / 100 + 1, "{}", ahead.asked);
+}
+
+#[tokio::test]
+async fn records_of_another_contract_do_not_keep_those_of_the_present_one_away() {
+    let mut mixed = script(
+        |_| Holdings { held: vec![held(FRIEND, 701..=810)], next: place(1), more: false },
+        |wanted: Wanted| HandedOver { records: (wanted.first..=wanted.last).map(record).collect(), next: None },
+    );
+    let (here, mut course, mut round) = (Shelf::default(), Course::default(), Round::default());
+    reconcile(&mut mixed, &here, &mut course, &mut round).await.expect("no lie");
+    assert_eq!((round.taken, round.lacking, round.refused.get(&Code::NotYours)), (11, 99, Some(&99)));
+}
+
+#[tokio::test]
+async fn what_is_not_handed_over_stays_lacking_until_it_is_here_another_way() {
+    let mut damaged = script(
+        |_| Holdings { held: vec![held(FRIEND, 1..=10)], next: place(1), more: false },
+        |wanted: Wanted| {
+            let kept = (wanted.first..=wanted.last).filter(|number| ![3, 4, 9].contains(number));
+            HandedOver { records: kept.map(record).collect(), next: None }
+        },
+    );
+    let (here, mut course) = (Shelf::default(), Course::default());
+    for asked in [2, 1] {
+        let (before, mut round) = (damaged.asked, Round::default());
+        reconcile(&mut damaged, &here, &mut course, &mut round).await.expect("no lie");
+        assert!(round.lacking == 3 && course.is_at_end(), "{round:?}");
+        assert_eq!(damaged.asked - before, asked, "it is not asked for again in this pass");
+    }
+    here.held.lock().expect("not poisoned").extend([3, 9]);
+    let mut round = Round::default();
+    reconcile(&mut damaged, &here, &mut course, &mut round).await.expect("no lie");
+    assert_eq!(round.lacking, 1, "a robot brought two of them");
 }
 
 #[tokio::test]

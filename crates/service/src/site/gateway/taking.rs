@@ -7,7 +7,7 @@ use async_trait::async_trait;
 use tokio::task::block_in_place;
 
 use super::GatewayDesk;
-use super::round::Here;
+use super::round::{Here, Took};
 use crate::chain::AnchorProof;
 use crate::chain::merkle::Inclusion;
 use crate::crypto::signer_id;
@@ -25,6 +25,14 @@ const BEHIND: Duration = Duration::from_secs(3);
 
 /// A record that holds, and its anchor as the chain has it.
 type Proven = (Received, (Digest, Inclusion, RootSighting));
+
+/// What is found of a record.
+enum Judged {
+    /// It holds.
+    Holds(Box<Proven>),
+    /// The record with this number: the chain here does not have the block of its anchor yet.
+    Later(u64),
+}
 
 /// The side of a round that takes.
 pub(super) struct Taking<'a> {
@@ -46,37 +54,40 @@ impl Here for Taking<'_> {
         found.map_err(Refusal::because(Code::Internal))
     }
 
-    async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<(Vec<u64>, Vec<Refusal>), Refusal> {
+    async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<Took, Refusal> {
         let network = self.desk.known_network()?;
         // Registered and not suspended, as of now.
         if let Err(refusal) = self.desk.account(&wanted.owner).await {
-            return if refusal.code == Code::Stale { Err(refusal) } else { Ok((Vec::new(), vec![refusal])) };
+            return if refusal.code == Code::Stale {
+                Err(refusal)
+            } else {
+                Ok(Took { refused: vec![refusal], ..Took::default() })
+            };
         }
-        let (mut proven, mut refusals) = (Vec::new(), Vec::new());
+        let (mut proven, mut later, mut refused) = (Vec::new(), Vec::new(), Vec::new());
         for record in records {
             match self.proven(&network, wanted, record).await {
-                Ok(one) => proven.push(one),
+                Ok(Judged::Holds(one)) => proven.push(*one),
+                Ok(Judged::Later(number)) => later.push(number),
                 Err(refusal) if matches!(refusal.code, Code::Stale | Code::Internal) => return Err(refusal),
-                Err(refusal) => refusals.push(refusal),
+                Err(refusal) => refused.push(refusal),
             }
         }
-        let taken = block_in_place(|| self.keep(&wanted.owner, proven, &mut refusals))?;
-        Ok((taken, refusals))
+        let taken = block_in_place(|| self.keep(&wanted.owner, proven, &mut refused))?;
+        Ok(Took { taken, later, refused })
     }
 }
 
 impl Taking<'_> {
     /// What a robot's upload is asked, and in place of its session the anchor: the signer's right is judged by its block.
-    async fn proven(&self, network: &Network, wanted: &Wanted, record: Fetched) -> Result<Proven, Refusal> {
+    async fn proven(&self, network: &Network, wanted: &Wanted, record: Fetched) -> Result<Judged, Refusal> {
         let Fetched { signer, signature, proof, blob } = record;
         let (header, _) = Header::parse(&blob)?;
-        if header.domain != network.domain || header.owner != wanted.owner {
-            return Err(Refusal::new(
-                Code::NotYours,
-                format_args!("a record of {}, not of {}", header.owner, wanted.owner),
-            ));
+        if header.domain != network.domain {
+            return Err(Refusal::new(Code::NotYours, format_args!("record {} is of another network", header.seq)));
         }
-        let asked = (header.recorder, header.topic_id) == (wanted.recorder, wanted.topic_id)
+        let asked = (header.owner, header.recorder, header.topic_id)
+            == (wanted.owner, wanted.recorder, wanted.topic_id)
             && (wanted.first..=wanted.last).contains(&header.seq);
         if !asked {
             return Err(Refusal::new(Code::Malformed, format_args!("record {} was not asked for", header.seq)));
@@ -91,14 +102,17 @@ impl Taking<'_> {
         let received = received.ok_or_else(|| Refusal::new(Code::Malformed, "no record"))?;
         let proof = AnchorProof::parse(&proof)?;
         let confirmed = self.anchors.confirm(network, &received.header, received.digest, proof).await;
-        let proof = confirmed.map_err(|error| failed(&error))?;
+        let proof = match confirmed {
+            Err(PipelineError::NotSeen { .. }) => return Ok(Judged::Later(received.header.seq)),
+            confirmed => confirmed.map_err(|error| failed(&error))?,
+        };
         self.check_signer(network, &received, proof.block).await?;
         let AnchorProof { account, transaction, block, block_hash, inclusion } = proof;
         let inclusion = inclusion.ok_or_else(|| Refusal::new(Code::Malformed, "a gateway's anchors are batches"))?;
         let anchor =
             RootSighting { account, root: inclusion.root, count: inclusion.count, transaction, block, block_hash };
         let digest = received.digest;
-        Ok((received, (digest, inclusion, anchor)))
+        Ok(Judged::Holds(Box::new((received, (digest, inclusion, anchor)))))
     }
 
     async fn check_signer(&self, network: &Network, received: &Received, block: u64) -> Result<(), Refusal> {
@@ -149,8 +163,12 @@ impl Taking<'_> {
         let numbers = proven.iter().map(|(received, _)| received.header.seq).collect();
         let (records, anchors): (Vec<_>, Vec<_>) = proven.into_iter().unzip();
         let ledger = &self.desk.gateway.plant.ledger;
-        self.desk.keep_by(owner, records, |rows| ledger.append_anchored(rows, anchors))?;
-        Ok(numbers)
+        let kept = self.desk.keep_by(owner, records, |rows| ledger.append_anchored(rows, anchors));
+        if kept.is_err() {
+            // A block may have been replaced since the chain was asked.
+            self.anchors.forget();
+        }
+        kept.map(|_| numbers)
     }
 }
 

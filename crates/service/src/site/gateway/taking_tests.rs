@@ -8,7 +8,7 @@ use crate::chain::Call;
 use crate::chain::merkle::Leaf;
 use crate::crypto::{EoaSecret, SealRequest, SealedRecord, SmKeyPair, TopicKey, prove, seal};
 use crate::model::head::Compression;
-use crate::model::{Head, RecordKind, RecordState, RecorderId, Signature, Timestamp, Token, TopicId};
+use crate::model::{Head, Ranges, RecordKind, RecordState, RecorderId, Signature, Timestamp, Token, TopicId};
 use crate::pipeline::Owner;
 use crate::site::testing::{registered, site_with_chain};
 
@@ -104,7 +104,7 @@ async fn what_another_gateway_hands_over_is_judged_by_the_block_that_anchors_it(
     let first = record(&network, &alice, &own, (1, b"one"));
     let handed = anchored(&network, &other, &first, &own).await;
     for _ in 0..2 {
-        let (taken, refused) = here.take(&wanted, vec![handed.clone()]).await.expect("asked");
+        let Took { taken, refused, .. } = here.take(&wanted, vec![handed.clone()]).await.expect("asked");
         assert_eq!((taken, codes(&refused)), (vec![1], Vec::new()), "twice is once");
     }
     let ledger = &site.plant.ledger;
@@ -118,7 +118,7 @@ async fn what_another_gateway_hands_over_is_judged_by_the_block_that_anchors_it(
     let before = anchored(&network, &other, &record(&network, &alice, &robot, (2, b"two")), &robot).await;
     site.devices.recall(&alice, &signer_id(&robot.public).to_string()).await.expect("recalled");
     let after = anchored(&network, &other, &record(&network, &alice, &robot, (3, b"three")), &robot).await;
-    let (taken, refused) = here.take(&wanted, vec![before, after]).await.expect("asked");
+    let Took { taken, refused, .. } = here.take(&wanted, vec![before, after]).await.expect("asked");
     assert_eq!((taken, codes(&refused)), (vec![2], vec![Code::Signature]), "{refused:?}");
 
     // Anchored by somebody, and signed by nobody who may.
@@ -131,11 +131,27 @@ async fn what_another_gateway_hands_over_is_judged_by_the_block_that_anchors_it(
     let foreign = Fetched { proof: handed.proof.clone(), ..proven.clone() };
     let second = anchored(&network, &other, &record(&network, &alice, &own, (1, b"another one")), &own).await;
     let lies = vec![stolen, unsigned, foreign, second, proven];
-    let (taken, refused) = here.take(&wanted, lies).await.expect("asked");
+    let Took { taken, refused, .. } = here.take(&wanted, lies).await.expect("asked");
     let expected = [Code::Signature, Code::Signature, Code::Tampered, Code::Malformed];
     assert_eq!((taken, codes(&refused)), (vec![5], expected.to_vec()), "{refused:?}");
-    let held = ledger.held_between((alice.address, RECORDER, TOPIC), (1, 9), 99).expect("read");
-    assert_eq!(held.iter().map(|(seq, _)| *seq).collect::<Vec<_>>(), [1, 2, 5]);
+    // An anchor that the chain here does not have: in a block that may come yet, and in one that is long here.
+    let genuine = AnchorProof::parse(&handed.proof).expect("a proof");
+    let newest = network.chain.head().await.expect("answered").number;
+    let sixth = record(&network, &alice, &own, (6, b"six"));
+    let inclusion = anchored(&network, &other, &sixth, &own).await;
+    let place = AnchorProof::parse(&inclusion.proof).expect("a proof").inclusion;
+    let elsewhere = |block| {
+        let transaction = crate::model::Hash([0x77; 32]);
+        let proof = AnchorProof { transaction, block, inclusion: place.clone(), ..genuine.clone() }.encode();
+        Fetched { proof, ..inclusion.clone() }
+    };
+    let Took { taken, later, refused } = here.take(&wanted, vec![elsewhere(newest + 9)]).await.expect("asked");
+    assert_eq!((taken, later, codes(&refused)), (Vec::new(), vec![6], Vec::new()), "it comes later, perhaps");
+    let Took { taken, later, refused } = here.take(&wanted, vec![elsewhere(1)]).await.expect("asked");
+    assert_eq!((taken, later, codes(&refused)), (Vec::new(), Vec::new(), vec![Code::Tampered]), "a lie");
+    let told = Ranges::of((1..=9).collect());
+    let lacking = ledger.lacking((alice.address, RECORDER, TOPIC), &told).expect("read").numbers;
+    assert_eq!(lacking.iter().collect::<Vec<_>>(), [(3, 4), (6, 9)]);
     assert_eq!(ledger.record(first.digest).expect("read").map(|row| row.seq), Some(1), "the first one stays");
     site.stop().await;
 }
