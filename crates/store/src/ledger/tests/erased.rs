@@ -1,6 +1,8 @@
 //! Erasing: who and why stay with the records, and the bytes of their copies are in no file any more. And retention by
 //! name, also of topics that only robots recorded.
 
+use std::collections::HashSet;
+
 use super::*;
 
 const OWNER: Address = Address([1; 20]);
@@ -83,6 +85,21 @@ fn who_had_a_record_erased_and_why_stays_with_it() {
     assert_eq!((ledger.has_named(), ledger.erasure(report.digest)), (Ok(false), Ok(Some(erasure))));
     let words = retained.erased.expect("erased").to_string();
     assert!(words.starts_with("erased 1970-01-01T00:00:01Z by alice, a ") && !words.contains('\u{1b}'), "{words}");
+}
+
+#[test]
+fn bytes_that_are_named_or_deleted_are_known_to_be_unwanted() {
+    let (_home, ledger) = open();
+    let (named, deleted, kept) = (brought(4, 1), brought(4, 2), brought(4, 3));
+    let all = [named.clone(), deleted.clone(), kept];
+    ledger.append(all.to_vec()).expect("acknowledged");
+    assert_eq!(ledger.retained_among(&all), Ok(HashSet::new()));
+    move_to(&ledger, vec![named.digest], Verified);
+    let report = NewRecord { kind: RecordKind::Retention, topic: "authros/retention".to_owned(), ..record(1, 9, 1) };
+    let erasure = Erasure { at: Timestamp::from_seconds(1), by: "alice".to_owned(), reason: "a face".to_owned() };
+    ledger.erase(report, &erasure, vec![(named.digest, vec![1])]).expect("named");
+    ledger.deleted(&[deleted.digest]).expect("noted");
+    assert_eq!(ledger.retained_among(&all), Ok(HashSet::from([named.digest, deleted.digest])));
 }
 
 #[test]
