@@ -125,3 +125,22 @@ fn a_scoured_copy_is_in_no_file() {
     assert_eq!(ledger.local_copy(digests[2]), Ok(Some(copy(5))), "others stay");
     assert_eq!(ledger.local_copy(digests[0]), Ok(None));
 }
+
+#[test]
+fn scouring_what_an_earlier_attempt_deleted_empties_the_log_all_the_same() {
+    let (home, ledger) = open();
+    let blob: Vec<u8> = (0..3_000u32).map(|at| (at * 11 + 5).to_le_bytes()[0]).collect();
+    let one = NewRecord { local_copy: Some(blob.clone()), ..record(1, 1, 1) };
+    ledger.append(vec![one.clone()]).expect("acknowledged");
+    let log = home.path().join("ledger.db-wal");
+    let is_in_log = || std::fs::read(&log).expect("read").windows(48).any(|window| window == &blob[100..148]);
+    // As an attempt leaves it that failed because somebody read an earlier state.
+    let deleted = ledger.write(|session| {
+        let delete = |connection: &Connection| Ok(connection.execute("DELETE FROM copies", []).map(drop)?);
+        database::overwriting(session.connection, delete)
+    });
+    deleted.expect("deleted");
+    assert!(is_in_log(), "its bytes are still in the log");
+    ledger.scour_local_copies(&[one.digest]).expect("the second attempt");
+    assert!(!is_in_log());
+}
