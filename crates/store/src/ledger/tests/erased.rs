@@ -136,8 +136,9 @@ fn scouring_what_an_earlier_attempt_deleted_empties_the_log_all_the_same() {
     let is_in_log = || std::fs::read(&log).expect("read").windows(48).any(|window| window == &blob[100..148]);
     // As an attempt leaves it that failed because somebody read an earlier state.
     let deleted = ledger.write(|session| {
-        let delete = |connection: &Connection| Ok(connection.execute("DELETE FROM copies", []).map(drop)?);
-        database::overwriting(session.connection, delete)
+        database::overwriting(session.connection, |connection| {
+            Ok(connection.execute("DELETE FROM copies", []).map(drop)?)
+        })
     });
     deleted.expect("deleted");
     assert!(is_in_log(), "its bytes are still in the log");
