@@ -1,7 +1,7 @@
 //! Under root the program runs as nobody, wherever it lies, or not at all.
 
 use std::io::{Read as _, Write as _};
-use std::os::unix::fs::{PermissionsExt as _, symlink};
+use std::os::unix::fs::{PermissionsExt, symlink};
 
 use super::*;
 

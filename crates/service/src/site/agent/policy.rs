@@ -318,7 +318,7 @@ mod tests {
         let account = EoaSecret::generate().expect("generates");
         let keeper = PolicyKeeper::of(&ledger, domain, account.address(), device).expect("opens");
         let mut policy = AgentPolicy::by(&ledger, keeper).expect("opens");
-        let mut take = |policy: &mut AgentPolicy, version, text: &str| {
+        let take = |policy: &mut AgentPolicy, version, text: &str| {
             let signed = SignedPolicy::sign(&domain, &account, device, version, text).expect("signs");
             policy.keeper.take(&signed).expect("kept");
             policy.read()
