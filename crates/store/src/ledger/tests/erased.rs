@@ -88,6 +88,35 @@ fn who_had_a_record_erased_and_why_stays_with_it() {
 }
 
 #[test]
+fn what_a_rule_has_named_is_an_erasures_as_long_as_its_bytes_are_here() {
+    let (_home, ledger) = open();
+    let (waits, gone) = (record(1, 1, 1), record(1, 1, 2));
+    ledger.append(vec![waits.clone(), gone.clone()]).expect("acknowledged");
+    move_to(&ledger, vec![waits.digest, gone.digest], Verified);
+    let topic = ledger.kept_topics(OWNER).expect("read").remove(0);
+    let due = ledger.oldest(&topic, (Timestamp(0), Timestamp(9_999)), 9).expect("read");
+    let due: Vec<_> = due.into_iter().map(|record| (record, vec![1])).collect();
+    let report =
+        |seq| NewRecord { kind: RecordKind::Retention, topic: "authros/retention".to_owned(), ..record(1, 9, seq) };
+    ledger.give_up(&topic, report(1), due).expect("a rule names both");
+    ledger.deleted(&[gone.digest]).expect("noted");
+    move_to(&ledger, vec![report(1).digest], Verified);
+    let erasure = Erasure { at: Timestamp::from_seconds(1), by: "alice".to_owned(), reason: "a face".to_owned() };
+    ledger.erase(report(2), &erasure, vec![(waits.digest, vec![1])]).expect("named");
+    assert_eq!(ledger.erased_among(&[waits.digest, gone.digest]), Ok(vec![waits.digest]));
+    let retained = ledger.retained(waits.digest).expect("read").expect("named");
+    assert_eq!((retained.report, retained.erased), (report(2).digest, Some(erasure.clone())));
+    assert_eq!(ledger.to_delete(OWNER, 9), Ok(Vec::new()), "the record of the erasure is to be anchored first");
+    move_to(&ledger, vec![report(2).digest], Verified);
+    assert_eq!(ledger.to_delete(OWNER, 9), Ok(vec![waits.digest]));
+    assert_eq!(ledger.given_up(OWNER), Ok(2), "counted once");
+    for record in [&waits, &gone] {
+        let again = ledger.erase(report(3), &erasure, vec![(record.digest, vec![1])]);
+        assert!(matches!(again, Err(StoreError::NotReady { .. })), "{again:?}");
+    }
+}
+
+#[test]
 fn bytes_that_are_named_or_deleted_are_known_to_be_unwanted() {
     let (_home, ledger) = open();
     let (named, deleted, kept) = (brought(4, 1), brought(4, 2), brought(4, 3));
