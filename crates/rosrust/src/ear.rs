@@ -70,7 +70,7 @@ impl Ear {
 pub struct Last(Option<Ear>);
 
 impl Last {
-    /// Has it come in, if it has not yet; false if that fails, and it can be tried again.
+    /// Comes in, if it has not yet; false if that fails, and it can be tried again.
     pub fn comes_in(&mut self, served: &Served) -> bool {
         if self.0.is_none() {
             self.0 = Ear::open(served, LAST).ok();
@@ -188,7 +188,8 @@ mod tests {
             stream.set_write_timeout(Some(Duration::from_secs(60)))?;
             stream.write_all(&header(&[("callerid", "/a")]))?;
             stream.write_all(&latched.to_le_bytes())?;
-            (0..64).try_for_each(|_| stream.write_all(&[7; 1 << 20]))
+            let piece = vec![7; 1 << 20];
+            (0..64).try_for_each(|_| stream.write_all(&piece))
         });
         let mut last = Last::default();
         assert!(last.comes_in(&served(port)));
