@@ -3,6 +3,8 @@
 
 use crate::support;
 
+use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 use std::process::Command;
 
@@ -23,9 +25,12 @@ fn with_a_small_receive_buffer_what_is_reported_lost_is_what_was_sent_and_not_re
     let mut command = Command::new(compiler);
     command.args(["-shared", "-fPIC", "-O2", "-o"]).args([&shim, &source]).arg("-ldl");
     assert!(command.status().expect("the compiler runs").success(), "the shim compiles");
-    let reader = reader_program().expect("asked before");
+    // Under root the script is run by nobody, who has to get to it, to the shim and to the program.
+    fs::set_permissions(home.root(), fs::Permissions::from_mode(0o755)).expect("its mode is set");
+    let reader = home.root().join("authros-ros2");
+    fs::copy(reader_program().expect("asked before"), &reader).expect("copied");
     let lines = format!("#!/bin/sh\nLD_PRELOAD={} exec {} \"$@\"\n", shim.display(), reader.display());
-    let wrapper = home.file("reader", lines, 0o700);
+    let wrapper = home.file("reader", lines, 0o755);
     let options = ["--ros2", "0"];
     let authros = home.authros().with(&options).with_variable("AUTHROS_ROS2_PROGRAM", &wrapper);
     let _site = network.inside(&authros).serve(&home);

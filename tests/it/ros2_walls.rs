@@ -5,6 +5,7 @@
 use crate::support;
 
 use std::fs::File;
+use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 
@@ -54,7 +55,9 @@ fn a_program_without_keys_opens_neither_a_keyring_nor_the_socket_though_its_user
 #[test]
 fn where_the_kernel_raises_no_walls_the_log_and_the_doctor_say_so() {
     let home = Home::new();
-    let bare = home.file("bare", BARE, 0o700);
+    // Under root it is run by nobody, who has to get to it.
+    std::fs::set_permissions(home.root(), PermissionsExt::from_mode(0o755)).expect("its mode is set");
+    let bare = home.file("bare", BARE, 0o755);
     let authros = home.authros().with(&["--ros2", "0"]).with_variable("AUTHROS_ROS2_PROGRAM", &bare);
     let mut site = authros.serve(&home);
     let said = site.wait_for_text("this kernel does not confine", 30);

@@ -23,7 +23,8 @@ impl Plant {
     }
 
     /// Stores records with their bytes: nothing is written before they are known to be accepted; their bytes are
-    /// durable, in the vault or, if that may forget, in the ledger, before `acknowledge` has written their rows.
+    /// durable, in the vault or, if that may forget, in the ledger, before `acknowledge` has written their rows. What was
+    /// deleted here is acknowledged as known, and its bytes do not come back.
     ///
     /// # Errors
     /// See [`Self::takes_records`]; [`StoreError::Conflict`] if another record contradicts one; errors of the vault.
@@ -42,7 +43,9 @@ impl Plant {
     }
 
     fn put(&self, records: &mut [NewRecord]) -> Result<(), StoreError> {
-        let bytes = records.iter().filter_map(|record| Some((record.digest, record.local_copy.as_deref()?)));
+        let retained = self.ledger.retained_among(records)?;
+        let kept = records.iter().filter(|record| !retained.contains(&record.digest));
+        let bytes = kept.filter_map(|record| Some((record.digest, record.local_copy.as_deref()?)));
         self.vault.put(&bytes.collect::<Vec<_>>())?;
         fault::point("vault-put");
         for record in records {

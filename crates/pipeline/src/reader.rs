@@ -94,8 +94,12 @@ impl Reader<'_> {
         Ok(block_in_place(|| self.plant.ledger.retained(row.digest))?.filter(|retained| retained.anchored))
     }
 
-    /// The stored bytes; those of a quarantined record may not be in the vault yet.
+    /// The stored bytes; those of a quarantined record may not be in the vault yet. Deleted ones are gone, even where an
+    /// earlier version took them in again.
     fn blob(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, PipelineError> {
+        if row.deleted_at.is_some() {
+            return Ok(None);
+        }
         block_in_place(|| {
             let stored = self.plant.vault.get(row.digest)?;
             if stored.is_none() && row.state == RecordState::Quarantined {

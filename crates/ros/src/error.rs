@@ -85,6 +85,17 @@ pub enum RosError {
         /// What happened.
         reason: String,
     },
+    /// Under root, a program that speaks with the network runs as `nobody`, and that user cannot run it.
+    #[error(
+        "{program} does not start as the user nobody, as whom it runs under root ({reason}); install it so that every user may \
+         execute it, as in /usr/bin with mode 755, or run authros as another user"
+    )]
+    NotAsNobody {
+        /// The program's path.
+        program: String,
+        /// The system's reason.
+        reason: String,
+    },
     /// The operating system did not give what was needed.
     #[error("cannot {action} ({reason}); free some threads, sockets or memory and try again")]
     System {
@@ -140,6 +151,7 @@ impl RosError {
             Self::OwnHost { .. }
             | Self::NoReader(_)
             | Self::NoRosrust(_)
+            | Self::NotAsNobody { .. }
             | Self::Protocol { .. }
             | Self::Definition { .. }
             | Self::NoFields { .. }
@@ -159,6 +171,10 @@ impl RosError {
 
     pub(super) fn no_rosrust(path: &std::path::Path) -> Self {
         Self::NoRosrust(clean(&path.display().to_string(), 200))
+    }
+
+    pub(super) fn not_as_nobody(path: &std::path::Path, reason: &std::io::Error) -> Self {
+        Self::NotAsNobody { program: clean(&path.display().to_string(), 200), reason: reason.to_string() }
     }
 
     pub(super) fn system(action: &'static str, reason: &std::io::Error) -> Self {

@@ -15,6 +15,9 @@ const LONGEST_HEADER: u32 = 64 << 20;
 /// The stack of a thread that only counts, bytes.
 const STACK: usize = 64 << 10;
 
+/// The name of the subscriber that comes after the last message.
+pub const LAST: &str = "/last_ear";
+
 /// Where a topic is served.
 #[derive(Debug, Clone)]
 pub struct Served {
@@ -61,6 +64,21 @@ impl Ear {
     }
 }
 
+/// The subscriber that comes after the last message. What rosrust sends it before it lists it, a latched message, is read: it
+/// would wait for that.
+#[derive(Default)]
+pub struct Last(Option<Ear>);
+
+impl Last {
+    /// Comes in, if it has not yet; false if that fails, and it can be tried again.
+    pub fn comes_in(&mut self, served: &Served) -> bool {
+        if self.0.is_none() {
+            self.0 = Ear::open(served, LAST).ok();
+        }
+        self.0.is_some()
+    }
+}
+
 /// Asks a node where it serves a topic.
 ///
 /// # Errors
@@ -88,7 +106,7 @@ fn place(answer: Value, topic: &str) -> Option<Served> {
 ///
 /// # Errors
 /// If it is not let in.
-pub fn shake_hands(served: &Served, name: &str) -> io::Result<TcpStream> {
+fn shake_hands(served: &Served, name: &str) -> io::Result<TcpStream> {
     let mut stream = TcpStream::connect((served.host.as_str(), served.port))?;
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;
@@ -155,5 +173,28 @@ mod tests {
         assert_eq!((served.host.as_str(), served.port, served.topic.as_str()), ("127.0.0.1", 4321, "/a"));
         assert!(place_of(70_000).is_none());
         assert!(place(Value::Array(vec![Value::Int(0), text("no such topic"), Value::Int(0)]), "/a").is_none());
+    }
+
+    #[test]
+    fn the_last_subscriber_has_come_in_only_if_it_was_let_in_and_reads_what_it_is_sent() {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+        let port = listener.local_addr().expect("its address").port();
+        let served = |port| Served { host: "127.0.0.1".into(), port, topic: "/map".into() };
+        // Far more than any socket's buffers hold.
+        let latched = 64_u32 << 20;
+        let publisher = std::thread::spawn(move || {
+            let (mut stream, _) = listener.accept()?;
+            skip_frame(&mut stream, LONGEST_HEADER)?;
+            stream.set_write_timeout(Some(Duration::from_secs(60)))?;
+            stream.write_all(&header(&[("callerid", "/a")]))?;
+            stream.write_all(&latched.to_le_bytes())?;
+            let piece = vec![7; 1 << 20];
+            (0..64).try_for_each(|_| stream.write_all(&piece))
+        });
+        let mut last = Last::default();
+        assert!(last.comes_in(&served(port)));
+        publisher.join().expect("no panic").expect("all of it is read");
+        // Nobody listens there any more.
+        assert!(!Last::default().comes_in(&served(port)));
     }
 }

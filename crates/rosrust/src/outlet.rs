@@ -1,13 +1,12 @@
 //! One published topic: rosrust's publisher, and the ear that tells how far it is.
 
 use std::collections::VecDeque;
-use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 use rosrust::api::Ros;
 use rosrust::{Publisher, RawMessage, RawMessageDescription};
 
-use crate::ear::{self, Ear, Served};
+use crate::ear::{self, Ear, LAST, Last, Served};
 use crate::error::told;
 use crate::pipe::write::Described;
 use crate::queue;
@@ -17,9 +16,8 @@ const MOST_AHEAD: usize = 64;
 const MOST_AHEAD_BYTES: usize = 4 << 20;
 /// How long the ear may take to be let in.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// The names under which it counts, and under which it makes sure of the last message.
+/// The name under which it counts.
 const EAR: &str = "/ear";
-const LAST: &str = "/last_ear";
 
 /// A published topic.
 pub struct Outlet {
@@ -33,7 +31,7 @@ pub struct Outlet {
     ahead_bytes: usize,
     is_outrun: bool,
     has_failed: bool,
-    last: Option<TcpStream>,
+    last: Last,
 }
 
 impl Outlet {
@@ -61,7 +59,7 @@ impl Outlet {
             std::thread::sleep(Duration::from_millis(1));
         }
         let (topic, ahead) = (topic.name.clone(), VecDeque::new());
-        let (handed, ahead_bytes, is_outrun, has_failed, last) = (0, 0, false, false, None);
+        let (handed, ahead_bytes, is_outrun, has_failed, last) = (0, 0, false, false, Last::default());
         Ok(Self { topic, publisher, served, ear, handed, ahead, ahead_bytes, is_outrun, has_failed, last })
     }
 
@@ -82,13 +80,9 @@ impl Outlet {
         self.has_failed || self.ear.is_deaf()
     }
 
-    /// Whether every subscriber has the last message: one that came after it was let in.
+    /// Whether every subscriber has the last message: one that came after it was let in. What cannot be found out is not so.
     pub fn is_sent(&mut self) -> bool {
-        if self.last.is_none() {
-            let Ok(last) = ear::shake_hands(&self.served, LAST) else { return true };
-            self.last = Some(last);
-        }
-        is_known(&self.publisher, LAST)
+        self.last.comes_in(&self.served) && is_known(&self.publisher, LAST)
     }
 
     /// What came back leaves room.

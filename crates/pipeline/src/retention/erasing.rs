@@ -40,7 +40,9 @@ pub fn name(plant: &Plant, owner: &Owner, rows: &[RecordRow], erasure: &Erasure)
     for rows in topics.values().flat_map(|rows| rows.chunks(ROUND)) {
         let mut whole = Vec::with_capacity(rows.len());
         for row in rows {
-            if plant.ledger.retained(row.digest)?.is_some() {
+            // What only a rule has named is still to be overwritten, by whom and why.
+            let retained = plant.ledger.retained(row.digest)?;
+            if retained.is_some_and(|retained| retained.deleted_at.is_some() || retained.erased.is_some()) {
                 continue;
             }
             match header_of(plant, row.digest)? {

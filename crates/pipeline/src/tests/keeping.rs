@@ -172,6 +172,22 @@ fn what_a_gateway_refuses_leaves_no_bytes_in_the_vault() {
 }
 
 #[test]
+fn what_was_deleted_does_not_come_back_when_it_is_sent_again() {
+    let home = tempfile::tempdir().expect("folder");
+    let plant = plant(home.path());
+    let (owner, _) = owner_with_keys(plant.provider, home.path());
+    let keep = |records: Vec<NewRecord>| plant.keep(records, |records| plant.ledger.append(records));
+    let (face, other) = (upload(&owner, 1, b"a face"), upload(&owner, 2, b"a wall"));
+    keep(vec![face.clone()]).expect("kept");
+    plant.vault.scour(&[face.digest]).expect("overwritten");
+    plant.ledger.deleted(&[face.digest]).expect("noted");
+    keep(vec![face.clone(), other.clone()]).expect("acknowledged again, as known");
+    assert_eq!(plant.vault.get(face.digest).expect("read"), None);
+    assert_eq!(plant.ledger.local_copy(face.digest).expect("read"), None);
+    assert_eq!(plant.vault.get(other.digest).expect("read"), other.local_copy, "what came with it is stored");
+}
+
+#[test]
 fn beyond_the_backlog_no_writer_adds_a_record() {
     let home = tempfile::tempdir().expect("folder");
     let (plant, vault) = forgetful(home.path());

@@ -1,7 +1,12 @@
 //! A program without keys that speaks with the network in the site's place: found, started, supervised, ended.
 
 mod run;
+#[cfg(test)]
+mod tests;
 
+use std::fs::File;
+use std::os::fd::AsRawFd as _;
+use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -42,28 +47,49 @@ pub struct Errand {
 }
 
 /// Starts it: no environment but the errand's, no terminal, a process group of its own, nothing open but the two pipes.
-/// Where this process may choose, as root may, it runs as the user who owns nothing.
+/// Under root it runs as the user who owns nothing, or not at all.
 ///
 /// # Errors
-/// [`RosError::System`] if it does not start.
+/// [`RosError::System`] if it does not start, [`RosError::NotAsNobody`] if that user cannot run it.
 pub fn start(errand: &Errand) -> Result<(Child, ChildStdin, ChildStdout), RosError> {
-    use std::os::unix::process::CommandExt;
     let system = |error: &std::io::Error| RosError::system("start the program that speaks with the network", error);
-    let mut nobody = command(errand);
-    nobody.gid(NOBODY).uid(NOBODY);
-    // Nobody may not be known here, or not read the program.
-    let started = nobody.spawn().or_else(|_| command(errand).spawn());
-    let mut child = started.map_err(|error| system(&error))?;
+    // In a user namespace without that user, root is an ordinary user of the machine.
+    let map = std::fs::read_to_string("/proc/self/uid_map").unwrap_or_default();
+    let mut child = if rustix::process::geteuid().is_root() && has_nobody(&map) {
+        start_as_nobody(errand).map_err(|error| RosError::not_as_nobody(&errand.program, &error))?
+    } else {
+        command(errand, &errand.program).spawn().map_err(|error| system(&error))?
+    };
     match (child.stdin.take(), child.stdout.take()) {
         (Some(to), Some(from)) => Ok((child, to, from)),
         _ => Err(system(&std::io::Error::other("it has no pipes"))),
     }
 }
 
-fn command(errand: &Errand) -> Command {
-    use std::os::unix::process::CommandExt;
-    let mut command = Command::new(&errand.program);
+/// Whether a user namespace has the user who owns nothing, by its map: first user, the same outside, how many. An unknown map
+/// has.
+fn has_nobody(map: &str) -> bool {
+    let span = |line: &str| {
+        let mut numbers = line.split_whitespace().map(str::parse::<u32>);
+        Some((numbers.next()?.ok()?, numbers.nth(1)?.ok()?))
+    };
+    let mut spans = map.lines().filter_map(span).peekable();
+    spans.peek().is_none() || spans.any(|(first, count)| NOBODY.checked_sub(first).is_some_and(|place| place < count))
+}
+
+fn start_as_nobody(errand: &Errand) -> std::io::Result<Child> {
+    let spawn = |path: &Path| command(errand, path).gid(NOBODY).uid(NOBODY).spawn();
+    spawn(&errand.program).or_else(|_| {
+        // It may lie where only root gets to, as below /root; what counts is that everybody may execute the file itself.
+        let opened = File::open(&errand.program)?;
+        spawn(Path::new(&format!("/proc/self/fd/{}", opened.as_raw_fd())))
+    })
+}
+
+fn command(errand: &Errand, path: &Path) -> Command {
+    let mut command = Command::new(path);
     command
+        .arg0(&errand.program)
         .args(&errand.arguments)
         .env_clear()
         .envs(errand.environment.iter().map(|(name, value)| (name, value)))

@@ -72,6 +72,21 @@ pub enum Carrier {
     Command(Vec<String>),
 }
 
+/// Why a delivery was not accepted.
+#[derive(Debug)]
+pub struct Undelivered {
+    /// In words.
+    pub failure: Failure,
+    /// Whether the answer was about this delivery itself: it will be the same the next time.
+    pub is_judged: bool,
+}
+
+impl From<Failure> for Undelivered {
+    fn from(failure: Failure) -> Self {
+        Self { failure, is_judged: false }
+    }
+}
+
 /// Kills the program when nobody waits for it any more.
 struct Waiting(Arc<command::Wanted>);
 
@@ -99,7 +114,7 @@ impl Carrier {
     ///
     /// # Errors
     /// Why it was not accepted; it may have arrived all the same.
-    pub async fn carry(&self, delivery: &Delivery, dropped: u64) -> Result<String, Failure> {
+    pub async fn carry(&self, delivery: &Delivery, dropped: u64) -> Result<String, Undelivered> {
         let words = match self {
             Self::Webhook(webhook) => return webhook.carry(delivery, dropped).await,
             Self::Command(words) => words.clone(),
@@ -108,7 +123,7 @@ impl Carrier {
         let _waiting = Waiting(Arc::clone(&wanted));
         let run = move || command::run(&words, &body, command::PATIENCE, &wanted);
         let ran = tokio::task::spawn_blocking(run).await;
-        ran.unwrap_or_else(|_| Err(internal("the task that runs alerts.command failed; retrying")))
+        Ok(ran.unwrap_or_else(|_| Err(internal("the task that runs alerts.command failed; retrying")))?)
     }
 }
 

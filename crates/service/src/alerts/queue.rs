@@ -161,6 +161,13 @@ impl Queue {
         self.note(Line::Done { number, told });
     }
 
+    /// Drops the next delivery, which will never be accepted, and counts it; returns the key of its alert.
+    pub fn give_up(&mut self) -> Option<String> {
+        let (number, key) = self.kept.waiting.front().map(|first| (first.number, first.alert.key.clone()))?;
+        self.note(Line::GivenUp(number));
+        Some(key)
+    }
+
     /// Whether all that was noted is in the file.
     #[cfg(test)]
     pub fn is_kept(&self) -> bool {

@@ -247,7 +247,8 @@ impl Judge {
         Some(Judged {
             key: "audit".to_owned(),
             severity: Severity::Warning,
-            level: aged(waited, limit, settled),
+            // While every profile is locked nobody knows: what stands goes on, and nothing begins.
+            level: if figures.audit_locked { Level::Between } else { aged(waited, limit, settled) },
             text: format!(
                 "The oldest audit log line not covered by an anchored head is {} old. See `authros chain status`.",
                 words(waited)

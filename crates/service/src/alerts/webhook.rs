@@ -9,7 +9,7 @@ use serde_json::json;
 use sha2::Sha256;
 use zeroize::Zeroizing;
 
-use super::{Delivery, News};
+use super::{Delivery, News, Undelivered};
 use crate::config::AlertForm;
 use crate::crypto::private_file;
 use crate::model::{ErrorKind, Timestamp, clean};
@@ -20,6 +20,8 @@ use crate::service::reply::Failure;
 const PATIENCE: Duration = Duration::from_secs(10);
 /// The most bytes of an answer that are read.
 const MOST_READ: usize = 512;
+/// Answers about the delivery itself, not about the address or the moment: it is malformed, too large, not to be processed.
+const JUDGED: [u16; 3] = [400, 413, 422];
 /// Where distributions keep their trusted authorities.
 const TRUSTED: [&str; 3] =
     ["/etc/ssl/certs/ca-certificates.crt", "/etc/pki/tls/certs/ca-bundle.crt", "/etc/ssl/cert.pem"];
@@ -60,7 +62,7 @@ impl Webhook {
     ///
     /// # Errors
     /// Kind `Unreachable` if nothing answered, `Refused` if the answer is not a success.
-    pub async fn carry(&self, delivery: &Delivery, dropped: u64) -> Result<String, Failure> {
+    pub async fn carry(&self, delivery: &Delivery, dropped: u64) -> Result<String, Undelivered> {
         let body = match self.form {
             AlertForm::Authros => delivery.body(dropped),
             AlertForm::Alertmanager => alertmanager(delivery, dropped),
@@ -78,7 +80,9 @@ impl Webhook {
         if status.is_success() {
             return Ok(told);
         }
-        Err(refused(format!("the webhook at {} answered {told}; check its log and alerts.secret", self.host())))
+        let failure =
+            refused(format!("the webhook at {} answered {told}; check its log and alerts.secret", self.host()));
+        Err(Undelivered { failure, is_judged: JUDGED.contains(&status.as_u16()) })
     }
 
     fn host(&self) -> String {
@@ -156,8 +160,9 @@ fn alertmanager(delivery: &Delivery, dropped: u64) -> Vec<u8> {
         "annotations": { "summary": alert.text, "dropped": dropped.to_string() },
         "startsAt": alert.begun,
     });
-    // A test alert ends at once.
-    let ended = delivery.ended.or((delivery.state == News::Test).then_some(alert.begun));
+    // A test alert ends at once. None may end before it began, as it seems where the clock was set back.
+    let ended = delivery.ended.map(|ended| ended.max(alert.begun));
+    let ended = ended.or((delivery.state == News::Test).then_some(alert.begun));
     if let (Some(ended), Some(fields)) = (ended, one.as_object_mut()) {
         fields.insert("endsAt".to_owned(), json!(ended));
     }
@@ -188,6 +193,14 @@ mod tests {
         assert_eq!((&begun[0]["labels"], &over[0]["labels"]), (&labels, &labels));
         assert_eq!((&begun[0]["startsAt"], &begun[0]["endsAt"]), (&json!("2023-11-14T22:13:20Z"), &json!(null)));
         assert_eq!(over[0]["endsAt"], "2023-11-14T22:14:20Z");
+    }
+
+    #[test]
+    fn an_alertmanager_is_never_told_of_an_end_before_the_beginning() {
+        let set_back = Some(Timestamp::from_seconds(1_600_000_000));
+        let over = Delivery { state: News::Resolved, ended: set_back, ..delivery(2) };
+        let told: serde_json::Value = serde_json::from_slice(&alertmanager(&over, 0)).expect("JSON");
+        assert_eq!((&told[0]["startsAt"], &told[0]["endsAt"]), (&json!("2023-11-14T22:13:20Z"), &told[0]["startsAt"]));
     }
 
     #[test]

@@ -41,6 +41,8 @@ pub struct Figures {
     pub audit_lines: u64,
     /// When its oldest line without an anchored head was written.
     pub audit_unanchored: Option<Timestamp>,
+    /// Whether that is unknown, because every profile is locked.
+    pub audit_locked: bool,
     /// How many seconds the machine's clock is ahead of the one used for rights; negative = behind.
     pub clock_ahead: i64,
     /// The gateway served here.

@@ -1,6 +1,7 @@
 //! The agent: a site without a chain, on a robot or its host. It captures in its owner's name, within its enrolment,
 //! and forwards everything to one of its gateways.
 
+mod kept_policy;
 mod policy;
 mod ring;
 

@@ -14,7 +14,9 @@ use super::parts::Parts;
 use super::{Site, blocking};
 use crate::config::{AlertForm, AlertPlace, AlertSettings};
 use crate::model::Timestamp;
-use crate::service::alerts::{Carrier, Change, Delivery, Judge, News, Queue, RULES, Standing, place_name, rule_of};
+use crate::service::alerts::{
+    Carrier, Change, Delivery, Judge, News, Queue, RULES, Standing, Undelivered, place_name, rule_of,
+};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::input;
 use crate::service::figures::{Figures, short};
@@ -22,6 +24,8 @@ use crate::service::reply::{AlertTestView, AlertView, AlertsView, EndedAlert, Fa
 
 /// The first pause after a failed delivery, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(300));
+/// After so many answers about the first delivery itself it is dropped: the others wait behind it.
+const MOST_JUDGED: u32 = 5;
 /// How often an Alertmanager is reminded of active alerts; it considers an alert over when it has not heard of it for
 /// five minutes.
 const REMIND: Duration = Duration::from_secs(60);
@@ -157,6 +161,13 @@ impl Alerts {
         self.shown_now().deliveries = deliveries;
     }
 
+    /// The first delivery will never be accepted; returns the key of its alert.
+    fn give_up(&self) -> Option<String> {
+        let (key, deliveries) = self.with(|known| (known.queue.give_up(), known.queue.counts()));
+        self.shown_now().deliveries = deliveries;
+        key
+    }
+
     /// All active alerts, and those that ended recently.
     fn view(&self) -> AlertsView {
         let nobody = || "nobody; set alerts.webhook or alerts.command".to_owned();
@@ -204,7 +215,7 @@ impl Site {
     }
 
     async fn deliver_alerts(self: Arc<Self>) {
-        let mut failures = 0;
+        let (mut failures, mut judged) = (0, 0);
         loop {
             let carried = tokio::select! {
                 carried = self.deliver_next() => carried,
@@ -215,15 +226,20 @@ impl Site {
                     if failures > 0 {
                         self.parts.hub.notice_about(DELIVERY, NoticeLevel::Info, "alert delivery works again");
                     }
-                    failures = 0;
+                    (failures, judged) = (0, 0);
                     continue;
                 }
-                Err(failure) => {
+                Err(Undelivered { failure, is_judged }) => {
                     if failures == 0 {
                         let text = format!("an alert could not be delivered and will be retried: {failure}");
                         self.parts.hub.notice_about(DELIVERY, NoticeLevel::Warning, &text);
                     }
                     failures += 1;
+                    judged = if is_judged { judged + 1 } else { 0 };
+                    if judged >= MOST_JUDGED {
+                        self.give_up_delivery(&failure).await;
+                        (failures, judged) = (1, 0);
+                    }
                     pause(failures, RandomState::new().build_hasher().finish())
                 }
             };
@@ -234,8 +250,16 @@ impl Site {
         }
     }
 
+    /// Drops the first delivery, which is refused each time, so that the others are sent.
+    async fn give_up_delivery(self: &Arc<Self>, failure: &Failure) {
+        let given_up = blocking(self, |site| Ok(site.alerts.give_up())).await;
+        let Some(key) = given_up.ok().flatten() else { return };
+        let text = format!("an alert was refused {MOST_JUDGED} times and is not sent again ({key}): {failure}");
+        self.parts.hub.notice_about(DELIVERY, NoticeLevel::Error, &text);
+    }
+
     /// Waits for a delivery and sends it.
-    async fn deliver_next(self: &Arc<Self>) -> Result<(), Failure> {
+    async fn deliver_next(self: &Arc<Self>) -> Result<(), Undelivered> {
         let first = blocking(self, |site| Ok(site.alerts.with(|known| known.queue.first()))).await?;
         let Some((delivery, dropped)) = first else {
             self.alerts.added.notified().await;
@@ -248,7 +272,7 @@ impl Site {
             site.alerts.done(number, dropped);
             Ok(())
         };
-        blocking(self, done).await
+        Ok(blocking(self, done).await?)
     }
 
     /// The active alerts.
@@ -268,7 +292,8 @@ impl Site {
             begun: Timestamp::now(),
         };
         let delivery = Delivery { number: 0, state: News::Test, alert, ended: None };
-        let text = Carrier::of(place)?.carry(&delivery, 0).await?;
+        let carried = Carrier::of(place)?.carry(&delivery, 0).await;
+        let text = carried.map_err(|undelivered| undelivered.failure)?;
         Ok(AlertTestView { place: place_name(place), text })
     }
 }

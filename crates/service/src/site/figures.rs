@@ -136,6 +136,7 @@ impl Site {
             untold_gaps: ledger.untold_gaps()?,
             audit_lines,
             audit_unanchored,
+            audit_locked: self.parts.owners.all().is_empty(),
             clock_ahead: look().ahead(),
             gateway: self.gateway.figures(),
             fleet: self.gateway.fleet_figures()?,

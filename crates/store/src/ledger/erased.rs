@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use rusqlite::{OptionalExtension as _, params};
+use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::append::add;
 use super::retention::name;
@@ -46,12 +46,25 @@ pub(super) fn place(report: &Digest) -> String {
     format!("erased:{report}")
 }
 
+/// Makes a record that a rule has named, and whose bytes are still here, this erasure's; `false` if it is not such a one.
+fn take_from_rule(connection: &Connection, digest: Digest, report: Digest) -> Result<bool, StoreError> {
+    let taken = connection
+        .prepare_cached(
+            "UPDATE retained SET report = ?2 WHERE record = (SELECT n FROM records WHERE digest = ?1)
+             AND deleted_at IS NULL
+             AND NOT EXISTS (SELECT 1 FROM settings WHERE key = 'erased:' || lower(hex(report)))",
+        )?
+        .execute(params![digest.0, report.0])?;
+    Ok(taken > 0)
+}
+
 impl Ledger {
     /// Acknowledges the retention record of an erasure, notes who and why, and names the records with their public
-    /// headers, in one commit.
+    /// headers, in one commit. What a rule has named and is not deleted yet is the erasure's from then on.
     ///
     /// # Errors
-    /// See [`Ledger::append`]; [`StoreError::NotReady`] if one of them is not verified, or already named.
+    /// See [`Ledger::append`]; [`StoreError::NotReady`] if one of them is not verified, already deleted, or another
+    /// erasure's.
     pub fn erase(
         &self,
         report: NewRecord,
@@ -64,6 +77,9 @@ impl Ledger {
             add(session, &report, now)?;
             connection.prepare_cached("REPLACE INTO settings VALUES (?1, ?2)")?.execute([&place, &text])?;
             for (digest, header) in &records {
+                if take_from_rule(connection, *digest, report.digest)? {
+                    continue;
+                }
                 name(connection, *digest, report.digest, header)?;
                 connection
                     .prepare_cached(
@@ -120,14 +136,18 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; [`StoreError::Database`] while somebody reads an earlier state.
     pub fn scour_local_copies(&self, digests: &[Digest]) -> Result<(), StoreError> {
+        if digests.is_empty() {
+            return Ok(());
+        }
         let digests = digests.to_vec();
-        let found = self.write_many(digests.len(), move |session| {
+        self.write_many(digests.len(), move |session| {
             database::overwriting(session.connection, |connection| {
                 let sql = "DELETE FROM copies WHERE record = (SELECT n FROM records WHERE digest = ?1)";
                 let mut statement = connection.prepare_cached(sql)?;
-                digests.iter().try_fold(0, |found, digest| Ok(found + statement.execute([digest.0])?))
+                digests.iter().try_for_each(|digest| Ok(statement.execute([digest.0]).map(drop)?))
             })
         })?;
-        if found == 0 { Ok(()) } else { database::empty_log(self.path()) }
+        // Also when nothing was left to delete: an earlier attempt may have failed at the log.
+        database::empty_log(self.path())
     }
 }

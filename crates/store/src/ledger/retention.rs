@@ -1,6 +1,8 @@
 //! Records whose ciphertext is deleted: named in a retention record first, deleted once that is anchored. Digest,
 //! signature, place in the batch and public header stay.
 
+use std::collections::HashSet;
+
 use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::append::{add, count};
@@ -222,6 +224,31 @@ impl Ledger {
                 })
                 .optional()?;
             Ok(found)
+        })
+    }
+
+    /// Those of these records whose ciphertext is deleted or named to be: it is not to be stored again. Only records from
+    /// elsewhere are looked up: this ledger's own are sealed once.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn retained_among(&self, records: &[NewRecord]) -> Result<HashSet<Digest>, StoreError> {
+        let mut foreign = records.iter().filter(|record| record.foreign.is_some()).peekable();
+        if foreign.peek().is_none() {
+            return Ok(HashSet::new());
+        }
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT 1 FROM records WHERE digest = ?1
+                 AND (deleted_at IS NOT NULL OR EXISTS (SELECT 1 FROM retained WHERE record = n))",
+            )?;
+            let mut retained = HashSet::new();
+            for record in foreign {
+                if statement.exists(params![record.digest.0])? {
+                    retained.insert(record.digest);
+                }
+            }
+            Ok(retained)
         })
     }
 

@@ -42,9 +42,11 @@ fn another_release_or_domain_is_refused_and_reasons_are_cleaned() {
 
 fn program(lines: &str) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
+    // Under root a script is run by nobody, who has to get to it.
+    fs::set_permissions(folder.path(), fs::Permissions::from_mode(0o755)).expect("allowed");
     let path = folder.path().join("authros-ros2");
     fs::write(&path, format!("#!/bin/sh\n{lines}\n")).expect("written");
-    fs::set_permissions(&path, fs::Permissions::from_mode(0o700)).expect("allowed");
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).expect("allowed");
     (folder, path)
 }
 

@@ -129,3 +129,18 @@ fn who_reads_by_a_grant_that_ends_is_sent_to_its_owner() {
     assert!(text(true).contains("`authros grants extend`"), "{}", text(true));
     assert!(text(false).contains("its owner") && !text(false).contains("grants extend"), "{}", text(false));
 }
+
+#[test]
+fn an_audit_alert_from_before_a_restart_is_not_over_because_nobody_has_unlocked_a_profile() {
+    let mut judge = Judge::new(limits());
+    let mut standing = Standing::of([crate::service::alerts::state::tests::alert("audit")]);
+    let mut look = |second, audit_locked| {
+        let figures = Figures { audit_locked, ..well(second) };
+        let changes = standing.look(figures.now, "0a0b0c0d", judge.judge(&figures));
+        (changes.len(), standing.all().len())
+    };
+    for number in 0..40 {
+        assert_eq!(look(number * 10, true), (0, 1), "look {number}");
+    }
+    assert_eq!([look(400, false), look(410, false)], [(0, 1), (1, 0)], "unlocked, and all lines are covered");
+}

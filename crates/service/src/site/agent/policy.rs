@@ -1,46 +1,30 @@
-//! The policy of an agent: checked and kept when it arrives, worked by from then on and after every start, and told to
-//! the owner in a statement of this robot's recorder.
+//! The policy of an agent: worked by from its arrival on and after every start, and told to the owner in a statement of
+//! this robot's recorder.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use tokio::sync::watch;
 use tokio::task::block_in_place;
 
+use super::kept_policy::{Kept, PolicyKeeper, WIDEST};
 use super::ring::AgentRing;
 use super::{Agent, AgentWishes};
 use crate::config::{Config, RingSettings, RingWish, RobotPolicy};
-use crate::crypto::{Enrolment, LONGEST_POLICY, SignedPolicy};
+use crate::crypto::Enrolment;
 use crate::model::bytes::hex;
-use crate::model::{Address, Domain, PolicyReport, RecordKind, SignerId, clean};
-use crate::pipeline::notices::PolicyTaker;
+use crate::model::{PolicyReport, RecordKind, clean};
 use crate::pipeline::statement::{self, Statement};
-use crate::pipeline::{Author, CaptureSession, PipelineError, recorder_heads};
+use crate::pipeline::{Author, CaptureSession, recorder_heads};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
 use crate::site::Site;
-use crate::store::{Ledger, StoreError};
+use crate::store::Ledger;
 
-/// The setting of the robot's ledger that keeps its policy.
-const KEPT: &str = "robot policy";
-/// The setting that says what the owner was told of it last, hex.
-const TOLD: &str = "robot policy told";
-/// The widest text that reaches the owner, characters.
-const WIDEST: usize = 255;
-
-/// What a robot keeps of its policy.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-struct Kept {
-    /// The version taken up last; 0 = none yet.
-    version: u64,
-    /// Its text.
-    text: String,
-    /// The newest version heard of.
-    heard: u64,
-    /// Why the last one heard of was not taken up.
-    refused: Option<String>,
-}
+/// How long until what could not be applied is tried again.
+const AGAIN: Duration = Duration::from_secs(10);
 
 /// The state of an agent's policy, for people.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -55,85 +39,15 @@ pub struct PolicyFigures {
     pub overruled: Vec<String>,
 }
 
-/// Checks and keeps what the owner sets.
-pub(super) struct PolicyKeeper {
-    ledger: Ledger,
-    domain: Domain,
-    owner: Address,
-    device: SignerId,
-    kept: Mutex<Kept>,
-    changed: watch::Sender<()>,
-}
-
-impl PolicyKeeper {
-    /// For the robot of an enrolment; what it took up before is in force.
-    ///
-    /// # Errors
-    /// Errors of the ledger.
-    pub fn open(ledger: &Ledger, enrolment: &Enrolment) -> Result<Self, Failure> {
-        Self::of(ledger, enrolment.domain, enrolment.owner, enrolment.device_id())
-    }
-
-    fn of(ledger: &Ledger, domain: Domain, owner: Address, device: SignerId) -> Result<Self, Failure> {
-        let kept = ledger.setting(KEPT)?;
-        let kept = kept.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
-        let (ledger, changed) = (ledger.clone(), watch::channel(()).0);
-        Ok(Self { ledger, domain, owner, device, kept: Mutex::new(kept), changed })
-    }
-
-    fn kept(&self) -> Kept {
-        self.kept.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    /// The text of a policy that may be taken up after what is kept.
-    fn judged(&self, policy: &SignedPolicy, kept: &Kept) -> Result<String, String> {
-        let unsigned = |_| "the owner's account did not sign it for this robot".to_owned();
-        policy.check(&self.domain, &self.owner, &self.device).map_err(unsigned)?;
-        let (version, runs) = (policy.version, kept.version);
-        if version < runs || version == 0 {
-            return Err(format!("its version {version} is lower than {runs}, which this robot works by"));
-        }
-        if policy.text.len() > LONGEST_POLICY {
-            return Err(format!("it has {} bytes, and {LONGEST_POLICY} are allowed", policy.text.len()));
-        }
-        let text = std::str::from_utf8(&policy.text).map_err(|_| "it is not UTF-8".to_owned())?;
-        if version == runs && text != kept.text {
-            return Err(format!("another policy with the same version {version} is in force here"));
-        }
-        RobotPolicy::read(text).map(|_| text.to_owned()).map_err(|error| clean(&error.to_string(), WIDEST))
-    }
-}
-
-impl PolicyTaker for PolicyKeeper {
-    fn take(&self, policy: &SignedPolicy) -> Result<String, PipelineError> {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        let (next, told) = match self.judged(policy, &kept) {
-            Ok(text) => {
-                let version = policy.version;
-                let told = format!("the owner's policy {version} is in force from now on");
-                (Kept { version, text, heard: version, refused: None }, told)
-            }
-            Err(why) => {
-                let told = format!("the owner's policy {} is not taken up: {why}", policy.version);
-                (Kept { heard: policy.version, refused: Some(why), ..kept.clone() }, told)
-            }
-        };
-        put(&self.ledger, &next)?;
-        *kept = next;
-        self.changed.send_replace(());
-        Ok(told)
-    }
-}
-
-fn put(ledger: &Ledger, kept: &Kept) -> Result<(), StoreError> {
-    ledger.put_setting(KEPT, &serde_json::to_string(kept).unwrap_or_default())
-}
-
 /// The policy that an agent works by.
 pub(super) struct AgentPolicy {
     pub keeper: Arc<PolicyKeeper>,
     changed: watch::Receiver<()>,
     kept: Kept,
+    /// The version that was in force before the kept one.
+    before: u64,
+    /// Why the ring is not as the policy says, and when that is tried again.
+    unapplied: Option<(String, Instant)>,
     policy: RobotPolicy,
     overruled: Vec<String>,
     /// What the owner was told last.
@@ -148,12 +62,18 @@ impl AgentPolicy {
     /// # Errors
     /// Errors of the ledger.
     pub fn open(ledger: &Ledger, enrolment: &Enrolment) -> Result<Self, Failure> {
-        let keeper = Arc::new(PolicyKeeper::open(ledger, enrolment)?);
-        let (changed, told) = (keeper.changed.subscribe(), ledger.setting(TOLD)?);
+        Self::by(ledger, PolicyKeeper::open(ledger, enrolment)?)
+    }
+
+    fn by(ledger: &Ledger, keeper: PolicyKeeper) -> Result<Self, Failure> {
+        let keeper = Arc::new(keeper);
+        let (changed, told) = (keeper.changed.subscribe(), ledger.setting(&keeper.told_place())?);
         let mut policy = Self {
             keeper,
             changed,
             kept: Kept::default(),
+            before: 0,
+            unapplied: None,
             policy: RobotPolicy::default(),
             overruled: Vec::new(),
             told,
@@ -165,6 +85,9 @@ impl AgentPolicy {
 
     /// Takes over what is kept; returns whether it decides differently from before.
     fn read(&mut self) -> bool {
+        if self.unapplied.is_none() {
+            self.before = self.kept.version;
+        }
         self.kept = self.keeper.kept();
         let policy = match RobotPolicy::read(&self.kept.text) {
             Ok(policy) => policy,
@@ -208,13 +131,25 @@ impl AgentPolicy {
 
     /// Its state, if the owner ever set one.
     pub fn figures(&self) -> Option<PolicyFigures> {
-        let Kept { version, heard, refused, .. } = self.kept.clone();
-        (heard > 0).then(|| PolicyFigures { version, refused, overruled: self.overruled.clone() })
+        let PolicyReport { heard, running: version, refused, overruled } = self.report();
+        (heard > 0).then_some(PolicyFigures { version, refused, overruled })
+    }
+
+    /// The ring is as the policy says, or why not; returns whether that reason is a new one.
+    fn ring_applied(&mut self, failure: Option<String>) -> bool {
+        let why = failure.map(|failure| clean(&failure, WIDEST));
+        let is_new = why.is_some() && why.as_ref() != self.unapplied.as_ref().map(|(why, _)| why);
+        self.unapplied = why.map(|why| (why, Instant::now() + AGAIN));
+        is_new
     }
 
     fn report(&self) -> PolicyReport {
         let Kept { version, heard, refused, .. } = self.kept.clone();
-        PolicyReport { heard, running: version, refused, overruled: self.overruled.clone() }
+        let (running, refused) = match &self.unapplied {
+            None => (version, refused),
+            Some((why, _)) => (self.before, refused.or_else(|| Some(why.clone()))),
+        };
+        PolicyReport { heard, running, refused, overruled: self.overruled.clone() }
     }
 }
 
@@ -250,8 +185,12 @@ impl Agent {
         if self.policy.changed.has_changed().unwrap_or(false) {
             self.policy.changed.mark_unchanged();
             if self.policy.read() {
+                self.policy.rule(&self.site, &self.wishes);
                 self.apply_policy();
             }
+        }
+        if self.policy.unapplied.as_ref().is_some_and(|(_, again)| *again <= Instant::now()) {
+            self.apply_policy();
         }
         if let Err(failure) = self.tell_policy() {
             let text = format!("the owner cannot be told of this robot's policy yet: {}", failure.message);
@@ -260,11 +199,11 @@ impl Agent {
     }
 
     fn apply_policy(&mut self) {
-        self.policy.rule(&self.site, &self.wishes);
         let wanted = self.policy.ring(&self.site.parts.config);
-        if let Err(failure) = self.change_ring(wanted) {
-            let text = format!("the ring is not yet as the owner's policy says: {}", failure.message);
-            self.site.parts.hub.notice(NoticeLevel::Error, &text);
+        let failure = self.change_ring(wanted).err();
+        let failure = failure.map(|why| format!("the ring is not yet as the owner's policy says: {}", why.message));
+        if self.policy.ring_applied(failure.clone()) {
+            self.site.parts.hub.notice(NoticeLevel::Error, &failure.unwrap_or_default());
         }
         self.policy.has_ring.store(self.ring.as_ref().is_some_and(AgentRing::is_on), Ordering::Release);
         self.watch_as_wanted();
@@ -347,7 +286,7 @@ impl Agent {
         if block_in_place(|| statement::state_to_be_found(plant, self.author.address, &keys, statement))?.is_some() {
             self.site.parts.hub.stored.notify_waiters();
         }
-        block_in_place(|| plant.ledger.put_setting(TOLD, &told))?;
+        block_in_place(|| plant.ledger.put_setting(&self.policy.keeper.told_place(), &told))?;
         self.policy.told = Some(told);
         Ok(())
     }
@@ -367,52 +306,36 @@ pub(super) fn warn_of_key(site: &Site, author: &Author, name: &crate::model::Pro
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::crypto::EoaSecret;
-
-    const DOMAIN: Domain = Domain([1; 32]);
-    const DEVICE: SignerId = SignerId([9; 32]);
-    const WATCH: &str = "[[watch]]\ntopic = \"/odom\"\n";
+    use crate::crypto::{EoaSecret, SignedPolicy};
+    use crate::model::{Domain, SignerId};
+    use crate::pipeline::notices::PolicyTaker as _;
 
     #[test]
-    fn a_policy_is_taken_up_signed_newer_and_valid_and_is_there_after_a_restart() {
+    fn a_policy_whose_ring_could_not_be_made_is_not_told_as_in_force() {
         let home = tempfile::tempdir().expect("a folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
-        let (account, thief) = (EoaSecret::generate().expect("generates"), EoaSecret::generate().expect("generates"));
-        let open = || PolicyKeeper::of(&ledger, DOMAIN, account.address(), DEVICE).expect("opens");
-        let keeper = open();
-        let signed = |by: &EoaSecret, version, text: &str| {
-            SignedPolicy::sign(&DOMAIN, by, DEVICE, version, text).expect("signs")
+        let (domain, device) = (Domain([1; 32]), SignerId([9; 32]));
+        let account = EoaSecret::generate().expect("generates");
+        let keeper = PolicyKeeper::of(&ledger, domain, account.address(), device).expect("opens");
+        let mut policy = AgentPolicy::by(&ledger, keeper).expect("opens");
+        let take = |policy: &mut AgentPolicy, version, text: &str| {
+            let signed = SignedPolicy::sign(&domain, &account, device, version, text).expect("signs");
+            policy.keeper.take(&signed).expect("kept");
+            policy.read()
         };
-        let state = |keeper: &PolicyKeeper| {
-            let Kept { version, text, heard, refused } = keeper.kept();
-            (version, text, heard, refused.unwrap_or_default())
-        };
-        keeper.take(&signed(&account, 2, WATCH)).expect("kept");
-        assert_eq!(state(&keeper), (2, WATCH.to_owned(), 2, String::new()));
-
-        let other_robot = SignedPolicy::sign(&DOMAIN, &account, SignerId([8; 32]), 9, WATCH).expect("signs");
-        let not_text = SignedPolicy { text: vec![0xff; 4], ..signed(&account, 3, "") };
-        for (policy, told) in [
-            (signed(&thief, 3, ""), "did not sign"),
-            (other_robot, "did not sign"),
-            (not_text, "did not sign"),
-            (signed(&account, 1, WATCH), "lower than 2"),
-            (signed(&account, 2, ""), "same version 2"),
-            (signed(&account, 3, "vault.url = \"redis://evil\"\n"), "no 'vault.url'"),
-            (signed(&account, 4, "ring.keep = \"much\"\nring.topics = [\"/a\"]\n"), "ring.keep"),
-            (signed(&account, 5, "[["), "not valid TOML"),
-        ] {
-            let heard = policy.version;
-            keeper.take(&policy).expect("kept");
-            let (version, text, known, refused) = state(&keeper);
-            assert_eq!((version, text.as_str(), known), (2, WATCH, heard), "what runs goes on");
-            assert!(refused.contains(told), "{told}: {refused}");
-        }
-        assert_eq!(state(&open()), state(&keeper), "after a restart");
-        keeper.take(&signed(&account, 2, WATCH)).expect("kept");
-        assert_eq!(state(&keeper), (2, WATCH.to_owned(), 2, String::new()), "heard once more");
-        keeper.take(&signed(&account, 6, "")).expect("kept");
-        assert_eq!(state(&open()), (6, String::new(), 6, String::new()), "cleared");
+        let told = |policy: &AgentPolicy| (policy.report().heard, policy.report().running, policy.report().refused);
+        let ring = |keep: &str| format!("ring.keep = \"{keep}\"\nring.topics = [\"/a\"]\n");
+        assert!(take(&mut policy, 1, "[[watch]]\ntopic = \"/odom\"\n"));
+        assert_eq!(told(&policy), (1, 1, None));
+        assert!(take(&mut policy, 2, &ring("5m, 64MiB")));
+        assert!(policy.ring_applied(Some("the disk is full".to_owned())), "the operator is told");
+        assert!(!policy.ring_applied(Some("the disk is full".to_owned())), "once");
+        assert_eq!(told(&policy), (2, 1, Some("the disk is full".to_owned())));
+        assert!(take(&mut policy, 3, &ring("9m, 64MiB")));
+        assert!(!policy.ring_applied(Some("the disk is full".to_owned())));
+        assert_eq!(told(&policy), (3, 1, Some("the disk is full".to_owned())), "the first is still the last that was");
+        assert!(!policy.ring_applied(None));
+        assert_eq!(told(&policy), (3, 3, None));
     }
 
     #[test]

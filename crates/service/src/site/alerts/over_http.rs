@@ -143,3 +143,41 @@ async fn an_hour_without_a_webhook_fills_a_bounded_queue_and_what_was_given_up_i
     server.abort();
     site.stop().await;
 }
+
+/// Answers 400 to deliveries about the disk, and accepts all others.
+async fn serve_but_no_disk(listener: TcpListener, taken: Arc<Taken>) {
+    while let Ok((mut stream, _)) = listener.accept().await {
+        let body: Value = serde_json::from_slice(&body(&mut stream).await).expect("JSON");
+        let is_refused = body["alert"]["key"] == "disk";
+        taken.asked.fetch_add(usize::from(is_refused), Ordering::AcqRel);
+        if !is_refused {
+            taken.bodies.lock().unwrap_or_else(PoisonError::into_inner).push(body);
+        }
+        let status = if is_refused { "400 Bad Request" } else { "200 OK" };
+        let answer = format!("HTTP/1.1 {status}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n");
+        drop(stream.write_all(answer.as_bytes()).await);
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_delivery_that_is_refused_for_itself_is_dropped_and_counted_and_the_next_is_sent() {
+    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+    let (site, _folder) = telling(listener.local_addr().expect("its address").port());
+    let taken = Arc::new(Taken::default());
+    let server = tokio::spawn(serve_but_no_disk(listener, Arc::clone(&taken)));
+    let alert = |key: &str| AlertView {
+        key: key.to_owned(),
+        severity: Severity::Critical,
+        text: "t".to_owned(),
+        site: String::new(),
+        begun: Timestamp::from_seconds(1_700_000_000),
+    };
+    site.alerts.with(|known| ["disk", "vault"].iter().for_each(|key| known.queue.add(Change::Begun(alert(key)))));
+    site.alerts.added.notify_one();
+    until("the second one", || !taken.all().is_empty()).await;
+    let body = &taken.all()[0];
+    assert_eq!((&body["alert"]["key"], &body["dropped"]), (&Value::from("vault"), &Value::from(1)));
+    assert_eq!(taken.asked.load(Ordering::Acquire), 5, "not given up at once");
+    server.abort();
+    site.stop().await;
+}

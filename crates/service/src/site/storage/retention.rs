@@ -55,6 +55,8 @@ impl Storage {
         if !self.has_named.load(Ordering::Acquire) {
             return Ok(());
         }
+        // Not while an erasure takes over what a rule has named.
+        let _one_at_a_time = self.naming.lock().await;
         let asked = Arc::clone(owner);
         let deleted = blocking(self, move |storage| Ok(retention::delete(&storage.plant, &asked)?)).await?;
         self.tell(owner, &Round { deleted, ..Round::default() }).await

@@ -1,6 +1,8 @@
 //! Erasing: who and why stay with the records, and the bytes of their copies are in no file any more. And retention by
 //! name, also of topics that only robots recorded.
 
+use std::collections::HashSet;
+
 use super::*;
 
 const OWNER: Address = Address([1; 20]);
@@ -86,6 +88,50 @@ fn who_had_a_record_erased_and_why_stays_with_it() {
 }
 
 #[test]
+fn what_a_rule_has_named_is_an_erasures_as_long_as_its_bytes_are_here() {
+    let (_home, ledger) = open();
+    let (waits, gone) = (record(1, 1, 1), record(1, 1, 2));
+    ledger.append(vec![waits.clone(), gone.clone()]).expect("acknowledged");
+    move_to(&ledger, vec![waits.digest, gone.digest], Verified);
+    let topic = ledger.kept_topics(OWNER).expect("read").remove(0);
+    let due = ledger.oldest(&topic, (Timestamp(0), Timestamp(9_999)), 9).expect("read");
+    let due: Vec<_> = due.into_iter().map(|record| (record, vec![1])).collect();
+    let report =
+        |seq| NewRecord { kind: RecordKind::Retention, topic: "authros/retention".to_owned(), ..record(1, 9, seq) };
+    ledger.give_up(&topic, report(1), due).expect("a rule names both");
+    ledger.deleted(&[gone.digest]).expect("noted");
+    move_to(&ledger, vec![report(1).digest], Verified);
+    let erasure = Erasure { at: Timestamp::from_seconds(1), by: "alice".to_owned(), reason: "a face".to_owned() };
+    ledger.erase(report(2), &erasure, vec![(waits.digest, vec![1])]).expect("named");
+    assert_eq!(ledger.erased_among(&[waits.digest, gone.digest]), Ok(vec![waits.digest]));
+    let retained = ledger.retained(waits.digest).expect("read").expect("named");
+    assert_eq!((retained.report, retained.erased), (report(2).digest, Some(erasure.clone())));
+    assert_eq!(ledger.to_delete(OWNER, 9), Ok(Vec::new()), "the record of the erasure is to be anchored first");
+    move_to(&ledger, vec![report(2).digest], Verified);
+    assert_eq!(ledger.to_delete(OWNER, 9), Ok(vec![waits.digest]));
+    assert_eq!(ledger.given_up(OWNER), Ok(2), "counted once");
+    for record in [&waits, &gone] {
+        let again = ledger.erase(report(3), &erasure, vec![(record.digest, vec![1])]);
+        assert!(matches!(again, Err(StoreError::NotReady { .. })), "{again:?}");
+    }
+}
+
+#[test]
+fn bytes_that_are_named_or_deleted_are_known_to_be_unwanted() {
+    let (_home, ledger) = open();
+    let (named, deleted, kept) = (brought(4, 1), brought(4, 2), brought(4, 3));
+    let all = [named.clone(), deleted.clone(), kept];
+    ledger.append(all.to_vec()).expect("acknowledged");
+    assert_eq!(ledger.retained_among(&all), Ok(HashSet::new()));
+    move_to(&ledger, vec![named.digest], Verified);
+    let report = NewRecord { kind: RecordKind::Retention, topic: "authros/retention".to_owned(), ..record(1, 9, 1) };
+    let erasure = Erasure { at: Timestamp::from_seconds(1), by: "alice".to_owned(), reason: "a face".to_owned() };
+    ledger.erase(report, &erasure, vec![(named.digest, vec![1])]).expect("named");
+    ledger.deleted(&[deleted.digest]).expect("noted");
+    assert_eq!(ledger.retained_among(&all), Ok(HashSet::from([named.digest, deleted.digest])));
+}
+
+#[test]
 fn a_scoured_copy_is_in_no_file() {
     let (home, ledger) = open();
     let copy = |seed: u8| {
@@ -107,4 +153,24 @@ fn a_scoured_copy_is_in_no_file() {
     assert!(!pieces.iter().any(|piece| is_in(piece)));
     assert_eq!(ledger.local_copy(digests[2]), Ok(Some(copy(5))), "others stay");
     assert_eq!(ledger.local_copy(digests[0]), Ok(None));
+}
+
+#[test]
+fn scouring_what_an_earlier_attempt_deleted_empties_the_log_all_the_same() {
+    let (home, ledger) = open();
+    let blob: Vec<u8> = (0..3_000u32).map(|at| (at * 11 + 5).to_le_bytes()[0]).collect();
+    let one = NewRecord { local_copy: Some(blob.clone()), ..record(1, 1, 1) };
+    ledger.append(vec![one.clone()]).expect("acknowledged");
+    let log = home.path().join("ledger.db-wal");
+    let is_in_log = || std::fs::read(&log).expect("read").windows(48).any(|window| window == &blob[100..148]);
+    // As an attempt leaves it that failed because somebody read an earlier state.
+    let deleted = ledger.write(|session| {
+        database::overwriting(session.connection, |connection| {
+            Ok(connection.execute("DELETE FROM copies", []).map(drop)?)
+        })
+    });
+    deleted.expect("deleted");
+    assert!(is_in_log(), "its bytes are still in the log");
+    ledger.scour_local_copies(&[one.digest]).expect("the second attempt");
+    assert!(!is_in_log());
 }
