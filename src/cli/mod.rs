@@ -37,6 +37,7 @@ mod printed;
 mod progress;
 mod purse;
 mod quarantine;
+mod reading;
 mod recordings;
 mod retention;
 mod robots;
@@ -113,6 +114,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         return Ok(0);
     }
     let global = arguments.global;
+    reading::needs_a_home(&global, arguments.verb.as_ref())?;
     match arguments.verb.unwrap_or_else(|| Verb::Console(args::ConsoleArguments::default())) {
         Verb::Console(console) => console::run(runtime, Context::new(global, output)?, console, None),
         Verb::Tour(arguments) => tour::run(runtime, Context::new(global, output)?, arguments),

@@ -71,7 +71,13 @@ fn peers_that_answer_are_well_without_a_site_too() {
 #[test]
 fn a_profile_that_there_is_not_is_told_and_not_made() {
     let home = Home::new();
+    for command in [&["status"][..], &["doctor"], &["uploads", "list"], &["audit"]] {
+        let message = home.authros().fails(INPUT, command);
+        assert!(message.contains(&format!("no home at {}", home.path().display())), "{message}");
+        assert!(!home.path().exists(), "{command:?} made one");
+    }
     // A home without a profile yet: nothing is wrong.
+    home.authros().run(&["topics", "watch", "/odom"]).expect_code(0);
     home.authros().run(&["status"]).expect_code(0);
     home.profile("alice").with(&["--robots", "0"]).enrol();
     for named in [home.profile("bob"), home.authros()] {
