@@ -47,8 +47,12 @@ fn peers_that_are_away_are_told_without_a_site_too() {
         assert!(shown.lines().any(|line| line.starts_with(name) && line.contains("failed")), "{shown}");
     }
     // Without its vault a home says nothing about its records.
-    let message = home.authros().fails(UNREACHABLE, &["status", "--vault", &format!("redis://127.0.0.1:{port}")]);
-    assert!(message.contains(&port), "{message}");
+    let away = home.authros().with(&["--vault", &format!("redis://127.0.0.1:{port}")]);
+    let (code, level, words) = part(&away, "vault");
+    assert_eq!((code, level.as_str()), (Some(UNREACHABLE), "failed"), "{words}");
+    assert!(words.contains(&port), "{words}");
+    let shown = away.run(&["status"]).expect_code(UNREACHABLE).stdout;
+    assert!(shown.lines().any(|line| line.starts_with("chain")) && !shown.contains("captured"), "{shown}");
 }
 
 #[test]
