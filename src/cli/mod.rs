@@ -162,7 +162,10 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Uploads(verb) => runtime.block_on(verbs::uploads(Context::new(global, output)?, verb, output)),
         Verb::Shared(verb) => runtime.block_on(verbs::shared(Context::new(global, output)?, verb, output)),
         Verb::Identity(args::IdentityVerb::List) => lists::identities(&Context::new(global, output)?, output),
-        Verb::Identity(verb) => asked(runtime, global, output, |context| verbs::identity(context, verb, output)),
+        Verb::Identity(args::IdentityVerb::Create) => {
+            runtime.block_on(verbs::create_identity(Context::new(global, output)?, output))
+        }
+        Verb::Identity(verb) => asked(runtime, global, output, |_| verbs::identity(verb)),
         Verb::Keys(verb) => asked(runtime, global, output, |context| plans::keys(context, verb)),
         Verb::Register => {
             asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Made, command::Register)))
