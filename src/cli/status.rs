@@ -22,7 +22,11 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     let connection = match context.connect(NEITHER).await {
         Ok(connection) => connection,
         // Nothing can be said of the records, but of all other parts.
-        Err(failure) if failure.kind == ErrorKind::Unreachable && context.config.vault_url.is_some() => {
+        Err(failure)
+            if failure.kind == ErrorKind::Unreachable
+                && context.operator.is_none()
+                && context.config.vault_url.is_some() =>
+        {
             return without_vault(&context, &failure, output).await;
         }
         Err(failure) => return Err(failure),
