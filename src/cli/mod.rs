@@ -37,6 +37,7 @@ mod printed;
 mod progress;
 mod purse;
 mod quarantine;
+mod reading;
 mod recordings;
 mod retention;
 mod robots;
@@ -91,7 +92,8 @@ pub fn main() -> ExitCode {
         .build()
         .map_err(|error| Failure::new(crate::model::ErrorKind::Internal, format!("threads cannot be started: {error}")))
         .and_then(|runtime| {
-            let result = run(&runtime, arguments, &output);
+            let there = reading::needs_a_home(&arguments.global, arguments.verb.as_ref());
+            let result = there.and_then(|()| run(&runtime, arguments, &output));
             // Everything is flushed; tasks that still wait end with the process, not one by one.
             std::mem::forget(runtime);
             result
@@ -159,8 +161,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         }
         Verb::Uploads(verb) => runtime.block_on(verbs::uploads(Context::new(global, output)?, verb, output)),
         Verb::Shared(verb) => runtime.block_on(verbs::shared(Context::new(global, output)?, verb, output)),
-        Verb::Identity(args::IdentityVerb::List) => lists::identities(&Context::new(global, output)?, output),
-        Verb::Identity(verb) => asked(runtime, global, output, |context| verbs::identity(context, verb, output)),
+        Verb::Identity(verb) => identity(runtime, global, verb, output),
         Verb::Keys(verb) => asked(runtime, global, output, |context| plans::keys(context, verb)),
         Verb::Register => {
             asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Made, command::Register)))
@@ -187,6 +188,18 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Fleet(verb) => asked(runtime, global, output, |_| fleet::plan(verb)),
         Verb::Witness(verb) => asked(runtime, global, output, |_| witnesses::plan(verb)),
         Verb::Audit(arguments) => asked(runtime, global, output, |context| plans::audit(context, &arguments)),
+    }
+}
+
+/// `identity …`
+fn identity(runtime: &Runtime, global: Global, verb: args::IdentityVerb, output: &Output) -> Result<u8, Failure> {
+    match verb {
+        args::IdentityVerb::List => lists::identities(&Context::new(global, output)?, output),
+        args::IdentityVerb::Create => runtime.block_on(verbs::create_identity(Context::new(global, output)?, output)),
+        verb @ (args::IdentityVerb::Show
+        | args::IdentityVerb::Compare { .. }
+        | args::IdentityVerb::Recovery { .. }
+        | args::IdentityVerb::Lock) => asked(runtime, global, output, |_| verbs::identity(verb)),
     }
 }
 

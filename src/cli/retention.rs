@@ -8,7 +8,7 @@ use super::connect::{Context, ProfileNeed};
 use super::incidents::moment;
 use super::parse;
 use super::verbs::CHAIN;
-use crate::model::ByteSize;
+use crate::model::{ByteSize, ErrorKind};
 use crate::service::command::{EraseRecords, ErasureWishes};
 use crate::service::reply::ErasureView;
 use crate::service::{Client, Failure};
@@ -65,11 +65,17 @@ pub async fn run(context: Context, verb: RetentionVerb, output: &Output) -> Resu
     };
     let done = done.await;
     connection.close().await;
-    done.map(|()| 0)
+    done
 }
 
-async fn erase(client: &Client, wishes: ErasureWishes, asks: bool, output: &Output) -> Result<(), Failure> {
+async fn erase(client: &Client, wishes: ErasureWishes, asks: bool, output: &Output) -> Result<u8, Failure> {
+    let sure = wishes.sure;
     let view = client.ask(EraseRecords(wishes.clone())).await?;
+    if matches_nothing(&view) {
+        let text =
+            "nothing matches: none of your messages is of that topic and time; `authros uploads list` shows them";
+        return Err(Failure::new(ErrorKind::Input, text));
+    }
     let is_sure = asks && view.records > 0 && view.held.is_empty() && {
         output.note(&text(&view));
         output.note(&format!("write '{WORD}' to erase them for good:"));
@@ -77,7 +83,13 @@ async fn erase(client: &Client, wishes: ErasureWishes, asks: bool, output: &Outp
     };
     let view = if is_sure { client.ask(EraseRecords(ErasureWishes { sure: true, ..wishes })).await? } else { view };
     output.result(&view, || text(&view));
-    Ok(())
+    // Nobody was asked and nobody said yes: a script must not take it for done.
+    let unconfirmed = !sure && !asks && view.records > 0;
+    Ok(if unconfirmed { ErrorKind::Usage.exit_code() } else { 0 })
+}
+
+fn matches_nothing(view: &ErasureView) -> bool {
+    view.records + view.named + view.waiting + view.gone + view.other + view.missing == 0
 }
 
 fn confirmed() -> bool {

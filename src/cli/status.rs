@@ -19,7 +19,18 @@ use authros_output::Output;
 /// If there is no such profile, or neither a site nor the home's files answer.
 pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     known(&context)?;
-    let connection = context.connect(NEITHER).await?;
+    let connection = match context.connect(NEITHER).await {
+        Ok(connection) => connection,
+        // Nothing can be said of the records, but of all other parts.
+        Err(failure)
+            if failure.kind == ErrorKind::Unreachable
+                && context.operator.is_none()
+                && context.config.vault_url.is_some() =>
+        {
+            return without_vault(&context, &failure, output).await;
+        }
+        Err(failure) => return Err(failure),
+    };
     let asked = connection.client.ask(SiteStatus).await;
     let alone = connection.site.is_some();
     let peers = if alone { doctor::peers(&context.home, &context.config).await } else { Vec::new() };
@@ -33,6 +44,18 @@ pub async fn run(context: Context, output: &Output) -> Result<u8, Failure> {
     }
     output.result(&view, || text(&view));
     Ok(code(&view))
+}
+
+/// The parts' health where no site runs and the vault does not answer.
+async fn without_vault(context: &Context, failure: &Failure, output: &Output) -> Result<u8, Failure> {
+    let mut health = doctor::peers(&context.home, &context.config).await;
+    let text = failure.message.clone();
+    health.push(PartHealth { part: "vault".to_owned(), level: HealthLevel::Failed, text, since: None, retry: None });
+    output.result(&serde_json::json!({ "health": health }), || {
+        let unknown = "the states of the records are not known without the vault".to_owned();
+        health.iter().map(row).chain([unknown]).collect::<Vec<_>>().join("\n")
+    });
+    Ok(ErrorKind::Unreachable.exit_code())
 }
 
 /// The interval of `--watch`.
@@ -95,21 +118,19 @@ fn code(view: &SiteView) -> u8 {
     }
 }
 
+fn row(part: &PartHealth) -> String {
+    let word = match part.level {
+        HealthLevel::Ok => "ok",
+        HealthLevel::Waiting => "waiting",
+        HealthLevel::Failed => "failed",
+        HealthLevel::Absent => "absent",
+    };
+    format!("{:<9} {word:<8} {}", part.part, part.text)
+}
+
 /// The site at a glance.
 fn text(view: &SiteView) -> String {
-    let mut lines: Vec<String> = view
-        .health
-        .iter()
-        .map(|part| {
-            let word = match part.level {
-                HealthLevel::Ok => "ok",
-                HealthLevel::Waiting => "waiting",
-                HealthLevel::Failed => "failed",
-                HealthLevel::Absent => "absent",
-            };
-            format!("{:<9} {word:<8} {}", part.part, part.text)
-        })
-        .collect();
+    let mut lines: Vec<String> = view.health.iter().map(row).collect();
     lines.extend(life(&view.life));
     let prepared = view.unattended.iter().filter(|unattended| unattended.state == UnattendedState::Prepared);
     lines.extend(prepared.map(super::unattended::line));

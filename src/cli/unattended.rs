@@ -33,8 +33,12 @@ pub enum UnattendedVerb {
         #[arg(long, value_name = "TIME", default_value = "30d")]
         until: String,
     },
-    /// Recall the device of the credential: it captures and anchors nothing any more, and a new epoch begins
-    End,
+    /// Once its records are anchored, recall the device of the credential: it captures nothing more, and a new epoch begins
+    End {
+        /// Do not wait for its records to be anchored; those in no block yet stay without an anchor
+        #[arg(long)]
+        force: bool,
+    },
 }
 
 /// Makes or ends a credential.
@@ -47,8 +51,8 @@ pub async fn run(context: Context, verb: UnattendedVerb, output: &Output) -> Res
             let wishes = PrepareUnattended { topics: parse::values(&topics)?, until: adopt::end(&until)? };
             prepare(context, wishes, &out, output).await
         }
-        UnattendedVerb::End => {
-            verbs::run(context, Plan::new(CHAIN, ProfileNeed::Unlocked, EndUnattended), output).await
+        UnattendedVerb::End { force } => {
+            verbs::run(context, Plan::new(CHAIN, ProfileNeed::Unlocked, EndUnattended { force }), output).await
         }
     }
 }

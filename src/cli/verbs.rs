@@ -85,19 +85,30 @@ pub async fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Re
     Ok(0)
 }
 
+/// `identity create`: the passphrase is written once the site is there, because a file without its keyring opens nothing.
+///
+/// # Errors
+/// Errors of the site or the passphrase.
+pub async fn create_identity(context: Context, output: &Output) -> Result<u8, Failure> {
+    let connection = context.connect(NEITHER).await?;
+    let told = async {
+        let passphrase = passphrase::given_or_new(&context.global, &context.home, &context.profile, output)?;
+        Ok(Question::from(CreateIdentity { passphrase }).ask(&connection.client).await)
+    };
+    let told: Result<_, Failure> = told.await;
+    connection.close().await;
+    told?.print(None, output)
+}
+
 /// `identity …`
 ///
 /// # Errors
 /// Invalid arguments.
-pub fn identity(context: &Context, verb: IdentityVerb, output: &Output) -> Result<Plan, Failure> {
+pub fn identity(verb: IdentityVerb) -> Result<Plan, Failure> {
     use ProfileNeed::{None as NoProfile, Unlocked};
     Ok(match verb {
-        IdentityVerb::Create => {
-            let passphrase = passphrase::given_or_new(&context.global, &context.home, &context.profile, output)?;
-            Plan::new(NEITHER, NoProfile, CreateIdentity { passphrase })
-        }
-        // A list asks no site: `run` prints it.
-        IdentityVerb::Show | IdentityVerb::List => Plan::new(CHAIN, NoProfile, ShowIdentity),
+        // `run` makes one by itself, and a list asks no site.
+        IdentityVerb::Create | IdentityVerb::Show | IdentityVerb::List => Plan::new(CHAIN, NoProfile, ShowIdentity),
         IdentityVerb::Compare { fingerprint, account } => {
             let needs = if account.is_some() { CHAIN } else { NEITHER };
             let account = account.as_deref().map(parse::value).transpose()?;

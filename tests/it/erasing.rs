@@ -35,7 +35,12 @@ fn a_recording_is_erased_by_somebody_for_a_reason_and_its_proofs_stay() {
     let all = before.len() as u64;
 
     // Shown, not done.
-    let plan = erase(&authros, &["--topic", ODOM]);
+    let shown = authros.with(&["--json"]).run(&["retention", "erase", "--reason", WHY, "--topic", ODOM]);
+    let plan = shown.expect_code(2).document();
+    for sure in [&[][..], &["--yes"]] {
+        let mistyped = [&["retention", "erase", "--reason", WHY, "--topic", "/robot1/odm"], sure].concat();
+        assert!(authros.fails(INPUT, &mistyped).contains("nothing matches"));
+    }
     assert_eq!((count(&plan, "records"), count(&plan, "named")), (all, 0), "{plan}");
     assert!(list(&plan, "stays").len() >= 4, "what is not reached is said: {plan}");
     assert!(of(&authros, ODOM).iter().all(is_verified), "nothing happened");

@@ -248,6 +248,7 @@ fn nobody_there_and_no_topics_are_told_apart_in_words() {
         Err(reason) => skipped!(reason),
     };
     let home = Home::new();
+    home.authros().with(&["--robots", "0"]).enrol();
     let check = doctor(&network, &home);
     assert_eq!(check["status"], "warn", "{check}");
     for word in ["nobody there", "LARGE_DATA", "shared memory", "Discovery Server", "SROS2"] {

@@ -47,8 +47,12 @@ fn peers_that_are_away_are_told_without_a_site_too() {
         assert!(shown.lines().any(|line| line.starts_with(name) && line.contains("failed")), "{shown}");
     }
     // Without its vault a home says nothing about its records.
-    let message = home.authros().fails(UNREACHABLE, &["status", "--vault", &format!("redis://127.0.0.1:{port}")]);
-    assert!(message.contains(&port), "{message}");
+    let away = home.authros().with(&["--vault", &format!("redis://127.0.0.1:{port}")]);
+    let (code, level, words) = part(&away, "vault");
+    assert_eq!((code, level.as_str()), (Some(UNREACHABLE), "failed"), "{words}");
+    assert!(words.contains(&port), "{words}");
+    let shown = away.run(&["status"]).expect_code(UNREACHABLE).stdout;
+    assert!(shown.lines().any(|line| line.starts_with("chain")) && !shown.contains("captured"), "{shown}");
 }
 
 #[test]
@@ -71,7 +75,13 @@ fn peers_that_answer_are_well_without_a_site_too() {
 #[test]
 fn a_profile_that_there_is_not_is_told_and_not_made() {
     let home = Home::new();
+    for command in [&["status"][..], &["doctor"], &["uploads", "list"], &["audit"]] {
+        let message = home.authros().fails(INPUT, command);
+        assert!(message.contains(&format!("no home at {}", home.path().display())), "{message}");
+        assert!(!home.path().exists(), "{command:?} made one");
+    }
     // A home without a profile yet: nothing is wrong.
+    home.authros().run(&["topics", "watch", "/odom"]).expect_code(0);
     home.authros().run(&["status"]).expect_code(0);
     home.profile("alice").with(&["--robots", "0"]).enrol();
     for named in [home.profile("bob"), home.authros()] {

@@ -136,6 +136,14 @@ impl Home {
         &self.root
     }
 
+    /// Whether there is anything at its place; an empty folder is no home yet.
+    pub fn is_there(&self) -> bool {
+        match self.root.read_dir() {
+            Ok(mut entries) => entries.next().is_some(),
+            Err(error) => !matches!(error.kind(), std::io::ErrorKind::NotFound),
+        }
+    }
+
     /// The settings file.
     pub fn config(&self) -> PathBuf {
         self.settings.clone()
@@ -266,6 +274,17 @@ fn short(gateway: &SignerId) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_empty_folder_is_no_home_and_one_with_settings_is() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let home = Home::new(folder.path().join("site"));
+        assert!(!home.is_there());
+        std::fs::create_dir(home.root()).expect("made");
+        assert!(!home.is_there());
+        std::fs::write(home.config(), "").expect("written");
+        assert!(home.is_there());
+    }
 
     #[test]
     fn each_thing_has_its_folder_and_an_old_place_goes_on() {

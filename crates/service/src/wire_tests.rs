@@ -102,7 +102,7 @@ pub(crate) const REQUESTS: &[&str] = &[
     r#"{"command":"of_fleet","fleet":"list_fellows"}"#,
     r#"{"command":"of_fleet","fleet":"fleet_status"}"#,
     r#"{"command":"of_unattended","unattended":"prepare_unattended","topics":["/odom"],"until":"2026-01-01T00:00:00Z"}"#,
-    r#"{"command":"of_unattended","unattended":"end_unattended"}"#,
+    r#"{"command":"of_unattended","unattended":"end_unattended","force":true}"#,
     r#"{"command":"of_operator","operator":"add_operator","name":"bob","key":"07070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707","rights":"look,capture","until":null}"#,
     r#"{"command":"of_operator","operator":"remove_operator","name":"bob"}"#,
     r#"{"command":"of_operator","operator":"list_operators"}"#,

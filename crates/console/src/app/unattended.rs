@@ -50,10 +50,10 @@ pub fn read(state: &mut State, form: &Form) -> Result<Errand, (usize, String)> {
 /// Asks before the device is recalled.
 pub fn end() -> Confirm {
     let lines = vec![
-        "Its device is recalled: it captures and anchors nothing any more.".to_owned(),
+        "Its device is recalled once its records are anchored: it captures and anchors nothing any more.".to_owned(),
         "A new epoch begins, and current readers keep access. Sends transactions.".to_owned(),
     ];
-    let errand = Errand { command: EndUnattended.into(), tag: Tag::EndUnattended };
+    let errand = Errand { command: EndUnattended { force: false }.into(), tag: Tag::EndUnattended };
     Confirm { title: "End unattended capture?".to_owned(), lines, yes: "end it", typed: None, errand }
 }
 

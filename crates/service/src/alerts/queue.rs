@@ -145,6 +145,13 @@ impl Queue {
         }
     }
 
+    /// Numbers a delivery that does not wait in line.
+    pub fn next_number(&mut self) -> u64 {
+        let number = self.kept.numbered + 1;
+        self.note(Line::Numbered(number));
+        number
+    }
+
     fn wait(&mut self, state: News, alert: AlertView, ended: Option<Timestamp>) {
         // The first may be in flight.
         if self.kept.waiting.len() >= MOST_WAITING
@@ -214,6 +221,16 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("alerts.queue");
         (folder, path)
+    }
+
+    #[test]
+    fn a_test_takes_a_number_that_no_delivery_gets_again() {
+        let (_folder, path) = file();
+        let mut queue = Queue::open(&path);
+        assert_eq!((queue.next_number(), queue.next_number()), (1, 2));
+        let mut queue = Queue::open(&path);
+        queue.add(Change::Begun(alert("disk")));
+        assert_eq!(queue.first().map(|(delivery, _)| delivery.number), Some(3));
     }
 
     #[test]

@@ -9,6 +9,9 @@ use crate::model::{RecordKind, RecordState, Timestamp, clean, positive_span};
 use crate::service::failure::input;
 use crate::service::reply::Failure;
 
+/// Records that wait for a right, in a word that a shell leaves whole.
+const RIGHT_ENDED: &str = "right-ended";
+
 /// The subject of a term.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Term {
@@ -78,7 +81,9 @@ impl UploadQuery {
             Term::Topic => self.topic = Some(parsed(text)?),
             Term::Type => self.type_name = Some(parsed(text)?),
             Term::Tag => self.tags.push(tag(text)?),
-            Term::State => self.state = Some(one_of(text, "state", RecordState::ALL, RecordState::word)?),
+            // The word as it is shown, or one that needs no quotes.
+            Term::State if text == RecordState::RightEnded.word() => self.state = Some(RecordState::RightEnded),
+            Term::State => self.state = Some(one_of(text, "state", RecordState::ALL, state_word)?),
             Term::Kind => {
                 let kinds = (1..=u8::MAX).filter_map(RecordKind::from_code);
                 self.kind = Some(one_of(text, "kind of record", kinds, RecordKind::word)?);
@@ -89,6 +94,11 @@ impl UploadQuery {
         }
         Ok(())
     }
+}
+
+/// A state's word on a command line.
+fn state_word(state: RecordState) -> &'static str {
+    if state == RecordState::RightEnded { RIGHT_ENDED } else { state.word() }
 }
 
 fn parsed<T: FromStr<Err: Display>>(text: &str) -> Result<T, Failure> {
@@ -175,6 +185,13 @@ mod tests {
             assert_eq!(failure.kind, ErrorKind::Input, "{failure}");
         }
         assert_eq!(query, UploadQuery::default());
+        let refused = query.take(Term::State, "verifed", Timestamp(0)).expect_err("no such state");
+        assert!(refused.message.contains(", right-ended"), "{refused}");
+        for word in ["right-ended", "waits: right ended"] {
+            let mut query = UploadQuery::default();
+            query.take(Term::State, word, Timestamp(0)).expect("both are understood");
+            assert_eq!(query.state, Some(RecordState::RightEnded));
+        }
         assert!(query.take(Term::Kind, "gap", Timestamp(0)).is_ok() && query.kind == Some(RecordKind::Gap));
     }
 }

@@ -101,9 +101,9 @@ impl Command {
             | Self::ServeChain { .. }
             | Self::ServeGateway { .. }
             | Self::ExportAudit { .. }
-            | Self::OfUnattended(UnattendedCommand::PrepareUnattended { .. } | UnattendedCommand::EndUnattended) => {
-                Needed::Owner
-            }
+            | Self::OfUnattended(
+                UnattendedCommand::PrepareUnattended { .. } | UnattendedCommand::EndUnattended { .. },
+            ) => Needed::Owner,
             Self::Policy { with } => of_policy(with),
             Self::Recording { with } => of_recording(with),
             Self::OfStore(command) => of_store(command),

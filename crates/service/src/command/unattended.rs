@@ -18,5 +18,9 @@ requests! {
         until: Timestamp,
     } => UnattendedFile;
     /// Recall the device of the credential; a new epoch begins.
-    EndUnattended => TransactionView;
+    EndUnattended {
+        /// At once, also if records that the device signed are in no block yet: they stay stored and wait for its right.
+        #[serde(default)]
+        force: bool,
+    } => TransactionView;
 }

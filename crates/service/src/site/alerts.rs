@@ -291,7 +291,8 @@ impl Site {
             site: owner.unwrap_or_default(),
             begun: Timestamp::now(),
         };
-        let delivery = Delivery { number: 0, state: News::Test, alert, ended: None };
+        let number = blocking(self, |site| Ok(site.alerts.with(|known| known.queue.next_number()))).await?;
+        let delivery = Delivery { number, state: News::Test, alert, ended: None };
         let carried = Carrier::of(place)?.carry(&delivery, 0).await;
         let text = carried.map_err(|undelivered| undelivered.failure)?;
         Ok(AlertTestView { place: place_name(place), text })

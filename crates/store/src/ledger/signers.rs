@@ -43,4 +43,20 @@ impl Ledger {
             Ok(topics.collect())
         })
     }
+
+    /// How many records of all kinds that `signer` signed for an owner are sealed, but in no block yet: a recall of the
+    /// key now would leave them without an anchor. Those that wait for a right already are not counted.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn on_their_way(&self, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
+        let [first, last] = [RecordState::Sealed, RecordState::Submitted].map(RecordState::code);
+        self.read(|connection| {
+            let sql = "SELECT coalesce(sum(c.records), 0) FROM streams s JOIN topics t ON t.key = s.topic
+                       JOIN counters c ON c.stream = s.key
+                       WHERE t.owner = ?1 AND s.signer = ?2 AND c.state BETWEEN ?3 AND ?4";
+            let values = params![owner.0, signer.0, first, last];
+            Ok(connection.prepare_cached(sql)?.query_row(values, |row| unsigned(row, 0))?)
+        })
+    }
 }

@@ -30,7 +30,7 @@ use std::time::{Duration, Instant};
 use crate::model::{ProfileName, TopicName, TypeName};
 use crate::pipeline::{CaptureSession, Owner};
 use crate::service::event::NoticeLevel;
-use crate::service::failure::input;
+use crate::service::failure::{input, refused};
 use crate::service::reply::{CaptureSummary, Failure, TopicSummary};
 
 /// How long to wait before checking again whether a latched message came.
@@ -98,6 +98,12 @@ impl Capture {
     ) -> Result<CaptureSummary, Failure> {
         if topics.is_empty() {
             return Err(input("a capture needs at least one topic; name it with --topic"));
+        }
+        if self.config.site.is_some() {
+            return Err(refused(
+                "this home joined a gateway with --site and captures nothing; capture at the gateway's home, or enrol a robot \
+                 there and run its agent here (`authros agent enrol`)",
+            ));
         }
         self.ros.any_now().await?;
         if owner.sealing().is_none() {

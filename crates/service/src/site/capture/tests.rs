@@ -56,3 +56,20 @@ async fn a_profile_ends_its_own_captures_alone() {
     assert_eq!((own.is_closed(), others.is_closed(), ended.is_closed()), (true, false, false));
     site.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_joined_home_says_that_it_captures_nothing() {
+    let key = "00112233445566778899aabbccddeeff00112233445566778899aabbccddeeff";
+    let joined = [("site.address", "127.0.0.1:1"), ("site.gateway_key", key)];
+    let needs = crate::site::Needs { ros: false, chain: false };
+    let (site, _folder) = crate::site::testing::site_of(&joined, needs);
+    let alice = crate::site::testing::profile("alice");
+    let secret = crate::service::command::SecretText::new(crate::site::testing::PASSPHRASE.to_owned());
+    site.profiles.create(alice.clone(), secret).await.expect("an identity");
+    let owner = site.unlocked(&alice).expect("open");
+    let topics = ["/odom".parse().expect("a topic")];
+    let refused = site.capture.capture(&owner, &topics, None, Some(1), None, Vec::new()).await.expect_err("joined");
+    assert_eq!(refused.kind, crate::model::ErrorKind::Refused);
+    assert!(refused.message.contains("joined a gateway with --site"), "{}", refused.message);
+    site.stop().await;
+}

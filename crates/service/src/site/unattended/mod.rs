@@ -2,6 +2,7 @@
 //! topics and an account that only anchors, until that loan or that epoch ends, or until somebody unlocks the profile.
 
 mod preparing;
+mod settling;
 pub(super) mod standing;
 #[cfg(test)]
 mod tests;

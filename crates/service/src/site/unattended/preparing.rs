@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use tokio::task::block_in_place;
 
-use super::{Noted, Unattended};
+use super::{Noted, Unattended, settling};
 use crate::crypto::{
     Enrolment, SmKeyPair, UnattendedCredential, notice_key, notice_topic, signer_id, unattended_secret,
 };
@@ -38,7 +38,7 @@ impl Unattended {
             UnattendedCommand::PrepareUnattended { topics, until } => {
                 self.prepare(owner, &topics, until).await.map(ask::PrepareUnattended::told)
             }
-            UnattendedCommand::EndUnattended => self.end(owner).await.map(ask::EndUnattended::told),
+            UnattendedCommand::EndUnattended { force } => self.end(owner, force).await.map(ask::EndUnattended::told),
         }
     }
 
@@ -172,8 +172,8 @@ impl Unattended {
         ))
     }
 
-    /// Ends the newest credential: its device is recalled, and a new epoch begins.
-    async fn end(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<TransactionView, Failure> {
+    /// Ends the newest credential: once its records are anchored its device is recalled, and a new epoch begins.
+    async fn end(self: &Arc<Self>, owner: &Arc<Owner>, force: bool) -> Result<TransactionView, Failure> {
         let network = self.link.network().await?;
         let noted = block_in_place(|| self.noted(owner.address))?;
         let Some(noted) = noted.iter().rfind(|noted| is_lent(&network, owner, noted)) else {
@@ -183,9 +183,16 @@ impl Unattended {
                 owner.profile
             )));
         };
+        let stranded = match force {
+            true => block_in_place(|| self.plant.ledger.on_their_way(owner.address, noted.device))?,
+            false => self.anchored_all(owner.address, noted.device, settling::WAIT).await.map(|()| 0)?,
+        };
         let ended = self.devices.recall(owner, &noted.device.to_string()).await?;
         block_in_place(|| self.note(owner.address, |all| all.iter_mut().for_each(|noted| noted.ended = true)))?;
-        Ok(ended)
+        Ok(match stranded {
+            0 => ended,
+            count => TransactionView { text: format!("{}; {}", ended.text, settling::stranded(count)), ..ended },
+        })
     }
 
     /// What was prepared for an account, oldest first.

@@ -68,7 +68,7 @@ async fn a_credential_covers_watched_topics_and_there_is_one_at_a_time() {
     assert!(network.directory.identity(credential.witness.address()).is_ok(), "it may anchor");
     let twice = prepare(&site, &alice, &[]).await.expect_err("one stands");
     assert!(twice.kind == ErrorKind::Refused && twice.message.contains("unattended end"), "{}", twice.message);
-    site.unattended.answer(&alice, UnattendedCommand::EndUnattended).await.expect("ended");
+    site.unattended.answer(&alice, UnattendedCommand::EndUnattended { force: false }).await.expect("ended");
     assert!(site.unattended.view(&profile("alice")).expect("read").is_none());
     assert_eq!(alice.sealing().map(|keys| keys.epoch), Some(2), "a new epoch");
     assert_ne!(prepare(&site, &alice, &[]).await.expect("another").witness, credential.witness);
