@@ -44,9 +44,9 @@ async fn nothing_is_granted_to_a_contact_with_another_key_until_it_is_confirmed(
     let (alice, bob) = (registered(&site, "alice").await, made(&site, "bob").await);
     let name: crate::model::ContactName = "bobby".parse().expect("a name");
     let other = Fingerprint::of_signer(&SignerId([7; 32])).to_string();
-    let add = |name: &crate::model::ContactName| {
-        site.contacts.add(&profile("alice"), name.clone(), bob.address, Some(other.clone()))
-    };
+    let own = profile("alice");
+    let add =
+        |name: &crate::model::ContactName| site.contacts.add(&own, name.clone(), bob.address, Some(other.clone()));
     add(&name).await.expect("nothing is registered yet that could differ");
     site.profiles.register(&bob).await.expect("registers");
     let refused = add(&"second".parse().expect("a name")).await.expect_err("another key is registered");
