@@ -75,7 +75,7 @@ fn who_did_what_is_in_the_log_by_operator() {
         deeds.retain(|deed| deed != "refused");
         deeds
     };
-    assert_eq!(deeds("bob"), ["capture start", "capture stop", "watch"]);
+    assert_eq!(deeds("bob"), ["capture start", "capture start", "capture stop", "watch"], "begun and done, and told");
     assert_eq!(deeds("eve"), ["grant", "grant"]);
     let of_alice = audited(&alice, &["--by", "alice", "--action", "unwatch"]);
     assert!(of_alice.len() == 1 && of_alice[0].get("operator").is_none(), "the owner's own line: {of_alice:?}");
