@@ -33,7 +33,6 @@ pub fn needs_a_home(global: &Global, verb: Option<&Verb>) -> Result<(), Failure>
 fn only_looks(verb: &Verb) -> bool {
     match verb {
         Verb::Status { .. }
-        | Verb::Doctor
         | Verb::Audit(_)
         | Verb::Uploads(_)
         | Verb::Shared(_)
@@ -46,7 +45,9 @@ fn only_looks(verb: &Verb) -> bool {
         | Verb::Evidence(_)
         | Verb::Profiles
         | Verb::Backup(_) => true,
-        Verb::Identity(_)
+        // Whether this machine is as it should be is asked before there is a home, too.
+        Verb::Doctor
+        | Verb::Identity(_)
         | Verb::Keys(_)
         | Verb::Register
         | Verb::Topics(_)

@@ -23,7 +23,7 @@ const NOBODY: u32 = 65534;
 pub const UNCONFINED: &str = "this kernel does not confine the program that speaks with the network (Landlock and seccomp \
                               are needed): taken over, it could open what its user can open";
 /// How long it may take to leave its domain before it is killed.
-const LEAVING: Duration = Duration::from_millis(1500);
+pub(crate) const LEAVING: Duration = Duration::from_millis(1500);
 
 /// The path of the program called `name`: from the settings, or else beside this one.
 ///

@@ -196,10 +196,20 @@ impl Shared {
             before = now;
             if silent >= SILENT_TICKS {
                 silent = 0;
-                if let Some(child) = locked(&self.running).as_mut() {
-                    drop(child.kill());
-                }
+                self.kill();
             }
+        }
+        // The end of its pipe tells it to leave. One that stays and goes on talking would hold up whoever stops it.
+        let begun = Instant::now();
+        while begun.elapsed() < child::LEAVING && locked(&self.running).is_some() {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        self.kill();
+    }
+
+    fn kill(&self) {
+        if let Some(child) = locked(&self.running).as_mut() {
+            drop(child.kill());
         }
     }
 }
