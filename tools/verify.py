@@ -495,6 +495,11 @@ class Bundle:
             raise Refused("not an evidence bundle")
         text = self.members["manifest.json"]
         self.manifest = json.loads(text)
+        of_form = lambda found, *names: set(found) == set(names)
+        if not (of_form(self.manifest, "format", "chain", "exporter", "members") and of_form(self.manifest["exporter"], "account", "key")
+                and of_form(self.manifest["chain"], "id", "genesis", "contract")
+                and all(of_form(member, "name", "bytes", "sm3", "sha256") for member in self.manifest["members"])):
+            raise Refused("the manifest has not the lines of its form")
         listed = {name for name in names if name not in ("mimetype", "manifest.json", "manifest.der")}
         if self.manifest["format"] != "authros-evidence/1" or [m["name"] for m in self.manifest["members"]] != sorted(listed):
             raise Refused("the manifest does not name the members")
@@ -508,15 +513,24 @@ class Bundle:
             raise Refused("a key is filed under another's name")
         of = lambda folder: {n: d for n, d in self.members.items() if n.startswith(folder)}
         self.identities = {keccak(data): data for data in of("identities/").values()}
-        self.headers = {int(n[6:-4]): d for n, d in of("chain/").items() if n != "chain/nodes.rlp"}
-        if any(len(header) > 8192 for header in self.headers.values()):
-            raise Refused("a header is longer than any header")
+        if any(keccak(data).hex() != name[11:75] or len(data) != 224 for name, data in of("identities/").items()):
+            raise Refused("an identity is malformed, or filed under another's name")
+        if any(sm3(data).hex() != name[12:76] for name, data in of("definitions/").items()):
+            raise Refused("a definition is filed under another's name")
+        for data in [*of("definitions/").values(), self.members.get("trust.toml", b"")]:
+            data.decode()  # text, or refused
+        self.headers = {int(n[6:-4]): self.header(n, d) for n, d in of("chain/").items() if n != "chain/nodes.rlp"}
+        for name, data in of("records/").items():
+            if name.endswith("anchor.json"):
+                self.anchor_of_form(json.loads(data))
         self.heights = self.listed_heights()
         self.stamped = self.listed_stamps()
         self.witnesses = self.listed_witnesses()
         nodes = rlp(self.members["chain/nodes.rlp"]) if "chain/nodes.rlp" in self.members else []
         if any(not isinstance(node, bytes) or len(node) > 1024 for node in nodes):
             raise Refused("a node of the state is longer than any node")
+        if "chain/nodes.rlp" in self.members and encode(nodes) != self.members["chain/nodes.rlp"]:
+            raise Refused("the nodes of the state are not written in the one form")
         self.nodes = {keccak(node): node for node in nodes}
         if list(self.nodes) != sorted(self.nodes) or len(self.nodes) != len(nodes):
             raise Refused("the nodes of the state are not distinct and in order of their hashes")
@@ -585,9 +599,35 @@ class Bundle:
         return found
 
     @staticmethod
-    def pem(data):  # SubjectPublicKeyInfo; its last 64 bytes are the point
+    def pem(data):  # SubjectPublicKeyInfo of SM2's curve; its last 64 bytes are the point
         import base64
-        return base64.b64decode(b"".join(line for line in data.split(b"\n") if b"-" not in line))[-64:]
+        info = base64.b64decode(b"".join(line for line in data.split(b"\n") if b"-" not in line))
+        if info[:-64] != bytes.fromhex("3059301306072a8648ce3d020106082a811ccf5501822d03420004"):
+            raise Refused("a key is no SM2 public key")
+        return info[-64:]
+
+    @staticmethod
+    def header(name, data):
+        """The header of a block, which is filed under its number."""
+        found = rlp(data)
+        if len(data) > 8192 or not isinstance(found, list) or not 15 <= len(found) <= 32:
+            raise Refused("a header is longer than any header, or none")
+        if any(not isinstance(found[at], bytes) or len(found[at]) != 32 for at in (0, 3)) or f"chain/{int.from_bytes(found[8], 'big')}.rlp" != name:
+            raise Refused("a header is none, or filed under another block's number")
+        return data
+
+    @staticmethod
+    def anchor_of_form(claim):
+        """Which block, after which block, which keys, and how."""
+        how = claim["anchor"]
+        batch = {"mode", "account", "root", "index", "count", "path"}
+        numbers = [claim["block"], claim["shown_at"], claim["keys"], *([how["index"], how["count"]] if how["mode"] == "batch" else [])]
+        if set(claim) != {"format", "block", "shown_at", "keys", "anchor"} or claim["format"] != "authros-anchor/1":
+            raise Refused("an anchor is not of its form")
+        if how["mode"] not in ("each", "batch") or set(how) != (batch if how["mode"] == "batch" else {"mode"}):
+            raise Refused("an anchor is not of its form")
+        if any(type(number) is not int or not 0 <= number < 2 ** 64 for number in numbers) or len(how.get("path", [])) > 14:
+            raise Refused("an anchor is not of its form")
 
     def once(self, what, find):
         """What many records ask for is found out once."""
@@ -731,7 +771,7 @@ class Record:
             raise Refused("the anchor is later than the state")
         self.block, self.shown_at, self.claimed = block, number, claim["keys"]
         if not self.trust:
-            return "unproven"
+            raise Unproven("no signers are pinned")
         chain, pinned = self.trust["chain"], {unhex(one) for one in self.trust["chain"]["signers"]}
         committed = Committed.of(header) if number else None
         if committed:
@@ -743,7 +783,7 @@ class Record:
         if len(found) < chain.get("quorum", usual):
             if not found and first is not None:
                 raise Refused("sealed by " + first.hex() + ", who is not a pinned signer")
-            return "unproven"
+            raise Unproven("sealed by too few of the pinned signers")
         own = header[12].startswith(b"AuthROS chain file version ")
         return "own_chain" if own or chain["sealed_by_exporter"] else "proven"
 
@@ -804,9 +844,9 @@ class Record:
 
     def opened(self):  # (e)
         secret, signature = self.member("reveal.bin"), self.member("reveal.der")
-        if secret is None:
+        if secret is None and signature is None:
             return "absent"
-        if len(secret) != 32 or signature is None:
+        if secret is None or len(secret) != 32 or signature is None:
             raise Refused("the disclosure is not whole")
         message = b"AuthROS/reveal/1" + self.domain + self.digest + secret
         signed = lambda key: key is not None and sm2_verify(key, message, signature)
