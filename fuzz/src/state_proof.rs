@@ -1,11 +1,13 @@
-//! Block headers and state nodes, from evidence bundles.
+//! Block headers, the seals on them and state nodes, from evidence bundles.
+
+use std::collections::BTreeMap;
 
 use authros::evidence::{BlockHeader, Nodes, Storage, seals};
 use authros::model::{Address, Hash};
 
 use crate::{Sample, way};
 
-const WAYS: u8 = 2;
+const WAYS: u8 = 3;
 /// A sealed header of an embedded chain.
 const HEADER: &[u8] = include_bytes!("../corpus/state_proof/header");
 /// A header of a network of Besu, with the seals of three of its four validators (QBFT).
@@ -13,11 +15,15 @@ const COMMITTED: &[u8] = include_bytes!("../corpus/state_proof/committed");
 /// The nodes of the states after it and after the next.
 const NODES: &[u8] = include_bytes!("../corpus/state_proof/nodes");
 
+/// The first as one of several, each with its length, two bytes, before it.
+const SEALS: &[u8] = include_bytes!("../corpus/state_proof/seals");
+
 /// Any claimed proof.
 pub fn run(data: &[u8]) -> bool {
     match way(data, WAYS) {
         Some((0, bytes)) => header(bytes),
         Some((1, bytes)) => nodes(bytes),
+        Some((2, bytes)) => sealed(bytes),
         _ => false,
     }
 }
@@ -54,6 +60,29 @@ fn committed(found: BlockHeader) -> bool {
     true
 }
 
+/// However many headers follow one another: a signer is counted for a block only if one of them has its genuine seal, and
+/// nobody is counted twice.
+fn sealed(mut bytes: &[u8]) -> bool {
+    let genuine = HEADER.get(1..).and_then(BlockHeader::parse).expect("the kept one");
+    let signer = genuine.sealer().expect("sealed");
+    let mut headers = BTreeMap::new();
+    while let Some((length, rest)) = bytes.split_first_chunk::<2>() {
+        let Some((header, rest)) = rest.split_at_checked(usize::from(u16::from_be_bytes(*length))) else { break };
+        headers.extend(BlockHeader::parse(header).map(|header| (header.number, header)));
+        bytes = rest;
+    }
+    let Some(first) = headers.keys().next().copied() else { return false };
+    let pinned = [signer, Address([7; 20])];
+    let found = seals(&headers, first, &pinned);
+    assert!(found.pinned.is_empty() || found.pinned.contains(&signer), "nobody has the other's key");
+    if !found.pinned.contains(&signer) {
+        return false;
+    }
+    let is_genuine = |header: &BlockHeader| (header.number, header.state_root) == (genuine.number, genuine.state_root);
+    assert!(headers.values().any(is_genuine), "a seal that its signer never made");
+    found.pinned.len() == 1
+}
+
 /// Nodes have one form, and what they show below a root is the same whatever other nodes are present.
 fn nodes(bytes: &[u8]) -> bool {
     let Some(found) = Nodes::parse(bytes) else { return false };
@@ -71,5 +100,10 @@ fn nodes(bytes: &[u8]) -> bool {
 
 /// The stored ones.
 pub fn samples() -> Vec<Sample> {
-    vec![("header", HEADER.to_vec()), ("committed", COMMITTED.to_vec()), ("nodes", NODES.to_vec())]
+    vec![
+        ("header", HEADER.to_vec()),
+        ("committed", COMMITTED.to_vec()),
+        ("nodes", NODES.to_vec()),
+        ("seals", SEALS.to_vec()),
+    ]
 }

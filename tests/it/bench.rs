@@ -386,7 +386,7 @@ fn bundles_are_measured_and_each_one_holds() {
     for (records, batches) in [(1, 1), (100, 1), (300, 2)] {
         let row = of("bundle", records);
         assert_eq!((count(row, "batches"), count(row, "signers")), (batches, 1), "{row}");
-        // A record of 1 KiB is longer than its message, and a bundle of one more than a hundredth of one of a hundred.
+        // What is sealed is longer than its message of 1 KiB.
         assert!(number(row, "min") > 1024.0 && count(row, "nodes_bytes") > 0, "{row}");
     }
     assert!(number(of("bundle", 1), "min") > number(of("bundle", 100), "min"), "what all share counts once");

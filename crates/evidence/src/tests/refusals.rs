@@ -1,6 +1,9 @@
-//! The table of what is refused, or not proven, and in which words; by both verifiers. With `AUTHROS_LONG` it is printed,
-//! and far more bytes are flipped.
+//! The table of what is refused, or not proven, and in which words; by both verifiers. It is docs/refusals.md: what differs
+//! from there is printed. With `AUTHROS_LONG` far more bytes are flipped.
 
+mod forms;
+
+use std::cell::Cell;
 use std::collections::BTreeMap;
 
 use authros_crypto::record::RecordSecret;
@@ -9,7 +12,7 @@ use authros_model::Hash;
 
 use super::committed::Commit;
 use super::hostile::unanchored;
-use super::second::exit_code;
+use super::second::{exit_code, second_opinion};
 use super::world::{BLOCK, TIME, World, genesis, ours, pair, sealed, word};
 use crate::archive::Members;
 use crate::{Anchoring, Bundle, Nodes, Outcome, Packing, Slot, Trust, pack, verify};
@@ -41,18 +44,52 @@ fn judged(file: &[u8], trust: &Trust) -> (Outcome, String) {
     (report.outcome, told.join("\n"))
 }
 
+/// The published table.
+const TABLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/refusals.md");
+
+thread_local! {
+    /// Rows of this test that are not in the table.
+    static UNPUBLISHED: Cell<usize> = const { Cell::new(0) };
+}
+
+/// At the end of each test that has rows.
+fn expect_published() {
+    assert_eq!(UNPUBLISHED.get(), 0, "rows are not in docs/refusals.md as they are printed above");
+}
+
+/// Without digests, keys and accounts, which are drawn anew each time; a cell of a table.
+fn lasting(text: &str) -> String {
+    let words = text.split_inclusive(|character: char| !character.is_ascii_alphanumeric());
+    let is_drawn = |word: &str| {
+        let digits = word.trim_end_matches(|character: char| !character.is_ascii_alphanumeric());
+        let hex = digits.strip_prefix("0x").unwrap_or(digits);
+        hex.len() >= 16 && hex.bytes().all(|byte| byte.is_ascii_hexdigit())
+    };
+    let shown = words.map(|word| match is_drawn(word) {
+        true => "…".to_owned() + word.trim_start_matches(|character: char| character.is_ascii_alphanumeric()),
+        false => word.to_owned(),
+    });
+    shown.collect::<String>().replace('|', "/")
+}
+
 /// Both verifiers come to this outcome, and ours in these words.
 fn row(what: &str, members: &Members, trust: &Trust, outcome: Outcome, words: &str) {
-    let file = pack(members).expect("packs");
-    let (found, told) = judged(&file, trust);
+    row_of_file(what, &pack(members).expect("packs"), trust, outcome, words);
+}
+
+/// The same of a file.
+fn row_of_file(what: &str, file: &[u8], trust: &Trust, outcome: Outcome, words: &str) {
+    let (found, told) = judged(file, trust);
     assert_eq!(found, outcome, "{what}: {told}");
     let line = told.lines().find(|line| line.contains(words));
     let line = line.unwrap_or_else(|| panic!("{what}: nothing says '{words}' in\n{told}"));
-    if is_long() {
-        println!("| {what} | {found:?} | {line} |");
-    }
-    if let Some(code) = exit_code(&file, trust) {
-        assert_eq!(code, code_of(outcome), "{what}: the second verifier");
+    let Some((code, reasons)) = second_opinion(file, trust) else { return };
+    assert_eq!(code, code_of(outcome), "{what}: the second verifier says '{reasons}', and ours '{line}'");
+    let word = if outcome == Refused { "refused" } else { "not proven" };
+    let published = format!("| {what} | {word} | {} | {} |", lasting(line), lasting(&reasons));
+    if !std::fs::read_to_string(TABLE).expect("docs/refusals.md").lines().any(|line| line == published) {
+        UNPUBLISHED.set(UNPUBLISHED.get() + 1);
+        println!("{published}");
     }
 }
 
@@ -115,6 +152,7 @@ fn members_of_another_bundle_are_noticed_though_they_are_signed_for() {
     renamed.insert(name.clone(), identity.clone());
     let words = "is not in the bundle";
     row("identity of another bundle, under its name", &signed_again(renamed, &plain), &trust, Incomplete, words);
+    expect_published();
 }
 
 #[test]
@@ -205,6 +243,7 @@ fn every_lie_about_the_chain_is_refused_by_both_in_its_own_words() {
         "altered",
     );
     row("QBFT: a seal twice", &qbft(Commit { sealers: vec![1, 1, 2], ..commit }).members(), &trust, Refused, "twice");
+    expect_published();
 }
 
 #[test]
@@ -257,6 +296,7 @@ fn every_lie_about_keys_and_disclosures_is_refused_by_both_in_its_own_words() {
     twice.record(other.digest, unanchored(other)).expect("added");
     let members = twice.sign(genesis(), world.owner, &world.keys, ours()).expect("packs");
     row("two records with one number", &members, &trust, Refused, "TWO different records carry number 3");
+    expect_published();
 }
 
 /// Its exporter signs for each flipped byte: it proves less, or is refused. What no verifier reads is left out.

@@ -74,6 +74,11 @@ pub fn agree(members: &Members, trust: &Trust, outcome: Outcome) {
 
 /// How the second verifier ends over a file; `None` if it cannot run.
 pub fn exit_code(file: &[u8], trust: &Trust) -> Option<i32> {
+    second_opinion(file, trust).map(|(code, _)| code)
+}
+
+/// How the second verifier ends over a file, and all its reasons.
+pub fn second_opinion(file: &[u8], trust: &Trust) -> Option<(i32, String)> {
     let folder = tempfile::tempdir().expect("directory");
     let (place, pins) = (folder.path().join("case.authros"), folder.path().join("trust.toml"));
     std::fs::write(&place, file).expect("written");
@@ -82,7 +87,34 @@ pub fn exit_code(file: &[u8], trust: &Trust) -> Option<i32> {
     let arguments = [tool, place.to_str().expect("UTF-8"), "--trust", pins.to_str().expect("UTF-8")];
     let output = python(&arguments)?;
     assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
-    output.status.code()
+    let told: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    Some((output.status.code().expect("it ends by itself"), reasons(&told).join("; ")))
+}
+
+/// Why something is refused; or else, why it is not proven. Each reason once.
+fn reasons(told: &serde_json::Value) -> Vec<String> {
+    let list = |of: &serde_json::Value| of.as_array().cloned().unwrap_or_default();
+    let mut found: Vec<String> = told["why"].as_str().map(str::to_owned).into_iter().collect();
+    for standing in ["refused", "unproven"] {
+        for record in list(&told["records"]) {
+            for (letter, level) in
+                [("a", "bytes"), ("b", "key"), ("c", "anchor"), ("d", "time"), ("e", "opened"), ("g", "witnessed")]
+            {
+                if let Some(why) = record["notes"][level].as_str().filter(|_| record[level] == standing) {
+                    found.push(format!("({letter}) {why}"));
+                }
+            }
+        }
+        let contradicts = list(&told["complete"]).iter().any(|stretch| stretch["standing"] == standing);
+        if contradicts && standing == "refused" {
+            found.push("(f) refused".to_owned());
+        }
+        if !found.is_empty() {
+            break;
+        }
+    }
+    found.dedup();
+    found
 }
 
 /// What both say about a topic.

@@ -1,0 +1,185 @@
+//! Bundles that are not of the form: whatever one verifier refuses of it, the other does not accept.
+
+use super::*;
+use crate::manifest::{MANIFEST, Manifest};
+use crate::time::StampTree;
+
+/// One member changed, and signed for again.
+fn with(world: &World, part: &str, change: impl FnOnce(&mut Vec<u8>)) -> Members {
+    let mut members = world.members();
+    let name = name_of(&members, part);
+    change(members.get_mut(&name).expect("there"));
+    signed_again(members, world)
+}
+
+/// The same member, under another name.
+fn renamed(world: &World, part: &str, name: impl FnOnce(&str) -> String) -> Members {
+    let mut members = world.members();
+    let before = name_of(&members, part);
+    let bytes = members.remove(&before).expect("there");
+    members.insert(name(&before), bytes);
+    signed_again(members, world)
+}
+
+fn without(world: &World, part: &str) -> Members {
+    let mut members = world.members();
+    members.remove(&name_of(&members, part));
+    signed_again(members, world)
+}
+
+/// One member more.
+fn more(world: &World, name: &str, bytes: &[u8]) -> Members {
+    let mut members = world.members();
+    members.insert(name.to_owned(), bytes.to_vec());
+    signed_again(members, world)
+}
+
+fn edited(bytes: &mut Vec<u8>, from: &str, to: &str) {
+    let text = String::from_utf8(std::mem::take(bytes)).expect("text");
+    assert!(text.contains(from), "{text}");
+    *bytes = text.replacen(from, to, 1).into_bytes();
+}
+
+#[test]
+fn files_that_are_no_bundle_are_refused_by_both() {
+    let (world, trust) = (disclosing(), World::trust());
+    let members = world.members();
+    let file = pack(&members).expect("packs");
+    let say = |what: &str, file: &[u8], words: &str| row_of_file(what, file, &trust, Refused, words);
+    say("an empty file", b"", "it is not an evidence bundle");
+    say("the first half of a file", &file[..file.len() / 2], "in the middle of a member");
+    say("bytes behind its end", &[&file[..], b"more"].concat(), "not in the exact form of a bundle");
+    // The first member is mimetype, and its name begins at byte 30.
+    let behind = 30 + "mimetype".len() + members["mimetype"].len();
+    say(
+        "bytes between its members",
+        &[&file[..behind], b"more", &file[behind..]].concat(),
+        "not in the exact form of a bundle",
+    );
+    let unsigned = |change: &dyn Fn(&mut Members)| {
+        let mut members = members.clone();
+        change(&mut members);
+        pack(&members).expect("packs")
+    };
+    let record = name_of(&members, "record.bin");
+    let altered = unsigned(&|members| members.get_mut(&record).expect("there")[200] ^= 1);
+    say("a member altered, and not signed for", &altered, "does not match the manifest");
+    let removed = unsigned(&|members| drop(members.remove(&record)));
+    say("a member taken out", &removed, "is named in the manifest but missing");
+    let added = unsigned(&|members| drop(members.insert("chain/99.rlp".into(), b"more".to_vec())));
+    say("a member put in", &added, "is present but not named in the manifest");
+    let moved = unsigned(&|members| members.get_mut("manifest.json").expect("there").push(b' '));
+    say("a manifest with a space more", &moved, "the manifest is not signed by the key");
+    let theirs = disclosing().members()["manifest.der"].clone();
+    let swapped = unsigned(&|members| drop(members.insert("manifest.der".into(), theirs.clone())));
+    say("the signature of another manifest", &swapped, "the manifest is not signed by the key");
+    let manifest = Manifest::read(&members, ours()).expect("reads");
+    let mut spelled = members.clone();
+    let bytes = spelled.remove(&record).expect("there");
+    spelled.insert(record.replace(&world.record.digest.to_hex(), &world.record.digest.to_hex().to_uppercase()), bytes);
+    let listed = Manifest::of(&spelled, manifest.chain, manifest.exporter, ours());
+    spelled.insert(MANIFEST.to_owned(), serde_json::to_vec(&listed).expect("JSON"));
+    say("a digest in capital letters", &pack(&spelled).expect("packs"), "a name that is not a digest");
+    expect_published();
+}
+
+#[test]
+fn members_that_are_not_of_their_form_are_refused_by_both_though_they_are_signed_for() {
+    let (world, trust) = (disclosing(), World::trust());
+    let say = |what: &str, members: &Members, words: &str| row(what, members, &trust, Refused, words);
+    let hex = |kind: &str| format!("{kind}{}", "ab".repeat(32));
+    say("a manifest with a line more", &more_lines(&world), "unknown field");
+    say(
+        "an anchor of another form",
+        &with(&world, "anchor.json", |bytes| edited(bytes, "anchor/1", "anchor/2")),
+        "its form is not",
+    );
+    let field = |bytes: &mut Vec<u8>| edited(bytes, "\"keys\":", "\"more\": 1, \"keys\":");
+    say("an anchor with a line more", &with(&world, "anchor.json", field), "unknown field");
+    say("a record without its bytes", &without(&world, "record.bin"), "record.bin: is missing");
+    say("a record without its signature", &without(&world, "signature.der"), "signature.der: is missing");
+    say("a signature that is none", &with(&world, "signature.der", |bytes| bytes.push(0)), "signature.der");
+    say("a secret without its signature", &without(&world, "reveal.der"), "reveal.der: is missing");
+    say("a signature without its secret", &without(&world, "reveal.bin"), "reveal.bin: is missing");
+    say("a secret that is too short", &with(&world, "reveal.bin", |bytes| bytes.truncate(31)), "not exactly 32 bytes");
+    say(
+        "a header under another number",
+        &renamed(&world, "chain/41.rlp", |_| "chain/43.rlp".into()),
+        "the number of another block",
+    );
+    say("a header more that is none", &more(&world, "chain/99.rlp", &[0xc0]), "is not a block header");
+    let backwards = |bytes: &mut Vec<u8>| {
+        let nodes: Vec<Vec<u8>> = rlp::decode_list(bytes);
+        let mut list = rlp::RlpStream::new_list(nodes.len());
+        nodes.iter().rev().for_each(|node| {
+            list.append(node);
+        });
+        *bytes = list.out().to_vec();
+    };
+    say(
+        "nodes in another order",
+        &with(&world, "chain/nodes.rlp", backwards),
+        "distinct nodes in order of their hashes",
+    );
+    say("an identity more that is none", &more(&world, &format!("{}.bin", hex("identities/")), b"x"), "identities/");
+    let whole: Vec<u8> = world.members()[&name_of(&world.members(), "identities/")].clone();
+    say(
+        "an identity under another name",
+        &more(&world, &format!("{}.bin", hex("identities/")), &whole),
+        "another identity's name",
+    );
+    say(
+        "a definition under another name",
+        &more(&world, &format!("{}.txt", hex("definitions/")), b"x"),
+        "another text's name",
+    );
+    say("a suggestion that is no text", &more(&world, "trust.toml", &[0xff, 0xfe]), "is not text");
+    let pem = authros_crypto::keyfile::sm2_public_pem(&pair().public).expect("a point");
+    say(
+        "a key under another's name",
+        &more(&world, &format!("{}.pem", hex("keys/")), pem.as_bytes()),
+        "another key's name",
+    );
+    say("a key that is none", &more(&world, &format!("{}.pem", hex("keys/")), b"x"), "contains no SM2 public key");
+    say("a member that no bundle has", &more(&world, "chain/more.txt", b"x"), "chain/more.txt");
+    expect_published();
+}
+
+/// A manifest that says more than the form has, signed by its exporter.
+fn more_lines(world: &World) -> Members {
+    let mut members = world.members();
+    let text = members.get_mut(MANIFEST).expect("there");
+    edited(text, "\"format\":", "\"more\": 1, \"format\":");
+    let signed = crate::manifest::signed_bytes(text);
+    let signature = ours().sign(&world.keys.secret, &signed).expect("signs");
+    members.insert("manifest.der".into(), authros_crypto::signature_der(&signature));
+    members
+}
+
+#[test]
+fn stamps_that_are_not_of_their_form_are_refused_by_both() {
+    let (world, trust) = (World::new(), World::trust());
+    let root = world.claim.inclusion().expect("a batch").root;
+    let tree = StampTree::new(vec![Hash([1; 32]), root, Hash([2; 32])]).expect("a tree");
+    let mut packing = world.packing();
+    packing.stamps(&tree, &[root], &[vec![0x30, 0]]).expect("added");
+    let members = packing.sign(genesis(), world.owner, &world.keys, ours()).expect("packs");
+    let roots = name_of(&members, "/roots.json");
+    let token = members.keys().find(|name| name.starts_with("stamps/") && **name != roots).expect("a token").clone();
+    let say = |what: &str, words: &str, change: &dyn Fn(&mut Members)| {
+        let mut members = members.clone();
+        change(&mut members);
+        row(what, &signed_again(members, &world), &trust, Refused, words);
+    };
+    say("a stamp without its roots", "roots.json: is missing", &|members| drop(members.remove(&roots)));
+    say("a stamp without a token", "no token", &|members| drop(members.remove(&token)));
+    say("a token under another's name", "SHA-256", &|members| drop(members.insert(token.clone(), vec![1])));
+    let line = |from: &'static str, to: &'static str| {
+        let name = roots.clone();
+        move |members: &mut Members| edited(members.get_mut(&name).expect("there"), from, to)
+    };
+    say("a stamp over another number of roots", "another stamp's imprint", &line("\"count\": 3", "\"count\": 4"));
+    say("a stamp of another form", "form", &line("authros-stamp/1", "authros-stamp/2"));
+    say("a stamp over too many roots", "more than", &line("\"count\": 3", "\"count\": 30000"));
+    expect_published();
+}
