@@ -544,6 +544,8 @@ class Bundle:
         found, folders = {}, {name.split("/")[1] for name in self.members if name.startswith("stamps/")}
         for folder in sorted(folders):
             tokens = [n for n in self.members if n.startswith(f"stamps/{folder}/") and n.endswith(".der")]
+            if f"stamps/{folder}/roots.json" not in self.members:
+                raise Refused("a time stamp has no roots with it")
             listed = json.loads(self.members[f"stamps/{folder}/roots.json"])
             count, top, roots = listed["count"], unhex(listed["top"]), listed["roots"]
             named = hashlib.sha256(b"AuthROS/stamp/1" + top + struct.pack(">Q", count)).hexdigest() == folder
@@ -563,6 +565,8 @@ class Bundle:
         """Countersignatures of witnesses: what was stated, who saw it, and whether roots of batches lead there."""
         found, folders = [], {name.split("/")[1] for name in self.members if name.startswith("witnesses/")}
         for folder in sorted(folders):
+            if not {f"witnesses/{folder}/{name}" for name in ("countersignature.bin", "roots.json")} <= set(self.members):
+                raise Refused("a countersignature is not whole")
             data = self.members[f"witnesses/{folder}/countersignature.bin"]
             listed = json.loads(self.members[f"witnesses/{folder}/roots.json"])
             if len(data) != 541 or sm3(data).hex() != folder or set(listed) != {"format", "roots"} or listed["format"] != "authros-witnessed/1":
@@ -963,7 +967,7 @@ class Record:
             except Refused as why:
                 found[name], notes[name] = "refused", str(why)
             except Exception as why:  # a stranger's file: whatever it breaks, it is no evidence
-                found[name], notes[name] = "refused", f"malformed: {why!r}"
+                found[name], notes[name] = "refused", f"malformed: {type(why).__name__}"
         # A state is worth as much as the seals on it.
         for name in ("key", "opened"):
             if found[name] == "proven":
@@ -1091,7 +1095,7 @@ def main(arguments):
         twice = two_histories(zip(all_, records))
         complete = completeness(bundle, list(zip(all_, records)), twice)
     except Exception as why:  # a stranger's file: whatever it breaks, it is no evidence
-        print(json.dumps({"outcome": "refused", "why": str(why) if isinstance(why, Refused) else repr(why)}))
+        print(json.dumps({"outcome": "refused", "why": str(why) if isinstance(why, Refused) else f"a member is not of its form ({type(why).__name__})"}))
         return 6
     standings = [(name, record[name]) for record in records for name in ("bytes", "key", "anchor", "opened", "time", "witnessed")]
     needed = [[record[name] for name in ("bytes", "key", "anchor")] for record in records]

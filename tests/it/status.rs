@@ -75,11 +75,16 @@ fn peers_that_answer_are_well_without_a_site_too() {
 #[test]
 fn a_profile_that_there_is_not_is_told_and_not_made() {
     let home = Home::new();
-    for command in [&["status"][..], &["doctor"], &["uploads", "list"], &["audit"]] {
+    for command in [&["status"][..], &["uploads", "list"], &["audit"]] {
         let message = home.authros().fails(INPUT, command);
         assert!(message.contains(&format!("no home at {}", home.path().display())), "{message}");
         assert!(!home.path().exists(), "{command:?} made one");
     }
+    // The doctor also looks at a machine before there is a home on it.
+    let doctor = home.authros().with(&["--json"]).run(&["doctor"]).expect_code(0).document();
+    let said = doctor["checks"][0]["detail"].as_str().expect("a detail");
+    assert!(said.contains(&format!("{} does not exist yet", home.path().display())), "{said}");
+    assert!(!home.path().exists(), "the doctor made one");
     // A home without a profile yet: nothing is wrong.
     home.authros().run(&["topics", "watch", "/odom"]).expect_code(0);
     home.authros().run(&["status"]).expect_code(0);

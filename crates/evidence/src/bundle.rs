@@ -82,6 +82,7 @@ pub enum Anchoring {
 
 /// The exporter's claim of where a record is anchored, and after which block the state shows that.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct AnchorClaim {
     /// Names this format.
     pub format: String,
