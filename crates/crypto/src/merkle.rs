@@ -107,29 +107,51 @@ impl Tree {
     }
 }
 
+/// A node on the way from a leaf to the root (RFC 9162, 2.1.3.2): what further siblings make of it depends on nothing else.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Climber {
+    /// The place of the node, and of the last node, at its height.
+    place: u64,
+    last: u64,
+    /// The node's hash.
+    hash: Hash,
+}
+
+impl Climber {
+    /// At leaf `index` of a tree of `count` leaves; `None` if there is no such leaf.
+    pub fn at(leaf: Hash, index: u64, count: u64) -> Option<Self> {
+        (index < count).then(|| Self { place: index, last: count - 1, hash: leaf })
+    }
+
+    /// Goes up past a sibling; `false` if it is at the root already.
+    pub fn pass(&mut self, sibling: &Hash) -> bool {
+        if self.last == 0 {
+            return false;
+        }
+        if self.place & 1 == 1 || self.place == self.last {
+            self.hash = node(sibling, &self.hash);
+            // A node without a sibling was moved up unchanged.
+            while self.place & 1 == 0 && self.place != 0 {
+                (self.place, self.last) = (self.place >> 1, self.last >> 1);
+            }
+        } else {
+            self.hash = node(&self.hash, sibling);
+        }
+        (self.place, self.last) = (self.place >> 1, self.last >> 1);
+        true
+    }
+
+    /// The root, if it is there.
+    pub fn root(&self) -> Option<Hash> {
+        (self.last == 0).then_some(self.hash)
+    }
+}
+
 /// The root that a leaf's path leads to in a tree of `count` leaves; `None` if `index` is not in such a tree or the
 /// path does not have exactly the length that (index, count) demand (RFC 9162, 2.1.3.2).
 pub fn root_of(leaf: Hash, index: u64, count: u64, path: &[Hash]) -> Option<Hash> {
-    if index >= count || path.len() > LONGEST_PATH {
-        return None;
-    }
-    let (mut place, mut last, mut hash) = (index, count - 1, leaf);
-    for sibling in path {
-        if last == 0 {
-            return None;
-        }
-        if place & 1 == 1 || place == last {
-            hash = node(sibling, &hash);
-            // A node without a sibling was moved up unchanged.
-            while place & 1 == 0 && place != 0 {
-                (place, last) = (place >> 1, last >> 1);
-            }
-        } else {
-            hash = node(&hash, sibling);
-        }
-        (place, last) = (place >> 1, last >> 1);
-    }
-    (last == 0).then_some(hash)
+    let mut climber = Climber::at(leaf, index, count).filter(|_| path.len() <= LONGEST_PATH)?;
+    path.iter().all(|sibling| climber.pass(sibling)).then(|| climber.root())?
 }
 
 /// A record's proof of membership in a batch.

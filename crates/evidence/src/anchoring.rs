@@ -46,7 +46,10 @@ pub(crate) fn anchored<'a>(
     };
     match find(check, digest, header, claim) {
         Found::Not(level) => (level, None),
-        Found::Shown(anchored, shown_at) => (sealed(check, &anchored, shown_at), Some(anchored)),
+        Found::Shown(anchored, shown_at) => {
+            let level = check.known.sealing(&anchored, || sealed(check, &anchored, shown_at));
+            (level, Some(anchored))
+        }
     }
 }
 
@@ -61,7 +64,7 @@ fn unproven(text: impl Into<String>) -> Found<'static> {
 fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a AnchorClaim) -> Found<'a> {
     let Header { owner, recorder, topic_id, seq, .. } = *header;
     let leaf = Leaf { owner, recorder, topic_id, seq, digest };
-    if claim.inclusion().is_some_and(|inclusion| !inclusion.proves(&leaf)) {
+    if !check.known.leads(&leaf, claim) {
         return refused("its path does not lead to the root it names");
     }
     let Some(shown_at) = check.bundle.headers.get(&claim.shown_at) else {

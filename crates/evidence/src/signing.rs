@@ -9,6 +9,7 @@ use crate::state::Unproven;
 use crate::verify::Check;
 
 /// What the state shows about the signer of a record.
+#[derive(Clone)]
 pub(crate) struct Signed {
     /// Level (b), as far as the state itself is trusted.
     pub level: Level,
@@ -18,6 +19,10 @@ pub(crate) struct Signed {
 
 /// Level (b) of a record whose anchor is shown by the state.
 pub(crate) fn signing_right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Signed {
+    check.known.right(header.owner, header.signer, anchored, || right(check, header, anchored))
+}
+
+fn right(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Signed {
     match owner_key(check, header, anchored) {
         Ok(Own::Unknown(why)) => Signed { level: Level::new(Standing::Unproven, why), owner_key: None },
         Ok(Own::Registered(key)) => {
