@@ -199,7 +199,9 @@ fn other_spellings_are_refused_by_both_though_they_are_signed_for() {
         with(&world, "anchor.json", |bytes| *bytes = change(String::from_utf8(bytes.clone()).expect("text")))
     };
     refused("a line twice", &anchor(&|text| text.replacen("\"keys\":", "\"keys\": 9, \"keys\":", 1).into_bytes()));
-    let wide = |text: String| std::iter::once(0xfeff).chain(text.encode_utf16()).flat_map(u16::to_le_bytes).collect();
+    let wide = |text: String| -> Vec<u8> {
+        std::iter::once(0xfeff).chain(text.encode_utf16()).flat_map(u16::to_le_bytes).collect()
+    };
     refused("another encoding", &anchor(&wide));
     refused("an account without 0x", &anchor(&|text| changed(&text, "account", |value| value.replacen("0x", "", 1))));
     let swapped = |value: &str| -> String {
