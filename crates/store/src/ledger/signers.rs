@@ -50,7 +50,20 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn on_their_way(&self, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
-        let [first, last] = [RecordState::Sealed, RecordState::Submitted].map(RecordState::code);
+        self.signed_in(owner, signer, [RecordState::Sealed, RecordState::Submitted])
+    }
+
+    /// How many that `signer` signed for an owner are in quarantine: whichever is released needs an anchor, too.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn quarantined_of(&self, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
+        self.signed_in(owner, signer, [RecordState::Quarantined; 2])
+    }
+
+    /// Records of all kinds, from the first state to the last.
+    fn signed_in(&self, owner: Address, signer: SignerId, states: [RecordState; 2]) -> Result<u64, StoreError> {
+        let [first, last] = states.map(RecordState::code);
         self.read(|connection| {
             let sql = "SELECT coalesce(sum(c.records), 0) FROM streams s JOIN topics t ON t.key = s.topic
                        JOIN counters c ON c.stream = s.key
