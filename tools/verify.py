@@ -1056,6 +1056,10 @@ def read_trust(path):
     quorum = chain.get("quorum", 1)
     if type(quorum) is not int or ("quorum" in chain and not 1 <= quorum <= len(signers)):
         raise ValueError("its quorum is zero, or more than the number of signers")
+    accounts = [*chain["signers"], chain["contract"], *(one["account"] for one in [*persons, *trust.get("witness", [])])]
+    hashes = [chain["genesis"], chain["code_hash"], *(one["key"] for one in [*persons, *trust.get("witness", [])] if "key" in one)]
+    if not all(has_form(one, ACCOUNT) for one in accounts) or not all(has_form(one, 32) for one in hashes):
+        raise ValueError("an account is 0x and 40 digits with its checksum, and a hash or a key is 64 digits")
     if any(not {"account", "name"} <= set(one) <= {"account", "name", "key"} for one in persons):
         raise ValueError("a person has an account and a name, and a key or none")
     if any(len(unhex(one)) != 32 for one in [chain["genesis"], chain["code_hash"], *(p["key"] for p in persons if "key" in p)]):
