@@ -50,7 +50,7 @@ fn not_yet(left: u64, wait: Duration) -> Failure {
 /// Released after the recall, they could not be anchored any more.
 fn undecided(held: u64) -> Failure {
     refused(format!(
-        "nothing was recalled: {held} records that the device signed are in quarantine, and its end would strand those that \
+        "nothing was recalled: {held} messages that the device signed are in quarantine, and its end would strand those that \
          are released later; decide about them with `authros quarantine`, or strand them with `authros unattended end --force`"
     ))
 }
@@ -97,13 +97,22 @@ mod tests {
             local_copy: None,
         };
         let strict = SignerId([6; 32]);
-        let quarantined = NewRecord { state: RecordState::Quarantined, ..record(4, strict) };
-        let records = vec![record(1, device), record(2, device), record(3, SignerId([7; 32])), quarantined];
+        let held = |record| NewRecord { state: RecordState::Quarantined, ..record };
+        let definition = NewRecord { kind: RecordKind::Definition, ..held(record(5, SignerId([5; 32]))) };
+        let records = vec![
+            record(1, device),
+            record(2, device),
+            record(3, SignerId([7; 32])),
+            held(record(4, strict)),
+            definition,
+        ];
         site.parts.plant.ledger.append(records).expect("acknowledged");
         let undecided = part.anchored_all(owner, strict, Duration::ZERO).await.expect_err("one may be released yet");
+        let discarded = part.anchored_all(owner, SignerId([5; 32]), Duration::ZERO).await;
+        discarded.expect("a definition stays when its messages are discarded");
         assert_eq!(undecided.kind, ErrorKind::Refused);
         assert!(
-            undecided.message.contains(" 1 records") && undecided.message.contains("quarantine"),
+            undecided.message.contains(" 1 messages") && undecided.message.contains("quarantine"),
             "{}",
             undecided.message
         );
