@@ -8,6 +8,8 @@ what (f) comes to, as JSON, and ends with 0 where (a) to (c) are proven for all 
 proven or holds by the exporter's own chain alone, 6 where something is refused, 3 where the trust file cannot be used. It is
 slow, on purpose: it can be read in one sitting. Bodies packed by the matrix code are opened and not unpacked, and it says so.
 """
+import base64
+import functools
 import hashlib
 import hmac
 import json
@@ -195,14 +197,19 @@ def mul(k, p, a, modulus):
     return total
 
 
+def is_point(public):
+    x, y = (int.from_bytes(public[at:at + 32], "big") for at in (0, 32))
+    return max(x, y) < P and (y ** 2 - x ** 3 - A * x - B) % P == 0
+
+
 def sm2_verify(public, message, der):
     try:
         r, s = der_numbers(der)
     except (IndexError, ValueError):
         return False
-    point = tuple(int.from_bytes(public[at:at + 32], "big") for at in (0, 32))
-    if (point[1] ** 2 - point[0] ** 3 - A * point[0] - B) % P:
+    if not is_point(public):
         return False
+    point = tuple(int.from_bytes(public[at:at + 32], "big") for at in (0, 32))
     number = lambda x: x.to_bytes(32, "big")
     name = b"1234567812345678"
     z = sm3(struct.pack(">H", len(name) * 8) + name + b"".join(map(number, (A, B, *G, *point))))
@@ -467,6 +474,58 @@ def packed(members):
     return b"".join(parts) + listed + b"PK\5\6" + end
 
 
+def read_strictly(data):
+    """JSON in one spelling: UTF-8, each line of an object once, whole numbers only. Python alone would also take others."""
+    def distinct(pairs):
+        if len({name for name, _ in pairs}) != len(pairs):
+            raise Refused("a line is twice in JSON")
+        return dict(pairs)
+
+    def other(text):
+        raise Refused(text + " in JSON is no whole number")
+
+    whole = lambda text: other(text) if text.startswith("-") else int(text)
+    return json.loads(data.decode(), object_pairs_hook=distinct, parse_int=whole, parse_float=other, parse_constant=other)
+
+
+@functools.cache
+def is_account(text):
+    """0x and 40 digits; capital letters among small ones are its checksum (EIP-55)."""
+    if not re.fullmatch("0x[0-9a-fA-F]{40}", text):
+        return False
+    digits, small = text[2:], text[2:].lower()
+    checked = "".join(one.upper() if int(by, 16) >= 8 else one for one, by in zip(small, keccak(small.encode()).hex()))
+    return digits in (small, small.upper(), checked)
+
+
+ACCOUNT = 20
+PLACE = {"root": 32, "index": int, "path": [32]}
+# The lines of each JSON member: a number of bytes stands for hex of so many, a tuple for one form or another.
+JSON_FORMS = {
+    "manifest.json": {"format": str, "chain": {"id": int, "genesis": 32, "contract": ACCOUNT}, "exporter": {"account": ACCOUNT, "key": 32},
+                      "members": [{"name": str, "bytes": int, "sm3": 32, "sha256": 32}]},
+    "heights.json": {"format": str, "heights": [{"heads": 32, "topic": 16, "number": int, "index": int, "path": [32]}]},
+    "records": {"format": str, "block": int, "shown_at": int, "keys": int,
+                "anchor": ({"mode": str}, {"mode": str, "account": ACCOUNT, "root": 32, "index": int, "count": int, "path": [32]})},
+    "stamps": {"format": str, "top": 32, "count": int, "roots": [PLACE]},
+    "witnesses": {"format": str, "roots": [PLACE]},
+}
+
+
+def has_form(found, form):
+    if isinstance(form, tuple):
+        return any(has_form(found, one) for one in form)
+    if isinstance(form, dict):
+        return isinstance(found, dict) and set(found) == set(form) and all(has_form(found[name], form[name]) for name in form)
+    if isinstance(form, list):
+        return isinstance(found, list) and all(has_form(one, form[0]) for one in found)
+    if form in (int, str):
+        return type(found) is form and (form is str or found < 2 ** 64)
+    if not isinstance(found, str):
+        return False
+    return is_account(found) if form == ACCOUNT else re.fullmatch("(0x)?[0-9a-fA-F]{%d}" % (2 * form), found) is not None
+
+
 # The fields of a countersignature, and their widths.
 COUNTERSIGNATURE = {"version": 1, "chain": 8, "genesis": 32, "contract": 20, "owner": 20, "key": 64, "recorder": 16, "block": 8,
                     "block_hash": 32, "earlier": 8, "earlier_hash": 32, "top": 32, "count": 8, "head": 32, "number": 8,
@@ -534,7 +593,10 @@ class Bundle:
         self.nodes = {keccak(node): node for node in nodes}
         if list(self.nodes) != sorted(self.nodes) or len(self.nodes) != len(nodes):
             raise Refused("the nodes of the state are not distinct and in order of their hashes")
-        key, kind = self.keys.get(self.manifest["exporter"]["key"]), b"application/vnd.authros.evidence+zip"
+        for name, data in self.members.items():
+            if name.endswith(".json") and not has_form(read_strictly(data), JSON_FORMS[name.split("/")[0]]):
+                raise Refused(name + " is not of its form")
+        key, kind = self.keys.get(unhex(self.manifest["exporter"]["key"]).hex()), b"application/vnd.authros.evidence+zip"
         signed = b"DSSEv1 %d %s %d %s" % (len(kind), kind, len(text), text)
         if key is None or not sm2_verify(key, signed, self.members["manifest.der"]):
             raise Refused("the manifest is not signed by its exporter's key")
@@ -604,9 +666,12 @@ class Bundle:
 
     @staticmethod
     def pem(data):  # SubjectPublicKeyInfo of SM2's curve; its last 64 bytes are the point
-        import base64
         info = base64.b64decode(b"".join(line for line in data.split(b"\n") if b"-" not in line))
         if info[:-64] != bytes.fromhex("3059301306072a8648ce3d020106082a811ccf5501822d03420004"):
+            raise Refused("a key is no SM2 public key")
+        text = base64.b64encode(info)
+        lines = [b"-----BEGIN PUBLIC KEY-----", text[:64], text[64:], b"-----END PUBLIC KEY-----"]
+        if data.replace(b"\r\n", b"\n").strip() != b"\n".join(lines) or not is_point(info[-64:]):
             raise Refused("a key is no SM2 public key")
         return info[-64:]
 
@@ -733,7 +798,7 @@ class Record:
             raise Refused("its length, or the chain it is bound to, differs")
         persons = self.trust.get("person", []) if self.trust else []
         owner = self.header["owner"]
-        self.pinned = [p["key"].removeprefix("0x") for p in persons if unhex(p["account"]) == owner and "key" in p]
+        self.pinned = [unhex(p["key"]).hex() for p in persons if unhex(p["account"]) == owner and "key" in p]
         self.owner_key = None
         key = self.bundle.keys.get(self.header["signer"].hex())
         signed = b"AuthROS/signature/1" + self.domain + self.digest
@@ -921,7 +986,7 @@ class Record:
 
     def seen(self):
         """What each countersignature is worth; two histories by pinned witnesses are worth nothing."""
-        pins = {unhex(one["account"]): one["key"].removeprefix("0x") for one in (self.trust or {}).get("witness", [])}
+        pins = {unhex(one["account"]): unhex(one["key"]).hex() for one in (self.trust or {}).get("witness", [])}
         worth, known = {}, {}
         for one in self.bundle.witnesses:
             data, blocks = one["bytes"], [(one["block"], one["block_hash"]), (one["earlier"], one["earlier_hash"])]
@@ -995,6 +1060,10 @@ def read_trust(path):
     quorum = chain.get("quorum", 1)
     if type(quorum) is not int or ("quorum" in chain and not 1 <= quorum <= len(signers)):
         raise ValueError("its quorum is zero, or more than the number of signers")
+    accounts = [*chain["signers"], chain["contract"], *(one["account"] for one in [*persons, *trust.get("witness", [])])]
+    hashes = [chain["genesis"], chain["code_hash"], *(one["key"] for one in [*persons, *trust.get("witness", [])] if "key" in one)]
+    if not all(has_form(one, ACCOUNT) for one in accounts) or not all(has_form(one, 32) for one in hashes):
+        raise ValueError("an account is 0x and 40 digits with its checksum, and a hash or a key is 64 digits")
     if any(not {"account", "name"} <= set(one) <= {"account", "name", "key"} for one in persons):
         raise ValueError("a person has an account and a name, and a key or none")
     if any(len(unhex(one)) != 32 for one in [chain["genesis"], chain["code_hash"], *(p["key"] for p in persons if "key" in p)]):

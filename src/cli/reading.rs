@@ -2,6 +2,8 @@
 //! restore.
 
 use super::args::{Global, Verb};
+use super::fleet::FleetVerb;
+use super::operators::OperatorsVerb;
 use crate::model::ErrorKind;
 use crate::paths::Home;
 use crate::service::Failure;
@@ -42,6 +44,10 @@ fn only_looks(verb: &Verb) -> bool {
         | Verb::Incident(_)
         | Verb::Retention(_)
         | Verb::Unattended(_)
+        | Verb::Devices(_)
+        | Verb::Witness(_)
+        | Verb::Operators(OperatorsVerb::Add { .. } | OperatorsVerb::List | OperatorsVerb::Remove { .. })
+        | Verb::Fleet(FleetVerb::List | FleetVerb::Status | FleetVerb::Remove { .. })
         | Verb::Evidence(_)
         | Verb::Profiles
         | Verb::Backup(_) => true,
@@ -55,18 +61,17 @@ fn only_looks(verb: &Verb) -> bool {
         | Verb::Bag(_)
         | Verb::Grant(_)
         | Verb::Revoke { .. }
-        | Verb::Devices(_)
         | Verb::Agent(_)
         | Verb::Chain(_)
         | Verb::Contacts(_)
-        | Verb::Fleet(_)
-        | Verb::Witness(_)
+        | Verb::Fleet(FleetVerb::Add { .. })
         | Verb::Alerts(_)
         | Verb::Verify { .. }
         | Verb::Restore { .. }
         | Verb::Config(_)
         | Verb::Serve(_)
-        | Verb::Operators(_)
+        // Whoever is to be an operator has no home here.
+        | Verb::Operators(OperatorsVerb::Key { .. })
         | Verb::Gateway(_)
         | Verb::Demo(_)
         | Verb::Tour(_)
@@ -75,5 +80,32 @@ fn only_looks(verb: &Verb) -> bool {
         | Verb::Completions { .. }
         | Verb::Complete { .. }
         | Verb::Man => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::super::args::Arguments;
+    use super::*;
+
+    #[test]
+    fn what_only_looks_is_refused_where_there_is_no_home() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let missing = folder.path().join("mistyped").display().to_string();
+        let refused = |words: &str| {
+            let line = ["authros", "--home", missing.as_str()].into_iter().chain(words.split(' '));
+            let arguments = Arguments::try_parse_from(line).expect(words);
+            needs_a_home(&arguments.global, arguments.verb.as_ref()).is_err()
+        };
+        for words in ["fleet status", "operators list", "operators remove bob", "witness list", "devices list"] {
+            assert!(refused(words), "{words}");
+        }
+        for words in
+            ["operators key bob", "serve", "topics list", "identity create", "fleet add b:7420 --gateway-key HEX"]
+        {
+            assert!(!refused(words), "{words}");
+        }
     }
 }

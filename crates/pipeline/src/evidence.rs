@@ -118,7 +118,7 @@ fn stored(
     notes: &mut Vec<String>,
 ) -> Result<Option<(Header, PublicKey, BundledRecord)>, PipelineError> {
     let plant = reader.plant;
-    let Some(record) = plant.vault.get(row.digest)? else {
+    let Some(record) = plant.stored_bytes(row)? else {
         let gone: Option<Retained> = plant.ledger.retained(row.digest)?.filter(|retained| retained.anchored);
         return match gone {
             // What somebody had erased is no hole in the evidence that nobody explains: the rest is still evidence.

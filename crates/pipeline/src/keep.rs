@@ -3,7 +3,7 @@
 
 use crate::crypto::fault;
 use crate::model::RecordState;
-use crate::store::{NewRecord, StoreError};
+use crate::store::{NewRecord, RecordRow, StoreError};
 
 use super::Plant;
 
@@ -40,6 +40,17 @@ impl Plant {
             self.put(records.as_mut())?;
         }
         acknowledge(records)
+    }
+
+    /// The bytes that the vault has of a record. Deleted ones are gone, even where an earlier version took them in again.
+    ///
+    /// # Errors
+    /// Errors of the vault.
+    pub fn stored_bytes(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, StoreError> {
+        if row.deleted_at.is_some() {
+            return Ok(None);
+        }
+        self.vault.get(row.digest)
     }
 
     fn put(&self, records: &mut [NewRecord]) -> Result<(), StoreError> {

@@ -324,6 +324,8 @@ fn the_second_verifier_never_ends_in_a_traceback() {
         good.replace("[chain]", "[chain]\nquorum = 4"),
         good.replace("sealed_by_exporter = false", ""),
         good.replace("sealed_by_exporter = false", "sealed_by_exporter = 0"),
+        good.replace("contract = \"0x", "contract = \""),
+        good.replace("genesis = \"0x", "genesis = \"0x "),
         format!(
             "{good}\n[[person]]\naccount = \"0x{0}\"\nname = \"one\"\n[[person]]\naccount = \"0x{0}\"\nname = \"two\"\n",
             "0e".repeat(20)

@@ -12,7 +12,7 @@ impl Reader<'_> {
     /// # Errors
     /// Errors of ledger and vault.
     pub fn own_contents(&self, row: &RecordRow) -> Result<Option<OpenedRecord>, PipelineError> {
-        let stored = match self.plant.vault.get(row.digest)? {
+        let stored = match self.plant.stored_bytes(row)? {
             Some(blob) => Some(blob),
             None => self.plant.ledger.local_copy(row.digest)?,
         };

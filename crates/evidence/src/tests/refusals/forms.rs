@@ -183,3 +183,48 @@ fn stamps_that_are_not_of_their_form_are_refused_by_both() {
     say("a stamp over too many roots", "more than", &line("\"count\": 3", "\"count\": 30000"));
     expect_published();
 }
+
+/// Of the same content, but written as only a lenient reader takes it: each is refused by both.
+#[test]
+fn other_spellings_are_refused_by_both_though_they_are_signed_for() {
+    let (world, trust) = (disclosing(), World::trust());
+    let refused = |what: &str, members: &Members| {
+        let file = pack(members).expect("packs");
+        let (found, told) = judged(&file, &trust);
+        assert_eq!(found, Refused, "{what}: {told}");
+        let code = exit_code(&file, &trust);
+        assert!(code.is_none_or(|code| code == 6), "{what}: the second verifier ends with {code:?}, ours says {told}");
+    };
+    let anchor = |change: &dyn Fn(String) -> Vec<u8>| {
+        with(&world, "anchor.json", |bytes| *bytes = change(String::from_utf8(bytes.clone()).expect("text")))
+    };
+    refused("a line twice", &anchor(&|text| text.replacen("\"keys\":", "\"keys\": 9, \"keys\":", 1).into_bytes()));
+    let wide = |text: String| -> Vec<u8> {
+        std::iter::once(0xfeff).chain(text.encode_utf16()).flat_map(u16::to_le_bytes).collect()
+    };
+    refused("another encoding", &anchor(&wide));
+    refused("an account without 0x", &anchor(&|text| changed(&text, "account", |value| value.replacen("0x", "", 1))));
+    let swapped = |value: &str| -> String {
+        let (prefix, digits) = value.split_at(2);
+        let swap =
+            |one: char| if one.is_ascii_uppercase() { one.to_ascii_lowercase() } else { one.to_ascii_uppercase() };
+        prefix.chars().chain(digits.chars().map(swap)).collect()
+    };
+    refused("an account with another checksum", &anchor(&|text| changed(&text, "account", swapped)));
+    let spaced = |value: &str| format!("{} {}", &value[..10], &value[10..]);
+    refused("a space within a hash", &anchor(&|text| changed(&text, "root", spaced)));
+    let pem = authros_crypto::keyfile::sm2_public_pem(&pair().public).expect("a point");
+    let noisy = |pem: &str| pem.replacen("MFkw", "MFkw#", 1);
+    let name = |key: &authros_model::PublicKey| format!("keys/{}.pem", signer_id(key).to_hex());
+    let key = authros_crypto::keyfile::sm2_public_from_pem(&pem).expect("a key");
+    assert_ne!(noisy(&pem), pem);
+    refused("a key with a stray character", &more(&world, &name(&key), noisy(&pem).as_bytes()));
+}
+
+/// The first text with this name, changed.
+fn changed(text: &str, line: &str, change: impl Fn(&str) -> String) -> Vec<u8> {
+    let (before, after) = text.split_once(&format!("\"{line}\":")).expect("there");
+    let (space, value) = after.split_once('"').expect("a text");
+    let (value, rest) = value.split_once('"').expect("its end");
+    format!("{before}\"{line}\":{space}\"{}\"{rest}", change(value)).into_bytes()
+}

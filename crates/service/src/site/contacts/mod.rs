@@ -161,10 +161,10 @@ impl Contacts {
                     "the address book holds at most {MOST_CONTACTS} contacts; remove one first"
                 )));
             }
-            self.log.write(profile, "contact add", &format!("{name} {address}"), "done").await?;
+            let subject = format!("{name} {address}");
             book.push(Contact { name, address, fingerprint, given });
             book.sort_by(|one, other| one.name.cmp(&other.name));
-            self.write_book(&book)?;
+            self.log.deed(profile, "contact add", &subject, async { self.write_book(&book) }).await?;
         }
         self.rows().await
     }
@@ -180,8 +180,8 @@ impl Contacts {
             let contact = self.contact(name)?;
             let mut book = self.book()?;
             book.retain(|other| *other != contact);
-            self.log.write(profile, "contact remove", &format!("{name} {}", contact.address), "done").await?;
-            self.write_book(&book)?;
+            let subject = format!("{name} {}", contact.address);
+            self.log.deed(profile, "contact remove", &subject, async { self.write_book(&book) }).await?;
         }
         self.rows().await
     }
@@ -217,8 +217,8 @@ impl Contacts {
             for other in book.iter_mut().filter(|other| other.name == *name) {
                 (other.fingerprint, other.given) = (Some(registered.to_string()), true);
             }
-            self.log.write(profile, "contact confirm", &format!("{name} {registered}"), "done").await?;
-            self.write_book(&book)?;
+            let subject = format!("{name} {registered}");
+            self.log.deed(profile, "contact confirm", &subject, async { self.write_book(&book) }).await?;
         }
         self.rows().await
     }

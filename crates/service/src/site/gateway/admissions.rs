@@ -119,9 +119,9 @@ impl Admissions {
                 if list.len() >= MOST {
                     return Err(refused(format!("a gateway can admit at most {MOST} owners; dismiss one first")));
                 }
-                self.log.write(profile, "gateway admit", &owner.to_string(), "done").await?;
                 list.push(Admitted { owner, since: Timestamp::now(), by: profile.to_string() });
-                self.write(&list)?;
+                let admitted = async { self.write(&list) };
+                self.log.deed(profile, "gateway admit", &owner.to_string(), admitted).await?;
             }
         }
         self.rows()
@@ -141,8 +141,7 @@ impl Admissions {
             if list.len() == before {
                 return Err(input(format!("{owner} is not admitted; `authros gateway admitted` lists those who are")));
             }
-            self.log.write(profile, "gateway dismiss", &owner.to_string(), "done").await?;
-            self.write(&list)?;
+            self.log.deed(profile, "gateway dismiss", &owner.to_string(), async { self.write(&list) }).await?;
         }
         self.rows()
     }

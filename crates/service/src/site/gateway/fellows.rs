@@ -141,10 +141,13 @@ impl Fellows {
         if list.len() >= MOST {
             return Err(refused(format!("a fleet has at most {MOST} other gateways; remove one first")));
         }
-        self.log.write(profile, "fleet add", &format!("{address} (key {key})"), "done").await?;
+        let subject = format!("{address} (key {key})");
         list.push(Fellow { key, address, added_at: Timestamp::now() });
-        self.with(|all| all.remove(&key));
-        self.write(list)
+        let named = async {
+            self.with(|all| all.remove(&key));
+            self.write(list)
+        };
+        self.log.deed(profile, "fleet add", &subject, named).await
     }
 
     /// Names a gateway no more.
@@ -162,10 +165,13 @@ impl Fellows {
                 "{what} of the fleet is '{gateway}'; `authros fleet list` shows them with their keys"
             )));
         };
-        self.log.write(profile, "fleet remove", &format!("{} (key {})", fellow.address, fellow.key), "done").await?;
+        let subject = format!("{} (key {})", fellow.address, fellow.key);
         list.retain(|other| other != fellow);
-        self.with(|all| all.remove(&fellow.key));
-        self.write(list)
+        let removed = async {
+            self.with(|all| all.remove(&fellow.key));
+            self.write(list)
+        };
+        self.log.deed(profile, "fleet remove", &subject, removed).await
     }
 
     /// The gateways with what is known of each.
@@ -329,7 +335,7 @@ mod tests {
         for address in ["b", ":1", "b:x", "b :1"] {
             assert!(fellows.add(&keeper, (address, ONE), None).await.is_err(), "{address}");
         }
-        assert_eq!(ground.audited("fleet add").len(), 3);
+        assert_eq!(ground.audited("fleet add").len(), 6, "begun and done");
         drop(fellows);
 
         let ground = ground.again();

@@ -186,9 +186,8 @@ impl Operators {
             )));
         };
         let subject = format!("{name} (key {})", signer_id(&statement.terms.key));
-        self.log.write(profile, "remove operator", &subject, "begun").await?;
         list.0.retain(|other| other.terms.name != *name);
-        self.write(profile, list).await?;
+        self.log.deed(profile, "remove operator", &subject, self.write(profile, list)).await?;
         self.rows(profile).await
     }
 

@@ -137,6 +137,9 @@ async fn a_proof_serves_one_connection_and_an_end_is_heeded_at_once() {
     first.ask(watch()).await.expect("capturing");
     owner.ask(RemoveOperator { name: name(&bob) }).await.expect("ended");
     refused(&first, watch(), "was removed").await;
+    let query = AuditQuery { action: Some("remove operator".to_owned()), limit: 9, ..AuditQuery::default() };
+    let lines = site.parts.log.lines().list(&query).expect("lines");
+    assert_eq!(lines.iter().map(|line| line.entry.outcome.as_str()).collect::<Vec<_>>(), ["begun", "done"]);
     // A new key under the old name is another operator.
     add(&owner, &OperatorKey { name: name(&bob), ..eve.clone() }, "capture").await.expect("added");
     refused(&first, watch(), "was removed").await;

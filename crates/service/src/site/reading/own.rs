@@ -207,8 +207,9 @@ impl Reading {
         addresses: bool,
     ) -> Result<Vec<ExportedFile>, Failure> {
         let digest = row.digest;
+        let wanted = row.clone();
         let stored =
-            move |reading: &Self| Ok((reading.plant.vault.get(digest)?, reading.plant.ledger.batch_place(digest)?));
+            move |reading: &Self| Ok((reading.plant.stored_bytes(&wanted)?, reading.plant.ledger.batch_place(digest)?));
         let (blob, place) = blocking(self, stored).await?;
         let gone = blocking(self, move |reading| Ok(reading.plant.ledger.retained(digest)?)).await?;
         let gone = gone.filter(|retained| retained.anchored);

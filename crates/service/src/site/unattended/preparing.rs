@@ -184,7 +184,11 @@ impl Unattended {
             )));
         };
         let stranded = match force {
-            true => block_in_place(|| self.plant.ledger.on_their_way(owner.address, noted.device))?,
+            true => block_in_place(|| {
+                let ledger = &self.plant.ledger;
+                let on_their_way = ledger.on_their_way(owner.address, noted.device)?;
+                Ok::<_, Failure>(on_their_way + ledger.quarantined_of(owner.address, noted.device)?)
+            })?,
             false => self.anchored_all(owner.address, noted.device, settling::WAIT).await.map(|()| 0)?,
         };
         let ended = self.devices.recall(owner, &noted.device.to_string()).await?;

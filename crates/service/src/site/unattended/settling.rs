@@ -6,6 +6,7 @@ use tokio::task::block_in_place;
 
 use super::Unattended;
 use crate::model::{Address, ErrorKind, SignerId};
+use crate::service::failure::refused;
 use crate::service::reply::Failure;
 
 /// How long an end waits for the records of its device.
@@ -19,14 +20,15 @@ impl Unattended {
     /// Waits until all that the device sealed for its owner is in a block. Its owner is here, so the device seals no more.
     ///
     /// # Errors
-    /// How many records are not anchored, if some are not after `wait`.
+    /// How many records are not anchored, if some are not after `wait`, or how many wait for a decision before that.
     pub(super) async fn anchored_all(&self, owner: Address, device: SignerId, wait: Duration) -> Result<(), Failure> {
         let (begun, mut clear) = (Instant::now(), 0);
         loop {
             let left = block_in_place(|| self.plant.ledger.on_their_way(owner, device))?;
             clear = if left == 0 { clear + 1 } else { 0 };
             if clear >= CLEAR {
-                return Ok(());
+                let held = block_in_place(|| self.plant.ledger.quarantined_of(owner, device))?;
+                return if held == 0 { Ok(()) } else { Err(undecided(held)) };
             }
             if left > 0 && (begun.elapsed() >= wait || self.life.is_stopping()) {
                 return Err(not_yet(left, wait));
@@ -43,6 +45,14 @@ fn not_yet(left: u64, wait: Duration) -> Failure {
         wait.as_secs()
     );
     Failure::new(ErrorKind::Unreachable, text)
+}
+
+/// Released after the recall, they could not be anchored any more.
+fn undecided(held: u64) -> Failure {
+    refused(format!(
+        "nothing was recalled: {held} messages that the device signed are in quarantine, and its end would strand those that \
+         are released later; decide about them with `authros quarantine`, or strand them with `authros unattended end --force`"
+    ))
 }
 
 /// What a forced end leaves behind, in words.
@@ -86,8 +96,26 @@ mod tests {
             state: RecordState::Stored,
             local_copy: None,
         };
-        let records = vec![record(1, device), record(2, device), record(3, SignerId([7; 32]))];
+        let strict = SignerId([6; 32]);
+        let held = |record| NewRecord { state: RecordState::Quarantined, ..record };
+        let definition = NewRecord { kind: RecordKind::Definition, ..held(record(5, SignerId([5; 32]))) };
+        let records = vec![
+            record(1, device),
+            record(2, device),
+            record(3, SignerId([7; 32])),
+            held(record(4, strict)),
+            definition,
+        ];
         site.parts.plant.ledger.append(records).expect("acknowledged");
+        let undecided = part.anchored_all(owner, strict, Duration::ZERO).await.expect_err("one may be released yet");
+        let discarded = part.anchored_all(owner, SignerId([5; 32]), Duration::ZERO).await;
+        discarded.expect("a definition stays when its messages are discarded");
+        assert_eq!(undecided.kind, ErrorKind::Refused);
+        assert!(
+            undecided.message.contains(" 1 messages") && undecided.message.contains("quarantine"),
+            "{}",
+            undecided.message
+        );
         let held = part.anchored_all(owner, device, Duration::ZERO).await.expect_err("two are on their way");
         assert_eq!(held.kind, ErrorKind::Unreachable);
         assert!(held.message.contains(" 2 records") && held.message.contains("--force"), "{}", held.message);
