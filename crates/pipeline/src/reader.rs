@@ -16,6 +16,7 @@ use crate::store::{KeptEnvelope, RecordQuery, RecordRow, Retained};
 
 use super::authority::{Policy, ReadRefused, ReadingRight, may_read};
 use super::directory::{Granted, kept};
+use super::retention::erasing::is_stated;
 use super::{Network, Owner, PipelineError, Plant, authority, columns, proof};
 
 /// The most definition records examined for one message.
@@ -91,7 +92,9 @@ impl Reader<'_> {
     }
 
     fn given_up(&self, row: &RecordRow) -> Result<Option<Retained>, PipelineError> {
-        Ok(block_in_place(|| self.plant.ledger.retained(row.digest))?.filter(|retained| retained.anchored))
+        let retained = block_in_place(|| self.plant.ledger.retained(row.digest))?;
+        let stated = |retained: &Retained| is_stated(self.plant, Some(self.network), row.digest, retained);
+        Ok(retained.filter(|retained| retained.anchored || stated(retained)))
     }
 
     /// The stored bytes; those of a quarantined record may not be in the vault yet. Deleted ones are gone, even where an
