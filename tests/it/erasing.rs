@@ -90,3 +90,50 @@ fn a_recording_is_erased_by_somebody_for_a_reason_and_its_proofs_stay() {
     site.stop("TERM", 30).expect_code(0);
     authros.run(&["audit", "--deep"]).expect_code(0);
 }
+
+/// The reader's grant covers one topic: it opens no retention record, so nothing but the owner's statement tells it.
+#[test]
+fn a_reader_who_comes_after_the_erasure_is_told_of_it_by_its_owner() {
+    let (home, away) = (Home::new(), Home::new());
+    let alice = home.profile("alice");
+    let _site = alice.with(&["--robots", "1"]).serve(&home);
+    let mut gateway = alice.with(&["--json"]).spawn(&["gateway", "serve", "--listen", "127.0.0.1:0"]);
+    gateway.wait_for_text("fingerprint", 60);
+    let told: Value = serde_json::from_str(gateway.stdout().lines().next().expect("a line")).expect("JSON");
+    let (address, key) = (text(&told["gateway"], "address"), text(&told["gateway"], "gateway"));
+    alice.capture(&[ODOM], 4);
+    let before = wait_until(120, "all is verified", || {
+        let records = of(&alice, ODOM);
+        (records.len() >= 4 && records.iter().all(is_verified)).then_some(records)
+    });
+    let gone = text(&before[1], "id");
+    let done = erase(&alice, &["--record", &gone, "--yes"]);
+    assert_eq!((count(&done, "named"), &done["deleted"]), (1, &Value::Bool(true)), "{done}");
+
+    let bob = away.profile("bob").with(&["--site", &address, "--gateway-key", &key]);
+    let account = bob.enrol();
+    alice.json(&["gateway", "admit", &account]);
+    alice.json(&["grant", &account, "--topic", ODOM]);
+    let shared = || bob.records(&["shared", "list"]);
+    let listed = wait_until(120, "all are listed and settled", || {
+        let records = shared();
+        let settled = |record: &Value| is_verified(record) || record["state"] == "deleted";
+        let checked = |record: &Value| bob.json(&["shared", "check", &text(record, "id")])["verdict"] != "unanchored";
+        (records.len() == before.len() && records.iter().all(|one| settled(one) && checked(one))).then_some(records)
+    });
+    for record in &listed {
+        let id = text(record, "id");
+        let (verdict, opened) = (bob.json(&["shared", "check", &id]), bob.run(&["shared", "open", &id]));
+        if id != gone {
+            assert_eq!((&verdict["verdict"], opened.code), (&"verified".into(), Some(0)), "{record}");
+            continue;
+        }
+        let erased = text(record, "erased");
+        assert!(erased.starts_with("erased 20") && erased.ends_with("by its owner, its proof remains"), "{erased}");
+        assert!(!record.to_string().contains(WHY), "the reason is the owner's: {record}");
+        assert_eq!((&record["state"], &verdict["verdict"]), (&"deleted".into(), &"deleted".into()), "{verdict}");
+        assert!(bob.fails(REFUSED, &["shared", "open", &id]).contains("by its owner"));
+    }
+    let shown = bob.run(&["shared", "list"]).expect_code(0).stdout;
+    assert!(shown.contains("its proof remains"), "{shown}");
+}
