@@ -114,6 +114,7 @@ fn a_reader_who_comes_after_the_erasure_is_told_of_it_by_its_owner() {
     let account = bob.enrol();
     alice.json(&["gateway", "admit", &account]);
     alice.json(&["grant", &account, "--topic", ODOM]);
+    let _reader = bob.serve(&away);
     let shared = || bob.records(&["shared", "list"]);
     let listed = wait_until(120, "all are listed and settled", || {
         let records = shared();
