@@ -138,3 +138,40 @@ fn a_reader_who_comes_after_the_erasure_is_told_of_it_by_its_owner() {
     let shown = bob.run(&["shared", "list"]).expect_code(0).stdout;
     assert!(shown.contains("its proof remains"), "{shown}");
 }
+
+#[test]
+fn an_imported_recording_is_erased_and_what_was_captured_beside_it_stays() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "1"]);
+    let _site = authros.serve(&home);
+    authros.enrol();
+    authros.capture(&[ODOM], 4);
+    let verified = |least: usize| {
+        wait_until(120, "all is verified", || {
+            let records = of(&authros, ODOM);
+            (records.len() >= least && records.iter().all(is_verified)).then_some(records)
+        })
+    };
+    let captured = verified(4);
+    let file = home.root().join("tour.mcap");
+    let file = file.to_str().expect("UTF-8");
+    authros.json_within(120, &["shared", "export", "--mcap", file]);
+    let summary = authros.json_within(120, &["bag", "import", file]);
+    assert_eq!(count(&summary, "imported"), captured.len() as u64, "{summary}");
+    let all = verified(captured.len() * 2);
+
+    let tag = {
+        let imported = all.iter().find(|record| !captured.iter().any(|one| one["id"] == record["id"]));
+        let id = text(imported.expect("imported"), "id");
+        text(&authros.json(&["shared", "open", &id])["tags"], "recording")
+    };
+    authros.fails(INPUT, &["retention", "erase", "--recording", "/nowhere.bag", "--reason", WHY, "--yes"]);
+    let shown = authros.with(&["--json"]).run(&["retention", "erase", "--reason", WHY, "--recording", &tag]);
+    assert_eq!(count(&shown.expect_code(2).document(), "records"), captured.len() as u64, "the tag is the file's");
+    let done = erase(&authros, &["--recording", file, "--yes"]);
+    assert_eq!((count(&done, "named"), &done["deleted"]), (captured.len() as u64, &Value::Bool(true)), "{done}");
+    for record in of(&authros, ODOM) {
+        let was_captured = captured.iter().any(|one| one["id"] == record["id"]);
+        assert_eq!(is_verified(&record), was_captured, "{record}");
+    }
+}
