@@ -160,11 +160,10 @@ fn an_imported_recording_is_erased_and_what_was_captured_beside_it_stays() {
     assert_eq!(count(&summary, "imported"), captured.len() as u64, "{summary}");
     let all = verified(captured.len() * 2);
 
-    let tag = {
-        let imported = all.iter().find(|record| !captured.iter().any(|one| one["id"] == record["id"]));
-        let id = text(imported.expect("imported"), "id");
-        text(&authros.json(&["shared", "open", &id])["tags"], "recording")
-    };
+    let imported = all.iter().find(|record| !captured.iter().any(|one| one["id"] == record["id"]));
+    let opened = authros.json(&["shared", "open", &text(imported.expect("imported"), "id")]);
+    let tags = list(&opened, "tags");
+    let tag = tags.iter().find(|tag| tag[0] == "recording").and_then(|tag| tag[1].as_str()).expect("a tag").to_owned();
     authros.fails(INPUT, &["retention", "erase", "--recording", "/nowhere.bag", "--reason", WHY, "--yes"]);
     let shown = authros.with(&["--json"]).run(&["retention", "erase", "--reason", WHY, "--recording", &tag]);
     assert_eq!(count(&shown.expect_code(2).document(), "records"), captured.len() as u64, "the tag is the file's");
