@@ -9,14 +9,9 @@ use crate::gateway::ErasedRecord;
 use crate::model::{Address, Digest, Header, RecordKind, RecordState};
 use crate::pipeline::PipelineError;
 use crate::pipeline::authority::{Moment, SigningRight, may_sign};
-use crate::store::{Erasure, NewRecord, StoreError, TakenErased};
+use crate::store::{NewRecord, StoreError, TakenErased};
 
 use super::{Mirror, row_of};
-
-/// Whose erasure it is, as a reader is told.
-const OWNER: &str = "its owner";
-/// In place of the reason, which is the owner's own.
-const PROOF: &str = "its proof remains";
 
 impl Mirror<'_> {
     /// Takes in what is left of a record that its owner had erased. Returns whether anything changed.
@@ -59,7 +54,7 @@ impl Mirror<'_> {
         let taken = TakenErased {
             header: record.blob,
             report: statement.report,
-            erasure: Erasure { at: statement.at, by: OWNER.to_owned(), reason: PROOF.to_owned() },
+            at: statement.at,
             statement: statement.encode(),
         };
         let sealed = SealedRecord { header, blob: Vec::new(), digest, signature: record.signature };

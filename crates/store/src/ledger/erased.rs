@@ -7,6 +7,7 @@ use rusqlite::{Connection, OptionalExtension as _, params};
 use super::append::add;
 use super::retention::name;
 use super::{Ledger, NewRecord, database, database::whole};
+use crate::crypto::ErasedStatement;
 use crate::model::bytes::{hex, unhex};
 use crate::model::{Digest, Timestamp, clean};
 use crate::store::StoreError;
@@ -29,8 +30,8 @@ pub struct TakenErased {
     pub header: Vec<u8>,
     /// The retention record that names it, which need not be here.
     pub report: Digest,
-    /// Whose erasure it is, as it is to be shown.
-    pub erasure: Erasure,
+    /// When it was decided.
+    pub at: Timestamp,
     /// What the owner states, signed.
     pub statement: Vec<u8>,
 }
@@ -45,6 +46,12 @@ impl Erasure {
     /// As the ledger notes it: nanoseconds, profile and reason, a line each.
     fn noted(&self) -> String {
         format!("{}\n{}\n{}", self.at.0, self.by, self.reason)
+    }
+
+    /// As a reader is told: by whom and why is in the owner's retention record.
+    pub(super) fn stated(statement: &[u8]) -> Option<Self> {
+        let at = ErasedStatement::parse(statement).ok()?.at;
+        Some(Self { at, by: "its owner".to_owned(), reason: "its proof remains".to_owned() })
     }
 
     /// From a note.
@@ -147,8 +154,8 @@ impl Ledger {
         Ok(self.setting(&statement_place(&digest))?.and_then(|text| unhex(&text)))
     }
 
-    /// Notes a record that its owner had erased before it came here: its row, its public header, whose erasure it is, and
-    /// the owner's statement, in one commit. `false` if it is here with its bytes: then nothing changes.
+    /// Notes a record that its owner had erased before it came here: its row, its public header, and the owner's
+    /// statement, in one commit. `false` if it is here with its bytes: then nothing changes.
     ///
     /// # Errors
     /// See [`Ledger::append`].
@@ -161,7 +168,7 @@ impl Ledger {
                 return Ok(false);
             }
             add(session, &record, whole("time", Timestamp::now().0)?)?;
-            let (connection, at) = (session.connection, whole("time", taken.erasure.at.0)?);
+            let (connection, at) = (session.connection, whole("time", taken.at.0)?);
             let named = connection
                 .prepare_cached(
                     "INSERT INTO retained (record, report, header, deleted_at) SELECT n, ?2, ?3, ?4 FROM records
@@ -174,9 +181,9 @@ impl Ledger {
             connection
                 .prepare_cached("UPDATE records SET deleted_at = ?2 WHERE digest = ?1 AND deleted_at IS NULL")?
                 .execute(params![digest, at])?;
-            let mut note = connection.prepare_cached("INSERT INTO settings VALUES (?1, ?2) ON CONFLICT DO NOTHING")?;
-            note.execute([place(&taken.report), taken.erasure.noted()])?;
-            note.execute([statement_place(&record.digest), hex(&taken.statement)])?;
+            connection
+                .prepare_cached("INSERT INTO settings VALUES (?1, ?2) ON CONFLICT DO NOTHING")?
+                .execute([statement_place(&record.digest), hex(&taken.statement)])?;
             Ok(true)
         })
     }

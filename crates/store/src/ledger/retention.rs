@@ -58,7 +58,7 @@ pub struct Retained {
     pub deleted_at: Option<Timestamp>,
     /// Who had it erased, unless a rule did.
     pub erased: Option<Erasure>,
-    /// Where the retention record is not here: what its owner stated, to be checked by whoever relies on it.
+    /// If it was erased before it came here: what its owner stated, to be checked by whoever relies on it.
     pub stated: Option<Vec<u8>>,
 }
 
@@ -218,17 +218,19 @@ impl Ledger {
                      JOIN retained ON record = one.n LEFT JOIN records told ON told.digest = report WHERE one.digest = ?1",
                 )?
                 .query_row(params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()], |row| {
+                    let erased = row.get::<_, Option<String>>(4)?.and_then(|text| Erasure::read(&text));
                     let (told, stated): (bool, Option<String>) = (row.get(5)?, row.get(6)?);
-                    let stated = stated.filter(|_| !told).and_then(|text| unhex(&text));
+                    // Its own erasures a ledger knows without a statement.
+                    let stated = stated.filter(|_| erased.is_none()).and_then(|text| unhex(&text));
                     if !told && stated.is_none() {
                         return Ok(None);
                     }
                     Ok(Some(Retained {
                         report: Digest(row.get(0)?),
-                        anchored: row.get(1)?,
+                        anchored: row.get::<_, bool>(1)? && stated.is_none(),
                         header: row.get(2)?,
                         deleted_at: row.get::<_, Option<i64>>(3)?.map(|at| Timestamp(at.cast_unsigned())),
-                        erased: row.get::<_, Option<String>>(4)?.and_then(|text| Erasure::read(&text)),
+                        erased: erased.or_else(|| stated.as_deref().and_then(Erasure::stated)),
                         stated,
                     }))
                 })
