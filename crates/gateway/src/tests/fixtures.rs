@@ -167,7 +167,6 @@ pub(crate) fn sample_requests() -> Vec<Request> {
         Request::Check(vec![Digest([1; 32]), Digest([2; 32])]),
         Request::Prove(vec![Digest([1; 32]), Digest([2; 32])]),
         Request::Fetch(Digest([3; 32])),
-        Request::FetchErased(Digest([3; 32])),
         Request::Subscribe(selection),
         Request::Unsubscribe(5),
         Request::GrantNotice(GrantNotice { grantee, epoch: 2, expiry: 3, transaction }),
