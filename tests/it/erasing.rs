@@ -119,12 +119,15 @@ fn a_reader_who_comes_after_the_erasure_is_told_of_it_by_its_owner() {
     let listed = wait_until(120, "all are listed and settled", || {
         let records = shared();
         let settled = |record: &Value| is_verified(record) || record["state"] == "deleted";
-        let checked = |record: &Value| bob.json(&["shared", "check", &text(record, "id")])["verdict"] != "unanchored";
-        (records.len() == before.len() && records.iter().all(|one| settled(one) && checked(one))).then_some(records)
+        (records.len() == before.len() && records.iter().all(settled)).then_some(records)
     });
     for record in &listed {
         let id = text(record, "id");
-        let (verdict, opened) = (bob.json(&["shared", "check", &id]), bob.run(&["shared", "open", &id]));
+        let verdict = wait_until(60, "its anchor is confirmed", || {
+            let verdict = bob.json(&["shared", "check", &id]);
+            (verdict["verdict"] != "unanchored").then_some(verdict)
+        });
+        let opened = bob.run(&["shared", "open", &id]);
         if id != gone {
             assert_eq!((&verdict["verdict"], opened.code), (&"verified".into(), Some(0)), "{record}");
             continue;

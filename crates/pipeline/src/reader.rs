@@ -87,8 +87,12 @@ impl Reader<'_> {
         let signed = signer.is_some_and(|signer| {
             check_deleted(self.plant.provider, &retained.header, row.digest, &row.signature, &signer).is_ok()
         });
-        let sound = signed && self.is_anchored(row).await?;
-        Ok(if sound { Verdict::Deleted } else { Verdict::Tampered })
+        Ok(match (signed, self.is_anchored(row).await?) {
+            (true, true) => Verdict::Deleted,
+            // Its anchor is not confirmed here yet, or not any more.
+            (true, false) if row.state < RecordState::Confirmed => Verdict::Unanchored,
+            (true | false, _) => Verdict::Tampered,
+        })
     }
 
     fn given_up(&self, row: &RecordRow) -> Result<Option<Retained>, PipelineError> {

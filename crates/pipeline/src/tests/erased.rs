@@ -65,6 +65,9 @@ async fn what_an_owner_states_to_be_erased_is_listed_with_its_proof() {
     let erased = left(&line, &sealed).await;
     assert!(take(&line, owner, digest, erased.clone()).await.expect("taken in"));
     assert!(!take(&line, owner, digest, erased).await.expect("known"), "twice is once");
+    let noted = line.plant.ledger.record(digest).expect("read").expect("noted");
+    let reader = Reader { plant: &line.plant, network: &line.network, reader: &line.owner };
+    assert_eq!(reader.check(&noted).await.expect("checked"), (Verdict::Unanchored, digest), "not confirmed here yet");
     for _ in 0..20 {
         line.watch().await;
         verify_round(&line.plant, &line.network).expect("a round");
@@ -78,7 +81,6 @@ async fn what_an_owner_states_to_be_erased_is_listed_with_its_proof() {
     let retained = ledger.retained(digest).expect("read").expect("accounted for");
     let words = retained.erased.expect("by somebody").to_string();
     assert_eq!(words, "erased 2023-11-14T22:13:20Z by its owner, its proof remains");
-    let reader = Reader { plant: &line.plant, network: &line.network, reader: &line.owner };
     assert_eq!(reader.check(&row).await.expect("checked"), (Verdict::Deleted, digest));
     let opened = reader.open(&row).await;
     assert!(matches!(opened, Err(PipelineError::Erased { .. })), "{opened:?}");
