@@ -40,7 +40,8 @@ pub enum RetentionVerb {
         #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
         until: Option<String>,
         /// These records, by their ids
-        #[arg(long = "record", value_name = "ID", num_args = 1.., conflicts_with_all = ["topic", "recording", "since", "until"])]
+        #[arg(long = "record", value_name = "ID", num_args = 1..)]
+        #[arg(conflicts_with_all = ["topic", "recording", "since", "until"])]
         records: Vec<String>,
         /// Why; shown with the records from then on
         #[arg(long, value_name = "TEXT")]

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::crypto::{ErasedStatement, SmKeyPair};
+use crate::crypto::{ErasedStatement, SmKeyPair, signer_id};
 use crate::model::{Digest, Header, RecordKind, RecordState, RecorderId, RetentionReport, TopicId};
 use crate::pipeline::statement::{self, Speaker, Statement};
 use crate::pipeline::{Network, Owner, PipelineError, Plant};
@@ -122,10 +122,8 @@ pub fn is_stated(plant: &Plant, network: Option<&Network>, digest: Digest, retai
     let Some(bytes) = &retained.stated else { return false };
     let Ok(statement) = ErasedStatement::parse(bytes) else { return false };
     let Ok((header, _)) = Header::parse(&retained.header) else { return false };
-    let is_owners = network.is_none_or(|network| {
-        let account = network.directory.account(header.owner).unwrap_or_default();
-        account.identities.iter().any(|known| known.proven && known.signing == statement.signer)
-    });
+    let signer = signer_id(&statement.signer);
+    let is_owners = network.is_none_or(|network| network.directory.registered_as(signer) == Some(header.owner));
     let is_about = statement.report == retained.report;
     is_owners && is_about && statement.check(plant.provider, &digest, &retained.header).is_ok()
 }
