@@ -1,6 +1,8 @@
 //! `retention`: erasing chosen records; what rules delete is decided by the settings.
 
-use std::io::{BufRead as _, IsTerminal as _};
+use std::fs::File;
+use std::io::{BufRead as _, IsTerminal as _, Read as _};
+use std::path::Path;
 
 use clap::Subcommand;
 
@@ -8,7 +10,8 @@ use super::connect::{Context, ProfileNeed};
 use super::incidents::moment;
 use super::parse;
 use super::verbs::CHAIN;
-use crate::model::{ByteSize, ErrorKind};
+use crate::crypto::Sm3Hasher;
+use crate::model::{ByteSize, Digest, ErrorKind, clean};
 use crate::service::command::{EraseRecords, ErasureWishes};
 use crate::service::reply::ErasureView;
 use crate::service::{Client, Failure};
@@ -16,6 +19,8 @@ use authros_output::Output;
 
 /// What a person writes to confirm.
 const WORD: &str = "erase";
+/// Characters of the tag that names an imported file.
+const TAG: usize = 16;
 
 /// `retention …`
 #[derive(Debug, Subcommand)]
@@ -23,8 +28,11 @@ pub enum RetentionVerb {
     /// Erase chosen messages for good: their bytes go, digests, signatures, anchors and proofs stay
     Erase {
         /// Messages of this topic
-        #[arg(long, required_unless_present = "records")]
+        #[arg(long, required_unless_present_any = ["records", "recording"])]
         topic: Option<String>,
+        /// Messages that were imported from this bag or MCAP file; without the file, its tag 'recording'
+        #[arg(long, value_name = "FILE")]
+        recording: Option<String>,
         /// Captured at this time or later: 2026-11-21T08:30:00Z, a day, or so long ago, as 10m
         #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
         since: Option<String>,
@@ -32,7 +40,8 @@ pub enum RetentionVerb {
         #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
         until: Option<String>,
         /// These records, by their ids
-        #[arg(long = "record", value_name = "ID", num_args = 1.., conflicts_with_all = ["topic", "since", "until"])]
+        #[arg(long = "record", value_name = "ID", num_args = 1..)]
+        #[arg(conflicts_with_all = ["topic", "recording", "since", "until"])]
         records: Vec<String>,
         /// Why; shown with the records from then on
         #[arg(long, value_name = "TEXT")]
@@ -48,12 +57,13 @@ pub enum RetentionVerb {
 /// # Errors
 /// Errors of the arguments and the site; incidents that hold some of the records.
 pub async fn run(context: Context, verb: RetentionVerb, output: &Output) -> Result<u8, Failure> {
-    let RetentionVerb::Erase { topic, since, until, records, reason, yes } = verb;
+    let RetentionVerb::Erase { topic, recording, since, until, records, reason, yes } = verb;
     let wishes = ErasureWishes {
         topic: topic.as_deref().map(parse::value).transpose()?,
         since: since.as_deref().map(moment).transpose()?,
         until: until.as_deref().map(moment).transpose()?,
         records,
+        recording: recording.as_deref().map(tag_of).transpose()?,
         reason,
         sure: yes,
     };
@@ -86,6 +96,30 @@ async fn erase(client: &Client, wishes: ErasureWishes, asks: bool, output: &Outp
     // Nobody was asked and nobody said yes: a script must not take it for done.
     let unconfirmed = !sure && !asks && view.records > 0;
     Ok(if unconfirmed { ErrorKind::Usage.exit_code() } else { 0 })
+}
+
+/// The tag of what was imported from a file: the beginning of its SM3. Without such a file, the tag itself.
+fn tag_of(file: &str) -> Result<String, Failure> {
+    if file.len() == TAG && file.bytes().all(|byte| byte.is_ascii_hexdigit()) && !Path::new(file).exists() {
+        return Ok(file.to_ascii_lowercase());
+    }
+    let unreadable = |error: std::io::Error| {
+        let text = format!(
+            "{} cannot be read: {error}; name the file that was imported, or the tag 'recording' of its messages",
+            clean(file, 300)
+        );
+        Failure::new(ErrorKind::Input, text)
+    };
+    let mut opened = File::open(file).map_err(unreadable)?;
+    let (mut hasher, mut buffer) = (Sm3Hasher::new(), vec![0; 256 * 1024]);
+    loop {
+        let read = opened.read(&mut buffer).map_err(unreadable)?;
+        let bytes = buffer.get(..read).unwrap_or_default();
+        if bytes.is_empty() {
+            return Ok(Digest(hasher.finish()).to_hex().chars().take(TAG).collect());
+        }
+        hasher.update(bytes);
+    }
 }
 
 fn matches_nothing(view: &ErasureView) -> bool {

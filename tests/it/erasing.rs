@@ -90,3 +90,90 @@ fn a_recording_is_erased_by_somebody_for_a_reason_and_its_proofs_stay() {
     site.stop("TERM", 30).expect_code(0);
     authros.run(&["audit", "--deep"]).expect_code(0);
 }
+
+/// The reader's grant covers one topic: it opens no retention record, so nothing but the owner's statement tells it.
+#[test]
+fn a_reader_who_comes_after_the_erasure_is_told_of_it_by_its_owner() {
+    let (home, away) = (Home::new(), Home::new());
+    let alice = home.profile("alice");
+    let _site = alice.with(&["--robots", "1"]).serve(&home);
+    let mut gateway = alice.with(&["--json"]).spawn(&["gateway", "serve", "--listen", "127.0.0.1:0"]);
+    gateway.wait_for_text("fingerprint", 60);
+    let told: Value = serde_json::from_str(gateway.stdout().lines().next().expect("a line")).expect("JSON");
+    let (address, key) = (text(&told["gateway"], "address"), text(&told["gateway"], "gateway"));
+    alice.capture(&[ODOM], 4);
+    let before = wait_until(120, "all is verified", || {
+        let records = of(&alice, ODOM);
+        (records.len() >= 4 && records.iter().all(is_verified)).then_some(records)
+    });
+    let gone = text(&before[1], "id");
+    let done = erase(&alice, &["--record", &gone, "--yes"]);
+    assert_eq!((count(&done, "named"), &done["deleted"]), (1, &Value::Bool(true)), "{done}");
+
+    let bob = away.profile("bob").with(&["--site", &address, "--gateway-key", &key]);
+    let account = bob.enrol();
+    alice.json(&["gateway", "admit", &account]);
+    alice.json(&["grant", &account, "--topic", ODOM]);
+    let _reader = bob.serve(&away);
+    let shared = || bob.records(&["shared", "list"]);
+    let listed = wait_until(120, "all are listed and settled", || {
+        let records = shared();
+        let settled = |record: &Value| is_verified(record) || record["state"] == "deleted";
+        (records.len() == before.len() && records.iter().all(settled)).then_some(records)
+    });
+    for record in &listed {
+        let id = text(record, "id");
+        let verdict = wait_until(60, "its anchor is confirmed", || {
+            let verdict = bob.json(&["shared", "check", &id]);
+            (verdict["verdict"] != "unanchored").then_some(verdict)
+        });
+        let opened = bob.run(&["shared", "open", &id]);
+        if id != gone {
+            assert_eq!((&verdict["verdict"], opened.code), (&"verified".into(), Some(0)), "{record}");
+            continue;
+        }
+        let erased = text(record, "erased");
+        assert!(erased.starts_with("erased 20") && erased.ends_with("by its owner, its proof remains"), "{erased}");
+        assert!(!record.to_string().contains(WHY), "the reason is the owner's: {record}");
+        assert_eq!((&record["state"], &verdict["verdict"]), (&"deleted".into(), &"deleted".into()), "{verdict}");
+        assert!(bob.fails(REFUSED, &["shared", "open", &id]).contains("by its owner"));
+    }
+    let shown = bob.run(&["shared", "list"]).expect_code(0).stdout;
+    assert!(shown.contains("its proof remains"), "{shown}");
+}
+
+#[test]
+fn an_imported_recording_is_erased_and_what_was_captured_beside_it_stays() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "1"]);
+    let _site = authros.serve(&home);
+    authros.enrol();
+    authros.capture(&[ODOM], 4);
+    let verified = |least: usize| {
+        wait_until(120, "all is verified", || {
+            let records = of(&authros, ODOM);
+            (records.len() >= least && records.iter().all(is_verified)).then_some(records)
+        })
+    };
+    let captured = verified(4);
+    let file = home.root().join("tour.mcap");
+    let file = file.to_str().expect("UTF-8");
+    authros.json_within(120, &["shared", "export", "--mcap", file]);
+    let summary = authros.json_within(120, &["bag", "import", file]);
+    assert_eq!(count(&summary, "imported"), captured.len() as u64, "{summary}");
+    let all = verified(captured.len() * 2);
+
+    let imported = all.iter().find(|record| !captured.iter().any(|one| one["id"] == record["id"]));
+    let opened = authros.json(&["shared", "open", &text(imported.expect("imported"), "id")]);
+    let tags = list(&opened, "tags");
+    let tag = tags.iter().find(|tag| tag[0] == "recording").and_then(|tag| tag[1].as_str()).expect("a tag").to_owned();
+    authros.fails(INPUT, &["retention", "erase", "--recording", "/nowhere.bag", "--reason", WHY, "--yes"]);
+    let shown = authros.with(&["--json"]).run(&["retention", "erase", "--reason", WHY, "--recording", &tag]);
+    assert_eq!(count(&shown.expect_code(2).document(), "records"), captured.len() as u64, "the tag is the file's");
+    let done = erase(&authros, &["--recording", file, "--yes"]);
+    assert_eq!((count(&done, "named"), &done["deleted"]), (captured.len() as u64, &Value::Bool(true)), "{done}");
+    for record in of(&authros, ODOM) {
+        let was_captured = captured.iter().any(|one| one["id"] == record["id"]);
+        assert_eq!(is_verified(&record), was_captured, "{record}");
+    }
+}

@@ -14,6 +14,7 @@ pub mod der;
 pub mod derive;
 pub mod enrolment;
 pub mod envelope;
+mod erased;
 pub mod error;
 mod file_key;
 mod gateway_list;
@@ -63,6 +64,7 @@ pub use enrolment::{
     Enrolment, EpochIssue, GatewayAccess, IssuedKeys, IssuedTopic, Notice, Pseudonyms, SealedEnrolment, SealingKey,
 };
 pub use envelope::{GrantedKeys, WrappedKeys, unwrap, wrap};
+pub use erased::ErasedStatement;
 pub use error::CryptoError;
 pub use gateway_list::{GatewayList, ListedGateway};
 pub use identity::{check_identity, prove};

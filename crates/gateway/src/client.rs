@@ -14,8 +14,8 @@ use crate::model::{Countersignature, Digest, Hash, ProfileName, SignedPosition, 
 use super::allocation::{AllocationRequest, Applicant, apply};
 use super::command::relay::LONGEST_PARAMETERS;
 use super::command::{
-    Answer, Command, DeviceNotice, Entry, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, Page, Query,
-    Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, Upload, Wanted,
+    Answer, Command, DeviceNotice, Entry, ErasedRecord, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, Page,
+    Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, Upload, Wanted,
 };
 use super::error::GatewayError;
 use super::hello::{Agreed, Context, NetworkName};
@@ -309,6 +309,19 @@ impl Client {
     pub async fn fetch(&mut self, digest: &Digest) -> Result<Fetched, GatewayError> {
         match self.ask(&Request::Fetch(*digest)).await? {
             Answer::Record(record) => self.checked(*record, digest),
+            _ => Err(GatewayError::Unexpected("no record")),
+        }
+    }
+
+    /// What is left of a record that its owner had erased. Nothing of it is checked here.
+    ///
+    /// # Errors
+    /// [`GatewayError`]; `Refused(NotFound)` if it was not erased, `Refused(Malformed)` by a gateway of an earlier version.
+    pub async fn fetch_erased(&mut self, digest: &Digest) -> Result<ErasedRecord, GatewayError> {
+        match self.ask(&Request::FetchErased(*digest)).await? {
+            Answer::Record(record) => {
+                ErasedRecord::from_fetched(*record).map_err(GatewayError::malformed("erased record"))
+            }
             _ => Err(GatewayError::Unexpected("no record")),
         }
     }

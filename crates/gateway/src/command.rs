@@ -8,12 +8,14 @@ use crate::model::{Digest, Domain, Signature, SignerId, Token};
 use super::session::{LONGEST_TEXT, SessionId};
 
 pub mod answer;
+pub mod erased;
 pub mod holdings;
 pub mod query;
 pub mod relay;
 pub mod request;
 
 pub use answer::{Answer, Fetched, Standing};
+pub use erased::ErasedRecord;
 pub use holdings::{HandedOver, Held, HoldingPlace, Holdings, Wanted};
 pub use query::{Entry, Page, Query, Selection};
 pub use relay::{RelayCall, Relayed};

@@ -16,8 +16,8 @@ use crate::model::{
 
 use super::code::{Code, Refusal};
 use super::command::{
-    DeviceNotice, Entry, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, Page, Query, Registration,
-    RevokeNotice, Selection, Standing, Wanted,
+    DeviceNotice, Entry, ErasedRecord, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, Page, Query,
+    Registration, RevokeNotice, Selection, Standing, Wanted,
 };
 use super::hello::NetworkName;
 use super::standings::Stood;
@@ -155,6 +155,11 @@ pub trait Desk: Send + Sync + 'static {
 
     /// A record that the caller may read now, its bytes compared with the chain.
     async fn fetch(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal>;
+
+    /// What is left of a record that its owner had erased, for those who may read it: `NotFound` unless the owner states it.
+    async fn fetch_erased(&self, caller: &Caller, digest: &Digest) -> Result<ErasedRecord, Refusal> {
+        Err(Refusal::new(Code::NotFound, format_args!("nothing of record {digest} for {}", caller.account)))
+    }
 
     /// Entries as they arrive. The server fetches each one when it sends it, so that [`Self::fetch`] decides; closing
     /// the channel ends the subscription.

@@ -18,6 +18,7 @@ use crate::store::{RecordRow, Retained};
 use super::columns::{self, Keys as _};
 use super::evidence_heights::{self, Shown};
 use super::reader::Reader;
+use super::retention::erasing::is_stated;
 use super::{PipelineError, authority};
 use super::{evidence_stamps, evidence_witnesses};
 
@@ -119,7 +120,8 @@ fn stored(
 ) -> Result<Option<(Header, PublicKey, BundledRecord)>, PipelineError> {
     let plant = reader.plant;
     let Some(record) = plant.stored_bytes(row)? else {
-        let gone: Option<Retained> = plant.ledger.retained(row.digest)?.filter(|retained| retained.anchored);
+        let known = |gone: &Retained| gone.anchored || is_stated(plant, Some(reader.network), row.digest, gone);
+        let gone: Option<Retained> = plant.ledger.retained(row.digest)?.filter(known);
         return match gone {
             // What somebody had erased is no hole in the evidence that nobody explains: the rest is still evidence.
             Some(Retained { erased: Some(erasure), report, .. }) => {

@@ -1,6 +1,8 @@
 //! Records that come through a gateway: every claim is compared with the chain, then they are stored in vault and
 //! ledger as if they had been captured here. A gateway that lies gets nothing in.
 
+mod erased;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};

@@ -16,6 +16,7 @@ use crate::store::{KeptEnvelope, RecordQuery, RecordRow, Retained};
 
 use super::authority::{Policy, ReadRefused, ReadingRight, may_read};
 use super::directory::{Granted, kept};
+use super::retention::erasing::is_stated;
 use super::{Network, Owner, PipelineError, Plant, authority, columns, proof};
 
 /// The most definition records examined for one message.
@@ -86,12 +87,18 @@ impl Reader<'_> {
         let signed = signer.is_some_and(|signer| {
             check_deleted(self.plant.provider, &retained.header, row.digest, &row.signature, &signer).is_ok()
         });
-        let sound = signed && self.is_anchored(row).await?;
-        Ok(if sound { Verdict::Deleted } else { Verdict::Tampered })
+        Ok(match (signed, self.is_anchored(row).await?) {
+            (true, true) => Verdict::Deleted,
+            // Its anchor is not confirmed here yet, or not any more.
+            (true, false) if row.state < RecordState::Confirmed => Verdict::Unanchored,
+            (true | false, _) => Verdict::Tampered,
+        })
     }
 
     fn given_up(&self, row: &RecordRow) -> Result<Option<Retained>, PipelineError> {
-        Ok(block_in_place(|| self.plant.ledger.retained(row.digest))?.filter(|retained| retained.anchored))
+        let retained = block_in_place(|| self.plant.ledger.retained(row.digest))?;
+        let stated = |retained: &Retained| is_stated(self.plant, Some(self.network), row.digest, retained);
+        Ok(retained.filter(|retained| retained.anchored || stated(retained)))
     }
 
     /// The stored bytes; those of a quarantined record may not be in the vault yet. Deleted ones are gone, even where an

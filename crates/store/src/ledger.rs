@@ -64,7 +64,7 @@ pub use coverage::{Coverage, CoveragePart, CoverageQuery};
 pub use directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, StandingRights};
 pub use earlier::{EarlierAnchor, Left};
 pub use edges::is_legal;
-pub use erased::Erasure;
+pub use erased::{Erasure, TakenErased};
 pub use filter_choice::FilterChoice;
 pub use forwarding::KeptReceipt;
 pub use gaps::{GapRow, Loss};

@@ -30,8 +30,9 @@ pub use ledger::{
     KeptPosition, KeptReceipt, KeptRight, KeptStamp, KeptStanding, KeptTopic, Lacking, LaneCount, LastSeen, Ledger,
     Left, Loss, NewBatch, NewRecord, NewTransaction, OldRecord, OpenTransaction, OverduePlace, PinRow, PlacedPage,
     PositionCounts, RecordPage, RecordQuery, RecordRow, RecordsHeld, Reissue, Retained, RightEvent, RightKind,
-    RootSighting, Sequence, Sighting, SignerTopic, SpanCoverage, StampCounts, StandingRights, StateCounts, TopicCounts,
-    TransactionOutcome, TransactionRow, TransactionState, Unwitnessed, WaitingBatch, WaitingSigner, WitnessRow,
+    RootSighting, Sequence, Sighting, SignerTopic, SpanCoverage, StampCounts, StandingRights, StateCounts, TakenErased,
+    TopicCounts, TransactionOutcome, TransactionRow, TransactionState, Unwitnessed, WaitingBatch, WaitingSigner,
+    WitnessRow,
 };
 pub use reserve::{RESERVE_BYTES, Reserve};
 pub use vault::{Stored, Usage, Vault, open_vault};

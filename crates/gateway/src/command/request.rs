@@ -16,6 +16,8 @@ pub const MOST_UPLOADS: usize = 1024;
 pub const MOST_CHECKED: usize = 1024;
 /// A bit in the count of a check: the answer is to be signed, with proofs. Set in the answer's count as well.
 pub const SIGNED: u16 = 1 << 15;
+/// Behind the digest of a fetch: what is left of an erased record is asked for.
+const ERASED: u8 = 1;
 /// The longest signed transaction passed on, bytes.
 pub const LONGEST_TRANSACTION: usize = 3 * 1024;
 
@@ -120,6 +122,8 @@ pub enum Request {
     Prove(Vec<Digest>),
     /// One record: digest (32).
     Fetch(Digest),
+    /// What is left of a record that its owner had erased: digest (32) || 1. Earlier gateways answer `Malformed`.
+    FetchErased(Digest),
     /// Records as they arrive.
     Subscribe(Selection),
     /// End a subscription: the number of the request that began it (4).
@@ -153,7 +157,7 @@ impl Request {
             Self::UploadMany(_) => Command::UploadMany,
             Self::Query(_) => Command::Query,
             Self::Check(_) | Self::Prove(_) => Command::Check,
-            Self::Fetch(_) => Command::Fetch,
+            Self::Fetch(_) | Self::FetchErased(_) => Command::Fetch,
             Self::Subscribe(_) => Command::Subscribe,
             Self::Unsubscribe(_) => Command::Unsubscribe,
             Self::GrantNotice(_) => Command::GrantNotice,
@@ -185,6 +189,7 @@ impl Request {
                 body
             }
             Self::Fetch(digest) => digest.0.to_vec(),
+            Self::FetchErased(digest) => [&digest.0[..], &[ERASED]].concat(),
             Self::Subscribe(selection) => selection.encode(),
             Self::Unsubscribe(request) => request.to_be_bytes().to_vec(),
             Self::GrantNotice(notice) => notice.encode(),
@@ -218,7 +223,7 @@ impl Request {
                 let digests = read_digests(&mut reader)?;
                 if signed { Self::Prove(digests) } else { Self::Check(digests) }
             }
-            Command::Fetch => Self::Fetch(Digest(reader.array("digest")?)),
+            Command::Fetch => read_fetch(&mut reader)?,
             Command::Subscribe => Self::Subscribe(Selection::read(&mut reader)?),
             Command::Unsubscribe => Self::Unsubscribe(reader.u32("subscription")?),
             Command::GrantNotice => Self::GrantNotice(GrantNotice::read(&mut reader)?),
@@ -266,6 +271,17 @@ impl RevokeNotice {
             token: Token(reader.array("token")?),
             transaction: Hash(reader.array("transaction")?),
         })
+    }
+}
+
+fn read_fetch(reader: &mut Reader<'_>) -> Result<Request, WireError> {
+    let digest = Digest(reader.array("digest")?);
+    if reader.rest().is_empty() {
+        return Ok(Request::Fetch(digest));
+    }
+    match reader.u8("what is fetched")? {
+        ERASED => Ok(Request::FetchErased(digest)),
+        _ => Err(WireError::Value("what is fetched")),
     }
 }
 

@@ -102,6 +102,10 @@ impl Commands {
             Request::Fetch(digest) => {
                 desk.fetch(&self.caller, &digest).await.map(|record| Answer::Record(Box::new(record)))
             }
+            Request::FetchErased(digest) => {
+                let erased = desk.fetch_erased(&self.caller, &digest).await?;
+                Ok(Answer::Record(Box::new(erased.into_fetched())))
+            }
             Request::Subscribe(selection) => {
                 let feeds = self.feeds.get_or_insert_with(Feeds::new);
                 feeds.check_room(message.request, shared.limits().subscriptions)?;

@@ -6,8 +6,9 @@ use super::report::{FindingKind, Tally};
 use crate::crypto::record::{Checked, signed_bytes};
 use crate::crypto::{Anchor, CryptoError, Unchecked, check_alone};
 use crate::model::{Digest, Header, PublicKey, RecordKind, RecordState};
+use crate::pipeline::retention::erasing::is_stated;
 use crate::pipeline::{PipelineError, authority, columns};
-use crate::store::{AuditedRecord, RecordRow, StoreError};
+use crate::store::{AuditedRecord, RecordRow, Retained, StoreError};
 
 /// Checks the stored bytes of some records: read at once, with their digests computed in parallel.
 pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -> Result<(), StoreError> {
@@ -60,7 +61,7 @@ fn gone(bench: Bench<'_>, record: &AuditedRecord, tally: &mut Tally) -> Result<(
     if now.state == RecordState::Dropped || handed_over {
         tally.given_up += 1;
     } else if let Some(retained) = bench.plant.ledger.retained(now.digest)? {
-        match retention_fault(bench, &now, retained.report, &retained.header)? {
+        match retention_fault(bench, &now, &retained)? {
             None => tally.given_up += 1,
             Some(text) => tally.find(FindingKind::Tampered, &subject(record), &text),
         }
@@ -72,18 +73,13 @@ fn gone(bench: Bench<'_>, record: &AuditedRecord, tally: &mut Tally) -> Result<(
 
 /// Inconsistencies after retention deleted a record: a retention record on the chain must name it, and what was kept of
 /// it (header, signature) must still be its owner's.
-fn retention_fault(
-    bench: Bench<'_>,
-    row: &RecordRow,
-    report: Digest,
-    header: &[u8],
-) -> Result<Option<String>, StoreError> {
-    let told = bench.plant.ledger.record(report)?.filter(|told| told.kind == RecordKind::Retention);
+fn retention_fault(bench: Bench<'_>, row: &RecordRow, retained: &Retained) -> Result<Option<String>, StoreError> {
+    let told = bench.plant.ledger.record(retained.report)?.filter(|told| told.kind == RecordKind::Retention);
     let anchored = told.is_some_and(|told| told.block.is_some() || bench.network.is_none());
-    if !anchored {
+    if !anchored && !is_stated(bench.plant, bench.network, row.digest, retained) {
         return Ok(Some("its bytes were deleted, but no retention record on the chain covers it".to_owned()));
     }
-    let Ok((header, _)) = Header::parse(header) else {
+    let Ok((header, _)) = Header::parse(&retained.header) else {
         return Ok(Some("the header kept of it is not a header".to_owned()));
     };
     if let Some(field) = header_fault(bench, row, &header) {

@@ -3,10 +3,11 @@
 
 use std::collections::BTreeMap;
 
-use crate::model::{Digest, RecordKind, RecordState, RecorderId, RetentionReport, TopicId};
+use crate::crypto::{ErasedStatement, SmKeyPair, signer_id};
+use crate::model::{Digest, Header, RecordKind, RecordState, RecorderId, RetentionReport, TopicId};
 use crate::pipeline::statement::{self, Speaker, Statement};
-use crate::pipeline::{Owner, PipelineError, Plant};
-use crate::store::{Erasure, RecordRow};
+use crate::pipeline::{Network, Owner, PipelineError, Plant};
+use crate::store::{Erasure, RecordRow, Retained};
 
 use super::{ROUND, TOPIC, TYPE, header_of, rolling};
 
@@ -93,5 +94,36 @@ fn report(
     };
     let statement = Statement { kind: RecordKind::Retention, topic: TOPIC, type_name: TYPE, body: &body };
     let named: Vec<(Digest, Vec<u8>)> = records.into_iter().map(|(row, header)| (row.digest, header)).collect();
-    statement::put(plant, &speaker, statement, |row| plant.ledger.erase(row, erasure, named))
+    let told = named.clone();
+    statement::put(plant, &speaker, statement, |row| plant.ledger.erase(row, erasure, named))?;
+    state(plant, &keys.signing, erasure, &told)
+}
+
+/// Signs for readers who never had these records that they were erased.
+fn state(
+    plant: &Plant,
+    signing: &SmKeyPair,
+    erasure: &Erasure,
+    erased: &[(Digest, Vec<u8>)],
+) -> Result<(), PipelineError> {
+    let mut statements = Vec::with_capacity(erased.len());
+    for (digest, header) in erased {
+        let Some(retained) = plant.ledger.retained(*digest)? else { continue };
+        let about = (digest, header.as_slice());
+        let stated = ErasedStatement::sign(plant.provider, signing, about, (retained.report, erasure.at))?;
+        statements.push((*digest, stated.encode()));
+    }
+    Ok(plant.ledger.keep_erasure_statements(statements)?)
+}
+
+/// Whether a record that is gone, and whose retention record is not here, was erased as its owner states: with a key that
+/// was the owner's, if a network is there to say so.
+pub fn is_stated(plant: &Plant, network: Option<&Network>, digest: Digest, retained: &Retained) -> bool {
+    let Some(bytes) = &retained.stated else { return false };
+    let Ok(statement) = ErasedStatement::parse(bytes) else { return false };
+    let Ok((header, _)) = Header::parse(&retained.header) else { return false };
+    let signer = signer_id(&statement.signer);
+    let is_owners = network.is_none_or(|network| network.directory.registered_as(signer) == Some(header.owner));
+    let is_about = statement.report == retained.report;
+    is_owners && is_about && statement.check(plant.provider, &digest, &retained.header).is_ok()
 }

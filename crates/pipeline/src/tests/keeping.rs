@@ -87,7 +87,7 @@ pub(super) fn head(body: &[u8]) -> Head {
 }
 
 /// A record of the owner that another ledger numbered; sealed with the wrong key, if one is given.
-fn elsewhere(owner: &Owner, seq: u64, body: &[u8], wrong: Option<&TopicKey>) -> SealedRecord {
+pub(super) fn elsewhere(owner: &Owner, seq: u64, body: &[u8], wrong: Option<&TopicKey>) -> SealedRecord {
     let keys = owner.sealing().expect("keys");
     let topic = keys.topic("/robot1/odom").expect("covered");
     let request = SealRequest {
@@ -114,7 +114,7 @@ fn upload(owner: &Owner, seq: u64, body: &[u8]) -> NewRecord {
 }
 
 /// Imports the record through the mirror, as a gateway returns it.
-async fn taken(line: &Line, sealed: SealedRecord) -> Result<bool, PipelineError> {
+pub(super) async fn taken(line: &Line, sealed: SealedRecord) -> Result<bool, PipelineError> {
     let (plant, network, reader, keeper) = (&line.plant, &line.network, &line.owner, Address([8; 20]));
     let mirror = Mirror { plant, network, reader, keeper, anchors: Anchors::default() };
     let SealedRecord { digest, signature, blob, .. } = sealed;

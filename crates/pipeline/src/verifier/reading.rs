@@ -6,6 +6,7 @@ use std::collections::HashMap;
 use crate::crypto::{check_deleted, fault};
 use crate::model::{Address, Digest, PublicKey, SignerId};
 use crate::pipeline::authority::{self, NoRight};
+use crate::pipeline::retention::erasing::is_stated;
 use crate::pipeline::{Network, PipelineError, Plant, columns, proof};
 use crate::store::{RecordRow, StoreError, Vault};
 
@@ -126,6 +127,10 @@ fn is_sound_without(
     let Some(retained) = plant.ledger.retained(row.digest)?.filter(|retained| retained.deleted_at.is_some()) else {
         return Ok(false);
     };
+    // Where the retention record is elsewhere, its owner's statement takes its place.
+    if retained.stated.is_some() && !is_stated(plant, Some(network), row.digest, &retained) {
+        return Ok(false);
+    }
     let header = check_deleted(plant.provider, &retained.header, row.digest, &row.signature, signer);
     let same = header
         .is_ok_and(|header| columns::header_difference(row, &header).is_none() && network.accepts(&header.domain));

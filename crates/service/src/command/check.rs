@@ -48,6 +48,9 @@ pub struct ErasureWishes {
     /// These records, by the beginnings of their digests; then nothing else decides.
     #[serde(default)]
     pub records: Vec<String>,
+    /// Only those that an import of this recording sealed: its tag, 16 hexadecimal digits.
+    #[serde(default)]
+    pub recording: Option<String>,
     /// Why; kept with who and when.
     pub reason: String,
     /// Do it; else it is only shown.

@@ -7,6 +7,8 @@ use rusqlite::{Connection, OptionalExtension as _, params};
 use super::append::add;
 use super::retention::name;
 use super::{Ledger, NewRecord, database, database::whole};
+use crate::crypto::ErasedStatement;
+use crate::model::bytes::{hex, unhex};
 use crate::model::{Digest, Timestamp, clean};
 use crate::store::StoreError;
 
@@ -21,6 +23,19 @@ pub struct Erasure {
     pub reason: String,
 }
 
+/// What came here in place of a record that its owner had erased.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TakenErased {
+    /// The public header of its stored bytes.
+    pub header: Vec<u8>,
+    /// The retention record that names it, which need not be here.
+    pub report: Digest,
+    /// When it was decided.
+    pub at: Timestamp,
+    /// What the owner states, signed.
+    pub statement: Vec<u8>,
+}
+
 impl fmt::Display for Erasure {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(formatter, "erased {} by {}, {}", self.at, clean(&self.by, 80), clean(&self.reason, 500))
@@ -31,6 +46,12 @@ impl Erasure {
     /// As the ledger notes it: nanoseconds, profile and reason, a line each.
     fn noted(&self) -> String {
         format!("{}\n{}\n{}", self.at.0, self.by, self.reason)
+    }
+
+    /// As a reader is told: by whom and why is in the owner's retention record.
+    pub(super) fn stated(statement: &[u8]) -> Option<Self> {
+        let at = ErasedStatement::parse(statement).ok()?.at;
+        Some(Self { at, by: "its owner".to_owned(), reason: "its proof remains".to_owned() })
     }
 
     /// From a note.
@@ -46,6 +67,11 @@ pub(super) fn place(report: &Digest) -> String {
     format!("erased:{report}")
 }
 
+/// The setting that has its owner's statement of an erased record.
+fn statement_place(digest: &Digest) -> String {
+    format!("erasure of:{digest}")
+}
+
 /// Makes a record that a rule has named, and whose bytes are still here, this erasure's; `false` if it is not such a one.
 fn take_from_rule(connection: &Connection, digest: Digest, report: Digest) -> Result<bool, StoreError> {
     let taken = connection
@@ -56,6 +82,17 @@ fn take_from_rule(connection: &Connection, digest: Digest, report: Digest) -> Re
         )?
         .execute(params![digest.0, report.0])?;
     Ok(taken > 0)
+}
+
+/// Counts a record among those of its topic whose ciphertext is given up.
+fn count_given_up(connection: &Connection, digest: Digest) -> Result<(), StoreError> {
+    connection
+        .prepare_cached(
+            "INSERT INTO retained_topics SELECT topic, 1, bytes FROM records WHERE digest = ?1
+             ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes",
+        )?
+        .execute([digest.0])?;
+    Ok(())
 }
 
 impl Ledger {
@@ -81,12 +118,7 @@ impl Ledger {
                     continue;
                 }
                 name(connection, *digest, report.digest, header)?;
-                connection
-                    .prepare_cached(
-                        "INSERT INTO retained_topics SELECT topic, 1, bytes FROM records WHERE digest = ?1
-                         ON CONFLICT DO UPDATE SET records = records + excluded.records, bytes = bytes + excluded.bytes",
-                    )?
-                    .execute([digest.0])?;
+                count_given_up(connection, *digest)?;
             }
             Ok(())
         })
@@ -98,6 +130,62 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn erasure(&self, report: Digest) -> Result<Option<Erasure>, StoreError> {
         Ok(self.setting(&place(&report))?.and_then(|text| Erasure::read(&text)))
+    }
+
+    /// Notes what an owner states of records that it had erased, for readers who do not have them.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like; then none is noted.
+    pub fn keep_erasure_statements(&self, statements: Vec<(Digest, Vec<u8>)>) -> Result<(), StoreError> {
+        self.write_many(statements.len(), move |session| {
+            let mut put = session.connection.prepare_cached("REPLACE INTO settings VALUES (?1, ?2)")?;
+            for (digest, statement) in &statements {
+                put.execute([statement_place(digest), hex(statement)])?;
+            }
+            Ok(())
+        })
+    }
+
+    /// What its owner states of an erased record.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn erasure_statement(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
+        Ok(self.setting(&statement_place(&digest))?.and_then(|text| unhex(&text)))
+    }
+
+    /// Notes a record that its owner had erased before it came here: its row, its public header, and the owner's
+    /// statement, in one commit. `false` if it is here with its bytes: then nothing changes.
+    ///
+    /// # Errors
+    /// See [`Ledger::append`].
+    pub fn take_erased(&self, record: NewRecord, taken: TakenErased) -> Result<bool, StoreError> {
+        self.takes_records()?;
+        self.write(move |session| {
+            let digest = record.digest.0;
+            let here = "SELECT 1 FROM records WHERE digest = ?1 AND deleted_at IS NULL";
+            if session.connection.prepare_cached(here)?.exists([digest])? {
+                return Ok(false);
+            }
+            add(session, &record, whole("time", Timestamp::now().0)?)?;
+            let (connection, at) = (session.connection, whole("time", taken.at.0)?);
+            let named = connection
+                .prepare_cached(
+                    "INSERT INTO retained (record, report, header, deleted_at) SELECT n, ?2, ?3, ?4 FROM records
+                     WHERE digest = ?1 ON CONFLICT DO NOTHING",
+                )?
+                .execute(params![digest, taken.report.0, taken.header, at])?;
+            if named > 0 {
+                count_given_up(connection, record.digest)?;
+            }
+            connection
+                .prepare_cached("UPDATE records SET deleted_at = ?2 WHERE digest = ?1 AND deleted_at IS NULL")?
+                .execute(params![digest, at])?;
+            connection
+                .prepare_cached("INSERT INTO settings VALUES (?1, ?2) ON CONFLICT DO NOTHING")?
+                .execute([statement_place(&record.digest), hex(&taken.statement)])?;
+            Ok(true)
+        })
     }
 
     /// Those of these records that somebody had erased.

@@ -8,6 +8,7 @@ use rusqlite::{Connection, OptionalExtension as _, params};
 use super::append::{add, count};
 use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
 use super::{Erasure, Ledger, NewRecord, database::whole};
+use crate::model::bytes::unhex;
 use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId};
 use crate::store::StoreError;
 
@@ -57,6 +58,8 @@ pub struct Retained {
     pub deleted_at: Option<Timestamp>,
     /// Who had it erased, unless a rule did.
     pub erased: Option<Erasure>,
+    /// If it was erased before it came here: what its owner stated, to be checked by whoever relies on it.
+    pub stated: Option<Vec<u8>>,
 }
 
 impl Ledger {
@@ -209,21 +212,30 @@ impl Ledger {
         self.read(|connection| {
             let found = connection
                 .prepare_cached(
-                    "SELECT report, told.state IN (?2, ?3), header, retained.deleted_at,
-                     (SELECT value FROM settings WHERE key = 'erased:' || lower(hex(report))) FROM records one
-                     JOIN retained ON record = one.n JOIN records told ON told.digest = report WHERE one.digest = ?1",
+                    "SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
+                     (SELECT value FROM settings WHERE key = 'erased:' || lower(hex(report))), told.n IS NOT NULL,
+                     (SELECT value FROM settings WHERE key = 'erasure of:' || lower(hex(one.digest))) FROM records one
+                     JOIN retained ON record = one.n LEFT JOIN records told ON told.digest = report WHERE one.digest = ?1",
                 )?
                 .query_row(params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()], |row| {
-                    Ok(Retained {
+                    let erased = row.get::<_, Option<String>>(4)?.and_then(|text| Erasure::read(&text));
+                    let (told, stated): (bool, Option<String>) = (row.get(5)?, row.get(6)?);
+                    // Its own erasures a ledger knows without a statement.
+                    let stated = stated.filter(|_| erased.is_none()).and_then(|text| unhex(&text));
+                    if !told && stated.is_none() {
+                        return Ok(None);
+                    }
+                    Ok(Some(Retained {
                         report: Digest(row.get(0)?),
-                        anchored: row.get(1)?,
+                        anchored: row.get::<_, bool>(1)? && stated.is_none(),
                         header: row.get(2)?,
                         deleted_at: row.get::<_, Option<i64>>(3)?.map(|at| Timestamp(at.cast_unsigned())),
-                        erased: row.get::<_, Option<String>>(4)?.and_then(|text| Erasure::read(&text)),
-                    })
+                        erased: erased.or_else(|| stated.as_deref().and_then(Erasure::stated)),
+                        stated,
+                    }))
                 })
                 .optional()?;
-            Ok(found)
+            Ok(found.flatten())
         })
     }
 

@@ -121,6 +121,7 @@ pub(in crate::ui) fn record_lines(record: &RecordView) -> Vec<Vec<Piece>> {
     lines.push(labelled("captured", record.captured_at.to_string(), Role::Body));
     lines.extend(record.owner.map(|owner| labelled("owner", owner.to_string(), Role::Body)));
     lines.push(labelled("digest", record.digest.to_hex(), Role::Dim));
+    lines.extend(record.erased.as_ref().map(|erased| labelled("erased", clean(erased, 600), Role::Warning)));
     lines
 }
 

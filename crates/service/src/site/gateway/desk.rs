@@ -15,9 +15,9 @@ use crate::chain::{Call, RelayError};
 use crate::crypto::{SmKeyPair, open_transport_key, seal_transport_key, signer_id};
 use crate::gateway::desk::Account;
 use crate::gateway::{
-    Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, Entry, Fetched, GrantNotice, HandedOver, HoldingPlace,
-    Holdings, NetworkName, Page, Query, Received, Refusal, Registration, RevokeNotice, Selection, Standing, Stood,
-    Wanted,
+    Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, Entry, ErasedRecord, Fetched, GrantNotice, HandedOver,
+    HoldingPlace, Holdings, NetworkName, Page, Query, Received, Refusal, Registration, RevokeNotice, Selection,
+    Standing, Stood, Wanted,
 };
 use crate::model::{
     Address, Countersignature, Digest, Hash, ProfileName, PublicKey, SignedPosition, SignerId, Timestamp, Token,
@@ -275,6 +275,12 @@ impl Desk for GatewayDesk {
         self.freshen().await?;
         let (caller, digest) = (caller.clone(), *digest);
         self.blocking(move |desk| desk.record(&caller, &digest)).await
+    }
+
+    async fn fetch_erased(&self, caller: &Caller, digest: &Digest) -> Result<ErasedRecord, Refusal> {
+        self.freshen().await?;
+        let (caller, digest) = (caller.clone(), *digest);
+        self.blocking(move |desk| desk.erased(&caller, &digest)).await
     }
 
     async fn subscribe(&self, caller: &Caller, selection: &Selection) -> Result<mpsc::Receiver<Entry>, Refusal> {

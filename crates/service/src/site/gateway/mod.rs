@@ -9,6 +9,7 @@ pub(super) mod admissions;
 mod cut_off_tests;
 mod desk;
 mod devices;
+mod erased;
 mod fellows;
 mod handing;
 mod live;

@@ -159,18 +159,22 @@ impl GatewayDesk {
 
     /// A record's bytes, compared with its digest before any of them leave.
     pub(super) fn record(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal> {
-        let internal = Refusal::because(Code::Internal);
         let network = self.fresh_network()?;
-        let plant = &self.gateway.plant;
-        let row = plant.ledger.record(*digest).map_err(&internal)?;
+        let row = self.readable(&network, caller, digest)?;
+        self.bytes_of(&network, &row)
+    }
+
+    /// A record that the caller may read now.
+    pub(super) fn readable(&self, network: &Network, caller: &Caller, digest: &Digest) -> Result<RecordRow, Refusal> {
+        let row = self.gateway.plant.ledger.record(*digest).map_err(Refusal::because(Code::Internal))?;
         let row = row.filter(is_offered);
         let row = row.ok_or_else(|| Refusal::new(Code::NotFound, format_args!("no record {digest}")))?;
-        self.check_loan(&network, caller)?;
+        self.check_loan(network, caller)?;
         let beyond = caller.device.is_some_and(|device| !device.is_for(row.kind, row.topic_id));
-        if beyond || !self.reach(&network, &caller.account, &row.owner)?.covers(row.topic_id) {
+        if beyond || !self.reach(network, &caller.account, &row.owner)?.covers(row.topic_id) {
             return Err(not_authorised(&row.owner, &caller.account));
         }
-        self.bytes_of(&network, &row)
+        Ok(row)
     }
 
     /// A record with its proof, whoever is to have it.

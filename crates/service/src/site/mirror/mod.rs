@@ -1,6 +1,7 @@
 //! Mirrors each gateway's records of a profile here: lists and fetches what is missing, then takes records as they come. A
 //! lost connection is opened again, with pauses that grow to five seconds.
 
+mod erased;
 mod remote;
 pub(super) mod remotes;
 
@@ -309,7 +310,8 @@ impl Joined {
     ) -> Result<(), Broken> {
         match client.fetch(&entry.digest).await {
             Ok(record) => Ok(self.take(mirror, source, entry, record).await?),
-            Err(GatewayError::Refused(Code::NotFound | Code::NotAuthorised | Code::Tampered)) => Ok(()),
+            Err(GatewayError::Refused(Code::NotFound)) => self.learn_erased(client, mirror, source, entry).await,
+            Err(GatewayError::Refused(Code::NotAuthorised | Code::Tampered)) => Ok(()),
             Err(GatewayError::Crypto(error)) => {
                 self.hub.notice(NoticeLevel::Error, &PipelineError::from(error).to_string());
                 Ok(())

@@ -11,6 +11,7 @@ use crate::model::bytes::hex;
 use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId};
 use crate::pipeline::columns::{self, Caveat, ShownState};
 use crate::pipeline::epoch::tag_choice;
+use crate::pipeline::retention::erasing::is_stated;
 use crate::pipeline::{Network, Owner, PipelineError, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::{input, internal};
@@ -212,7 +213,7 @@ impl Reading {
             move |reading: &Self| Ok((reading.plant.stored_bytes(&wanted)?, reading.plant.ledger.batch_place(digest)?));
         let (blob, place) = blocking(self, stored).await?;
         let gone = blocking(self, move |reading| Ok(reading.plant.ledger.retained(digest)?)).await?;
-        let gone = gone.filter(|retained| retained.anchored);
+        let gone = gone.filter(|gone| gone.anchored || is_stated(&self.plant, Some(network), digest, gone));
         let blob = blob.ok_or_else(|| match gone {
             Some(retained) => PipelineError::gone(&row.id, retained),
             None => PipelineError::Missing(row.id.clone()),

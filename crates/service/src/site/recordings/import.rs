@@ -30,7 +30,7 @@ use crate::site::blocking;
 const MOST_TAGS: usize = 24;
 
 /// The tag that names the file by the beginning of its digest.
-pub(super) const RECORDING: &str = "recording";
+pub(in crate::site) const RECORDING: &str = "recording";
 
 /// The progress of a topic of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -5,6 +5,7 @@ mod import;
 mod sealed_before;
 mod writing;
 
+pub(in crate::site) use self::import::RECORDING;
 use crate::config::Config;
 use crate::pipeline::Plant;
 use crate::pipeline::recorder::CapturedMessage;

@@ -8,12 +8,15 @@ use std::time::Duration;
 use super::Storage;
 use crate::model::{Digest, RecordKind, RecordState, Timestamp, clean};
 use crate::pipeline::Owner;
+use crate::pipeline::importer::SOURCE;
+use crate::pipeline::reader::Reader;
 use crate::pipeline::retention::erasing::{self, LONGEST_REASON};
 use crate::service::command::ErasureWishes;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{ErasureView, Failure};
 use crate::site::blocking;
-use crate::store::{Erasure, IncidentRow, Ledger, RecordQuery, RecordRow};
+use crate::site::recordings::RECORDING;
+use crate::store::{Erasure, IncidentRow, RecordQuery, RecordRow};
 
 /// The most records of one erasure.
 const MOST: usize = 100_000;
@@ -41,10 +44,11 @@ impl Storage {
         if reason.is_empty() || wishes.reason.chars().count() > LONGEST_REASON {
             return Err(input(format!("say why in 1 to {LONGEST_REASON} characters: --reason TEXT")));
         }
-        let (asked, address, sure) = (wishes.clone(), owner.address, wishes.sure);
+        let (asked, asking, sure) = (wishes.clone(), Arc::clone(owner), wishes.sure);
+        let network = self.link.network().await?;
         let (rows, incidents) = blocking(self, move |storage| {
-            let ledger = &storage.plant.ledger;
-            Ok((chosen(ledger, address, &asked)?, ledger.incidents(address)?))
+            let reader = Reader { plant: &storage.plant, network: &network, reader: &asking };
+            Ok((chosen(&reader, &asked)?, storage.plant.ledger.incidents(asking.address)?))
         })
         .await?;
         let (view, erasable) = planned(&rows, &incidents);
@@ -108,7 +112,8 @@ impl Storage {
 }
 
 /// The chosen records of an owner.
-fn chosen(ledger: &Ledger, owner: crate::model::Address, wishes: &ErasureWishes) -> Result<Vec<RecordRow>, Failure> {
+fn chosen(reader: &Reader<'_>, wishes: &ErasureWishes) -> Result<Vec<RecordRow>, Failure> {
+    let (ledger, owner) = (&reader.plant.ledger, reader.reader.address);
     let mut rows = Vec::new();
     for id in &wishes.records {
         let row = ledger.record_by_id(id)?.filter(|row| row.owner == owner && row.kind == RecordKind::Data);
@@ -120,12 +125,12 @@ fn chosen(ledger: &Ledger, owner: crate::model::Address, wishes: &ErasureWishes)
         rows.dedup_by_key(|row| row.digest);
         return Ok(rows);
     }
-    let Some(topic) = &wishes.topic else {
-        return Err(input("choose what to erase: --topic, with --since and --until, or --record"));
-    };
+    if wishes.topic.is_none() && wishes.recording.is_none() {
+        return Err(input("choose what to erase: --topic or --recording, with --since and --until, or --record"));
+    }
     let mut query = RecordQuery {
         owner: Some(owner),
-        topic: Some(topic.to_string()),
+        topic: wishes.topic.as_ref().map(ToString::to_string),
         kind: Some(RecordKind::Data),
         since: wishes.since,
         until: wishes.until,
@@ -134,13 +139,29 @@ fn chosen(ledger: &Ledger, owner: crate::model::Address, wishes: &ErasureWishes)
     };
     loop {
         let page = ledger.list(&query)?;
-        rows.extend(page.rows);
+        match &wishes.recording {
+            Some(recording) => rows.extend(imported(reader, page.rows, recording)?),
+            None => rows.extend(page.rows),
+        }
         if rows.len() > MOST {
             return Err(input(format!("these are more than {MOST} records; choose a shorter span and repeat it")));
         }
         let Some(next) = page.next else { return Ok(rows) };
         query.after = Some(next);
     }
+}
+
+/// Those that an import of a recording sealed, as their sealed tags say. What is gone already cannot be opened and is none.
+fn imported(reader: &Reader<'_>, rows: Vec<RecordRow>, recording: &str) -> Result<Vec<RecordRow>, Failure> {
+    let mut found = Vec::new();
+    for row in rows {
+        let Some(opened) = reader.own_contents(&row)? else { continue };
+        let has = |name: &str, value: &str| opened.head.tags.get(name).is_some_and(|tag| tag == value);
+        if has(RECORDING, recording) && has(SOURCE.0, SOURCE.1) {
+            found.push(row);
+        }
+    }
+    Ok(found)
 }
 
 /// What would become of these records, and those that can go.

@@ -11,6 +11,7 @@ use crate::paths::Home;
 use crate::pipeline::Plant;
 use crate::service::hub::Hub;
 use crate::site::audit::Log;
+use crate::site::chain::link::Link;
 use crate::site::identity::owners::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
@@ -27,6 +28,7 @@ pub(in crate::site) struct Storage {
     hub: Arc<Hub>,
     log: Arc<Log>,
     owners: Arc<Owners>,
+    link: Arc<Link>,
     life: Arc<Lifetime>,
     /// Space for the states of records on a full disk.
     states: Reserve,
@@ -40,7 +42,7 @@ pub(in crate::site) struct Storage {
 impl Storage {
     /// From the shared parts.
     pub fn new(parts: &Parts, reading: &Arc<Reading>) -> Self {
-        let Parts { home, config, plant, hub, log, owners, life, .. } = parts.clone();
+        let Parts { home, config, plant, hub, log, owners, link, life, .. } = parts.clone();
         Self {
             home,
             config,
@@ -48,6 +50,7 @@ impl Storage {
             hub,
             log,
             owners,
+            link,
             life,
             states: room::working_reserve(&parts.home, parts.config.disk_reserve),
             reading: Arc::clone(reading),

@@ -174,3 +174,44 @@ fn scouring_what_an_earlier_attempt_deleted_empties_the_log_all_the_same() {
     ledger.scour_local_copies(&[one.digest]).expect("the second attempt");
     assert!(!is_in_log());
 }
+
+#[test]
+fn an_owners_statement_speaks_for_its_own_record_and_for_no_other() {
+    let (_home, ledger) = open();
+    let mine = record(1, 1, 1);
+    ledger.append(vec![mine.clone()]).expect("acknowledged");
+    move_to(&ledger, vec![mine.digest], Verified);
+    let topic = ledger.kept_topics(OWNER).expect("read").remove(0);
+    let due = ledger.oldest(&topic, (Timestamp(0), Timestamp(9_999)), 9).expect("read");
+    let due = due.into_iter().map(|record| (record, vec![1])).collect();
+    let report = NewRecord { kind: RecordKind::Retention, topic: "authros/retention".to_owned(), ..record(1, 9, 1) };
+    ledger.give_up(&topic, report.clone(), due).expect("a rule names it");
+    ledger.deleted(&[mine.digest]).expect("noted");
+    move_to(&ledger, vec![report.digest], Verified);
+
+    // Another owner names a retention record of this one in its statement.
+    let foreign = Some(Foreign { recorder: RecorderId([9; 16]), keeper: Address([5; 20]) });
+    let theirs = NewRecord { foreign, topic: String::new(), ..record(2, 4, 1) };
+    let (signer, signature) = (crate::model::PublicKey([1; 64]), Signature([2; 64]));
+    let at = Timestamp::from_seconds(5);
+    let statement = crate::crypto::ErasedStatement { report: report.digest, at, signer, signature }.encode();
+    let taken = TakenErased { header: vec![3; 9], report: report.digest, at, statement: statement.clone() };
+    assert_eq!(ledger.take_erased(theirs.clone(), taken.clone()), Ok(true));
+    let own = ledger.retained(mine.digest).expect("read").expect("kept");
+    assert_eq!((own.anchored, own.erased, own.stated), (true, None, None), "deleted by a rule, as before");
+    let told = ledger.retained(theirs.digest).expect("read").expect("kept");
+    assert_eq!((told.anchored, told.stated), (false, Some(statement)), "it is for others to check");
+    assert_eq!(
+        told.erased.map(|erasure| erasure.to_string()).as_deref(),
+        Some("erased 1970-01-01T00:00:05Z by its owner, its proof remains")
+    );
+    let row = ledger.record(theirs.digest).expect("read").expect("listed");
+    assert_eq!((row.deleted_at, told.deleted_at), (Some(at), Some(at)));
+
+    assert_eq!(ledger.take_erased(theirs, taken.clone()), Ok(true), "known");
+    assert_eq!(ledger.given_up(Address([2; 20])), Ok(1), "counted once");
+    let here = NewRecord { foreign, ..record(2, 4, 2) };
+    ledger.append(vec![here.clone()]).expect("acknowledged");
+    assert_eq!(ledger.take_erased(here.clone(), taken), Ok(false), "who has the bytes keeps them");
+    assert_eq!(ledger.retained(here.digest), Ok(None));
+}

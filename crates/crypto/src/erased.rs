@@ -1,0 +1,145 @@
+//! What an owner states of a record that it had erased: for readers who never had it, beside the header, the signature and
+//! the proof that stay. Signed by d_C, so no gateway can say it of a record that it only withholds.
+
+use crate::model::wire::{Reader, WireError};
+use crate::model::{Digest, Header, PublicKey, Signature, Timestamp};
+
+use super::{CryptoError, Provider, SmKeyPair};
+
+const LABEL: &[u8] = b"AuthROS/erased/1";
+const WHAT: &str = "statement of an erased record";
+
+/// `report (32) || time (8) || P_C (64) || signature (64)`, big endian. The signature is SM2 over `"AuthROS/erased/1" || domain
+/// || owner || digest || SM3(public header) || report || time`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ErasedStatement {
+    /// The digest of the retention record that names the record.
+    pub report: Digest,
+    /// When it was decided, by the owner's clock.
+    pub at: Timestamp,
+    /// The key that signed this. Whether it is the owner's is for a reader of the chain to see.
+    pub signer: PublicKey,
+    /// (r, s).
+    pub signature: Signature,
+}
+
+impl ErasedStatement {
+    /// Length of its encoding, bytes.
+    pub const LENGTH: usize = 32 + 8 + 64 + 64;
+
+    /// States that the record with this digest and public header was erased.
+    ///
+    /// # Errors
+    /// [`CryptoError::DamagedRecord`] if the header is none, errors of signing.
+    pub fn sign(
+        provider: &dyn Provider,
+        signing: &SmKeyPair,
+        (digest, header): (&Digest, &[u8]),
+        (report, at): (Digest, Timestamp),
+    ) -> Result<Self, CryptoError> {
+        let text = signed_text(provider, (digest, header), (&report, at))?;
+        let signature = provider.sign(&signing.secret, &text)?;
+        Ok(Self { report, at, signer: signing.public, signature })
+    }
+
+    /// Whether its key signed it for the record with this digest and public header.
+    ///
+    /// # Errors
+    /// [`CryptoError::DamagedRecord`] or [`CryptoError::NotAccepted`].
+    pub fn check(&self, provider: &dyn Provider, digest: &Digest, header: &[u8]) -> Result<(), CryptoError> {
+        let text = signed_text(provider, (digest, header), (&self.report, self.at))?;
+        let verified = provider.verify(&self.signer, &text, &self.signature);
+        verified.map_err(|_| CryptoError::NotAccepted { what: WHAT, field: "signature" })
+    }
+
+    /// Encodes it.
+    pub fn encode(&self) -> Vec<u8> {
+        [&self.report.0[..], &self.at.0.to_be_bytes(), &self.signer.0, &self.signature.0].concat()
+    }
+
+    /// From its encoding; only the form is checked.
+    ///
+    /// # Errors
+    /// [`WireError`] if the bytes are not exactly one.
+    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
+        let mut reader = Reader::new(bytes);
+        let statement = Self {
+            report: Digest(reader.array("retention record")?),
+            at: Timestamp(reader.u64("time")?),
+            signer: PublicKey(reader.array("signer")?),
+            signature: Signature(reader.array("signature")?),
+        };
+        reader.end()?;
+        Ok(statement)
+    }
+}
+
+fn signed_text(
+    provider: &dyn Provider,
+    (digest, header): (&Digest, &[u8]),
+    (report, at): (&Digest, Timestamp),
+) -> Result<Vec<u8>, CryptoError> {
+    let (parsed, _) = Header::parse(header).map_err(CryptoError::DamagedRecord)?;
+    let hashed = provider.sm3(&[header]);
+    let time = at.0.to_be_bytes();
+    let parts: [&[u8]; 7] = [LABEL, &parsed.domain.0, &parsed.owner.0, &digest.0, &hashed, &report.0, &time];
+    Ok(parts.concat())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::{Address, Commit, Domain, RecordKind, RecorderId, Salt, SignerId, TopicId};
+    use crate::{ProviderName, provider};
+
+    fn header(seq: u64) -> Vec<u8> {
+        let header = Header {
+            kind: RecordKind::Data,
+            domain: Domain([1; 32]),
+            owner: Address([2; 20]),
+            signer: SignerId([3; 32]),
+            epoch: 1,
+            recorder: RecorderId([4; 16]),
+            seq,
+            topic_id: TopicId([5; 16]),
+            filters: Vec::new(),
+            captured_at: Timestamp(6),
+            head_length: 40,
+            body_length: 30,
+            salt: Salt([7; 24]),
+            commit: Commit([8; 32]),
+        };
+        header.encode()
+    }
+
+    #[test]
+    fn it_holds_for_one_record_as_its_owner_wrote_it_and_for_nothing_else() {
+        let provider = provider(ProviderName::default());
+        let pair = || SmKeyPair::generate(provider).expect("a pair");
+        let (owner, other) = (pair(), pair());
+        let (digest, header_of) = (Digest([9; 32]), header(1));
+        let about = (&digest, header_of.as_slice());
+        let stated = ErasedStatement::sign(provider, &owner, about, (Digest([10; 32]), Timestamp(11))).expect("signs");
+        let bytes = stated.encode();
+        assert_eq!((bytes.len(), ErasedStatement::parse(&bytes)), (ErasedStatement::LENGTH, Ok(stated)));
+        assert!((0..bytes.len()).all(|cut| ErasedStatement::parse(&bytes[..cut]).is_err()));
+        assert!(ErasedStatement::parse(&[bytes, vec![0]].concat()).is_err());
+        stated.check(provider, &digest, &header_of).expect("it holds");
+        // The text that is signed, put together by hand.
+        let hashed = provider.sm3(&[&header_of]);
+        let text =
+            [&b"AuthROS/erased/1"[..], &[1; 32], &[2; 20], &[9; 32], &hashed, &[10; 32], &11u64.to_be_bytes()].concat();
+        provider.verify(&owner.public, &text, &stated.signature).expect("signed");
+        let lies = [
+            stated.check(provider, &Digest([8; 32]), &header_of),
+            stated.check(provider, &digest, &header(2)),
+            ErasedStatement { at: Timestamp(12), ..stated }.check(provider, &digest, &header_of),
+            ErasedStatement { report: Digest([1; 32]), ..stated }.check(provider, &digest, &header_of),
+            ErasedStatement { signer: other.public, ..stated }.check(provider, &digest, &header_of),
+        ];
+        for lie in lies {
+            assert!(matches!(lie, Err(CryptoError::NotAccepted { .. })), "{lie:?}");
+        }
+        assert!(matches!(stated.check(provider, &digest, b"none"), Err(CryptoError::DamagedRecord(_))));
+    }
+}

@@ -1,0 +1,139 @@
+//! A reader who never had a record that its owner erased: it is told so by the owner's word alone, and by no gateway's.
+
+use super::keeping::{elsewhere, taken};
+use super::*;
+use crate::chain::AnchorProof;
+use crate::chain::merkle::{Inclusion, Leaf};
+use crate::crypto::{ErasedStatement, SealedRecord, SmKeyPair};
+use crate::gateway::{ErasedRecord, Fetched};
+use crate::model::{Address, Header, Verdict};
+use crate::pipeline::PipelineError;
+use crate::pipeline::mirror::{Anchors, Mirror};
+use crate::pipeline::reader::Reader;
+use crate::pipeline::verifier::verify_round;
+
+const REPORT: Digest = Digest([0x77; 32]);
+const AT: Timestamp = Timestamp(1_700_000_000_000_000_000);
+
+async fn line() -> Line {
+    let line = Line::new().await;
+    let plant = Plant { observer: Arc::new(super::super::fixture::Notes::default()), ..line.plant };
+    let line = Line { plant, ..line };
+    line.owner.prepare_epoch(line.network.domain, 1).expect("prepared");
+    line.owner.seal_under(line.network.domain, 1).expect("seals");
+    line
+}
+
+fn header_of(sealed: &SealedRecord) -> &[u8] {
+    let (_, length) = Header::parse(&sealed.blob).expect("a header");
+    &sealed.blob[..length]
+}
+
+fn stated(line: &Line, by: &SmKeyPair, digest: &Digest, header: &[u8]) -> ErasedStatement {
+    ErasedStatement::sign(line.plant.provider, by, (digest, header), (REPORT, AT)).expect("signs")
+}
+
+/// What an honest gateway has left of a record that was anchored alone in its batch and erased.
+async fn left(line: &Line, sealed: &SealedRecord) -> ErasedRecord {
+    let Header { owner, recorder, topic_id, seq, .. } = sealed.header;
+    let root = Leaf { owner, recorder, topic_id, seq, digest: sealed.digest }.hash();
+    let previous = line.network.chain.anchor_head(line.owner.address).await.expect("answered");
+    let call = Call::Anchor { root, count: 1, previous };
+    let sent = line.sender.send(&line.network.chain, &line.owner.eoa(), call, "anchor").await;
+    let (transaction, receipt) = sent.expect("anchored");
+    line.watch().await;
+    let inclusion = Some(Inclusion { index: 0, count: 1, path: Vec::new(), root });
+    let (block, block_hash) = (receipt.block, receipt.block_hash);
+    let proof = AnchorProof { account: line.owner.address, transaction, block, block_hash, inclusion }.encode();
+    let (signing, header) = (line.owner.signing(), header_of(sealed));
+    let statement = stated(line, &signing, &sealed.digest, header);
+    let record = Fetched { signer: signing.public, signature: sealed.signature, proof, blob: header.to_vec() };
+    ErasedRecord { record, statement }
+}
+
+async fn take(line: &Line, owner: Address, digest: Digest, erased: ErasedRecord) -> Result<bool, PipelineError> {
+    let (plant, network, reader, keeper) = (&line.plant, &line.network, &line.owner, Address([8; 20]));
+    let mirror = Mirror { plant, network, reader, keeper, anchors: Anchors::default() };
+    mirror.take_erased(owner, digest, erased).await
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_an_owner_states_to_be_erased_is_listed_with_its_proof() {
+    let line = line().await;
+    let (owner, sealed) = (line.owner.address, elsewhere(&line.owner, 1, b"a face", None));
+    let (digest, ledger) = (sealed.digest, &line.plant.ledger);
+    let erased = left(&line, &sealed).await;
+    assert!(take(&line, owner, digest, erased.clone()).await.expect("taken in"));
+    assert!(!take(&line, owner, digest, erased).await.expect("known"), "twice is once");
+    let noted = line.plant.ledger.record(digest).expect("read").expect("noted");
+    let reader = Reader { plant: &line.plant, network: &line.network, reader: &line.owner };
+    assert_eq!(reader.check(&noted).await.expect("checked"), (Verdict::Unanchored, digest), "not confirmed here yet");
+    for _ in 0..20 {
+        line.watch().await;
+        verify_round(&line.plant, &line.network).expect("a round");
+        if ledger.record(digest).expect("read").is_some_and(|row| row.state == RecordState::Verified) {
+            break;
+        }
+    }
+    let row = ledger.record(digest).expect("read").expect("noted");
+    assert_eq!((row.state, row.deleted_at), (RecordState::Verified, Some(AT)), "{row:?}");
+    assert_eq!((row.seq, row.captured_at, row.bytes), (1, Timestamp(1), 6), "as its header says");
+    let retained = ledger.retained(digest).expect("read").expect("accounted for");
+    let words = retained.erased.expect("by somebody").to_string();
+    assert_eq!(words, "erased 2023-11-14T22:13:20Z by its owner, its proof remains");
+    assert_eq!(reader.check(&row).await.expect("checked"), (Verdict::Deleted, digest));
+    let opened = reader.open(&row).await;
+    assert!(matches!(opened, Err(PipelineError::Erased { .. })), "{opened:?}");
+    assert_eq!(ledger.given_up(owner), Ok(1));
+
+    // Whoever alters the ledger makes no erasure of a hole: the statement is checked each time.
+    let thief = SmKeyPair::generate(line.plant.provider).expect("a pair");
+    let forged = stated(&line, &thief, &digest, header_of(&sealed)).encode();
+    ledger.keep_erasure_statements(vec![(digest, forged)]).expect("written");
+    assert_eq!(reader.check(&row).await.expect("checked"), (Verdict::Missing, digest));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_a_gateway_says_was_erased_is_not_believed() {
+    let line = line().await;
+    let (owner, sealed) = (line.owner.address, elsewhere(&line.owner, 1, b"a face", None));
+    let (digest, header) = (sealed.digest, header_of(&sealed));
+    let honest = left(&line, &sealed).await;
+    let with = |record: Fetched| ErasedRecord { record, ..honest.clone() };
+    let says = |statement| ErasedRecord { statement, ..honest.clone() };
+    let own = line.owner.signing();
+    let keeper = SmKeyPair::generate(line.plant.provider).expect("a pair");
+    let other = Header { captured_at: Timestamp(9), ..sealed.header.clone() }.encode();
+    let lies = [
+        ("the gateway's own word", says(stated(&line, &keeper, &digest, header))),
+        ("the owner's word on another record", says(stated(&line, &own, &Digest([1; 32]), header))),
+        ("another retention record", says(ErasedStatement { report: Digest([1; 32]), ..honest.statement })),
+        ("another time", says(ErasedStatement { at: Timestamp(1), ..honest.statement })),
+        ("another header", with(Fetched { blob: other, ..honest.record.clone() })),
+        ("the whole record", with(Fetched { blob: sealed.blob.clone(), ..honest.record.clone() })),
+        ("no header", with(Fetched { blob: b"nothing".to_vec(), ..honest.record.clone() })),
+        ("another signature", with(Fetched { signature: Signature([7; 64]), ..honest.record.clone() })),
+        ("no proof", with(Fetched { proof: Vec::new(), ..honest.record.clone() })),
+        ("half a proof", with(Fetched { proof: honest.record.proof[..99].to_vec(), ..honest.record.clone() })),
+    ];
+    for (what, lie) in lies {
+        let told = take(&line, owner, digest, lie).await;
+        assert!(matches!(told, Err(PipelineError::NotTakenIn { .. } | PipelineError::Crypto(_))), "{what}: {told:?}");
+        assert_eq!(line.plant.ledger.record(digest).expect("read"), None, "{what}");
+    }
+    let told = take(&line, Address([1; 20]), digest, honest.clone()).await;
+    assert!(matches!(told, Err(PipelineError::NotTakenIn { .. })), "another owner's: {told:?}");
+    // The proof of another record.
+    let second = elsewhere(&line.owner, 2, b"a wall", None);
+    let proof = left(&line, &second).await.record.proof;
+    let told = take(&line, owner, digest, with(Fetched { proof, ..honest.record.clone() })).await;
+    assert!(matches!(told, Err(PipelineError::NotTakenIn { .. })), "{told:?}");
+    assert_eq!(line.plant.ledger.record(digest).expect("read"), None);
+
+    // Who has the bytes keeps them.
+    assert!(taken(&line, sealed.clone()).await.expect("taken in"));
+    assert!(!take(&line, owner, digest, honest).await.expect("nothing to do"));
+    let row = line.plant.ledger.record(digest).expect("read").expect("here");
+    assert_eq!(row.deleted_at, None);
+    assert_eq!(line.plant.vault.get(digest).expect("read"), Some(sealed.blob));
+}
