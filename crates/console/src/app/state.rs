@@ -67,6 +67,8 @@ pub struct Settings {
     pub profiles: Vec<ProfileName>,
     /// Who is who in the tour, if the console starts with it.
     pub tour: Option<Cast>,
+    /// Whether a site can be left running in the console's place.
+    pub leaves_site: bool,
 }
 
 /// Everything the console knows and shows.
