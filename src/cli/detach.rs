@@ -69,7 +69,7 @@ fn text(said: &Value, process: u32, log: &str) -> String {
     let master = word("ros_master");
     let ros = if master.is_empty() { String::new() } else { format!("\nROS nodes join with ROS_MASTER_URI={master}") };
     format!(
-        "serving {} for profile '{}' in process {process}; stop it with: kill -INT {process}\nwarnings go to {log}{ros}",
+        "serving {} for profile '{}' in process {process}\nstop it with: kill -INT {process}\nwarnings go to {log}{ros}",
         word("serving"),
         word("profile"),
     )

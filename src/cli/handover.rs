@@ -51,8 +51,8 @@ impl Successor {
         }
         let mut refusal = None;
         for _ in 0..ATTEMPTS {
-            let again = refusal.as_ref().map_or("", |_| " (that one does not open it)");
-            let question = format!("Passphrase of profile '{}' for the site that goes on{again}", self.profile);
+            let again = refusal.as_ref().map_or("", |_| "That one does not open it. ");
+            let question = format!("{again}Passphrase of profile '{}'", self.profile);
             let typed = ask::secret(&question).ok().flatten().ok_or_else(none_given)?;
             let typed = SecretText::new(typed.to_string());
             match opens(&keyring, &typed) {

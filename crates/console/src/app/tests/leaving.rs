@@ -79,6 +79,26 @@ fn the_host_says_that_capture_stops_and_a_joined_console_that_it_continues() {
 }
 
 #[test]
+fn s_leaves_a_site_running_where_the_caller_can_and_something_is_captured() {
+    let leaves = |mut robot: Robot| {
+        robot.types("q");
+        let asked = robot.state.popups.last().map(|popup| matches!(popup, Popup::Quit(_))).unwrap_or_default();
+        let said = asked && question(&robot).contains("goes on with it");
+        robot.types("s");
+        (said, matches!(robot.effects[..], [Effect::LeaveSite]))
+    };
+    let able = |process: u32, watched: bool| {
+        let mut robot = if watched { busy(process, 3) } else { unwatched(process, 3) };
+        robot.state.settings.leaves_site = true;
+        robot
+    };
+    assert_eq!(leaves(able(0, true)), (true, true));
+    assert_eq!(leaves(busy(0, 3)), (false, false), "the caller cannot");
+    assert_eq!(leaves(able(77, true)), (false, false), "the site is another process's, and goes on anyway");
+    assert_eq!(leaves(able(0, false)), (false, false), "nothing would stop");
+}
+
+#[test]
 fn what_waits_for_the_key_is_not_said_to_stop() {
     let mut robot = busy(0, 3);
     let waiting = |row: TopicRow| TopicRow { held_up: row.watched.then_some(HeldUp::WaitsForKey), ..row };
