@@ -45,7 +45,9 @@ impl Behind {
         let mut lines: Vec<String> = match &self.captured {
             Some(what) if self.ends => vec![
                 format!("Quitting stops {what}."),
-                if can_leave_site(state) {
+                if state.settings.tour.is_some() {
+                    "The tour ends, and its temporary home is removed with all that is in it.".to_owned()
+                } else if can_leave_site(state) {
                     "s: `authros serve` goes on with it, after a few seconds' gap; asks for the passphrase.".to_owned()
                 } else {
                     "To keep it running without a console, use: authros serve".to_owned()
@@ -58,7 +60,7 @@ impl Behind {
         lines
     }
 
-    fn records(&self) -> Vec<String> {
+    fn records(&self, state: &State) -> Vec<String> {
         let records = match self.pending {
             0 => return Vec::new(),
             1 => "1 record is not verified yet".to_owned(),
@@ -66,6 +68,9 @@ impl Behind {
         };
         if !self.ends {
             return vec![format!("{records}; the site continues with them.")];
+        }
+        if state.settings.tour.is_some() {
+            return vec![format!("{records}.")];
         }
         vec![format!("{records}."), "They are safe on disk and continue at the next start.".to_owned()]
     }
@@ -76,7 +81,7 @@ impl Leaving {
     pub fn lines(self, state: &State) -> Vec<String> {
         let behind = Behind::of(state);
         let mut lines = if self == Self::Held { Vec::new() } else { behind.capture(state) };
-        lines.extend(behind.records());
+        lines.extend(behind.records(state));
         lines
             .extend(state.work.iter().filter(|tag| tag.is_work()).map(|tag| format!("Still running: {}", tag.words())));
         if lines.is_empty() {

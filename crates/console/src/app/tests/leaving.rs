@@ -4,7 +4,9 @@ use super::{Robot, fixtures};
 use crate::app::feed::Feed;
 use crate::app::leaving::Leaving;
 use crate::app::popup::Popup;
+use crate::app::tour::Cast;
 use crate::app::{Action, Effect, Key, Tag};
+use crate::model::ProfileName;
 use crate::service::reply::{HeldUp, LifeLine, QueueView, SiteView, TopicRow};
 use crate::service::{Command, Operation, Part, Reply};
 
@@ -96,6 +98,17 @@ fn s_leaves_a_site_running_where_the_caller_can_and_something_is_captured() {
     assert_eq!(leaves(busy(0, 3)), (false, false), "the caller cannot");
     assert_eq!(leaves(able(77, true)), (false, false), "the site is another process's, and goes on anyway");
     assert_eq!(leaves(able(0, false)), (false, false), "nothing would stop");
+}
+
+#[test]
+fn the_tour_promises_nothing_that_its_home_does_not_keep() {
+    let mut robot = busy(0, 3);
+    let cast = Cast { owner: ProfileName::default(), reader: "cura-b".parse().expect("a name") };
+    robot.state.settings.tour = Some(cast);
+    robot.types("q");
+    let text = question(&robot);
+    assert!(text.contains("temporary home is removed") && text.contains("3 records are not verified yet"), "{text}");
+    assert!(!text.contains("next start") && !text.contains("authros serve"), "{text}");
 }
 
 #[test]
