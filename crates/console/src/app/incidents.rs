@@ -15,9 +15,8 @@ use super::screen::Screen;
 use super::screens::grants::day;
 use super::state::State;
 use crate::model::{IncidentName, Timestamp, TopicName};
-use crate::service::Command;
 use crate::service::command::filter::past;
-use crate::service::command::{CloseIncident, IncidentCommand, NoteIncident, OpenIncident, RemoveIncident};
+use crate::service::command::{CloseIncident, NoteIncident, OpenIncident, RemoveIncident};
 use crate::service::reply::IncidentView;
 
 /// How much before and after a record is kept with it, seconds.

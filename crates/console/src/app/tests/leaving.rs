@@ -84,7 +84,7 @@ fn the_host_says_that_capture_stops_and_a_joined_console_that_it_continues() {
 fn s_leaves_a_site_running_where_the_caller_can_and_something_is_captured() {
     let leaves = |mut robot: Robot| {
         robot.types("q");
-        let asked = robot.state.popups.last().map(|popup| matches!(popup, Popup::Quit(_))).unwrap_or_default();
+        let asked = robot.state.popups.last().is_some_and(|popup| matches!(popup, Popup::Quit(_)));
         let said = asked && question(&robot).contains("goes on with it");
         robot.types("s");
         (said, matches!(robot.effects[..], [Effect::LeaveSite]))
