@@ -117,8 +117,7 @@ fn the_current_epoch_is_granted_unless_all_are_asked_for() {
     }
     // Who reads the older records is told on both sides, by what each knows.
     let earlier = |authros: &Authros, other: &str| {
-        let rows = authros.json(&["grants", "list"]);
-        let rows = rows.as_array().expect("a list").clone();
+        let rows = list(&authros.json(&["grants", "list"]), "grants");
         let row = rows.into_iter().find(|row| row["grantee"] == other).expect("the grant");
         row["earlier"].clone()
     };
