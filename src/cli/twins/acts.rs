@@ -8,7 +8,7 @@ use clap::Parser as _;
 use crate::app::incidents::Deed;
 use crate::app::{Errand, Settings, State, Tag, command_line};
 use crate::cli::args::Arguments;
-use crate::model::{Address, Party, Timestamp};
+use crate::model::{Address, IncidentName, Party, Timestamp, TopicName};
 use crate::service::command::{
     Administration, CloseIncident, EndUnattended, Held, NoteIncident, OpenIncident, Pace, PlayWishes,
     PrepareUnattended, RemoveIncident,
@@ -61,15 +61,89 @@ fn place(tag: &Tag) -> Option<usize> {
 
 const ACTS: usize = 30;
 
-/// Each act with the line that a person would type for it.
-fn acts() -> Vec<(Tag, Command, String)> {
-    let topic = || "/robot1/odom".parse().expect("a topic");
-    let name = || "/robot1/odom".to_owned();
-    let secret = || SecretText::new("never on a line".to_owned());
+/// An act, and the line that a person would type for it.
+type Act = (Tag, Command, String);
+
+fn topic() -> TopicName {
+    "/robot1/odom".parse().expect("a topic")
+}
+
+fn name() -> String {
+    topic().to_string()
+}
+
+fn owner() -> Party {
+    Party::Address(OWNER)
+}
+
+fn secret() -> SecretText {
+    SecretText::new("never on a line".to_owned())
+}
+
+fn acts_of_keys() -> Vec<Act> {
+    let keystore = Command::LoadKey { kind: KeyKind::Eoa, path: "/a key.json".into(), passphrase: Some(secret()) };
+    let export = Command::ExportKey { kind: KeyKind::Sm4, passphrase: None };
+    let prepare = PrepareUnattended { topics: vec![topic()], until: END };
+    vec![
+        (Tag::CreateIdentity, Command::CreateIdentity { passphrase: secret() }, "identity create".into()),
+        (Tag::Unlock, Command::Unlock { passphrase: secret() }, "keys list --passphrase-file FILE".into()),
+        (Tag::Register, Command::Register, "register".into()),
+        (Tag::LoadKey(KeyKind::Eoa), keystore, "keys load --eoa '/a key.json' --keystore-passphrase-file FILE".into()),
+        (Tag::ExportKey(KeyKind::Sm4), export, "keys export sm4 --out FILE".into()),
+        (Tag::Rotate, Command::RotateKeys, "keys rotate".into()),
+        (Tag::Lock, Command::Operate(Operation::Lock), "identity lock".into()),
+        (Tag::BackUp, Command::Operate(Operation::BackUpKeys), "keys backup --out FILE".into()),
+        (
+            Tag::PrepareUnattended,
+            prepare.into(),
+            format!("unattended prepare --out FILE --topic /robot1/odom --until {END}"),
+        ),
+        (Tag::EndUnattended, EndUnattended { force: false }.into(), "unattended end".into()),
+    ]
+}
+
+fn acts_of_topics() -> Vec<Act> {
     let held = || Held { topic: Some(topic()), ids: Vec::new() };
-    let owner = || Party::Address(OWNER);
-    let incident = || "fall".parse().expect("a name");
+    let pin = Command::PinTopic { topic: topic(), publishers: Vec::new() };
+    let unpin = Command::UnpinTopic { topic: topic(), caller_id: "/driver".to_owned() };
+    let watch = Command::WatchTopic { topic: topic(), type_name: None };
+    let line = |words: &str| format!("{words} /robot1/odom");
+    vec![
+        (Tag::Watch(name()), watch, line("topics watch")),
+        (Tag::Unwatch(name()), Command::UnwatchTopic { topic: topic() }, line("topics unwatch")),
+        (Tag::Pin(name()), pin, line("topics pin")),
+        (Tag::Unpin(name()), unpin, line("topics unpin") + " /driver"),
+        (Tag::Release(name()), Command::ReleaseHeld { held: held() }, line("quarantine release --topic")),
+        (Tag::Discard(name()), Command::DiscardHeld { held: held() }, line("quarantine discard --topic") + " --yes"),
+        (Tag::Publishers(name()), Command::ListPins { topic: Some(topic()) }, line("topics pins --topic")),
+    ]
+}
+
+fn acts_of_rights() -> Vec<Act> {
+    let grant = Command::Grant { grantee: owner(), topics: vec![topic()], epochs: Epochs::All, expires: Some(END) };
+    let of_administrator = |word: &'static str, act: Administration, line: String| {
+        (Tag::Administer(word), Command::Administer(act), format!("chain {line}"))
+    };
+    let propose = Administration::Propose { lost: owner(), successor: owner() };
     let contact = || "bob".parse().expect("a name");
+    let add = Command::AddContact { name: contact(), address: OWNER, fingerprint: None };
+    let remove = Command::RemoveContact { name: contact() };
+    let extend = Command::ExtendGrant { grantee: owner(), expires: None };
+    vec![
+        (Tag::Grant(owner()), grant, format!("grant {OWNER} --topic /robot1/odom --epochs all --expires {END}")),
+        (Tag::Extend(OWNER), extend, format!("grants extend {OWNER} --endless")),
+        (Tag::Revoke(OWNER), Command::Revoke { grantee: owner() }, format!("revoke {OWNER}")),
+        of_administrator("pause", Administration::Pause { paused: true, seconds: None }, "pause".to_owned()),
+        of_administrator("suspend", Administration::Suspend { account: owner() }, format!("suspend {OWNER}")),
+        of_administrator("propose", propose, format!("succession propose {OWNER} {OWNER}")),
+        (Tag::Deploy, Command::DeployContract { delay: None, revision: None }, "chain deploy".into()),
+        (Tag::Adopt, Command::AdoptChain, "chain adopt".into()),
+        (Tag::Contact("bob".to_owned()), add, format!("contacts add bob {OWNER}")),
+        (Tag::Contact("bob".to_owned()), remove, "contacts remove bob".into()),
+    ]
+}
+
+fn acts_of_records() -> Vec<Act> {
     let id = || "0123456789abcdef".to_owned();
     let play = PlayWishes {
         owner: Some(owner()),
@@ -78,6 +152,23 @@ fn acts() -> Vec<(Tag, Command, String)> {
         prefix: Some("/shared/bob".parse().expect("a name")),
         ..PlayWishes::default()
     };
+    let export = Command::ExportUpload { id: id(), addresses: false };
+    vec![
+        (Tag::Show(id()), Command::ShowUpload { id: id() }, format!("uploads show {}", id())),
+        (Tag::Open(id()), Command::OpenShared { id: id() }, format!("shared open {}", id())),
+        (Tag::Check(id()), Command::CheckShared { id: id() }, format!("shared check {}", id())),
+        (Tag::Export(id()), export, format!("uploads export {} --dir DIR", id())),
+        (
+            Tag::Play("/shared/bob/robot1/odom".to_owned()),
+            Command::Play(play),
+            format!("shared play --owner {OWNER} --topic /robot1/odom --prefix /shared/bob --follow"),
+        ),
+    ]
+}
+
+fn acts_of_incidents() -> Vec<Act> {
+    let incident = || -> IncidentName { "fall".parse().expect("a name") };
+    let of = |deed: Deed, command: Command, line: &str| (Tag::Incident(deed, incident()), command, line.to_owned());
     let open = OpenIncident {
         name: incident(),
         since: END,
@@ -86,120 +177,13 @@ fn acts() -> Vec<(Tag, Command, String)> {
         note: Some("it's down".to_owned()),
         robots: Vec::new(),
     };
-    let export = |id: String| Command::ExportUpload { id, addresses: false };
+    let opened = format!("incident open fall --since {END} --topic /robot1/odom --note='it'\\''s down'");
+    let note = NoteIncident { name: incident(), text: "-5 degrees".to_owned() };
     vec![
-        (Tag::CreateIdentity, Command::CreateIdentity { passphrase: secret() }, "identity create".into()),
-        (Tag::Unlock, Command::Unlock { passphrase: secret() }, "keys list --passphrase-file FILE".into()),
-        (Tag::Register, Command::Register, "register".into()),
-        (
-            Tag::Watch(name()),
-            Command::WatchTopic { topic: topic(), type_name: None },
-            "topics watch /robot1/odom".into(),
-        ),
-        (Tag::Unwatch(name()), Command::UnwatchTopic { topic: topic() }, "topics unwatch /robot1/odom".into()),
-        (
-            Tag::Grant(owner()),
-            Command::Grant { grantee: owner(), topics: vec![topic()], epochs: Epochs::All, expires: Some(END) },
-            format!("grant {OWNER} --topic /robot1/odom --epochs all --expires {END}"),
-        ),
-        (
-            Tag::Extend(OWNER),
-            Command::ExtendGrant { grantee: owner(), expires: None },
-            format!("grants extend {OWNER} --endless"),
-        ),
-        (Tag::Revoke(OWNER), Command::Revoke { grantee: owner() }, format!("revoke {OWNER}")),
-        (
-            Tag::LoadKey(KeyKind::Eoa),
-            Command::LoadKey { kind: KeyKind::Eoa, path: "/a key.json".into(), passphrase: Some(secret()) },
-            "keys load --eoa '/a key.json' --keystore-passphrase-file FILE".into(),
-        ),
-        (
-            Tag::ExportKey(KeyKind::Sm4),
-            Command::ExportKey { kind: KeyKind::Sm4, passphrase: None },
-            "keys export sm4 --out FILE".into(),
-        ),
-        (Tag::Rotate, Command::RotateKeys, "keys rotate".into()),
-        (Tag::Lock, Command::Operate(Operation::Lock), "identity lock".into()),
-        (Tag::BackUp, Command::Operate(Operation::BackUpKeys), "keys backup --out FILE".into()),
-        (
-            Tag::PrepareUnattended,
-            PrepareUnattended { topics: vec![topic()], until: END }.into(),
-            format!("unattended prepare --out FILE --topic /robot1/odom --until {END}"),
-        ),
-        (Tag::EndUnattended, EndUnattended { force: false }.into(), "unattended end".into()),
-        (
-            Tag::Administer("pause"),
-            Command::Administer(Administration::Pause { paused: true, seconds: None }),
-            "chain pause".into(),
-        ),
-        (
-            Tag::Administer("suspend"),
-            Command::Administer(Administration::Suspend { account: owner() }),
-            format!("chain suspend {OWNER}"),
-        ),
-        (
-            Tag::Administer("propose"),
-            Command::Administer(Administration::Propose { lost: owner(), successor: owner() }),
-            format!("chain succession propose {OWNER} {OWNER}"),
-        ),
-        (Tag::Deploy, Command::DeployContract { delay: None, revision: None }, "chain deploy".into()),
-        (Tag::Adopt, Command::AdoptChain, "chain adopt".into()),
-        (
-            Tag::Pin(name()),
-            Command::PinTopic { topic: topic(), publishers: Vec::new() },
-            "topics pin /robot1/odom".into(),
-        ),
-        (
-            Tag::Unpin(name()),
-            Command::UnpinTopic { topic: topic(), caller_id: "/driver".to_owned() },
-            "topics unpin /robot1/odom /driver".into(),
-        ),
-        (Tag::Release(name()), Command::ReleaseHeld { held: held() }, "quarantine release --topic /robot1/odom".into()),
-        (
-            Tag::Discard(name()),
-            Command::DiscardHeld { held: held() },
-            "quarantine discard --topic /robot1/odom --yes".into(),
-        ),
-        (
-            Tag::Publishers(name()),
-            Command::ListPins { topic: Some(topic()) },
-            "topics pins --topic /robot1/odom".into(),
-        ),
-        (Tag::Show(id()), Command::ShowUpload { id: id() }, format!("uploads show {}", id())),
-        (Tag::Open(id()), Command::OpenShared { id: id() }, format!("shared open {}", id())),
-        (Tag::Check(id()), Command::CheckShared { id: id() }, format!("shared check {}", id())),
-        (Tag::Export(id()), export(id()), format!("uploads export {} --dir DIR", id())),
-        (
-            Tag::Contact("bob".to_owned()),
-            Command::AddContact { name: contact(), address: OWNER, fingerprint: None },
-            format!("contacts add bob {OWNER}"),
-        ),
-        (Tag::Contact("bob".to_owned()), Command::RemoveContact { name: contact() }, "contacts remove bob".into()),
-        (
-            Tag::Incident(Deed::Open, incident()),
-            open.into(),
-            format!("incident open fall --since {END} --topic /robot1/odom --note='it'\\''s down'"),
-        ),
-        (
-            Tag::Incident(Deed::Note, incident()),
-            NoteIncident { name: incident(), text: "-5 degrees".to_owned() }.into(),
-            "incident note fall -- '-5 degrees'".into(),
-        ),
-        (
-            Tag::Incident(Deed::Close, incident()),
-            CloseIncident { name: incident() }.into(),
-            "incident close fall".into(),
-        ),
-        (
-            Tag::Incident(Deed::Remove, incident()),
-            RemoveIncident { name: incident() }.into(),
-            "incident remove fall --yes".into(),
-        ),
-        (
-            Tag::Play("/shared/bob/robot1/odom".to_owned()),
-            Command::Play(play),
-            format!("shared play --owner {OWNER} --topic /robot1/odom --prefix /shared/bob --follow"),
-        ),
+        of(Deed::Open, open.into(), &opened),
+        of(Deed::Note, note.into(), "incident note fall -- '-5 degrees'"),
+        of(Deed::Close, CloseIncident { name: incident() }.into(), "incident close fall"),
+        of(Deed::Remove, RemoveIncident { name: incident() }.into(), "incident remove fall --yes"),
     ]
 }
 
@@ -214,7 +198,9 @@ fn words(line: &str) -> Vec<String> {
 fn every_act_of_the_console_has_the_line_that_a_person_would_type() {
     let state = State::new(Settings::default());
     let mut walked = [false; ACTS];
-    for (tag, command, expected) in acts() {
+    for (tag, command, expected) in
+        [acts_of_keys(), acts_of_topics(), acts_of_rights(), acts_of_records(), acts_of_incidents()].concat()
+    {
         walked[place(&tag).expect("an act")] = true;
         let line = command_line::twin(&state, &Errand { command, tag: tag.clone() });
         let line = line.unwrap_or_else(|| panic!("{tag:?} has no command line"));
