@@ -15,6 +15,8 @@ use authros_output::Output;
 
 /// This very program, also if its file was replaced since.
 pub const OWN_PROGRAM: &str = "/proc/self/exe";
+/// Warnings of earlier sites are kept up to this size, bytes.
+const LONGEST_LOG: u64 = 1 << 20;
 /// The most that is read of the process's first line, bytes.
 const LONGEST: u64 = 64 * 1024;
 
@@ -41,7 +43,12 @@ pub fn run(context: &Context, output: &Output) -> Result<u8, Failure> {
 }
 
 fn private_file(path: &std::path::Path) -> std::io::Result<File> {
-    OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(path)
+    // A site that runs already may be writing there.
+    let file = OpenOptions::new().append(true).create(true).mode(0o600).open(path)?;
+    if file.metadata()?.len() > LONGEST_LOG {
+        file.set_len(0)?;
+    }
+    Ok(file)
 }
 
 fn start(context: &Context, log: File) -> Result<Child, Failure> {

@@ -114,6 +114,15 @@ fn leaving_says_what_stops_in_each_of_four_situations() {
     }
 }
 
+/// Ends a process that outlives its parents, also if the test fails.
+struct Ended(String);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        support::process::signal("KILL", &self.0);
+    }
+}
+
 #[test]
 fn a_site_is_left_running_in_the_consoles_place() {
     let _alone = heavy();
@@ -131,6 +140,7 @@ fn a_site_is_left_running_in_the_consoles_place() {
     let shown = operator.0.shown();
     assert!(!shown.contains(PASSPHRASE), "{shown}");
     let process = shown.split("kill -INT ").nth(1).and_then(|rest| rest.split_whitespace().next()).expect("a process");
+    let _ended = Ended(process.to_owned());
     // The terminal is closed; the site is in no session of it, and captures.
     drop(operator);
     let line = fs::read(format!("/proc/{process}/cmdline")).expect("it runs");
