@@ -225,13 +225,9 @@ fn the_last_act_is_copied_as_a_command_line_whichever_it_was() {
 
 #[test]
 fn a_question_that_wants_a_word_copies_its_command_without_being_answered() {
-    let mut robot = Robot::at_work(true);
-    robot.types("2");
-    robot.site_answers(true);
-    robot.state.topics.rows.iter_mut().for_each(|row| row.quarantined = 3);
+    let mut robot = held();
     robot.types("D");
-    let topic = robot.state.topics.selected().map(|row| row.topic.clone()).expect("a topic");
     robot.presses(Key::Control('y'));
-    assert_eq!(copied(&robot), Some(format!("authros quarantine discard --topic {topic} --yes").as_str()));
+    assert_eq!(copied(&robot), Some("authros quarantine discard --topic /robot1/odom --yes"));
     assert!(robot.work().is_empty() && matches!(robot.state.popups.last(), Some(Popup::Confirm(_))));
 }
