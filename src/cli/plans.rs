@@ -86,7 +86,7 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
                 chosen.ok_or_else(|| Failure::new(ErrorKind::Usage, "give the key with --sm4, --sm2 or --eoa"))?;
             if dry_run {
                 // It tells who is affected, not what is in the file; a name that is mistyped is told all the same.
-                std::fs::File::open(&path).map_err(|error| {
+                std::fs::metadata(&path).map_err(|error| {
                     let text =
                         format!("{}: this key file cannot be read: {error}; nothing was checked", path.display());
                     Failure::new(ErrorKind::Input, text)
