@@ -6,6 +6,7 @@ use tokio::sync::{broadcast, mpsc};
 
 use super::args::ConsoleArguments;
 use super::connect::{Connection, Context};
+use super::handover::Successor;
 use super::{looks, passphrase, tour};
 use crate::app::tour::Cast;
 use crate::model::{ErrorKind, ProfileName, Timestamp};
@@ -33,7 +34,9 @@ pub fn run(
         ));
     }
     let plain = arguments.plain;
-    let options = ConsoleOptions { tour, ..looks::options(&context, arguments)? };
+    let leaves_site = tour.is_none() && !plain && context.operator.is_none();
+    let options = ConsoleOptions { tour, leaves_site, ..looks::options(&context, arguments)? };
+    let successor = Successor::of(&context);
     let reader = options.tour.as_ref().map(|cast| cast.reader.clone());
     let (events, _) = broadcast::channel(1024);
     let (calls, waiting) = mpsc::unbounded_channel();
@@ -43,8 +46,13 @@ pub fn run(
     runtime.spawn(serve(context, reader, Arc::clone(&site), waiting, events));
     let run = if plain { term::plain::run } else { term::run };
     let ended = run(client, runtime.handle(), &options);
+    // The site captures until the passphrase is known to be the right one.
+    let secret = matches!(ended, Ok(ExitReason::LeaveSite)).then(|| successor.passphrase());
     if let Some(site) = site.get() {
         runtime.block_on(Arc::clone(site).stop());
+    }
+    if let Some(secret) = secret {
+        return Err(successor.become_it(&secret?));
     }
     let reason = ended.map_err(|error| Failure::new(error.kind(), error.to_string()))?;
     match reason {

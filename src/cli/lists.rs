@@ -228,7 +228,7 @@ pub fn grants(rows: &[GrantRow]) -> String {
             parties::named(if row.direction == Direction::Given { row.grantee } else { row.owner }, row.name.as_ref()),
             or_dash(row.fingerprint.as_ref()),
             row.state.word().to_owned(),
-            row.epoch.to_string(),
+            if row.earlier == Some(true) { format!("{} and earlier", row.epoch) } else { row.epoch.to_string() },
             or_dash(row.expires),
             if row.topics.is_empty() { "all topics".to_owned() } else { row.topics.join(" ") },
         ]

@@ -38,6 +38,7 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
         lock_after: settings.lock_after.filter(|_| context.operator.is_none()),
         profiles: context.home.profiles(),
         tour: None,
+        leaves_site: false,
         asks_passphrase: context.operator.is_none()
             && !passphrase::is_given(&context.global, &context.home, &context.profile),
     };

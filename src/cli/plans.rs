@@ -84,6 +84,14 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
             let chosen = choices.into_iter().find_map(|(kind, path)| path.map(|path| (kind, path)));
             let (kind, path) =
                 chosen.ok_or_else(|| Failure::new(ErrorKind::Usage, "give the key with --sm4, --sm2 or --eoa"))?;
+            if dry_run {
+                // It tells who is affected, not what is in the file; a name that is mistyped is told all the same.
+                std::fs::metadata(&path).map_err(|error| {
+                    let text =
+                        format!("{}: this key file cannot be read: {error}; nothing was checked", path.display());
+                    Failure::new(ErrorKind::Input, text)
+                })?;
+            }
             let ask = LoadKey { kind, path: absolute(&path)?, passphrase: secret(keystore_passphrase_file)? };
             match kind {
                 KeyKind::Sm2 => changes(ProfileNeed::Made, PairKind::Signing, dry_run, ask),

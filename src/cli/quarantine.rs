@@ -67,12 +67,12 @@ pub enum QuarantineVerb {
         #[command(flatten)]
         held: HeldArguments,
     },
-    /// Delete messages permanently; their digests and the count on the chain remain
+    /// Discard messages for good; their digests and the count on the chain remain
     Discard {
         /// Which
         #[command(flatten)]
         held: HeldArguments,
-        /// Confirm the deletion
+        /// Confirm that they are discarded
         #[arg(long)]
         yes: bool,
     },

@@ -20,6 +20,12 @@ pub struct ServeArguments {
     /// authros in $CREDENTIALS_DIRECTORY]
     #[arg(long, value_name = "CREDENTIAL", num_args = 0..=1, default_missing_value = "")]
     pub unattended: Option<String>,
+    /// Run in a process of its own that outlives this terminal; return when it serves
+    #[arg(long)]
+    pub detach: bool,
+    /// Set by --detach: leave the session of the terminal
+    #[arg(long, hide = true, conflicts_with = "detach")]
+    pub own_session: bool,
 }
 
 /// Whether the parent wants this process to outlive its terminal (nohup), judged by its signals at the start.
@@ -72,6 +78,13 @@ pub async fn asked_to_end() -> Ending {
 /// # Errors
 /// If another process is the site already, or the profile cannot be opened.
 pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -> Result<u8, Failure> {
+    if arguments.detach {
+        return tokio::task::block_in_place(|| super::detach::run(&context, output));
+    }
+    if arguments.own_session {
+        // Fails only for a leader of a group, which has left its terminal's already.
+        rustix::process::setsid().ok();
+    }
     let connection = context.connect(Needs { ros: true, chain: true }).await.map_err(not_started)?;
     if connection.site.is_none() {
         let root = context.home.root().display();

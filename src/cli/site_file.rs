@@ -96,6 +96,11 @@ pub async fn apply(context: &Context, path: &Path, check: bool, output: &Output)
     if differences.iter().any(Difference::is_setting) {
         write_settings(context, &file, &home)?;
         output.note("authros: config.toml was rewritten; a running site uses it from its next start");
+        if let Some(text) =
+            unsigned_webhook(&home_settings(&context.home.config())?.wanted(&SiteFile::default()), &file)
+        {
+            output.note(text);
+        }
     }
     decide(context, &differences).await?;
     if context.global.json {
@@ -208,6 +213,18 @@ fn write_settings(context: &Context, file: &SiteFile, home: &HomeSettings) -> Re
         atomic_write(&before(&path), read(&path)?.as_bytes())?;
     }
     Ok(atomic_write(&path, text.as_bytes())?)
+}
+
+/// What is still to be done by hand for a webhook of the file: the secret that signs its requests is no part of it.
+fn unsigned_webhook(stays: &BTreeMap<&'static str, String>, file: &SiteFile) -> Option<&'static str> {
+    let is_set = |name: &str, variable: &str| {
+        let value = stays.get(name).or_else(|| file.settings.get(name)).cloned();
+        value.or_else(|| std::env::var(variable).ok()).is_some_and(|value| !value.is_empty())
+    };
+    (is_set("alerts.webhook", "AUTHROS_ALERTS_WEBHOOK") && !is_set("alerts.secret", "AUTHROS_ALERTS_SECRET")).then_some(
+        "authros: alerts.webhook is set and alerts.secret is not, so requests are sent unsigned; write the secret into a \
+         0600 file, and its path by hand into config.toml as alerts.secret",
+    )
 }
 
 fn before(path: &Path) -> PathBuf {

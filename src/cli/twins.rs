@@ -73,6 +73,7 @@ pub const TWINS: &[(&str, Twin)] = &[
     ("filter", Runs("uploads list --topic TOPIC")),
     ("sort", Runs("uploads list --newest")),
     ("reverse", OnlyLooks),
+    ("copy-command", OnlyLooks),
     ("copy", Runs("uploads list")),
     ("write-file", Runs("uploads list")),
     ("local-time", OnlyLooks),
@@ -98,6 +99,9 @@ pub const TWINS: &[(&str, Twin)] = &[
     ("redraw", OnlyLooks),
     ("shell", OnlyLooks),
 ];
+
+#[cfg(test)]
+mod acts;
 
 #[cfg(test)]
 mod tests {

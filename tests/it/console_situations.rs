@@ -114,6 +114,48 @@ fn leaving_says_what_stops_in_each_of_four_situations() {
     }
 }
 
+/// Ends a process that outlives its parents, also if the test fails.
+struct Ended(String);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        support::process::signal("KILL", &self.0);
+    }
+}
+
+#[test]
+fn a_site_is_left_running_in_the_consoles_place() {
+    let _alone = heavy();
+    let home = Home::new();
+    let authros = locked_profile(&home);
+    let mut operator = Operator::opens(&authros, (80, 24));
+    operator.sees("Unlock the keyring").presses(PASSPHRASE).presses("\r").sees("HOST").no_longer_sees("LOCKED");
+    operator.presses("2").sees(CAMERA).presses("/odom\r").no_longer_sees(CAMERA).presses("w").sees("watched");
+    wait_until(PATIENCE, "a first record", || Some(()).filter(|()| !authros.records(&["uploads", "list"]).is_empty()));
+    // A wrong passphrase costs nothing: the site captures while it is asked for.
+    operator.presses("q").sees("leave it running").presses("s").sees("Passphrase of profile");
+    operator.presses("another passphrase\r").sees("does not open it").presses(PASSPHRASE).presses("\r");
+    operator.sees("serving").sees("stop it with: kill -INT");
+    operator.is_gone();
+    let shown = operator.0.shown();
+    assert!(!shown.contains(PASSPHRASE), "{shown}");
+    let process = shown.split("kill -INT ").nth(1).and_then(|rest| rest.split_whitespace().next()).expect("a process");
+    let _ended = Ended(process.to_owned());
+    // The terminal is closed; the site is in no session of it, and captures.
+    drop(operator);
+    let line = fs::read(format!("/proc/{process}/cmdline")).expect("it runs");
+    assert!(!support::holds(&line, PASSPHRASE.as_bytes()), "no passphrase among the arguments");
+    let before = authros.records(&["uploads", "list"]).len();
+    wait_until(PATIENCE, "more records", || Some(()).filter(|()| authros.records(&["uploads", "list"]).len() > before));
+    // A second one is refused, in words.
+    let refused = authros.run(&["serve", "--detach"]).expect_code(7);
+    assert!(refused.stderr.contains("already running"), "{}", refused.stderr);
+    support::process::signal("INT", process);
+    wait_until(PATIENCE, "the site to end", || Some(()).filter(|()| home.socket().is_none()));
+    // Nothing acknowledged was lost on the way: what is there is whole.
+    authros.run(&["audit", "--deep"]).expect_code(0);
+}
+
 #[test]
 fn a_record_of_the_past_is_found_and_exported_while_others_come() {
     let _alone = heavy();

@@ -115,6 +115,18 @@ fn the_current_epoch_is_granted_unless_all_are_asked_for() {
     for id in &all {
         open(&carol, id);
     }
+    // Who reads the older records is told on both sides, by what each knows.
+    let earlier = |authros: &Authros, other: &str| {
+        let rows = list(&authros.json(&["grants", "list"]), "grants");
+        let row = rows.into_iter().find(|row| row["grantee"] == other).expect("the grant");
+        row["earlier"].clone()
+    };
+    assert_eq!(earlier(&two.alice, &two.bob_address), false);
+    assert_eq!(earlier(&two.alice, &carol_address), true);
+    assert_eq!(earlier(&two.bob, &two.bob_address), false);
+    assert_eq!(earlier(&carol, &carol_address), true);
+    let list = two.alice.run(&["grants", "list"]).expect_code(0);
+    assert_eq!(list.stdout.matches("and earlier").count(), 1, "{}", list.stdout);
 }
 
 #[test]

@@ -169,6 +169,11 @@ impl Home {
         self.root.join("site.lock")
     }
 
+    /// What a site that was started in the background tells.
+    pub fn serve_log(&self) -> PathBuf {
+        self.root.join("serve.log")
+    }
+
     /// Where further processes join.
     pub fn socket(&self) -> PathBuf {
         self.root.join("site.sock")

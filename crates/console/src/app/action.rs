@@ -75,6 +75,8 @@ pub enum Effect {
     Send(Command, Tag),
     /// Leave the console.
     Quit,
+    /// Leave the console, and a site running in its place.
+    LeaveSite,
     /// Leave the console because the site refuses it.
     Leave(Failure),
     /// Stop the process as Ctrl-Z does.

@@ -58,6 +58,7 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::BackUp | Verb::Incident | Verb::Incidents => identity(state),
         Verb::PrepareUnattended | Verb::EndUnattended => identity(state),
         Verb::Lock => lock(state),
+        Verb::CopyCommand => given(state.last_act.is_some(), "nothing was done yet"),
         Verb::Undo => given(state.undo.is_some(), "nothing to undo"),
         Verb::Administer(act) => administer(state, act),
         Verb::Copy | Verb::WriteFile => given(copyable(state), "nothing here to copy"),

@@ -4,7 +4,7 @@ use super::action::{Errand, Tag, kind_word};
 use super::field::Field;
 use super::forms::{GrantWish, KeyWish};
 use super::popup::Confirm;
-use super::screens::grants::{day, end, scope};
+use super::screens::grants::{day, earlier, end, scope};
 use super::state::State;
 use crate::model::TopicName;
 use crate::service::command::Held;
@@ -89,7 +89,7 @@ pub fn grant(state: &State, wish: GrantWish) -> Confirm {
 pub fn revoke(state: &State, row: &GrantRow) -> Confirm {
     let mut lines = vec![
         format!("From    {}", row.grantee),
-        format!("Shared  {}, {}", scope(&row.topics), end(row.expires)),
+        format!("Shared  {}, {}{}", scope(&row.topics), end(row.expires), earlier(row)),
         String::new(),
         "The next record is sealed under a new key that this account does not get.".to_owned(),
         "What was already read cannot be recalled, and records sealed before".to_owned(),

@@ -6,8 +6,6 @@ use super::confirm;
 use super::field::Field;
 use super::form::Form;
 use super::forms::{self, GrantWish};
-use super::incidents;
-use super::perform;
 use super::popup::{Confirm, Popup, Purpose};
 use super::screen::Screen;
 use super::screens::grants::{day, end, is_active, is_given, other_side, scope};
@@ -209,45 +207,4 @@ fn sooner(row: &GrantRow, expires: Option<Timestamp>) -> Result<GrantWish, (usiz
     let topics =
         topics.map_err(|_| (0, "one of its topics is unknown here by name; revoke it and grant again".to_owned()))?;
     Ok(GrantWish { grantee: row.grantee.into(), topics, epochs: Epochs::Current, expires })
-}
-
-/// The same act as a command line, for a script.
-pub fn twin(state: &State, command: &Command) -> Option<String> {
-    let mut words = vec![program(state)];
-    match command {
-        Command::Grant { grantee, topics, epochs, expires } => {
-            words.push(format!("grant {grantee}"));
-            words.extend(topics.iter().map(|topic| format!("--topic {topic}")));
-            words.extend((*epochs == crate::service::Epochs::All).then(|| "--epochs all".to_owned()));
-            words.extend(expires.map(|end| format!("--expires {end}")));
-        }
-        Command::ExtendGrant { grantee, expires } => {
-            words.push(format!("grants extend {grantee}"));
-            words.push(expires.map_or_else(|| "--endless".to_owned(), |end| format!("--expires {end}")));
-        }
-        Command::Revoke { grantee } => {
-            let revoke = format!("{} revoke {grantee}", words.join(" "));
-            let after = state.follow_up.as_ref().and_then(|(_, errand)| twin(state, &errand.command));
-            return Some(after.map_or_else(|| revoke.clone(), |after| format!("{revoke} && {after}")));
-        }
-        _ => words.push(incidents::twin(command)?),
-    }
-    Some(words.join(" "))
-}
-
-/// The words behind `authros` as a command line of the profile.
-pub fn command_line(state: &State, words: &str) -> String {
-    format!("{} {words}", program(state))
-}
-
-fn program(state: &State) -> String {
-    match state.settings.profile.as_str() {
-        "default" => "authros".to_owned(),
-        profile => format!("authros --profile {profile}"),
-    }
-}
-
-/// Copies that command line.
-pub fn copy_twin(state: &mut State, command: &Command) -> Vec<Effect> {
-    twin(state, command).map_or_else(Vec::new, |line| vec![perform::copy(state, line)])
 }

@@ -1,6 +1,7 @@
 //! Incidents on screen: opened from the row under the cursor, noted, closed, removed; what each holds.
 
 use super::action::{Effect, Errand, Tag};
+use super::command_line;
 use super::cursor;
 use super::feed::Feed;
 use super::field::Field;
@@ -14,9 +15,8 @@ use super::screen::Screen;
 use super::screens::grants::day;
 use super::state::State;
 use crate::model::{IncidentName, Timestamp, TopicName};
-use crate::service::Command;
 use crate::service::command::filter::past;
-use crate::service::command::{CloseIncident, IncidentCommand, NoteIncident, OpenIncident, RemoveIncident};
+use crate::service::command::{CloseIncident, NoteIncident, OpenIncident, RemoveIncident};
 use crate::service::reply::IncidentView;
 
 /// How much before and after a record is kept with it, seconds.
@@ -190,12 +190,12 @@ pub fn key(state: &mut State, mut list: IncidentList, key: Key) -> Vec<Effect> {
         (Key::Char('c'), Some(row)) if changes && row.open => state.popups.push(Popup::Confirm(closing(state, &row))),
         (Key::Char('x'), Some(row)) if changes => state.popups.push(Popup::Confirm(removal(&row))),
         (Key::Char('y'), Some(row)) => {
-            let line = granting::command_line(state, &format!("incident show {}", row.name));
+            let line = command_line::of_words(state, &format!("incident show {}", row.name));
             return vec![copy(state, line)];
         }
         (Key::Char('e'), Some(row)) => {
             let words = format!("evidence export {0}.authros --incident {0}", row.name);
-            let line = granting::command_line(state, &words);
+            let line = command_line::of_words(state, &words);
             return vec![copy(state, line)];
         }
         _ => {}
@@ -406,17 +406,4 @@ pub fn changed(state: &mut State, deed: Deed, view: IncidentView) {
     };
     state.incidents.put(view);
     state.inform(text);
-}
-
-/// The same act as words behind `authros`; `None` = it is not done from a question.
-pub fn twin(command: &Command) -> Option<String> {
-    let Command::OfIncident(command) = command else { return None };
-    match command {
-        IncidentCommand::CloseIncident { name } => Some(format!("incident close {name}")),
-        IncidentCommand::RemoveIncident { name } => Some(format!("incident remove {name} --yes")),
-        IncidentCommand::OpenIncident { .. }
-        | IncidentCommand::ListIncidents
-        | IncidentCommand::ShowIncident { .. }
-        | IncidentCommand::NoteIncident { .. } => None,
-    }
 }

@@ -45,7 +45,13 @@ impl Behind {
         let mut lines: Vec<String> = match &self.captured {
             Some(what) if self.ends => vec![
                 format!("Quitting stops {what}."),
-                "To keep it running without a console, use: authros serve".to_owned(),
+                if state.settings.tour.is_some() {
+                    "The tour ends, and its temporary home is removed with all that is in it.".to_owned()
+                } else if can_leave_site(state) {
+                    "s: `authros serve` goes on with it, after a few seconds' gap; asks for the passphrase.".to_owned()
+                } else {
+                    "To keep it running without a console, use: authros serve".to_owned()
+                },
             ],
             Some(what) => vec![format!("{} continues {site}.", super::words::sentence(what))],
             None => Vec::new(),
@@ -54,7 +60,7 @@ impl Behind {
         lines
     }
 
-    fn records(&self) -> Vec<String> {
+    fn records(&self, state: &State) -> Vec<String> {
         let records = match self.pending {
             0 => return Vec::new(),
             1 => "1 record is not verified yet".to_owned(),
@@ -62,6 +68,9 @@ impl Behind {
         };
         if !self.ends {
             return vec![format!("{records}; the site continues with them.")];
+        }
+        if state.settings.tour.is_some() {
+            return vec![format!("{records}.")];
         }
         vec![format!("{records}."), "They are safe on disk and continue at the next start.".to_owned()]
     }
@@ -72,7 +81,7 @@ impl Leaving {
     pub fn lines(self, state: &State) -> Vec<String> {
         let behind = Behind::of(state);
         let mut lines = if self == Self::Held { Vec::new() } else { behind.capture(state) };
-        lines.extend(behind.records());
+        lines.extend(behind.records(state));
         lines
             .extend(state.work.iter().filter(|tag| tag.is_work()).map(|tag| format!("Still running: {}", tag.words())));
         if lines.is_empty() {
@@ -92,6 +101,7 @@ impl Leaving {
         let mut hints = vec![("y", "quit now")];
         if self == Self::Asked && behind.can_drain() {
             hints.push(("d", "stop capture, finish, quit"));
+            hints.extend(can_leave_site(state).then_some(("s", "leave it running")));
         } else if self == Self::Asked && state.has_pending_work() {
             hints.push(("w", "quit when verified"));
         }
@@ -107,6 +117,12 @@ impl Behind {
     }
 }
 
+/// Whether a site can go on in this console's place.
+fn can_leave_site(state: &State) -> bool {
+    let is_host = matches!(Standing::of(state), Some(Standing::Host));
+    is_host && state.settings.leaves_site && state.identity.as_ref().is_some_and(|identity| identity.exists)
+}
+
 /// Whether leaving now would stop something, or leave something undone.
 pub fn asks(state: &State) -> bool {
     state.has_pending_work() || Behind::of(state).can_drain()
@@ -119,6 +135,9 @@ pub fn key(state: &mut State, leaving: Leaving, key: Key) -> Vec<Effect> {
         Key::Char('d') if leaving == Leaving::Asked && Behind::of(state).can_drain() => {
             state.popups.push(Popup::Quit(Leaving::Held));
             return vec![hold(state, true)];
+        }
+        Key::Char('s') if leaving == Leaving::Asked && Behind::of(state).can_drain() && can_leave_site(state) => {
+            return vec![Effect::LeaveSite];
         }
         Key::Char('w') if leaving == Leaving::Asked && !Behind::of(state).can_drain() => {
             state.popups.push(Popup::Quit(Leaving::WhenVerified));

@@ -12,6 +12,7 @@ pub mod answer;
 pub mod available;
 pub mod browse;
 pub mod columns;
+pub mod command_line;
 pub mod confirm;
 pub mod contacts;
 pub mod countdown;

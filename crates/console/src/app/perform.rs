@@ -7,6 +7,7 @@ use super::administration;
 use super::available::available;
 use super::browse::Browse;
 use super::columns;
+use super::command_line;
 use super::confirm;
 use super::contacts;
 use super::cursor;
@@ -51,6 +52,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Unlock => return identity_path::run(state, Need::Unlocked, Vec::new()),
         Verb::Copy => return copied(state).map_or_else(Vec::new, |text| vec![copy(state, text)]),
         Verb::WriteFile => return copied(state).map_or_else(Vec::new, |text| vec![write_file(state, &text)]),
+        Verb::CopyCommand => return command_line::copy_last(state),
         Verb::Quit => return quit(state),
         Verb::Play => return playing::toggle(state),
         Verb::Publishers => return publishers(state),

@@ -5,6 +5,7 @@ use super::administration;
 use super::available::available;
 use super::browse;
 use super::columns;
+use super::command_line;
 use super::confirm;
 use super::contacts;
 use super::exporting;
@@ -48,9 +49,12 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
             let moves = [("space", "show/hide"), ("<", "left"), (">", "right")];
             moves.into_iter().chain([("r", "usual"), ("enter", "keep"), ("esc", "cancel")]).collect()
         }
-        Popup::Confirm(confirm) if confirm.typed.is_some() => vec![("enter", confirm.yes), ("esc", "cancel")],
+        Popup::Confirm(confirm) if confirm.typed.is_some() => {
+            let twin = command_line::twin(state, &confirm.errand).map(|_| ("ctrl-y", "copy as command"));
+            [("enter", confirm.yes)].into_iter().chain(twin).chain([("esc", "cancel")]).collect()
+        }
         Popup::Confirm(confirm) => {
-            let twin = granting::twin(state, &confirm.errand.command).map(|_| ("Y", "copy as command"));
+            let twin = command_line::twin(state, &confirm.errand).map(|_| ("Y", "copy as command"));
             [("y", confirm.yes)].into_iter().chain(twin).chain([("any other key", "cancels")]).collect()
         }
         Popup::Form(_, form) => {
@@ -276,18 +280,23 @@ fn publishers_key(state: &mut State, mut lookup: Lookup<PinsView>, key: Key) -> 
     Vec::new()
 }
 
+/// The key that copies a question's act: where a word is typed, letters belong to it.
+fn copies(confirm: &Confirm) -> Key {
+    if confirm.typed.is_some() { Key::Control('y') } else { Key::Char('Y') }
+}
+
 fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect> {
+    if key == copies(&confirm) {
+        let effects = command_line::copy(state, &confirm.errand);
+        state.popups.push(Popup::Confirm(confirm));
+        return effects;
+    }
     let said = match &mut confirm.typed {
         Some(_) if key == Key::Escape => return unasked(state),
         Some(typed) if key == Key::Enter => typed.is_done(),
         Some(typed) => {
             typed.field.key(key);
             false
-        }
-        None if key == Key::Char('Y') => {
-            let effects = granting::copy_twin(state, &confirm.errand.command);
-            state.popups.push(Popup::Confirm(confirm));
-            return effects;
         }
         None if key != Key::Char('y') => return unasked(state),
         None => true,

@@ -41,6 +41,8 @@ pub fn switch(state: &mut State, profile: ProfileName) -> Vec<Effect> {
     }
     let mut settings = state.settings.clone();
     settings.profile.clone_from(&profile);
+    // The successor would be given the flags of the start, with another profile.
+    settings.leaves_site = false;
     let mut next = State::new(settings);
     (next.now, next.touched, next.size) = (state.now, state.now, state.size);
     (next.mouse, next.local_time, next.period) = (state.mouse, state.local_time, state.period);

@@ -67,6 +67,8 @@ pub struct Settings {
     pub profiles: Vec<ProfileName>,
     /// Who is who in the tour, if the console starts with it.
     pub tour: Option<Cast>,
+    /// Whether a site can be left running in the console's place.
+    pub leaves_site: bool,
 }
 
 /// Everything the console knows and shows.
@@ -142,6 +144,8 @@ pub struct State {
     pub filled: Option<(Tag, Purpose, Form)>,
     /// What is sent when the act of the tag is done, because one question asked for both.
     pub follow_up: Option<(Tag, Errand)>,
+    /// The act that was sent last, as a command line.
+    pub last_act: Option<String>,
     /// What undoing would do.
     pub undo: Option<Undo>,
     /// What was typed into the palette, the newest last.
@@ -198,6 +202,7 @@ impl State {
             incidents: Incidents::default(),
             filled: None,
             follow_up: None,
+            last_act: None,
             undo: None,
             commands: Vec::new(),
             exports: Exports::default(),
@@ -339,6 +344,11 @@ impl State {
     pub fn send(&mut self, errand: Errand) -> Effect {
         if let Tag::Open(id) = &errand.tag {
             self.popups.push(Popup::Record(Opening::new(id)));
+        }
+        if errand.tag.is_work()
+            && let Some(line) = super::command_line::twin(self, &errand)
+        {
+            self.last_act = Some(line);
         }
         self.work.push(errand.tag.clone());
         Effect::Send(errand.command, errand.tag)

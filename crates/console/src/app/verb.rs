@@ -116,6 +116,8 @@ pub enum Verb {
     Copy,
     /// Write the same into a file.
     WriteFile,
+    /// Copy the last act as a command line.
+    CopyCommand,
     /// Show only more urgent lines of the log.
     Level,
     /// Show only lines of the log from one source.
@@ -281,15 +283,9 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Release, "release", "", &[Key::Char('r')], "Release quarantined messages of the topic")
         .on(&[Screen::Topics])
         .changing(),
-    entry(
-        Verb::Discard,
-        "discard",
-        "",
-        &[Key::Char('D')],
-        "Delete quarantined messages of the topic; counted on the chain",
-    )
-    .on(&[Screen::Topics])
-    .changing(),
+    entry(Verb::Discard, "discard", "", &[Key::Char('D')], "Discard quarantined messages; the chain counts them")
+        .on(&[Screen::Topics])
+        .changing(),
     entry(Verb::Grant, "grant", "grant", &[Key::Char('g')], "Let another account read your records")
         .on(&[Screen::Overview, Screen::Topics, Screen::Grants])
         .changing(),
@@ -382,6 +378,8 @@ pub static VERBS: &[Entry] = &[
     entry(Verb::Columns, "columns", "columns", &[Key::Char('C')], "Choose the columns of this list").on(MARKED),
     entry(Verb::Copy, "copy", "copy", &[Key::Char('y')], "Copy name, digest or address to clipboard").on(COPIED),
     entry(Verb::WriteFile, "write-file", "", &[Key::Char('W')], "Save to a file what y would copy").on(COPIED),
+    entry(Verb::CopyCommand, "copy-command", "", &[], "Copy your last act as a command line")
+        .chord(&[Key::Char('z'), Key::Char('y')]),
     entry(Verb::Tasks, "tasks", "", &[Key::Char('t')], "Running tasks and queues"),
     entry(Verb::Undo, "undo", "", &[Key::Char('U')], "Undo the last action, where possible")
         .chord(&[Key::Char('z'), Key::Char('u')]),

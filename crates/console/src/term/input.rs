@@ -22,7 +22,7 @@ const REST: Duration = Duration::from_millis(200);
 ///
 /// # Errors
 /// If the thread cannot be started.
-pub fn start(stop: Arc<AtomicBool>, typed: impl Fn(Action) + Send + 'static) -> io::Result<()> {
+pub fn start(stop: Arc<AtomicBool>, typed: impl Fn(Action) + Send + 'static) -> io::Result<thread::JoinHandle<()>> {
     let read = move || {
         while !stop.load(Ordering::Relaxed) {
             match next() {
@@ -36,7 +36,7 @@ pub fn start(stop: Arc<AtomicBool>, typed: impl Fn(Action) + Send + 'static) -> 
             }
         }
     };
-    thread::Builder::new().name(format!("{THREAD_PREFIX}input")).spawn(read).map(drop)
+    thread::Builder::new().name(format!("{THREAD_PREFIX}input")).spawn(read)
 }
 
 /// The next input; nothing if there was none for a while.

@@ -72,6 +72,8 @@ pub struct ConsoleOptions {
     pub profiles: Vec<ProfileName>,
     /// Who is who in the tour, if the console starts with it.
     pub tour: Option<Cast>,
+    /// Whether the caller can leave a site running in the console's place.
+    pub leaves_site: bool,
 }
 
 /// Why the console ended.
@@ -79,6 +81,8 @@ pub struct ConsoleOptions {
 pub enum ExitReason {
     /// The operator quit.
     Quit,
+    /// The operator quit; a site is to run in the console's place.
+    LeaveSite,
     /// The site refused this console; the message is still to be shown.
     Refused(Failure),
     /// A signal asked for it.
@@ -91,7 +95,7 @@ impl ExitReason {
     /// The exit code of a process that ends for this reason.
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::Quit => 0,
+            Self::Quit | Self::LeaveSite => 0,
             Self::Refused(failure) => failure.kind.exit_code(),
             Self::Signal(number) => u8::try_from(128 + number).unwrap_or(ErrorKind::Internal.exit_code()),
             Self::TerminalGone => 129,
@@ -147,6 +151,7 @@ fn first_state(client: &Client, options: &ConsoleOptions, directory: &Path) -> S
         asks_passphrase: options.asks_passphrase,
         profiles: options.profiles.clone(),
         tour: options.tour.clone(),
+        leaves_site: options.leaves_site,
         zone: Zone::new(jiff::tz::TimeZone::system()),
     });
     (state.now, state.mouse) = (Timestamp::now(), options.mouse);

@@ -38,6 +38,7 @@ pub struct Session {
     stage: Arc<Stage>,
     ears: Receiver<Heard>,
     stop: Arc<AtomicBool>,
+    reading: Option<thread::JoinHandle<()>>,
     resized: Option<(u16, u16, Instant)>,
     watched_at: Instant,
     themes: Themes,
@@ -74,13 +75,14 @@ impl Session {
         let budget = Budget::new(rate, Instant::now());
         renderer::start(Arc::clone(&stage), painter, budget, sender(&mouth, |_| Heard::TerminalFailed))?;
         let stop = Arc::new(AtomicBool::new(false));
-        input::start(Arc::clone(&stop), sender(&mouth, Heard::Act))?;
+        let reading = Some(input::start(Arc::clone(&stop), sender(&mouth, Heard::Act))?);
         let session = Self {
             profile: client.profile().clone(),
             outside: Outside { client, handle: handle.clone(), mouth, directory },
             stage,
             ears,
             stop,
+            reading,
             resized: None,
             watched_at: Instant::now(),
             themes: options.themes.clone(),
@@ -110,6 +112,9 @@ impl Session {
             ended = ended.or_else(|| self.look_around());
         }
         self.close();
+        if matches!(ended, Some(Ok(ExitReason::LeaveSite))) {
+            self.leave_the_keys();
+        }
         ended.unwrap_or(Ok(ExitReason::Quit))
     }
 
@@ -180,6 +185,7 @@ impl Session {
             match effect {
                 Effect::Send(command, tag) => self.outside.ask(command, tag),
                 Effect::Quit => return Some(Ok(ExitReason::Quit)),
+                Effect::LeaveSite => return Some(Ok(ExitReason::LeaveSite)),
                 Effect::Leave(failure) => return Some(Ok(ExitReason::Refused(failure))),
                 Effect::Suspend => return self.suspend(),
                 Effect::Redraw => self.stage.change(Wish::Now, |scene| scene.anew = true),
@@ -241,6 +247,15 @@ impl Session {
         match taken {
             Ok((columns, rows)) => self.act(Action::Resize { columns, rows }),
             Err(error) => Some(Err(error.into())),
+        }
+    }
+
+    /// Waits until the thread that reads keys has ended: whoever asks at the terminal next would share them with it.
+    fn leave_the_keys(&mut self) {
+        // A new size is what it wakes up for without a key; without that it ends within its patience.
+        rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::WINCH).ok();
+        if let Some(reading) = self.reading.take() {
+            drop(reading.join());
         }
     }
 

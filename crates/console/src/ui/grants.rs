@@ -65,7 +65,7 @@ fn cells(state: &State, row: &GrantRow) -> Vec<(String, Role)> {
         (other_side(row).to_string(), Role::Dim),
         (row.fingerprint.clone().unwrap_or_else(|| "not registered".to_owned()), Role::Dim),
         (scope(&row.topics), Role::Body),
-        (row.epoch.to_string(), Role::Body),
+        (if row.earlier == Some(true) { "all".to_owned() } else { row.epoch.to_string() }, Role::Body),
         ends(state, row),
         (row.block.to_string(), Role::Dim),
     ]

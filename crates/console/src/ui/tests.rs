@@ -93,6 +93,24 @@ fn every_screen_at_every_size() {
 
 /// Lists with their pane, and the Overview with graphs of what flowed.
 #[test]
+fn the_bars_at_120_columns_say_what_is_used_most_and_are_not_cut() {
+    let bars = |screen: Screen| {
+        let shown = shown(&at(screen, (120, 30)).state, &night());
+        let bar = shown.trim_end().lines().last().unwrap_or_default().trim_end().to_owned();
+        assert!(bar.chars().count() <= 120 && !bar.contains('…'), "{bar}");
+        assert!(bar.ends_with("? help  q quit"), "{}: {bar}", screen.title());
+        format!("{}\n{bar}", screen.title())
+    };
+    let screens = [Screen::Overview, Screen::Topics, Screen::Uploads, Screen::Shared, Screen::Grants];
+    let others = [Screen::Keys, Screen::Chain, Screen::Gateway, Screen::Log];
+    let all: Vec<String> = screens.into_iter().chain(others).map(bars).collect();
+    for (screen, words) in [(1, ["w watch", "g grant"]), (2, ["o open", "e export"]), (4, ["x revoke", "e extend"])] {
+        assert!(words.iter().all(|word| all[screen].contains(word)), "{}", all[screen]);
+    }
+    compare("bars-120", &all.join("\n"));
+}
+
+#[test]
 fn a_wide_terminal_is_used() {
     let size = (160, 40);
     let mut pages = Vec::new();

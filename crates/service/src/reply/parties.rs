@@ -146,6 +146,9 @@ pub struct GrantRow {
     pub grantee: Address,
     /// The first epoch it opens (or the only ones, once revoked).
     pub epoch: u64,
+    /// Whether it opens epochs before that one too; `None` = not known here.
+    #[serde(default)]
+    pub earlier: Option<bool>,
     /// When it ends.
     pub expires: Option<Timestamp>,
     /// Topic names if known, otherwise ids; empty = all topics.

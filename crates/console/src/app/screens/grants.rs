@@ -97,7 +97,9 @@ impl Grants {
     /// Who can read now, one line each; `but` is left out.
     pub fn readers(&self, but: Option<Address>) -> Vec<String> {
         let active = self.rows.iter().filter(|row| is_given(row) && is_active(row) && Some(row.grantee) != but);
-        active.map(|row| format!("{}  {}  {}", row.grantee, scope(&row.topics), end(row.expires))).collect()
+        let line =
+            |row: &GrantRow| format!("{}  {}  {}{}", row.grantee, scope(&row.topics), end(row.expires), earlier(row));
+        active.map(line).collect()
     }
 }
 
@@ -108,6 +110,11 @@ pub fn scope(topics: &[String]) -> String {
         [one] => clean(one, 60),
         many => format!("{} topics", many.len()),
     }
+}
+
+/// Whether older records are shared too, in words to follow others; empty = no, or not known.
+pub fn earlier(row: &GrantRow) -> &'static str {
+    if row.earlier == Some(true) { ", earlier records too" } else { "" }
 }
 
 /// When a grant ends, in words.

@@ -265,6 +265,7 @@ pub fn grant(direction: &str, account: Address, state: &str, block: u64) -> Gran
         owner: if given { OWN } else { account },
         grantee: if given { account } else { OWN },
         epoch: 1,
+        earlier: None,
         expires: None,
         topics: if given { vec!["/robot1/odom".to_owned()] } else { Vec::new() },
         state: if state == "active" { GrantState::Active } else { GrantState::Revoked },

@@ -4,7 +4,9 @@ use super::{Robot, fixtures};
 use crate::app::feed::Feed;
 use crate::app::leaving::Leaving;
 use crate::app::popup::Popup;
+use crate::app::tour::Cast;
 use crate::app::{Action, Effect, Key, Tag};
+use crate::model::ProfileName;
 use crate::service::reply::{HeldUp, LifeLine, QueueView, SiteView, TopicRow};
 use crate::service::{Command, Operation, Part, Reply};
 
@@ -76,6 +78,37 @@ fn the_host_says_that_capture_stops_and_a_joined_console_that_it_continues() {
     assert!(text.contains("The capture of /robot1/odom continues in the site (process 77)."), "{text}");
     assert!(text.contains("1 record is not verified yet; the site continues with them."), "{text}");
     assert!(!text.contains("stops"), "{text}");
+}
+
+#[test]
+fn s_leaves_a_site_running_where_the_caller_can_and_something_is_captured() {
+    let leaves = |mut robot: Robot| {
+        robot.types("q");
+        let asked = robot.state.popups.last().is_some_and(|popup| matches!(popup, Popup::Quit(_)));
+        let said = asked && question(&robot).contains("goes on with it");
+        robot.types("s");
+        (said, matches!(robot.effects[..], [Effect::LeaveSite]))
+    };
+    let able = |process: u32, watched: bool| {
+        let mut robot = if watched { busy(process, 3) } else { unwatched(process, 3) };
+        robot.state.settings.leaves_site = true;
+        robot
+    };
+    assert_eq!(leaves(able(0, true)), (true, true));
+    assert_eq!(leaves(busy(0, 3)), (false, false), "the caller cannot");
+    assert_eq!(leaves(able(77, true)), (false, false), "the site is another process's, and goes on anyway");
+    assert_eq!(leaves(able(0, false)), (false, false), "nothing would stop");
+}
+
+#[test]
+fn the_tour_promises_nothing_that_its_home_does_not_keep() {
+    let mut robot = busy(0, 3);
+    let cast = Cast { owner: ProfileName::default(), reader: "cura-b".parse().expect("a name") };
+    robot.state.settings.tour = Some(cast);
+    robot.types("q");
+    let text = question(&robot);
+    assert!(text.contains("temporary home is removed") && text.contains("3 records are not verified yet"), "{text}");
+    assert!(!text.contains("next start") && !text.contains("authros serve"), "{text}");
 }
 
 #[test]

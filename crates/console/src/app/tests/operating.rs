@@ -198,3 +198,36 @@ fn read_only_hides_and_refuses_what_changes() {
     let Some(Popup::Palette(palette)) = robot.state.popups.last() else { panic!("no palette") };
     assert!(!palette.matches(&robot.state).iter().any(|entry| entry.changes));
 }
+
+/// What was given to the clipboard last.
+fn copied(robot: &Robot) -> Option<&str> {
+    robot.effects.iter().rev().find_map(|effect| match effect {
+        Effect::CopyText(text) => Some(text.as_str()),
+        _ => None,
+    })
+}
+
+#[test]
+fn the_last_act_is_copied_as_a_command_line_whichever_it_was() {
+    let mut robot = Robot::at_work(true);
+    robot.types("zy");
+    assert!(copied(&robot).is_none() && robot.message().contains("nothing was done yet"), "{}", robot.message());
+    robot.types("2");
+    robot.site_answers(true);
+    robot.presses(Key::Down);
+    robot.types("w");
+    let [Tag::Watch(_) | Tag::Unwatch(_)] = &robot.work()[..] else { panic!("{:?}", robot.work()) };
+    let topic = robot.state.topics.selected().map(|row| row.topic.clone()).expect("a topic");
+    robot.types("zy");
+    let line = copied(&robot).expect("copied").to_owned();
+    assert!(line.starts_with("authros topics ") && line.ends_with(&format!("watch {topic}")), "{line}");
+}
+
+#[test]
+fn a_question_that_wants_a_word_copies_its_command_without_being_answered() {
+    let mut robot = held();
+    robot.types("D");
+    robot.presses(Key::Control('y'));
+    assert_eq!(copied(&robot), Some("authros quarantine discard --topic /robot1/odom --yes"));
+    assert!(robot.work().is_empty() && matches!(robot.state.popups.last(), Some(Popup::Confirm(_))));
+}

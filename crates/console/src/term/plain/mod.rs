@@ -166,6 +166,7 @@ impl Plain {
             match effect {
                 Effect::Send(command, tag) => self.outside.ask(command, tag),
                 Effect::Quit => return Some(Ok(ExitReason::Quit)),
+                Effect::LeaveSite => return Some(Ok(ExitReason::LeaveSite)),
                 Effect::Leave(failure) => return Some(Ok(ExitReason::Refused(failure))),
                 Effect::Suspend => return self.suspend(),
                 Effect::Redraw => self.show = true,

@@ -228,7 +228,8 @@ fn row(robot: &Enrolled, wanted: &Wanted, known: &Known) -> RobotRow {
     let told = report.map(|(_, at)| *at);
     let last_seen = recorded.max(told);
     let running = report.map(|(report, _)| report.running);
-    let drift = running.unwrap_or_default() != wanted.version;
+    let drift = !robot.ended && running.unwrap_or_default() != wanted.version;
+    let standing = if robot.ended { "recalled" } else { standing(wanted, report.map(|(report, _)| report), last_seen) };
     let of_robot = known.topics.iter().filter(|topic| topic.signer == robot.device);
     let waiting = of_robot.flat_map(|topic| &topic.records).filter(|(state, _)| state.is_pending());
     RobotRow {
@@ -239,7 +240,7 @@ fn row(robot: &Enrolled, wanted: &Wanted, known: &Known) -> RobotRow {
         waiting: waiting.map(|(_, count)| count).sum(),
         wanted: wanted.version,
         running,
-        standing: standing(wanted, report.map(|(report, _)| report), last_seen).to_owned(),
+        standing: standing.to_owned(),
         drift,
         drift_since: drift.then_some(wanted.set_at),
     }

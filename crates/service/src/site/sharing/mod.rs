@@ -112,6 +112,7 @@ impl Sharing {
             Epochs::Current => vec![epoch],
             Epochs::All => owner.epochs(network.domain).into_iter().filter(|known| *known <= epoch).collect(),
         };
+        let noted = if covered.iter().any(|known| *known < epoch) { "earlier" } else { "current" };
         let envelope = self.wrap_keys(owner, &network, terms.clone(), &names, covered)?;
         self.log.begin(owner, "grant", &grantee.to_string()).await?;
         self.settle_revocation(owner, grantee)?;
@@ -120,6 +121,9 @@ impl Sharing {
         let sent = self.sender.send(&network.chain, &owner.eoa(), call, "authorityGrant").await;
         let sent = self.log.end(owner, "grant", &grantee.to_string(), sent.map_err(Failure::from)).await;
         let (transaction, receipt) = sent?;
+        // The envelope opens for the grantee alone. Without this note the list says nothing of earlier epochs.
+        let key = epochs_key(&transaction.to_string());
+        drop(tokio::task::block_in_place(|| self.plant.ledger.put_setting(&key, noted)));
         let notice = GrantNotice { grantee, epoch, expiry: expires.map_or(0, Timestamp::seconds), transaction };
         self.joined.tell_of_grant(owner, &network, notice).await;
         self.link.scanned(receipt.block).await;
@@ -254,6 +258,7 @@ impl Sharing {
             owner: grant.terms.owner,
             grantee: grant.terms.grantee,
             epoch: grant.terms.epoch,
+            earlier: if given { self.noted_earlier(grant)? } else { self.received_earlier(owner, network, grant) },
             expires: grant.expiry(),
             topics,
             state: grant.state(network.directory.now()),
@@ -262,6 +267,25 @@ impl Sharing {
             name: None,
             fingerprint: None,
         })
+    }
+
+    /// Whether a grant of this owner opens earlier epochs, as noted when it was given; `None` = it was given elsewhere,
+    /// or before this was noted.
+    fn noted_earlier(&self, grant: &Granted) -> Result<Option<bool>, Failure> {
+        let key = epochs_key(&grant.transaction.to_string());
+        let noted = tokio::task::block_in_place(|| self.plant.ledger.setting(&key))?;
+        Ok(noted.map(|noted| noted == "earlier"))
+    }
+
+    /// Whether a received grant opens epochs before its own, by the keys in its envelope; `None` = it does not open.
+    fn received_earlier(&self, owner: &Owner, network: &crate::pipeline::Network, grant: &Granted) -> Option<bool> {
+        let reader = crate::pipeline::reader::Reader { plant: &self.plant, network, reader: owner };
+        let envelope = reader.open_envelope(grant, grant.terms.epoch).ok()?;
+        let first = match &envelope.keys {
+            crate::crypto::GrantedKeys::All { epochs, .. } => epochs.iter().map(|(epoch, _)| *epoch).min(),
+            crate::crypto::GrantedKeys::Topics { keys } => keys.iter().map(|(epoch, ..)| *epoch).min(),
+        };
+        first.map(|first| first < grant.terms.epoch)
     }
 
     fn received_topics(
@@ -283,6 +307,11 @@ impl Sharing {
             _ => ids.iter().map(|id| RecordRow::unnamed(*id)).collect(),
         }
     }
+}
+
+/// Where it is noted which epochs a grant was given for, by its transaction.
+fn epochs_key(transaction: &str) -> String {
+    format!("granted-epochs:{transaction}")
 }
 
 /// Why a grant cannot end at the requested time; the chain's time may be ahead of this machine's clock.

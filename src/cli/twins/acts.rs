@@ -1,0 +1,223 @@
+//! Every act that the console sends shows its command line: a walk through all of them, each line split by a shell and
+//! read by the program's own arguments.
+
+use std::process::Command as Program;
+
+use clap::Parser as _;
+
+use crate::app::incidents::Deed;
+use crate::app::{Errand, Settings, State, Tag, command_line};
+use crate::cli::args::Arguments;
+use crate::model::{Address, IncidentName, Party, Timestamp, TopicName};
+use crate::service::command::{
+    Administration, CloseIncident, EndUnattended, Held, NoteIncident, OpenIncident, Pace, PlayWishes,
+    PrepareUnattended, RemoveIncident,
+};
+use crate::service::{Command, Epochs, KeyKind, Operation, SecretText};
+
+const OWNER: Address = Address([0xab; 20]);
+/// 2027-01-31T12:00:00Z
+const END: Timestamp = Timestamp(1_801_396_800_000_000_000);
+
+/// The place of an act in the walk; `None` = it is no act of an operator. A tag that is forgotten does not compile.
+#[deny(clippy::wildcard_enum_match_arm)]
+fn place(tag: &Tag) -> Option<usize> {
+    Some(match tag {
+        Tag::Feed(..) | Tag::OpenConsole | Tag::Beside(..) | Tag::Path(_) => return None,
+        // These two are ends: of the console, and of a playback, which on the command line is Ctrl-C.
+        Tag::HoldCapture | Tag::StopPlay => return None,
+        Tag::CreateIdentity => 0,
+        Tag::Unlock => 1,
+        Tag::Register => 2,
+        Tag::Watch(_) => 3,
+        Tag::Unwatch(_) => 4,
+        Tag::Grant(_) => 5,
+        Tag::Extend(_) => 6,
+        Tag::Revoke(_) => 7,
+        Tag::LoadKey(_) => 8,
+        Tag::ExportKey(_) => 9,
+        Tag::Rotate => 10,
+        Tag::Lock => 11,
+        Tag::BackUp => 12,
+        Tag::PrepareUnattended => 13,
+        Tag::EndUnattended => 14,
+        Tag::Administer(_) => 15,
+        Tag::Deploy => 16,
+        Tag::Adopt => 17,
+        Tag::Pin(_) => 18,
+        Tag::Unpin(_) => 19,
+        Tag::Release(_) => 20,
+        Tag::Discard(_) => 21,
+        Tag::Publishers(_) => 22,
+        Tag::Show(_) => 23,
+        Tag::Open(_) => 24,
+        Tag::Check(_) => 25,
+        Tag::Export(_) => 26,
+        Tag::Contact(_) => 27,
+        Tag::Incident(..) => 28,
+        Tag::Play(_) => 29,
+    })
+}
+
+const ACTS: usize = 30;
+
+/// An act, and the line that a person would type for it.
+type Act = (Tag, Command, String);
+
+fn topic() -> TopicName {
+    "/robot1/odom".parse().expect("a topic")
+}
+
+fn name() -> String {
+    topic().to_string()
+}
+
+fn owner() -> Party {
+    Party::Address(OWNER)
+}
+
+fn secret() -> SecretText {
+    SecretText::new("never on a line".to_owned())
+}
+
+fn acts_of_keys() -> Vec<Act> {
+    let keystore = Command::LoadKey { kind: KeyKind::Eoa, path: "/a key.json".into(), passphrase: Some(secret()) };
+    let export = Command::ExportKey { kind: KeyKind::Sm4, passphrase: None };
+    let prepare = PrepareUnattended { topics: vec![topic()], until: END };
+    vec![
+        (Tag::CreateIdentity, Command::CreateIdentity { passphrase: secret() }, "identity create".into()),
+        (Tag::Unlock, Command::Unlock { passphrase: secret() }, "keys list --passphrase-file FILE".into()),
+        (Tag::Register, Command::Register, "register".into()),
+        (Tag::LoadKey(KeyKind::Eoa), keystore, "keys load --eoa '/a key.json' --keystore-passphrase-file FILE".into()),
+        (Tag::ExportKey(KeyKind::Sm4), export, "keys export sm4 --out FILE".into()),
+        (Tag::Rotate, Command::RotateKeys, "keys rotate".into()),
+        (Tag::Lock, Command::Operate(Operation::Lock), "identity lock".into()),
+        (Tag::BackUp, Command::Operate(Operation::BackUpKeys), "keys backup --out FILE".into()),
+        (
+            Tag::PrepareUnattended,
+            prepare.into(),
+            format!("unattended prepare --out FILE --topic /robot1/odom --until {END}"),
+        ),
+        (Tag::EndUnattended, EndUnattended { force: false }.into(), "unattended end".into()),
+    ]
+}
+
+fn acts_of_topics() -> Vec<Act> {
+    let held = || Held { topic: Some(topic()), ids: Vec::new() };
+    let pin = Command::PinTopic { topic: topic(), publishers: Vec::new() };
+    let unpin = Command::UnpinTopic { topic: topic(), caller_id: "/driver".to_owned() };
+    let watch = Command::WatchTopic { topic: topic(), type_name: None };
+    let line = |words: &str| format!("{words} /robot1/odom");
+    vec![
+        (Tag::Watch(name()), watch, line("topics watch")),
+        (Tag::Unwatch(name()), Command::UnwatchTopic { topic: topic() }, line("topics unwatch")),
+        (Tag::Pin(name()), pin, line("topics pin")),
+        (Tag::Unpin(name()), unpin, line("topics unpin") + " /driver"),
+        (Tag::Release(name()), Command::ReleaseHeld { held: held() }, line("quarantine release --topic")),
+        (Tag::Discard(name()), Command::DiscardHeld { held: held() }, line("quarantine discard --topic") + " --yes"),
+        (Tag::Publishers(name()), Command::ListPins { topic: Some(topic()) }, line("topics pins --topic")),
+    ]
+}
+
+fn acts_of_rights() -> Vec<Act> {
+    let grant = Command::Grant { grantee: owner(), topics: vec![topic()], epochs: Epochs::All, expires: Some(END) };
+    let of_administrator = |word: &'static str, act: Administration, line: String| {
+        (Tag::Administer(word), Command::Administer(act), format!("chain {line}"))
+    };
+    let propose = Administration::Propose { lost: owner(), successor: owner() };
+    let contact = || "bob".parse().expect("a name");
+    let add = Command::AddContact { name: contact(), address: OWNER, fingerprint: None };
+    let remove = Command::RemoveContact { name: contact() };
+    let extend = Command::ExtendGrant { grantee: owner(), expires: None };
+    vec![
+        (Tag::Grant(owner()), grant, format!("grant {OWNER} --topic /robot1/odom --epochs all --expires {END}")),
+        (Tag::Extend(OWNER), extend, format!("grants extend {OWNER} --endless")),
+        (Tag::Revoke(OWNER), Command::Revoke { grantee: owner() }, format!("revoke {OWNER}")),
+        of_administrator("pause", Administration::Pause { paused: true, seconds: None }, "pause".to_owned()),
+        of_administrator("suspend", Administration::Suspend { account: owner() }, format!("suspend {OWNER}")),
+        of_administrator("propose", propose, format!("succession propose {OWNER} {OWNER}")),
+        (Tag::Deploy, Command::DeployContract { delay: None, revision: None }, "chain deploy".into()),
+        (Tag::Adopt, Command::AdoptChain, "chain adopt".into()),
+        (Tag::Contact("bob".to_owned()), add, format!("contacts add bob {OWNER}")),
+        (Tag::Contact("bob".to_owned()), remove, "contacts remove bob".into()),
+    ]
+}
+
+fn acts_of_records() -> Vec<Act> {
+    let id = || "0123456789abcdef".to_owned();
+    let play = PlayWishes {
+        owner: Some(owner()),
+        topics: vec!["/robot1/odom".parse().expect("a pattern")],
+        pace: Pace::Follow,
+        prefix: Some("/shared/bob".parse().expect("a name")),
+        ..PlayWishes::default()
+    };
+    let export = Command::ExportUpload { id: id(), addresses: false };
+    vec![
+        (Tag::Show(id()), Command::ShowUpload { id: id() }, format!("uploads show {}", id())),
+        (Tag::Open(id()), Command::OpenShared { id: id() }, format!("shared open {}", id())),
+        (Tag::Check(id()), Command::CheckShared { id: id() }, format!("shared check {}", id())),
+        (Tag::Export(id()), export, format!("uploads export {} --dir DIR", id())),
+        (
+            Tag::Play("/shared/bob/robot1/odom".to_owned()),
+            Command::Play(play),
+            format!("shared play --owner {OWNER} --topic /robot1/odom --prefix /shared/bob --follow"),
+        ),
+    ]
+}
+
+fn acts_of_incidents() -> Vec<Act> {
+    let incident = || -> IncidentName { "fall".parse().expect("a name") };
+    let of = |deed: Deed, command: Command, line: &str| (Tag::Incident(deed, incident()), command, line.to_owned());
+    let open = OpenIncident {
+        name: incident(),
+        since: END,
+        until: None,
+        topics: vec![topic()],
+        note: Some("it's down".to_owned()),
+        robots: Vec::new(),
+    };
+    let opened = format!("incident open fall --since {END} --topic /robot1/odom --note='it'\\''s down'");
+    let note = NoteIncident { name: incident(), text: "-5 degrees".to_owned() };
+    vec![
+        of(Deed::Open, open.into(), &opened),
+        of(Deed::Note, note.into(), "incident note fall -- '-5 degrees'"),
+        of(Deed::Close, CloseIncident { name: incident() }.into(), "incident close fall"),
+        of(Deed::Remove, RemoveIncident { name: incident() }.into(), "incident remove fall --yes"),
+    ]
+}
+
+/// The words of a line, as a shell divides it.
+fn words(line: &str) -> Vec<String> {
+    let script = format!("set -- {line}; printf '%s\\n' \"$@\"");
+    let output = Program::new("sh").args(["-c", &script]).output().expect("a shell");
+    String::from_utf8(output.stdout).expect("text").lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn every_act_of_the_console_has_the_line_that_a_person_would_type() {
+    let state = State::new(Settings::default());
+    let mut walked = [false; ACTS];
+    for (tag, command, expected) in
+        [acts_of_keys(), acts_of_topics(), acts_of_rights(), acts_of_records(), acts_of_incidents()].concat()
+    {
+        walked[place(&tag).expect("an act")] = true;
+        let line = command_line::twin(&state, &Errand { command, tag: tag.clone() });
+        let line = line.unwrap_or_else(|| panic!("{tag:?} has no command line"));
+        assert_eq!(line, format!("authros {expected}"), "{tag:?}");
+        assert!(!line.contains("never on a line"), "{line}");
+        let parsed = Arguments::try_parse_from(words(&line));
+        assert!(parsed.is_ok(), "{line}: {}", parsed.expect_err("wrong"));
+    }
+    let missing: Vec<usize> = (0..ACTS).filter(|act| !walked[*act]).collect();
+    assert!(missing.is_empty(), "acts that the walk leaves out: {missing:?}");
+}
+
+#[test]
+fn what_is_no_act_has_none_and_another_profile_is_named() {
+    let state = State::new(Settings { profile: "bob".parse().expect("a name"), ..Settings::default() });
+    let hold = Errand { command: Command::Operate(Operation::HoldCapture { hold: true }), tag: Tag::HoldCapture };
+    assert_eq!(command_line::twin(&state, &hold), None);
+    let rotate = Errand { command: Command::RotateKeys, tag: Tag::Rotate };
+    assert_eq!(command_line::twin(&state, &rotate).as_deref(), Some("authros --profile bob keys rotate"));
+}
