@@ -106,9 +106,11 @@ fn caution_lines(caution: &str) -> Vec<String> {
 
 fn draw_quit(canvas: &mut Canvas, area: Rect, state: &State, leaving: Leaving) {
     let hints = leaving.hints(state);
+    // Four of them fit 80 columns only so.
+    let gap = if hints.len() > 3 { "  " } else { "    " };
     let answer: Vec<(&str, Role)> = hints
         .iter()
-        .flat_map(|(key, word)| [(*key, Role::Key), (" ", Role::Body), (*word, Role::Body), ("    ", Role::Body)])
+        .flat_map(|(key, word)| [(*key, Role::Key), (" ", Role::Body), (*word, Role::Body), (gap, Role::Body)])
         .collect();
     draw_text(canvas, area, "Quit?", &leaving.lines(state), &answer);
 }
