@@ -220,12 +220,13 @@ async fn filters_give_what_came_since() {
     assert_eq!(none, Value::Null);
 }
 
+const CHAIN_ID: &str = r#"{"jsonrpc":"2.0","id":1,"method":"eth_chainId"}"#;
+
 #[tokio::test(flavor = "multi_thread")]
 async fn strangers_and_spendthrifts_are_refused() {
     let home = tempfile::tempdir().expect("folder");
-    let served = serve(home.path(), Limits { connections: 2, ..LIMITS }, None).await;
-    let call = r#"{"jsonrpc":"2.0","id":1,"method":"eth_chainId"}"#;
-    let good = request(call, "close");
+    let served = serve(home.path(), LIMITS, None).await;
+    let good = request(CHAIN_ID, "close");
     let large = format!("{}{}", request("", "close").replace("Length: 0", "Length: 2000000"), "x".repeat(100_000));
     for (request, status) in [
         (good.replace("localhost", "rebound.example"), "403"),
@@ -239,7 +240,13 @@ async fn strangers_and_spendthrifts_are_refused() {
         assert!(answer.starts_with(&format!("HTTP/1.1 {status} ")), "{status}: {answer}");
         assert!(!answer.contains("jsonrpc"));
     }
-    // Two connections that stay open, and no third one.
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_connections_stay_open_and_there_is_no_third() {
+    let home = tempfile::tempdir().expect("folder");
+    let served = serve(home.path(), Limits { connections: 2, ..LIMITS }, None).await;
+    let (call, good) = (CHAIN_ID, request(CHAIN_ID, "close"));
     let (mut first, mut second) = (served.kept(call).await, served.kept(call).await);
     for stream in [&mut first, &mut second] {
         for _ in 0..3 {
