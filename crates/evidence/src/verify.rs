@@ -20,6 +20,9 @@ use crate::witnessing::Witnessed;
 /// The messages that were opened, by their records.
 pub(crate) type Messages = BTreeMap<Digest, Revealed>;
 
+/// How many records one thread hashes side by side.
+const SIDE_BY_SIDE: usize = 32;
+
 /// What a whole check uses.
 pub(crate) struct Check<'a> {
     pub bundle: &'a Bundle,
@@ -70,10 +73,15 @@ impl<'a> Check<'a> {
     fn records(&self) -> (Vec<RecordReport>, Messages) {
         let all: Vec<(&'a Digest, &'a BundledRecord)> = self.bundle.records.iter().collect();
         let bytes = all.iter().map(|(_, record)| record.record.len()).fold(0, usize::saturating_add);
-        let judge = |one: &(&'a Digest, &'a BundledRecord)| self.record(*one.0, one.1);
-        let judged = pool::each(&all, pool::helpers_for(all.len(), bytes), judge);
+        let judge = |some: &&[(&'a Digest, &'a BundledRecord)]| {
+            let texts: Vec<&[u8]> = some.iter().map(|(_, record)| record.record.as_slice()).collect();
+            let found = self.provider.sm3_many(&texts).into_iter().map(Digest);
+            some.iter().zip(found).map(|((digest, record), found)| self.record(**digest, found, record)).collect()
+        };
+        let some: Vec<_> = all.chunks(SIDE_BY_SIDE).collect();
+        let judged: Vec<Vec<_>> = pool::each(&some, pool::helpers_for(all.len(), bytes), judge);
         let (mut reports, mut messages, mut left) = (Vec::with_capacity(all.len()), Messages::new(), MOST_PLAIN);
-        for ((digest, record), (mut report, header)) in all.into_iter().zip(judged) {
+        for ((digest, record), (mut report, header)) in all.into_iter().zip(judged.into_iter().flatten()) {
             if let Some(header) = header {
                 self.open((*digest, record), &header, &mut report, (&mut messages, &mut left));
             }
@@ -101,8 +109,9 @@ impl<'a> Check<'a> {
         messages.insert(digest, revealed);
     }
 
-    /// All but the message: (e) says so far who vouches for the disclosure. With the header, if (a) is proven.
-    fn record(&self, digest: Digest, record: &'a BundledRecord) -> (RecordReport, Option<Header>) {
+    /// All but the message: (e) says so far who vouches for the disclosure. With the header, if (a) is proven. `found` is
+    /// the SM3 of the record's bytes.
+    fn record(&self, digest: Digest, found: Digest, record: &'a BundledRecord) -> (RecordReport, Option<Header>) {
         let mut report = RecordReport {
             digest,
             owner: None,
@@ -126,7 +135,7 @@ impl<'a> Check<'a> {
             witnessed: Level::new(Standing::Unproven, "the bytes do not check out"),
             disclosed: None,
         };
-        let header = match self.bytes(digest, record) {
+        let header = match self.bytes(digest, found, record) {
             Ok(found) => found,
             Err(why) => {
                 report.bytes = Level::new(Standing::Refused, why);
@@ -164,8 +173,7 @@ impl<'a> Check<'a> {
     }
 
     /// (a): the digest, the network, the signature.
-    fn bytes(&self, digest: Digest, record: &BundledRecord) -> Result<Header, String> {
-        let found = Digest(self.provider.sm3(&[&record.record]));
+    fn bytes(&self, digest: Digest, found: Digest, record: &BundledRecord) -> Result<Header, String> {
         if found != digest {
             return Err(format!("its SM3 is {found}: it is not the record it is filed as"));
         }
