@@ -290,14 +290,16 @@ fn no_file_is_longer_than_450_lines() {
 }
 
 #[test]
-fn unsafe_code_is_in_the_crypto_kernel_alone() {
-    let outside = |path: &PathBuf| !path.starts_with("crates/crypto/src/kernel");
+fn unsafe_code_is_in_the_crypto_kernel_and_in_one_setting_of_the_allocator() {
+    let setting = Path::new("src/cli/memory.rs");
+    let outside = |path: &PathBuf| !path.starts_with("crates/crypto/src/kernel") && path != setting;
     let uses = |path: &PathBuf| words(&code_only(&read(path))).any(|word| word == "unsafe");
     let found: Vec<_> = product().into_iter().filter(outside).filter(uses).collect();
     assert_none(
         "unsafe outside crates/crypto/src/kernel",
         &found.iter().map(|path| path.display().to_string()).collect::<Vec<_>>(),
     );
+    assert_eq!(words(&code_only(&read(setting))).filter(|word| *word == "unsafe").count(), 1, "one call, no more");
 }
 
 /// rosrust's HTTP has known advisories, and rustdds parses what the network sends.

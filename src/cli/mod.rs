@@ -69,6 +69,7 @@ use authros_output::Output;
 
 /// Runs the program; the exit code follows from the kind of error.
 pub fn main() -> ExitCode {
+    memory::keep_few_arenas();
     memory::keep_private();
     serve::note_hangup();
     let arguments = match Arguments::try_parse() {

@@ -9,6 +9,7 @@ mod admission;
 mod adoption;
 mod agent;
 mod alerts;
+mod arenas;
 mod at_rest;
 mod audit;
 mod bags;
