@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::Value;
-use support::{Anvil, Home, Outcome, Running, list, skipped, system_program, text, wait_until};
+
+use support::{Anvil, Home, Outcome, Proxy, Running, Spoil, list, poll, skipped, system_program, text, wait_until};
 
 pub(crate) struct Exported {
     pub home: Home,
@@ -331,4 +332,39 @@ fn a_foreign_nodes_proofs_show_the_anchor_and_its_unsigned_headers_are_named() {
         assert!(text(&record["key"], "text").contains("the key was"), "the registration is shown: {record}");
     }
     expect_agreement(&bundle, Some(&trust));
+}
+
+/// A node that keeps the newest states alone, as most do, proves nothing later: what was kept while it did goes into
+/// the bundle, and it says the same.
+#[test]
+fn what_a_node_proved_in_time_is_in_the_bundle_when_it_proves_nothing_any_more() {
+    let Some(node) = Anvil::start(&[]) else { skipped!("no anvil; tests/run installs it into target/peers") };
+    let (proxy, home) = (Proxy::before(node.port()), Home::new());
+    let url = proxy.http();
+    let authros = home.authros().with(&["--chain", &url, "--robots", "1"]);
+    let made = authros.json(&["identity", "create"]);
+    node.fund(&text(&made, "address"));
+    authros.json(&["register"]);
+    let site = authros.serve(&home);
+    authros.capture(&["/robot1/odom"], 2);
+    let part = || {
+        let parts = list(&authros.json(&["status"]), "health");
+        parts.into_iter().find(|part| part["part"] == "proofs" && text(part, "text").starts_with("kept up to block"))
+    };
+    let told = poll(60, part).expect("the proofs are kept, and status says so");
+    assert_eq!((&told["level"], text(&told, "text").contains("have none")), (&"ok".into(), false), "{told}");
+    let (trust, early, late) =
+        (home.root().join("trust.toml"), home.root().join("early.authros"), home.root().join("late.authros"));
+    let export = |bundle: &Path| {
+        let place = bundle.to_str().expect("UTF-8");
+        authros.json(&["evidence", "export", place, "--topic", "/robot1/odom"])
+    };
+    export(&early);
+    fs::write(&trust, unzipped(&early, "trust.toml")).expect("written");
+    proxy.spoil("eth_getProof", Spoil::Refuse, u64::MAX);
+    export(&late);
+    assert_eq!(proxy.spoilt(), 0, "nobody was asked for a proof");
+    expect_same_levels(&early, &late, &trust);
+    assert_eq!(unzipped(&early, "chain/nodes.rlp"), unzipped(&late, "chain/nodes.rlp"));
+    drop(site);
 }

@@ -51,6 +51,16 @@ impl Nodes {
         self.0.is_empty()
     }
 
+    /// Each with its Keccak-256, by that.
+    pub fn into_hashed(self) -> impl Iterator<Item = (Hash, Vec<u8>)> {
+        self.0.into_iter()
+    }
+
+    /// Adds the nodes of others.
+    pub fn extend(&mut self, others: Self) {
+        self.0.extend(others.0);
+    }
+
     /// In the bundle's form: the RLP list of the nodes, by their hashes.
     pub fn encode(&self) -> Vec<u8> {
         let mut list = RlpStream::new_list(self.0.len());
@@ -76,6 +86,29 @@ impl Nodes {
     /// # Errors
     /// [`Unproven`] if the nodes do not show it.
     pub fn look_up(&self, root: Hash, key: &[u8]) -> Result<Option<Vec<u8>>, Unproven> {
+        self.walk(root, key, |_, _| {})
+    }
+
+    /// The nodes that show the contract's account and these slots of its storage in the state with this root, each
+    /// once; others are left out.
+    ///
+    /// # Errors
+    /// [`Unproven`] if one of them is not shown.
+    pub fn proving(&self, state: Hash, contract: Address, slots: &[Slot]) -> Result<Self, Unproven> {
+        let mut found = BTreeMap::new();
+        let mut take = |hash, node: &[u8]| {
+            found.entry(hash).or_insert_with(|| node.to_vec());
+        };
+        self.walk(state, &contract.0, &mut take)?;
+        let storage = Storage::of(self, state, contract)?;
+        for slot in slots {
+            self.walk(storage.root, &slot.0, &mut take)?;
+        }
+        Ok(Self(found))
+    }
+
+    /// Goes down to a key, and tells of each node on the way.
+    fn walk(&self, root: Hash, key: &[u8], mut passed: impl FnMut(Hash, &[u8])) -> Result<Option<Vec<u8>>, Unproven> {
         if root == EMPTY_ROOT {
             return Ok(None);
         }
@@ -84,6 +117,7 @@ impl Nodes {
         let (mut hash, mut left) = (root, path.len());
         loop {
             let node = self.0.get(&hash).ok_or(Unproven::Missing(hash))?;
+            passed(hash, node);
             let rest = path.get(path.len() - left.min(path.len())..).unwrap_or_default();
             match follow(&Rlp::new(node), rest).ok_or(Unproven::Malformed(hash))? {
                 Step::End(value) => return Ok(value),

@@ -9,12 +9,13 @@ use authros_evidence::{
 };
 use tokio::task::block_in_place;
 
-use crate::chain::{ChainError, Event, Revision, SealerKind};
+use crate::chain::{ChainError, Event, SealerKind};
 use crate::crypto::record::{RecordSecret, open_revealed};
 use crate::crypto::signer_id;
 use crate::model::{Address, Digest, ErrorKind, Hash, Header, Identity, PublicKey, SignerId};
 use crate::store::{RecordRow, Retained};
 
+use super::chain_proofs::{self, Anchor, Shown as Wanted};
 use super::columns::{self, Keys as _};
 use super::evidence_heights::{self, Shown};
 use super::reader::Reader;
@@ -93,7 +94,7 @@ pub async fn gather(
         let record = BundledRecord { disclosure, ..record };
         match block_in_place(|| anchoring(reader, row))? {
             Some((block, anchor)) => {
-                let keys = key_version(reader, row.owner, block)?;
+                let keys = chain_proofs::key_version(reader.network, row.owner, block)?;
                 let (digest, owner, signer) = (row.digest, row.owner, row.signer);
                 asked.push(Asked { digest, owner, signer, block, keys, anchor, record });
             }
@@ -161,17 +162,6 @@ fn anchoring(reader: &Reader<'_>, row: &RecordRow) -> Result<Option<(u64, Anchor
     Ok(Some((block, Anchoring::Batch { account, root, index, count, path })))
 }
 
-/// The version of an account's keys in force at a block; 0 if the contract keeps no history of them.
-fn key_version(reader: &Reader<'_>, owner: Address, block: u64) -> Result<u64, PipelineError> {
-    if reader.network.chain.revision()? == Revision::First {
-        return Ok(0);
-    }
-    Ok(reader.network.directory.with_account(owner, |account| {
-        let identities = account.map(|account| account.identities.as_slice()).unwrap_or_default();
-        u64::try_from(identities.iter().filter(|identity| identity.block <= block).count()).unwrap_or(0)
-    }))
-}
-
 /// The owner's signed disclosure of a record; the text of its definition is included.
 async fn disclosed(
     reader: &Reader<'_>,
@@ -198,12 +188,12 @@ async fn show(reader: &Reader<'_>, asked: Vec<Asked>, gathered: &mut Gathered) -
     asked.into_iter().for_each(|one| blocks.entry(one.block).or_default().push(one));
     let head = chain.head().await?.number;
     let further = u64::try_from(chain.sealing().await?.sealers.len() / 2).unwrap_or(0);
-    let (mut nodes, mut headers, mut identities) = (Vec::new(), BTreeSet::new(), BTreeSet::new());
-    identities.insert((reader.reader.address, key_version(reader, reader.reader.address, head)?));
+    let (mut nodes, mut headers, mut identities) = (Nodes::default(), BTreeSet::new(), BTreeSet::new());
+    identities.insert((reader.reader.address, chain_proofs::key_version(reader.network, reader.reader.address, head)?));
     for (block, all) in blocks {
         let slots = slots(&all);
         let late = head.saturating_sub(further).max(block);
-        let shown = match state_nodes(reader, block, &slots).await? {
+        let shown = match at_its_block(reader, block, &slots).await? {
             Some(found) => Some((block, found)),
             None => state_nodes(reader, late, &slots).await?.map(|found| (late, found)),
         };
@@ -235,7 +225,6 @@ async fn show(reader: &Reader<'_>, asked: Vec<Asked>, gathered: &mut Gathered) -
             gathered.packing.identity(&identity);
         }
     }
-    let nodes: Nodes = nodes.into_iter().collect();
     if !nodes.is_empty() {
         gathered.packing.nodes(&nodes);
     }
@@ -244,30 +233,28 @@ async fn show(reader: &Reader<'_>, asked: Vec<Asked>, gathered: &mut Gathered) -
 
 /// What has to be proven of the contract's storage for these records.
 fn slots(all: &[Asked]) -> Vec<Slot> {
-    let mut slots = BTreeSet::new();
-    for Asked { digest, owner, signer, keys, anchor, .. } in all {
-        match anchor {
-            Anchoring::Each => slots.insert(Slot::uploaded(*owner, &digest.0).0),
-            Anchoring::Batch { account, root, .. } => slots.insert(Slot::anchor(*account, *root).0),
+    let wanted = all.iter().map(|Asked { digest, owner, signer, keys, anchor, .. }| {
+        let anchor = match anchor {
+            Anchoring::Each => Anchor::Digest(*digest),
+            Anchoring::Batch { account, root, .. } => Anchor::Root(*account, *root),
         };
-        slots.extend([Slot::account(*owner).0, Slot::loan(*owner, &signer.0).0]);
-        if *keys != 0 {
-            let own = Slot::keys(*owner, *keys);
-            slots.extend([
-                own.0,
-                own.next(1).0,
-                Slot::keys(*owner, *keys + 1).0,
-                Slot::keys(*owner, *keys + 1).next(1).0,
-            ]);
-        }
+        Wanted { owner: *owner, signer: *signer, keys: *keys, anchor }
+    });
+    chain_proofs::slots(wanted)
+}
+
+/// What is kept of the state after the block, otherwise what the node still has of it.
+async fn at_its_block(reader: &Reader<'_>, block: u64, slots: &[Slot]) -> Result<Option<Nodes>, PipelineError> {
+    match chain_proofs::kept(reader.plant, reader.network, block, slots).await? {
+        Some(found) => Ok(Some(found)),
+        None => state_nodes(reader, block, slots).await,
     }
-    slots.into_iter().map(Slot).collect()
 }
 
 /// `None` if the node no longer has that state, or cannot prove anything.
-async fn state_nodes(reader: &Reader<'_>, block: u64, slots: &[Slot]) -> Result<Option<Vec<Vec<u8>>>, PipelineError> {
+async fn state_nodes(reader: &Reader<'_>, block: u64, slots: &[Slot]) -> Result<Option<Nodes>, PipelineError> {
     match reader.network.chain.storage_nodes(block, slots).await {
-        Ok(nodes) => Ok(Some(nodes)),
+        Ok(nodes) => Ok(Some(nodes.into_iter().collect())),
         Err(ChainError::Unreachable { url, reason }) => Err(ChainError::Unreachable { url, reason }.into()),
         Err(error) if error.kind() == ErrorKind::Tampered => Err(error.into()),
         Err(_) => Ok(None),

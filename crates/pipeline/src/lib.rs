@@ -17,6 +17,7 @@ pub mod audit_head;
 pub mod author;
 pub mod authority;
 mod block_times;
+pub mod chain_proofs;
 pub mod columns;
 pub mod countersigning;
 pub mod directory;

@@ -7,6 +7,7 @@
 mod ages;
 mod append;
 mod batches;
+mod chain_proofs;
 mod counts;
 mod coverage;
 mod directory;
@@ -59,6 +60,7 @@ use crate::model::RecorderId;
 
 pub use ages::LastSeen;
 pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
+pub use chain_proofs::{HashedNode, KeptProof, ProofCounts, UnprovenBatch};
 pub use counts::{StateCounts, TopicCounts};
 pub use coverage::{Coverage, CoveragePart, CoverageQuery};
 pub use directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, StandingRights};
@@ -108,6 +110,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_13.sql"),
         include_str!("ledger/schema_14.sql"),
         include_str!("ledger/schema_15.sql"),
+        include_str!("ledger/schema_16.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;

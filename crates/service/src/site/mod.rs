@@ -73,7 +73,7 @@ use clock::Clock;
 use contacts::Contacts;
 use devices::Devices;
 use devices::enrolled::Enrolments;
-use evidence::{Evidence, TimeStamps};
+use evidence::{ChainProofs, Evidence, TimeStamps};
 use gateway::Gateway;
 use gateway::admissions::Admissions;
 use identity::Profiles;
@@ -143,6 +143,7 @@ pub struct Site {
     evidence: Arc<Evidence>,
     incidents: Arc<Incidents>,
     stamps: Arc<TimeStamps>,
+    chain_proofs: Arc<ChainProofs>,
     witnesses: Arc<Witnesses>,
     bridge: Arc<Bridge>,
     capture: Arc<Capture>,
@@ -161,6 +162,11 @@ pub struct Site {
     guests: AtomicUsize,
     ros_task: Mutex<Option<tokio::task::JoinHandle<()>>>,
     _lock: SiteLock,
+}
+
+/// The rings before the sealer, bounded as the settings say.
+fn rings(config: &Config) -> Rings<CapturedMessage> {
+    Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX))
 }
 
 /// The recorder that captures messages, and the guard that judges their publishers for it.
@@ -207,17 +213,16 @@ impl Site {
     /// The features over the shared parts, each with the ones it uses.
     fn assemble(parts: Parts, reserve: Arc<Reserve>, lock: SiteLock, needs: Needs) -> Result<Self, Failure> {
         let (of, config, plant) = (&parts, Arc::clone(&parts.config), parts.plant.clone());
-        let rings = Arc::new(Rings::new(usize::try_from(config.capture_memory).unwrap_or(usize::MAX)));
-        let losses = Arc::new(Losses::default());
+        let (rings, losses) = (Arc::new(rings(&config)), Arc::new(Losses::default()));
         let (recorder, judges) = recorder(&parts, &rings, &losses);
-        let remote =
-            config.site.as_ref().map(|site| Remotes::new(site, &parts.home, plant.provider)).transpose()?.map(Arc::new);
+        let remote = config.site.as_ref().map(|site| Remotes::new(site, &parts.home, plant.provider)).transpose()?;
+        let remote = remote.map(Arc::new);
         let (lanes, connection) = (Arc::new(Lanes::new(of)), Arc::new(Connection::new(of, remote.clone())));
         let (contacts, sealer) = (Arc::new(Contacts::new(of)), Arc::new(SealerThread::new(of, &rings, &losses)));
         let (joined, pins) = (Arc::new(Joined::new(of, remote.clone())), Arc::new(Pinning::new(of, &judges)));
         let (ros, reading) = (Arc::new(RosSide::new(of, &recorder, needs.ros)), Arc::new(Reading::new(of, &contacts)));
-        let (quarantine, admissions) =
-            (Arc::new(Quarantine::new(of, &reading)), Arc::new(Admissions::new(of, &contacts)));
+        let quarantine = Arc::new(Quarantine::new(of, &reading));
+        let admissions = Arc::new(Admissions::new(of, &contacts));
         let (stamps, enrolments) = (Arc::new(TimeStamps::new(of)), Arc::new(Enrolments::new(of)));
         let sharing = Arc::new(Sharing::new(of, &contacts, &enrolments, &joined, &reserve));
         let gateway = Arc::new(Gateway::new(of, &sharing, &admissions, remote.clone()));
@@ -232,9 +237,9 @@ impl Site {
             recorder: &recorder,
             watches: &watches,
         };
-        let profiles = Arc::new(Profiles::new(of, &asked));
+        let (profiles, devices) =
+            (Arc::new(Profiles::new(of, &asked)), Arc::new(Devices::new(of, &sharing, &enrolments)));
         let capture = Arc::new(Capture::new(of, &recorder, &losses, &ros, &watches, &profiles, &pins));
-        let devices = Arc::new(Devices::new(of, &sharing, &enrolments));
         let unattended = Unattended::new(of, (&connection, &devices, &enrolments), (&recorder, &watches, &ros), &pins);
         let asked = recordings::Asked {
             contacts: &contacts,
@@ -256,6 +261,7 @@ impl Site {
             evidence: Arc::new(Evidence::new(of, &reading, &stamps)),
             incidents: Arc::new(Incidents::new(of)),
             stamps,
+            chain_proofs: Arc::new(ChainProofs::new(of)),
             witnesses: Arc::new(Witnesses::new(of)),
             bridge: Arc::new(Bridge::new(of, &contacts, &ros)),
             storage: Arc::new(Storage::new(of, &reading)),

@@ -56,6 +56,7 @@ impl Site {
         health.extend(self.ros.second.health().map(|(level, text)| part("ros 2", level, &text)));
         health.extend(self.clock.health());
         health.extend(self.stamps.health()?);
+        health.extend(self.chain_proofs.health()?);
         health.extend(self.witnesses.health()?);
         health.extend(self.gateway.fleet_health()?);
         health.extend(self.account_health()?);

@@ -12,7 +12,7 @@ use super::chain::connection::Connection;
 use super::chain::lanes::Lanes;
 use super::clock::Clock;
 use super::devices::Devices;
-use super::evidence::TimeStamps;
+use super::evidence::{ChainProofs, TimeStamps};
 use super::gateway::Gateway;
 use super::mirror::Joined;
 use super::quarantine::Quarantine;
@@ -63,6 +63,7 @@ pub(super) fn start(
         if site.stamps.is_wanted() {
             site.parts.supervisor.keep("time stamps", &site.stamps, TimeStamps::keep);
         }
+        site.parts.supervisor.keep("chain proofs", &site.chain_proofs, ChainProofs::keep);
         site.parts.supervisor.keep("witnesses", &site.witnesses, Witnesses::keep);
         site.parts.supervisor.keep("fleet", &site.gateway, Gateway::reconcile);
         site.parts.supervisor.keep("verifier", site, verify);

@@ -262,7 +262,9 @@ fn see(connection: &Connection, sighting: &RootSighting) -> Result<u64, StoreErr
         .optional()?;
     let Some(key) = found else { return Ok(0) };
     connection
-        .prepare_cached("UPDATE batches SET account = ?2, tx = ?3, block = ?4, block_hash = ?5 WHERE key = ?1")?
+        .prepare_cached(
+            "UPDATE batches SET account = ?2, tx = ?3, block = ?4, block_hash = ?5, proof = NULL WHERE key = ?1",
+        )?
         .execute(params![key, sighting.account.0, sighting.transaction.0, block, sighting.block_hash.0])?;
     let changed = connection
         .prepare_cached(

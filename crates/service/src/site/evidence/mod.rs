@@ -2,10 +2,12 @@
 
 mod figure;
 mod page;
+mod proofs;
 #[cfg(test)]
 mod tests;
 mod time;
 
+pub(in crate::site) use self::proofs::ChainProofs;
 pub(in crate::site) use self::time::TimeStamps;
 
 use std::collections::BTreeSet;

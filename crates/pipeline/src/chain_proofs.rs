@@ -1,0 +1,209 @@
+//! Proofs of the chain's state (EIP-1186) for each anchored batch, fetched while the node still has the state after its
+//! block and kept in the ledger: a bundle made years later needs no node that keeps old states.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use authros_evidence::{BlockHeader, Nodes, Slot, Storage};
+use tokio::task::block_in_place;
+
+use crate::chain::{ChainError, Revision};
+use crate::model::{Address, Digest, Hash, SignerId};
+use crate::store::UnprovenBatch;
+
+use super::{Network, PipelineError, Plant};
+
+/// Batches per round: each block costs the node two requests.
+const AT_ONCE: usize = 64;
+/// So often a node is asked for one block's proof: it may just have been busy.
+const ATTEMPTS: u32 = 3;
+
+/// What is to be proven of the contract's storage for a record.
+#[derive(Debug, Clone, Copy)]
+pub struct Shown {
+    /// The owner of the record.
+    pub owner: Address,
+    /// Who signed it.
+    pub signer: SignerId,
+    /// The version of the owner's keys at the block; 0 if the contract keeps no history of them.
+    pub keys: u64,
+    /// Its anchor.
+    pub anchor: Anchor,
+}
+
+/// What the contract holds of a record.
+#[derive(Debug, Clone, Copy)]
+pub enum Anchor {
+    /// Its digest alone, under its owner.
+    Digest(Digest),
+    /// The root of its batch, under the account that anchored it.
+    Root(Address, Hash),
+}
+
+/// A round's result.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct Collected {
+    /// Batches whose proofs are kept now.
+    pub kept: u64,
+    /// Batches that will have none here.
+    pub missed: u64,
+    /// Why the last of those that failed did.
+    pub problem: Option<String>,
+}
+
+/// How often each block's proof was requested in vain. Kept by the caller from round to round.
+#[derive(Debug, Default)]
+pub struct Attempts(BTreeMap<u64, u32>);
+
+/// The slots of these, each once.
+pub fn slots(all: impl IntoIterator<Item = Shown>) -> Vec<Slot> {
+    let mut slots = BTreeSet::new();
+    for Shown { owner, signer, keys, anchor } in all {
+        match anchor {
+            Anchor::Digest(digest) => slots.insert(Slot::uploaded(owner, &digest.0).0),
+            Anchor::Root(account, root) => slots.insert(Slot::anchor(account, root).0),
+        };
+        slots.extend([Slot::account(owner).0, Slot::loan(owner, &signer.0).0]);
+        if keys != 0 {
+            for version in [Slot::keys(owner, keys), Slot::keys(owner, keys + 1)] {
+                slots.extend([version.0, version.next(1).0]);
+            }
+        }
+    }
+    slots.into_iter().map(Slot).collect()
+}
+
+/// The version of an account's keys in force at a block; 0 if the contract keeps no history of them.
+///
+/// # Errors
+/// Errors of the chain.
+pub fn key_version(network: &Network, owner: Address, block: u64) -> Result<u64, PipelineError> {
+    if network.chain.revision()? == Revision::First {
+        return Ok(0);
+    }
+    Ok(network.directory.with_account(owner, |account| {
+        let identities = account.map(|account| account.identities.as_slice()).unwrap_or_default();
+        u64::try_from(identities.iter().filter(|identity| identity.block <= block).count()).unwrap_or(0)
+    }))
+}
+
+/// Fetches the proofs of confirmed batches that lack them, once for all batches of a block, the newest first: the node
+/// forgets the oldest states first, and those are gone already after a long pause.
+///
+/// # Errors
+/// Errors of the ledger; a node that cannot be reached. What the node refuses, or what does not prove the anchor, is
+/// requested three times and then counted.
+pub async fn collect(plant: &Plant, network: &Network, attempts: &mut Attempts) -> Result<Collected, PipelineError> {
+    let head = network.chain.head().await?.number;
+    let confirmed = (head + 1).saturating_sub(network.confirmations);
+    let mut blocks: BTreeMap<(u64, Hash), Vec<UnprovenBatch>> = BTreeMap::new();
+    for batch in block_in_place(|| plant.ledger.unproven_batches(confirmed, AT_ONCE))? {
+        blocks.entry((batch.block, batch.block_hash)).or_default().push(batch);
+    }
+    attempts.0.retain(|block, _| blocks.keys().any(|(known, _)| known == block));
+    let mut collected = Collected::default();
+    for (at, batches) in blocks.into_iter().rev() {
+        let keys: Vec<u64> = batches.iter().map(|batch| batch.key).collect();
+        let count = keys.len() as u64;
+        match proof(network, at, &batches).await? {
+            Fetched::Proof(nodes) => {
+                block_in_place(|| plant.ledger.keep_chain_proof(at, keys, nodes.into_hashed().collect()))?;
+                collected.kept += count;
+            }
+            Fetched::OtherBlock => {}
+            Fetched::Refused(why) => {
+                let attempt = attempts.0.entry(at.0).or_default();
+                *attempt += 1;
+                if *attempt >= ATTEMPTS {
+                    block_in_place(|| plant.ledger.miss_chain_proof(keys))?;
+                    collected.missed += count;
+                }
+                collected.problem = Some(why);
+            }
+        }
+    }
+    Ok(collected)
+}
+
+/// An answer of the node about one block.
+enum Fetched {
+    Proof(Nodes),
+    /// The chain has another block of that number now; the watcher is about to notice.
+    OtherBlock,
+    /// There is no proof, and why.
+    Refused(String),
+}
+
+async fn proof(
+    network: &Network,
+    (block, hash): (u64, Hash),
+    batches: &[UnprovenBatch],
+) -> Result<Fetched, PipelineError> {
+    let mut wanted = Vec::new();
+    for batch in batches {
+        for (owner, signer) in &batch.signers {
+            let (owner, signer, keys) = (*owner, *signer, key_version(network, *owner, block)?);
+            wanted.push(Shown { owner, signer, keys, anchor: Anchor::Root(batch.account, batch.root) });
+        }
+    }
+    let slots = slots(wanted);
+    let header = match refusal(network.chain.header_rlp(block).await)? {
+        Ok(header) => header.and_then(|bytes| BlockHeader::parse(&bytes)),
+        Err(why) => return Ok(Fetched::Refused(why)),
+    };
+    let Some(header) = header.filter(|header| header.hash == hash) else { return Ok(Fetched::OtherBlock) };
+    let nodes: Nodes = match refusal(network.chain.storage_nodes(block, &slots).await)? {
+        Ok(nodes) => nodes.into_iter().collect(),
+        Err(why) => return Ok(Fetched::Refused(why)),
+    };
+    let Some(pin) = network.chain.pin() else { return Ok(Fetched::OtherBlock) };
+    Ok(match proven(&nodes, (header.state_root, pin.contract), &slots, batches) {
+        Ok(nodes) => Fetched::Proof(nodes),
+        Err(why) => Fetched::Refused(format!("the node's proof for block {block} proves nothing: {why}")),
+    })
+}
+
+/// What the nodes prove is looked at before it is kept: in some years nobody can fetch it again.
+fn proven(
+    nodes: &Nodes,
+    (state, contract): (Hash, Address),
+    slots: &[Slot],
+    batches: &[UnprovenBatch],
+) -> Result<Nodes, String> {
+    let told = |error: authros_evidence::Unproven| error.to_string();
+    let proving = nodes.proving(state, contract, slots).map_err(told)?;
+    let storage = Storage::of(&proving, state, contract).map_err(told)?;
+    for batch in batches {
+        let anchor = storage.anchor(batch.account, batch.root).map_err(told)?;
+        if anchor.is_none_or(|anchor| anchor.block != batch.block) {
+            return Err(format!("it does not show the anchor of batch {}", batch.root));
+        }
+    }
+    Ok(proving)
+}
+
+/// Without the node nothing can be decided, so that is the caller's error; what it refuses is told.
+fn refusal<Answer>(answer: Result<Answer, ChainError>) -> Result<Result<Answer, String>, PipelineError> {
+    match answer {
+        Ok(answer) => Ok(Ok(answer)),
+        Err(error @ ChainError::Unreachable { .. }) => Err(error.into()),
+        Err(error) => Ok(Err(error.to_string())),
+    }
+}
+
+/// The kept nodes that show these slots in the state after a block, as the chain has it now; `None` if not all are kept.
+///
+/// # Errors
+/// Errors of ledger and chain.
+pub(crate) async fn kept(
+    plant: &Plant,
+    network: &Network,
+    block: u64,
+    slots: &[Slot],
+) -> Result<Option<Nodes>, PipelineError> {
+    let Some(kept) = block_in_place(|| plant.ledger.chain_proof(block))? else { return Ok(None) };
+    let header = network.chain.header_rlp(block).await?.and_then(|bytes| BlockHeader::parse(&bytes));
+    let Some(header) = header.filter(|header| header.hash == kept.hash) else { return Ok(None) };
+    let Some(pin) = network.chain.pin() else { return Ok(None) };
+    let nodes: Nodes = kept.nodes.into_iter().collect();
+    Ok(nodes.proving(header.state_root, pin.contract, slots).ok())
+}

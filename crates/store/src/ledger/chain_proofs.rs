@@ -1,0 +1,270 @@
+//! What the chain proves of anchored batches, kept beside them: which batches still lack it, and the nodes per block.
+
+use rusqlite::{Connection, OptionalExtension as _, params};
+
+use super::rows::unsigned;
+use super::{Ledger, database::whole};
+use crate::model::{Address, Hash, SignerId};
+use crate::store::StoreError;
+
+/// The values of `batches.proof`.
+const KEPT: i64 = 1;
+const MISSED: i64 = 2;
+
+/// An anchored batch whose proof is not kept yet.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct UnprovenBatch {
+    /// Its number in this ledger.
+    pub key: u64,
+    /// The account that anchored it.
+    pub account: Address,
+    /// Merkle root.
+    pub root: Hash,
+    /// The block of its anchor.
+    pub block: u64,
+    /// That block's hash.
+    pub block_hash: Hash,
+    /// Owners of its records, each with a signer.
+    pub signers: Vec<(Address, SignerId)>,
+}
+
+/// A node of a trie with its Keccak-256.
+pub type HashedNode = (Hash, Vec<u8>);
+
+/// What is kept of the state after a block.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KeptProof {
+    /// The block's hash.
+    pub hash: Hash,
+    /// Nodes of the tries of state and storage.
+    pub nodes: Vec<Vec<u8>>,
+}
+
+/// The state of a ledger's chain proofs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ProofCounts {
+    /// The newest block of which proofs are kept.
+    pub newest: Option<u64>,
+    /// Batches whose proofs could not be had while the node had the state.
+    pub missed: u64,
+}
+
+impl Ledger {
+    /// Anchored batches in blocks up to this one that lack their proof, newest block first.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn unproven_batches(&self, up_to_block: u64, limit: usize) -> Result<Vec<UnprovenBatch>, StoreError> {
+        let (up_to, limit) = (whole("block", up_to_block)?, i64::try_from(limit).unwrap_or(i64::MAX));
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT key, account, root, block, block_hash FROM batches INDEXED BY batches_unproven
+                 WHERE block IS NOT NULL AND proof IS NULL AND block <= ?1 AND account IS NOT NULL
+                 AND block_hash IS NOT NULL ORDER BY block DESC LIMIT ?2",
+            )?;
+            let rows = statement.query_map(params![up_to, limit], |row| {
+                let (account, root, block_hash) = (Address(row.get(1)?), Hash(row.get(2)?), Hash(row.get(4)?));
+                let (key, block) = (unsigned(row, 0)?, unsigned(row, 3)?);
+                Ok(UnprovenBatch { key, account, root, block, block_hash, signers: Vec::new() })
+            })?;
+            let mut batches = rows.collect::<Result<Vec<_>, _>>()?;
+            for batch in &mut batches {
+                batch.signers = signers(connection, whole("batch", batch.key)?)?;
+            }
+            Ok(batches)
+        })
+    }
+
+    /// Stores the nodes that prove these batches, all in this block; nodes of the same block stay. A batch that is not
+    /// in that block any more is left as it is.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then nothing is stored.
+    pub fn keep_chain_proof(
+        &self,
+        (block, hash): (u64, Hash),
+        batches: Vec<u64>,
+        nodes: Vec<HashedNode>,
+    ) -> Result<(), StoreError> {
+        let block = whole("block", block)?;
+        self.write(move |session| {
+            let connection = session.connection;
+            let before: Option<Vec<u8>> = connection
+                .prepare_cached("SELECT nodes FROM chain_proofs WHERE block = ?1 AND hash = ?2")?
+                .query_row(params![block, hash.0], |row| row.get(0))
+                .optional()?;
+            let mut keys = before.unwrap_or_default();
+            for (name, node) in &nodes {
+                let key = node_key(connection, *name, node)?.to_be_bytes();
+                if !keys.chunks_exact(8).any(|known| known == key) {
+                    keys.extend(key);
+                }
+            }
+            connection
+                .prepare_cached("REPLACE INTO chain_proofs (block, hash, nodes) VALUES (?1, ?2, ?3)")?
+                .execute(params![block, hash.0, keys])?;
+            let mut mark = connection
+                .prepare_cached("UPDATE batches SET proof = ?2 WHERE key = ?1 AND block = ?3 AND block_hash = ?4")?;
+            for batch in &batches {
+                mark.execute(params![whole("batch", *batch)?, KEPT, block, hash.0])?;
+            }
+            Ok(())
+        })
+    }
+
+    /// The proofs of these batches could not be had: they are counted, and not requested again.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then none is counted.
+    pub fn miss_chain_proof(&self, batches: Vec<u64>) -> Result<(), StoreError> {
+        self.write(move |session| {
+            let mut mark = session.connection.prepare_cached(
+                "UPDATE batches SET proof = ?2 WHERE key = ?1 AND block IS NOT NULL AND proof IS NULL",
+            )?;
+            for batch in &batches {
+                mark.execute(params![whole("batch", *batch)?, MISSED])?;
+            }
+            Ok(())
+        })
+    }
+
+    /// What is kept of the state after a block.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn chain_proof(&self, block: u64) -> Result<Option<KeptProof>, StoreError> {
+        let block = whole("block", block)?;
+        self.read(|connection| {
+            let found: Option<([u8; 32], Vec<u8>)> = connection
+                .prepare_cached("SELECT hash, nodes FROM chain_proofs WHERE block = ?1")?
+                .query_row([block], |row| Ok((row.get(0)?, row.get(1)?)))
+                .optional()?;
+            let Some((hash, keys)) = found else { return Ok(None) };
+            let mut find = connection.prepare_cached("SELECT node FROM chain_nodes WHERE key = ?1")?;
+            let keys = keys.chunks_exact(8).filter_map(|key| key.try_into().ok().map(i64::from_be_bytes));
+            let nodes = keys.map(|key| find.query_row([key], |row| row.get(0))).collect::<Result<_, _>>()?;
+            Ok(Some(KeptProof { hash: Hash(hash), nodes }))
+        })
+    }
+
+    /// The state of the proofs.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn chain_proof_counts(&self) -> Result<ProofCounts, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT (SELECT max(block) FROM chain_proofs),
+                 (SELECT count(*) FROM batches INDEXED BY batches_without_proof WHERE proof = 2)",
+            )?;
+            Ok(statement.query_row([], |row| {
+                let newest = row.get::<_, Option<i64>>(0)?.map(i64::cast_unsigned);
+                Ok(ProofCounts { newest, missed: unsigned(row, 1)? })
+            })?)
+        })
+    }
+}
+
+fn signers(connection: &Connection, batch: i64) -> Result<Vec<(Address, SignerId)>, StoreError> {
+    let mut statement = connection.prepare_cached(
+        "SELECT DISTINCT topics.owner, streams.signer FROM leaves JOIN records ON records.n = leaves.record
+         JOIN streams ON streams.key = records.stream JOIN topics ON topics.key = streams.topic WHERE leaves.batch = ?1",
+    )?;
+    let rows = statement.query_map([batch], |row| Ok((Address(row.get(0)?), SignerId(row.get(1)?))))?;
+    Ok(rows.collect::<Result<_, _>>()?)
+}
+
+fn node_key(connection: &Connection, hash: Hash, node: &[u8]) -> Result<i64, StoreError> {
+    let known = connection
+        .prepare_cached("SELECT key FROM chain_nodes WHERE hash = ?1")?
+        .query_row([hash.0], |row| row.get(0))
+        .optional()?;
+    if let Some(key) = known {
+        return Ok(key);
+    }
+    connection
+        .prepare_cached("INSERT INTO chain_nodes (hash, node) VALUES (?1, ?2)")?
+        .execute(params![hash.0, node])?;
+    Ok(connection.last_insert_rowid())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::numbered as record;
+    use super::*;
+    use crate::model::Digest;
+    use crate::store::{NewBatch, RootSighting};
+
+    const ACCOUNT: Address = Address([1; 20]);
+
+    fn anchored(ledger: &Ledger, number: u8, block: u64) {
+        ledger.append(vec![record(number)]).expect("acknowledged");
+        let root = Hash([number; 32]);
+        let leaves = vec![(Digest([number; 32]), Vec::new())];
+        ledger.close_batch(NewBatch { owner: ACCOUNT, root, leaves }).expect("closed");
+        see(ledger, number, block);
+    }
+
+    fn see(ledger: &Ledger, number: u8, block: u64) {
+        let (root, transaction) = (Hash([number; 32]), Hash([0xcc; 32]));
+        let block_hash = Hash([u8::try_from(block).expect("small"); 32]);
+        let sighting = RootSighting { account: ACCOUNT, root, count: 1, transaction, block, block_hash };
+        ledger.anchored(&[sighting]).expect("seen");
+    }
+
+    fn blocks(ledger: &Ledger, up_to: u64) -> Vec<u64> {
+        ledger.unproven_batches(up_to, 9).expect("read").iter().map(|batch| batch.block).collect()
+    }
+
+    #[test]
+    fn each_batch_waits_for_its_proof_from_its_block_on_and_nodes_are_kept_once() {
+        let home = tempfile::tempdir().expect("folder");
+        let path = home.path().join("ledger.db");
+        let ledger = Ledger::open(&path).expect("opens");
+        assert_eq!(ledger.chain_proof_counts(), Ok(ProofCounts::default()));
+        [(1, 7), (2, 8), (3, 8), (4, 9)].into_iter().for_each(|(number, block)| anchored(&ledger, number, block));
+        assert_eq!((blocks(&ledger, 8), blocks(&ledger, 6)), (vec![8, 8, 7], vec![]));
+        let waiting = ledger.unproven_batches(8, 9).expect("read");
+        assert!(waiting.iter().all(|batch| batch.account == ACCOUNT && batch.signers.len() == 1), "{waiting:?}");
+        let keys = |block| -> Vec<u64> {
+            waiting.iter().filter(|batch| batch.block == block).map(|batch| batch.key).collect()
+        };
+        let node = |number: u8| (Hash([number; 32]), vec![number; 3]);
+        let keep = |block: u8, nodes| {
+            ledger.keep_chain_proof((u64::from(block), Hash([block; 32])), keys(u64::from(block)), nodes)
+        };
+        assert_eq!(keep(8, vec![node(1), node(2)]), Ok(()));
+        assert_eq!(keep(7, vec![node(2), node(3)]), Ok(()));
+        assert_eq!(keep(8, vec![node(2), node(4)]), Ok(()), "what is kept of a block grows");
+        assert_eq!(blocks(&ledger, 9), [9]);
+        let last = ledger.unproven_batches(9, 1).expect("read").remove(0).key;
+        assert_eq!(ledger.miss_chain_proof(vec![last]), Ok(()));
+        // Another process, later.
+        ledger.close().expect("closed");
+        let ledger = Ledger::open(&path).expect("opens");
+        assert_eq!(ledger.chain_proof_counts(), Ok(ProofCounts { newest: Some(8), missed: 1 }));
+        let kept = ledger.chain_proof(8).expect("read").expect("kept");
+        assert_eq!((kept.hash, kept.nodes), (Hash([8; 32]), vec![vec![1; 3], vec![2; 3], vec![4; 3]]));
+        assert_eq!(ledger.chain_proof(9), Ok(None));
+        let nodes: i64 = ledger
+            .read(|connection| Ok(connection.query_row("SELECT count(*) FROM chain_nodes", [], |row| row.get(0))?))
+            .expect("read");
+        assert_eq!(nodes, 4);
+    }
+
+    #[test]
+    fn a_batch_that_a_reorganisation_moves_waits_again() {
+        let home = tempfile::tempdir().expect("folder");
+        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+        anchored(&ledger, 1, 7);
+        let key = ledger.unproven_batches(7, 9).expect("read").remove(0).key;
+        ledger.keep_chain_proof((7, Hash([7; 32])), vec![key], vec![(Hash([1; 32]), vec![1])]).expect("kept");
+        ledger.unmine(7).expect("unwound");
+        assert_eq!(blocks(&ledger, 9), Vec::<u64>::new(), "it is in no block");
+        see(&ledger, 1, 8);
+        assert_eq!(blocks(&ledger, 9), [8]);
+        // The proof of a block in which it is no longer changes nothing for it.
+        ledger.keep_chain_proof((7, Hash([7; 32])), vec![key], vec![(Hash([1; 32]), vec![1])]).expect("kept");
+        assert_eq!(blocks(&ledger, 9), [8]);
+    }
+}
