@@ -7,8 +7,8 @@ use std::path::Path;
 
 use serde_json::Value;
 use support::{
-    Authros, Home, Redis, Roscore, Running, count, heavy, is_verified, list, list_bag, make_bag, skipped, text,
-    two_profiles, wait_until,
+    Authros, Console, Home, Redis, Roscore, Running, Terminal, count, heavy, is_verified, list, list_bag, make_bag,
+    skipped, text, two_profiles, wait_until,
 };
 
 const NO_ROS: &str = "no roscore, rosbag and rostopic in /usr/bin";
@@ -86,11 +86,11 @@ fn a_real_recorder_in_the_reader_s_graph_hears_what_the_robot_said() {
     let refused = plant.bob.fails(REFUSED, &["shared", "play"]);
     assert!(refused.contains("--prefix"), "a loop is refused: {refused}");
 
-    let (at_once, paced) = (path("at-once.bag"), path("paced.bag"));
-    for (recorded, how) in [(&at_once, None), (&paced, Some("--as-captured"))] {
+    let ways: [(&str, &[&str]); 3] = [("at-once", &[]), ("paced", &["--as-captured"]), ("fast", &["--rate", "10"])];
+    for (name, how) in ways {
+        let recorded = &path(&format!("{name}.bag"));
         let recorder = reader.record(recorded, &TOPICS);
-        let arguments = ["--json", "shared", "play", "--to", &reader.uri()].map(str::to_owned);
-        let arguments: Vec<&str> = arguments.iter().map(String::as_str).chain(how).collect();
+        let arguments = [&["--json", "shared", "play", "--to", &reader.uri()], how].concat();
         let played = plant.bob.spawn(&arguments).wait(120).expect_code(0).document();
         let figures = ["published", "refused", "missing", "dropped"].map(|figure| count(&played, figure));
         assert_eq!(figures, [list_bag(&bag).len() as u64, 0, 0, 0], "{played}");
@@ -160,6 +160,31 @@ fn a_simulated_robot_is_played_live_until_the_revoke() {
     wait_until(30, "nobody publishes it any more", || {
         let topics = list(&two.bob.json(&["topics", "list"]), "topics");
         topics.iter().all(|topic| topic["topic"] != played.as_str() || is_silent(topic)).then_some(())
+    });
+}
+
+#[test]
+fn a_key_of_the_console_plays_the_topic_of_a_shared_record_and_ends_that() {
+    let two = two_profiles(1);
+    two.alice.capture(&[ODOM], 3);
+    two.alice.json(&["grant", &two.bob_address]);
+    two.alice.json(&["topics", "watch", ODOM]);
+    let played = || {
+        let topics = list(&two.bob.json(&["topics", "list"]), "topics");
+        let row = topics.into_iter().find(|topic| text(topic, "topic").starts_with("/shared/"));
+        row.map(|row| (text(&row, "topic"), row["publishers"].as_array().is_some_and(|nodes| !nodes.is_empty())))
+    };
+    assert_eq!(played(), None);
+    let mut console = Console::open_in(&Terminal::of(80, 24), &two.bob, &[]);
+    console.press("4");
+    console.wait_for(ODOM, 60);
+    console.press("p");
+    let name = wait_until(60, "it is published", || played().filter(|(_, is_published)| *is_published)).0;
+    assert!(name.ends_with(ODOM), "{name}");
+    console.press("p");
+    console.wait_for("playback ended (asked)", 60);
+    wait_until(60, "nobody publishes it any more", || {
+        played().is_none_or(|(_, is_published)| !is_published).then_some(())
     });
 }
 

@@ -12,7 +12,8 @@ use std::path::{Path, PathBuf};
 use authros::ros::mcap::McapReader;
 use authros::ros::recording::RecordedMessage;
 use serde_json::{Value, json};
-use support::{Authros, Home, count, list, text};
+use support::ros2::{others_can_read, read_by_others};
+use support::{Authros, Home, count, list, skipped, text};
 
 fn recording() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support/ros2.mcap")
@@ -110,6 +111,27 @@ fn comes_out_as_it_went_in(alice: &Authros, home: &Home) {
     let latched = &is[5].channel.about;
     assert!(latched["offered_qos_profiles"].contains("transient_local"), "{latched:?}");
     assert!(latched["topic_type_hash"].starts_with("RIHS01_df668c74"), "{latched:?}");
+}
+
+#[test]
+fn what_is_exported_reads_the_same_to_others_as_what_was_imported() {
+    if !others_can_read() {
+        skipped!("no mcap in target/peers; tests/run installs it");
+    }
+    let home = Home::new();
+    let summary = home.authros().json_within(240, &["bag", "import", utf8(&recording())]);
+    assert_eq!(count(&summary, "verified"), 7, "{summary}");
+    let exported = home.root().join("out.mcap");
+    home.authros().json_within(240, &["shared", "export", "--mcap", utf8(&exported)]);
+    let sorted = |path: &Path| {
+        let mut messages = read_by_others(path);
+        messages.sort_by_key(|message| (count(message, "logged"), text(message, "topic")));
+        messages
+    };
+    let (was, is) = (sorted(&recording()), sorted(&exported));
+    assert_eq!(was, is);
+    let chatter = is.iter().find(|message| message["topic"] == "/chatter").expect("it is there");
+    assert!(text(chatter, "decoded").contains("data='hello from ROS 2'"), "{chatter}");
 }
 
 #[test]

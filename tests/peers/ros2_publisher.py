@@ -1,10 +1,12 @@
 """A DDS peer that publishes as a ROS 2 node would: Eclipse Cyclone DDS with ROS 2's names, types and QoS.
 
 usage: ros2_publisher.py TOPIC KIND COUNT HERTZ BYTES [best_effort] [latched] [hash] [foreign] [readersN] [small_ends] [domainN]
+                         [topicsN]
 
 KIND `string`: text of BYTES characters that begins with its number; `image`: a picture of BYTES bytes. Waits for a
 subscriber, or N of them, unless the topic is latched, publishes, prints one line of JSON about what it did, and stays
-until it is ended. With `small_ends` the first and the last picture have 100 bytes.
+until is ended. With `small_ends` the first and the last picture have 100 bytes. With `topicsN` every message is published on each
+of N topics, `TOPIC1` to `TOPICN`, every second of them best effort.
 """
 
 import hashlib
@@ -67,18 +69,24 @@ def main():
     topic, kind, count, hertz, size, *flags = sys.argv[1:]
     count, hertz, size = int(count), float(hertz), int(size)
     best_effort, latched = "best_effort" in flags, "latched" in flags
-    policies = [
-        Policy.Reliability.BestEffort if best_effort else Policy.Reliability.Reliable(duration(seconds=10)),
-        Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile,
-        Policy.History.KeepLast(1 if latched else 100000 if kind == "string" else 20),
-    ]
-    if "hash" in flags:
-        policies.append(Policy.Userdata(f"typehash={HASH};".encode()))
-    qos = Qos(*policies)
     participant = DomainParticipant(number_after("domain", flags, 0))
     made = String if kind == "string" else CompressedImage
-    name = topic if "foreign" in flags else "rt" + topic
-    writer = DataWriter(participant, Topic(participant, name, made, qos=Qos(*policies[:3])), qos=qos)
+
+    def writer_of(topic, best_effort):
+        policies = [
+            Policy.Reliability.BestEffort if best_effort else Policy.Reliability.Reliable(duration(seconds=10)),
+            Policy.Durability.TransientLocal if latched else Policy.Durability.Volatile,
+            Policy.History.KeepLast(1 if latched else 100000 if kind == "string" else 20),
+        ]
+        qos = Qos(*policies)
+        if "hash" in flags:
+            qos = Qos(*policies, Policy.Userdata(f"typehash={HASH};".encode()))
+        name = topic if "foreign" in flags else "rt" + topic
+        return DataWriter(participant, Topic(participant, name, made, qos=Qos(*policies)), qos=qos)
+
+    topics = number_after("topics", flags, 0)
+    writers = [writer_of(f"{topic}{number}", number % 2 == 0) for number in range(1, topics + 1)]
+    writers = writers or [writer_of(topic, best_effort)]
     length = lambda number: 100 if "small_ends" in flags and number in (1, count) else size
     if kind == "string":
         messages = [String(text(number, size)) for number in range(1, count + 1)]
@@ -92,16 +100,18 @@ def main():
         digest.update(message.serialize(use_version_2=False))
     print(json.dumps({"ready": True}), flush=True)
     readers = number_after("readers", flags, 1)
-    while not latched and "foreign" not in flags and len(writer.get_matched_subscriptions()) < readers:
+    waits = not latched and "foreign" not in flags
+    while waits and any(len(writer.get_matched_subscriptions()) < readers for writer in writers):
         time.sleep(0.01)
     begin = time.monotonic()
     for number, message in enumerate(messages, 1):
         wait = begin + (number - 1) / hertz - time.monotonic()
         if wait > 0:
             time.sleep(wait)
-        writer.write(message)
+        for writer in writers:
+            writer.write(message)
     seconds = round(time.monotonic() - begin, 3)
-    print(json.dumps({"sent": count, "seconds": seconds, "sha256": digest.hexdigest()}), flush=True)
+    print(json.dumps({"sent": count * len(writers), "seconds": seconds, "sha256": digest.hexdigest()}), flush=True)
     # As long as it runs, its last messages are repeated to subscribers that missed them.
     time.sleep(3600)
 

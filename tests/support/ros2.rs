@@ -9,6 +9,7 @@ use super::process::Running;
 use super::{Authros, poll};
 
 const NOISE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_noise.py");
+const OTHER_READER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_mcap.py");
 const PUBLISHER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_publisher.py");
 const SUBSCRIBER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_subscriber.py");
 
@@ -74,11 +75,29 @@ pub fn reader_program() -> Option<PathBuf> {
     super::keyless::program("authros-ros2")
 }
 
-fn python() -> Option<PathBuf> {
+/// The interpreter with the packages of `tests/peers/NAME.txt`.
+fn python_with(name: &str) -> Option<PathBuf> {
     let peers = std::env::var_os("AUTHROS_PEERS")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("target/peers"), PathBuf::from);
-    let path = peers.join("cyclonedds/bin/python");
+    let path = peers.join(name).join("bin/python");
     path.is_file().then_some(path)
+}
+
+fn python() -> Option<PathBuf> {
+    python_with("cyclonedds")
+}
+
+/// Whether a recording can be read by others ([`read_by_others`]).
+pub fn others_can_read() -> bool {
+    python_with("mcap").is_some()
+}
+
+/// All that mcap and mcap-ros2-support find in a recording; `tests/peers/ros2_mcap.py` names the fields.
+pub fn read_by_others(recording: &Path) -> Vec<Value> {
+    let mut command = Command::new(python_with("mcap").expect("asked before"));
+    command.args(["-B", OTHER_READER]).arg(recording);
+    let read = Running::start(command).wait(60).expect_code(0).document();
+    read.as_array().expect("a list").clone()
 }
 
 /// The requirements of a ROS 2 test, or why it is skipped.

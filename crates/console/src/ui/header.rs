@@ -66,14 +66,17 @@ fn badges(state: &State) -> Vec<(String, Role)> {
 
 /// If there is no room, parts that are well are only a dot, and then the others one word.
 fn draw_health(canvas: &mut Canvas, area: Rect, health: &[PartHealth]) {
+    // Of what is only looked after in the background, the line tells what is wrong.
+    let shown: Vec<&PartHealth> =
+        health.iter().filter(|part| part.part != "proofs" || part.level != HealthLevel::Ok).collect();
     let fits = |word: fn(&PartHealth) -> &str| {
-        let whole: u16 = health.iter().map(|part| columns(&part.part) + columns(word(part)) + 5).sum();
+        let whole: u16 = shown.iter().map(|part| columns(&part.part) + columns(word(part)) + 5).sum();
         whole <= area.width + 2
     };
     let words: [fn(&PartHealth) -> &str; 3] = [|part| level(part).2, brief, briefest];
     let word = words.into_iter().find(|word| fits(*word)).unwrap_or(briefest);
     let mut rest = area;
-    for part in health {
+    for part in shown {
         let (dot, role, _) = level(part);
         let (dot, word) = (format!(" {dot} "), word(part));
         rest = canvas.puts(rest, &[(&part.part, Role::Body), (&dot, role), (word, role), ("  ", Role::Body)]);
