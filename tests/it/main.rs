@@ -58,6 +58,7 @@ mod robots;
 mod robots_policy;
 mod ros2;
 mod ros2_capture;
+mod ros2_describing;
 mod ros2_fastdds;
 mod ros2_losses;
 mod ros2_many;

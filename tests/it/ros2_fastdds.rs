@@ -5,29 +5,10 @@
 use crate::support;
 
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use serde_json::Value;
-use support::ros2::{Talker, network};
-use support::{Authros, Home, count, heavy, long, skipped, system_program, text};
-
-/// The peer, compiled if its source is newer; `None` without compiler or library.
-fn peer() -> Option<PathBuf> {
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers/ros2_fastdds.cpp");
-    let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join("ros2_fastdds");
-    let compiler = system_program("g++")?;
-    if !Path::new("/usr/include/fastdds").is_dir() {
-        return None;
-    }
-    let changed = |path: &Path| fs::metadata(path).and_then(|about| about.modified()).ok();
-    if changed(&program) < changed(&source) {
-        let mut command = Command::new(compiler);
-        command.args(["-std=c++17", "-O1", "-o"]).args([&program, &source]).args(["-lfastrtps", "-lfastcdr"]);
-        assert!(command.status().expect("the compiler runs").success(), "the peer compiles");
-    }
-    Some(program)
-}
+use support::ros2::{NO_FAST_DDS, Talker, fast_dds, network};
+use support::{Authros, Home, count, heavy, long, skipped, text};
 
 fn figures(summary: &Value) -> [u64; 3] {
     ["captured", "verified", "lost"].map(|figure| count(summary, figure))
@@ -54,7 +35,7 @@ fn messages_of_fast_dds_arrive_whole_reliable_or_not_small_or_large() {
         Ok(network) => network,
         Err(reason) => skipped!(reason),
     };
-    let Some(peer) = peer() else { skipped!("no g++ with libfastrtps-dev") };
+    let Some(peer) = fast_dds("ros2_fastdds") else { skipped!(NO_FAST_DDS) };
     let home = Home::new();
     let _site = network.inside(&home.authros().with(&["--ros2", "0"])).serve(&home);
     let alice = home.profile("alice");

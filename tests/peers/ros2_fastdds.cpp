@@ -9,61 +9,17 @@
 #include <cstdint>
 #include <cstdio>
 #include <cstring>
-#include <functional>
 #include <string>
 #include <thread>
-#include <vector>
 
 #include <fastdds/dds/domain/DomainParticipant.hpp>
 #include <fastdds/dds/domain/DomainParticipantFactory.hpp>
 #include <fastdds/dds/publisher/DataWriter.hpp>
 #include <fastdds/dds/publisher/Publisher.hpp>
 #include <fastdds/dds/topic/Topic.hpp>
-#include <fastdds/dds/topic/TopicDataType.hpp>
 #include <fastdds/dds/topic/TypeSupport.hpp>
 
-namespace fast = eprosima::fastdds::dds;
-namespace rtps = eprosima::fastrtps::rtps;
-using Bytes = std::vector<uint8_t>;
-
-// Messages that are serialised already, as rmw_fastrtps has them.
-class Raw : public fast::TopicDataType {
-public:
-    Raw(const std::string &name, uint32_t longest) {
-        setName(name.c_str());
-        m_typeSize = longest;
-        m_isGetKeyDefined = false;
-    }
-    bool serialize(void *data, rtps::SerializedPayload_t *payload) override {
-        const Bytes &bytes = *static_cast<Bytes *>(data);
-        std::memcpy(payload->data, bytes.data(), bytes.size());
-        payload->length = static_cast<uint32_t>(bytes.size());
-        payload->encapsulation = CDR_LE;
-        return true;
-    }
-    bool deserialize(rtps::SerializedPayload_t *, void *) override { return false; }
-    std::function<uint32_t()> getSerializedSizeProvider(void *data) override {
-        return [data] { return static_cast<uint32_t>(static_cast<Bytes *>(data)->size()); };
-    }
-    void *createData() override { return new Bytes; }
-    void deleteData(void *data) override { delete static_cast<Bytes *>(data); }
-    bool getKey(void *, rtps::InstanceHandle_t *, bool) override { return false; }
-};
-
-static void align(Bytes &bytes) {
-    while (bytes.size() % 4 != 0) bytes.push_back(0);
-}
-
-static void put_number(Bytes &bytes, uint32_t number) {
-    align(bytes);
-    for (int shift = 0; shift < 32; shift += 8) bytes.push_back(static_cast<uint8_t>(number >> shift));
-}
-
-static void put_text(Bytes &bytes, const std::string &text) {
-    put_number(bytes, static_cast<uint32_t>(text.size() + 1));
-    bytes.insert(bytes.end(), text.begin(), text.end());
-    bytes.push_back(0);
-}
+#include "ros2_fastdds.hpp"
 
 static Bytes message(const std::string &kind, uint32_t number, size_t size) {
     Bytes bytes = {0, 1, 0, 0};

@@ -8,6 +8,7 @@ use serde_json::Value;
 use super::process::Running;
 use super::{Authros, poll};
 
+const DESCRIBING: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_describing.py");
 const NOISE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_noise.py");
 const OTHER_READER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_mcap.py");
 const PUBLISHER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/ros2_publisher.py");
@@ -114,6 +115,45 @@ pub fn noise(network: &Network, count: usize) -> Running {
     Running::start(command)
 }
 
+/// Why a peer of [`fast_dds`] is missing.
+pub const NO_FAST_DDS: &str = "no g++ with libfastrtps-dev";
+
+/// A peer in C++ of `tests/peers`, with Fast DDS, compiled if its source is newer; `None` without compiler or library.
+pub fn fast_dds(name: &str) -> Option<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/peers");
+    let (source, shared) = (folder.join(name).with_extension("cpp"), folder.join("ros2_fastdds.hpp"));
+    let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let compiler = super::system_program("g++")?;
+    if !Path::new("/usr/include/fastdds").is_dir() {
+        return None;
+    }
+    let changed = |path: &Path| std::fs::metadata(path).and_then(|about| about.modified()).ok();
+    if changed(&program) < changed(&source).max(changed(&shared)) {
+        let mut command = Command::new(compiler);
+        command.args(["-std=c++17", "-O1", "-o"]).args([&program, &source]).args(["-lfastrtps", "-lfastcdr"]);
+        assert!(command.status().expect("the compiler runs").success(), "the peer compiles");
+    }
+    Some(program)
+}
+
+/// A real DDS publisher of a type of its own, which answers for its definition in this way (`tests/peers/ros2_describing.py`).
+pub fn describing(network: &Network, how: &str) -> Running {
+    let mut command = network.command(&python().expect("asked before"));
+    command.args(["-B", DESCRIBING, how]).env_remove("CYCLONEDDS_URI");
+    ready(command)
+}
+
+/// The honest one by Fast DDS, as [`fast_dds`] compiled it.
+pub fn describing_by(network: &Network, program: &Path) -> Running {
+    ready(network.command(program))
+}
+
+fn ready(command: Command) -> Running {
+    let mut running = Running::start(command);
+    running.wait_for_text("\"ready\"", 60);
+    running
+}
+
 /// A real DDS publisher with ROS 2's names.
 #[derive(Debug)]
 pub struct Talker(Running);
@@ -123,20 +163,14 @@ impl Talker {
     pub fn start(network: &Network, arguments: &[&str]) -> Self {
         let mut command = network.command(&python().expect("asked before"));
         command.arg(PUBLISHER).args(arguments).env_remove("CYCLONEDDS_URI");
-        Self::ready(command)
+        Self(ready(command))
     }
 
     /// The same by another program.
     pub fn by(network: &Network, program: &Path, arguments: &[&str]) -> Self {
         let mut command = network.command(program);
         command.args(arguments);
-        Self::ready(command)
-    }
-
-    fn ready(command: Command) -> Self {
-        let mut running = Running::start(command);
-        running.wait_for_text("\"ready\"", 60);
-        Self(running)
+        Self(ready(command))
     }
 
     /// Waits until it has published everything; returns what it says about that.
@@ -162,9 +196,7 @@ impl Listener {
     pub fn start(network: &Network, domain: &str, arguments: &[&str]) -> Self {
         let mut command = network.command(&python().expect("asked before"));
         command.args(["-B", SUBSCRIBER, domain]).args(arguments).env_remove("CYCLONEDDS_URI");
-        let mut running = Running::start(command);
-        running.wait_for_text("\"ready\"", 60);
-        Self(running)
+        Self(ready(command))
     }
 
     fn said(&self, key: &str) -> Vec<Value> {

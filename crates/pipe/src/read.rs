@@ -84,6 +84,17 @@ pub enum Told {
         /// The reason.
         reason: String,
     },
+    /// The answer to [`Wish::Describe`]; the definition's text with all its types, as in MCAP's `ros2msg`, is the payload.
+    Described {
+        /// Who was asked.
+        node: String,
+        /// The type, `package/msg/Type`.
+        type_name: String,
+        /// The hash it was asked for by; not compared with the text.
+        type_hash: String,
+        /// Why there is no text.
+        reason: Option<String>,
+    },
     /// Every half second, and at each change.
     Alive(Counts),
     /// The child is ending on its own.
@@ -101,6 +112,15 @@ pub enum Wish {
     Watch {
         /// Its name.
         topic: String,
+    },
+    /// Ask a node for the definition of a type that it publishes.
+    Describe {
+        /// Its name, `/namespace/name`.
+        node: String,
+        /// The type, `package/msg/Type`.
+        type_name: String,
+        /// `RIHS01_` and 64 hex characters.
+        type_hash: String,
     },
     /// Stop reading a topic.
     Unwatch {

@@ -10,9 +10,10 @@ use std::time::{Duration, Instant};
 use rustdds::mio1::{Events, Poll, Token, Waker};
 use rustdds::{
     DomainParticipant, DomainParticipantBuilder, DomainParticipantStatusEvent, DomainParticipantStatusListener,
-    QosPolicies, RTPSEntity, StatusEvented, Subscriber,
+    Publisher, QosPolicies, RTPSEntity, StatusEvented, Subscriber,
 };
 
+use crate::describing::{Describing, Question};
 use crate::graph::Graph;
 use crate::nodes::Nodes;
 use crate::pipe::read::{Quality, Told, Wish};
@@ -75,7 +76,9 @@ pub(crate) fn leave_soon() {
 struct Child<'a, W: Write> {
     // In drop order.
     readings: BTreeMap<usize, Reading>,
+    describing: Describing,
     subscriber: Subscriber,
+    publisher: Publisher,
     listener: DomainParticipantStatusListener,
     participant: DomainParticipant,
     poll: Poll,
@@ -97,12 +100,15 @@ impl<'a, W: Write> Child<'a, W> {
         let join = |error: &dyn std::fmt::Debug| Ros2Error::join(domain, error);
         let participant = DomainParticipantBuilder::new(domain).build().map_err(|error| join(&error))?;
         let subscriber = participant.create_subscriber(&QosPolicies::qos_none()).map_err(|error| join(&error))?;
+        let publisher = participant.create_publisher(&QosPolicies::qos_none()).map_err(|error| join(&error))?;
         let mut listener = participant.status_listener();
         poll.registry().register(&mut listener, STATUS, rustdds::mio1::Interest::READABLE).map_err(system)?;
         let graph = Graph::new(&participant.guid().to_bytes());
         Ok(Self {
             readings: BTreeMap::new(),
+            describing: Describing::default(),
             subscriber,
+            publisher,
             listener,
             participant,
             poll,
@@ -137,6 +143,10 @@ impl<'a, W: Write> Child<'a, W> {
                 looked = Some(Instant::now());
             }
             self.take()?;
+            let parts = (&self.participant, &self.subscriber, &self.publisher);
+            for (told, text) in self.describing.go_on(parts, &self.graph) {
+                send(self.out, &told, &text)?;
+            }
             if due(alive, ALIVE) {
                 if !threads::run() {
                     return Err(Ros2Error::Threads);
@@ -189,6 +199,9 @@ impl<'a, W: Write> Child<'a, W> {
                     self.wanted.insert(topic);
                 }
                 Wish::Watch { .. } => {}
+                Wish::Describe { node, type_name, type_hash } => {
+                    self.describing.ask(Question { node, type_name, type_hash });
+                }
                 Wish::Unwatch { topic } => {
                     self.wanted.remove(&topic);
                     self.refused.remove(&topic);

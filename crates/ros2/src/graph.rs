@@ -77,6 +77,12 @@ impl Graph {
         self.writers.values().filter(move |found| found.dds_topic == dds_topic)
     }
 
+    /// The id of a writer of a topic and type, by their DDS names.
+    pub fn writer_of(&self, dds_topic: &str, dds_type: &str) -> Option<Id> {
+        let is_it = |found: &Found| found.dds_topic == dds_topic && found.dds_type == dds_type;
+        self.writers.iter().find_map(|(id, found)| is_it(found).then_some(*id))
+    }
+
     /// Whether this writer was reported to the site.
     pub fn knows(&self, id: &Id) -> bool {
         self.known.contains(id)

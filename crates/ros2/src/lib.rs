@@ -6,6 +6,9 @@
 use authros_pipe as pipe;
 
 mod capture;
+mod cdr;
+mod describing;
+mod description;
 mod error;
 mod graph;
 mod names;

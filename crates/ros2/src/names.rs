@@ -21,6 +21,13 @@ pub fn dds_topic(topic: &str) -> String {
     format!("rt{topic}")
 }
 
+/// The DDS names of the topics by which a node is asked for the description of a type, and answers; `None` for what is not
+/// the name of a node.
+pub fn description_topics(node: &str) -> Option<(String, String)> {
+    topic(&dds_topic(node))?;
+    Some((format!("rq{node}/get_type_descriptionRequest"), format!("rr{node}/get_type_descriptionReply")))
+}
+
 /// `nav_msgs/msg/Odometry` for `nav_msgs::msg::dds_::Odometry_`.
 pub fn type_name(dds: &str) -> Option<String> {
     let parts: Vec<&str> = dds.split("::").collect();
@@ -87,6 +94,16 @@ mod tests {
         }
         for none in ["ShapeType", "a::msg::dds_::B", "a::msg::B_", "::msg::dds_::B_", "a::msg::dds_::B\u{7}_"] {
             assert_eq!(type_name(none), None, "{none}");
+        }
+    }
+
+    #[test]
+    fn a_node_is_asked_under_its_own_name() {
+        let topics = description_topics("/robot1/driver").expect("a name");
+        assert_eq!(topics.0, "rq/robot1/driver/get_type_descriptionRequest");
+        assert_eq!(topics.1, "rr/robot1/driver/get_type_descriptionReply");
+        for none in ["", "/", "driver", "/a//b", "/a b"] {
+            assert_eq!(description_topics(none), None, "{none}");
         }
     }
 

@@ -3,6 +3,8 @@
 
 use std::collections::HashMap;
 
+use crate::cdr::Reader;
+
 /// The most writers whose node is remembered.
 const MOST: usize = 20_000;
 /// The longest accepted node name, with its namespace.
@@ -50,8 +52,7 @@ impl Nodes {
 
 /// The participant and its writers, if the message can be read to its end with ids of this length.
 fn parse(message: &[u8], id: usize) -> Option<(Id, Vec<(Id, String)>)> {
-    let (header, body) = message.split_at_checked(4)?;
-    let mut reader = Reader { body, at: 0, little: header[1] & 1 == 1 };
+    let mut reader = Reader::of(message)?;
     let participant = reader.id(id)?;
     let mut writers = Vec::new();
     // Each list is bounded by the bytes that are left.
@@ -71,43 +72,7 @@ fn parse(message: &[u8], id: usize) -> Option<(Id, Vec<(Id, String)>)> {
         }
     }
     // Up to three bytes of padding.
-    (reader.body.len() - reader.at < 4).then_some((participant, writers))
-}
-
-struct Reader<'a> {
-    body: &'a [u8],
-    at: usize,
-    little: bool,
-}
-
-impl<'a> Reader<'a> {
-    fn take(&mut self, length: usize) -> Option<&'a [u8]> {
-        let end = self.at.checked_add(length)?;
-        let found = self.body.get(self.at..end)?;
-        self.at = end;
-        Some(found)
-    }
-
-    fn number(&mut self) -> Option<u32> {
-        self.at = self.at.next_multiple_of(4);
-        let bytes: [u8; 4] = self.take(4)?.try_into().ok()?;
-        Some(if self.little { u32::from_le_bytes(bytes) } else { u32::from_be_bytes(bytes) })
-    }
-
-    fn count(&mut self, least: usize) -> Option<usize> {
-        let count = self.number()? as usize;
-        (count <= (self.body.len() - self.at.min(self.body.len())) / least).then_some(count)
-    }
-
-    fn text(&mut self) -> Option<&'a str> {
-        let length = self.number()? as usize;
-        let bytes = self.take(length)?;
-        std::str::from_utf8(bytes.strip_suffix(&[0]).unwrap_or(bytes)).ok()
-    }
-
-    fn id(&mut self, length: usize) -> Option<Id> {
-        self.take(length)?.first_chunk().copied()
-    }
+    (reader.left() < 4).then_some((participant, writers))
 }
 
 #[cfg(test)]

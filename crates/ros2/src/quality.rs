@@ -58,6 +58,11 @@ pub fn policies(request: Request, depth: usize) -> QosPolicies {
     builder.build().with_data_representation(DataRepresentation { value: both })
 }
 
+/// The same with the first version of CDR alone, as a writer has to say.
+pub fn plain(policies: &QosPolicies) -> QosPolicies {
+    policies.clone().with_data_representation(DataRepresentation { value: vec![XCDR_DATA_REPRESENTATION] })
+}
+
 /// How many samples of this size are kept, when all other topics keep `others` bytes.
 pub fn depth(sample: usize, others: usize) -> usize {
     let bytes = TOPIC_BYTES.min(ALL_BYTES.saturating_sub(others) / 2);

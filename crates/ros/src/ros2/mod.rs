@@ -3,6 +3,7 @@
 //! Its reports are trusted no more than a peer's. Messages that a publisher sent and that never arrived are counted
 //! here, by the publisher's own numbers, so that the count continues when the program has to be restarted.
 
+mod descriptions;
 mod numbers;
 mod publisher;
 mod publishing;

@@ -29,6 +29,8 @@ pub struct Publisher {
     pub told_by: u64,
     /// Whether it was reported to the sink.
     pub connected: bool,
+    /// The definition of its type, if one had to be asked for; else empty.
+    pub definition: Arc<str>,
     topic: Arc<str>,
     type_name: Arc<str>,
     tags: Vec<(String, String)>,
@@ -69,6 +71,7 @@ impl Publisher {
             gone: None,
             told_by,
             connected: false,
+            definition: "".into(),
             topic: writer.topic.as_str().into(),
             type_name,
             tags: said,
@@ -86,7 +89,7 @@ impl Publisher {
             topic: Arc::clone(&self.topic),
             type_name: Arc::clone(&self.type_name),
             md5sum: "*".into(),
-            definition: "".into(),
+            definition: Arc::clone(&self.definition),
             caller_id: Arc::clone(&self.origin.caller_id),
             origin: Arc::clone(&self.origin),
             latching: self.writer.quality.latched,
@@ -120,6 +123,11 @@ impl Publisher {
             number: self.origin.number,
             reason: reason.to_owned(),
         })
+    }
+
+    /// What it says of its messages contradicts itself.
+    pub fn contradicts(&self, contradiction: String) -> CaptureNotice {
+        CaptureNotice::Contradiction { topic: Arc::clone(&self.topic), caller_id: self.caller_id(), contradiction }
     }
 
     /// Its messages that never arrived; for a reliable one nothing arrives late, and `all` waits for nobody.

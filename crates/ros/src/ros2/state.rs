@@ -4,12 +4,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 use super::Ros2Topic;
+use super::descriptions::Descriptions;
 use super::numbers::Arrival;
 use super::publisher::{Publisher, name};
 use super::standing::Reading;
 use crate::model::topic::LONGEST_NAME;
 use crate::model::{Timestamp, TopicName, clean};
-use crate::pipe::read::{Counts, Told, Writer};
+use crate::pipe::read::{Counts, Told, Wish, Writer};
 use crate::ros::{CaptureNotice, Message};
 
 /// The most publishers known at once.
@@ -29,6 +30,8 @@ const LONGEST_REASON: usize = 400;
 pub struct Outcome {
     /// News.
     pub notices: Vec<CaptureNotice>,
+    /// Questions for the program that reads.
+    pub wishes: Vec<Wish>,
     /// A message.
     pub message: Option<Message>,
 }
@@ -47,6 +50,7 @@ pub struct State {
     pub confined: Option<bool>,
     domain: u16,
     publishers: BTreeMap<String, Publisher>,
+    descriptions: Descriptions,
     /// How often the program said hello.
     started: u64,
     hello: Option<Instant>,
@@ -63,6 +67,7 @@ impl State {
             confined: None,
             domain,
             publishers: BTreeMap::new(),
+            descriptions: Descriptions::default(),
             started: 0,
             hello: None,
         }
@@ -89,6 +94,11 @@ impl State {
                 publisher: format!("ROS 2 domain {}", self.domain),
                 reason: clean(&reason, LONGEST_REASON),
             }),
+            Told::Described { node, type_name, type_hash, reason: None } => {
+                self.described(&node, (type_name, type_hash), payload, &mut outcome);
+            }
+            // Opening a message tells why it has no fields.
+            Told::Described { .. } => {}
             Told::Alive(counts) => self.alive(counts, now, &mut outcome),
             Told::Failed { reason } => return Err(clean(&reason, LONGEST_REASON)),
         }
@@ -104,6 +114,7 @@ impl State {
         }
         self.started += 1;
         self.hello = Some(now);
+        self.descriptions.ask_again();
         self.reading = Reading::Looking;
         Ok(())
     }
@@ -121,10 +132,14 @@ impl State {
             return;
         }
         let (watched, started) = (self.is_watched(&writer.topic), self.started);
+        if watched {
+            outcome.wishes.extend(self.descriptions.wanted(&writer));
+        }
         match self.publishers.get_mut(&writer.id).filter(|known| known.writer == writer) {
             Some(known) => (known.gone, known.told_by) = (None, started),
             None => {
                 let mut new = Publisher::new(writer, self.domain, started);
+                new.definition = self.descriptions.text_of(&new.writer);
                 if let Some(mut former) = self.publishers.remove(&new.writer.id) {
                     outcome.notices.extend(former.disconnect("it now offers something else"));
                     new.numbers = former.numbers;
@@ -142,6 +157,24 @@ impl State {
             let is_watched = |topic: &str| watched.iter().any(|watched| watched.as_str() == topic);
             let wanted = publishers.values_mut().filter(|known| !known.connected && is_watched(&known.writer.topic));
             outcome.notices.extend(wanted.filter_map(Publisher::connect));
+        }
+    }
+
+    /// From now on messages of the type come with the text.
+    fn described(&mut self, node: &str, kind: (String, String), text: Vec<u8>, outcome: &mut Outcome) {
+        let of_kind = |writer: &Writer| writer.type_name == kind.0 && writer.type_hash.as_ref() == Some(&kind.1);
+        let of_node = |writer: &Writer| of_kind(writer) && writer.node.as_deref() == Some(node);
+        match self.descriptions.take(node, kind.clone(), text) {
+            Ok(false) => {}
+            Ok(true) => {
+                for publisher in self.publishers.values_mut().filter(|known| of_kind(&known.writer)) {
+                    publisher.definition = self.descriptions.text_of(&publisher.writer);
+                }
+            }
+            Err(contradiction) => {
+                let by = self.publishers.values().find(|known| of_node(&known.writer));
+                outcome.notices.extend(by.map(|by| by.contradicts(contradiction)));
+            }
         }
     }
 
@@ -202,6 +235,9 @@ impl State {
     pub fn watch(&mut self, topic: &TopicName, outcome: &mut Outcome) -> bool {
         let new = self.watched.insert(topic.clone());
         self.connect_new(new, outcome);
+        let Self { publishers, descriptions, .. } = self;
+        let of_topic = publishers.values().filter(|known| known.gone.is_none() && known.writer.topic == topic.as_str());
+        outcome.wishes.extend(of_topic.filter_map(|known| descriptions.wanted(&known.writer)));
         new
     }
 
@@ -310,6 +346,38 @@ mod tests {
         assert!(outcome.notices.iter().any(told), "{outcome:?}");
         assert!(outcome.notices.iter().any(|notice| matches!(notice, CaptureNotice::PublisherLost { .. })));
         assert!(state.topics().is_empty());
+    }
+
+    #[test]
+    fn the_definition_of_a_captured_type_is_asked_for_and_goes_with_later_messages() {
+        const HASH: &str = "RIHS01_3e789e2509f81d797131bc8cbc2e060199fd1af28e8d4a51b73e5e6adc25b74d";
+        const TEXT: &str = "std_msgs/Header header\nfloat64 force\nstring<=16 label\n====================\n\
+            MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n====================\n\
+            MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n";
+        let mut grip = writer("aa", "/grip", true);
+        if let Told::WriterHere(writer) = &mut grip {
+            (writer.type_name, writer.type_hash) = ("rig_msgs/msg/Grip".into(), Some(HASH.into()));
+        }
+        let (mut state, now) = (State::new(0), Instant::now());
+        let mut take =
+            |state: &mut State, told, payload: &[u8]| state.take(told, payload.to_vec(), now).expect("taken");
+        take(&mut state, hello(), &[]);
+        assert!(take(&mut state, grip.clone(), &[]).wishes.is_empty(), "nobody wants its messages");
+        let mut outcome = Outcome::default();
+        state.watch(&"/grip".parse().expect("a name"), &mut outcome);
+        let asked =
+            |text: &[Wish]| text.len() == 1 && matches!(&text[0], Wish::Describe { node, .. } if node == "/talker");
+        assert!(asked(&outcome.wishes), "{outcome:?}");
+        assert_eq!(&*take(&mut state, sample("aa", 1), &[1]).message.expect("captured").definition, "");
+        // Another run of the program is asked again.
+        take(&mut state, hello(), &[]);
+        assert!(asked(&take(&mut state, grip, &[]).wishes));
+        let (node, type_name) = ("/talker".to_owned(), "rig_msgs/msg/Grip".to_owned());
+        let described = Told::Described { node, type_name, type_hash: HASH.into(), reason: None };
+        let lie = take(&mut state, described.clone(), b"float64 force\n");
+        assert!(matches!(lie.notices[..], [CaptureNotice::Contradiction { .. }]), "{lie:?}");
+        assert!(take(&mut state, described, TEXT.as_bytes()).notices.is_empty());
+        assert_eq!(&*take(&mut state, sample("aa", 2), &[1]).message.expect("captured").definition, TEXT);
     }
 
     #[test]

@@ -69,6 +69,7 @@ impl Shared {
         if self.is_stopping() {
             return;
         }
+        outcome.wishes.iter().for_each(|wish| self.wish(wish));
         outcome.notices.into_iter().for_each(|notice| self.sink.notice(notice));
         if let Some(message) = outcome.message {
             self.sink.accept(message);
@@ -79,8 +80,8 @@ impl Shared {
     pub fn watch(&self, topic: &TopicName) {
         let mut outcome = Outcome::default();
         if self.state().watch(topic, &mut outcome) {
-            self.hand_on(outcome);
             self.wish(&Wish::Watch { topic: topic.to_string() });
+            self.hand_on(outcome);
         }
     }
 
@@ -179,7 +180,7 @@ impl Shared {
                 first
             };
             if first {
-                self.hand_on(Outcome { notices: vec![CaptureNotice::ReadingBroken { reason }], message: None });
+                self.hand_on(Outcome { notices: vec![CaptureNotice::ReadingBroken { reason }], ..Outcome::default() });
             }
             pause = if begun.elapsed() >= BEGAN_WELL { FIRST_PAUSE } else { pause };
             self.wait(pause);

@@ -18,6 +18,7 @@ use rustdds::{
 
 use self::audience::Audience;
 use self::queue::Queue;
+pub use self::writing::Encoded;
 use self::writing::Writing;
 use crate::pipe::write::{MOST_UNCONFIRMED, Order, Report, Topic};
 use crate::pipe::{VERSION, receive, send};

@@ -24,7 +24,7 @@ const LATCHED: usize = 8;
 const DEEPEST: u32 = 1000;
 
 /// Bodies of one encoding, passed on as they are.
-struct Encoded<const ID: u16>;
+pub struct Encoded<const ID: u16>;
 
 impl<const ID: u16> SerializerAdapter<Bytes> for Encoded<ID> {
     type Error = Infallible;
