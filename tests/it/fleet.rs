@@ -7,6 +7,7 @@ use crate::support;
 mod enduring;
 mod killing;
 mod reconciling;
+mod shared_vault;
 mod swarm;
 
 use std::collections::BTreeSet;
@@ -50,6 +51,8 @@ struct Gateway {
     domain: String,
     /// The port of its figures, if it shows any.
     figures: Option<u16>,
+    /// Its vault; if empty, one of its own.
+    vault: String,
 }
 
 impl Gateway {
@@ -59,10 +62,19 @@ impl Gateway {
 
     /// One that calls an anchor confirmed after so many blocks.
     fn confirming_after(ground: &Ground, confirmations: &'static str) -> Self {
+        Self::made(ground, confirmations, "")
+    }
+
+    /// One that keeps its records in this vault.
+    fn keeping_in(ground: &Ground, vault: &str) -> Self {
+        Self::made(ground, "1", vault)
+    }
+
+    fn made(ground: &Ground, confirmations: &'static str, vault: &str) -> Self {
         let chain = [ground.url.clone(), ground.contract.clone()];
-        let (home, port) = (Home::new(), free_port());
+        let (home, port, vault) = (Home::new(), free_port(), vault.to_owned());
         let (site, key, domain, figures) = (None, String::new(), String::new(), None);
-        let mut gateway = Self { home, port, chain, confirmations, site, key, domain, figures };
+        let mut gateway = Self { home, port, chain, confirmations, site, key, domain, figures, vault };
         gateway.start();
         gateway
     }
@@ -79,7 +91,8 @@ impl Gateway {
     fn keeper(&self) -> Authros {
         let [url, contract] = &self.chain;
         let options = ["--chain", url, "--contract", contract, "--robots", "0", "--confirmations", self.confirmations];
-        self.home.profile("keeper").with(&options)
+        let keeper = self.home.profile("keeper").with(&options);
+        if self.vault.is_empty() { keeper } else { keeper.with(&["--vault", &self.vault]) }
     }
 
     fn address(&self) -> String {

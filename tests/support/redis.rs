@@ -7,6 +7,9 @@ use tempfile::TempDir;
 use super::process::Running;
 use super::{free_port, system_program};
 
+/// The slots of a cluster's nodes.
+const SLOTS: [(&str, &str); 3] = [("0", "5460"), ("5461", "10922"), ("10923", "16383")];
+
 /// A server that persists nothing unless a test asks for it.
 #[derive(Debug)]
 pub struct Redis {
@@ -34,6 +37,31 @@ impl Redis {
             }
         }
         panic!("redis-server finds no port to listen on");
+    }
+
+    /// A cluster of three, which goes on if one of them stops; `None` if Redis is not installed.
+    pub fn cluster() -> Option<Vec<Self>> {
+        let arguments =
+            ["--cluster-enabled", "yes", "--cluster-node-timeout", "1500", "--cluster-require-full-coverage", "no"];
+        let nodes = SLOTS.iter().map(|_| Self::start(&arguments)).collect::<Option<Vec<_>>>()?;
+        for (redis, (first, last)) in nodes.iter().zip(SLOTS) {
+            redis.cli(&["CLUSTER", "ADDSLOTSRANGE", first, last]);
+            for other in &nodes {
+                redis.cli(&["CLUSTER", "MEET", "127.0.0.1", &other.port().to_string(), &other.bus().to_string()]);
+            }
+        }
+        for redis in &nodes {
+            super::wait_until(60, "the cluster is one", || {
+                let about = redis.cli(&["CLUSTER", "INFO"]);
+                (about.contains("cluster_state:ok") && about.contains("cluster_slots_ok:16384")).then_some(())
+            });
+        }
+        Some(nodes)
+    }
+
+    /// The URL of the cluster that this is a node of; the others are learnt.
+    pub fn cluster_url(&self) -> String {
+        format!("redis+cluster://127.0.0.1:{}", self.port)
     }
 
     fn spawn(&mut self) -> bool {

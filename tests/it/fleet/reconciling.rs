@@ -31,7 +31,7 @@ pub(super) fn reconciled(gateway: &Gateway, least: u64) -> Vec<Value> {
 }
 
 /// Runs a robot for so many messages, until all are verified at its gateway; returns how many it has captured in all.
-fn bring(robot: &Robot, messages: &str) -> u64 {
+pub(super) fn bring(robot: &Robot, messages: &str) -> u64 {
     let outcome = robot.run(&["--count", messages]).wait(180).expect_code(0);
     let summary: Value = serde_json::from_str(outcome.stdout.lines().last().expect("a document")).expect("JSON");
     assert_eq!(count(&summary, "verified"), count(&summary, "captured"), "{summary}");
