@@ -103,7 +103,11 @@ fn page_back(console: &mut Console, until: &str) -> BTreeSet<String> {
         }
         console.press("\u{1b}[6~");
         waits_for(console, &format!("page {page}"), |console| {
-            !console.shown().contains("reading") && !rows(console).is_empty() && place(console) != before
+            let shown = console.shown();
+            // A frame arrives in pieces: its first line may be there before its rows are.
+            std::thread::sleep(Duration::from_millis(40));
+            let is_whole = console.shown() == shown && !shown.contains("reading") && !rows(console).is_empty();
+            is_whole && place(console) != before
         });
     }
     seen
