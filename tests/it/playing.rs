@@ -90,7 +90,8 @@ fn a_real_recorder_in_the_reader_s_graph_hears_what_the_robot_said() {
     for (name, how) in ways {
         let recorded = &path(&format!("{name}.bag"));
         let recorder = reader.record(recorded, &TOPICS);
-        let arguments = [&["--json", "shared", "play", "--to", &reader.uri()], how].concat();
+        let uri = reader.uri();
+        let arguments = [&["--json", "shared", "play", "--to", &uri], how].concat();
         let played = plant.bob.spawn(&arguments).wait(120).expect_code(0).document();
         let figures = ["published", "refused", "missing", "dropped"].map(|figure| count(&played, figure));
         assert_eq!(figures, [list_bag(&bag).len() as u64, 0, 0, 0], "{played}");

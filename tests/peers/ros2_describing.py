@@ -149,13 +149,14 @@ def main():
     how = sys.argv[1]
     participant = DomainParticipant(0)
     reliable, volatile = Policy.Reliability.Reliable(duration(seconds=10)), Policy.Durability.Volatile
+    # As an rmw: what names nodes is there before any of them.
+    kept = Qos(reliable, Policy.Durability.TransientLocal, Policy.History.KeepLast(1))
+    graph = DataWriter(participant, Topic(participant, "ros_discovery_info", ParticipantEntitiesInfo, qos=kept), qos=kept)
     service = Qos(reliable, volatile, Policy.History.KeepLast(10))
     requests = DataReader(participant, Topic(participant, "rq/hand/get_type_descriptionRequest", Request), qos=service)
     answers = DataWriter(participant, Topic(participant, "rr/hand/get_type_descriptionReply", Response), qos=service)
     announced = Qos(reliable, volatile, Policy.History.KeepLast(100), Policy.Userdata(f"typehash={HASH};".encode()))
     grips = DataWriter(participant, Topic(participant, "rt/grip", Grip), qos=announced)
-    kept = Qos(reliable, Policy.Durability.TransientLocal, Policy.History.KeepLast(1))
-    graph = DataWriter(participant, Topic(participant, "ros_discovery_info", ParticipantEntitiesInfo, qos=kept), qos=kept)
     gid = lambda entity: Gid(list(entity.guid.bytes))
     node = NodeEntitiesInfo("/", "hand", [gid(requests)], [gid(answers), gid(grips)])
     graph.write(ParticipantEntitiesInfo(gid(participant), [node]))

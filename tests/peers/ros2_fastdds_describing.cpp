@@ -109,6 +109,11 @@ int main() {
     };
     fast::DataWriterQos writes = fast::DATAWRITER_QOS_DEFAULT;
     writes.reliability().kind = fast::RELIABLE_RELIABILITY_QOS;
+    // As rmw_fastrtps: what names nodes is there before any of them.
+    writes.durability().kind = fast::TRANSIENT_LOCAL_DURABILITY_QOS;
+    writes.history().depth = 1;
+    auto *nodes = publisher->create_datawriter(
+        topic("ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"), writes);
     writes.history().depth = 10;
     fast::DataReaderQos reads = fast::DATAREADER_QOS_DEFAULT;
     reads.reliability().kind = fast::RELIABLE_RELIABILITY_QOS;
@@ -121,10 +126,6 @@ int main() {
     const std::string user_data = std::string("typehash=") + HASH + ";";
     announced.user_data().assign(user_data.begin(), user_data.end());
     auto *grips = publisher->create_datawriter(topic("rt/grip", "rig_msgs::msg::dds_::Grip_"), announced);
-    writes.durability().kind = fast::TRANSIENT_LOCAL_DURABILITY_QOS;
-    writes.history().depth = 1;
-    auto *nodes = publisher->create_datawriter(
-        topic("ros_discovery_info", "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"), writes);
     if (requests == nullptr || answers == nullptr || grips == nullptr || nodes == nullptr) return 1;
     Bytes about = graph(participant->guid(), requests->guid(), answers->guid(), grips->guid());
     nodes->write(&about);

@@ -1,7 +1,7 @@
 //! Definitions of types that are not built in, requested from the nodes that publish them (`~/get_type_description`). A text
 //! is accepted only if its hash is the one that the publisher announced.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use crate::model::clean;
@@ -10,13 +10,13 @@ use crate::ros::message::{Folders, type_hash};
 
 /// The most types that are asked for.
 const MOST_TYPES: usize = 4096;
-/// The most nodes that are asked for one type.
-const MOST_NODES: usize = 8;
+/// The most publishers whose nodes are asked for one type.
+const MOST_ASKED: usize = 16;
 
 /// What is known of a type.
 enum Description {
-    /// These nodes were asked.
-    Asked(BTreeSet<String>),
+    /// The nodes that were asked, by the publisher for which that was: a node that was started anew is asked again.
+    Asked(BTreeMap<String, String>),
     /// The text, with all the types it consists of.
     Known(Arc<str>),
     /// It is built into this program.
@@ -45,11 +45,11 @@ impl Descriptions {
         }
         let first = || match is_built_in(&type_name, &hash) {
             true => Description::BuiltIn,
-            false => Description::Asked(BTreeSet::new()),
+            false => Description::Asked(BTreeMap::new()),
         };
         let known = self.0.entry((type_name.clone(), hash.clone())).or_insert_with(first);
-        let Description::Asked(nodes) = known else { return None };
-        let is_new = nodes.len() < MOST_NODES && nodes.insert(node.clone());
+        let Description::Asked(asked) = known else { return None };
+        let is_new = asked.len() < MOST_ASKED && asked.insert(writer.id.clone(), node.clone()).is_none();
         is_new.then_some(Wish::Describe { node, type_name, type_hash: hash })
     }
 
@@ -66,8 +66,8 @@ impl Descriptions {
     /// # Errors
     /// What is wrong with the text, in words.
     pub fn take(&mut self, node: &str, (type_name, hash): (String, String), text: Vec<u8>) -> Result<bool, String> {
-        let Some(Description::Asked(nodes)) = self.0.get(&(type_name.clone(), hash.clone())) else { return Ok(false) };
-        if !nodes.contains(node) {
+        let Some(Description::Asked(asked)) = self.0.get(&(type_name.clone(), hash.clone())) else { return Ok(false) };
+        if !asked.values().any(|known| known == node) {
             return Ok(false);
         }
         let text = String::from_utf8(text).map_err(|_| "the definition it gave is no text".to_owned())?;
@@ -102,7 +102,7 @@ mod tests {
 
     fn writer(node: &str, type_name: &str, hash: Option<&str>) -> Writer {
         Writer {
-            id: "0110".into(),
+            id: format!("0110 of {node}"),
             topic: "/grip".into(),
             type_name: type_name.into(),
             type_hash: hash.map(str::to_owned),

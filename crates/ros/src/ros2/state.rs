@@ -359,8 +359,7 @@ mod tests {
             (writer.type_name, writer.type_hash) = ("rig_msgs/msg/Grip".into(), Some(HASH.into()));
         }
         let (mut state, now) = (State::new(0), Instant::now());
-        let mut take =
-            |state: &mut State, told, payload: &[u8]| state.take(told, payload.to_vec(), now).expect("taken");
+        let take = |state: &mut State, told, payload: &[u8]| state.take(told, payload.to_vec(), now).expect("taken");
         take(&mut state, hello(), &[]);
         assert!(take(&mut state, grip.clone(), &[]).wishes.is_empty(), "nobody wants its messages");
         let mut outcome = Outcome::default();
