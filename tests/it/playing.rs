@@ -43,13 +43,13 @@ struct Plant {
     bob_address: String,
 }
 
-fn plant(robot: &Roscore) -> Plant {
+fn plant(robot: &Roscore, topics: &[&str]) -> Plant {
     let home = Home::new();
     let site = home.authros().with(&["--ros-master", &robot.uri()]).serve(&home);
     let (alice, bob) = (home.profile("alice"), home.profile("bob"));
     alice.enrol();
     let bob_address = bob.enrol();
-    for topic in TOPICS {
+    for topic in topics {
         alice.json(&["topics", "watch", topic]);
     }
     Plant { home, _site: site, alice, bob, bob_address }
@@ -74,7 +74,7 @@ fn is_played(graph: &Roscore, topic: &str) -> Option<()> {
 fn a_real_recorder_in_the_reader_s_graph_hears_what_the_robot_said() {
     let _alone = heavy();
     let (Some(robot), Some(reader)) = (Roscore::start(), Roscore::start()) else { skipped!(NO_ROS) };
-    let plant = plant(&robot);
+    let plant = plant(&robot, &TOPICS);
     let path = |name: &str| plant.home.root().join(name);
     let bag = path("drive.bag");
     make_bag(&["latched", bag.to_str().expect("UTF-8")]);
@@ -102,10 +102,32 @@ fn a_real_recorder_in_the_reader_s_graph_hears_what_the_robot_said() {
 }
 
 #[test]
+fn pictures_of_a_megabyte_arrive_at_ten_a_second() {
+    let _alone = heavy();
+    let (Some(robot), Some(reader)) = (Roscore::start(), Roscore::start()) else { skipped!(NO_ROS) };
+    let plant = plant(&robot, &["/camera"]);
+    let path = |name: &str| plant.home.root().join(name);
+    let (bag, recorded) = (path("camera.bag"), path("played.bag"));
+    let number = if long() { "100" } else { "15" };
+    make_bag(&["pictures", bag.to_str().expect("UTF-8"), number]);
+    drive(&robot, &plant, &bag, 1);
+    plant.alice.json(&["grant", &plant.bob_address]);
+    let recorder = reader.record(&recorded, &["/camera"]);
+    let arguments = ["--json", "shared", "play", "--to", &reader.uri(), "--as-captured"].map(str::to_owned);
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let played = plant.bob.spawn(&arguments).wait(120).expect_code(0).document();
+    assert_eq!(count(&played, "published").to_string(), number, "{played}");
+    recorder.stop("INT", 60);
+    let (heard, said) = (messages(&recorded, "/camera"), messages(&bag, "/camera"));
+    assert_eq!(heard.len().to_string(), number);
+    assert!(heard == said, "the same bytes in the same order");
+}
+
+#[test]
 fn what_is_played_live_ends_with_the_grant_and_late_subscribers_get_what_was_latched() {
     let _alone = heavy();
     let (Some(robot), Some(reader)) = (Roscore::start(), Roscore::start()) else { skipped!(NO_ROS) };
-    let plant = plant(&robot);
+    let plant = plant(&robot, &TOPICS);
     let path = |name: &str| plant.home.root().join(name);
     let bag = path("drive.bag");
     make_bag(&["latched", bag.to_str().expect("UTF-8")]);

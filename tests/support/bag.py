@@ -87,6 +87,18 @@ def latched():
             yield "/words", String(data="number %d %s" % (number, "x" * (number * 371 % 50000))), time, "/talker"
 
 
+def pictures(count):
+    """A camera's ten pictures a second, of a megabyte each, which nothing compresses."""
+    from sensor_msgs.msg import CompressedImage
+
+    chance = random.Random(1000)
+    for number in range(count):
+        time = genpy.Time(1700000000 + number // 10, (number % 10) * 100000000)
+        picture = CompressedImage(format="jpeg", data=chance.randbytes(1000000))
+        picture.header.seq, picture.header.stamp, picture.header.frame_id = number, time, "camera"
+        yield "/camera", picture, time, "/camera_driver"
+
+
 def named():
     """Names as rosbag takes them: absolute, relative, and with characters that no graph name has."""
     from std_msgs.msg import String
@@ -151,4 +163,4 @@ def hear(count, *topics):
 
 
 {"write": write, "robot": lambda path: record(path, "bz2", robot()), "simulated": lambda path, count, seed: record(path, "none", simulated(int(count), int(seed))),
- "latched": lambda path: record(path, "none", latched()), "named": lambda path: record(path, "lz4", named()), "list": listed, "hear": hear}[sys.argv[1]](*sys.argv[2:])
+ "latched": lambda path: record(path, "none", latched()), "pictures": lambda path, count: record(path, "none", pictures(int(count))), "named": lambda path: record(path, "lz4", named()), "list": listed, "hear": hear}[sys.argv[1]](*sys.argv[2:])
