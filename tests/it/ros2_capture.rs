@@ -214,6 +214,26 @@ fn a_stopped_reader_is_replaced_and_what_it_missed_is_known() {
     });
 }
 
+/// A participant that goes without a word is kept by others for a minute; one that leaves is gone at once.
+#[test]
+fn on_every_way_out_the_reader_leaves_the_domain() {
+    let network = match network() {
+        Ok(network) => network,
+        Err(reason) => skipped!(reason),
+    };
+    for signal in ["TERM", "KILL"] {
+        let home = Home::new();
+        let (site, alice) = begin(&network, &home, &[]);
+        alice.json(&["topics", "watch", "/left"]);
+        let mut talker = Talker::start(&network, &["/left", "string", "1", "1", "60"]);
+        talker.sent(60);
+        talker.is_heard_by(1, 20);
+        // Killed, it can end nothing: the end of the pipe tells the program that reads.
+        site.stop(signal, 20);
+        talker.is_heard_by(0, 10);
+    }
+}
+
 #[test]
 fn malformed_datagrams_do_no_harm() {
     let _alone = heavy();

@@ -113,7 +113,13 @@ def main():
     seconds = round(time.monotonic() - begin, 3)
     print(json.dumps({"sent": count * len(writers), "seconds": seconds, "sha256": digest.hexdigest()}), flush=True)
     # As long as it runs, its last messages are repeated to subscribers that missed them.
-    time.sleep(3600)
+    known = None
+    while True:
+        present = sum(len(writer.get_matched_subscriptions()) for writer in writers)
+        if present != known:
+            known = present
+            print(json.dumps({"readers": present}), flush=True)
+        time.sleep(0.05)
 
 
 if __name__ == "__main__":

@@ -180,6 +180,17 @@ impl Talker {
         serde_json::from_str(line).expect("JSON")
     }
 
+    /// Waits until it has so many subscribers; it must have published everything.
+    pub fn is_heard_by(&self, subscribers: u64, seconds: u64) {
+        let last = || {
+            let said = self.0.stdout();
+            let lines = said.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+            lines.filter_map(|line| line["readers"].as_u64()).last()
+        };
+        poll(seconds, || (last() == Some(subscribers)).then_some(()))
+            .unwrap_or_else(|| panic!("{subscribers} subscribers: {:?}", last()));
+    }
+
     /// Kills it, so that it vanishes without a word.
     pub fn kill(&mut self) {
         self.0.signal("KILL");
