@@ -4,9 +4,9 @@ usage: ros2_publisher.py TOPIC KIND COUNT HERTZ BYTES [best_effort] [latched] [h
                          [topicsN]
 
 KIND `string`: text of BYTES characters that begins with its number; `image`: a picture of BYTES bytes. Waits for a
-subscriber, or N of them, unless the topic is latched, publishes, prints one line of JSON about what it did, and stays
-until is ended. With `small_ends` the first and the last picture have 100 bytes. With `topicsN` every message is published on each
-of N topics, `TOPIC1` to `TOPICN`, every second of them best effort.
+subscriber, or N of them, unless the topic is latched, publishes, prints one line of JSON about what it did and one whenever
+the number of its subscribers changes, and stays until it is ended. With `small_ends` the first and the last picture have 100
+bytes. With `topicsN` every message is published on each of N topics, `TOPIC1` to `TOPICN`, every second of them best effort.
 """
 
 import hashlib
