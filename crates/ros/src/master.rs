@@ -1,7 +1,11 @@
 //! The embedded ROS master, for when no other is given: on a free port of loopback, in its own thread, ended on drop.
 //! Queries to a master are in `graph` and `capture`.
+//!
+//! The library's master gives its own address and process id in a form that no other does. So nodes speak with a front,
+//! which answers these two itself and hands on the text of every other call.
 
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
+use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -9,7 +13,7 @@ use tokio::sync::oneshot;
 
 use super::RosError;
 use super::address::Endpoint;
-use super::xmlrpc::{Value, call};
+use super::xmlrpc::{Answer, Server, Value, call, forward};
 
 /// The usual port of a master: reserved for a real roscore.
 const USUAL_PORT: u16 = 11311;
@@ -17,12 +21,16 @@ const USUAL_PORT: u16 = 11311;
 /// How often another port is tried.
 const ATTEMPTS: usize = 8;
 
-/// How long one attempt may take.
+/// How long one attempt may take, and one call that is handed on.
 const PATIENCE: Duration = Duration::from_secs(3);
+
+/// The most calls answered at once: all nodes of a graph ask it.
+const MOST_CALLS: usize = 512;
 
 /// A running master.
 pub struct EmbeddedMaster {
     uri: String,
+    front: Option<Server>,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -67,19 +75,26 @@ impl EmbeddedMaster {
         };
         let thread =
             std::thread::Builder::new().name("ros-master".into()).spawn(serve).map_err(|error| error.to_string())?;
-        let master = Self { uri: format!("http://127.0.0.1:{port}/"), stop: Some(stop), thread: Some(thread) };
-        master.wait().map(|()| master)
+        let uri = format!("http://127.0.0.1:{port}/");
+        let mut master = Self { uri, front: None, stop: Some(stop), thread: Some(thread) };
+        let inside = master.wait()?;
+        let (port, listener) = listener()?;
+        master.uri = format!("http://127.0.0.1:{port}/");
+        let front = Front { uri: master.uri.clone(), inside };
+        let server = Server::start(listener, Arc::new(front), MOST_CALLS).map_err(|error| error.to_string())?;
+        master.front = Some(server);
+        Ok(master)
     }
 
-    /// Waits until this very process answers at the port.
-    fn wait(&self) -> Result<(), String> {
+    /// Waits until this very process answers at the port; returns where.
+    fn wait(&self) -> Result<Endpoint, String> {
         let endpoint = Endpoint::parse(&self.uri).ok_or("its address is malformed")?;
         let deadline = Instant::now() + PATIENCE;
         let ours = i64::from(std::process::id());
         let mut reason = String::from("it did not answer in time");
         while Instant::now() < deadline && self.thread.as_ref().is_some_and(|thread| !thread.is_finished()) {
             match call(&endpoint, "getPid", &["/authros".into()], deadline) {
-                Ok(pid) if process_id(&pid) == Some(ours) => return Ok(()),
+                Ok(pid) if process_id(&pid) == Some(ours) => return Ok(endpoint),
                 Ok(_) => return Err(String::from("another program took its port")),
                 Err(error) => reason = error.to_string(),
             }
@@ -89,8 +104,37 @@ impl EmbeddedMaster {
     }
 }
 
+/// What nodes speak with.
+struct Front {
+    uri: String,
+    inside: Endpoint,
+}
+
+impl Answer for Front {
+    fn answer(&self, method: &str, _params: &[Value]) -> Option<Value> {
+        let own = match method {
+            "getUri" => self.uri.as_str().into(),
+            "getPid" => Value::Int(i64::from(std::process::id())),
+            _ => {
+                return Some(Value::Array(vec![
+                    Value::Int(-1),
+                    "the master did not answer in time".into(),
+                    Value::Int(0),
+                ]));
+            }
+        };
+        Some(Value::Array(vec![Value::Int(1), "".into(), own]))
+    }
+
+    fn handed_on(&self, method: &str, call: &str) -> Option<String> {
+        let is_own = matches!(method, "getUri" | "getPid");
+        (!is_own).then(|| forward(&self.inside, call, Instant::now() + PATIENCE).ok()).flatten()
+    }
+}
+
 impl Drop for EmbeddedMaster {
     fn drop(&mut self) {
+        self.front.take();
         if let Some(stop) = self.stop.take() {
             // It may have ended by itself.
             let _ = stop.send(());
@@ -107,9 +151,14 @@ fn process_id(answer: &Value) -> Option<i64> {
 }
 
 fn free_port() -> Result<u16, String> {
+    listener().map(|(port, _)| port)
+}
+
+/// A listener on a free port, and the port.
+fn listener() -> Result<(u16, TcpListener), String> {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).map_err(|error| error.to_string())?;
     let port = listener.local_addr().map_err(|error| error.to_string())?.port();
-    if port == USUAL_PORT { Err(String::from("the default port is left free")) } else { Ok(port) }
+    if port == USUAL_PORT { Err(String::from("the default port is left free")) } else { Ok((port, listener)) }
 }
 
 #[cfg(test)]
@@ -126,6 +175,17 @@ mod tests {
         let graph = Graph::new(first.uri(), "/test").expect("uri");
         graph.ping().expect("answers");
         assert_eq!(graph.topics().expect("empty"), Vec::new());
+        let ask = |method: &str, params: &[Value]| {
+            let endpoint = Endpoint::parse(first.uri()).expect("an address");
+            call(&endpoint, method, params, Instant::now() + PATIENCE)
+        };
+        assert_eq!(ask("getUri", &["/test".into()]), Ok(first.uri().into()), "as every master says it");
+        assert_eq!(ask("getPid", &["/test".into()]), Ok(Value::Int(i64::from(std::process::id()))));
+        assert!(
+            ask("lookupNode", &["/test".into(), "/nobody".into()])
+                .is_err_and(|error| error.to_string().contains("nobody"))
+        );
+        assert!(ask("noSuchMethod", &[]).is_err());
         drop(first);
         assert!(matches!(graph.ping(), Err(RosError::Unreachable { .. })));
     }

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use super::RosError;
 use super::address::{authority, listen_address};
-use super::xmlrpc::{Answer, Server, Value};
+use super::xmlrpc::{Answer, OF_A_NODE, Server, Value};
 use crate::model::clean;
 
 /// One connection of a node, as `getBusInfo` reports it.
@@ -46,7 +46,7 @@ impl SlaveServer {
     pub fn start(host: &str, node: Arc<dyn Node>) -> Result<Self, RosError> {
         let listener = listen(host)?;
         let port = listener.local_addr().map_err(|error| RosError::system("listen", &error))?.port();
-        let server = Server::start(listener, Arc::new(Slave(node)))
+        let server = Server::start(listener, Arc::new(Slave(node)), OF_A_NODE)
             .map_err(|error| RosError::system("start a thread", &error))?;
         Ok(Self { uri: format!("http://{}/", authority(host, port)), _server: server })
     }

@@ -35,18 +35,24 @@ pub(crate) enum CallError {
 
 /// Calls `method` and unwraps ROS's response, `[code, status, value]`.
 pub(crate) fn call(peer: &Endpoint, method: &str, params: &[Value], deadline: Instant) -> Result<Value, CallError> {
-    let by = deadline.min(Instant::now() + CONNECT);
-    let stream = connect(&peer.host, peer.port, by).map_err(|error| CallError::Connect(error.to_string()))?;
-    let response = exchange(&stream, peer, &write_call(method, params), deadline);
-    // The peer may have closed first.
-    let _ = stream.shutdown(Shutdown::Both);
-    match response? {
+    let response = forward(peer, &write_call(method, params), deadline)?;
+    match parse_response(&response).map_err(|error| CallError::Protocol(error.to_string()))? {
         Response::Value(value) => unwrap_answer(value),
         Response::Fault(words) => Err(CallError::Refused(clean(&words, 200))),
     }
 }
 
-fn exchange(stream: &TcpStream, peer: &Endpoint, body: &str, deadline: Instant) -> Result<Response, CallError> {
+/// Hands on the text of a call; returns the text of the response, unread.
+pub(crate) fn forward(peer: &Endpoint, body: &str, deadline: Instant) -> Result<String, CallError> {
+    let by = deadline.min(Instant::now() + CONNECT);
+    let stream = connect(&peer.host, peer.port, by).map_err(|error| CallError::Connect(error.to_string()))?;
+    let response = exchange(&stream, peer, body, deadline);
+    // The peer may have closed first.
+    let _ = stream.shutdown(Shutdown::Both);
+    response
+}
+
+fn exchange(stream: &TcpStream, peer: &Endpoint, body: &str, deadline: Instant) -> Result<String, CallError> {
     let broken = |error: std::io::Error| match error.kind() {
         std::io::ErrorKind::InvalidData => CallError::Protocol(error.to_string()),
         _ => CallError::Broken(error.to_string()),
@@ -64,7 +70,7 @@ fn exchange(stream: &TcpStream, peer: &Endpoint, body: &str, deadline: Instant) 
     if status.split_whitespace().nth(1) != Some("200") {
         return Err(CallError::Protocol(format!("it answered '{}'", clean(&status, 60))));
     }
-    parse_response(&String::from_utf8_lossy(&body)).map_err(|error| CallError::Protocol(error.to_string()))
+    Ok(String::from_utf8_lossy(&body).into_owned())
 }
 
 fn unwrap_answer(value: Value) -> Result<Value, CallError> {

@@ -7,6 +7,6 @@ mod parse;
 mod server;
 mod value;
 
-pub(super) use client::{CallError, call};
-pub(super) use server::{Answer, Server};
+pub(super) use client::{CallError, call, forward};
+pub(super) use server::{Answer, OF_A_NODE, Server};
 pub(super) use value::Value;

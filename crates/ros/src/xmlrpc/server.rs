@@ -1,4 +1,4 @@
-//! An XML-RPC server for a node's slave API: one request per connection, a cap on connections and on every size, a
+//! An XML-RPC server for a node's slave API and the embedded master's: one request per connection, a cap on connections and on every size, a
 //! deadline on each. It stops on drop.
 
 use std::io::Write as _;
@@ -15,8 +15,8 @@ use super::value::{Value, write_fault, write_response};
 /// The longest request body, bytes.
 const LONGEST_REQUEST: usize = 1 << 20;
 
-/// The most connections served at once; further ones are closed immediately.
-const MOST_CONNECTIONS: usize = 32;
+/// The most connections that a node serves at once; further ones are closed immediately.
+pub(crate) const OF_A_NODE: usize = 32;
 
 /// The longest a connection may take.
 const LONGEST_CONNECTION: Duration = Duration::from_secs(5);
@@ -25,6 +25,11 @@ const LONGEST_CONNECTION: Duration = Duration::from_secs(5);
 pub(crate) trait Answer: Send + Sync + 'static {
     /// The answer to a call; `None` if there is no such method. Must not block.
     fn answer(&self, method: &str, params: &[Value]) -> Option<Value>;
+
+    /// Somebody else's whole response to a whole call, both as text; `None` if [`Self::answer`] is to answer.
+    fn handed_on(&self, _method: &str, _call: &str) -> Option<String> {
+        None
+    }
 }
 
 /// A running server.
@@ -35,14 +40,14 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    /// Serves `listener` in its own thread.
-    pub fn start(listener: TcpListener, answer: Arc<dyn Answer>) -> std::io::Result<Self> {
+    /// Serves `listener` in its own thread, so many connections at once.
+    pub fn start(listener: TcpListener, answer: Arc<dyn Answer>, most: usize) -> std::io::Result<Self> {
         let address = listener.local_addr()?;
         let stopping = Arc::new(AtomicBool::new(false));
         let seen = Arc::clone(&stopping);
         let thread = std::thread::Builder::new()
             .name("ros-slave".into())
-            .spawn(move || accept_all(&listener, &seen, &answer))?;
+            .spawn(move || accept_all(&listener, &seen, &answer, most))?;
         Ok(Self { address, stopping, thread: Some(thread) })
     }
 }
@@ -58,7 +63,7 @@ impl Drop for Server {
     }
 }
 
-fn accept_all(listener: &TcpListener, stopping: &AtomicBool, answer: &Arc<dyn Answer>) {
+fn accept_all(listener: &TcpListener, stopping: &AtomicBool, answer: &Arc<dyn Answer>, most: usize) {
     let open = Arc::new(AtomicUsize::new(0));
     while !stopping.load(Ordering::SeqCst) {
         let Ok((stream, _)) = listener.accept() else {
@@ -66,7 +71,7 @@ fn accept_all(listener: &TcpListener, stopping: &AtomicBool, answer: &Arc<dyn An
             std::thread::sleep(Duration::from_millis(20));
             continue;
         };
-        if stopping.load(Ordering::SeqCst) || open.load(Ordering::SeqCst) >= MOST_CONNECTIONS {
+        if stopping.load(Ordering::SeqCst) || open.load(Ordering::SeqCst) >= most {
             continue;
         }
         let place = Place::take(&open);
@@ -118,10 +123,12 @@ fn serve(stream: &TcpStream, answer: &dyn Answer) -> std::io::Result<()> {
 
 fn respond(text: &str, answer: &dyn Answer) -> String {
     match parse_call(text) {
-        Ok((method, params)) => match answer.answer(&method, &params) {
-            Some(value) => write_response(&value),
-            None => write_fault(-32601, "there is no such method"),
-        },
+        Ok((method, params)) => {
+            answer.handed_on(&method, text).unwrap_or_else(|| match answer.answer(&method, &params) {
+                Some(value) => write_response(&value),
+                None => write_fault(-32601, "there is no such method"),
+            })
+        }
         Err(error) => write_fault(-32700, &error.to_string()),
     }
 }
@@ -152,7 +159,7 @@ mod tests {
     fn serve_echo() -> (Server, Endpoint) {
         let listener = TcpListener::bind("127.0.0.1:0").expect("bind");
         let uri = format!("http://{}/", listener.local_addr().expect("address"));
-        (Server::start(listener, Arc::new(Echo)).expect("start"), Endpoint::parse(&uri).expect("uri"))
+        (Server::start(listener, Arc::new(Echo), OF_A_NODE).expect("start"), Endpoint::parse(&uri).expect("uri"))
     }
 
     #[test]
