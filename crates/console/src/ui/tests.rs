@@ -10,7 +10,7 @@ use super::{Theme, draw};
 use crate::app::tests::{Robot, fixtures};
 use crate::app::{Action, Key, Screen, Settings, State, Tag};
 use crate::model::ErrorKind;
-use crate::service::reply::{HealthLevel, LifeLine, SiteView};
+use crate::service::reply::{HealthLevel, LifeLine, PartHealth, SiteView};
 use crate::service::{Event, NoticeLevel, Part, Reply};
 
 const SIZES: [(u16, u16); 3] = [(80, 24), (120, 40), (60, 18)];
@@ -267,6 +267,19 @@ fn in_trouble() -> Robot {
     let notice = Event::Notice { at: fixtures::NOW, level: NoticeLevel::Error, text: text.to_owned(), about: None };
     robot.act(Action::Told(notice));
     robot
+}
+
+#[test]
+fn kept_proofs_are_in_the_first_line_when_they_are_not_well() {
+    for (level, is_told) in [(HealthLevel::Ok, false), (HealthLevel::Waiting, true)] {
+        let (mut robot, mut site) = (at(Screen::Topics, SIZES[0]), fixtures::site());
+        let proofs =
+            PartHealth { part: "proofs".to_owned(), level, text: "none kept yet".to_owned(), ..site.health[0].clone() };
+        site.health.push(proofs);
+        robot.is_answered(&Tag::Feed(crate::app::feed::Feed::Site, 0), Ok(Reply::Site(site)));
+        let text = shown(&robot.state, &night());
+        assert_eq!(text.lines().next().is_some_and(|line| line.contains("proofs")), is_told, "{text}");
+    }
 }
 
 #[test]
