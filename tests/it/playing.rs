@@ -7,8 +7,8 @@ use std::path::Path;
 
 use serde_json::Value;
 use support::{
-    Authros, Console, Home, Redis, Roscore, Running, Terminal, count, heavy, is_verified, list, list_bag, make_bag,
-    skipped, text, two_profiles, wait_until,
+    Authros, Console, Home, Redis, Roscore, Running, Terminal, count, heavy, is_verified, list, list_bag, long,
+    make_bag, skipped, text, two_profiles, wait_until,
 };
 
 const NO_ROS: &str = "no roscore, rosbag and rostopic in /usr/bin";

@@ -185,7 +185,7 @@ impl Talker {
         let last = || {
             let said = self.0.stdout();
             let lines = said.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
-            lines.filter_map(|line| line["readers"].as_u64()).last()
+            lines.filter_map(|line| line["readers"].as_u64()).next_back()
         };
         poll(seconds, || (last() == Some(subscribers)).then_some(()))
             .unwrap_or_else(|| panic!("{subscribers} subscribers: {:?}", last()));
