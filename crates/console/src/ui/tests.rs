@@ -276,6 +276,7 @@ fn kept_proofs_are_in_the_first_line_when_they_are_not_well() {
         let proofs =
             PartHealth { part: "proofs".to_owned(), level, text: "none kept yet".to_owned(), ..site.health[0].clone() };
         site.health.push(proofs);
+        robot.hears_of(Part::Health);
         robot.is_answered(&Tag::Feed(crate::app::feed::Feed::Site, 0), Ok(Reply::Site(site)));
         let text = shown(&robot.state, &night());
         assert_eq!(text.lines().next().is_some_and(|line| line.contains("proofs")), is_told, "{text}");
