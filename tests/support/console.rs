@@ -216,12 +216,15 @@ impl Console {
 
     /// Whether the terminal is as it was before.
     pub fn is_restored(&self) -> bool {
-        poll(3, || Some(()).filter(|()| !self.emulator().screen().alternate_screen()));
-        let emulator = self.emulator();
-        let screen = emulator.screen();
-        let mouse = screen.mouse_protocol_mode() != vt100::MouseProtocolMode::None;
-        let held = screen.alternate_screen() || screen.hide_cursor() || screen.bracketed_paste() || mouse;
-        !held && modes(self.pair.master.as_ref()) == self.modes_before
+        // The last bytes may still be on their way.
+        let is_free = || {
+            let emulator = self.emulator();
+            let screen = emulator.screen();
+            let mouse = screen.mouse_protocol_mode() != vt100::MouseProtocolMode::None;
+            let held = screen.alternate_screen() || screen.hide_cursor() || screen.bracketed_paste() || mouse;
+            (!held && modes(self.pair.master.as_ref()) == self.modes_before).then_some(())
+        };
+        poll(3, is_free).is_some()
     }
 
     fn emulator(&self) -> MutexGuard<'_, Parser> {

@@ -29,6 +29,7 @@ use std::fs::File;
 use std::io::Write;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 pub use anvil::Anvil;
@@ -106,10 +107,22 @@ pub fn system_program(name: &str) -> Option<PathBuf> {
         .find(|path| path.is_file())
 }
 
+/// Ports that the system hands to nobody by itself: one of those could be taken, even by an outgoing connection, before the
+/// program under test listens on it.
+const PORTS: std::ops::Range<u64> = 18_000..32_000;
+
 /// A loopback port nobody listens on.
 pub fn free_port() -> u16 {
-    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
-    listener.local_addr().expect("its address").port()
+    static NEXT: AtomicU64 = AtomicU64::new(0);
+    let length = PORTS.end - PORTS.start;
+    // Every test is a process of its own, and several run at once: each begins somewhere else.
+    let begin = u64::from(std::process::id()).wrapping_mul(7919);
+    let free = (0..length).find_map(|_| {
+        let step = NEXT.fetch_add(1, Ordering::Relaxed);
+        let port = u16::try_from(PORTS.start + begin.wrapping_add(step) % length).ok()?;
+        TcpListener::bind(("127.0.0.1", port)).is_ok().then_some(port)
+    });
+    free.expect("a free port")
 }
 
 /// Polls until there is an answer, for at most `seconds`: at first often, then less so, because most answers come from a
