@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 
 use super::account::{Account, Sealed, message};
@@ -22,6 +23,9 @@ use authros_service::failure::internal;
 
 /// Length of a message, bytes, as in the paper.
 pub const MESSAGE: usize = 1024;
+/// Gas of the prototype's calls that wait for a block at the same time. A node's pool is bounded, by gas too, and refuses
+/// what is beyond; its uploaders wait instead, and their wait counts.
+const MOST_WAITING: u64 = 500_000_000;
 /// How often the progress line is updated.
 const TICK: Duration = Duration::from_millis(200);
 
@@ -98,8 +102,8 @@ struct Run {
 enum Line {
     Batch([Batcher; 2]),
     Each,
-    /// With the gas that a call may use.
-    Prototype(Arc<Prototype>, u64),
+    /// With the gas that a call may use, and room for calls that wait for a block.
+    Prototype(Arc<Prototype>, u64, Semaphore),
 }
 
 /// Runs all of its uploaders to the end.
@@ -118,7 +122,11 @@ pub async fn run(network: &Arc<Network>, load: &Load) -> Result<Outcome, Failure
     beside.spawn(Arc::clone(&mined).watch(network.chain.clone(), head, network.is_embedded()));
     let (line, roots) = match &load.way {
         Way::Each => (Line::Each, None),
-        Way::Prototype(prototype) => (Line::Prototype(Arc::clone(prototype), gas), None),
+        Way::Prototype(prototype) => {
+            let room = usize::try_from(MOST_WAITING / gas.max(1)).unwrap_or(Semaphore::MAX_PERMITS);
+            let room = Semaphore::new(room.clamp(1, Semaphore::MAX_PERMITS));
+            (Line::Prototype(Arc::clone(prototype), gas, room), None)
+        }
         Way::Batch => {
             let (batchers, roots) = batcher::start(network, &mined, &mut beside).await?;
             (Line::Batch(batchers), Some(roots))
@@ -209,7 +217,8 @@ async fn all(run: &Arc<Run>, uploaders: usize, begun: Instant, progress: &mut Pr
 async fn upload(run: Arc<Run>, place: usize, begun: Instant) -> Result<Done, Failure> {
     let account = &run.network.accounts[place];
     let message = message(run.bytes)?;
-    let (sent, gas) = if let Line::Prototype(prototype, gas) = &run.line {
+    let (sent, gas) = if let Line::Prototype(prototype, gas, room) = &run.line {
+        let _room = room.acquire().await.map_err(|_| internal("the line is closed"))?;
         run.put_on_chain(account, &message, prototype, *gas).await?
     } else {
         let sealed = account.seal(&message)?;
