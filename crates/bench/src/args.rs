@@ -312,6 +312,9 @@ pub struct FleetArguments {
     /// Gateways on one chain; their figures are set beside those of one
     #[arg(long, value_name = "G", default_value_t = 5, value_parser = clap::value_parser!(u16).range(2..=64))]
     pub gateways: u16,
+    /// How many of them keep each record once they reconcile, as in `fleet.copies`; all if not told
+    #[arg(long, value_name = "C", value_parser = clap::value_parser!(u16).range(1..=32))]
+    pub copies: Option<u16>,
     /// Records that all robots together bring in each part, at least one each
     #[arg(long, value_name = "N", default_value_t = 10_000,
           value_parser = clap::value_parser!(u64).range(1..=10_000_000))]

@@ -10,7 +10,7 @@ mod robot;
 mod station;
 mod world;
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
@@ -67,8 +67,8 @@ const NOTES: [&str; 7] = [
 struct Row {
     part: &'static str,
     gateways: usize,
-    /// How many gateways keep each record.
-    copies: usize,
+    /// How many gateways keep each record, on average.
+    copies: f64,
     robots: usize,
     connected: usize,
     /// Acknowledged.
@@ -101,6 +101,8 @@ struct Row {
     anchored_twice: u64,
     /// Whether everything was verified in time.
     settled: bool,
+    /// What gateways said against each other meanwhile, and in how many looks, one a second at each.
+    problems: BTreeMap<String, u64>,
     paper: Option<f64>,
 }
 
@@ -158,17 +160,20 @@ async fn several(
     results.push(many.measure(plan, "apart", 1, None).await?);
     many.world.name_each_other().await?;
     let (held, begun) = (many.acknowledged.len() as u64, Instant::now());
-    if !many.world.settle(held, true, plan.deadline).await? {
+    let copies = arguments.copies.map_or(gateways, |copies| gateways.min(copies.into()));
+    let settled = many.world.settle(held, copies, plan.deadline).await?;
+    many.copies = settled.copies;
+    if !settled.in_time {
         outlet.note("bench fleet: the gateways did not catch up in time; see --seconds");
     }
     let (took, bytes) = (begun.elapsed().as_secs_f64(), many.world.between());
     outlet.note(&format!(
         "bench fleet: each named all others and had their {held} records after {took:.1} s, {bytes} bytes"
     ));
-    results.push(many.measure(plan, "reconciling", gateways, None).await?);
+    results.push(many.measure(plan, "reconciling", copies, None).await?);
     if arguments.failures > 0 {
         let failing = Some((arguments.failures, arguments.seed));
-        results.push(many.measure(plan, "failures", gateways, failing).await?);
+        results.push(many.measure(plan, "failures", copies, failing).await?);
     }
     Ok(())
 }
@@ -206,6 +211,7 @@ fn plan(global: Global<'_>, arguments: &FleetArguments, provider: &'static dyn P
         ("robots", "0".to_owned()),
         // What a site states of itself would be counted as records.
         ("audit.anchor_every", "86400".to_owned()),
+        ("fleet.copies", arguments.copies.map_or_else(|| "all".to_owned(), |copies| copies.to_string())),
     ];
     let crypto = ["crypto.provider", "crypto.sm4_kernel"].map(|name| (name, (global.settings)(name)));
     settings.extend(crypto.into_iter().filter_map(|(name, value)| value.map(|value| (name, value))));
@@ -217,11 +223,13 @@ fn plan(global: Global<'_>, arguments: &FleetArguments, provider: &'static dyn P
 struct Part {
     world: World,
     acknowledged: HashSet<Digest>,
+    /// How many copies there are of these.
+    copies: u64,
 }
 
 impl Part {
     fn new(world: World) -> Self {
-        Self { world, acknowledged: HashSet::new() }
+        Self { world, acknowledged: HashSet::new(), copies: 0 }
     }
 
     /// All robots bring their next records; `failing` = how often gateways are stopped meanwhile, and the seed of that.
@@ -248,11 +256,13 @@ impl Part {
         let brought = brought?;
         let before = self.acknowledged.len();
         self.acknowledged.extend(brought.acknowledged.iter().copied());
-        let (all, everywhere) = (self.acknowledged.len(), copies > 1);
-        let settled = self.world.settle(all as u64, everywhere, plan.deadline).await?;
+        let all = self.acknowledged.len();
+        let settled = self.world.settle(all as u64, copies, plan.deadline).await?;
+        let copied = settled.copies.saturating_sub(self.copies);
+        self.copies = settled.copies;
         let (seconds, processor) = (begun.elapsed().as_secs_f64(), processor_seconds() - processor);
         let between = self.world.between() - bytes;
-        let found = reckon(&self.world, &self.acknowledged, everywhere).await?;
+        let found = reckon(&self.world, &self.acknowledged, copies).await?;
         let twice = self.world.anchored_twice().await?;
         let records = (all - before) as u64;
         let measured = Measured {
@@ -263,7 +273,7 @@ impl Part {
         };
         let each = |sum: f64| sum / number(records.max(1));
         let failures = failing.map_or(0, |(times, _)| times);
-        let (processor, between) = (each(processor * 1e6), each(float(between)));
+        let (processor, between, copies) = (each(processor * 1e6), each(float(between)), each(float(copied)));
         let Reckoning { lost, lacking, doubled } = found;
         let Brought { failovers, left, why, .. } = brought;
         let spread = Spread::of(&failovers);
@@ -278,7 +288,7 @@ impl Part {
             seconds,
             processor,
             ratio: f64::NAN,
-            per_copy: processor / number(copies),
+            per_copy: processor / copies.max(1.0),
             per_copy_ratio: f64::NAN,
             between,
             failures,
@@ -291,7 +301,8 @@ impl Part {
             left,
             why: why.filter(|_| left > 0),
             anchored_twice: twice,
-            settled,
+            settled: settled.in_time,
+            problems: settled.problems,
             paper: None,
         })
     }
@@ -323,12 +334,13 @@ fn compare(results: &mut [Row]) {
 fn text(report: &Report<Row>) -> String {
     let ratio = |value: f64| if value.is_finite() { format!("{value:.2}") } else { "-".to_owned() };
     let seconds = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| format!("{value:.2}"));
-    let head = ["part", "gateways", "records", "s", "us/record", "of one", "us/copy", "of one", "between B"];
+    let head = ["part", "gateways", "records", "copies", "s", "us/record", "of one", "us/copy", "of one", "between B"];
     let cells = |row: &Row| {
         vec![
             row.part.to_owned(),
             row.gateways.to_string(),
             row.records.to_string(),
+            decimal(row.copies),
             decimal(row.seconds),
             decimal(row.processor),
             ratio(row.ratio),
@@ -369,6 +381,9 @@ fn text(report: &Report<Row>) -> String {
     lines
         .extend(bars(&report.results.iter().map(|row| (row.part.to_owned(), row.processor)).collect::<Vec<_>>(), "us"));
     lines.extend(report.results.iter().filter_map(|row| row.why.as_ref().map(|why| format!("{}: {why}", row.part))));
+    for row in &report.results {
+        lines.extend(row.problems.iter().map(|(problem, times)| format!("{}: {times} x {problem}", row.part)));
+    }
     lines.push(format!("\nasked: at several gateways at most {ASKED} times the processor time of one"));
     lines.push(String::new());
     lines.extend(NOTES.map(str::to_owned));

@@ -9,7 +9,7 @@ use async_trait::async_trait;
 use ethers::providers::{Http, Ipc, JsonRpcClient, JsonRpcError, ProviderError, RpcError, Ws};
 use serde::Serialize;
 use serde::de::{DeserializeOwned, Error as _};
-use tokio::sync::Mutex;
+use tokio::sync::{Mutex, Semaphore};
 
 use super::embedded::{Embedded, Fault};
 use super::relay::RelayLine;
@@ -20,6 +20,12 @@ use crate::model::clean;
 const PATIENCE: Duration = Duration::from_secs(5);
 /// How long it may take to collect logs.
 const PATIENCE_FOR_LOGS: Duration = Duration::from_secs(20);
+
+/// The most requests to a node at a time; further ones wait.
+const TOGETHER: usize = 8;
+/// How long a connection is kept that nothing is asked over: shorter than servers keep theirs, so that no request is sent
+/// into one that is just being closed.
+const IDLE: Duration = Duration::from_secs(4);
 
 /// A connection to a chain.
 #[derive(Debug)]
@@ -33,7 +39,8 @@ pub struct Transport {
 #[derive(Debug)]
 enum Line {
     Embedded(Embedded),
-    Http(Http),
+    /// Each request needs a connection to itself, and a node has only so many.
+    Http(Http, Semaphore),
     Ws(Mutex<Option<Ws>>),
     Ipc(PathBuf, Mutex<Option<Ipc>>),
     Relay(RelayLine),
@@ -134,7 +141,11 @@ impl Transport {
                 let value = relay.0.ask(method, parameters).await?;
                 serde_json::from_value(value).map_err(TransportError::Malformed)
             }
-            Line::Http(client) => through(client, method, parameters).await,
+            Line::Http(client, places) => {
+                // It is never closed.
+                let _place = places.acquire().await.map_err(|error| TransportError::Broken(error.to_string()))?;
+                through(client, method, parameters).await
+            }
             Line::Ws(slot) => {
                 let open = Ws::connect_with_reconnects(self.url.as_str(), 0);
                 kept(slot, open, method, parameters).await
@@ -160,7 +171,7 @@ impl Transport {
         match &self.line {
             Line::Ws(slot) => *slot.lock().await = None,
             Line::Ipc(_, slot) => *slot.lock().await = None,
-            Line::Embedded(_) | Line::Http(_) | Line::Relay(_) => {}
+            Line::Embedded(_) | Line::Http(..) | Line::Relay(_) => {}
         }
     }
 }
@@ -168,9 +179,10 @@ impl Transport {
 fn line(url: &str) -> Result<Line, ChainError> {
     let refused = || ChainError::Url(clean(&shown(url), 120));
     if url.starts_with("http://") {
-        let client = reqwest::Client::builder().no_proxy().build().map_err(|_| refused())?;
+        let client = reqwest::Client::builder().no_proxy().pool_max_idle_per_host(TOGETHER).pool_idle_timeout(IDLE);
+        let client = client.build().map_err(|_| refused())?;
         let parsed = reqwest::Url::parse(url).map_err(|_| refused())?;
-        return Ok(Line::Http(Http::new_with_client(parsed, client)));
+        return Ok(Line::Http(Http::new_with_client(parsed, client), Semaphore::new(TOGETHER)));
     }
     if url.starts_with("ws://") {
         reqwest::Url::parse(url).map_err(|_| refused())?;

@@ -367,6 +367,19 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "streams that such an owner may have there; each topic, type and signer of a recorder is one stream",
     },
     Definition {
+        name: "fleet.copies",
+        variable: "AUTHROS_FLEET_COPIES",
+        default: "all",
+        text: "how many gateways of a fleet keep each record, all or 1 to 32; the one that it was brought to keeps it anyway; set \
+               the same at every gateway of the fleet",
+    },
+    Definition {
+        name: "fleet.away_after",
+        variable: "AUTHROS_FLEET_AWAY_AFTER",
+        default: "10m",
+        text: "a gateway of the fleet that told nothing for so long is counted as away: another one keeps what falls to it",
+    },
+    Definition {
         name: "site.address",
         variable: "AUTHROS_SITE",
         default: "",

@@ -32,7 +32,7 @@ pub use self::error::ConfigError;
 pub use self::metrics::{FiguresPlace, MetricsSettings};
 pub use self::published_by::{PublishedBy, PublishedByError};
 pub use self::read::without_password;
-use self::read::{Values, bytes, find, number, parsed, period, read_file, span, switch, url, value, wrong};
+use self::read::{Values, bytes, copies, find, number, parsed, period, read_file, span, switch, url, value, wrong};
 pub use self::robot_policy::{RingWish, RobotPolicy};
 pub use self::site_file::{
     Decisions, Difference, Here, HomeSettings, KnownAccount, MOST_CONTACTS, Settings, SiteFile, Stays,
@@ -137,6 +137,10 @@ pub struct Config {
     pub confirmations: u64,
     /// Who may use this home's gateway.
     pub gateway: GatewayRules,
+    /// How many gateways of the fleet keep each record; `None` = all.
+    pub fleet_copies: Option<u16>,
+    /// After how long without a word a gateway of the fleet counts as away.
+    pub fleet_away_after: Duration,
     /// The gateway of the remote site that this one joins.
     pub site: Option<RemoteSite>,
     /// Rules for topics (`[[topic]]` tables of the file).
@@ -273,6 +277,8 @@ impl Config {
                 names: number(&values, "gateway.quota_names", 1, 10_000)?,
                 streams: number(&values, "gateway.quota_streams", 1, 1_000_000)?,
             },
+            fleet_copies: copies(&values)?,
+            fleet_away_after: period(&values, "fleet.away_after")?,
             site: remote_site(&values)?,
             topic_rules: TopicRules::default(),
             console: ConsoleSettings::read(&values)?,

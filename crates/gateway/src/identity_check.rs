@@ -133,6 +133,11 @@ pub async fn check_records(
 /// # Errors
 /// [`Refusal`] with `Signature`; one bad record refuses all.
 pub fn verify_all(context: Context, uploads: Vec<Upload>, signers: &[PublicKey]) -> Result<Vec<Received>, Refusal> {
+    verify_each(context, uploads, signers).into_iter().collect()
+}
+
+/// The same, each record judged by itself, in their order.
+pub fn verify_each(context: Context, uploads: Vec<Upload>, signers: &[PublicKey]) -> Vec<Result<Received, Refusal>> {
     let mut records = Vec::with_capacity(uploads.len());
     for (upload, signer) in uploads.iter().zip(signers) {
         let Upload { blob, signature, .. } = upload;

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 use std::net::IpAddr;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::robot::{Access, Scene};
 use crate::network::{receipt, settle};
@@ -19,6 +19,9 @@ const PAGE: u16 = 500;
 const OF_ACCOUNT: usize = 18;
 /// How long an answer may take.
 const PATIENCE: Duration = Duration::from_secs(60);
+/// How long a refusal is answered by asking again, and the pause before that.
+const ASKED_AGAIN: Duration = Duration::from_secs(60);
+const PAUSE: Duration = Duration::from_secs(1);
 
 /// An owner.
 pub(super) struct Owner {
@@ -75,11 +78,21 @@ impl Owner {
         Err(Failure::new(ErrorKind::Refused, "the chain refused to lend a robot's key"))
     }
 
-    /// Everything of this owner that a gateway lists.
+    /// Everything of this owner that a gateway lists; one that just began again, or waits for a block, is asked again.
     ///
     /// # Errors
     /// Errors of the gateway.
     pub async fn list(&self, scene: &Scene, place: usize) -> Result<Vec<Entry>, Failure> {
+        let begun = Instant::now();
+        loop {
+            match self.listed(scene, place).await {
+                Err(_) if begun.elapsed() < ASKED_AGAIN => tokio::time::sleep(PAUSE).await,
+                told => return told,
+            }
+        }
+    }
+
+    async fn listed(&self, scene: &Scene, place: usize) -> Result<Vec<Entry>, Failure> {
         let (address, key) = scene.places.get(place).ok_or_else(|| internal("no such gateway"))?;
         let endpoint = Endpoint { address: address.clone(), context: scene.context, patience: PATIENCE };
         let account = self.address.to_string().to_lowercase();

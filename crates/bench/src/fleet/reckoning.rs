@@ -12,29 +12,24 @@ use authros_service::Failure;
 pub(super) struct Reckoning {
     /// Acknowledged, and verified at no gateway.
     pub lost: u64,
-    /// Acknowledged, and not verified at a gateway that should have it: one for each record and gateway.
+    /// Copies that acknowledged records should have and do not.
     pub lacking: u64,
     /// In a list twice: the same record, or another one with its number.
     pub doubled: u64,
 }
 
-/// Lists all records of all owners at all gateways.
+/// Lists all records of all owners at all gateways, so many of which are to have each record.
 ///
 /// # Errors
 /// If a gateway does not answer.
-pub(super) async fn reckon(
-    world: &World,
-    acknowledged: &HashSet<Digest>,
-    everywhere: bool,
-) -> Result<Reckoning, Failure> {
+pub(super) async fn reckon(world: &World, acknowledged: &HashSet<Digest>, copies: usize) -> Result<Reckoning, Failure> {
     let (mut found, mut doubled) = (HashMap::new(), 0);
     for place in 0..world.scene.places.len() {
         for owner in &world.owners {
             doubled += noted(&owner.list(&world.scene, place).await?, &mut found);
         }
     }
-    let copies = if everywhere { world.scene.places.len() as u64 } else { 1 };
-    Ok(judged(acknowledged, &found, copies, doubled))
+    Ok(judged(acknowledged, &found, copies as u64, doubled))
 }
 
 /// Counts the gateways that have each record; returns how many entries of a list are there twice.

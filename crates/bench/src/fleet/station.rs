@@ -164,6 +164,15 @@ impl Station {
         Ok(view.fellows.iter().map(|fellow| fellow.anchored_twice).sum())
     }
 
+    /// Why something does not come from other gateways now.
+    ///
+    /// # Errors
+    /// If it is stopped.
+    pub async fn problems(&self) -> Result<Vec<String>, Failure> {
+        let view = self.client()?.ask(FleetStatus).await?;
+        Ok(view.fellows.into_iter().filter_map(|fellow| fellow.problem).collect())
+    }
+
     /// Stops it: its connections end, its home is closed.
     pub async fn stop(&mut self) {
         if let Some(running) = self.running.take() {

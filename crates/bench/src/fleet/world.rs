@@ -1,6 +1,6 @@
 //! A fleet in one process: a chain, gateways over it, owners, and robots that take turns.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -25,6 +25,8 @@ use authros_service::failure::internal;
 const OF_OWNER: usize = 100;
 /// How often the ledgers are asked whether everything is verified.
 const LOOK: Duration = Duration::from_secs(1);
+/// After so many looks without a further copy there is none to come.
+const QUIET: u32 = 5;
 
 /// What all fleets of a run have in common.
 pub(super) struct Plan {
@@ -42,6 +44,16 @@ pub(super) struct Plan {
     pub provider: &'static dyn Provider,
     /// When the run is to be over.
     pub deadline: Instant,
+}
+
+/// What became of records.
+pub(super) struct Settled {
+    /// Whether all were verified in time.
+    pub in_time: bool,
+    /// How many verified copies there are, of all records so far.
+    pub copies: u64,
+    /// What gateways said against each other meanwhile, and how often it was found.
+    pub problems: BTreeMap<String, u64>,
 }
 
 /// A fleet.
@@ -163,24 +175,33 @@ impl World {
         Ok(together)
     }
 
-    /// Waits until so many records are verified: at all gateways together, or `everywhere`: at each of them. Returns
-    /// whether they were in time.
+    /// Waits until so many records are verified by `copies` gateways each, and nothing is on its way. Where not all keep
+    /// all, it is also waited until no further copies come.
     ///
     /// # Errors
     /// If a ledger cannot be read.
-    pub async fn settle(&self, wanted: u64, everywhere: bool, deadline: Instant) -> Result<bool, Failure> {
+    pub async fn settle(&self, wanted: u64, copies: usize, deadline: Instant) -> Result<Settled, Failure> {
+        let all = self.stations.len();
+        let (mut before, mut quiet, mut problems) = (0, 0, BTreeMap::new());
         loop {
             let (mut sum, mut least, mut pending) = (0, u64::MAX, 0);
             for station in self.stations.iter() {
                 let (verified, waiting) = station.lock().await.verified()?;
                 (sum, least, pending) = (sum + verified, least.min(verified), pending + waiting);
             }
-            let there = if everywhere { least } else { sum };
-            if there >= wanted && pending == 0 {
-                return Ok(true);
+            quiet = if sum == before { quiet + 1 } else { 0 };
+            before = sum;
+            let there = if copies == all { least >= wanted } else { sum >= wanted * copies as u64 };
+            let over = copies == all || copies == 1 || quiet >= QUIET;
+            if there && over && pending == 0 {
+                return Ok(Settled { in_time: true, copies: sum, problems });
             }
             if Instant::now() > deadline {
-                return Ok(false);
+                return Ok(Settled { in_time: false, copies: sum, problems });
+            }
+            for station in self.stations.iter() {
+                let found = station.lock().await.problems().await?;
+                found.into_iter().for_each(|problem| *problems.entry(problem).or_default() += 1);
             }
             tokio::time::sleep(LOOK).await;
         }

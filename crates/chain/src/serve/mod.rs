@@ -34,7 +34,7 @@ struct Limits {
     work: Duration,
 }
 
-const LIMITS: Limits = Limits { connections: 32, patience: Duration::from_secs(15), work: Duration::from_secs(30) };
+const LIMITS: Limits = Limits { connections: 256, patience: Duration::from_secs(15), work: Duration::from_secs(30) };
 
 const BUSY: Refusal = Refusal { status: "503 Service Unavailable", why: "too many connections; try again" };
 const SLOW: Refusal = Refusal { status: "408 Request Timeout", why: "the request did not arrive in time" };

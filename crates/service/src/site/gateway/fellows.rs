@@ -26,6 +26,8 @@ const LIST: &str = "fleet";
 const MOST: usize = 32;
 /// The subject of notices, and the part's name.
 const ABOUT: &str = "fleet";
+/// The pause while one of both waits for the chain, which ends by itself.
+const WAITING: Duration = Duration::from_secs(1);
 /// The shortest pause after a failure, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
 /// The same after lies.
@@ -44,6 +46,28 @@ pub(super) struct Fellow {
     pub added_at: Timestamp,
 }
 
+/// Why nothing came from a gateway.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Fault {
+    /// It waits for the chain, or this gateway does.
+    Waits,
+    /// It does not answer, or refuses.
+    Fails,
+    /// What it says does not hold.
+    Lies,
+}
+
+impl Fault {
+    /// The pause after it, where the one before was `last`.
+    fn pause(self, last: Duration) -> Duration {
+        match self {
+            Self::Waits => WAITING,
+            Self::Fails => (last * 2).clamp(PAUSES.0, PAUSES.1),
+            Self::Lies => (last * 2).clamp(LONG_PAUSES.0, LONG_PAUSES.1),
+        }
+    }
+}
+
 /// How reconciling with a gateway goes.
 #[derive(Debug, Default)]
 pub(super) struct Progress {
@@ -51,6 +75,8 @@ pub(super) struct Progress {
     pub complete: bool,
     /// When it last told what it holds.
     pub heard: Option<Timestamp>,
+    /// The same by a clock that nobody sets, or when it was first asked.
+    last_there: Option<Instant>,
     /// Records taken from it.
     pub taken: u64,
     /// Those lacking as of then, and how many owners may not use this gateway.
@@ -174,6 +200,19 @@ impl Fellows {
         self.log.deed(profile, "fleet remove", &subject, removed).await
     }
 
+    /// The keys of those that told what they hold within this time; one that was just named, or that this site has only
+    /// begun to ask, counts as there for as long.
+    pub(super) fn there(&self, within: Duration) -> Vec<SignerId> {
+        let list = self.all().unwrap_or_default();
+        self.with(|all| {
+            let is_there = |fellow: &&Fellow| {
+                let one = all.entry(fellow.key).or_default();
+                one.last_there.get_or_insert_with(Instant::now).elapsed() < within
+            };
+            list.iter().filter(is_there).map(|fellow| fellow.key).collect()
+        })
+    }
+
     /// The gateways with what is known of each.
     pub(super) fn rows(&self, network: Option<&Network>) -> Result<Vec<FellowView>, Failure> {
         let list = block_in_place(|| self.all())?;
@@ -243,7 +282,7 @@ impl Fellows {
     /// A round was done.
     pub(super) fn succeeded(&self, fellow: &Fellow) {
         let before = self.of(fellow.key, |one| {
-            (one.again, one.pause) = (None, Duration::ZERO);
+            (one.again, one.pause, one.last_there) = (None, Duration::ZERO, Some(Instant::now()));
             one.trouble.take()
         });
         if before.is_some() {
@@ -255,13 +294,13 @@ impl Fellows {
 
     /// A round ended early; it is told once. `share` of 256 is how much of the pause is left out, so that gateways that
     /// lost one together do not come back together.
-    pub(super) fn failed(&self, fellow: &Fellow, why: &str, lied: bool, share: u8) {
+    pub(super) fn failed(&self, fellow: &Fellow, why: &str, fault: Fault, share: u8) {
+        let lied = fault == Fault::Lies;
         let is_new = self.of(fellow.key, |one| {
             let is_new = one.trouble.as_ref().is_none_or(|(.., before)| lied && !before);
             let since = one.trouble.as_ref().map_or_else(Timestamp::now, |(since, ..)| *since);
             one.trouble = Some((since, clean(why, 300), lied));
-            let (least, most) = if lied { LONG_PAUSES } else { PAUSES };
-            one.pause = (one.pause * 2).clamp(least, most);
+            one.pause = fault.pause(one.pause);
             let pause = one.pause.saturating_sub(one.pause / 512 * u32::from(share));
             one.again = Some(Instant::now() + pause);
             is_new
@@ -356,7 +395,7 @@ mod tests {
         let mut events = ground.parts.hub.events().subscribe();
         assert!(fellows.is_due(ONE));
         for _ in 0..20 {
-            fellows.failed(&fellow, "a forged record", true, 0);
+            fellows.failed(&fellow, "a forged record", Fault::Lies, 0);
         }
         assert!(!fellows.is_due(ONE));
         let told = std::iter::from_fn(|| events.try_recv().ok());
@@ -368,5 +407,13 @@ mod tests {
         assert!(health.level == HealthLevel::Failed && health.text.contains("b:7420: a forged record"), "{health:?}");
         fellows.succeeded(&fellow);
         assert!(fellows.is_due(ONE) && fellows.rows(None).expect("rows")[0].problem.is_none());
+    }
+
+    #[test]
+    fn who_waits_for_the_chain_is_asked_again_soon_and_a_liar_rarely() {
+        let after = |fault: Fault| (0..20).fold(Duration::ZERO, |pause, _| fault.pause(pause));
+        assert_eq!((after(Fault::Waits), after(Fault::Fails), after(Fault::Lies)), (WAITING, PAUSES.1, LONG_PAUSES.1));
+        assert_eq!(Fault::Fails.pause(Duration::ZERO), PAUSES.0);
+        assert_eq!(Fault::Waits.pause(LONG_PAUSES.1), WAITING);
     }
 }

@@ -2,6 +2,8 @@
 //! while it knows its chain.
 
 use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use super::GatewayDesk;
 use super::admission::Standing as Access;
@@ -10,6 +12,31 @@ use crate::gateway::{Caller, Code, Fetched, HandedOver, Held, HoldingPlace, Hold
 use crate::model::{Address, Ranges, RecorderId, TopicId};
 use crate::pipeline::Network;
 use crate::store::HoldingRow;
+
+/// How long an answer about holdings is given again: all gateways of a fleet ask for the same newest records.
+const TOLD_AGAIN: Duration = Duration::from_millis(400);
+/// The most answers that are remembered.
+const MOST_REMEMBERED: usize = 16;
+
+/// What was told lately, by the place it was asked from.
+#[derive(Default)]
+pub(super) struct Told(Mutex<BTreeMap<HoldingPlace, (Instant, Holdings)>>);
+
+impl Told {
+    /// The answer for a place: the one that somebody just got, or a new one. Nobody else looks meanwhile.
+    fn at(&self, after: HoldingPlace, look: impl FnOnce() -> Result<Holdings, Refusal>) -> Result<Holdings, Refusal> {
+        let mut told = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        told.retain(|_, (when, _)| when.elapsed() < TOLD_AGAIN);
+        if let Some((_, holdings)) = told.get(&after) {
+            return Ok(holdings.clone());
+        }
+        let holdings = look()?;
+        if told.len() < MOST_REMEMBERED {
+            told.insert(after, (Instant::now(), holdings.clone()));
+        }
+        Ok(holdings)
+    }
+}
 
 impl GatewayDesk {
     /// The network, if the caller keeps a gateway that this one's keeper named.
@@ -28,11 +55,13 @@ impl GatewayDesk {
     /// What is held here behind a place.
     pub(super) fn told_holdings(&self, caller: &Caller, after: HoldingPlace) -> Result<Holdings, Refusal> {
         self.among_fellows(caller)?;
-        let most = usize::try_from(MOST_TOLD).unwrap_or(usize::MAX);
-        let page = self.gateway.plant.ledger.holdings((after.block, after.batch, after.leaf), most);
-        let page = page.map_err(Refusal::because(Code::Internal))?;
-        let next = page.last.map_or(after, |(block, batch, leaf)| HoldingPlace { block, batch, leaf });
-        Ok(Holdings { held: by_topic(page.rows), next, more: page.more })
+        self.gateway.told.at(after, || {
+            let most = usize::try_from(MOST_TOLD).unwrap_or(usize::MAX);
+            let page = self.gateway.plant.ledger.holdings((after.block, after.batch, after.leaf), most);
+            let page = page.map_err(Refusal::because(Code::Internal))?;
+            let next = page.last.map_or(after, |(block, batch, leaf)| HoldingPlace { block, batch, leaf });
+            Ok(Holdings { held: by_topic(page.rows), next, more: page.more })
+        })
     }
 
     /// The records of a range, as many as fit into an answer.

@@ -5,12 +5,14 @@ mod admission;
 #[cfg(test)]
 mod admission_tests;
 pub(super) mod admissions;
+mod copies;
 #[cfg(test)]
 mod cut_off_tests;
 mod desk;
 mod devices;
 mod erased;
 mod fellows;
+mod fetching;
 mod handing;
 mod live;
 mod passing;
@@ -30,6 +32,8 @@ use crate::site::audit::Log;
 use crate::site::chain::link::Link;
 use crate::site::gateway::admissions::Admissions;
 use crate::site::gateway::fellows::Fellows;
+use crate::site::gateway::fetching::Fetching;
+use crate::site::gateway::handing::Told;
 use crate::site::identity::owners::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::mirror::remotes::Remotes;
@@ -49,6 +53,7 @@ use crate::gateway::{Cabinet, Context, Limits, Schedule, Server};
 use crate::model::{Address, AnchorMode, Domain, Timestamp};
 use crate::pipeline::Owner;
 use crate::pipeline::forwarder::Link as Line;
+use crate::pipeline::mirror::Anchors;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, refused};
 use crate::service::figures::GatewayFigures;
@@ -125,6 +130,10 @@ pub(in crate::site) struct Gateway {
     sharing: Arc<Sharing>,
     admissions: Arc<Admissions>,
     fellows: Fellows,
+    told: Told,
+    fetching: Arc<Fetching>,
+    /// Anchors of what the others of the fleet hand over, as far as the chain confirmed them.
+    anchors: Anchors,
     /// The running one, if there is one.
     serving: Mutex<Option<Serving>>,
     remote: Option<Arc<Remotes>>,
@@ -154,6 +163,9 @@ impl Gateway {
             sharing: Arc::clone(sharing),
             admissions: Arc::clone(admissions),
             fellows: Fellows::new(parts),
+            told: Told::default(),
+            fetching: Arc::default(),
+            anchors: Anchors::default(),
             serving: Mutex::default(),
             remote,
             passed_on: OnceLock::new(),

@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use tokio::task::block_in_place;
 
-use super::fellows::Fellow;
+use super::copies::Copies;
+use super::fellows::{Fault, Fellow};
 use super::reserved::gateway_of;
 use super::round::{Course, Ended, Round, reconcile};
 use super::taking::Taking;
@@ -16,14 +17,15 @@ use crate::crypto::{random_bytes, signer_id};
 use crate::gateway::{Applicant, Client, Code, Context, Credentials, Endpoint, GatewayError, Trust};
 use crate::model::{ProfileName, SignerId, Timestamp, clean};
 use crate::pipeline::Network;
-use crate::pipeline::mirror::Anchors;
 use crate::service::command::{self as ask, Ask, FleetCommand};
 use crate::service::event::Part;
 use crate::service::figures::FellowFigures;
 use crate::service::reply::{Failure, FellowView, FleetView, PartHealth, Reply};
 
-/// How often each gateway is asked.
+/// How often each gateway is asked, at most.
 const PERIOD: Duration = Duration::from_millis(500);
+/// How often any gateway is: in a large fleet each is asked less often.
+const BETWEEN: Duration = Duration::from_millis(100);
 /// How long it may take to answer.
 const PATIENCE: Duration = Duration::from_secs(10);
 
@@ -33,7 +35,6 @@ struct Line {
     trust: Trust,
     credentials: Option<Credentials>,
     client: Option<Client>,
-    anchors: Anchors,
     course: Course,
 }
 
@@ -100,9 +101,8 @@ impl Gateway {
     /// Asks one gateway again and again, until it is named no more or the site ends.
     async fn follow(self: Arc<Self>, fellow: Fellow) {
         let trust = Trust::pinned(fellow.key);
-        let (anchors, course) = (Anchors::default(), Course::default());
-        let mut line = Line { fellow, trust, credentials: None, client: None, anchors, course };
-        while self.life.beat(PERIOD).await && self.fellows.has(&line.fellow) {
+        let mut line = Line { fellow, trust, credentials: None, client: None, course: Course::default() };
+        while self.life.beat(self.period()).await && self.fellows.has(&line.fellow) {
             if !self.fellows.is_due(line.fellow.key) {
                 continue;
             }
@@ -141,7 +141,11 @@ impl Gateway {
             // The chain here is silent, or the disk is full.
             Err(Ended::Here(refusal)) => {
                 let why = format!("this gateway takes nothing now: {refusal}");
-                self.fellows.failed(&line.fellow, &why, false, share());
+                let fault = if refusal.code == Code::Stale { Fault::Waits } else { Fault::Fails };
+                self.fellows.failed(&line.fellow, &why, fault, share());
+            }
+            Err(Ended::Gateway(error @ GatewayError::Refused(Code::Stale))) => {
+                self.fellows.failed(&line.fellow, &told(&error), Fault::Waits, share());
             }
             Err(Ended::Gateway(error)) => {
                 line.client = None;
@@ -149,11 +153,11 @@ impl Gateway {
                 {
                     line.credentials = None;
                 }
-                self.fellows.failed(&line.fellow, &told(&error), false, share());
+                self.fellows.failed(&line.fellow, &told(&error), Fault::Fails, share());
             }
             Err(Ended::Lies(why)) => {
                 line.client = None;
-                self.fellows.failed(&line.fellow, &why, true, share());
+                self.fellows.failed(&line.fellow, &why, Fault::Lies, share());
             }
         }
         if taken > 0 {
@@ -190,8 +194,20 @@ impl Gateway {
             line.client = Some(client);
         }
         let Some(client) = &mut line.client else { return Ok(()) };
-        let here = Taking { desk, anchors: &line.anchors };
+        let here = Taking { desk, anchors: &self.anchors, copies: self.copies(desk) };
         reconcile(client, &here, &mut line.course, round).await
+    }
+
+    fn period(&self) -> Duration {
+        let many = self.fellows.all().map_or(0, |list| list.len());
+        PERIOD.max(BETWEEN * u32::try_from(many).unwrap_or(u32::MAX))
+    }
+
+    /// Which records are kept here: `fleet.copies` of the gateways that are there keep each.
+    fn copies(&self, desk: &GatewayDesk) -> Copies {
+        let own = signer_id(&desk.keeper.gateway_identity().public);
+        let there = self.fellows.there(self.config.fleet_away_after);
+        Copies::of(self.plant.provider, self.config.fleet_copies, own, there)
     }
 
     /// A session in the keeper's name; the transport key is in memory only and allocated anew by each run.

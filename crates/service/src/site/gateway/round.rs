@@ -7,6 +7,8 @@ use std::time::{Duration, Instant};
 
 use async_trait::async_trait;
 
+use super::copies::Copies;
+use super::fetching::{Claim, Which};
 use crate::gateway::{Client, Code, Fetched, GatewayError, HandedOver, Held, HoldingPlace, Holdings, Refusal, Wanted};
 use crate::model::{Address, Digest, Ranges, RecorderId, TopicId};
 use crate::store::Lacking;
@@ -29,6 +31,8 @@ const MOST_TWICE: usize = 4096;
 const MOST_PASSED_OVER: usize = 1024;
 /// How many blocks are read again: a gateway may note anchors of a block a moment later than of the next.
 const AGAIN: u64 = 16;
+/// How often these are.
+const LATE: Duration = Duration::from_secs(10);
 /// How often holdings are read from the beginning: anchors of old blocks may become known late.
 const WHOLE: Duration = Duration::from_secs(600);
 
@@ -59,8 +63,14 @@ pub(super) trait Here: Sync {
     /// Whether records of an owner are taken here at all.
     fn welcomes(&self, owner: &Address) -> Result<(), Refusal>;
 
+    /// Which records are kept here at all.
+    fn copies(&self) -> Copies;
+
     /// Which of these records are lacking.
     fn lacking(&self, held: &Held) -> Result<Lacking, Refusal>;
+
+    /// Keeps other lines from fetching the same records until the claim is dropped.
+    fn claim(&self, which: Which, wanted: Vec<u64>) -> Claim;
 
     /// Takes records of a range, each checked as if its robot had sent it.
     async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<Took, Refusal>;
@@ -87,8 +97,14 @@ pub(super) struct Course {
     newest: u64,
     at_end: bool,
     begun: Option<Instant>,
+    /// When the newest blocks were read again, and up to which block holdings were read then.
+    again: Option<(Instant, u64)>,
+    /// What was kept here when holdings were read from the beginning.
+    copies: Option<Copies>,
     /// Numbers that it told and did not give, or gave with something that does not hold.
     set_aside: BTreeSet<Numbered>,
+    /// Numbers that it told and that another line was fetching then.
+    elsewhere: BTreeMap<Which, Vec<u64>>,
     twice: BTreeSet<Digest>,
     /// Owners whose records are not taken.
     passed_over: BTreeSet<Address>,
@@ -121,14 +137,36 @@ impl Course {
         Ok(self.set_aside.len() as u64)
     }
 
-    /// Reads from the beginning the first time, now and then, and when an owner may use this gateway who might not before.
-    fn begin(&mut self, here: &impl Here, now: Instant) {
+    /// Reads from the beginning the first time, now and then, when an owner may use this gateway who might not before, and
+    /// when other records fall to this gateway.
+    fn begin(&mut self, here: &impl Here, now: Instant) -> Copies {
+        let copies = here.copies();
         let due = self.begun.is_none_or(|begun| now.duration_since(begun) >= WHOLE && self.at_end);
-        if due || self.passed_over.iter().any(|owner| here.welcomes(owner).is_ok()) {
+        let other = self.copies.as_ref() != Some(&copies);
+        if due || other || self.passed_over.iter().any(|owner| here.welcomes(owner).is_ok()) {
             (self.after, self.begun, self.at_end) = (HoldingPlace::default(), Some(now), false);
+            (self.again, self.copies) = (None, Some(copies.clone()));
             self.set_aside.clear();
+            self.elsewhere.clear();
             self.twice.clear();
             self.passed_over.clear();
+        }
+        copies
+    }
+
+    /// All of it was read up to a place. Goes on there; now and then some blocks before it, and at once if the chain here did
+    /// not have some of them yet.
+    fn rest(&mut self, next: HoldingPlace, before: u64, lagged: bool, now: Instant) {
+        let back_to = |block: u64| HoldingPlace { block: block.saturating_sub(AGAIN), ..HoldingPlace::default() };
+        self.after = next;
+        if lagged {
+            (self.newest, self.after) = (before, back_to(before));
+            return;
+        }
+        match self.again {
+            Some((last, _)) if now.duration_since(last) < LATE => {}
+            Some((_, block)) => (self.after, self.again) = (back_to(block), Some((now, self.newest))),
+            None => self.again = Some((now, self.newest)),
         }
     }
 }
@@ -187,28 +225,32 @@ pub(super) async fn reconcile(
     course: &mut Course,
     round: &mut Round,
 ) -> Result<(), Ended> {
-    course.begin(here, Instant::now());
-    read_on(other, here, course, round).await?;
+    let copies = course.begin(here, Instant::now());
+    read_on(other, (here, &copies), course, round).await?;
     // What it told and did not give is not here, whenever it told it.
     round.lacking += course.still_aside(here)?;
     Ok(())
 }
 
-async fn read_on(
+async fn read_on<Place: Here>(
     other: &mut impl Other,
-    here: &impl Here,
+    (here, copies): (&Place, &Copies),
     course: &mut Course,
     round: &mut Round,
 ) -> Result<(), Ended> {
     let mut left = Left { requests: MOST_REQUESTS, bytes: MOST_BYTES, refusals: MOST_REFUSED, later: MOST_LATER };
     let before = course.newest;
+    if !left_to_others(other, (here, copies), course, round, &mut left).await? {
+        round.more = true;
+        return Ok(());
+    }
     for _ in 0..MOST_PAGES {
         let page = other.holdings(course.after).await?;
         if page.next < course.after || page.more && page.next == course.after {
             return Err(Ended::Lies("its list of what it holds does not advance".to_owned()));
         }
         for held in &page.held {
-            if !one(other, here, course, round, (held, &mut left)).await? {
+            if !one(other, (here, copies), course, round, (held, &mut left)).await? {
                 // The same part is told again; what was taken of it is here by then.
                 (round.more, course.at_end) = (true, false);
                 return Ok(());
@@ -217,10 +259,7 @@ async fn read_on(
         course.newest = course.newest.max(page.next.block);
         course.at_end = !page.more;
         if !page.more {
-            if left.later < MOST_LATER {
-                course.newest = before;
-            }
-            course.after = HoldingPlace { block: course.newest.saturating_sub(AGAIN), ..HoldingPlace::default() };
+            course.rest(page.next, before, left.later < MOST_LATER, Instant::now());
             return Ok(());
         }
         course.after = page.next;
@@ -229,10 +268,32 @@ async fn read_on(
     Ok(())
 }
 
-/// What is told of one topic; `false` = the round's bounds are reached.
-async fn one(
+/// Asks for what another line was fetching and has not brought; `false` = the round's bounds are reached.
+async fn left_to_others<Place: Here>(
     other: &mut impl Other,
-    here: &impl Here,
+    (here, copies): (&Place, &Copies),
+    course: &mut Course,
+    round: &mut Round,
+    left: &mut Left,
+) -> Result<bool, Ended> {
+    let topics: Vec<Which> = course.elsewhere.keys().copied().collect();
+    for which in topics {
+        let Some(numbers) = course.elsewhere.remove(&which) else { continue };
+        let (owner, recorder, topic_id) = which;
+        let held = Held { owner, recorder, topic_id, ranges: Ranges::of(numbers.clone()) };
+        let done = one(other, (here, copies), course, round, (&held, left)).await;
+        if !matches!(done, Ok(true)) {
+            course.elsewhere.entry(which).or_default().extend(numbers);
+            return done;
+        }
+    }
+    Ok(true)
+}
+
+/// What is told of one topic; `false` = the round's bounds are reached.
+async fn one<Place: Here>(
+    other: &mut impl Other,
+    (here, copies): (&Place, &Copies),
     course: &mut Course,
     round: &mut Round,
     (held, left): (&Held, &mut Left),
@@ -247,6 +308,11 @@ async fn one(
             return Ok(true);
         }
     }
+    let ranges = copies.kept((&held.owner, &held.recorder, &held.topic_id), &held.ranges);
+    if ranges.is_empty() {
+        return Ok(true);
+    }
+    let held = &Held { ranges, ..*held };
     let Lacking { numbers, twice } = here.lacking(held).map_err(Ended::Here)?;
     for digest in twice {
         if course.twice.len() < MOST_TWICE && course.twice.insert(digest) {
@@ -259,7 +325,15 @@ async fn one(
         .flat_map(|(first, last)| first..=last)
         .filter(|number| !course.set_aside.contains(&(owner, recorder, topic_id, *number)))
         .collect();
-    let wanted = Ranges::of(wanted);
+    let claim = here.claim((owner, recorder, topic_id), wanted);
+    if !claim.elsewhere.is_empty() {
+        round.lacking += claim.elsewhere.len() as u64;
+        if course.elsewhere.values().map(Vec::len).sum::<usize>() + claim.elsewhere.len() > MOST_SET_ASIDE {
+            return Ok(false);
+        }
+        course.elsewhere.entry((owner, recorder, topic_id)).or_default().extend(&claim.elsewhere);
+    }
+    let wanted = Ranges::of(claim.numbers.clone());
     let mut open = wanted.count();
     for (first, last) in wanted.iter() {
         let mut next = Some(first);

@@ -2,8 +2,9 @@
 #![allow(clippy::expect_used, clippy::panic, reason = "a test fails by panicking")]
 
 use std::collections::BTreeSet;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
+use super::super::fetching::Fetching;
 use super::*;
 use crate::model::{PublicKey, Signature};
 
@@ -27,6 +28,8 @@ fn held(owner: Address, numbers: impl IntoIterator<Item = u64>) -> Held {
 struct Shelf {
     held: Mutex<BTreeSet<u64>>,
     takes: Mutex<usize>,
+    fetching: Arc<Fetching>,
+    copies: Copies,
     stale: bool,
     /// What is on its way to an anchor here.
     twice: Vec<Digest>,
@@ -50,11 +53,19 @@ impl Here for Shelf {
         }
     }
 
+    fn copies(&self) -> Copies {
+        self.copies.clone()
+    }
+
     fn lacking(&self, told: &Held) -> Result<Lacking, Refusal> {
         let held = self.held.lock().expect("not poisoned");
         let numbers = told.ranges.iter().flat_map(|(first, last)| first..=last);
         let numbers = numbers.filter(|number| !held.contains(number)).collect();
         Ok(Lacking { numbers: Ranges::of(numbers), twice: self.twice.clone() })
+    }
+
+    fn claim(&self, which: Which, wanted: Vec<u64>) -> Claim {
+        self.fetching.claim(which, wanted)
     }
 
     async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<Took, Refusal> {
@@ -163,6 +174,81 @@ async fn what_is_lacking_is_taken_once_and_a_round_is_resumed() {
     assert!(ended.is_ok() && course.is_at_end() && sum.taken == 0, "{sum:?}");
 }
 
+/// Tells all of these numbers at once, and nothing behind them.
+fn all_at_once(upto: u64) -> Script<impl FnMut(HoldingPlace) -> Holdings, impl FnMut(Wanted) -> HandedOver> {
+    let tell = move |after: HoldingPlace| {
+        let held = if after < place(90) { vec![held(FRIEND, 1..=upto)] } else { Vec::new() };
+        Holdings { held, next: place(90), more: false }
+    };
+    let hand = |wanted: Wanted| {
+        let records = (wanted.first..=wanted.last).map(record).collect();
+        HandedOver { records, next: None }
+    };
+    script(tell, hand)
+}
+
+#[tokio::test]
+async fn what_another_line_is_fetching_is_left_to_it_and_asked_for_when_that_one_did_not_bring_it() {
+    let (mut other, here, mut course) = (all_at_once(20), Shelf::default(), Course::default());
+    let claimed = here.fetching.claim((FRIEND, RECORDER, TOPIC), 5..=8);
+    for taken in [16, 0] {
+        let mut round = Round::default();
+        reconcile(&mut other, &here, &mut course, &mut round).await.expect("a round");
+        assert_eq!((round.taken, round.lacking, round.more), (taken, 4, false));
+    }
+    drop(claimed);
+    // It is told of these numbers no more.
+    let mut round = Round::default();
+    reconcile(&mut other, &here, &mut course, &mut round).await.expect("a round");
+    assert_eq!((round.taken, round.lacking), (4, 0));
+    assert_eq!(here.numbers(), (1..=20).collect::<Vec<_>>());
+    assert_eq!(here.fetching.claim((FRIEND, RECORDER, TOPIC), 1..=20).numbers.len(), 20, "all are free again");
+}
+
+#[tokio::test]
+async fn only_what_falls_to_this_gateway_is_taken_and_the_rest_when_more_falls_to_it() {
+    let keys = [1, 2, 3, 4].map(|key| crate::model::SignerId([key; 32]));
+    let provider = crate::crypto::provider(crate::crypto::ProviderName::default());
+    let told = Ranges::of((1..=690).collect());
+    // Of four gateways, one to which some of it falls, and not all.
+    let some = |copies: &Copies| {
+        let kept = copies.kept((&FRIEND, &RECORDER, &TOPIC), &told).count();
+        kept > 0 && kept < told.count()
+    };
+    let mut all = keys.map(|own| Copies::of(provider, Some(1), own, keys.to_vec())).into_iter();
+    let copies = all.find(some).expect("three parts fall to one of four, or not");
+    let falls: u64 = copies.kept((&FRIEND, &RECORDER, &TOPIC), &told).count();
+    let (mut other, mut here, mut course) = (all_at_once(690), Shelf { copies, ..Shelf::default() }, Course::default());
+    let mut round = Round::default();
+    reconcile(&mut other, &here, &mut course, &mut round).await.expect("a round");
+    assert_eq!((round.taken, round.lacking), (falls, 0), "the rest is not lacking");
+    let mut round = Round::default();
+    reconcile(&mut other, &here, &mut course, &mut round).await.expect("a round");
+    assert_eq!(round.taken, 0);
+    here.copies = Copies::All;
+    let mut round = Round::default();
+    reconcile(&mut other, &here, &mut course, &mut round).await.expect("a round");
+    assert_eq!((round.taken, round.lacking), (690 - falls, 0), "it is read from the beginning again");
+}
+
+#[test]
+fn the_blocks_that_were_new_are_read_again_now_and_then_and_no_oftener() {
+    let begun = Instant::now();
+    let mut course = Course::default();
+    let mut rest = |newest: u64, lagged: bool, seconds: u64| {
+        let before = course.newest;
+        course.newest = newest;
+        course.rest(place(newest), before, lagged, begun + Duration::from_secs(seconds));
+        course.after.block
+    };
+    assert_eq!(rest(100, false, 0), 100);
+    assert_eq!(rest(105, false, 5), 105, "it goes on where the list ended");
+    assert_eq!(rest(110, false, 10), 100 - AGAIN, "before what was read ten seconds ago");
+    assert_eq!(rest(115, false, 15), 115);
+    assert_eq!(rest(130, false, 20), 110 - AGAIN, "no block is left out between two readings");
+    assert_eq!(rest(140, true, 21), 130 - AGAIN, "the chain here did not have the newest blocks");
+}
+
 #[tokio::test]
 async fn a_list_without_an_end_is_read_a_part_at_a_time_and_one_that_stands_still_is_a_lie() {
     let mut endless = script(
@@ -179,7 +265,8 @@ async fn a_list_without_an_end_is_read_a_part_at_a_time_and_one_that_stands_stil
     assert!(matches!(ended, Err(Ended::Lies(_))), "{ended:?}");
     assert_eq!(still.asked, 1);
     let mut back = script(|_| Holdings::default(), |_| HandedOver::default());
-    let mut course = Course { after: place(9), begun: Some(Instant::now()), ..Course::default() };
+    let mut course =
+        Course { after: place(9), begun: Some(Instant::now()), copies: Some(Copies::All), ..Course::default() };
     let ended = reconcile(&mut back, &here, &mut course, &mut Round::default()).await;
     assert!(matches!(ended, Err(Ended::Lies(_))), "{ended:?}");
 }
@@ -254,7 +341,7 @@ async fn a_node_that_lags_makes_nobody_a_liar_and_what_it_has_not_got_is_asked_f
     here.unseen = None;
     let mut round = Round::default();
     reconcile(&mut all(), &here, &mut course, &mut round).await.expect("goes on");
-    assert_eq!((round.taken, round.lacking, course.after), (30, 0, place(90 - AGAIN)));
+    assert_eq!((round.taken, round.lacking, course.after), (30, 0, place(90)));
     // One that tells of blocks that never come is left alone like one that does not answer.
     let mut ahead = script(
         |_| Holdings { held: vec![held(FRIEND, 1..=8000)], next: place(1), more: false },

@@ -7,11 +7,13 @@ use async_trait::async_trait;
 use tokio::task::block_in_place;
 
 use super::GatewayDesk;
+use super::copies::Copies;
+use super::fetching::{Claim, Which};
 use super::round::{Here, Took};
 use crate::chain::AnchorProof;
 use crate::chain::merkle::Inclusion;
 use crate::crypto::signer_id;
-use crate::gateway::identity_check::verify_all;
+use crate::gateway::identity_check::verify_each;
 use crate::gateway::{Code, Context, Desk as _, Fetched, Held, Received, Refusal, Upload, Wanted};
 use crate::model::{Address, Digest, Header};
 use crate::pipeline::authority::{Moment, SigningRight, may_sign};
@@ -40,6 +42,8 @@ pub(super) struct Taking<'a> {
     pub desk: &'a GatewayDesk,
     /// Anchors that the chain confirmed.
     pub anchors: &'a Anchors,
+    /// Which records are kept here.
+    pub copies: Copies,
 }
 
 #[async_trait]
@@ -48,10 +52,18 @@ impl Here for Taking<'_> {
         block_in_place(|| self.desk.check_owner(owner))
     }
 
+    fn copies(&self) -> Copies {
+        self.copies.clone()
+    }
+
     fn lacking(&self, held: &Held) -> Result<Lacking, Refusal> {
         let Held { owner, recorder, topic_id, ranges } = held;
         let found = block_in_place(|| self.desk.gateway.plant.ledger.lacking((*owner, *recorder, *topic_id), ranges));
         found.map_err(Refusal::because(Code::Internal))
+    }
+
+    fn claim(&self, which: Which, wanted: Vec<u64>) -> Claim {
+        self.desk.gateway.fetching.claim(which, wanted)
     }
 
     async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<Took, Refusal> {
@@ -65,8 +77,8 @@ impl Here for Taking<'_> {
             };
         }
         let (mut proven, mut later, mut refused) = (Vec::new(), Vec::new(), Vec::new());
-        for record in records {
-            match self.proven(&network, wanted, record).await {
+        for (received, proof) in self.received(&network, wanted, records, &mut refused).await? {
+            match self.proven(&network, received, &proof).await {
                 Ok(Judged::Holds(one)) => proven.push(*one),
                 Ok(Judged::Later(number)) => later.push(number),
                 Err(refusal) if matches!(refusal.code, Code::Stale | Code::Internal) => return Err(refusal),
@@ -79,28 +91,42 @@ impl Here for Taking<'_> {
 }
 
 impl Taking<'_> {
-    /// What a robot's upload is asked, and in place of its session the anchor: the signer's right is judged by its block.
-    async fn proven(&self, network: &Network, wanted: &Wanted, record: Fetched) -> Result<Judged, Refusal> {
-        let Fetched { signer, signature, proof, blob } = record;
-        let (header, _) = Header::parse(&blob)?;
-        if header.domain != network.domain {
-            return Err(Refusal::new(Code::NotYours, format_args!("record {} is of another network", header.seq)));
-        }
-        let asked = (header.owner, header.recorder, header.topic_id)
-            == (wanted.owner, wanted.recorder, wanted.topic_id)
-            && (wanted.first..=wanted.last).contains(&header.seq);
-        if !asked {
-            return Err(Refusal::new(Code::Malformed, format_args!("record {} was not asked for", header.seq)));
-        }
-        if signer_id(&signer) != header.signer {
-            return Err(Refusal::new(Code::Signature, "its header names another key than the one that came with it"));
+    /// Records that were asked for and are signed, with the bytes of their proofs; the others are refused.
+    async fn received(
+        &self,
+        network: &Network,
+        wanted: &Wanted,
+        records: Vec<Fetched>,
+        refused: &mut Vec<Refusal>,
+    ) -> Result<Vec<(Received, Vec<u8>)>, Refusal> {
+        let (mut uploads, mut signers, mut proofs) = (Vec::new(), Vec::new(), Vec::new());
+        for record in records {
+            match asked_for(network, wanted, &record) {
+                Ok(()) => {
+                    let Fetched { signer, signature, proof, blob } = record;
+                    uploads.push(Upload { signature, blob });
+                    signers.push(signer);
+                    proofs.push(proof);
+                }
+                Err(refusal) => refused.push(refusal),
+            }
         }
         let context = Context { provider: self.desk.gateway.plant.provider, domain: network.domain };
-        let upload = Upload { signature, blob };
-        let checked = tokio::task::spawn_blocking(move || verify_all(context, vec![upload], &[signer])).await;
-        let received = checked.map_err(Refusal::because(Code::Internal))??.pop();
-        let received = received.ok_or_else(|| Refusal::new(Code::Malformed, "no record"))?;
-        let proof = AnchorProof::parse(&proof)?;
+        let checked = tokio::task::spawn_blocking(move || verify_each(context, uploads, &signers)).await;
+        let checked = checked.map_err(Refusal::because(Code::Internal))?;
+        let mut received = Vec::with_capacity(checked.len());
+        for (checked, proof) in checked.into_iter().zip(proofs) {
+            match checked {
+                Ok(record) => received.push((record, proof)),
+                Err(refusal) => refused.push(refusal),
+            }
+        }
+        Ok(received)
+    }
+
+    /// In place of a robot's session stands the anchor: the signer's right is judged by its block.
+    async fn proven(&self, network: &Network, received: Received, proof: &[u8]) -> Result<Judged, Refusal> {
+        let proof = AnchorProof::parse(proof)?;
         let confirmed = self.anchors.confirm(network, &received.header, received.digest, proof).await;
         let proof = match confirmed {
             Err(PipelineError::NotSeen { .. }) => return Ok(Judged::Later(received.header.seq)),
@@ -123,7 +149,11 @@ impl Taking<'_> {
         match may_sign(&network.directory, owner, signer, Moment::of_block(block, time)) {
             Ok(SigningRight::Owner(_)) => Ok(()),
             Ok(SigningRight::Device(_)) => {
-                let kept = block_in_place(|| plant.ledger.keep_signer(signer, received.signer));
+                let kept = block_in_place(|| match plant.ledger.signer(signer)? {
+                    // A commit for each record would be what takes the time.
+                    Some(_) => Ok(()),
+                    None => plant.ledger.keep_signer(signer, received.signer),
+                });
                 kept.map_err(Refusal::because(Code::Internal))
             }
             Err(why) => Err(Refusal::new(Code::Signature, why)),
@@ -170,6 +200,23 @@ impl Taking<'_> {
         }
         kept.map(|_| numbers)
     }
+}
+
+/// What a robot's upload is asked, and that it is one of the records that were asked for.
+fn asked_for(network: &Network, wanted: &Wanted, record: &Fetched) -> Result<(), Refusal> {
+    let (header, _) = Header::parse(&record.blob)?;
+    if header.domain != network.domain {
+        return Err(Refusal::new(Code::NotYours, format_args!("record {} is of another network", header.seq)));
+    }
+    let asked = (header.owner, header.recorder, header.topic_id) == (wanted.owner, wanted.recorder, wanted.topic_id)
+        && (wanted.first..=wanted.last).contains(&header.seq);
+    if !asked {
+        return Err(Refusal::new(Code::Malformed, format_args!("record {} was not asked for", header.seq)));
+    }
+    if signer_id(&record.signer) != header.signer {
+        return Err(Refusal::new(Code::Signature, "its header names another key than the one that came with it"));
+    }
+    Ok(())
 }
 
 /// A false proof is the other gateway's fault, everything else is the chain's.

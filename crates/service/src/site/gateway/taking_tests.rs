@@ -94,7 +94,7 @@ async fn what_another_gateway_hands_over_is_judged_by_the_block_that_anchors_it(
     let network = site.network().await.expect("a chain");
     let (desk, other) = (site.gateway.served_desk().expect("serves"), stranger(&network).await);
     let anchors = Anchors::default();
-    let here = Taking { desk: &desk, anchors: &anchors };
+    let here = Taking { desk: &desk, anchors: &anchors, copies: Copies::All };
     let wanted = Wanted { owner: alice.address, recorder: RECORDER, topic_id: TOPIC, first: 1, last: 9 };
     assert!(here.welcomes(&alice.address).is_ok(), "a profile of this home");
     let refusal = here.welcomes(&other.address()).expect_err("nobody admitted it");
