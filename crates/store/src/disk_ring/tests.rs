@@ -219,3 +219,38 @@ fn what_falls_out_is_gone_although_its_count_cannot_be_written() {
     let again = ring(folder.path(), limits(3600, 1 << 20));
     assert_eq!(again.figures().fallen, 21, "the count caught up");
 }
+
+#[test]
+fn what_comes_out_of_a_backup_ages_from_the_first_opening_on() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let begun = now() - 10_000 * SECOND;
+    let mut before = ring(folder.path(), limits(100_000, 1 << 24));
+    for second in 0..20 {
+        add(&mut before, CAMERA, begun + second * SECOND, 100);
+    }
+    drop(before);
+    assert!(note_restored(folder.path()).expect("noted"));
+    let opened = now();
+    let mut again = ring(folder.path(), limits(160, 1 << 24));
+    assert_eq!((again.figures().messages, again.figures().fallen), (20, 0), "hours old, and just out of the backup");
+    assert_eq!(times(&found(&again, &all(0, u64::MAX))).len(), 20);
+    add(&mut again, CAMERA, opened, 100);
+    drop(again);
+    // Opened again, and later: no new beginning.
+    let mut again = ring(folder.path(), limits(160, 1 << 24));
+    assert_eq!(again.figures().messages, 21);
+    again.tend(Timestamp(opened + 150 * SECOND)).expect("tended");
+    assert_eq!(again.figures().messages, 21);
+    let last = now();
+    again.tend(Timestamp(last + 161 * SECOND)).expect("tended");
+    assert_eq!((again.figures().messages, again.figures().fallen), (0, 21), "all of it falls out once");
+    // Numbers of files begin anew in an empty ring; these are no files of the backup.
+    drop(again);
+    let mut again = ring(folder.path(), limits(160, 1 << 24));
+    add(&mut again, CAMERA, opened - 100 * SECOND, 100);
+    again.tend(Timestamp(opened + 161 * SECOND)).expect("tended");
+    assert_eq!(again.figures().messages, 0);
+
+    let nothing = tempfile::tempdir().expect("a folder");
+    assert!(!note_restored(nothing.path()).expect("empty") && !note_restored(&nothing.path().join("x")).expect("none"));
+}
