@@ -130,6 +130,24 @@ fn what_is_older_or_does_not_fit_falls_out_and_is_counted() {
 }
 
 #[test]
+fn at_any_moment_of_an_hour_the_last_five_minutes_are_there() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut ring = ring(folder.path(), limits(300, 1 << 24));
+    let begun = now() / SECOND * SECOND - 4000 * SECOND;
+    for second in 0..3600 {
+        let at = begun + second * SECOND;
+        add(&mut ring, CAMERA, at, 50);
+        if second % 41 == 0 {
+            let since = at.saturating_sub(300 * SECOND).max(begun);
+            let expected: Vec<u64> = (since / SECOND..=at / SECOND).collect();
+            assert_eq!(times(&found(&ring, &all(since, at + 1))), expected, "after {second} seconds");
+        }
+    }
+    let figures = ring.figures();
+    assert!(figures.fallen >= 3600 - 320 && figures.messages + figures.fallen == 3600, "{figures:?}");
+}
+
+#[test]
 fn a_clock_that_jumps_empties_no_ring() {
     const DAY: u64 = 86_400 * SECOND;
     for (by, name) in [(i128::from(DAY), "ahead"), (-i128::from(DAY), "back")] {
