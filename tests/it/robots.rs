@@ -246,3 +246,41 @@ fn a_ring_out_of_a_backup_has_the_minutes_before() {
     agent.stop("TERM", 30).expect_code(0);
     alice.run(&["audit"]).expect_code(0);
 }
+
+#[test]
+fn two_robots_of_one_topic_have_a_timeline_each() {
+    let site = Site::new();
+    let alice = site.owner("alice");
+    let robots = ["scout", "elder"].map(|name| Robot::enrol(&site, &alice, name, &[WATCHED]));
+    // One after the other, on the same topic.
+    for robot in &robots {
+        let agent = robot.home.authros().with(&["--json", "--robots", "1"]);
+        agent.run(&["agent", "run", &robot.enrolment, "--count", "3"]).expect_code(0);
+    }
+    let coverage = |more: &[&str]| alice.json(&[&["topics", "coverage", WATCHED, "--parts", "20"], more].concat());
+    let time =
+        |view: &Value, field: &str| -> Timestamp { serde_json::from_value(view[field].clone()).expect("a time") };
+    let all = wait_until(120, "both are known by the topic's name", || {
+        let all = coverage(&[]);
+        all["robots"].as_array().is_some_and(|robots| robots.len() == 2).then_some(all)
+    });
+    assert_eq!(all["robots"], serde_json::json!(["elder", "scout"]), "{all}");
+    let [scout, elder] = ["scout", "elder"].map(|name| coverage(&["--robot", name]));
+    assert_eq!((&scout["robot"], &elder["robot"]), (&"scout".into(), &"elder".into()));
+    assert!(time(&scout, "last") < time(&elder, "first"), "{scout} {elder}");
+    assert_eq!((&all["first"], &all["last"]), (&scout["first"], &elder["last"]));
+    let since = text(&all, "first");
+    let strip = |name: &str| -> Vec<bool> {
+        let view = coverage(&["--robot", name, "--since", &since, "--until", &text(&elder, "last")]);
+        list(&view, "parts").iter().map(|part| part["data"] == true).collect()
+    };
+    let (of_scout, of_elder) = (strip("scout"), strip("elder"));
+    assert!(of_scout[0] && !of_elder[0], "{of_scout:?} {of_elder:?}");
+    let last_of_scout = of_scout.iter().rposition(|is| *is).expect("some");
+    let first_of_elder = of_elder.iter().position(|is| *is).expect("some");
+    assert!(last_of_scout < first_of_elder, "{of_scout:?} {of_elder:?}");
+    let people = alice.run(&["topics", "coverage", WATCHED]).expect_code(0).stdout;
+    assert!(people.contains("robots that recorded it: elder, scout"), "{people}");
+    let told = alice.fails(INPUT, &["topics", "coverage", WATCHED, "--robot", "nobody"]);
+    assert!(told.contains("no robot of this profile is called 'nobody'"), "{told}");
+}

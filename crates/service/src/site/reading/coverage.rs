@@ -36,6 +36,8 @@ impl Reading {
         if !(1..=MOST_PARTS).contains(&parts) {
             return Err(input(format!("a span can have 1 to {MOST_PARTS} parts, not {parts}")));
         }
+        // What robots recorded arrives without the names of its topics.
+        self.learn_own_names(profile).await?;
         let (name, asked) = (topic.to_string(), robot.clone());
         let (found, robots) = blocking(self, move |reading| {
             let enrolled = enrolled::of_account(&reading.plant.ledger, owner)?;
