@@ -1,4 +1,4 @@
-//! `topics coverage`: when there are own records of a topic, as a strip of signs.
+//! `topics coverage`: when there are own records of a topic, of all or of one robot, as a strip of signs.
 
 use clap::Args;
 
@@ -16,6 +16,9 @@ const MOST_LISTED: usize = 20;
 pub struct CoverageArguments {
     /// Topic
     pub topic: String,
+    /// Only what this robot recorded: its name, or the beginning of its device's id [default: all that there is]
+    #[arg(long, value_name = "NAME")]
+    pub robot: Option<String>,
     /// Start: a time, a date, or a duration ago such as 24h [default: its first record]
     #[arg(long, value_name = "TIME")]
     pub since: Option<String>,
@@ -35,6 +38,7 @@ impl CoverageArguments {
     pub fn question(&self) -> Result<TopicCoverage, Failure> {
         Ok(TopicCoverage {
             topic: parse::value(&self.topic)?,
+            robot: self.robot.clone(),
             since: self.since.as_deref().map(parse::past).transpose()?,
             until: self.until.as_deref().map(parse::past).transpose()?,
             parts: self.parts,
@@ -44,12 +48,13 @@ impl CoverageArguments {
 
 /// The strip, what its signs mean, and what was lost when.
 pub fn strip(view: &CoverageView) -> String {
+    let of = view.robot.as_ref().map_or_else(String::new, |robot| format!(" of robot '{robot}'"));
     let Some(first) = view.first else {
-        return format!("{}: no record yet", view.topic);
+        return [vec![format!("{}{of}: no record yet", view.topic)], recorded_by(view)].concat().join("\n");
     };
     let last = view.last.unwrap_or(first);
     let mut lines = vec![
-        format!("{}  first record {}, last {}", view.topic, seconds(first), seconds(last)),
+        format!("{}{of}  first record {}, last {}", view.topic, seconds(first), seconds(last)),
         format!("{} to {}, {} per part", seconds(view.since), seconds(view.until), length(view)),
         view.strip(),
         view.legend(),
@@ -60,7 +65,21 @@ pub fn strip(view: &CoverageView) -> String {
     if lossy.len() > MOST_LISTED {
         lines.push(format!("and {} more parts with losses; --json shows all", lossy.len() - MOST_LISTED));
     }
+    lines.extend(recorded_by(view));
     lines.join("\n")
+}
+
+/// Which robots recorded something of it, and where their losses are.
+fn recorded_by(view: &CoverageView) -> Vec<String> {
+    let robots = view.robots.join(", ");
+    match (&view.robot, view.robots.is_empty()) {
+        (_, true) => Vec::new(),
+        (None, false) => vec![format!("robots that recorded it: {robots}; --robot NAME shows one of them alone")],
+        (Some(robot), false) if view.robots.contains(robot) => {
+            vec![format!("what it lost itself is in its reports: authros robots show {robot}")]
+        }
+        (Some(_), false) => vec![format!("robots that recorded it: {robots}")],
+    }
 }
 
 /// A moment to the second.
@@ -95,6 +114,8 @@ mod tests {
         let at = Timestamp::from_seconds;
         let view = CoverageView {
             topic: "/robot1/odom".parse().expect("a topic"),
+            robot: None,
+            robots: Vec::new(),
             since: at(1_700_000_000),
             until: at(1_700_000_240),
             first: Some(at(1_700_000_000)),
@@ -107,7 +128,15 @@ mod tests {
         assert_eq!(lines[2], "█·QL");
         assert_eq!(lines[3], "█ recorded  · nothing  L messages lost  Q quarantined");
         assert_eq!(lines[4], "2023-11-14T22:16:20Z  7 messages lost");
+        let of = |robot: &str| {
+            let robots = vec!["scout-1".to_owned(), "scout-2".to_owned()];
+            strip(&CoverageView { robot: Some(robot.to_owned()), robots, ..view.clone() })
+        };
+        assert!(of("scout-1").starts_with("/robot1/odom of robot 'scout-1'  first record 2023-11-14T22:13:20Z"));
+        assert!(of("scout-1").ends_with("authros robots show scout-1"));
         let none = CoverageView { first: None, last: None, ..view };
         assert_eq!(strip(&none), "/robot1/odom: no record yet");
+        let other = CoverageView { robot: Some("scout-3".to_owned()), robots: vec!["scout-1".to_owned()], ..none };
+        assert_eq!(strip(&other), "/robot1/odom of robot 'scout-3': no record yet\nrobots that recorded it: scout-1");
     }
 }

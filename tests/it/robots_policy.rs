@@ -22,6 +22,24 @@ fn version(figures: &Value) -> u64 {
     figures["policy"]["version"].as_u64().unwrap_or_default()
 }
 
+/// The publisher numbers its messages; the first four bytes of each say which it is.
+fn takes_every_second(alice: &Authros, site: &Site, records: &[Value]) {
+    let number = |record: &Value| {
+        let id = text(record, "id");
+        let path = site.home.root().join(format!("{id}.bin"));
+        alice.run(&["shared", "open", &id, "--out", path.to_str().expect("UTF-8")]).expect_code(0);
+        let body = std::fs::read(path).expect("written");
+        (count(record, "seq"), u32::from_le_bytes(body[..4].try_into().expect("a header")))
+    };
+    let mut numbers: Vec<(u64, u32)> = records.iter().map(number).collect();
+    numbers.sort_unstable();
+    let steps: Vec<(u64, u32)> = numbers.windows(2).map(|two| (two[1].0 - two[0].0, two[1].1 - two[0].1)).collect();
+    assert!(
+        steps.iter().all(|step| *step == (1, 2)),
+        "its own numbers follow each other, the publisher's skip one: {numbers:?}"
+    );
+}
+
 #[test]
 fn a_robot_works_by_the_policy_of_its_owner_and_its_drift_is_seen() {
     let _alone = heavy();
@@ -56,10 +74,11 @@ fn a_robot_works_by_the_policy_of_its_owner_and_its_drift_is_seen() {
         (text(&row, "standing") == "in force").then_some(row)
     });
     assert_eq!((count(&in_force, "running"), &in_force["drift"]), (1, &Value::Bool(false)), "{in_force}");
-    wait_until(120, "what the policy watches arrives", || {
+    let taken = wait_until(120, "what the policy watches arrives", || {
         let records = alice.records(&["uploads", "list", "--topic", UNWATCHED]);
-        (records.len() >= 3).then_some(())
+        (records.len() >= 6).then_some(records)
     });
+    takes_every_second(&alice, &site, &taken);
     let odometry = alice.records(&["uploads", "list", "--topic", WATCHED]).len();
     let shown = alice.json(&["robots", "show", "scout"]);
     let overruled = shown["overruled"].to_string();

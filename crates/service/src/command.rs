@@ -118,6 +118,9 @@ requests! {
     TopicCoverage {
         /// The topic.
         topic: TopicName,
+        /// What one robot recorded of it: its name, or the beginning of its device's id; `None` = all that there is.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        robot: Option<String>,
         /// From this time; `None` = from its first record.
         since: Option<Timestamp>,
         /// Before this time; `None` = until now.

@@ -12,7 +12,7 @@ use crate::crypto::Passphrase;
 use crate::crypto::sealed_stream::SealedReader;
 use crate::model::{ErrorKind, clean};
 use crate::paths::Home;
-use crate::store::{archive, snapshot};
+use crate::store::{archive, note_restored, snapshot};
 
 /// Restores a backup as the home, which must be empty or absent; so must the places beside it for which the backup has
 /// settings.
@@ -43,6 +43,7 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
         ));
     }
     snapshot::renew_ledger(&copied.ledger())?;
+    let has_ring = note_restored(&copied.ring())?;
     let profiles = copied.profiles().iter().map(ToString::to_string).collect();
     is_free(&root)?;
     let apart = settings_apart(home, folder.path())?;
@@ -54,6 +55,12 @@ pub fn restore(file: &Path, home: &Home, secret: &SecretText) -> Result<BackupVi
         "new records are numbered from 1 under a new recorder; nonces are read from the chain".to_owned(),
         "do not run this home and the one it was copied from at the same time on one chain".to_owned(),
     ];
+    if has_ring {
+        notes.push(
+            "the robot's ring ages from the next start of its agent on; ask for what is in it with `authros robots pull`"
+                .to_owned(),
+        );
+    }
     // The home is complete by now: what cannot be moved is used where it is.
     notes.extend(apart.into_iter().filter_map(|(name, place)| put_back(&root.join(name), place)));
     Ok(BackupView { file: shown(file), files, bytes: unpacked.bytes, profiles, notes })

@@ -11,16 +11,16 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
-use tokio::net::unix::OwnedWriteHalf;
+use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::{broadcast, mpsc, oneshot};
 
 use super::client::{Call, Client};
 use super::command::Request;
-use super::event::Event;
+use super::event::{Event, NoticeLevel};
 use super::reply::{Failure, Reply};
-use super::site::{Claims, Site, joiner};
-use crate::model::{ErrorKind, ProfileName};
+use super::site::{Heard, Site, joiner};
+use crate::model::{ErrorKind, ProfileName, Timestamp, clean};
 use crate::paths::Home;
 
 /// The longest line accepted, bytes: an opened record of 64 MiB written as JSON.
@@ -49,8 +49,13 @@ struct Numbered<T> {
 #[serde(rename_all = "snake_case")]
 enum FromSite {
     Greeting(Greeting),
-    Answer { number: u64, with: Box<Result<Reply, Failure>> },
+    Answer {
+        number: u64,
+        with: Box<Result<Reply, Failure>>,
+    },
     Event(Event),
+    /// No further events are told, and why.
+    Ended(Failure),
 }
 
 /// A path to the socket that is short enough for the kernel, however deep the home is.
@@ -105,12 +110,25 @@ async fn serve_joiner(site: Arc<Site>, stream: UnixStream) {
     tokio::spawn(write_lines(writer, queue));
     send(&lines, &FromSite::Greeting(greeting(&site)));
     let claims = joiner();
-    // Where operators are required, nobody unknown hears what happens.
-    let asker = site.config().operators_required.then(|| Arc::clone(&claims));
-    tokio::spawn(forward_events(site.events(), asker, lines.clone()));
+    let heard = lines.clone();
+    let telling = tokio::spawn(Arc::clone(&site).tell_events(Arc::clone(&claims), move |what| match what {
+        Heard::Event(event) => send(&heard, &FromSite::Event(event)),
+        Heard::Ended(refusal) => send(&heard, &FromSite::Ended(refusal)),
+    }));
     let (calls, receiver) = mpsc::unbounded_channel();
     tokio::spawn(Arc::clone(&site).serve(receiver, claims));
-    let mut reader = BufReader::new(reader);
+    answer_lines(&site, BufReader::new(reader), &calls, &lines).await;
+    // Whoever is told nothing would never be found to have gone.
+    telling.abort();
+}
+
+/// Answers each line of a joiner until it leaves.
+async fn answer_lines(
+    site: &Arc<Site>,
+    mut reader: BufReader<OwnedReadHalf>,
+    calls: &mpsc::UnboundedSender<Call>,
+    lines: &mpsc::UnboundedSender<Vec<u8>>,
+) {
     let mut line = Vec::new();
     loop {
         line.clear();
@@ -151,26 +169,6 @@ pub fn greeting(site: &Site) -> Greeting {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         settings: settings.map(|setting| (setting.name.to_owned(), setting.value)).collect(),
         operators_required: site.config().operators_required,
-    }
-}
-
-async fn forward_events(
-    mut events: broadcast::Receiver<Event>,
-    asker: Option<Claims>,
-    lines: mpsc::UnboundedSender<Vec<u8>>,
-) {
-    loop {
-        match events.recv().await {
-            Ok(_) if lines.is_closed() => return,
-            Ok(_) if asker.as_ref().is_some_and(|asker| !asker.is_known()) => {}
-            Ok(event) => {
-                if !send(&lines, &FromSite::Event(event)) {
-                    return;
-                }
-            }
-            Err(broadcast::error::RecvError::Lagged(_)) => {}
-            Err(broadcast::error::RecvError::Closed) => return,
-        }
     }
 }
 
@@ -235,8 +233,14 @@ pub async fn join(home: &Home, profile: ProfileName) -> Result<Option<(Client, G
     Ok(Some((Client::new(profile, calls, events), greeting)))
 }
 
+/// What those here hear last who are told nothing more.
+fn told_no_more(refusal: &Failure) -> Event {
+    let text = format!("this site tells nothing more of what happens: {}", clean(&refusal.message, 500));
+    Event::Notice { at: Timestamp::now(), level: NoticeLevel::Error, text, about: None }
+}
+
 async fn speak(
-    mut reader: BufReader<tokio::net::unix::OwnedReadHalf>,
+    mut reader: BufReader<OwnedReadHalf>,
     writer: OwnedWriteHalf,
     mut calls: mpsc::UnboundedReceiver<Call>,
     events: broadcast::Sender<Event>,
@@ -272,6 +276,7 @@ async fn speak(
                     }
                 }
                 Some(FromSite::Event(event)) => drop(events.send(event)),
+                Some(FromSite::Ended(refusal)) => drop(events.send(told_no_more(&refusal))),
                 Some(FromSite::Greeting(_)) => {}
                 None => return,
             },

@@ -2,6 +2,7 @@
 //! ledger and vault. The oldest file goes when time or size is reached; what goes with it is counted. Nobody reads it
 //! until its owner asks for a span.
 
+mod restored;
 mod segment;
 #[cfg(test)]
 mod tests;
@@ -14,6 +15,7 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
+pub use self::restored::note_restored;
 use self::segment::{MAGIC, Segment};
 use crate::model::{Digest, RecorderId, RingLimits, RingSpan, Signature, Timestamp, TopicId};
 use crate::store::{StoreError, files};
@@ -110,10 +112,15 @@ impl DiskRing {
             fallen: counts(&fs::read_to_string(folder.join(FALLEN)).unwrap_or_default()),
             looked: (Instant::now(), Timestamp::now()),
         };
+        let now = ring.looked.1;
+        let restored = restored::ages_from(folder, now);
         for (number, path) in segment::list(folder)? {
-            ring.segments.insert(number, Segment::open(path)?);
+            let mut segment = Segment::open(path)?;
+            let since = restored.filter(|(last, _)| number <= *last);
+            segment.moved = since.map(|(_, opened)| segment.last.max(opened));
+            ring.segments.insert(number, segment);
         }
-        ring.tend(Timestamp::now())?;
+        ring.tend(now)?;
         ring.make_room(0)?;
         Ok(ring)
     }

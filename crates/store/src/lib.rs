@@ -20,7 +20,7 @@ pub mod snapshot;
 pub mod vault;
 
 pub use audit::{AuditEntry, AuditFault, AuditLine, AuditLog, AuditQuery};
-pub use disk_ring::{DiskRing, KnownDefinition, RingFigures, RingRecord};
+pub use disk_ring::{DiskRing, KnownDefinition, RingFigures, RingRecord, note_restored};
 pub use error::StoreError;
 pub use files::{ConsoleLock, SiteLock, atomic_write};
 pub use ledger::{

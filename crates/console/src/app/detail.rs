@@ -47,7 +47,7 @@ impl Detail {
 
 /// The topic whose coverage is requested.
 pub fn coverage_of(topic: &TopicName) -> Errand {
-    let command = Command::TopicCoverage { topic: topic.clone(), since: None, until: None, parts: PARTS };
+    let command = Command::TopicCoverage { topic: topic.clone(), robot: None, since: None, until: None, parts: PARTS };
     Errand { command, tag: Tag::Beside(Screen::Topics, topic.to_string()) }
 }
 

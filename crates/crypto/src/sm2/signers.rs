@@ -1,11 +1,12 @@
 //! Tables for known signers: a gateway and an auditor meet the same few thousand keys. A table only makes verification
-//! faster; every signature is verified in full. It is built at a signer's third valid signature, and a table in use is
-//! never evicted, so strangers evict nobody however many keys they bring.
+//! faster; every signature is verified in full. It is built at a signer's third valid signature, and evicted only if its
+//! signer had no valid one for an hour: no flood makes an hour pass, whoever's signatures it consists of.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasher as _, RandomState};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, PoisonError, RwLock};
+use std::time::Instant;
 
 use crate::crypto::kernel::sm2::{Affine, SignerTable};
 use crate::model::PublicKey;
@@ -20,20 +21,26 @@ const _: () = assert!(SignerTable::BYTES <= 64 << 10 && MOST * SignerTable::BYTE
 pub(super) const SIGHTINGS: u8 = 3;
 /// The most signers whose sightings are counted at once.
 const COUNTED: usize = 4096;
-/// A table may be replaced if it was unused for this many valid verifications.
-pub(super) const IDLE: u64 = 1 << 16;
+/// Seconds without a valid signature after which a signer's table may be replaced. Not a number of verifications: those
+/// can be made in a second, by strangers or by one known signer, and would make all quiet signers replaceable.
+pub(super) const IDLE: u64 = 3600;
 
 /// A known signer: its key was checked when the table was built.
 pub(super) struct Known {
     pub table: SignerTable,
     pub za: [u8; 32],
-    /// When it was last used.
+    /// When it last found a signature valid.
     used: AtomicU64,
 }
 
+impl Known {
+    /// Notes a valid signature; an invalid one is anybody's and counts for nothing.
+    pub fn used(&self, now: u64) {
+        self.used.fetch_max(now, Ordering::Relaxed);
+    }
+}
+
 pub(super) struct Signers {
-    /// Counts valid signatures of unknown signers and uses of tables.
-    clock: AtomicU64,
     tables: RwLock<HashMap<[u8; 64], Arc<Known>>>,
     /// By the hash of a key: the hash, and how often it was seen.
     sightings: Mutex<Vec<(u64, u8)>>,
@@ -41,22 +48,18 @@ pub(super) struct Signers {
     most: usize,
 }
 
-static SIGNERS: LazyLock<Signers> = LazyLock::new(|| Signers::new(MOST));
+/// Those of this process, and since when time is counted.
+static SIGNERS: LazyLock<(Signers, Instant)> = LazyLock::new(|| (Signers::new(MOST), Instant::now()));
 
-/// The table of a known signer.
-pub(super) fn known(public: &PublicKey) -> Option<Arc<Known>> {
-    SIGNERS.known(public)
-}
-
-/// Counts a valid signature; builds the signer's table at the third.
-pub(super) fn seen(public: &PublicKey, point: &Affine, za: &[u8; 32]) {
-    SIGNERS.seen(public, point, za);
+/// The signers of this process, and the seconds since their beginning by the clock that nobody sets.
+pub(super) fn of_process() -> (&'static Signers, u64) {
+    let (signers, begun) = &*SIGNERS;
+    (signers, begun.elapsed().as_secs())
 }
 
 impl Signers {
     pub fn new(most: usize) -> Self {
         Self {
-            clock: AtomicU64::new(0),
             tables: RwLock::default(),
             sightings: Mutex::new(vec![(0, 0); COUNTED]),
             hasher: RandomState::new(),
@@ -64,24 +67,20 @@ impl Signers {
         }
     }
 
+    /// The table of a known signer.
     pub fn known(&self, public: &PublicKey) -> Option<Arc<Known>> {
-        let known = self.tables.read().unwrap_or_else(PoisonError::into_inner).get(&public.0).cloned()?;
-        known.used.store(self.clock.fetch_add(1, Ordering::Relaxed), Ordering::Relaxed);
-        Some(known)
+        self.tables.read().unwrap_or_else(PoisonError::into_inner).get(&public.0).cloned()
     }
 
-    pub fn seen(&self, public: &PublicKey, point: &Affine, za: &[u8; 32]) {
-        // Unknown signers advance this clock too: if only tables did, those of a crowd of signers that came and left
-        // would stay forever.
-        self.clock.fetch_add(1, Ordering::Relaxed);
-        if !self.is_due(public) || !self.has_room() {
+    /// Counts a valid signature; builds the signer's table at the third.
+    pub fn seen(&self, public: &PublicKey, point: &Affine, za: &[u8; 32], now: u64) {
+        if !self.is_due(public) || !self.has_room(now) {
             return;
         }
-        let used = AtomicU64::new(self.clock.load(Ordering::Relaxed));
-        let known = Arc::new(Known { table: SignerTable::new(point), za: *za, used });
+        let known = Arc::new(Known { table: SignerTable::new(point), za: *za, used: AtomicU64::new(now) });
         let mut tables = self.tables.write().unwrap_or_else(PoisonError::into_inner);
         if tables.len() >= self.most {
-            let Some(idle) = self.idle(&tables) else { return };
+            let Some(idle) = idle(&tables, now) else { return };
             tables.remove(&idle);
         }
         tables.insert(public.0, known);
@@ -101,16 +100,15 @@ impl Signers {
     }
 
     /// Whether there is room for a table, checked before it is built.
-    fn has_room(&self) -> bool {
+    fn has_room(&self, now: u64) -> bool {
         let tables = self.tables.read().unwrap_or_else(PoisonError::into_inner);
-        tables.len() < self.most || self.idle(&tables).is_some()
+        tables.len() < self.most || idle(&tables, now).is_some()
     }
+}
 
-    /// The table unused for the longest time, if that is long enough.
-    fn idle(&self, tables: &HashMap<[u8; 64], Arc<Known>>) -> Option<[u8; 64]> {
-        let now = self.clock.load(Ordering::Relaxed);
-        let (key, used) =
-            tables.iter().map(|(key, known)| (key, known.used.load(Ordering::Relaxed))).min_by_key(|one| one.1)?;
-        (now.saturating_sub(used) >= IDLE).then_some(*key)
-    }
+/// The table unused for the longest time, if that is long enough.
+fn idle(tables: &HashMap<[u8; 64], Arc<Known>>, now: u64) -> Option<[u8; 64]> {
+    let used = tables.iter().map(|(key, known)| (key, known.used.load(Ordering::Relaxed)));
+    let (key, used) = used.min_by_key(|one| one.1)?;
+    (now.saturating_sub(used) >= IDLE).then_some(*key)
 }

@@ -9,7 +9,8 @@ use crate::crypto::sm3::{Sm3Hasher, sm3};
 use crate::model::{PublicKey, Signature};
 
 use super::nonce::Nonces;
-use super::{point, signers};
+use super::point;
+use super::signers::{self, Signers};
 
 /// a, b, and the coordinates of G (GB/T 32918.5-2017, 4), as hashed into ZA.
 const CURVE: [u8; 128] = curve();
@@ -105,12 +106,26 @@ impl SigningKey {
 
 /// Checks a signature in full, using the signer's table if there is one.
 pub(crate) fn verify(public: &PublicKey, message: &[u8], signature: &Signature) -> Result<(), CryptoError> {
-    if let Some(known) = signers::known(public) {
-        return check(&known.table, &known.za, message, signature);
+    let (signers, now) = signers::of_process();
+    verify_among(signers, now, public, message, signature)
+}
+
+/// As [`verify`], with the tables of `signers` at the time `now`.
+pub(super) fn verify_among(
+    signers: &Signers,
+    now: u64,
+    public: &PublicKey,
+    message: &[u8],
+    signature: &Signature,
+) -> Result<(), CryptoError> {
+    if let Some(known) = signers.known(public) {
+        check(&known.table, &known.za, message, signature)?;
+        known.used(now);
+        return Ok(());
     }
     let (point, za) = (point(public)?, za(public));
     check(&point, &za, message, signature)?;
-    signers::seen(public, &point, &za);
+    signers.seen(public, &point, &za, now);
     Ok(())
 }
 

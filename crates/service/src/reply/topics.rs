@@ -89,6 +89,13 @@ pub struct CoveragePart {
 pub struct CoverageView {
     /// The topic.
     pub topic: TopicName,
+    /// The robot whose records alone are shown, if one was asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot: Option<String>,
+    /// Robots that recorded something of the topic, by name. What they lost is sealed in their reports, so it is in no
+    /// part.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub robots: Vec<String>,
     /// Beginning of the span.
     pub since: Timestamp,
     /// Its end.

@@ -26,13 +26,6 @@ pub struct Connected {
     held: Mutex<Held>,
 }
 
-impl Connected {
-    /// Whether it has shown who asks through it.
-    pub(crate) fn is_known(&self) -> bool {
-        self.asker.is_known()
-    }
-}
-
 /// What a connection holds.
 #[derive(Default)]
 struct Held {

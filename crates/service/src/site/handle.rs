@@ -58,8 +58,8 @@ impl Site {
             Command::ExportKey { kind, passphrase } => {
                 self.profiles.export_key(&owner()?, kind, passphrase).await.map(ask::ExportKey::told)
             }
-            Command::TopicCoverage { topic, since, until, parts } => {
-                let view = self.reading.coverage(&profile, topic, (since, until), parts).await;
+            Command::TopicCoverage { topic, robot, since, until, parts } => {
+                let view = self.reading.coverage(&profile, (topic, robot), (since, until), parts).await;
                 view.map(ask::TopicCoverage::told)
             }
             Command::ListTopics => self.capture.topics(&profile).await.map(ask::ListTopics::told),

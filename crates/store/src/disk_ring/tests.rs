@@ -130,6 +130,24 @@ fn what_is_older_or_does_not_fit_falls_out_and_is_counted() {
 }
 
 #[test]
+fn at_any_moment_of_an_hour_the_last_five_minutes_are_there() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut ring = ring(folder.path(), limits(300, 1 << 24));
+    let begun = now() / SECOND * SECOND - 4000 * SECOND;
+    for second in 0..3600 {
+        let at = begun + second * SECOND;
+        add(&mut ring, CAMERA, at, 50);
+        if second % 41 == 0 {
+            let since = at.saturating_sub(300 * SECOND).max(begun);
+            let expected: Vec<u64> = (since / SECOND..=at / SECOND).collect();
+            assert_eq!(times(&found(&ring, &all(since, at + 1))), expected, "after {second} seconds");
+        }
+    }
+    let figures = ring.figures();
+    assert!(figures.fallen >= 3600 - 320 && figures.messages + figures.fallen == 3600, "{figures:?}");
+}
+
+#[test]
 fn a_clock_that_jumps_empties_no_ring() {
     const DAY: u64 = 86_400 * SECOND;
     for (by, name) in [(i128::from(DAY), "ahead"), (-i128::from(DAY), "back")] {
@@ -218,4 +236,39 @@ fn what_falls_out_is_gone_although_its_count_cannot_be_written() {
     assert!(full.shrink().expect("a file goes"));
     let again = ring(folder.path(), limits(3600, 1 << 20));
     assert_eq!(again.figures().fallen, 21, "the count caught up");
+}
+
+#[test]
+fn what_comes_out_of_a_backup_ages_from_the_first_opening_on() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let begun = now() - 10_000 * SECOND;
+    let mut before = ring(folder.path(), limits(100_000, 1 << 24));
+    for second in 0..20 {
+        add(&mut before, CAMERA, begun + second * SECOND, 100);
+    }
+    drop(before);
+    assert!(note_restored(folder.path()).expect("noted"));
+    let opened = now();
+    let mut again = ring(folder.path(), limits(160, 1 << 24));
+    assert_eq!((again.figures().messages, again.figures().fallen), (20, 0), "hours old, and just out of the backup");
+    assert_eq!(times(&found(&again, &all(0, u64::MAX))).len(), 20);
+    add(&mut again, CAMERA, opened, 100);
+    drop(again);
+    // Opened again, and later: no new beginning.
+    let mut again = ring(folder.path(), limits(160, 1 << 24));
+    assert_eq!(again.figures().messages, 21);
+    again.tend(Timestamp(opened + 150 * SECOND)).expect("tended");
+    assert_eq!(again.figures().messages, 21);
+    let last = now();
+    again.tend(Timestamp(last + 161 * SECOND)).expect("tended");
+    assert_eq!((again.figures().messages, again.figures().fallen), (0, 21), "all of it falls out once");
+    // Numbers of files begin anew in an empty ring; these are no files of the backup.
+    drop(again);
+    let mut again = ring(folder.path(), limits(160, 1 << 24));
+    add(&mut again, CAMERA, opened - 100 * SECOND, 100);
+    again.tend(Timestamp(opened + 161 * SECOND)).expect("tended");
+    assert_eq!(again.figures().messages, 0);
+
+    let nothing = tempfile::tempdir().expect("a folder");
+    assert!(!note_restored(nothing.path()).expect("empty") && !note_restored(&nothing.path().join("x")).expect("none"));
 }

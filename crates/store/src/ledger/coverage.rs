@@ -1,11 +1,13 @@
 //! When there are records of a topic: parts of a span of time, each looked up in the index of states, so that the cost
 //! depends on the parts and not on the records.
 
+use std::collections::BTreeSet;
+
 use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::Ledger;
 use super::rows::{self, Which, unsigned};
-use crate::model::{Address, RecordKind, RecordState, Timestamp};
+use crate::model::{Address, RecordKind, RecordState, SignerId, Timestamp};
 use crate::store::StoreError;
 use crate::store::database::whole;
 
@@ -21,6 +23,9 @@ pub struct CoverageQuery {
     pub owner: Address,
     /// Its name.
     pub topic: String,
+    /// Only what these keys signed, as those of one robot, without losses: what is counted here was lost by this
+    /// site's own capture. `None` = whoever recorded it.
+    pub signers: Option<BTreeSet<SignerId>>,
     /// From this time; `None` = from its first record.
     pub since: Option<Timestamp>,
     /// Before this time.
@@ -55,6 +60,8 @@ pub struct Coverage {
     pub first: Option<Timestamp>,
     /// Capture of the last.
     pub last: Option<Timestamp>,
+    /// Whose keys signed records of the topic, also others than those asked for.
+    pub signers: BTreeSet<SignerId>,
     /// The parts, oldest first, all of the same length.
     pub parts: Vec<CoveragePart>,
 }
@@ -66,15 +73,21 @@ impl Ledger {
     /// [`StoreError::TooBig`] if a time is not valid, [`StoreError::Database`] and its kin.
     pub fn coverage(&self, query: &CoverageQuery) -> Result<Coverage, StoreError> {
         self.read(|connection| {
-            let lanes = lanes(connection, query)?;
+            let mut lanes = lanes(connection, query)?;
+            let signers = lanes.iter().map(|lane| lane.signer).collect();
+            if let Some(wanted) = &query.signers {
+                lanes.retain(|lane| wanted.contains(&lane.signer));
+            }
             let (first, last) = ends(connection, &lanes)?;
             let since = query.since.or(first).unwrap_or(query.until).min(query.until);
             let mut parts = empty(since, query);
             for lane in &lanes {
                 lane.walk(connection, query.until, &mut parts)?;
             }
-            add_losses(connection, query, &mut parts)?;
-            Ok(Coverage { since, until: query.until, first, last, parts })
+            if query.signers.is_none() {
+                add_losses(connection, query, &mut parts)?;
+            }
+            Ok(Coverage { since, until: query.until, first, last, signers, parts })
         })
     }
 }
@@ -82,6 +95,7 @@ impl Ledger {
 /// Records of one stream in one state.
 struct Lane {
     stream: i64,
+    signer: SignerId,
     state: RecordState,
 }
 
@@ -93,7 +107,7 @@ fn lanes(connection: &Connection, query: &CoverageQuery) -> Result<Vec<Lane>, St
     for stream in streams {
         let states = statement.query_map([stream.key], |row| rows::state(row, 0))?;
         for state in states {
-            lanes.push(Lane { stream: stream.key, state: state? });
+            lanes.push(Lane { stream: stream.key, signer: stream.signer, state: state? });
         }
     }
     Ok(lanes)

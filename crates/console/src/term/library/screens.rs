@@ -205,7 +205,8 @@ fn coverage(topic: &str) -> CoverageView {
     };
     let parts = (0..60).map(part).collect();
     let topic = topic.parse().expect("a topic");
-    CoverageView { topic, since, until: fixtures::NOW, first: Some(since), last: Some(fixtures::NOW), parts }
+    let (first, last) = (Some(since), Some(fixtures::NOW));
+    CoverageView { topic, robot: None, robots: Vec::new(), since, until: fixtures::NOW, first, last, parts }
 }
 
 fn locked(size: Size, asks_passphrase: bool) -> Robot {

@@ -14,6 +14,7 @@ use crate::pipeline::{Network, Owner, quarantine, recorder_heads};
 use crate::service::failure::refused;
 use crate::service::reply::{Failure, RobotGatewayView};
 use crate::site::sharing::overdue::earliest_expiry;
+use crate::store::Ledger;
 
 /// An enrolled device, as its owner's ledger stores it: no secret.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -123,8 +124,7 @@ impl Enrolments {
     }
 
     fn of_account(&self, owner: Address) -> Result<Vec<Enrolled>, Failure> {
-        let text = block_in_place(|| self.plant.ledger.setting(&place(owner)))?;
-        Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
+        block_in_place(|| of_account(&self.plant.ledger, owner))
     }
 
     /// Whether this home recalled a device of an account; what the chain says newer counts more.
@@ -162,6 +162,15 @@ impl Enrolments {
         let text = serde_json::to_string(all).unwrap_or_default();
         Ok(block_in_place(|| self.plant.ledger.put_setting(&place(owner.address), &text))?)
     }
+}
+
+/// The robots enrolled by an account, oldest first. Waits for the disk.
+///
+/// # Errors
+/// Errors of the ledger.
+pub(in crate::site) fn of_account(ledger: &Ledger, owner: Address) -> Result<Vec<Enrolled>, Failure> {
+    let text = ledger.setting(&place(owner))?;
+    Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
 }
 
 fn place(owner: Address) -> String {

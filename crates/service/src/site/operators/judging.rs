@@ -73,7 +73,7 @@ impl Operators {
     }
 
     /// Why an operator may not do this now; `None` if it may.
-    async fn refusal(
+    pub(super) async fn refusal(
         self: &Arc<Self>,
         acting: &Acting,
         asker: &Asker,

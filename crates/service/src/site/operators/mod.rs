@@ -2,6 +2,7 @@
 //! judged by request. Each request reads what is stated of them now, so an end is heeded by connections that stand.
 
 mod asker;
+mod hearing;
 mod judging;
 #[cfg(test)]
 mod tests;
@@ -10,6 +11,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 pub(crate) use asker::Asker;
+pub(crate) use hearing::Heard;
 
 use super::audit::Log;
 use super::blocking;
@@ -37,6 +39,8 @@ pub(super) struct Operators {
     log: Arc<Log>,
     owners: Arc<Owners>,
     changing: tokio::sync::Mutex<()>,
+    /// Told when statements change, and when a connection becomes an operator's.
+    changed: tokio::sync::watch::Sender<()>,
     /// Deriving a key from a passphrase takes 128 MiB: one at a time.
     proving: tokio::sync::Mutex<()>,
 }
@@ -55,6 +59,7 @@ impl Operators {
             log,
             owners,
             changing: tokio::sync::Mutex::default(),
+            changed: tokio::sync::watch::Sender::default(),
             proving: tokio::sync::Mutex::default(),
         }
     }
@@ -134,7 +139,9 @@ impl Operators {
 
     async fn write(self: &Arc<Self>, profile: &ProfileName, list: OperatorList) -> Result<(), Failure> {
         let path = self.file(profile);
-        blocking(self, move |_| Ok(list.write(&path)?)).await
+        let written = blocking(self, move |_| Ok(list.write(&path)?)).await;
+        self.changed.send_replace(());
+        written
     }
 
     async fn add(self: &Arc<Self>, owner: &Arc<Owner>, terms: OperatorTerms) -> Result<Vec<OperatorView>, Failure> {
@@ -216,6 +223,7 @@ impl Operators {
         if !asker.act(Acting { profile: profile.clone(), name, key: statement.terms.key }) {
             return Err(refused("this connection acts as an operator already; open another one"));
         }
+        self.changed.send_replace(());
         Ok(self.view(statement, &certifier))
     }
 }

@@ -3,16 +3,16 @@
 
 use std::sync::Arc;
 
-use tokio::sync::mpsc;
+use tokio::sync::{broadcast, mpsc};
 
 use crate::crypto::{OperatorKey, ProviderName, provider};
 use crate::model::{ErrorKind, OperatorName, Signature, Timestamp};
-use crate::service::Client;
 use crate::service::command::{
     ActAsOperator, AddOperator, Ask, ChallengeOperator, CreateIdentity, ListOperators, ListWatches, RemoveOperator,
     RotateKeys, SecretText, Unlock, UnwatchTopic, WatchTopic,
 };
 use crate::service::reply::{Failure, OperatorState, OperatorView};
+use crate::service::{Client, Event, NoticeLevel, socket};
 use crate::site::testing::{PASSPHRASE, profile, site_of};
 use crate::site::{Needs, Site, joiner};
 use crate::store::AuditQuery;
@@ -188,5 +188,74 @@ async fn where_operators_are_required_others_give_the_passphrase() {
     let looks = joined(&site, "alice");
     act(&looks, &bob).await.expect("an operator");
     looks.ask(ListWatches).await.expect("looking");
+    site.stop().await;
+}
+
+/// Another process, through the real socket, and what it hears from now on.
+async fn through_the_socket(site: &Site) -> (Client, broadcast::Receiver<Event>) {
+    let (client, _) = socket::join(site.home(), profile("alice")).await.expect("joins").expect("a site");
+    let heard = client.events();
+    (client, heard)
+}
+
+/// All notices up to the one with these words.
+async fn until(heard: &mut broadcast::Receiver<Event>, words: &str) -> Vec<String> {
+    let mut texts = Vec::new();
+    loop {
+        if let Event::Notice { text, .. } = heard.recv().await.expect("the connection stands") {
+            let is_it = text.contains(words);
+            texts.push(text);
+            if is_it {
+                return texts;
+            }
+        }
+    }
+}
+
+fn tell(site: &Site, text: &str) {
+    site.parts.hub.notice(NoticeLevel::Info, text);
+}
+
+/// Whatever was to come has come once its request is answered and the other one, who hears all, has heard what was told.
+async fn hears_no_more(client: &Client, heard: &mut broadcast::Receiver<Event>, refusal: &str) {
+    refused(client, ListWatches, refusal).await;
+    while let Ok(event) = heard.try_recv() {
+        assert!(!matches!(&event, Event::Notice { text, .. } if text.contains("secret")), "{event:?}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_is_no_operator_any_more_hears_no_more_although_it_asks_nothing() {
+    let (site, _folder) = site_of(&[], NONE);
+    socket::listen(&site).expect("listens");
+    let owner = made(&site, "alice").await;
+    let (bob, late, eve) = (key("bob"), key("late"), key("eve"));
+    add(&owner, &bob, "look").await.expect("added");
+    add(&owner, &eve, "capture").await.expect("added");
+    let end = Timestamp(Timestamp::now().0 + 2_000_000_000);
+    let (name, rights) = (late.name.clone(), "look".parse().expect("a right"));
+    owner.ask(AddOperator { name, key: late.pair.public, rights, until: Some(end) }).await.expect("added");
+
+    let (removed, mut of_removed) = through_the_socket(&site).await;
+    let (expired, mut of_expired) = through_the_socket(&site).await;
+    let (captures, mut of_captures) = through_the_socket(&site).await;
+    let (_stays, mut of_owner) = through_the_socket(&site).await;
+    act(&removed, &bob).await.expect("its own key");
+    act(&expired, &late).await.expect("its own key");
+    act(&captures, &eve).await.expect("its own key");
+    until(&mut of_captures, "needs the right 'look'").await;
+    tell(&site, "for those who may look");
+    until(&mut of_removed, "for those who may look").await;
+    until(&mut of_expired, "for those who may look").await;
+
+    // Its time is over, and nothing else happens.
+    until(&mut of_expired, "may not act now (expired)").await;
+    owner.ask(RemoveOperator { name: bob.name.clone() }).await.expect("ended");
+    until(&mut of_removed, "operator 'bob' was removed").await;
+    tell(&site, "a secret of those who stay");
+    until(&mut of_owner, "a secret of those who stay").await;
+    hears_no_more(&removed, &mut of_removed, "was removed").await;
+    hears_no_more(&expired, &mut of_expired, "may not act now").await;
+    hears_no_more(&captures, &mut of_captures, "needs the right 'look'").await;
     site.stop().await;
 }

@@ -11,7 +11,7 @@ fn at(seq: u64, captured_at: u64) -> NewRecord {
 
 fn query(since: Option<u64>, until: u64, parts: usize) -> CoverageQuery {
     let topic = "/robot1/odom".to_owned();
-    CoverageQuery { owner: OWNER, topic, since: since.map(Timestamp), until: Timestamp(until), parts }
+    CoverageQuery { owner: OWNER, topic, signers: None, since: since.map(Timestamp), until: Timestamp(until), parts }
 }
 
 /// A letter for each part: d = data, q = quarantined, t = tampered, l = lost, `.` = nothing.
@@ -49,6 +49,37 @@ fn each_part_says_what_there_is_of_it() {
     assert_eq!((coverage.first, coverage.last), (Some(Timestamp(100)), Some(Timestamp(500))));
     let whole = ledger.coverage(&query(None, 600, 1)).expect("read");
     assert_eq!((whole.since, strip(&whole)), (Timestamp(100), vec!["dql".to_owned()]));
+}
+
+#[test]
+fn two_robots_of_one_topic_have_a_timeline_each() {
+    let (_home, ledger) = open();
+    let [one, other] = [SignerId([7; 32]), SignerId([8; 32])];
+    let of = |signer: SignerId, recorder: u8, seq: u64, captured_at: u64| NewRecord {
+        digest: Digest([16 * recorder + u8::try_from(seq).expect("few"); 32]),
+        signer,
+        foreign: Some(Foreign { recorder: RecorderId([recorder; 16]), keeper: Address([9; 20]) }),
+        ..at(seq, captured_at)
+    };
+    // The second one takes turns with its ring, whose recorder is another.
+    let records = vec![of(one, 1, 1, 110), of(one, 1, 2, 120), of(other, 2, 1, 310), of(other, 3, 1, 420)];
+    ledger.append(records).expect("acknowledged");
+    let topic = "/robot1/odom".to_owned();
+    let lost = Loss { topic, first_at: Timestamp(210), last_at: Timestamp(210), ..loss(LossReason::Transport, 7) };
+    ledger.count_losses(vec![lost]).expect("counted");
+    let of = |signers: &[SignerId]| {
+        let signers = Some(signers.iter().copied().collect());
+        ledger.coverage(&CoverageQuery { signers, ..query(Some(100), 500, 4) }).expect("read")
+    };
+    let all = ledger.coverage(&query(Some(100), 500, 4)).expect("read");
+    assert_eq!((strip(&all).concat().as_str(), all.signers.len()), ("dldd", 2));
+    let first = of(&[one]);
+    assert_eq!(strip(&first).concat(), "d...", "a loss of this site is none of the robot's");
+    assert_eq!((first.first, first.last, &first.signers), (Some(Timestamp(110)), Some(Timestamp(120)), &all.signers));
+    let second = of(&[other]);
+    assert_eq!((strip(&second).concat().as_str(), second.first), ("..dd", Some(Timestamp(310))));
+    assert_eq!(strip(&of(&[one, other])).concat(), "d.dd");
+    assert_eq!((of(&[]).first, of(&[SignerId([9; 32])]).first), (None, None));
 }
 
 #[test]
