@@ -62,11 +62,21 @@ def table(head, rows):
     return "\n".join([line(head), ruler, *(line(row) for row in rows)])
 
 
+def gateways(messages, rate, copies):
+    """How many gateways of two cores, where `copies` of them and the one that took it keep each record."""
+    count = max(copies, ceil(messages / rate))
+    # One of `count` that took a record is not among the chosen ones, on average in this share of cases.
+    while messages * (copies + (count - copies) / count) > count * rate:
+        count += 1
+    return count
+
+
 def fleet(robots, rate, size):
     messages = robots * rate
     small = size <= 1_024
     # What takes records and what brings them to verified share a machine of two cores; the slower of both counts.
-    sites = ceil(messages / (SITE_RATE if small else PICTURES_RATE))
+    held = SITE_RATE if small else PICTURES_RATE
+    sites = ceil(messages / held)
     cores = rounded(messages / GATEWAY_RATE) if small else "not measured"
     stored = messages * DAY * (size + HEADER + TAGS + HEAD)
     batches = sites * DAY * max(BATCHES, ceil(messages / sites / BATCH_MOST))
@@ -77,6 +87,7 @@ def fleet(robots, rate, size):
         thousands(messages),
         cores,
         thousands(sites),
+        thousands(gateways(messages, held, 2)),
         rounded(stored / 1e9),
         rounded(NODE_MEMORY * 1e9 / (stored / DAY) / 3600),
         thousands(batches),
@@ -92,6 +103,7 @@ HEADINGS = [
     "msg/s",
     "cores to take them",
     "gateways of two cores",
+    "each record at 2",
     "vault GB/day",
     "hours in one Redis node",
     "transactions/day",
