@@ -74,20 +74,13 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
             state.contacts = rows;
             say_done(state, tag);
         }),
-        Tag::Incident(Deed::Remove, _) => done(state, tag, ask::RemoveIncident::heard(result), |state, rows| {
-            state.incidents.set(rows, state.now);
-            say_done(state, tag);
-        }),
+        Tag::Incident(Deed::Remove, _) => incident_removed(state, tag, result),
         Tag::Incident(deed, _) => done(state, tag, ask::OpenIncident::heard(result), |state, view| {
             incidents::changed(state, *deed, view);
         }),
-        Tag::Fleet(deed) => done(state, tag, ask::ListFellows::heard(result), |state, rows| {
-            fleet::changed(state, deed, rows);
-        }),
+        Tag::Fleet(deed) => fleet_changed(state, tag, deed, result),
         Tag::Robot(name) => policies::shown(state, name, ask::ShowRobot::heard(result)),
-        Tag::SetPolicy(name, _) => done(state, tag, ask::SetRobotPolicy::heard(result), |state, view| {
-            policies::set(state, name, view);
-        }),
+        Tag::SetPolicy(robot, _) => policy_set(state, tag, robot, result),
         Tag::Watch(topic) => done(state, tag, ask::WatchTopic::heard(result), |state, ()| {
             state.inform(format!("now watching {topic}"));
         }),
@@ -118,6 +111,21 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         }
     }
     follow_up(state, tag)
+}
+
+fn fleet_changed(state: &mut State, tag: &Tag, deed: &fleet::Deed, result: Answer) {
+    done(state, tag, ask::ListFellows::heard(result), |state, rows| fleet::changed(state, deed, rows));
+}
+
+fn policy_set(state: &mut State, tag: &Tag, robot: &str, result: Answer) {
+    done(state, tag, ask::SetRobotPolicy::heard(result), |state, view| policies::set(state, robot, view));
+}
+
+fn incident_removed(state: &mut State, tag: &Tag, result: Answer) {
+    done(state, tag, ask::RemoveIncident::heard(result), |state, rows| {
+        state.incidents.set(rows, state.now);
+        say_done(state, tag);
+    });
 }
 
 /// What one question requested besides the act that is now done; nothing if that failed.

@@ -62,9 +62,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Inspect => return inspect(state),
         Verb::Lock => return lock::lock(state),
         Verb::Undo => return undo::undo(state),
-        Verb::BackUp => {
-            return vec![state.send(Errand { command: Command::Operate(Operation::BackUpKeys), tag: Tag::BackUp })];
-        }
+        Verb::BackUp => return back_up(state),
         Verb::ChooseTheme => return themes::choose(state),
         Verb::Ascii => return vec![Effect::ToggleAscii],
         Verb::Mouse => return mouse::toggle(state),
@@ -88,10 +86,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Level => state.log.next_level(),
         Verb::Source => state.log.next_source(),
         Verb::Read => read_line(state),
-        Verb::Tasks => {
-            state.feeds.slot_mut(Feed::Progress).stale = true;
-            state.popups.push(Popup::Tasks);
-        }
+        Verb::Tasks => tasks(state),
         Verb::Readers => readers(state),
         Verb::Contacts => contacts::open(state),
         Verb::SetPolicy => policies::begin(state),
@@ -135,6 +130,15 @@ fn refuse(state: &mut State, verb: Verb, reason: &str) {
     }
     let name = super::verb::entry_of(verb, state.screen).map_or("", |entry| entry.name);
     state.inform(format!("{name}: {reason}"));
+}
+
+fn back_up(state: &mut State) -> Vec<Effect> {
+    vec![state.send(Errand { command: Command::Operate(Operation::BackUpKeys), tag: Tag::BackUp })]
+}
+
+fn tasks(state: &mut State) {
+    state.feeds.slot_mut(Feed::Progress).stale = true;
+    state.popups.push(Popup::Tasks);
 }
 
 /// Goes to a screen.

@@ -13,6 +13,7 @@ use crate::app::State;
 use crate::app::feed::Feed;
 use crate::app::screens::gateway::{Member, SORTS};
 use crate::app::screens::grants::day;
+use crate::app::words::counted;
 use crate::model::{Timestamp, clean};
 use crate::service::reply::{FellowView, GatewayStatusView, SenderView, SystemKeyView};
 
@@ -97,7 +98,13 @@ fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView, brief: 
         canvas.put(row(area, 2), second, Role::Dim);
         return 4;
     };
-    line(canvas, row(area, 1), "Listens", &format!("{}, {} connections", served.address, view.connections), Role::Good);
+    line(
+        canvas,
+        row(area, 1),
+        "Listens",
+        &format!("{}, {}", served.address, counted(view.connections, "connection")),
+        Role::Good,
+    );
     line(canvas, row(area, 2), "Fingerprint", &format!("{} (to be pinned)", served.fingerprint), Role::Body);
     line(canvas, row(area, 3), "Anchors as", &served.account.to_string(), Role::Body);
     let mut place = 4;
