@@ -114,7 +114,7 @@ fn an_owner_sets_a_policy_by_form_and_sees_its_robot_drift_until_it_works_by_it(
     alice.home.file("wrong.toml", "vault.url = \"redis://elsewhere\"\n", 0o600);
 
     let mut owner = Operator::opens(&alice.authros);
-    owner.presses("8").sees("joined another one").sees("Robots and senders").sees("scout");
+    owner.presses("8").sees("joined another one").sees("Robots").sees("scout");
     owner.presses("p").sees("Set a robot's policy").presses("~/wro\t").sees("~/wrong.toml").presses("\r");
     owner.sees("vault.url").presses("\u{15}~/sco\t").sees("~/scout.toml").presses("\r").sees("Set this policy?");
     owner.sees("1 rule").presses("y").sees("policy 1 waiting").sees("1 in drift");

@@ -16,6 +16,8 @@ use crate::service::reply::FellowView;
 
 /// What was heard within this many nanoseconds is heard now.
 const NOW: u64 = 10_000_000_000;
+/// The word for that.
+const JUST_NOW: &str = "now";
 
 /// A name of what is known, the words, and their role.
 pub type Fact = (&'static str, String, Role);
@@ -98,7 +100,7 @@ pub fn standing(one: &FellowView) -> (String, Role) {
 fn heard(at: Option<Timestamp>, now: Timestamp) -> String {
     match at {
         None => "never".to_owned(),
-        Some(at) if now.0.saturating_sub(at.0) < NOW => "now".to_owned(),
+        Some(at) if now.0.saturating_sub(at.0) < NOW => JUST_NOW.to_owned(),
         Some(at) => words::age(at, now),
     }
 }
@@ -124,15 +126,19 @@ fn cells(state: &State, one: &FellowView) -> Vec<(String, Role)> {
 /// All that is known of a gateway.
 pub fn facts(state: &State, one: &FellowView) -> Vec<Fact> {
     let (stands, role) = standing(one);
-    let told = |at: Timestamp| format!("{at}, {}", ago(&heard(Some(at), state.shown_at())));
+    let told = |at: Timestamp| match heard(Some(at), state.shown_at()) {
+        // A clock would move all the time, and say no more.
+        age if age == JUST_NOW => age,
+        age => format!("{}, {age} ago", words::second(at)),
+    };
     let account = "none known here has registered this key".to_owned();
-    let records = |count: u64| counted(count, "record");
+    let records = |count: u64| format!("{} {}", words::count(count), if count == 1 { "record" } else { "records" });
     let mut facts = vec![
         ("state", stands, role),
         ("address", clean(&one.address, 255), Role::Body),
         ("key", one.key.to_hex(), Role::Body),
         ("account", one.account.map_or(account, |account| account.to_string()), Role::Body),
-        ("added", one.added_at.to_string(), Role::Dim),
+        ("added", words::second(one.added_at), Role::Dim),
         ("heard", one.heard.map_or_else(|| "not since this site runs".to_owned(), told), Role::Body),
         ("lacking", format!("{} that it told of and that are not here", records(one.lacking)), Role::Body),
         ("taken", format!("{} since this site runs", records(one.taken)), Role::Body),
@@ -158,8 +164,4 @@ pub fn facts(state: &State, one: &FellowView) -> Vec<Fact> {
         facts.push(("owners", text, Role::Warning));
     }
     facts
-}
-
-fn ago(age: &str) -> String {
-    if age == "now" { age.to_owned() } else { format!("{age} ago") }
 }

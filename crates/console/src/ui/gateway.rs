@@ -47,7 +47,15 @@ const WITH_POLICY: &[Column] = &[
     Column::text("From", 21).from(125),
     Column::number("Frames", 8).from(110),
     Column::number("Bytes", 9).from(75),
-    Column::text("Since UTC", 9).from(140),
+    Column::text("Last UTC", 8),
+];
+
+/// Robots where no gateway runs: what their owner's site knows of them.
+const OF_OWNER: &[Column] = &[
+    Column::name("Robot"),
+    Column::text("Policy", 26),
+    Column::text("Gateway", 24).from(90),
+    Column::number("Waiting", 8),
     Column::text("Last UTC", 8),
 ];
 
@@ -164,16 +172,29 @@ fn draw_refused(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView, most:
 fn draw_members(canvas: &mut Canvas, area: Rect, state: &State, rows: &[Member], here: Option<usize>) {
     let gateway = &state.gateway;
     let keys: Vec<String> = rows.iter().map(Member::key).collect();
-    let connected = rows.iter().filter(|row| row.is_connected()).count();
+    let senders = gateway.view.as_ref().is_some_and(|view| !view.senders.is_empty());
+    let robots = !gateway.robots.is_empty();
+    let (title, columns) = match (senders, robots) {
+        (true, true) => ("Robots and senders", WITH_POLICY),
+        (false, true) => ("Robots", OF_OWNER),
+        (_, false) => ("Senders", COLUMNS),
+    };
     let order = order(&SORTS, &gateway.table);
-    let mut note = format!("{} of {}, {connected} connected, by {order}", rows.len(), gateway.all_members().len());
+    let mut note = format!("{} of {}", rows.len(), gateway.all_members().len());
+    if senders || !robots {
+        let connected = rows.iter().filter(|row| row.is_connected()).count();
+        note.push_str(&format!(", {connected} connected"));
+    }
+    note.push_str(&format!(", by {order}"));
     let drift = gateway.robots.iter().filter(|robot| robot.drift).count();
     if drift > 0 {
         note.push_str(&format!(", {drift} in drift"));
     }
-    let robots = !gateway.robots.is_empty();
-    let (title, columns) = if robots { ("Robots and senders", WITH_POLICY) } else { ("Senders", COLUMNS) };
-    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(state, row, robots));
+    let cells = |index: usize| match rows.get(index) {
+        None => Vec::new(),
+        Some(row) if robots && !senders => cells_of_owner(state, row),
+        Some(row) => cells(state, row, robots),
+    };
     let empty = match gateway.table.filter.text() {
         "" => "Nobody is enrolled yet; `authros agent enrol` adds a robot or operator.",
         _ => "Nobody matches the filter.",
@@ -198,10 +219,27 @@ fn cells(state: &State, row: &Member, policy: bool) -> Vec<(String, Role)> {
         (of(|sender| sender.peer.clone().unwrap_or_default()), Role::Dim),
         (of(|sender| words::count(sender.frames)), Role::Body),
         (of(|sender| words::size(sender.bytes)), Role::Body),
-        (of(|sender| sender.since.map(Timestamp::clock).unwrap_or_default()), Role::Dim),
-        (row.last().map(|last| when(last, state.shown_at())).unwrap_or_default(), Role::Dim),
     ]);
+    if !policy {
+        cells.push((of(|sender| sender.since.map(Timestamp::clock).unwrap_or_default()), Role::Dim));
+    }
+    cells.push(last(state, row));
     cells
+}
+
+fn cells_of_owner(state: &State, row: &Member) -> Vec<(String, Role)> {
+    let waiting = row.robot.map_or(0, |robot| robot.waiting);
+    vec![
+        (row.name(), Role::Body),
+        row.robot.map(policies::standing).unwrap_or_default(),
+        (row.robot.and_then(|robot| robot.gateway.clone()).unwrap_or_else(|| "-".to_owned()), Role::Dim),
+        (words::count(waiting), if waiting > 0 { Role::Body } else { Role::Dim }),
+        last(state, row),
+    ]
+}
+
+fn last(state: &State, row: &Member) -> (String, Role) {
+    (row.last().map(|last| when(last, state.shown_at())).unwrap_or_default(), Role::Dim)
 }
 
 /// The clock of today; how long ago, if that is longer than a day.

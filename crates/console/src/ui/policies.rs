@@ -43,7 +43,7 @@ fn runs(row: &RobotRow) -> Fact {
 
 fn drift(row: &RobotRow, now: Timestamp) -> Option<Fact> {
     let since = row.drift_since?;
-    Some(("drift", format!("since {since}, for {}", words::age(since, now)), Role::Warning))
+    Some(("drift", format!("since {}, for {}", words::second(since), words::age(since, now)), Role::Warning))
 }
 
 /// All that is known of a robot, besides its topics and the policy's text.
@@ -51,12 +51,14 @@ pub fn facts(view: &RobotView, now: Timestamp) -> Vec<Fact> {
     let row = &view.row;
     let seen = row.last_seen.map_or_else(
         || "never".to_owned(),
-        |at| format!("{at}, {} ago; {} wait here", words::age(at, now), counted(row.waiting, "record")),
+        |at| {
+            format!("{}, {} ago; {} wait here", words::second(at), words::age(at, now), counted(row.waiting, "record"))
+        },
     );
     let (stands, role) = standing(row);
     let policy = match (row.wanted, view.set_at) {
         (0, _) => ("policy", "no policy was set".to_owned(), Role::Dim),
-        (_, Some(at)) => ("policy", format!("{stands}; set {at}"), role),
+        (_, Some(at)) => ("policy", format!("{stands}; set {}", words::second(at)), role),
         (_, None) => ("policy", stands, role),
     };
     let mut facts = vec![policy, runs(row)];

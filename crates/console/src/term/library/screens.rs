@@ -7,7 +7,9 @@ use crate::app::tour::Cast;
 use crate::app::{Action, Effect, Key, Screen, Settings, Tag, Verb};
 use crate::model::{Digest, ErrorKind, ProfileName, Timestamp};
 use crate::ros::readable::{Plot, Raster, Readable};
-use crate::service::reply::{CoveragePart, CoverageView, HealthLevel, HeldUp, LifeLine, OpenedView, SiteView};
+use crate::service::reply::{
+    CoveragePart, CoverageView, GatewayStatusView, HealthLevel, HeldUp, LifeLine, OpenedView, SiteView,
+};
 use crate::service::{Event, NoticeLevel, Part, Reply};
 
 /// Columns and rows.
@@ -37,6 +39,7 @@ const SCREENS: &[Situation] = &[
     ("gateway", |size| at(Screen::Gateway, size)),
     ("gateway-with-a-fleet", |size| with_fleet(size, true)),
     ("gateway-with-a-small-fleet", |size| with_fleet(size, false)),
+    ("gateway-of-an-owner", of_an_owner),
     ("overview-with-drift", |size| {
         let mut robot = with_fleet(size, true);
         robot.types("1");
@@ -245,6 +248,15 @@ fn with_fleet(size: Size, troubled: bool) -> Robot {
         let well = fixtures::robots::fellows().into_iter().take(1).collect();
         fixtures::robots::shows(&mut robot, well, Vec::new());
     }
+    robot
+}
+
+/// The robots of an owner whose site has joined another one.
+fn of_an_owner(size: Size) -> Robot {
+    let mut robot = sized(Robot::at_work(true), size);
+    fixtures::robots::shows(&mut robot, Vec::new(), fixtures::robots::robots());
+    let through = Some("as reported by the gateway 192.0.2.1:7420".to_owned());
+    robot.state.gateway.set(GatewayStatusView { through, ..GatewayStatusView::default() });
     robot
 }
 
