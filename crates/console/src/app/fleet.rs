@@ -181,7 +181,7 @@ pub fn begin(state: &mut State) {
     ];
     let notes = vec![
         "Gateways that name each other exchange what they hold.".to_owned(),
-        "Its keeper tells you its key: y on their Gateway screen copies it.".to_owned(),
+        "Get the key from its keeper: y on their Gateway screen copies it.".to_owned(),
     ];
     state.feeds.slot_mut(Feed::Fleet).stale = true;
     state.popups.push(Popup::Form(Purpose::AddGateway, Form::new("Add a gateway to the fleet", notes, lines)));
@@ -214,7 +214,7 @@ pub fn read(state: &State, form: &Form) -> Result<Confirm, (usize, String)> {
         }
     };
     if let Some(own) = own {
-        lines.push("Its keeper names yours, too; nothing is exchanged before that:".to_owned());
+        lines.push("Its keeper has to add yours, too, before anything is exchanged:".to_owned());
         lines.push(format!("authros fleet add {} --gateway-key {}", reached(&own.address), own.gateway));
     }
     let before = known.map(|one| one.address.clone());
@@ -260,8 +260,8 @@ fn removal(state: &State, one: &FellowView) -> Confirm {
     let lines = vec![
         format!("Key      {}", one.key),
         format!("Stands   {}", Standing::of(one).words()),
-        "Nothing is asked of it and nothing handed to it any more. What was taken stays.".to_owned(),
-        "Its keeper may still name yours: they remove it there.".to_owned(),
+        "Records are no longer exchanged with it; those already taken stay.".to_owned(),
+        "Its keeper may still list yours, and has to remove it there.".to_owned(),
     ];
     // What a person would type, if that names one gateway only.
     let alone = state.gateway.all_fellows().iter().filter(|other| other.address == one.address).count() == 1;

@@ -231,7 +231,7 @@ fn ask(state: &mut State, name: &str) {
         Line::text("File", "path to a TOML file; empty = clear the policy", Field::default()).path(PathKind::File),
     ];
     let notes = vec![
-        "Watched topics, rules and ring that count over the robot's own settings.".to_owned(),
+        "Watched topics, rules and ring, over the robot's own settings.".to_owned(),
         "Signed by your account; the robot takes it up at its next contact.".to_owned(),
     ];
     let mut form = Form::new("Set a robot's policy", notes, lines);
@@ -336,21 +336,20 @@ fn summary(policy: &RobotPolicy) -> [String; 3] {
 fn question(state: &State, robot: &str, file: Option<PathBuf>, text: String) -> Confirm {
     let row = state.gateway.robots.iter().find(|row| row.name.as_str() == robot || row.device.to_hex() == robot);
     let version = row.map(|row| row.wanted.max(row.running.unwrap_or_default()).saturating_add(1));
-    let number = version.map_or_else(String::new, |version| format!("version {version}, "));
+    let number = version.map(|version| format!("This is version {version}, signed by your account."));
     let mut lines = vec![format!("Robot    {}", clean(robot, 64))];
     let (title, yes) = match &file {
         Some(file) => {
             lines.push(format!("File     {}", clean(&file.display().to_string(), 300)));
-            lines.push(format!("It becomes {number}signed by your account. The robot takes it up at its"));
-            lines.push("next contact; it then counts over the robot's own settings.".to_owned());
+            lines.push("It overrides the robot's own settings from its next contact on.".to_owned());
             ("Set this policy?", "set it")
         }
         None => {
-            lines.push(format!("The robot's own settings alone count again: {number}signed by your"));
-            lines.push("account, taken up at the robot's next contact.".to_owned());
+            lines.push("The robot goes back to its own settings at its next contact.".to_owned());
             ("Clear the policy?", "clear it")
         }
     };
+    lines.extend(number);
     let tag = Tag::SetPolicy(robot.to_owned(), file);
     let errand = Errand { command: SetRobotPolicy { name: robot.to_owned(), text }.into(), tag };
     Confirm { title: title.to_owned(), lines, yes, typed: None, errand }

@@ -131,7 +131,7 @@ pub fn facts(state: &State, one: &FellowView) -> Vec<Fact> {
         age if age == JUST_NOW => age,
         age => format!("{}, {age} ago", words::second(at)),
     };
-    let account = "none known here has registered this key".to_owned();
+    let account = "no account known here has registered this key".to_owned();
     let records = |count: u64| format!("{} {}", words::count(count), if count == 1 { "record" } else { "records" });
     let mut facts = vec![
         ("state", stands, role),
@@ -139,9 +139,9 @@ pub fn facts(state: &State, one: &FellowView) -> Vec<Fact> {
         ("key", one.key.to_hex(), Role::Body),
         ("account", one.account.map_or(account, |account| account.to_string()), Role::Body),
         ("added", words::second(one.added_at), Role::Dim),
-        ("heard", one.heard.map_or_else(|| "not since this site runs".to_owned(), told), Role::Body),
-        ("lacking", format!("{} that it told of and that are not here", records(one.lacking)), Role::Body),
-        ("taken", format!("{} since this site runs", records(one.taken)), Role::Body),
+        ("heard", one.heard.map_or_else(|| "not since this site started".to_owned(), told), Role::Body),
+        ("lacking", format!("{} of its records are missing here", words::count(one.lacking)), Role::Body),
+        ("taken", format!("{} since this site started", records(one.taken)), Role::Body),
     ];
     if let Some(problem) = &one.problem {
         facts.insert(1, ("trouble", clean(problem, 300), Role::Bad));
@@ -155,7 +155,7 @@ pub fn facts(state: &State, one: &FellowView) -> Vec<Fact> {
     );
     let twice = match one.anchored_twice {
         0 => ("twice", "no record was anchored by both".to_owned(), Role::Dim),
-        count => ("twice", format!("{} anchored by both; that harms nothing", records(count)), Role::Body),
+        count => ("twice", format!("{} anchored by both; harmless", records(count)), Role::Body),
     };
     facts.push(twice);
     if one.passed_over > 0 {
