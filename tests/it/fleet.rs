@@ -4,6 +4,7 @@
 
 use crate::support;
 
+mod console;
 mod enduring;
 mod killing;
 mod reconciling;

@@ -44,7 +44,7 @@ pub use self::operators::{
 pub use self::playing::{Pace, PlayWishes, Remap};
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
 pub use self::right::Needed;
-pub use self::robots::{ListRobots, PullRing, RobotCommand, SetRobotPolicy, ShowRobot};
+pub use self::robots::{LONGEST_POLICY, ListRobots, PullRing, RobotCommand, SetRobotPolicy, ShowRobot};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::unattended::{EndUnattended, PrepareUnattended, UnattendedCommand};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};

@@ -6,12 +6,12 @@ use std::process::Command as Program;
 use clap::Parser as _;
 
 use crate::app::incidents::Deed;
-use crate::app::{Errand, Settings, State, Tag, command_line};
+use crate::app::{Errand, Settings, State, Tag, command_line, fleet};
 use crate::cli::args::Arguments;
-use crate::model::{Address, IncidentName, Party, Timestamp, TopicName};
+use crate::model::{Address, IncidentName, Party, SignerId, Timestamp, TopicName};
 use crate::service::command::{
-    Administration, CloseIncident, EndUnattended, Held, NoteIncident, OpenIncident, Pace, PlayWishes,
-    PrepareUnattended, RemoveIncident,
+    AddFellow, Administration, CloseIncident, EndUnattended, Held, NoteIncident, OpenIncident, Pace, PlayWishes,
+    PrepareUnattended, RemoveFellow, RemoveIncident, SetRobotPolicy, ShowRobot,
 };
 use crate::service::{Command, Epochs, KeyKind, Operation, SecretText};
 
@@ -56,10 +56,13 @@ fn place(tag: &Tag) -> Option<usize> {
         Tag::Contact(_) => 27,
         Tag::Incident(..) => 28,
         Tag::Play(_) => 29,
+        Tag::Fleet(_) => 30,
+        Tag::Robot(_) => 31,
+        Tag::SetPolicy(..) => 32,
     })
 }
 
-const ACTS: usize = 30;
+const ACTS: usize = 33;
 
 /// An act, and the line that a person would type for it.
 type Act = (Tag, Command, String);
@@ -187,6 +190,33 @@ fn acts_of_incidents() -> Vec<Act> {
     ]
 }
 
+fn acts_of_the_fleet() -> Vec<Act> {
+    let (key, address) = (SignerId([0x6a; 32]), || "192.0.2.7:7420".to_owned());
+    let add = || AddFellow { address: address(), key }.into();
+    let remove = RemoveFellow { gateway: address() };
+    let set = |text: &str| SetRobotPolicy { name: "scout".to_owned(), text: text.to_owned() }.into();
+    let show = ShowRobot { name: "scout".to_owned() };
+    let named = |before: Option<String>| Tag::Fleet(fleet::Deed::Add { address: address(), key, before });
+    let line = format!("fleet add 192.0.2.7:7420 --gateway-key {}", "6a".repeat(32));
+    let file = Some("/home/op/scout's.toml".into());
+    vec![
+        (named(None), add(), line.clone()),
+        (named(Some("192.0.2.6:7420".to_owned())), add(), line),
+        (
+            Tag::Fleet(fleet::Deed::Remove { address: address(), key }),
+            remove.into(),
+            "fleet remove 192.0.2.7:7420".to_owned(),
+        ),
+        (Tag::Robot("scout".to_owned()), show.into(), "robots show scout".to_owned()),
+        (
+            Tag::SetPolicy("scout".to_owned(), file),
+            set("[ring]\n"),
+            "robots policy scout --set '/home/op/scout'\\''s.toml'".to_owned(),
+        ),
+        (Tag::SetPolicy("scout".to_owned(), None), set(""), "robots policy scout --clear".to_owned()),
+    ]
+}
+
 /// The words of a line, as a shell divides it.
 fn words(line: &str) -> Vec<String> {
     let script = format!("set -- {line}; printf '%s\\n' \"$@\"");
@@ -198,9 +228,8 @@ fn words(line: &str) -> Vec<String> {
 fn every_act_of_the_console_has_the_line_that_a_person_would_type() {
     let state = State::new(Settings::default());
     let mut walked = [false; ACTS];
-    for (tag, command, expected) in
-        [acts_of_keys(), acts_of_topics(), acts_of_rights(), acts_of_records(), acts_of_incidents()].concat()
-    {
+    let all = [acts_of_keys(), acts_of_topics(), acts_of_rights(), acts_of_records()];
+    for (tag, command, expected) in [all.concat(), acts_of_incidents(), acts_of_the_fleet()].concat() {
         walked[place(&tag).expect("an act")] = true;
         let line = command_line::twin(&state, &Errand { command, tag: tag.clone() });
         let line = line.unwrap_or_else(|| panic!("{tag:?} has no command line"));

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use zeroize::Zeroizing;
 
 use super::feed::Feed;
+use super::fleet;
 use super::incidents::Deed;
 use super::key::Key;
 use super::paths::{Found, Sought};
@@ -47,6 +48,8 @@ pub enum Action {
     FilesWritten(Result<String, String>),
     /// The paths that begin as was typed, or why they cannot be read.
     PathsFound(Sought, Result<Found, String>),
+    /// A file was read as text, or why it cannot be.
+    TextRead(PathBuf, Result<String, String>),
     /// The theme is now this one.
     ThemeIs(String),
     /// The wheel was turned: up or down.
@@ -95,6 +98,8 @@ pub enum Effect {
     SpeakFor(ProfileName),
     /// Read which paths begin as typed.
     FindPaths(Sought),
+    /// Read a file as text, no further than a robot's policy may be long.
+    ReadText(PathBuf),
     /// Write files into a new place below `base`, 0600, never overwriting others.
     WriteFiles {
         /// An existing folder; `None` = the working directory.
@@ -206,6 +211,12 @@ pub enum Tag {
     Contact(String),
     /// Something done to an incident.
     Incident(Deed, IncidentName),
+    /// Something done to the fleet.
+    Fleet(fleet::Deed),
+    /// A robot in full.
+    Robot(String),
+    /// The policy of a robot, from this file; `None` = cleared.
+    SetPolicy(String, Option<PathBuf>),
     /// Playing of a topic into ROS, under this name.
     Play(String),
     /// End of a playback.
@@ -219,7 +230,7 @@ impl Tag {
             self,
             Self::Show(_) | Self::Beside(..) | Self::Open(_) | Self::Path(_) | Self::Check(_) | Self::Publishers(_)
         );
-        !looks && !matches!(self, Self::Feed(..) | Self::OpenConsole)
+        !looks && !matches!(self, Self::Feed(..) | Self::OpenConsole | Self::Robot(_))
     }
 
     /// The running command, in words.
@@ -259,6 +270,10 @@ impl Tag {
             Self::Export(id) => format!("exporting {id}"),
             Self::Incident(deed, name) => deed.words(name),
             Self::Contact(name) => format!("changing contact {name}"),
+            Self::Fleet(deed) => deed.words(),
+            Self::Robot(name) => format!("looking up robot {name}"),
+            Self::SetPolicy(robot, Some(_)) => format!("setting the policy of {robot}"),
+            Self::SetPolicy(robot, None) => format!("clearing the policy of {robot}"),
             Self::Play(topic) => format!("playing {topic} into ROS, live (4, then p: stop)"),
             Self::StopPlay => "stopping playback".to_owned(),
         }

@@ -1,5 +1,6 @@
 //! What an operator should look at, from the data received: since when, how often, and what ended recently.
 
+use super::policies;
 use super::screens::grants::{is_active, is_given};
 use super::standing::not_captured;
 use super::state::State;
@@ -129,6 +130,9 @@ fn standing(state: &State) -> Vec<Alert> {
             life(&site.life).into_iter().map(|(count, level, what)| alert(what, level, format!("{count} {what}"))),
         );
         found.extend(judged(state, site));
+    }
+    if let Some((since, text)) = policies::drift(state) {
+        found.push(Alert { since, lasts: true, ..alert("robots in drift", NoticeLevel::Warning, text) });
     }
     if let Some((about, text)) = identity(state) {
         found.push(alert(about, NoticeLevel::Warning, text));

@@ -10,10 +10,12 @@ use super::action::{Contents, Effect, Tag};
 use super::detail;
 use super::exporting;
 use super::feed::Feed;
+use super::fleet;
 use super::identity_path;
 use super::incidents::{self, Deed};
 use super::opening;
 use super::playing;
+use super::policies;
 use super::popup::Popup;
 use super::profiles;
 use super::screen::Screen;
@@ -72,13 +74,13 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
             state.contacts = rows;
             say_done(state, tag);
         }),
-        Tag::Incident(Deed::Remove, _) => done(state, tag, ask::RemoveIncident::heard(result), |state, rows| {
-            state.incidents.set(rows, state.now);
-            say_done(state, tag);
-        }),
+        Tag::Incident(Deed::Remove, _) => incident_removed(state, tag, result),
         Tag::Incident(deed, _) => done(state, tag, ask::OpenIncident::heard(result), |state, view| {
             incidents::changed(state, *deed, view);
         }),
+        Tag::Fleet(deed) => fleet_changed(state, tag, deed, result),
+        Tag::Robot(name) => policies::shown(state, name, ask::ShowRobot::heard(result)),
+        Tag::SetPolicy(robot, _) => policy_set(state, tag, robot, result),
         Tag::Watch(topic) => done(state, tag, ask::WatchTopic::heard(result), |state, ()| {
             state.inform(format!("now watching {topic}"));
         }),
@@ -111,6 +113,21 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
     follow_up(state, tag)
 }
 
+fn fleet_changed(state: &mut State, tag: &Tag, deed: &fleet::Deed, result: Answer) {
+    done(state, tag, ask::ListFellows::heard(result), |state, rows| fleet::changed(state, deed, rows));
+}
+
+fn policy_set(state: &mut State, tag: &Tag, robot: &str, result: Answer) {
+    done(state, tag, ask::SetRobotPolicy::heard(result), |state, view| policies::set(state, robot, view));
+}
+
+fn incident_removed(state: &mut State, tag: &Tag, result: Answer) {
+    done(state, tag, ask::RemoveIncident::heard(result), |state, rows| {
+        state.incidents.set(rows, state.now);
+        say_done(state, tag);
+    });
+}
+
 /// What one question requested besides the act that is now done; nothing if that failed.
 fn follow_up(state: &mut State, tag: &Tag) -> Vec<Effect> {
     let Some((_, errand)) = state.follow_up.take_if(|(after, _)| after == tag) else { return Vec::new() };
@@ -127,17 +144,19 @@ fn fed(state: &mut State, feed: Feed, generation: u64, result: Answer) -> Vec<Ef
         state.feeds.slot_mut(feed).stale = true;
         return Vec::new();
     }
-    if let Err(failure) = take(state, feed, result) {
+    let effects = take(state, feed, result).unwrap_or_else(|failure| {
         state.feeds.slot_mut(feed).failure = Some(failure);
-    }
+        Vec::new()
+    });
     if feed == Feed::Identity {
         identity_path::greet(state);
         return identity_path::advance(state);
     }
-    Vec::new()
+    effects
 }
 
-fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
+/// Takes the answer of a feed over; returns what that leads to.
+fn take(state: &mut State, feed: Feed, result: Answer) -> Result<Vec<Effect>, Failure> {
     let limit = state.page_rows();
     match feed {
         Feed::Site => {
@@ -168,8 +187,13 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<(), Failure> {
             state.progress_at = state.now;
         }
         Feed::Gateway => state.gateway.set(ask::GatewayStatus::heard(result)?),
+        Feed::Fleet => {
+            let (view, now) = (ask::FleetStatus::heard(result)?, state.now);
+            state.gateway.set_fleet(view, now);
+        }
+        Feed::Robots => return Ok(policies::listed(state, ask::ListRobots::heard(result)?)),
     }
-    Ok(())
+    Ok(Vec::new())
 }
 
 /// A profile that is open elsewhere, or a home that cannot be used, ends the console.
@@ -325,6 +349,8 @@ fn secret(base: Option<PathBuf>, name: String, secret: &SecretBytes) -> Effect {
 fn touched_by(tag: &Tag) -> &'static [Feed] {
     match tag {
         Tag::Watch(_) | Tag::Unwatch(_) | Tag::HoldCapture => &[Feed::Topics],
+        Tag::Fleet(_) => &[Feed::Fleet, Feed::Site],
+        Tag::SetPolicy(..) => &[Feed::Robots],
         Tag::Incident(..) => &[Feed::Incidents, Feed::Uploads],
         Tag::Contact(_) => &[Feed::Contacts, Feed::Grants, Feed::Shared],
         Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
@@ -335,6 +361,7 @@ fn touched_by(tag: &Tag) -> &'static [Feed] {
         Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Play(_) | Tag::StopPlay => &[],
         Tag::PrepareUnattended => &[Feed::Site],
         Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => &[],
+        Tag::Robot(_) => &[],
     }
 }
 

@@ -36,11 +36,15 @@ pub enum Feed {
     Progress,
     /// `ListIncidents`.
     Incidents,
+    /// `FleetStatus`.
+    Fleet,
+    /// `ListRobots`.
+    Robots,
 }
 
 impl Feed {
     /// All feeds.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 15] = [
         Self::Site,
         Self::Identity,
         Self::Keys,
@@ -54,6 +58,8 @@ impl Feed {
         Self::Contacts,
         Self::Progress,
         Self::Incidents,
+        Self::Fleet,
+        Self::Robots,
     ];
 
     /// What a change of `part` makes out of date.
@@ -63,8 +69,8 @@ impl Feed {
             Part::Uploads => &[Self::Uploads, Self::Site, Self::Gateway],
             Part::Grants => &[Self::Grants, Self::Shared, Self::Audit],
             Part::Chain => &[Self::Chain, Self::Shared, Self::Gateway],
-            Part::Health => &[Self::Site, Self::Gateway],
-            Part::Identity => &[Self::Identity, Self::Keys, Self::Audit],
+            Part::Health => &[Self::Site, Self::Gateway, Self::Fleet],
+            Part::Identity => &[Self::Identity, Self::Keys, Self::Audit, Self::Robots],
         }
     }
 }

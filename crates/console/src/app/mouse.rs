@@ -43,6 +43,10 @@ pub fn click(state: &mut State, column: u16, row: u16) {
         }
         return;
     }
+    // The rows of this screen begin lower, and are in two parts.
+    if state.screen == Screen::Gateway {
+        return;
+    }
     let Some(line) = row.checked_sub(ABOVE).map(usize::from).filter(|line| *line < state.page_rows()) else { return };
     let keys = state.row_keys();
     let page = state.page_rows();

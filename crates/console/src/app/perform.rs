@@ -14,6 +14,7 @@ use super::cursor;
 use super::detail;
 use super::exporting;
 use super::feed::Feed;
+use super::fleet::{self, FellowWindow};
 use super::forms;
 use super::granting;
 use super::identity_path::{self, Need};
@@ -22,9 +23,11 @@ use super::leaving::{self, Leaving};
 use super::lock;
 use super::mouse;
 use super::playing;
+use super::policies;
 use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
 use super::profiles;
 use super::screen::Screen;
+use super::screens::gateway::Row;
 use super::screens::grants::other_side;
 use super::screens::log::LogLine;
 use super::state::State;
@@ -56,11 +59,10 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Quit => return quit(state),
         Verb::Play => return playing::toggle(state),
         Verb::Publishers => return publishers(state),
+        Verb::Inspect => return inspect(state),
         Verb::Lock => return lock::lock(state),
         Verb::Undo => return undo::undo(state),
-        Verb::BackUp => {
-            return vec![state.send(Errand { command: Command::Operate(Operation::BackUpKeys), tag: Tag::BackUp })];
-        }
+        Verb::BackUp => return back_up(state),
         Verb::ChooseTheme => return themes::choose(state),
         Verb::Ascii => return vec![Effect::ToggleAscii],
         Verb::Mouse => return mouse::toggle(state),
@@ -84,12 +86,12 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Level => state.log.next_level(),
         Verb::Source => state.log.next_source(),
         Verb::Read => read_line(state),
-        Verb::Tasks => {
-            state.feeds.slot_mut(Feed::Progress).stale = true;
-            state.popups.push(Popup::Tasks);
-        }
+        Verb::Tasks => tasks(state),
         Verb::Readers => readers(state),
         Verb::Contacts => contacts::open(state),
+        Verb::SetPolicy => policies::begin(state),
+        Verb::AddGateway => fleet::begin(state),
+        Verb::RemoveGateway => fleet::begin_removal(state),
         Verb::Incident => incidents::begin(state),
         Verb::Incidents => incidents::open(state),
         Verb::Profile => profiles::open(state),
@@ -128,6 +130,15 @@ fn refuse(state: &mut State, verb: Verb, reason: &str) {
     }
     let name = super::verb::entry_of(verb, state.screen).map_or("", |entry| entry.name);
     state.inform(format!("{name}: {reason}"));
+}
+
+fn back_up(state: &mut State) -> Vec<Effect> {
+    vec![state.send(Errand { command: Command::Operate(Operation::BackUpKeys), tag: Tag::BackUp })]
+}
+
+fn tasks(state: &mut State) {
+    state.feeds.slot_mut(Feed::Progress).stale = true;
+    state.popups.push(Popup::Tasks);
 }
 
 /// Goes to a screen.
@@ -268,6 +279,16 @@ fn unpin(state: &mut State) {
 fn read_line(state: &mut State) {
     let line = state.log.selected().cloned();
     state.popups.extend(line.map(Popup::Line));
+}
+
+/// The gateway or robot under the cursor, in full.
+fn inspect(state: &mut State) -> Vec<Effect> {
+    if let Some(Row::Fellow(one)) = state.gateway.selected() {
+        let window = FellowWindow { key: one.key, scroll: 0 };
+        state.popups.push(Popup::Fellow(window));
+        return Vec::new();
+    }
+    policies::open(state)
 }
 
 /// Who can read the topics, the record's topic, or what the grant covers.

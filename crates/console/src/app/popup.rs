@@ -8,6 +8,7 @@ use super::columns::ColumnChoice;
 use super::confirm::Typed;
 use super::contacts::Book;
 use super::field::Field;
+use super::fleet::FellowWindow;
 use super::form::Form;
 use super::fuzzy;
 use super::incidents::IncidentList;
@@ -19,7 +20,7 @@ use super::state::State;
 use super::themes::ThemeChoice;
 use super::verb::{Entry, VERBS};
 use crate::service::Failure;
-use crate::service::reply::{PinsView, Provenance};
+use crate::service::reply::{PinsView, Provenance, RobotView};
 
 /// A popup over the screen.
 #[derive(Debug)]
@@ -59,6 +60,10 @@ pub enum Popup {
     Contacts(Book),
     /// The incidents.
     Incidents(IncidentList),
+    /// A gateway of the fleet.
+    Fellow(FellowWindow),
+    /// A robot: its policy, topics, losses.
+    Robot(Lookup<RobotView>),
     /// Leaving while something would stop, or is not done.
     Quit(Leaving),
 }
@@ -90,6 +95,10 @@ pub enum Purpose {
     OpenIncident,
     /// Words about an incident.
     NoteIncident,
+    /// A gateway of the fleet.
+    AddGateway,
+    /// A robot and the file of its policy.
+    SetPolicy,
     /// Which profile to speak for.
     Profile,
     /// A publisher of this kind of topic that is no longer accepted.

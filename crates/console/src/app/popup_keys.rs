@@ -2,14 +2,13 @@
 
 use super::action::{Effect, Tag};
 use super::administration;
-use super::available::available;
 use super::browse;
 use super::columns;
 use super::command_line;
 use super::confirm;
 use super::contacts;
 use super::exporting;
-use super::field::Field;
+use super::fleet;
 use super::form::{Form, FormStep};
 use super::forms;
 use super::granting::{self, Extension};
@@ -19,9 +18,11 @@ use super::key::{Key, chord_label};
 use super::keymap::Meaning;
 use super::leaving;
 use super::opening;
+use super::palette;
 use super::paths;
 use super::perform::{copy, perform};
-use super::popup::{Confirm, Help, Lookup, Palette, Popup, Purpose};
+use super::policies;
+use super::popup::{Confirm, Help, Lookup, Popup, Purpose};
 use super::profiles;
 use super::state::State;
 use super::themes;
@@ -36,6 +37,8 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
         Popup::Browse(_) => vec![("enter", "show these"), ("up down", "choose"), ("q", "close")],
         Popup::Contacts(_) => contacts::hints(state),
         Popup::Incidents(list) => incidents::hints(state, list),
+        Popup::Fellow(_) => fleet::hints(state),
+        Popup::Robot(_) => policies::hints(state),
         Popup::Publishers(_) => vec![("up down", "scroll"), ("p", "pin"), ("P", "unpin"), ("q", "close")],
         Popup::Tasks | Popup::Readers(_) => vec![("q", "close")],
         Popup::Unlocked => vec![("enter", "close"), ("esc", "close")],
@@ -82,7 +85,7 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
     let quitting = matches!(popup, Popup::Quit(_));
     let key = if key == Key::Control('c') && !quitting { Key::Escape } else { key };
     match popup {
-        Popup::Palette(palette) => palette_key(state, palette, key),
+        Popup::Palette(palette) => palette::key(state, palette, key),
         Popup::Form(purpose, form) => form_key(state, purpose, form, key),
         Popup::Confirm(confirm) => confirm_key(state, confirm, key),
         Popup::Quit(leaving) => leaving::key(state, leaving, key),
@@ -94,6 +97,8 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
         Popup::Contacts(book) => contacts::key(state, book, key),
         Popup::Incidents(list) => incidents::key(state, list, key),
         Popup::Publishers(lookup) => publishers_key(state, lookup, key),
+        Popup::Fellow(window) => fleet::key(state, window, key),
+        Popup::Robot(lookup) => policies::key(state, lookup, key),
         Popup::Tasks | Popup::Readers(_) => {
             if !matches!(key, Key::Escape | Key::Enter | Key::Char('q' | 't' | 'i')) {
                 state.popups.push(popup);
@@ -183,74 +188,6 @@ pub(super) fn scrolled(scroll: usize, key: Key, page: usize) -> Option<usize> {
     })
 }
 
-fn palette_key(state: &mut State, mut palette: Palette, key: Key) -> Vec<Effect> {
-    let matches = palette.matches(state);
-    let last = matches.len().saturating_sub(1);
-    match key {
-        Key::Escape => return Vec::new(),
-        Key::Enter => {
-            remember(state, palette.field.text());
-            let words: Vec<&str> = palette.field.text().split_whitespace().collect();
-            if let (Some(("grant", terms)), Ok(())) = (with_terms(&words), available(state, Verb::Grant)) {
-                return granting::spoken(state, terms);
-            }
-            if let (Some(("columns", names)), Ok(())) = (with_terms(&words), available(state, Verb::Columns)) {
-                return columns::spoken(state, names);
-            }
-            if let Some(("profile", [name])) = with_terms(&words)
-                && let Ok(profile) = name.parse()
-            {
-                return profiles::switch(state, profile);
-            }
-            let Some(entry) = matches.get(palette.selected.min(last)) else { return Vec::new() };
-            return perform(state, entry.verb);
-        }
-        Key::Up | Key::Down if recalls(state, &mut palette, key == Key::Up) => {}
-        Key::Up | Key::BackTab => palette.selected = palette.selected.min(last).saturating_sub(1),
-        Key::Down | Key::Tab => palette.selected = (palette.selected + 1).min(last),
-        _ => {
-            palette.field.key(key);
-            (palette.selected, palette.recalled) = (0, None);
-        }
-    }
-    state.popups.push(Popup::Palette(palette));
-    Vec::new()
-}
-
-/// The most commands remembered.
-const MOST_COMMANDS: usize = 50;
-
-fn remember(state: &mut State, typed: &str) {
-    let typed = typed.trim();
-    if !typed.is_empty() {
-        state.commands.retain(|other| other != typed);
-        state.commands.push(typed.to_owned());
-        drop(state.commands.drain(..state.commands.len().saturating_sub(MOST_COMMANDS)));
-    }
-}
-
-/// In an empty palette, up brings the last command back, and then earlier ones; false if the arrow moves the cursor.
-fn recalls(state: &State, palette: &mut Palette, earlier: bool) -> bool {
-    let wanted = match (palette.recalled, earlier) {
-        (None, true) if palette.field.text().is_empty() && palette.selected == 0 => Some(0),
-        (None, _) => return false,
-        (Some(back), true) => Some((back + 1).min(state.commands.len().saturating_sub(1))),
-        (Some(back), false) => back.checked_sub(1),
-    };
-    let text = wanted.and_then(|back| state.commands.iter().rev().nth(back));
-    if text.is_none() && palette.recalled.is_none() {
-        return false;
-    }
-    palette.field = Field::with(text.map_or("", String::as_str));
-    (palette.recalled, palette.selected) = (wanted, 0);
-    true
-}
-
-/// A command's name and the terms after it, if there are any.
-fn with_terms<'a>(words: &'a [&'a str]) -> Option<(&'a str, &'a [&'a str])> {
-    words.split_first().filter(|(_, terms)| !terms.is_empty()).map(|(name, terms)| (*name, terms))
-}
-
 /// The next key of a chord.
 fn chord_key(state: &mut State, mut pressed: Vec<Key>, key: Key) -> Vec<Effect> {
     if key == Key::Escape {
@@ -308,6 +245,7 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
     // The form that led here has done its work.
     let led_here = |purpose: &Purpose| {
         matches!(purpose, Purpose::Grant | Purpose::Extend | Purpose::LoadKey | Purpose::Administer(_))
+            || matches!(purpose, Purpose::AddGateway | Purpose::SetPolicy)
     };
     let form = state.popups.iter().position(|popup| matches!(popup, Popup::Form(purpose, _) if led_here(purpose)));
     if let Some(Popup::Form(purpose, form)) = form.map(|place| state.popups.remove(place)) {
@@ -330,11 +268,11 @@ fn unasked(state: &mut State) -> Vec<Effect> {
 fn need_of(confirm: &Confirm) -> Option<Need> {
     match confirm.errand.tag {
         Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Lock | Tag::BackUp => None,
-        Tag::HoldCapture | Tag::StopPlay | Tag::Contact(_) | Tag::Incident(..) => None,
-        Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Pin(_) | Tag::Unpin(_) => None,
+        Tag::HoldCapture | Tag::StopPlay | Tag::Contact(_) | Tag::Incident(..) | Tag::Fleet(_) => None,
+        Tag::Robot(_) | Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Pin(_) | Tag::Unpin(_) => None,
         Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Deploy | Tag::Adopt => Some(Need::Unlocked),
         Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
-        Tag::Play(_) => Some(Need::Unlocked),
+        Tag::Play(_) | Tag::SetPolicy(..) => Some(Need::Unlocked),
         Tag::Extend(_) => Some(Need::Registered),
         Tag::Register | Tag::Watch(_) | Tag::Unwatch(_) | Tag::Grant(_) | Tag::Revoke(_) | Tag::Rotate => {
             Some(Need::Registered)
@@ -352,6 +290,10 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
         state.popups.push(Popup::Form(purpose, form));
         return Vec::new();
     }
+    if purpose == Purpose::SetPolicy && key == Key::Tab && policies::complete(state, &mut form) {
+        state.popups.push(Popup::Form(purpose, form));
+        return Vec::new();
+    }
     if let Some(asked) = paths::tab(state, &form, key) {
         state.popups.push(Popup::Form(purpose, form));
         return vec![asked];
@@ -366,6 +308,11 @@ fn form_key(state: &mut State, purpose: Purpose, mut form: Form, key: Key) -> Ve
             // The form stays below its question, so that a "no" returns to it.
             Ok(effects) if matches!(state.popups.last(), Some(Popup::Confirm(_))) => {
                 state.popups.insert(state.popups.len() - 1, Popup::Form(purpose, form));
+                return effects;
+            }
+            // So it does while the file that it names is read.
+            Ok(effects) if matches!(effects.as_slice(), [Effect::ReadText(_)]) => {
+                state.popups.push(Popup::Form(purpose, form));
                 return effects;
             }
             Ok(effects) => {
@@ -418,6 +365,12 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
         Purpose::AddContact => contacts::read(form)?,
         Purpose::OpenIncident => incidents::read(state, form)?,
         Purpose::NoteIncident => incidents::read_note(form)?,
+        Purpose::AddGateway => {
+            let question = fleet::read(state, form)?;
+            state.popups.push(Popup::Confirm(question));
+            return Ok(Vec::new());
+        }
+        Purpose::SetPolicy => return policies::submit(state, form),
         Purpose::Profile => {
             let profile = profiles::read(form)?;
             return Ok(profiles::switch(state, profile));

@@ -7,12 +7,14 @@ use super::alerts::AlertBook;
 use super::detail::Detail;
 use super::exporting::Exports;
 use super::feed::{Feed, Feeds};
+use super::fleet;
 use super::form::Form;
 use super::history::{History, Period};
 use super::identity_path::IdentityPath;
 use super::incidents::{self, Incidents};
 use super::keymap::Keymap;
 use super::opening::Opening;
+use super::policies;
 use super::popup::{Popup, Purpose};
 use super::progress::Progress;
 use super::rates::Rates;
@@ -136,6 +138,8 @@ pub struct State {
     pub identity_path: Option<IdentityPath>,
     /// The gateway.
     pub gateway: Gateway,
+    /// The file that is being read for a form.
+    pub reading: Option<PathBuf>,
     /// The address book.
     pub contacts: Vec<ContactRow>,
     /// Spans that are kept.
@@ -198,6 +202,7 @@ impl State {
             work: Vec::new(),
             identity_path: None,
             gateway: Gateway::default(),
+            reading: None,
             contacts: Vec::new(),
             incidents: Incidents::default(),
             filled: None,
@@ -247,6 +252,8 @@ impl State {
             super::countdown::moves_at(self),
             self.progress_asked_at(),
             incidents::asked_at(self),
+            fleet::asked_at(self),
+            policies::asked_at(self),
             self.graphs_move_at(),
             self.grants.nearer_at(self.now).filter(|_| self.screen == Screen::Grants && !self.is_frozen()),
         ];

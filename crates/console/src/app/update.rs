@@ -7,6 +7,7 @@ use super::countdown;
 use super::cursor;
 use super::detail;
 use super::feed::Feed;
+use super::fleet;
 use super::incidents;
 use super::key::{Key, chord_label};
 use super::keymap::Meaning;
@@ -15,6 +16,7 @@ use super::lock;
 use super::mouse;
 use super::paths;
 use super::perform::{perform, wants_grants};
+use super::policies;
 use super::popup::{Popup, Purpose};
 use super::popup_keys::{popup_key, popup_paste};
 use super::screen::Screen;
@@ -23,7 +25,7 @@ use super::state::State;
 use super::tour;
 use super::verb::Verb;
 use crate::model::{RecordState, Timestamp};
-use crate::service::command::{AuditQuery, ListIncidents, RecordingProgress};
+use crate::service::command::{AuditQuery, FleetStatus, ListIncidents, ListRobots, RecordingProgress};
 use crate::service::reply::{Caveat, ShownState};
 use crate::service::{Command, Event, NoticeLevel, Operation, Part};
 
@@ -42,6 +44,7 @@ pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
     }
     let mut effects = act(state, action);
     state.topics.refresh(false);
+    policies::forget_if_locked(state);
     alerts::refresh(state);
     tour::follow(state);
     if leaving::is_over(state) {
@@ -70,6 +73,7 @@ fn act(state: &mut State, action: Action) -> Vec<Effect> {
             state.toasts.push(NoticeLevel::Error, error, state.now);
         }
         Action::PathsFound(sought, found) => paths::found(state, &sought, found),
+        Action::TextRead(path, read) => policies::text_read(state, &path, read),
         Action::ThemeIs(name) => state.theme = name,
         Action::Wheel { up } => return mouse::wheel(state, up),
         Action::Click { column, row } => mouse::click(state, column, row),
@@ -135,6 +139,7 @@ fn told(state: &mut State, event: Event) -> Vec<Effect> {
             state.feeds.touch(part);
             if part == Part::Uploads {
                 detail::touch(state);
+                state.gateway.robots_told = true;
             }
             if part == Part::Uploads { refresh_provenance(state) } else { Vec::new() }
         }
@@ -186,6 +191,8 @@ fn tick(state: &mut State, now: Timestamp) -> Vec<Effect> {
     countdown::tick(state);
     state.ask_for_progress();
     incidents::tick(state);
+    fleet::tick(state);
+    policies::tick(state);
     lock::tick(state)
 }
 
@@ -219,6 +226,7 @@ fn pull(state: &mut State) -> Vec<Effect> {
         .chain(wants_grants(state))
         .chain(wants_contacts(state))
         .chain(wants_incidents(state))
+        .chain(policies::wanted(state))
         .chain(wants_tasks(state));
     let mut wanted: Vec<Feed> = wanted.collect();
     if state.is_frozen() {
@@ -263,6 +271,8 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
         Feed::Incidents => exists.then(|| ListIncidents.into()),
         Feed::Progress => Some(RecordingProgress.into()),
         Feed::Gateway => Some(Command::Operate(Operation::GatewayStatus)),
+        Feed::Fleet => Some(FleetStatus.into()),
+        Feed::Robots => policies::is_open(state).then(|| ListRobots.into()),
     }
 }
 

@@ -2,13 +2,14 @@
 //! complete a path.
 
 use std::fs::{DirBuilder, OpenOptions};
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, ErrorKind, Read, Write};
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use crate::app::Contents;
 use crate::app::paths::{Candidate, Found, PathKind, Sought};
 use crate::model::clean;
+use crate::service::command::LONGEST_POLICY;
 
 /// The most entries of a folder that are read to complete a path.
 const MOST_READ: usize = 20_000;
@@ -63,6 +64,26 @@ pub fn find(sought: &Sought) -> Result<Found, String> {
     found.more |= entries.next().is_some();
     found.names.sort_by(|one, other| one.name.cmp(&other.name));
     Ok(found)
+}
+
+/// The text of a file, read no further than a robot's policy may be long.
+///
+/// # Errors
+/// A sentence that says which file cannot be taken, and why.
+pub fn read_text(path: &Path) -> Result<String, String> {
+    let shown = clean(&path.to_string_lossy(), 200);
+    let cannot = |error: io::Error| format!("{shown} cannot be read: {error}");
+    // What is no file may never end.
+    if !std::fs::metadata(path).map_err(cannot)?.is_file() {
+        return Err(format!("{shown} is not a file; enter the path of one"));
+    }
+    let mut bytes = Vec::new();
+    let most = LONGEST_POLICY as u64 + 1;
+    std::fs::File::open(path).map_err(cannot)?.take(most).read_to_end(&mut bytes).map_err(cannot)?;
+    if bytes.len() > LONGEST_POLICY {
+        return Err(format!("{shown} has more than {LONGEST_POLICY} bytes; a policy has at most so many"));
+    }
+    String::from_utf8(bytes).map_err(|_| format!("{shown} is not text in UTF-8; a policy is a TOML file"))
 }
 
 fn write_one(place: &Path, file: &Contents) -> Result<PathBuf, String> {
@@ -160,6 +181,27 @@ mod tests {
         assert_eq!(found("", PathKind::File).len(), 7, "all but the hidden one");
         let error = find(&sought(&base.path().join("none\u{1b}[2J"), "", PathKind::File)).expect_err("there is none");
         assert!(error.contains("cannot be read") && !error.contains('\u{1b}'), "{error}");
+    }
+
+    #[test]
+    fn a_text_is_read_as_far_as_a_policy_may_be_long_and_what_is_none_is_refused_in_words() {
+        let base = tempfile::tempdir().expect("a directory");
+        let file = |name: &str, bytes: &[u8]| {
+            let path = base.path().join(name);
+            std::fs::write(&path, bytes).expect("written");
+            path
+        };
+        assert_eq!(read_text(&file("a", b"[ring]\n")).as_deref(), Ok("[ring]\n"));
+        assert!(read_text(&file("b", &vec![b'#'; LONGEST_POLICY])).is_ok());
+        let told = |path: &Path, word: &str| {
+            let error = read_text(path).expect_err(word);
+            assert!(error.contains(word) && !error.contains('\u{1b}'), "{error}");
+        };
+        told(&file("c", &vec![b'#'; LONGEST_POLICY + 1]), "more than 65536 bytes");
+        told(&file("d", &[0xff, 0xfe]), "not text");
+        told(&base.path().join("none\u{1b}[2J"), "cannot be read");
+        told(base.path(), "not a file");
+        told(Path::new("/dev/zero"), "not a file");
     }
 
     #[test]

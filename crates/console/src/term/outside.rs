@@ -83,6 +83,15 @@ impl Outside {
         });
     }
 
+    /// Reads a file as text; it comes as an action.
+    pub fn read(&self, path: PathBuf) {
+        let say = sender(&self.mouth, Heard::Act);
+        self.handle.spawn_blocking(move || {
+            let read = files::read_text(&path);
+            say(Action::TextRead(path, read));
+        });
+    }
+
     /// Reads which paths begin as typed; they come as an action.
     pub fn find(&self, sought: Sought) {
         let say = sender(&self.mouth, Heard::Act);

@@ -198,6 +198,7 @@ impl Session {
                 Effect::SpeakFor(profile) => self.outside.speak_for(profile),
                 Effect::WriteFiles { base, directory, files } => self.outside.write(base, directory, files),
                 Effect::FindPaths(sought) => self.outside.find(sought),
+                Effect::ReadText(path) => self.outside.read(path),
             }
         }
         None

@@ -117,9 +117,12 @@ fn draw_hints(canvas: &mut Canvas, area: Rect, hints: &[(&str, &str)]) {
 }
 
 /// The verbs of the bar, most used first.
-const BY_USE: [Verb; 14] = [
+const BY_USE: [Verb; 18] = [
     Verb::Watch,
     Verb::Details,
+    Verb::Inspect,
+    Verb::RemoveGateway,
+    Verb::SetPolicy,
     Verb::Open,
     Verb::Grant,
     Verb::Revoke,
@@ -131,6 +134,7 @@ const BY_USE: [Verb; 14] = [
     Verb::Publishers,
     Verb::Check,
     Verb::Sort,
+    Verb::AddGateway,
     Verb::Mark,
 ];
 
@@ -147,7 +151,9 @@ fn entries(state: &State) -> impl Iterator<Item = &'static Entry> + use<'_> {
         !entry.label.is_empty() && keys && !hidden && !TAIL_NAMES.contains(&entry.name)
     };
     // What works everywhere, or is done once, is named only if it is available.
-    let once = |entry: &Entry| entry.on.is_empty() || matches!(entry.verb, Verb::CreateIdentity | Verb::Register);
+    let rare = |verb| matches!(verb, Verb::CreateIdentity | Verb::Register | Verb::Inspect | Verb::SetPolicy);
+    let of_fleet = |verb| matches!(verb, Verb::AddGateway | Verb::RemoveGateway);
+    let once = move |entry: &Entry| entry.on.is_empty() || rare(entry.verb) || of_fleet(entry.verb);
     let named = move |entry: &&Entry| !once(entry) || available(state, entry.verb).is_ok();
     VERBS.iter().filter(shown).filter(named)
 }

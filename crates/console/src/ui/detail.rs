@@ -3,19 +3,21 @@
 use ratatui::layout::Rect;
 
 use super::canvas::{Canvas, below, right_of, row};
+use super::fleet::Fact;
 use super::popups::{Piece, coverage_lines, inside, provenance_lines, put_lines, record_facts};
 use super::theme::Role;
 use super::topics::watched;
 use super::words::{count, kilobytes, moment, rate, size, wrap};
-use super::{bottom, graph};
+use super::{bottom, fleet, graph, policies};
 use crate::app::popup::Lookup;
+use crate::app::screens::gateway::Row;
 use crate::app::screens::grants::{end, is_active, is_given, scope, soon};
 use crate::app::screens::log::level_word;
 use crate::app::screens::records::Records;
 use crate::app::screens::topics::KEPT_SAMPLES;
 use crate::app::{Screen, State, detail};
 use crate::model::{Timestamp, clean};
-use crate::service::reply::{GrantRow, TopicRow};
+use crate::service::reply::{GrantRow, SenderView, TopicRow};
 
 /// Columns of the names of facts.
 const LABEL: u16 = 12;
@@ -42,7 +44,7 @@ fn draw_row(canvas: &mut Canvas, area: Rect, state: &State) {
         Screen::Uploads => draw_steps(canvas, area, state),
         Screen::Shared => draw_opened(canvas, area, state),
         Screen::Grants => drop(facts(canvas, area, "Grant", &grant(state))),
-        Screen::Gateway => drop(facts(canvas, area, "Sender", &sender(state))),
+        Screen::Gateway => draw_gateway(canvas, area, state),
         Screen::Log => draw_line(canvas, area, state),
         Screen::Overview | Screen::Keys | Screen::Chain => {}
     }
@@ -166,13 +168,25 @@ fn ends(row: &GrantRow, now: Timestamp) -> String {
     format!("{}{}", end(row.expires), left.unwrap_or_default())
 }
 
-fn sender(state: &State) -> Vec<(&'static str, String)> {
-    let rows = state.gateway.visible();
-    let key = state.row_key();
-    let Some(row) = rows.into_iter().find(|row| Some(row.name.to_string()) == key) else { return Vec::new() };
+/// The gateway, robot or sender under the cursor.
+fn draw_gateway(canvas: &mut Canvas, area: Rect, state: &State) {
+    let plain = |facts: Vec<Fact>| facts.into_iter().map(|(name, text, _)| (name, text)).collect::<Vec<_>>();
+    let (title, told) = match state.gateway.selected() {
+        None => ("Sender", Vec::new()),
+        Some(Row::Fellow(one)) => ("Gateway of the fleet", plain(fleet::facts(state, one))),
+        Some(Row::Member(member)) => {
+            let robot = member.robot.map(|robot| plain(policies::row_facts(robot, state.shown_at())));
+            let title = if robot.is_some() { "Robot" } else { "Sender" };
+            let told = robot.into_iter().chain(member.sender.map(sender)).flatten();
+            (title, [("name", member.name())].into_iter().chain(told).collect())
+        }
+    };
+    facts(canvas, area, title, &told);
+}
+
+fn sender(row: &SenderView) -> Vec<(&'static str, String)> {
     let moment = |at: Option<Timestamp>| at.map(|at| at.to_string()).unwrap_or_default();
     vec![
-        ("name", row.name.to_string()),
         ("account", row.account.to_string()),
         ("sessions", row.sessions.to_string()),
         ("from", row.peer.clone().unwrap_or_default()),

@@ -1,22 +1,31 @@
-//! The Gateway screen: what is served, system keys and their dates, refusals, and the senders.
+//! The Gateway screen: what is served, system keys and their dates, refusals, the fleet, robots and senders.
 
 use ratatui::layout::Rect;
 
 use super::canvas::{Canvas, below, row};
+use super::fleet::{around, draw as draw_fleet};
 use super::keys::line;
-use super::table::{Column, Sheet, draw as draw_table, order};
+use super::table::{Column, Sheet, draw_part, order};
 use super::theme::Role;
 use super::topics::empty;
-use super::words;
+use super::{policies, words};
 use crate::app::State;
 use crate::app::feed::Feed;
-use crate::app::screens::gateway::SORTS;
+use crate::app::screens::gateway::{Member, SORTS};
 use crate::app::screens::grants::day;
-use crate::model::clean;
-use crate::service::reply::{GatewayStatusView, SenderView, SystemKeyView};
+use crate::app::words::counted;
+use crate::model::{Timestamp, clean};
+use crate::service::reply::{FellowView, GatewayStatusView, SenderView, SystemKeyView};
 
 /// The most reasons of refusals shown.
 const MOST_REASONS: usize = 4;
+/// The fewest rows left to the list below a fleet, if it has them.
+const LEAST_MEMBERS: u16 = 3;
+
+/// Nanoseconds of a day.
+const DAY: u64 = 86_400_000_000_000;
+/// Below this many rows what is served is told in fewer lines if there is a fleet.
+const ROOMY_FROM: u16 = 30;
 
 const COLUMNS: &[Column] = &[
     Column::text("State", 9),
@@ -29,6 +38,27 @@ const COLUMNS: &[Column] = &[
     Column::text("Last UTC", 8),
 ];
 
+/// The same where the profile has robots.
+const WITH_POLICY: &[Column] = &[
+    Column::text("State", 9),
+    Column::name("Robot or operator"),
+    Column::text("Policy", 26),
+    Column::text("Account", 13).from(100),
+    Column::text("From", 21).from(125),
+    Column::number("Frames", 8).from(110),
+    Column::number("Bytes", 9).from(75),
+    Column::text("Last UTC", 8),
+];
+
+/// Robots where no gateway runs: what their owner's site knows of them.
+const OF_OWNER: &[Column] = &[
+    Column::name("Robot"),
+    Column::text("Policy", 26),
+    Column::text("Gateway", 24).from(90),
+    Column::number("Waiting", 8),
+    Column::text("Last UTC", 8),
+];
+
 /// Draws the screen.
 pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
     let Some(view) = &state.gateway.view else {
@@ -36,15 +66,33 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
         canvas.put(below(area, 1), empty(state, Feed::Gateway, "Asking…"), Role::Dim);
         return;
     };
-    let taken = draw_about(canvas, area, view);
-    let rest = below(area, taken);
-    if view.served.is_some() || !view.senders.is_empty() {
-        draw_senders(canvas, rest, state);
+    let gateway = &state.gateway;
+    let (fellows, members) = gateway.shown();
+    let any_fellow = !gateway.all_fellows().is_empty();
+    let taken = draw_about(canvas, area, view, any_fellow && area.height < ROOMY_FROM);
+    let mut rest = below(area, taken);
+    let here = gateway.table.position(&gateway.keys());
+    if any_fellow {
+        let height = rows_of_fleet(rest.height, &fellows, members.len());
+        draw_fleet(canvas, Rect { height, ..rest }, state, &fellows, Some(here).filter(|here| *here < fellows.len()));
+        rest = below(rest, height + 1);
+    }
+    if any_fellow || view.served.is_some() || !gateway.all_members().is_empty() {
+        draw_members(canvas, rest, state, &members, here.checked_sub(fellows.len()));
     }
 }
 
+/// The rows of the fleet, without the gap below: all of its gateways, if that leaves some to the list below.
+fn rows_of_fleet(room: u16, fellows: &[&FellowView], members: usize) -> u16 {
+    let number = |count: usize| u16::try_from(count).unwrap_or(u16::MAX);
+    let around = around(fellows);
+    let least = 2 + number(members).clamp(1, LEAST_MEMBERS);
+    let rows = number(fellows.len()).min(room.saturating_sub(around + least)).max(1);
+    (rows + around).saturating_sub(1).min(room)
+}
+
 /// What is served, its keys, its refusals; returns the rows that took.
-fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 {
+fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView, brief: bool) -> u16 {
     canvas.put(area, "Gateway", Role::Title);
     let Some(served) = &view.served else {
         let (first, second) = match &view.through {
@@ -58,11 +106,17 @@ fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 
         canvas.put(row(area, 2), second, Role::Dim);
         return 4;
     };
-    line(canvas, row(area, 1), "Listens", &format!("{}, {} connections", served.address, view.connections), Role::Good);
+    line(
+        canvas,
+        row(area, 1),
+        "Listens",
+        &format!("{}, {}", served.address, counted(view.connections, "connection")),
+        Role::Good,
+    );
     line(canvas, row(area, 2), "Fingerprint", &format!("{} (to be pinned)", served.fingerprint), Role::Body);
     line(canvas, row(area, 3), "Anchors as", &served.account.to_string(), Role::Body);
     let mut place = 4;
-    for key in &view.keys {
+    for key in view.keys.iter().filter(|key| key.current || !brief) {
         line(
             canvas,
             row(area, place),
@@ -72,12 +126,12 @@ fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 
         );
         place += 1;
     }
-    if let Some(expires) = view.list_expires {
+    if let Some(expires) = view.list_expires.filter(|_| !brief) {
         let text = format!("version {}, not valid after {} UTC", view.list_version, day(expires));
         line(canvas, row(area, place), "Key list", &text, Role::Dim);
         place += 1;
     }
-    place + draw_refused(canvas, below(area, place), view) + 1
+    place + draw_refused(canvas, below(area, place), view, if brief { 1 } else { MOST_REASONS }) + 1
 }
 
 fn system_key(key: &SystemKeyView) -> String {
@@ -86,20 +140,22 @@ fn system_key(key: &SystemKeyView) -> String {
     format!("{id}…  {word}, {} to {} UTC", day(key.not_before), day(key.not_after))
 }
 
-fn draw_refused(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 {
+fn draw_refused(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView, most: usize) -> u16 {
     if view.refused.is_empty() {
         line(canvas, area, "Refused", "none since start", Role::Dim);
         return 1;
     }
     let mut place = 0;
-    for refused in view.refused.iter().take(MOST_REASONS) {
+    let more: u64 = view.refused.iter().skip(most).map(|refused| refused.count).sum();
+    for refused in view.refused.iter().take(most) {
         let reason = refused.text.split(';').next().unwrap_or_default();
         let label = if place == 0 { "Refused" } else { "" };
-        line(canvas, row(area, place), label, &format!("{:>7}  {reason}", words::count(refused.count)), Role::Warning);
+        let others = if most == 1 && more > 0 { format!(", {} others", words::count(more)) } else { String::new() };
+        let text = format!("{:>7}  {reason}{others}", words::count(refused.count));
+        line(canvas, row(area, place), label, &text, Role::Warning);
         place += 1;
     }
-    if view.refused.len() > MOST_REASONS {
-        let more: u64 = view.refused.iter().skip(MOST_REASONS).map(|refused| refused.count).sum();
+    if most > 1 && more > 0 {
         line(
             canvas,
             row(area, place),
@@ -112,39 +168,81 @@ fn draw_refused(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u1
     place
 }
 
-fn draw_senders(canvas: &mut Canvas, area: Rect, state: &State) {
+/// Names at the gateway and robots of the profile, in one list.
+fn draw_members(canvas: &mut Canvas, area: Rect, state: &State, rows: &[Member], here: Option<usize>) {
     let gateway = &state.gateway;
-    let rows = gateway.visible();
-    let keys: Vec<String> = rows.iter().map(|row| row.name.to_string()).collect();
-    let all = gateway.view.as_ref().map_or(0, |view| view.senders.len());
-    let connected = rows.iter().filter(|row| row.sessions > 0).count();
-    let order = order(&SORTS, &gateway.table);
-    let note = format!("{} of {all}, {connected} connected, by {order}", rows.len());
-    let cells = |index: usize| rows.get(index).map_or_else(Vec::new, |row| cells(row));
-    let empty = "Nobody is enrolled yet; `authros agent enrol` adds a robot or operator.";
-    let sheet = Sheet {
-        title: "Senders",
-        note,
-        columns: COLUMNS,
-        keys: &keys,
-        cells: &cells,
-        table: &gateway.table,
-        empty,
-        old: false,
+    let keys: Vec<String> = rows.iter().map(Member::key).collect();
+    let senders = gateway.view.as_ref().is_some_and(|view| !view.senders.is_empty());
+    let robots = !gateway.robots.is_empty();
+    let (title, columns) = match (senders, robots) {
+        (true, true) => ("Robots and senders", WITH_POLICY),
+        (false, true) => ("Robots", OF_OWNER),
+        (_, false) => ("Senders", COLUMNS),
     };
-    draw_table(canvas, area, &sheet);
+    let order = order(&SORTS, &gateway.table);
+    let mut note = format!("{} of {}", rows.len(), gateway.all_members().len());
+    if senders || !robots {
+        let connected = rows.iter().filter(|row| row.is_connected()).count();
+        note.push_str(&format!(", {connected} connected"));
+    }
+    note.push_str(&format!(", by {order}"));
+    let drift = gateway.robots.iter().filter(|robot| robot.drift).count();
+    if drift > 0 {
+        note.push_str(&format!(", {drift} in drift"));
+    }
+    let cells = |index: usize| match rows.get(index) {
+        None => Vec::new(),
+        Some(row) if robots && !senders => cells_of_owner(state, row),
+        Some(row) => cells(state, row, robots),
+    };
+    let empty = match gateway.table.filter.text() {
+        "" => "Nobody is enrolled yet; `authros agent enrol` adds a robot or operator.",
+        _ => "Nobody matches the filter.",
+    };
+    let sheet = Sheet { title, note, columns, keys: &keys, cells: &cells, table: &gateway.table, empty, old: false };
+    draw_part(canvas, area, &sheet, here);
 }
 
-fn cells(row: &SenderView) -> Vec<(String, Role)> {
-    let (word, role) = if row.sessions > 0 { ("connected", Role::Good) } else { ("away", Role::Dim) };
+fn cells(state: &State, row: &Member, policy: bool) -> Vec<(String, Role)> {
+    let (word, role) = match row.sender {
+        None => ("-", Role::Dim),
+        Some(sender) if sender.sessions > 0 => ("connected", Role::Good),
+        Some(_) => ("away", Role::Dim),
+    };
+    let of = |text: fn(&SenderView) -> String| row.sender.map(text).unwrap_or_default();
+    let mut cells = vec![(word.to_owned(), role), (row.name(), Role::Body)];
+    if policy {
+        cells.push(row.robot.map(policies::standing).unwrap_or_default());
+    }
+    cells.extend([
+        (of(|sender| sender.account.short()), Role::Accent),
+        (of(|sender| sender.peer.clone().unwrap_or_default()), Role::Dim),
+        (of(|sender| words::count(sender.frames)), Role::Body),
+        (of(|sender| words::size(sender.bytes)), Role::Body),
+    ]);
+    if !policy {
+        cells.push((of(|sender| sender.since.map(Timestamp::clock).unwrap_or_default()), Role::Dim));
+    }
+    cells.push(last(state, row));
+    cells
+}
+
+fn cells_of_owner(state: &State, row: &Member) -> Vec<(String, Role)> {
+    let waiting = row.robot.map_or(0, |robot| robot.waiting);
     vec![
-        (word.to_owned(), role),
-        (row.name.to_string(), Role::Body),
-        (row.account.short(), Role::Accent),
-        (row.peer.clone().unwrap_or_default(), Role::Dim),
-        (words::count(row.frames), Role::Body),
-        (words::size(row.bytes), Role::Body),
-        (row.since.map(crate::model::Timestamp::clock).unwrap_or_default(), Role::Dim),
-        (row.last.map(crate::model::Timestamp::clock).unwrap_or_default(), Role::Dim),
+        (row.name(), Role::Body),
+        row.robot.map(policies::standing).unwrap_or_default(),
+        (row.robot.and_then(|robot| robot.gateway.clone()).unwrap_or_else(|| "-".to_owned()), Role::Dim),
+        (words::count(waiting), if waiting > 0 { Role::Body } else { Role::Dim }),
+        last(state, row),
     ]
+}
+
+fn last(state: &State, row: &Member) -> (String, Role) {
+    (row.last().map(|last| when(last, state.shown_at())).unwrap_or_default(), Role::Dim)
+}
+
+/// The clock of today; how long ago, if that is longer than a day.
+fn when(last: Timestamp, now: Timestamp) -> String {
+    if now.0.saturating_sub(last.0) < DAY { last.clock() } else { format!("{} ago", words::age(last, now)) }
 }

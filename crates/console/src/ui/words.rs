@@ -48,6 +48,11 @@ pub fn moment(at: Timestamp) -> String {
     format!("{}.{:03}Z", second.trim_end_matches('Z'), at.0 / 1_000_000 % 1_000)
 }
 
+/// A moment to the second: `2026-11-22T03:43:21Z`.
+pub fn second(at: Timestamp) -> String {
+    Timestamp::from_seconds(at.seconds()).to_string()
+}
+
 /// How long ago: `4 s`, `12 min`, `3 h`, `9 d`.
 pub fn age(then: Timestamp, now: Timestamp) -> String {
     let seconds = now.0.saturating_sub(then.0) / 1_000_000_000;

@@ -6,6 +6,9 @@ use super::{Ask, Command};
 use crate::model::{IncidentName, Timestamp, TopicPattern};
 use crate::service::reply::{RingPullView, RobotRow, RobotView};
 
+/// The longest policy of a robot, bytes.
+pub const LONGEST_POLICY: usize = crate::crypto::LONGEST_POLICY;
+
 requests! {
     /// One of these; needs the keyring.
     #[serde(rename_all = "snake_case", tag = "robot")]

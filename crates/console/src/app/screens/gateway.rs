@@ -1,50 +1,202 @@
-//! The Gateway screen: names with a transport key, connected or not.
+//! The Gateway screen: the other gateways of the fleet, and below them names with a transport key and the enrolled
+//! robots of the profile, in one list with one cursor.
 
+use crate::app::fleet::Standing;
 use crate::app::fuzzy;
+use crate::app::policies;
 use crate::app::table::Table;
-use crate::service::reply::{GatewayStatusView, SenderView};
+use crate::model::{Address, Timestamp};
+use crate::service::reply::{FellowView, FleetView, GatewayStatusView, RobotRow, SenderView};
 
 /// The sort columns, in the order of `s`.
-pub const SORTS: [&str; 3] = ["connected", "name", "frames"];
+pub const SORTS: [&str; 4] = ["connected", "name", "frames", "policy"];
 
-/// The gateway of this site.
+/// Characters of a robot's device id that tell it apart from another one of its name.
+const DEVICE: usize = 8;
+
+/// The gateway of this site, its fleet, and the robots of the profile.
 #[derive(Debug, Default)]
 pub struct Gateway {
     /// The site's report.
     pub view: Option<GatewayStatusView>,
+    /// The other gateways.
+    pub fleet: Option<FleetView>,
+    /// When they were reported.
+    pub fleet_at: Timestamp,
+    /// The enrolled robots of the profile; none while the keyring is locked.
+    pub robots: Vec<RobotRow>,
+    /// When they were reported.
+    pub robots_at: Timestamp,
+    /// Whether records came since then: what a robot says of its policy is one.
+    pub robots_told: bool,
+    /// The account of the profile, whose robots these are.
+    owner: Option<Address>,
     /// Cursor, filter, order.
     pub table: Table,
+}
+
+/// A name with a transport key, an enrolled robot of the profile, or both.
+#[derive(Debug, Clone, Copy)]
+pub struct Member<'a> {
+    /// What the gateway knows of it.
+    pub sender: Option<&'a SenderView>,
+    /// What its owner's site knows of it.
+    pub robot: Option<&'a RobotRow>,
+}
+
+/// The row under the cursor.
+#[derive(Debug, Clone, Copy)]
+pub enum Row<'a> {
+    /// Another gateway.
+    Fellow(&'a FellowView),
+    /// A name at this gateway, or a robot.
+    Member(Member<'a>),
+}
+
+impl Row<'_> {
+    /// What the filter looks at.
+    fn text(&self) -> String {
+        match self {
+            Self::Fellow(one) => {
+                let problem = one.problem.as_deref().unwrap_or_default();
+                format!("{} {} {problem}", fellow_key(one), Standing::of(one).words())
+            }
+            Self::Member(member) => member.text(),
+        }
+    }
+}
+
+impl Member<'_> {
+    /// Its name.
+    pub fn name(&self) -> String {
+        let sender = self.sender.map(|sender| &sender.name);
+        sender.or(self.robot.map(|robot| &robot.name)).map(ToString::to_string).unwrap_or_default()
+    }
+
+    /// Whether it has a session at the gateway now.
+    pub fn is_connected(&self) -> bool {
+        self.sender.is_some_and(|sender| sender.sessions > 0)
+    }
+
+    /// When it was last heard of: its last frame, or else its newest record.
+    pub fn last(&self) -> Option<Timestamp> {
+        self.sender.and_then(|sender| sender.last).or(self.robot.and_then(|robot| robot.last_seen))
+    }
+
+    /// What its row is known by.
+    pub fn key(&self) -> String {
+        match (self.sender, self.robot) {
+            (None, Some(robot)) => format!("{} {}", robot.name, beginning(&robot.device.to_hex(), DEVICE)),
+            _ => self.name(),
+        }
+    }
+
+    /// What the filter looks at.
+    fn text(&self) -> String {
+        let state = if self.is_connected() { "connected" } else { "away" };
+        let account = self.sender.map(|sender| sender.account.to_string()).unwrap_or_default();
+        let peer = self.sender.and_then(|sender| sender.peer.clone()).unwrap_or_default();
+        let policy = self.robot.map(policies::searched).unwrap_or_default();
+        format!("{} {account} {peer} {state} {policy}", self.name())
+    }
+
+    fn frames(&self) -> u64 {
+        self.sender.map_or(0, |sender| sender.frames)
+    }
+}
+
+/// The key of a gateway's row: what was typed for it, and what it is named by.
+pub fn fellow_key(fellow: &FellowView) -> String {
+    format!("{} {}", fellow.address, fellow.key.to_hex())
+}
+
+/// The first characters of an id.
+pub fn beginning(hex: &str, characters: usize) -> String {
+    hex.trim_start_matches("0x").chars().take(characters).collect()
 }
 
 impl Gateway {
     /// Takes over the site's report.
     pub fn set(&mut self, view: GatewayStatusView) {
         self.view = Some(view);
+        self.settle();
+    }
+
+    /// Takes over what is known of the fleet.
+    pub fn set_fleet(&mut self, view: FleetView, now: Timestamp) {
+        (self.fleet, self.fleet_at) = (Some(view), now);
+        self.settle();
+    }
+
+    /// Takes over the robots of an owner.
+    pub fn set_robots(&mut self, rows: Vec<RobotRow>, owner: Option<Address>, now: Timestamp) {
+        (self.robots, self.owner, self.robots_at, self.robots_told) = (rows, owner, now, false);
+        self.settle();
+    }
+
+    /// Binds the cursor to its row, once there is one.
+    fn settle(&mut self) {
         let keys = self.keys();
         self.table.settle(&keys);
     }
 
-    /// The rows to show, filtered and in order.
-    pub fn visible(&self) -> Vec<&SenderView> {
-        let rows = self.view.iter().flat_map(|view| &view.senders).collect();
-        let text = |row: &&SenderView| {
-            let state = if row.sessions > 0 { "connected" } else { "away" };
-            format!("{} {} {} {state}", row.name, row.account, row.peer.as_deref().unwrap_or(""))
-        };
-        let mut rows = fuzzy::narrow(self.table.filter.text(), rows, text);
-        match self.table.sort {
-            1 => rows.sort_by(|one, other| one.name.cmp(&other.name)),
-            2 => rows.sort_by_key(|row| std::cmp::Reverse(row.frames)),
-            _ => rows.sort_by_key(|row| row.sessions == 0),
-        }
-        if self.table.reversed {
-            rows.reverse();
-        }
-        rows
+    /// All other gateways, as they were named.
+    pub fn all_fellows(&self) -> &[FellowView] {
+        self.fleet.as_ref().map_or(&[], |fleet| &fleet.fellows)
     }
 
-    /// The names of the rows shown.
+    /// All names and robots.
+    pub fn all_members(&self) -> Vec<Member<'_>> {
+        let mut alone: Vec<&RobotRow> = self.robots.iter().collect();
+        let mut members = Vec::new();
+        for sender in self.view.iter().flat_map(|view| &view.senders) {
+            let own = Some(sender.account) == self.owner;
+            let place = alone.iter().position(|robot| own && robot.name == sender.name);
+            members.push(Member { sender: Some(sender), robot: place.map(|place| alone.remove(place)) });
+        }
+        members.extend(alone.into_iter().map(|robot| Member { sender: None, robot: Some(robot) }));
+        members
+    }
+
+    /// The gateways to show, the worst first, and the names and robots, filtered and in order.
+    pub fn shown(&self) -> (Vec<&FellowView>, Vec<Member<'_>>) {
+        let all = self.all_fellows().iter().map(Row::Fellow);
+        let rows: Vec<Row<'_>> = all.chain(self.all_members().into_iter().map(Row::Member)).collect();
+        let (mut fellows, mut members) = (Vec::new(), Vec::new());
+        for row in fuzzy::narrow(self.table.filter.text(), rows, Row::text) {
+            match row {
+                Row::Fellow(fellow) => fellows.push(fellow),
+                Row::Member(member) => members.push(member),
+            }
+        }
+        fellows.sort_by_key(|one| Standing::of(one));
+        match self.table.sort {
+            1 => members.sort_by_key(Member::name),
+            2 => members.sort_by_key(|row| std::cmp::Reverse(row.frames())),
+            3 => members.sort_by_key(|row| row.robot.map_or((u8::MAX, 0), policies::urgency)),
+            _ => members.sort_by_key(|row| !row.is_connected()),
+        }
+        if self.table.reversed {
+            members.reverse();
+        }
+        (fellows, members)
+    }
+
+    /// The keys of all rows shown, gateways first.
     pub fn keys(&self) -> Vec<String> {
-        self.visible().into_iter().map(|row| row.name.to_string()).collect()
+        let (fellows, members) = self.shown();
+        fellows.into_iter().map(fellow_key).chain(members.iter().map(Member::key)).collect()
+    }
+
+    /// The row under the cursor.
+    pub fn selected(&self) -> Option<Row<'_>> {
+        let (fellows, members) = self.shown();
+        let keys: Vec<String> =
+            fellows.iter().map(|one| fellow_key(one)).chain(members.iter().map(Member::key)).collect();
+        let place = self.table.position(&keys);
+        match place.checked_sub(fellows.len()) {
+            None => fellows.get(place).copied().map(Row::Fellow),
+            Some(place) => members.get(place).copied().map(Row::Member),
+        }
     }
 }

@@ -17,6 +17,8 @@ use crate::service::{Command, Failure, Operation, Reply, UploadQuery};
 use authros_chain::Sealing;
 use authros_gateway::Code;
 
+pub mod robots;
+
 /// The frozen clock.
 pub const NOW: Timestamp = Timestamp(1_700_000_000_000_000_000);
 /// The address of the profile.
@@ -43,6 +45,7 @@ pub fn reply(command: &Command, exists: bool) -> Reply {
         Command::OfIncident(IncidentCommand::ListIncidents) => {
             Reply::Incidents(vec![incident("crash-1114", true), incident("bump", false)])
         }
+        Command::OfFleet(_) | Command::OfRobot(_) => robots::reply(command),
         Command::Operate(Operation::GatewayStatus) => Reply::GatewayStatus(gateway()),
         Command::Operate(Operation::Lock) => Reply::Identity(identity(exists, false, exists)),
         _ => Reply::Done,

@@ -7,7 +7,7 @@ use crate::app::form::{Form, Input};
 use crate::app::perform::perform;
 use crate::app::popup::{Popup, Purpose};
 use crate::app::verb::Verb;
-use crate::app::{Key, Tag};
+use crate::app::{Action, Effect, Key, Tag};
 use crate::model::{Scope, Timestamp};
 use crate::service::Command;
 use authros_chain::Call;
@@ -25,7 +25,13 @@ const DESCRIBED: &[(&str, &[&str])] = &[
     ("only for a V3 keystore", &["", "a passphrase"]),
     ("EOA: protects the V3 keystore", &["eight ch"]),
     ("at least 8 characters", &["eight ch"]),
+    ("64 hex characters", &[FELLOW, "7e7e 7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e"]),
+    ("name of a robot", &["scout"]),
+    ("path to a TOML file", &["policies/scout.toml", "/policies/scout.toml", "~/scout.toml"]),
 ];
+
+/// A key of a gateway that is in no fleet yet.
+const FELLOW: &str = "7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e";
 
 /// Lines without a placeholder.
 const UNTOLD: &str = "eight ch";
@@ -60,7 +66,9 @@ fn purposes() -> Vec<Purpose> {
         P::Unpin => Some(P::AddContact),
         P::AddContact => Some(P::OpenIncident),
         P::OpenIncident => Some(P::NoteIncident),
-        P::NoteIncident => Some(P::Profile),
+        P::NoteIncident => Some(P::AddGateway),
+        P::AddGateway => Some(P::SetPolicy),
+        P::SetPolicy => Some(P::Profile),
         P::Profile => Some(P::Administer(Act::Admit)),
         P::Administer(Act::Admit) => Some(P::Administer(Act::Suspend)),
         P::Administer(Act::Suspend) => Some(P::Administer(Act::Restore)),
@@ -100,6 +108,11 @@ fn asked(purpose: Purpose) -> Robot {
         Purpose::AddContact => opens(Verb::Contacts, "5"),
         Purpose::OpenIncident => opens(Verb::Incident, "2"),
         Purpose::NoteIncident => opens(Verb::Incidents, "3"),
+        Purpose::AddGateway => opens(Verb::AddGateway, "8"),
+        Purpose::SetPolicy => {
+            fixtures::robots::at_the_gateway(&mut robot);
+            opens(Verb::SetPolicy, "8")
+        }
         Purpose::Profile => opens(Verb::Profile, "1"),
         Purpose::LoadKey => opens(Verb::LoadKey, "6"),
         Purpose::ExportKey => opens(Verb::ExportKey, "6"),
@@ -163,8 +176,11 @@ fn fills_in(robot: &mut Robot, odd: (usize, usize), chosen: usize) {
     }
 }
 
-/// Says yes to the question, if there is one.
+/// Says yes to the question, if there is one; a file that it is about is read first.
 fn agrees(robot: &mut Robot) {
+    if let Some(Effect::ReadText(path)) = robot.effects.pop() {
+        robot.act(Action::TextRead(path, Ok("[[watch]]\ntopic = \"/odom\"\n".to_owned())));
+    }
     let Some(Popup::Confirm(confirm)) = robot.state.popups.last() else { return };
     match confirm.typed.as_ref().map(|typed| typed.wanted.clone()) {
         Some(word) => {

@@ -63,7 +63,7 @@ fn a_failed_question_is_asked_again_by_itself() {
 fn missed_events_make_everything_on_screen_asked_anew() {
     let mut robot = Robot::at_work(true);
     robot.act(crate::app::Action::Missed);
-    assert_eq!(robot.sent.len(), 4);
+    assert_eq!(robot.sent.len(), 5);
 }
 
 #[test]

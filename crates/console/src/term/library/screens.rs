@@ -7,7 +7,9 @@ use crate::app::tour::Cast;
 use crate::app::{Action, Effect, Key, Screen, Settings, Tag, Verb};
 use crate::model::{Digest, ErrorKind, ProfileName, Timestamp};
 use crate::ros::readable::{Plot, Raster, Readable};
-use crate::service::reply::{CoveragePart, CoverageView, HealthLevel, HeldUp, LifeLine, OpenedView, SiteView};
+use crate::service::reply::{
+    CoveragePart, CoverageView, GatewayStatusView, HealthLevel, HeldUp, LifeLine, OpenedView, SiteView,
+};
 use crate::service::{Event, NoticeLevel, Part, Reply};
 
 /// Columns and rows.
@@ -35,6 +37,14 @@ const SCREENS: &[Situation] = &[
     ("keys", |size| at(Screen::Keys, size)),
     ("chain", |size| at(Screen::Chain, size)),
     ("gateway", |size| at(Screen::Gateway, size)),
+    ("gateway-with-a-fleet", |size| with_fleet(size, true)),
+    ("gateway-with-a-small-fleet", |size| with_fleet(size, false)),
+    ("gateway-of-an-owner", of_an_owner),
+    ("overview-with-drift", |size| {
+        let mut robot = with_fleet(size, true);
+        robot.types("1");
+        robot
+    }),
     ("log", |size| at(Screen::Log, size)),
 ];
 
@@ -137,6 +147,27 @@ const WINDOWS: &[Situation] = &[
     }),
     ("incident-opened", |size| pressed(at(Screen::Uploads, size), "jI")),
     ("incidents", |size| pressed(at(Screen::Uploads, size), "zi")),
+    ("fleet-add", |size| pressed(with_fleet(size, false), "a")),
+    ("fleet-add-asked", |size| {
+        let mut robot = pressed(with_fleet(size, false), "a192.0.2.9:7420");
+        robot.presses(Key::Enter);
+        robot.pastes(&"9f".repeat(32));
+        robot.presses(Key::Enter);
+        robot
+    }),
+    ("fleet-remove-asked", |size| pressed(with_fleet(size, true), "x")),
+    ("fleet-details", |size| {
+        let mut robot = with_fleet(size, true);
+        robot.presses(Key::Enter);
+        robot
+    }),
+    ("robot-details", robot_in_full),
+    ("robot-policy", |size| pressed(at_the_scout(size), "p")),
+    ("robot-policy-refused", |size| policy_read(size, "[[watch]]\ntopic = \"odom odom\"\n")),
+    ("robot-policy-asked", |size| {
+        let ring = "[ring]\nkeep = \"5m, 500MiB\"\ntopics = [\"/camera/**\"]\n";
+        policy_read(size, &format!("{ring}[[watch]]\ntopic = \"/odom\"\n[[topic]]\nmatch = \"/odom\"\nevery = 10\n"))
+    }),
     ("log-line", |size| {
         let mut robot = at(Screen::Log, size);
         robot.presses(Key::Enter);
@@ -207,6 +238,53 @@ fn coverage(topic: &str) -> CoverageView {
     let topic = topic.parse().expect("a topic");
     let (first, last) = (Some(since), Some(fixtures::NOW));
     CoverageView { topic, robot: None, robots: Vec::new(), since, until: fixtures::NOW, first, last, parts }
+}
+
+/// The gateway of a fleet of four, whose profile has robots; or of one other gateway that is well, without any.
+fn with_fleet(size: Size, troubled: bool) -> Robot {
+    let mut robot = sized(Robot::at_work(true), size);
+    if troubled {
+        fixtures::robots::at_the_gateway(&mut robot);
+    } else {
+        let well = fixtures::robots::fellows().into_iter().take(1).collect();
+        fixtures::robots::shows(&mut robot, well, Vec::new());
+    }
+    robot
+}
+
+/// The robots of an owner whose site has joined another one.
+fn of_an_owner(size: Size) -> Robot {
+    let mut robot = sized(Robot::at_work(true), size);
+    fixtures::robots::shows(&mut robot, Vec::new(), fixtures::robots::robots());
+    let through = Some("as reported by the gateway 192.0.2.1:7420".to_owned());
+    robot.state.gateway.set(GatewayStatusView { through, ..GatewayStatusView::default() });
+    robot
+}
+
+/// With the cursor on the robot that refused its policy.
+fn at_the_scout(size: Size) -> Robot {
+    let mut robot = with_fleet(size, true);
+    robot.types("/scout");
+    robot.presses(Key::Enter);
+    robot
+}
+
+fn robot_in_full(size: Size) -> Robot {
+    let mut robot = at_the_scout(size);
+    robot.presses(Key::Enter);
+    let row = robot.state.gateway.robots.iter().find(|row| row.name.as_str() == "scout").cloned().expect("a robot");
+    let view = fixtures::robots::view(row);
+    robot.is_answered(&Tag::Robot("scout".to_owned()), Ok(Reply::Robot(view)));
+    robot
+}
+
+/// The form of a policy after this text was read.
+fn policy_read(size: Size, text: &str) -> Robot {
+    let mut robot = pressed(at_the_scout(size), "p/home/operator/scout.toml");
+    robot.presses(Key::Enter);
+    let Some(Effect::ReadText(path)) = robot.effects.pop() else { panic!("no file is read") };
+    robot.act(Action::TextRead(path, Ok(text.to_owned())));
+    robot
 }
 
 fn locked(size: Size, asks_passphrase: bool) -> Robot {

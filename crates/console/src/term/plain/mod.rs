@@ -176,6 +176,7 @@ impl Plain {
                 }
                 Effect::WriteFiles { base, directory, files } => self.outside.write(base, directory, files),
                 Effect::FindPaths(sought) => self.outside.find(sought),
+                Effect::ReadText(path) => self.outside.read(path),
                 Effect::SpeakFor(profile) => self.outside.speak_for(profile),
                 Effect::ShowTheme(_) | Effect::ToggleAscii | Effect::Mouse(_) => {
                     self.say("Line mode has neither colours nor a mouse.");
@@ -205,8 +206,8 @@ impl Plain {
 
     fn is_idle(&self) -> bool {
         let feeds = self.state.screen.feeds().iter().all(|feed| !self.state.awaits(*feed));
-        let identity = self.is_answered(Feed::Identity);
-        self.state.work.is_empty() && identity && (feeds || !self.exists())
+        let identity = self.is_answered(Feed::Identity) && !self.state.feeds.slot(Feed::Robots).outstanding;
+        self.state.work.is_empty() && self.state.reading.is_none() && identity && (feeds || !self.exists())
     }
 
     /// Whether a first answer came, success or failure.

@@ -18,6 +18,8 @@ use crate::ui::{self, Theme};
 pub const COLUMNS: u16 = 120;
 /// Rows of it; lists are read in pages of this many, less the frame's.
 pub const ROWS: u16 = 46;
+/// What stands before the row under the cursor.
+const CURSOR: char = '▌';
 /// Rows of title and column heads above a list.
 const HEAD: usize = 2;
 
@@ -31,10 +33,15 @@ pub fn screen(state: &State, theme: &Theme) -> Vec<String> {
     let mut lines = vec![format!("{} screen.", state.screen.title())];
     for (index, row) in rows.iter().enumerate() {
         let Some(text) = spoken(row) else { continue };
-        let listed = here.zip(index.checked_sub(HEAD)).map(|(here, line)| (here, here - here % page + line));
+        let listed = here
+            .zip(index.checked_sub(HEAD))
+            .filter(|_| state.screen != Screen::Gateway)
+            .map(|(here, line)| (here, here - here % page + line));
         lines.push(match listed.filter(|(_, place)| *place < keys.len()) {
             Some((here, place)) if here == place => format!("{}, selected: {text}", place + 1),
             Some((_, place)) => format!("{}: {text}", place + 1),
+            // The list of this screen begins lower and is in two parts.
+            None if row.starts_with(CURSOR) => format!("selected: {text}"),
             None => text,
         });
     }

@@ -68,7 +68,8 @@ fn draw_row(canvas: &mut Canvas, line: Rect, incident: &IncidentView, here: bool
     );
 }
 
-fn draw_told(canvas: &mut Canvas, area: Rect, told: &[Line], scroll: usize) {
+/// Draws lines from the `scroll`-th on, and says how many are above and below.
+pub(super) fn draw_told(canvas: &mut Canvas, area: Rect, told: &[Line], scroll: usize) {
     let height = usize::from(area.height);
     let first = scroll.min(told.len().saturating_sub(height));
     for (place, (line, role)) in (0..area.height).zip(told.iter().skip(first)) {

@@ -233,7 +233,8 @@ impl Fellows {
             let worst = troubles.max_by_key(|(_, (_, _, lied))| *lied);
             (unheard, lacking, worst.map(|(fellow, trouble)| (fellow.address.clone(), trouble.clone())))
         });
-        let told = format!("{} other gateways, {unheard} not heard yet, {lacking} records lacking", list.len());
+        let others = if list.len() == 1 { "gateway" } else { "gateways" };
+        let told = format!("{} other {others}, {unheard} not heard yet, {lacking} records lacking", list.len());
         let (level, since, text) = match worst {
             None if unheard == 0 && lacking == 0 => (HealthLevel::Ok, None, told),
             None => (HealthLevel::Waiting, None, told),

@@ -1,0 +1,366 @@
+//! The policies of robots on screen: how each robot stands to its own, the window with all of it, and setting one from
+//! a file or clearing it.
+
+use std::path::{Path, PathBuf};
+
+use super::action::{Effect, Errand, Tag};
+use super::command_line;
+use super::feed::Feed;
+use super::field::Field;
+use super::form::{Form, Line};
+use super::granting::complete_from;
+use super::key::Key;
+use super::paths::{self, PathKind};
+use super::perform::copy;
+use super::popup::{Confirm, Lookup, Popup, Purpose};
+use super::popup_keys::scrolled;
+use super::screen::Screen;
+use super::screens::gateway::{Member, Row};
+use super::state::State;
+use crate::config::{RingWish, RobotPolicy};
+use crate::model::{Timestamp, clean};
+use crate::service::Failure;
+use crate::service::command::{SetRobotPolicy, ShowRobot};
+use crate::service::reply::{RobotRow, RobotView};
+
+/// How often the robots are asked for on the Gateway screen, and where only drift is told, nanoseconds; both only when
+/// records came meanwhile.
+const ASKED_EVERY: u64 = 5_000_000_000;
+const DRIFT_EVERY: u64 = 30_000_000_000;
+/// The line of the robot, and that of the file.
+const ROBOT: usize = 0;
+const FILE: usize = 1;
+/// The most names in a sentence.
+const MOST_NAMES: usize = 5;
+/// The site's words for a robot that will not take its policy, and for one that has not heard of it.
+const REFUSED: &str = "refused";
+const WAITING: &str = "waiting";
+/// The fewest characters of a device's id that name a robot.
+const LEAST_DEVICE: usize = 8;
+
+/// How a robot stands to its policy.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Standing {
+    /// It does not work by it, and will not by itself.
+    Wrong,
+    /// It does not work by it yet.
+    Drifts,
+    /// It works by it.
+    InForce,
+    /// None was ever set.
+    Unset,
+}
+
+impl Standing {
+    /// How a robot stands.
+    pub fn of(row: &RobotRow) -> Self {
+        match row {
+            RobotRow { drift: true, .. } if row.standing == WAITING => Self::Drifts,
+            RobotRow { drift: true, .. } => Self::Wrong,
+            RobotRow { wanted: 0, .. } => Self::Unset,
+            _ => Self::InForce,
+        }
+    }
+}
+
+/// How a robot stands to its policy, in a few words: those of `robots show`.
+pub fn words(row: &RobotRow) -> String {
+    let standing = clean(&row.standing, 40);
+    match (Standing::of(row), row.running.unwrap_or_default()) {
+        (Standing::Unset, _) => "-".to_owned(),
+        (Standing::Wrong, running) if running > row.wanted => format!("runs {running}, not known here"),
+        (Standing::Wrong, 0) if standing != REFUSED => standing,
+        (Standing::InForce, _) | (_, 0) => format!("policy {} {standing}", row.wanted),
+        (_, running) => format!("policy {} {standing}, runs {running}", row.wanted),
+    }
+}
+
+/// What a filter finds of it.
+pub fn searched(row: &RobotRow) -> String {
+    let drift = if row.drift { "drift" } else { "" };
+    format!("{} {} {drift} {}", words(row), row.standing, row.device.to_hex())
+}
+
+/// The order by policy: what is wrong first, then what waits, the older versions first.
+pub fn urgency(row: &RobotRow) -> (u8, u64) {
+    (Standing::of(row) as u8, row.wanted)
+}
+
+/// Whether the site can say what robots told: that needs an open keyring.
+pub fn is_open(state: &State) -> bool {
+    state.identity.as_ref().is_some_and(|identity| identity.exists && identity.unlocked)
+}
+
+/// The robots, if they are wanted now.
+pub fn wanted(state: &State) -> Option<Feed> {
+    let asks = |popup: &Popup| matches!(popup, Popup::Robot(_) | Popup::Form(Purpose::SetPolicy, _));
+    let seen = matches!(state.screen, Screen::Overview | Screen::Gateway) || state.popups.iter().any(asks);
+    (is_open(state) && seen).then_some(Feed::Robots)
+}
+
+/// When the robots are asked for again; `None` = not before something happens.
+pub fn asked_at(state: &State) -> Option<Timestamp> {
+    let slot = state.feeds.slot(Feed::Robots);
+    let waits = slot.loaded && !slot.outstanding && !slot.stale && slot.failure.is_none();
+    let moved = state.gateway.robots_told && !state.gateway.robots.is_empty() && !state.is_frozen();
+    let every = if state.screen == Screen::Gateway { ASKED_EVERY } else { DRIFT_EVERY };
+    let due = Timestamp(state.gateway.robots_at.0.saturating_add(every));
+    wanted(state).filter(|_| waits && moved).map(|_| due)
+}
+
+/// Asks again when it is time.
+pub fn tick(state: &mut State) {
+    if asked_at(state).is_some_and(|at| at <= state.now) {
+        state.feeds.slot_mut(Feed::Robots).stale = true;
+    }
+}
+
+/// Forgets the robots once the keyring is locked: what they are said to be would grow old unnoticed.
+pub fn forget_if_locked(state: &mut State) {
+    if state.is_locked() && !state.is_frozen() && state.feeds.slot(Feed::Robots).loaded {
+        state.feeds.renew(Feed::Robots);
+        state.feeds.slot_mut(Feed::Robots).loaded = false;
+        state.gateway.set_robots(Vec::new(), None, state.now);
+    }
+}
+
+/// Takes the robots over; a window with one of them follows.
+pub fn listed(state: &mut State, rows: Vec<RobotRow>) -> Vec<Effect> {
+    let (owner, now) = (state.address(), state.now);
+    state.gateway.set_robots(rows, owner, now);
+    let Some(Popup::Robot(lookup)) = state.popups.last() else { return Vec::new() };
+    let before = lookup.found().map(|view| &view.row);
+    let row = state.gateway.robots.iter().find(|row| before.is_some_and(|before| before.device == row.device));
+    let moved = row.is_some() && row != before;
+    let errand = show(&lookup.id);
+    if moved && !state.is_frozen() && !state.work.contains(&errand.tag) {
+        return vec![state.send(errand)];
+    }
+    Vec::new()
+}
+
+/// The robots that do not work by their policies, as an alert: since when, and in words.
+pub fn drift(state: &State) -> Option<(Timestamp, String)> {
+    let drifting: Vec<&RobotRow> = state.gateway.robots.iter().filter(|row| row.drift).collect();
+    let since = drifting.iter().filter_map(|row| row.drift_since).min().unwrap_or(state.now);
+    match drifting.as_slice() {
+        [] => None,
+        [one] => Some((since, format!("robot {} drifts: {} (8, then enter)", one.name, words(one)))),
+        several => {
+            let names: Vec<String> = several.iter().take(MOST_NAMES).map(|row| row.name.to_string()).collect();
+            let more = several.len().saturating_sub(MOST_NAMES);
+            let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+            let robots = several.len();
+            Some((since, format!("{robots} robots do not work by their policies: {}{more} (8)", names.join(", "))))
+        }
+    }
+}
+
+/// The robot under the cursor of the Gateway screen.
+pub fn under_cursor(state: &State) -> Option<&RobotRow> {
+    match state.gateway.selected()? {
+        Row::Member(Member { robot, .. }) if state.screen == Screen::Gateway => robot,
+        _ => None,
+    }
+}
+
+/// What a robot is called in a request: its name, unless another robot has it, too.
+fn called(state: &State, row: &RobotRow) -> String {
+    let alone = state.gateway.robots.iter().filter(|other| other.name == row.name).count() <= 1;
+    if alone { row.name.to_string() } else { row.device.to_hex() }
+}
+
+fn show(name: &str) -> Errand {
+    Errand { command: ShowRobot { name: name.to_owned() }.into(), tag: Tag::Robot(name.to_owned()) }
+}
+
+/// Opens the window of the robot under the cursor.
+pub fn open(state: &mut State) -> Vec<Effect> {
+    let Some(name) = under_cursor(state).map(|row| called(state, row)) else { return Vec::new() };
+    state.popups.push(Popup::Robot(Lookup::new(&name)));
+    let errand = show(&name);
+    if state.work.contains(&errand.tag) { Vec::new() } else { vec![state.send(errand)] }
+}
+
+/// Takes the answer about a robot.
+pub fn shown(state: &mut State, name: &str, answer: Result<RobotView, Failure>) {
+    for popup in &mut state.popups {
+        if let Popup::Robot(lookup) = popup
+            && lookup.id == name
+        {
+            return lookup.answer = Some(answer.map(Box::new));
+        }
+    }
+}
+
+/// The keys of the window, for the bar.
+pub fn hints(state: &State) -> Vec<(&'static str, &'static str)> {
+    let changes = (!state.settings.read_only).then_some(("p", "set policy"));
+    changes.into_iter().chain([("y", "copy command"), ("up down", "scroll"), ("q", "close")]).collect()
+}
+
+/// A key while the window is open.
+pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) -> Vec<Effect> {
+    let Some(scroll) = scrolled(lookup.scroll, key, state.page_rows()) else { return Vec::new() };
+    let length = |view: &RobotView| {
+        12 + view.gateways.len() + view.topics.len() + view.overruled.len() * 3 + view.policy.lines().count()
+    };
+    lookup.scroll = scroll.min(lookup.found().map_or(0, length));
+    let name = lookup.id.clone();
+    state.popups.push(Popup::Robot(lookup));
+    match key {
+        Key::Char('p') if !state.settings.read_only => ask(state, &name),
+        Key::Char('y') => {
+            let line = command_line::of_words(state, &format!("robots show {name}"));
+            return vec![copy(state, line)];
+        }
+        _ => {}
+    }
+    Vec::new()
+}
+
+/// Asks for the policy of the robot under the cursor, or of one to be named.
+pub fn begin(state: &mut State) {
+    let name = under_cursor(state).map(|row| called(state, row)).unwrap_or_default();
+    ask(state, &name);
+}
+
+fn ask(state: &mut State, name: &str) {
+    let lines = vec![
+        Line::text("Robot", "name of a robot", Field::offering(name)),
+        Line::text("File", "path to a TOML file; empty = clear the policy", Field::default()).path(PathKind::File),
+    ];
+    let notes = vec![
+        "Watched topics, rules and ring, over the robot's own settings.".to_owned(),
+        "Signed by your account; the robot takes it up at its next contact.".to_owned(),
+    ];
+    let mut form = Form::new("Set a robot's policy", notes, lines);
+    form.focus = usize::from(!name.is_empty());
+    state.popups.push(Popup::Form(Purpose::SetPolicy, form));
+}
+
+/// Completes a robot's name; false where there is nothing to complete.
+pub fn complete(state: &State, form: &mut Form) -> bool {
+    let names: Vec<String> = state.gateway.robots.iter().map(|row| row.name.to_string()).collect();
+    form.focus == ROBOT && complete_from(form, &names)
+}
+
+/// What a completed form leads to: a question at once, or first the text of the file.
+///
+/// # Errors
+/// The field in error, and why.
+pub fn submit(state: &mut State, form: &Form) -> Result<Vec<Effect>, (usize, String)> {
+    let robot = named(state, form)?;
+    match paths::of_line(form, FILE, &state.settings) {
+        Some(path) => {
+            state.reading = Some(path.clone());
+            Ok(vec![Effect::ReadText(path)])
+        }
+        None => {
+            let question = question(state, &robot, None, String::new());
+            state.popups.push(Popup::Confirm(question));
+            Ok(Vec::new())
+        }
+    }
+}
+
+/// The robot that a form names.
+fn named(state: &State, form: &Form) -> Result<String, (usize, String)> {
+    let name = form.text(ROBOT).trim();
+    if name.is_empty() {
+        return Err((ROBOT, "enter the robot's name; tab completes it".to_owned()));
+    }
+    let is_it = |row: &RobotRow| {
+        row.name.as_str() == name || name.len() >= LEAST_DEVICE && row.device.to_hex().starts_with(name)
+    };
+    let loaded = state.feeds.slot(Feed::Robots).loaded;
+    if loaded && !state.gateway.robots.iter().any(is_it) {
+        let names: Vec<&str> = state.gateway.robots.iter().take(MOST_NAMES).map(|row| row.name.as_str()).collect();
+        let known = if names.is_empty() { "none is enrolled".to_owned() } else { format!("try {}", names.join(", ")) };
+        return Err((ROBOT, format!("no robot of this profile is called '{}'; {known}", clean(name, 64))));
+    }
+    Ok(name.to_owned())
+}
+
+/// The text of the file has been read, or cannot be: a question, or an error in the form that named it.
+pub fn text_read(state: &mut State, path: &Path, read: Result<String, String>) {
+    if state.reading.take_if(|reading| reading.as_path() == path).is_none() {
+        return;
+    }
+    let Some(Popup::Form(Purpose::SetPolicy, form)) = state.popups.last() else { return };
+    if paths::of_line(form, FILE, &state.settings).as_deref() != Some(path) {
+        return;
+    }
+    let asked = named(state, form).and_then(|robot| {
+        let text = read.map_err(|error| (FILE, error))?;
+        if text.trim().is_empty() {
+            let why = "this file is empty; to give the robot back its own settings, leave the line empty";
+            return Err((FILE, why.to_owned()));
+        }
+        let policy = RobotPolicy::read(&text).map_err(|error| (FILE, error.to_string()))?;
+        let said = summary(&policy);
+        let mut question = question(state, &robot, Some(path.to_owned()), text);
+        question.lines.splice(2..2, said);
+        Ok(question)
+    });
+    match asked {
+        Ok(question) => state.popups.push(Popup::Confirm(question)),
+        Err((line, error)) => {
+            if let Some(Popup::Form(_, form)) = state.popups.last_mut() {
+                form.refuse(line, error);
+            }
+        }
+    }
+}
+
+/// What a policy says, and what it leaves to the robot.
+fn summary(policy: &RobotPolicy) -> [String; 3] {
+    let own = || "as the robot's own settings say".to_owned();
+    let watched = policy.watched.as_ref().map_or_else(own, |topics| match topics.len() {
+        0 => "none".to_owned(),
+        count => {
+            let names: Vec<&str> = topics.iter().take(MOST_NAMES).map(|topic| topic.as_str()).collect();
+            let more = count.saturating_sub(MOST_NAMES);
+            format!("{}{}", names.join(" "), if more > 0 { format!(" and {more} more") } else { String::new() })
+        }
+    });
+    let rules = policy.rules.as_ref().map_or_else(own, |rules| super::words::counted(rules.0.len() as u64, "rule"));
+    let ring = match &policy.ring {
+        RingWish::Own => own(),
+        RingWish::Off => "none".to_owned(),
+        RingWish::Keep(ring) => format!("{} of {}", ring.limits, ring.topics),
+    };
+    [format!("Watches  {watched}"), format!("Topics   {rules}"), format!("Ring     {ring}")]
+}
+
+fn question(state: &State, robot: &str, file: Option<PathBuf>, text: String) -> Confirm {
+    let row = state.gateway.robots.iter().find(|row| row.name.as_str() == robot || row.device.to_hex() == robot);
+    let version = row.map(|row| row.wanted.max(row.running.unwrap_or_default()).saturating_add(1));
+    let number = version.map(|version| format!("This is version {version}, signed by your account."));
+    let mut lines = vec![format!("Robot    {}", clean(robot, 64))];
+    let (title, yes) = match &file {
+        Some(file) => {
+            lines.push(format!("File     {}", clean(&file.display().to_string(), 300)));
+            lines.push("It overrides the robot's own settings from its next contact on.".to_owned());
+            ("Set this policy?", "set it")
+        }
+        None => {
+            lines.push("The robot goes back to its own settings at its next contact.".to_owned());
+            ("Clear the policy?", "clear it")
+        }
+    };
+    lines.extend(number);
+    let tag = Tag::SetPolicy(robot.to_owned(), file);
+    let errand = Errand { command: SetRobotPolicy { name: robot.to_owned(), text }.into(), tag };
+    Confirm { title: title.to_owned(), lines, yes, typed: None, errand }
+}
+
+/// The policy is set: the robot stands differently now.
+pub fn set(state: &mut State, name: &str, view: RobotView) {
+    let what = if view.policy.is_empty() { "is cleared" } else { "is set" };
+    state.inform(format!("the policy of {} {what} as version {}", view.row.name, view.row.wanted));
+    if let Some(row) = state.gateway.robots.iter_mut().find(|row| row.device == view.row.device) {
+        row.clone_from(&view.row);
+    }
+    shown(state, name, Ok(view));
+}
