@@ -220,6 +220,24 @@ fn a_second_console_of_the_same_profile_is_refused_and_another_profile_joins() {
 }
 
 #[test]
+fn serve_waits_for_a_command_that_is_the_site_until_it_ends_and_not_for_a_site() {
+    let home = Home::new();
+    quiet(&home).json(&["identity", "create"]);
+    let follower = quiet(&home).spawn(&["uploads", "list", "--follow"]);
+    support::wait_until(30, "it is the site", || home.socket());
+    // With other settings than the command has, which nobody joins.
+    let authros = home.authros().with(&["--robots", "1"]);
+    let mut site = authros.spawn(&["serve"]);
+    site.wait_for_text("waiting up to", 30);
+    assert!(!site.stdout().contains("serving"), "{}", site.stdout());
+    follower.stop("INT", 30).expect_code(0);
+    site.wait_for_text("stop it with Ctrl-C", 60);
+    let told = authros.fails(HOME, &["serve"]);
+    assert!(told.contains("already running"), "{told}");
+    site.stop("INT", 30).expect_code(0);
+}
+
+#[test]
 fn with_json_every_answer_is_one_document_and_without_it_text() {
     let home = Home::new();
     let authros = home.authros().with(&["--robots", "1"]);
