@@ -139,6 +139,7 @@ fn a_peer_that_is_set_but_does_not_answer_is_never_replaced_by_an_embedded_part(
         assert!(message.contains(&port.to_string()), "names the peer at {port}: {message}");
     }
     let home = Home::new();
+    home.authros().json(&["identity", "create"]);
     let socket = home.root().join("no.ipc");
     home.authros().fails(UNREACHABLE, &["chain", "status", "--chain", socket.to_str().expect("UTF-8")]);
 }
