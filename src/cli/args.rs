@@ -154,6 +154,9 @@ pub enum Verb {
         /// Hash of the chain's block 0, from a source other than the folder
         #[arg(long, value_name = "HASH")]
         genesis: Option<String>,
+        /// For a bundle: give the reason of each level for every record, also where nothing is in doubt
+        #[arg(long, conflicts_with = "genesis")]
+        verbose: bool,
     },
     /// Write profiles, ledger, embedded vault and chain, settings and pins into one encrypted file
     Backup(BackupArguments),

@@ -136,10 +136,10 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Restore { file, check: false } => check::run_restore(&Context::new(global, output)?, &file, output),
         Verb::Bench(bench) => runtime.block_on(run_bench(global, bench, output)),
         Verb::Evidence(verb) => runtime.block_on(evidence::run(Context::new(global, output)?, verb, output)),
-        Verb::Verify { path, trust, genesis: None } if trust.is_some() || evidence::is_bundle(&path) => {
-            evidence::run_verify(&path, trust.as_deref(), output)
+        Verb::Verify { path, trust, genesis: None, verbose } if trust.is_some() || evidence::is_bundle(&path) => {
+            evidence::run_verify(&path, trust.as_deref(), verbose, output)
         }
-        Verb::Verify { path, trust: _, genesis } => {
+        Verb::Verify { path, trust: _, genesis, verbose: _ } => {
             runtime.block_on(check::run_verify(&global, &path, genesis.as_deref(), output))
         }
         Verb::Agent(verb) => runtime.block_on(agent::run(global, verb, output)),
