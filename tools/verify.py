@@ -671,7 +671,7 @@ class Bundle:
             raise Refused("a key is no SM2 public key")
         text = base64.b64encode(info)
         lines = [b"-----BEGIN PUBLIC KEY-----", text[:64], text[64:], b"-----END PUBLIC KEY-----"]
-        if data.replace(b"\r\n", b"\n").strip() != b"\n".join(lines) or not is_point(info[-64:]):
+        if data != b"\n".join(lines) + b"\n" or not is_point(info[-64:]):
             raise Refused("a key is no SM2 public key")
         return info[-64:]
 

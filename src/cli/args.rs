@@ -7,9 +7,10 @@ mod global;
 mod keys;
 mod records;
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, CommandFactory as _, Parser, Subcommand, ValueEnum};
 
 pub use self::agent::{AgentVerb, EnrolArguments, RunArguments};
 pub use self::chain::{ChainVerb, GenesisArguments, SuccessionVerb};
@@ -38,6 +39,33 @@ pub struct Arguments {
     /// What to do; nothing = the console.
     #[command(subcommand)]
     pub verb: Option<Verb>,
+}
+
+/// The words of a command line, in which a value that is named like a command stands in one word with its option. Before the
+/// command, clap takes it for the command itself, because commands go before values for the sake of `--ros2 topics list`.
+pub fn with_values_joined(words: impl IntoIterator<Item = OsString>) -> Vec<OsString> {
+    let command = Arguments::command();
+    let is_command = |word: &OsString| command.find_subcommand(word).is_some();
+    let takes_value = |word: &OsString| {
+        let name = word.to_str().and_then(|word| word.strip_prefix("--"));
+        let option = name.and_then(|name| command.get_arguments().find(|option| option.get_long() == Some(name)));
+        option.is_some_and(|option| {
+            option.get_action().takes_values() && option.get_num_args().is_none_or(|count| count.min_values() > 0)
+        })
+    };
+    let mut words = words.into_iter().peekable();
+    let mut joined: Vec<OsString> = words.next().into_iter().collect();
+    while let Some(mut word) = words.next_if(|word| !is_command(word) && word != "--") {
+        if takes_value(&word)
+            && let Some(value) = words.next_if(is_command)
+        {
+            word.push("=");
+            word.push(value);
+        }
+        joined.push(word);
+    }
+    joined.extend(words);
+    joined
 }
 
 /// The verbs.
@@ -126,6 +154,9 @@ pub enum Verb {
         /// Hash of the chain's block 0, from a source other than the folder
         #[arg(long, value_name = "HASH")]
         genesis: Option<String>,
+        /// For a bundle: give the reason of each level for every record, also where nothing is in doubt
+        #[arg(long, conflicts_with = "genesis")]
+        verbose: bool,
     },
     /// Write profiles, ledger, embedded vault and chain, settings and pins into one encrypted file
     Backup(BackupArguments),
@@ -322,7 +353,6 @@ pub struct ConsoleArguments {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn the_command_line_is_consistent() {
@@ -370,6 +400,27 @@ mod tests {
         let arguments = parsed.expect("parses");
         assert!(arguments.global.json);
         assert!(matches!(arguments.verb, Some(Verb::Capture(capture)) if capture.count == Some(3)));
+    }
+
+    #[test]
+    fn a_value_may_be_named_like_a_command() {
+        let parse = |line: &str| {
+            Arguments::try_parse_from(with_values_joined(line.split(' ').map(OsString::from)))
+                .unwrap_or_else(|error| panic!("{line}: {error}"))
+        };
+        for line in
+            ["authros --profile audit status", "authros --profile=audit status", "authros status --profile audit"]
+        {
+            let read = parse(line);
+            assert_eq!(read.global.profile.as_deref(), Some("audit"), "{line}");
+            assert!(matches!(read.verb, Some(Verb::Status { watch: false })), "{line}");
+        }
+        let read = parse("authros --json --home demo --profile serve --ros2 topics list");
+        assert_eq!((read.global.home, read.global.profile), (Some("demo".into()), Some("serve".to_owned())));
+        assert!(read.global.json && read.global.ros2.is_some() && matches!(read.verb, Some(Verb::Topics(_))));
+        assert!(parse("authros --profile audit").verb.is_none(), "the console of that profile");
+        let read = parse("authros contacts add --fingerprint chain grant bob");
+        assert!(matches!(read.verb, Some(Verb::Contacts(_))), "behind the command nothing is joined");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //! unlocked if the command needs it.
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::args::Global;
 use super::{operators, passphrase};
@@ -17,6 +17,12 @@ use crate::service::{Client, Failure, Needs, Site};
 use crate::store::{SiteLock, files};
 use authros_output::Output;
 
+/// How often it is tried to become the site.
+const AGAIN: Duration = Duration::from_millis(100);
+/// How long a process that has the home and does not answer is waited for.
+const SILENCE: Duration = Duration::from_secs(5);
+/// How long a command that is the site until it ends is waited for: less than systemd waits for a service to start.
+const LONGEST_COMMAND: Duration = Duration::from_secs(60);
 /// How long joined processes may still wait for an answer after a signal.
 const FAREWELL: Duration = Duration::from_millis(500);
 
@@ -128,19 +134,65 @@ impl Context {
                 operators::introduce(self, &client, &greeting).await?;
                 return Ok(Connection { client, site: None });
             }
-            operators::needs_site(self)?;
-            if let Some(lock) = self.lock()? {
-                let site = Site::start(self.home.clone(), self.config.clone(), lock, needs)?;
-                socket::listen(&site)?;
-                return Ok(Connection { client: site.client(self.profile.clone()), site: Some(site) });
+            if let Some(opened) = self.start(needs)? {
+                return Ok(opened);
             }
-            tokio::time::sleep(Duration::from_millis(100)).await;
+            tokio::time::sleep(AGAIN).await;
         }
+        Err(self.unanswered())
+    }
+
+    /// Opens a site that is to stay. A command that is the site of this home until it ends is waited for.
+    ///
+    /// # Errors
+    /// If the home cannot be used, or has a site that stays.
+    pub async fn open(&self, needs: Needs, output: &Output) -> Result<Connection, Failure> {
+        let (root, begun, mut patience) = (self.home.root().display(), Instant::now(), SILENCE);
+        while begun.elapsed() < patience {
+            match socket::join(&self.home, self.profile.clone()).await? {
+                Some((_, greeting)) if greeting.stays => {
+                    let text = format!("a site of {root} is already running; commands join it automatically");
+                    return Err(Failure::new(ErrorKind::Home, text));
+                }
+                Some(_) if patience == SILENCE => {
+                    patience = LONGEST_COMMAND;
+                    let most = patience.as_secs();
+                    output.note(&format!(
+                        "authros: another command is using {root}; waiting up to {most} s for it to end"
+                    ));
+                }
+                Some(_) => {}
+                None => {
+                    if let Some(opened) = self.start(needs)? {
+                        return Ok(opened);
+                    }
+                }
+            }
+            tokio::time::sleep(AGAIN).await;
+        }
+        if patience == SILENCE {
+            return Err(self.unanswered());
+        }
+        let text = format!(
+            "another command is still using {root} after {} s; wait for it or stop it, then run `authros serve` again",
+            patience.as_secs()
+        );
+        Err(Failure::new(ErrorKind::Home, text))
+    }
+
+    /// Becomes the site, unless another process has the home.
+    fn start(&self, needs: Needs) -> Result<Option<Connection>, Failure> {
+        operators::needs_site(self)?;
+        let Some(lock) = self.lock()? else { return Ok(None) };
+        let site = Site::start(self.home.clone(), self.config.clone(), lock, needs)?;
+        socket::listen(&site)?;
+        Ok(Some(Connection { client: site.client(self.profile.clone()), site: Some(site) }))
+    }
+
+    fn unanswered(&self) -> Failure {
         let root = self.home.root().display();
-        Err(Failure::new(
-            ErrorKind::Home,
-            format!("{root} is in use by another process that does not answer; stop it, or use another --home"),
-        ))
+        let text = format!("{root} is in use by another process that does not answer; stop it, or use another --home");
+        Failure::new(ErrorKind::Home, text)
     }
 
     /// The home's lock, if no other process holds it.

@@ -118,7 +118,7 @@ pub fn is_bundle(path: &Path) -> bool {
 ///
 /// # Errors
 /// Where it is no bundle, or the trust file is none.
-pub fn run_verify(path: &Path, trust: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+pub fn run_verify(path: &Path, trust: Option<&Path>, verbose: bool, output: &Output) -> Result<u8, Failure> {
     if !path.exists() {
         let text = format!(
             "{} does not exist; give a bundle (NAME.authros) or a folder from `uploads export`",
@@ -134,7 +134,7 @@ pub fn run_verify(path: &Path, trust: Option<&Path>, output: &Output) -> Result<
     };
     let bundle = Bundle::read(path, provider).map_err(failed)?;
     let report = authros_evidence::verify(&bundle, trust.as_ref(), provider);
-    output.result(&Shown { bundle: &bundle, report: &report }, || text(&bundle, &report));
+    output.result(&Shown { bundle: &bundle, report: &report }, || text(&bundle, &report, verbose));
     Ok(match report.outcome {
         Outcome::Holds => 0,
         Outcome::Incomplete => ErrorKind::Incomplete.exit_code(),
@@ -242,23 +242,52 @@ fn summary(report: &Report) -> [String; 2] {
     [format!("{records} records, {topics} topics: {}", report.last_line()), told.join("; ")]
 }
 
-fn text(bundle: &Bundle, report: &Report) -> String {
-    let (mut lines, mut limits) = (summary(report).to_vec(), Limits::default());
+/// Whether a line is enough for a record: what every bundle has to prove is not in doubt, and nothing contradicts it.
+fn is_whole(record: &RecordReport) -> bool {
+    record.levels().iter().all(|(letter, level)| match level.standing {
+        Standing::Proven | Standing::OwnChain | Standing::Absent => true,
+        Standing::Unproven => matches!(*letter, 'd' | 'g'),
+        Standing::Refused => false,
+    })
+}
+
+/// The levels of a record, without reasons: `(a) (b) (c) proven, (g) not proven`.
+fn standings(record: &RecordReport) -> String {
+    let mut groups: Vec<(Standing, String)> = Vec::new();
+    for (letter, level) in record.levels().iter().filter(|(_, level)| level.standing != Standing::Absent) {
+        match groups.last_mut() {
+            Some((standing, letters)) if *standing == level.standing => letters.push_str(&format!(" ({letter})")),
+            _ => groups.push((level.standing, format!("({letter})"))),
+        }
+    }
+    groups.iter().map(|(standing, letters)| format!("{letters} {}", standing.word())).collect::<Vec<_>>().join(", ")
+}
+
+/// Which record it is, and how it stands: in a line, or with the reason of each level.
+fn about(record: &RecordReport, briefly: bool) -> Vec<String> {
+    let who = format!("record {} {}", record.digest, whose(record));
+    let when = record.seq.zip(record.captured_at).map(|(seq, captured)| {
+        let gap = record.seconds_to_anchor.map_or(String::new(), |seconds| format!(", {seconds} s before its anchor"));
+        format!("number {seq}, captured {captured} according to its owner{gap}")
+    });
+    if briefly {
+        let when = when.map_or(String::new(), |when| format!(", {when}"));
+        return vec![format!("{who}{when}: {}", standings(record))];
+    }
+    let row = |(letter, level): (char, &authros_evidence::Level)| {
+        vec![format!("({letter})"), level.standing.word().to_owned(), clean(&level.text, 400)]
+    };
+    let levels = table(&["level", "", ""], &record.levels().map(row));
+    std::iter::once(who).chain(when).chain([levels]).collect()
+}
+
+fn text(bundle: &Bundle, report: &Report, verbose: bool) -> String {
+    let (mut lines, mut limits, mut shortened) = (summary(report).to_vec(), Limits::default(), false);
     lines.push(String::new());
     for record in &report.records {
-        lines.push(format!("record {} {}", record.digest, whose(record)));
-        if let (Some(seq), Some(captured)) = (record.seq, record.captured_at) {
-            let gap =
-                record.seconds_to_anchor.map_or(String::new(), |seconds| format!(", {seconds} s before its anchor"));
-            lines.push(format!("number {seq}, captured {captured} according to its owner{gap}"));
-        }
-        let rows: Vec<Vec<String>> = record
-            .levels()
-            .map(|(letter, level)| {
-                vec![format!("({letter})"), level.standing.word().to_owned(), clean(&level.text, 400)]
-            })
-            .to_vec();
-        lines.push(table(&["level", "", ""], &rows));
+        let briefly = !verbose && is_whole(record);
+        shortened |= briefly;
+        lines.extend(about(record, briefly));
         if let Some(disclosed) = &record.disclosed {
             lines.push(format!(
                 "'{}' {}, {} bytes, from {}",
@@ -269,7 +298,12 @@ fn text(bundle: &Bundle, report: &Report) -> String {
                 "its fields are not shown: the message's definition is not in the bundle, or the message is too large";
             lines.push(fields.map_or_else(|| unread.to_owned(), |fields| bounded(&fields)));
         }
-        lines.push(String::new());
+        if !briefly {
+            lines.push(String::new());
+        }
+    }
+    if shortened {
+        lines.extend(["--verbose shows the reason of each level".to_owned(), String::new()]);
     }
     for stretch in &report.complete {
         let (topic, recorder, word) = (stretch.topic_id, stretch.recorder, stretch.standing.word());
@@ -333,6 +367,25 @@ mod tests {
             levels,
             "(a) proven; (b) 1 own chain, 2 not proven; (c) own chain; (d) absent; (e) absent; (g) absent"
         );
+    }
+
+    #[test]
+    fn a_whole_record_is_a_line_and_one_in_doubt_tells_its_reasons() {
+        let whole = record(1, Standing::OwnChain);
+        assert!(is_whole(&whole));
+        let told = about(&whole, true);
+        assert_eq!(told.len(), 1, "{told:?}");
+        assert!(told[0].ends_with("owner unreadable: (a) proven, (b) (c) own chain"), "{told:?}");
+        assert!(about(&whole, false).concat().contains("why"));
+        let level = |standing| Level::new(standing, "why");
+        assert!(is_whole(&RecordReport { witnessed: level(Standing::Unproven), ..whole.clone() }), "nobody was pinned");
+        for doubtful in [
+            record(2, Standing::Unproven),
+            RecordReport { opened: level(Standing::Unproven), ..whole.clone() },
+            RecordReport { time: level(Standing::Refused), ..whole },
+        ] {
+            assert!(!is_whole(&doubtful));
+        }
     }
 
     #[test]

@@ -57,7 +57,7 @@ mod witnesses;
 
 use std::process::ExitCode;
 
-use clap::{CommandFactory as _, Parser};
+use clap::Parser as _;
 use tokio::runtime::Runtime;
 
 use self::args::{Arguments, Global, Verb};
@@ -72,17 +72,12 @@ pub fn main() -> ExitCode {
     memory::keep_few_arenas();
     memory::keep_private();
     serve::note_hangup();
-    let arguments = match Arguments::try_parse() {
+    let arguments = match Arguments::try_parse_from(args::with_values_joined(std::env::args_os())) {
         Ok(arguments) => arguments,
         Err(error) => {
             let code = error.exit_code();
             // If stdout or stderr is closed there is nobody to inform.
             drop(error.print());
-            if let Some(name) = profile_like_a_command(words_given()).filter(|_| code != 0) {
-                Output::new(false).note(&format!(
-                    "'{name}' is a command, also behind --profile; for a profile of that name write --profile={name}"
-                ));
-            }
             return ExitCode::from(u8::try_from(code).unwrap_or(2));
         }
     };
@@ -141,10 +136,10 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Restore { file, check: false } => check::run_restore(&Context::new(global, output)?, &file, output),
         Verb::Bench(bench) => runtime.block_on(run_bench(global, bench, output)),
         Verb::Evidence(verb) => runtime.block_on(evidence::run(Context::new(global, output)?, verb, output)),
-        Verb::Verify { path, trust, genesis: None } if trust.is_some() || evidence::is_bundle(&path) => {
-            evidence::run_verify(&path, trust.as_deref(), output)
+        Verb::Verify { path, trust, genesis: None, verbose } if trust.is_some() || evidence::is_bundle(&path) => {
+            evidence::run_verify(&path, trust.as_deref(), verbose, output)
         }
-        Verb::Verify { path, trust: _, genesis } => {
+        Verb::Verify { path, trust: _, genesis, verbose: _ } => {
             runtime.block_on(check::run_verify(&global, &path, genesis.as_deref(), output))
         }
         Verb::Agent(verb) => runtime.block_on(agent::run(global, verb, output)),
@@ -242,32 +237,4 @@ async fn run_bench(
         serve::asked_to_end().await;
     };
     authros_bench::run(global, arguments, output, stop).await
-}
-
-fn words_given() -> impl Iterator<Item = String> {
-    std::env::args_os().map(|word| word.to_string_lossy().into_owned())
-}
-
-/// The name behind `--profile` that is taken for a command, because commands take precedence over values.
-fn profile_like_a_command(words: impl Iterator<Item = String>) -> Option<String> {
-    let words: Vec<String> = words.collect();
-    let behind = words.windows(2).find(|pair| matches!(pair, [option, _] if option == "--profile"))?;
-    let name = behind.last()?;
-    Arguments::command().find_subcommand(name).map(|_| name.clone())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_profile_that_is_called_like_a_command_is_noticed() {
-        let told = |line: &str| profile_like_a_command(line.split(' ').map(str::to_owned));
-        assert_eq!(told("authros --profile audit identity show").as_deref(), Some("audit"));
-        assert!(Arguments::try_parse_from("authros --profile audit identity show".split(' ')).is_err());
-        assert!(Arguments::try_parse_from("authros --profile=audit identity show".split(' ')).is_ok());
-        for fine in ["authros --profile bob audit", "authros --profile=audit identity show", "authros --profile"] {
-            assert_eq!(told(fine), None, "{fine}");
-        }
-    }
 }

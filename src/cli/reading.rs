@@ -1,9 +1,10 @@
-//! Commands that only look at a home make none: a path that is mistyped would seem well, and what was made there would stop a
+//! Commands about what a home has make none: a path that is mistyped would seem well, and what was made there would stop a
 //! restore.
 
-use super::args::{Global, Verb};
+use super::args::{AgentVerb, ChainVerb, ConfigVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, TopicsVerb, Verb};
 use super::fleet::FleetVerb;
 use super::operators::OperatorsVerb;
+use super::parties::ContactsVerb;
 use crate::model::ErrorKind;
 use crate::paths::Home;
 use crate::service::Failure;
@@ -13,7 +14,7 @@ use crate::service::Failure;
 /// # Errors
 /// If there is no home, or the standard places cannot be used.
 pub fn needs_a_home(global: &Global, verb: Option<&Verb>) -> Result<(), Failure> {
-    if !verb.is_some_and(only_looks) {
+    if verb.is_none_or(makes_a_home) {
         return Ok(());
     }
     let home = match &global.home {
@@ -30,14 +31,31 @@ pub fn needs_a_home(global: &Global, verb: Option<&Verb>) -> Result<(), Failure>
     Err(Failure::new(ErrorKind::Input, text))
 }
 
-/// Whether a verb is about what a home has.
+/// Whether a verb has something to do where there is no home yet, and makes one if it needs one.
 #[deny(clippy::wildcard_enum_match_arm)]
-fn only_looks(verb: &Verb) -> bool {
+fn makes_a_home(verb: &Verb) -> bool {
     match verb {
+        // Whether this machine is as it should be is asked before there is a home, too.
+        Verb::Doctor
+        | Verb::Register
+        | Verb::Capture(_)
+        | Verb::Bag(_)
+        | Verb::Verify { .. }
+        | Verb::Restore { .. }
+        | Verb::Serve(_)
+        | Verb::Demo(_)
+        | Verb::Tour(_)
+        | Verb::Bench(_)
+        | Verb::Console(_)
+        | Verb::Completions { .. }
+        | Verb::Complete { .. }
+        | Verb::Man => true,
         Verb::Status { .. }
         | Verb::Audit(_)
         | Verb::Uploads(_)
         | Verb::Shared(_)
+        | Verb::Grant(_)
+        | Verb::Revoke { .. }
         | Verb::Grants(_)
         | Verb::Quarantine(_)
         | Verb::Robots(_)
@@ -46,40 +64,24 @@ fn only_looks(verb: &Verb) -> bool {
         | Verb::Unattended(_)
         | Verb::Devices(_)
         | Verb::Witness(_)
-        | Verb::Operators(OperatorsVerb::Add { .. } | OperatorsVerb::List | OperatorsVerb::Remove { .. })
-        | Verb::Fleet(FleetVerb::List | FleetVerb::Status | FleetVerb::Remove { .. })
+        | Verb::Alerts(_)
         | Verb::Evidence(_)
         | Verb::Profiles
-        | Verb::Backup(_) => true,
-        // Whether this machine is as it should be is asked before there is a home, too.
-        Verb::Doctor
-        | Verb::Identity(_)
-        | Verb::Keys(_)
-        | Verb::Register
-        | Verb::Topics(_)
-        | Verb::Capture(_)
-        | Verb::Bag(_)
-        | Verb::Grant(_)
-        | Verb::Revoke { .. }
-        | Verb::Agent(_)
-        | Verb::Chain(_)
-        | Verb::Contacts(_)
-        | Verb::Fleet(FleetVerb::Add { .. })
-        | Verb::Alerts(_)
-        | Verb::Verify { .. }
-        | Verb::Restore { .. }
-        | Verb::Config(_)
-        | Verb::Serve(_)
+        | Verb::Backup(_) => false,
+        Verb::Identity(verb) => matches!(verb, IdentityVerb::Create),
+        Verb::Keys(verb) => matches!(verb, KeysVerb::Load { dry_run: false, .. }),
+        Verb::Topics(verb) => matches!(verb, TopicsVerb::Watch { .. } | TopicsVerb::Pin(_)),
+        Verb::Contacts(verb) => matches!(verb, ContactsVerb::Add { .. }),
+        Verb::Fleet(verb) => matches!(verb, FleetVerb::Add { .. }),
+        Verb::Agent(verb) => matches!(verb, AgentVerb::Run(_)),
+        Verb::Gateway(verb) => matches!(verb, GatewayVerb::Serve { .. } | GatewayVerb::Admit { .. }),
+        Verb::Chain(verb) => matches!(verb, ChainVerb::Deploy { .. } | ChainVerb::Serve { .. } | ChainVerb::Genesis(_)),
+        // Settings are shown and checked without touching a home.
+        Verb::Config(verb) => {
+            matches!(verb, ConfigVerb::Show | ConfigVerb::Check | ConfigVerb::Apply { check: false, .. })
+        }
         // Whoever is to be an operator has no home here.
-        | Verb::Operators(OperatorsVerb::Key { .. })
-        | Verb::Gateway(_)
-        | Verb::Demo(_)
-        | Verb::Tour(_)
-        | Verb::Bench(_)
-        | Verb::Console(_)
-        | Verb::Completions { .. }
-        | Verb::Complete { .. }
-        | Verb::Man => false,
+        Verb::Operators(verb) => matches!(verb, OperatorsVerb::Key { .. }),
     }
 }
 
@@ -94,18 +96,66 @@ mod tests {
     fn what_only_looks_is_refused_where_there_is_no_home() {
         let folder = tempfile::tempdir().expect("a folder");
         let missing = folder.path().join("mistyped").display().to_string();
-        let refused = |words: &str| {
+        let refusal = |words: &str| {
             let line = ["authros", "--home", missing.as_str()].into_iter().chain(words.split(' '));
-            let arguments = Arguments::try_parse_from(line).expect(words);
-            needs_a_home(&arguments.global, arguments.verb.as_ref()).is_err()
+            let arguments = Arguments::try_parse_from(line).unwrap_or_else(|error| panic!("{words}: {error}"));
+            needs_a_home(&arguments.global, arguments.verb.as_ref()).err()
         };
-        for words in ["fleet status", "operators list", "operators remove bob", "witness list", "devices list"] {
-            assert!(refused(words), "{words}");
+        for words in [
+            "status",
+            "profiles",
+            "uploads list",
+            "shared list",
+            "grants list",
+            "revoke bob",
+            "fleet status",
+            "operators list",
+            "operators remove bob",
+            "witness list",
+            "devices list",
+            "identity show",
+            "identity list",
+            "identity lock",
+            "keys list",
+            "keys backup --out FILE",
+            "keys load --sm2 FILE --dry-run",
+            "keys rotate",
+            "topics list",
+            "topics pins",
+            "topics policy",
+            "topics coverage /odom",
+            "topics unwatch /odom",
+            "contacts list",
+            "contacts remove bob",
+            "alerts list",
+            "alerts test",
+            "gateway status",
+            "gateway admitted",
+            "chain status",
+            "chain succession list",
+            "chain suspend bob",
+            "config dump",
+            "config apply FILE --check",
+        ] {
+            let failure = refusal(words).unwrap_or_else(|| panic!("{words} is not refused"));
+            assert!(failure.kind == ErrorKind::Input && failure.message.contains(&missing), "{words}: {failure:?}");
+            assert!(failure.message.contains("identity create"), "{words}: {failure:?}");
         }
-        for words in
-            ["operators key bob", "serve", "topics list", "identity create", "fleet add b:7420 --gateway-key HEX"]
-        {
-            assert!(!refused(words), "{words}");
+        for words in [
+            "operators key bob",
+            "serve",
+            "identity create",
+            "keys load --sm2 FILE",
+            "topics watch /odom",
+            "contacts add bob 0xBOB",
+            "gateway serve",
+            "chain genesis --guide",
+            "config show",
+            "config apply FILE",
+            "doctor",
+            "fleet add b:7420 --gateway-key HEX",
+        ] {
+            assert!(refusal(words).is_none(), "{words}");
         }
     }
 }

@@ -85,14 +85,7 @@ pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -
         // Fails only for a leader of a group, which has left its terminal's already.
         rustix::process::setsid().ok();
     }
-    let connection = context.connect(Needs { ros: true, chain: true }).await.map_err(not_started)?;
-    if connection.site.is_none() {
-        let root = context.home.root().display();
-        return Err(Failure::new(
-            ErrorKind::Home,
-            format!("a site of {root} is already running; commands join it automatically"),
-        ));
-    }
+    let connection = context.open(Needs { ros: true, chain: true }, output).await.map_err(not_started)?;
     connection.oversee();
     // Problems during startup are shown too.
     let events = connection.client.events();

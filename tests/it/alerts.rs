@@ -160,6 +160,7 @@ fn an_alert_arrives_once_begun_and_once_over_at_a_webhook_that_refuses_and_hangs
 fn alerts_test_says_what_came_back_or_that_nobody_is_there() {
     let home = Home::new();
     let nobody = home.authros().with(&["--robots", "0"]);
+    nobody.json(&["identity", "create"]);
     assert!(text(&nobody.json(&["alerts", "list"]), "told").contains("alerts.webhook"));
     assert!(nobody.fails(3, &["alerts", "test"]).contains("alerts.webhook"));
     let gone = watched(&home, &format!("http://127.0.0.1:{}/", free_port()), "0");
@@ -274,6 +275,7 @@ fn a_webhook_over_tls_is_told_where_its_authority_is_known_and_nobody_else_is() 
     let told = server.wait_for_text("PORT", 60);
     let port = told.lines().find_map(|line| line.strip_prefix("PORT ")).expect("a port").to_owned();
     let authros = home.authros().with(&["--robots", "0"]);
+    authros.json(&["identity", "create"]);
     let named = authros.with_variable("AUTHROS_ALERTS_WEBHOOK", &format!("https://127.0.0.1:{port}/hook"));
     let message = named.fails(4, &["alerts", "test"]);
     assert!(message.contains("certificate"), "{message}");

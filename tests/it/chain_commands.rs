@@ -98,6 +98,7 @@ fn who_may_ask_and_where() {
 fn a_home_keeps_the_consensus_it_was_founded_with() {
     let home = Home::new();
     let plain = home.authros().with(&["--robots", "0"]);
+    plain.json(&["identity", "create"]);
     let founded = plain.with(&["--consensus", "poa:3:50"]).json(&["chain", "status"]);
     assert_eq!(
         (&founded["consensus"], &founded["period"], &founded["difficulty"]),

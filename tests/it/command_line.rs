@@ -139,6 +139,7 @@ fn a_peer_that_is_set_but_does_not_answer_is_never_replaced_by_an_embedded_part(
         assert!(message.contains(&port.to_string()), "names the peer at {port}: {message}");
     }
     let home = Home::new();
+    home.authros().json(&["identity", "create"]);
     let socket = home.root().join("no.ipc");
     home.authros().fails(UNREACHABLE, &["chain", "status", "--chain", socket.to_str().expect("UTF-8")]);
 }
@@ -217,6 +218,24 @@ fn a_second_console_of_the_same_profile_is_refused_and_another_profile_joins() {
     bob.enrol();
     bob.capture(&["/robot1/odom"], 3);
     assert!(first.shown().contains("/robot1/odom"), "the first goes on");
+}
+
+#[test]
+fn serve_waits_for_a_command_that_is_the_site_until_it_ends_and_not_for_a_site() {
+    let home = Home::new();
+    quiet(&home).json(&["identity", "create"]);
+    let follower = quiet(&home).spawn(&["uploads", "list", "--follow"]);
+    support::wait_until(30, "it is the site", || home.socket());
+    // With other settings than the command has, which nobody joins.
+    let authros = home.authros().with(&["--robots", "1"]);
+    let mut site = authros.spawn(&["serve"]);
+    site.wait_for_text("waiting up to", 30);
+    assert!(!site.stdout().contains("serving"), "{}", site.stdout());
+    follower.stop("INT", 30).expect_code(0);
+    site.wait_for_text("stop it with Ctrl-C", 60);
+    let told = authros.fails(HOME, &["serve"]);
+    assert!(told.contains("already running"), "{told}");
+    site.stop("INT", 30).expect_code(0);
 }
 
 #[test]

@@ -403,6 +403,7 @@ fn hostile_names_of_a_ros_graph_reach_neither_terminal_nor_json_nor_log() {
     let home = Home::new();
     let uri = hostile_master(if long() { 2_000 } else { 300 });
     let authros = home.authros().with(&["--ros-master", &uri]);
+    authros.json(&["identity", "create"]);
     let told = authros.with(&["--json"]).run(&["topics", "list"]).expect_code(0);
     assert!(list(&told.document(), "topics").len() > 50, "the graph is seen: {told}");
     let lines = authros.run(&["topics", "list"]).expect_code(0);

@@ -45,6 +45,9 @@ fn a_name_stands_for_its_address_and_is_shown_beside_it() {
     assert_eq!(print.split(' ').map(str::len).collect::<Vec<_>>(), [4; 8]);
     alice.fails(INPUT, &["grant", "--to", "bob"]);
     alice.fails(INPUT, &["contacts", "add", "0xbob", &two.reader]);
+    let differs = alice.fails(REFUSED, &["contacts", "add", "bob", &two.reader, "--fingerprint", &fingerprint(alice)]);
+    assert!(differs.contains(&print) && differs.contains("'bob' was not added"), "{differs}");
+    assert!(list(&alice.json(&["contacts", "list"]), "contacts").is_empty());
     alice.json(&["contacts", "add", "bob", &two.reader, "--fingerprint", &print.to_uppercase()]);
     alice.fails(REFUSED, &["contacts", "add", "robert", &two.reader]);
     let row = contact(alice);

@@ -17,6 +17,7 @@ fn mode(path: &Path) -> u32 {
 fn an_identity_is_made_shown_and_registered() {
     let home = Home::new();
     let alice = home.profile("alice").with(&["--robots", "0"]);
+    home.profile("carol").with(&["--robots", "0"]).json(&["identity", "create"]);
     let none = alice.json(&["identity", "show"]);
     assert_eq!((&none["profile"], &none["exists"], &none["address"]), (&"alice".into(), &false.into(), &().into()));
 

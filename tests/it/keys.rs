@@ -78,6 +78,29 @@ fn the_exported_signing_key_is_read_by_openssl() {
 }
 
 #[test]
+fn a_saved_keyring_is_never_written_over_and_a_key_that_is_not_there_is_named() {
+    let home = Home::new();
+    let authros = quiet(&home);
+    authros.json(&["identity", "create"]);
+    let out = home.root().join("saved");
+    let out = out.to_str().expect("UTF-8");
+    authros.run(&["keys", "backup", "--out", out]).expect_code(0);
+    let saved = fs::read(out).expect("saved");
+    let told = authros.fails(3, &["keys", "backup", "--out", out]);
+    assert!(told.contains(out) && told.contains("already exists"), "{told}");
+    assert_eq!(fs::read(out).expect("there"), saved);
+
+    let missing = home.root().join("mistyped.pem");
+    let missing = missing.to_str().expect("UTF-8");
+    for arguments in [&["keys", "load", "--sm2", missing, "--dry-run"][..], &["keys", "load", "--sm2", missing]] {
+        let told = authros.fails(3, arguments);
+        assert!(told.contains(missing), "{arguments:?}: {told}");
+    }
+    let told = authros.run(&["keys", "load", "--dry-run"]).expect_code(2);
+    assert!(told.stderr.contains("--sm2"), "{told}");
+}
+
+#[test]
 fn a_signing_key_made_by_openssl_is_loaded() {
     if system_program("openssl").is_none() {
         skipped!("no openssl");

@@ -141,7 +141,8 @@ fn seen_offline(fleet: &Party) {
     if system_program("python3").is_some() {
         expect_agreement(&bundle, Some(&trust));
     }
-    let people = fleet.authros.run(&["verify", &name, "--trust", trust.to_str().expect("UTF-8")]).expect_code(8).stdout;
+    let arguments = ["verify", &name, "--trust", trust.to_str().expect("UTF-8"), "--verbose"];
+    let people = fleet.authros.run(&arguments).expect_code(8).stdout;
     assert!(people.contains("(g)") && people.contains("The harbour"), "{people}");
     let (pins, _) = suggested.split_once("[[witness]]").expect("a witness is suggested");
     let bare = fleet.home.root().join("bare.toml");

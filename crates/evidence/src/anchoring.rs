@@ -112,7 +112,7 @@ fn in_state<'a>(
     let anchored =
         |block, time, account, keys| Anchored { storage, shown_at, block, time, account, keys, claimed_keys };
     match &claim.anchor {
-        Anchoring::Each => {
+        Anchoring::Each {} => {
             let block = storage.uploaded(header.owner, &digest.0)?;
             Ok(block.map(|block| (anchored(block, own_time(block), header.owner, None), None)))
         }
@@ -127,7 +127,7 @@ fn in_state<'a>(
 
 fn compare<'a>((anchored, counted): Counted<'a>, claim: &AnchorClaim, shown_at: &'a BlockHeader) -> Found<'a> {
     let claimed = match &claim.anchor {
-        Anchoring::Each => None,
+        Anchoring::Each {} => None,
         Anchoring::Batch { count, .. } => Some(*count),
     };
     if counted != claimed {

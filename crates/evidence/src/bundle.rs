@@ -63,8 +63,8 @@ impl BundleError {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "snake_case", tag = "mode")]
 pub enum Anchoring {
-    /// Its digest by itself, by its owner.
-    Each,
+    /// Its digest by itself, by its owner. The braces refuse further lines, which serde takes beside a bare word.
+    Each {},
     /// The root of its batch.
     Batch {
         /// The account that anchored it.
@@ -105,7 +105,7 @@ impl AnchorClaim {
     /// The path, if the record is in a batch.
     pub fn inclusion(&self) -> Option<Inclusion> {
         match &self.anchor {
-            Anchoring::Each => None,
+            Anchoring::Each {} => None,
             Anchoring::Batch { root, index, count, path, .. } => {
                 Some(Inclusion { index: *index, count: *count, path: path.clone(), root: *root })
             }
@@ -295,6 +295,9 @@ impl Bundle {
             ["keys", file] => {
                 let pem = std::str::from_utf8(bytes).ok().and_then(|text| keyfile::sm2_public_from_pem(text).ok());
                 let key = pem.ok_or_else(|| wrong("contains no SM2 public key"))?;
+                if keyfile::sm2_public_pem(&key).ok().is_none_or(|written| written.as_bytes() != bytes) {
+                    return Err(wrong("contains an SM2 public key that is not written in a bundle's one form"));
+                }
                 let id = signer_id(&key);
                 if *file != format!("{}.pem", id.to_hex()) {
                     return Err(wrong("is filed under another key's name"));

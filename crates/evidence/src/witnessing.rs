@@ -106,7 +106,7 @@ impl<'a> Witnessed<'a> {
             }
             let anchored_by = match &claim.anchor {
                 Anchoring::Batch { account, .. } => *account,
-                Anchoring::Each => owner,
+                Anchoring::Each {} => owner,
             };
             if position.owner != owner && position.owner != anchored_by {
                 let text = format!(

@@ -394,6 +394,13 @@ impl Connection {
                 self.shared.refused(self.peer, &refusal);
                 Ok(())
             }
+            // Its right is not known now. Nothing is lost by waiting, and an end would be no answer to a reader with a grant.
+            Err(refusal) if refusal.code == Code::Stale => {
+                if let Some(feeds) = &mut commands.feeds {
+                    feeds.pause(feeds::Fed { request, entry: Some(entry) });
+                }
+                Ok(())
+            }
             Err(refusal) => {
                 commands.end_feed(request);
                 self.shared.refused(self.peer, &refusal);

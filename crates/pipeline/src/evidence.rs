@@ -54,7 +54,7 @@ impl Asked {
     /// The root of its batch, and who anchored that.
     fn root(&self) -> Option<(Hash, Address)> {
         match &self.anchor {
-            Anchoring::Each => None,
+            Anchoring::Each {} => None,
             Anchoring::Batch { root, account, .. } => Some((*root, *account)),
         }
     }
@@ -155,7 +155,7 @@ fn stored(
 /// The block of the record's anchor, and the kind of anchor.
 fn anchoring(reader: &Reader<'_>, row: &RecordRow) -> Result<Option<(u64, Anchoring)>, PipelineError> {
     let Some(place) = reader.plant.ledger.batch_place(row.digest)? else {
-        return Ok(row.block.map(|block| (block, Anchoring::Each)));
+        return Ok(row.block.map(|block| (block, Anchoring::Each {})));
     };
     let (Some(account), Some(block)) = (place.account, place.block) else { return Ok(None) };
     let crate::chain::merkle::Inclusion { index, count, path, root } = place.inclusion;
@@ -235,7 +235,7 @@ async fn show(reader: &Reader<'_>, asked: Vec<Asked>, gathered: &mut Gathered) -
 fn slots(all: &[Asked]) -> Vec<Slot> {
     let wanted = all.iter().map(|Asked { digest, owner, signer, keys, anchor, .. }| {
         let anchor = match anchor {
-            Anchoring::Each => Anchor::Digest(*digest),
+            Anchoring::Each {} => Anchor::Digest(*digest),
             Anchoring::Batch { account, root, .. } => Anchor::Root(*account, *root),
         };
         Wanted { owner: *owner, signer: *signer, keys: *keys, anchor }

@@ -3,6 +3,7 @@
 
 pub mod erasing;
 mod held;
+mod returned;
 
 use std::collections::HashMap;
 
@@ -12,6 +13,7 @@ use crate::model::{
 use crate::store::{KeptTopic, OldRecord};
 
 use held::Held;
+pub use returned::overwrite_returned;
 
 use super::statement::{self, Speaker, Statement};
 use super::{Owner, PipelineError, Plant};

@@ -36,6 +36,9 @@ pub struct Greeting {
     /// Whether only operators are answered, and whoever gives a passphrase.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub operators_required: bool,
+    /// Whether the site is to stay, and does not end with the command that it runs for.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub stays: bool,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -169,6 +172,7 @@ pub fn greeting(site: &Site) -> Greeting {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         settings: settings.map(|setting| (setting.name.to_owned(), setting.value)).collect(),
         operators_required: site.config().operators_required,
+        stays: site.is_to_stay(),
     }
 }
 

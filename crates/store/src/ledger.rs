@@ -34,6 +34,7 @@ mod quarantine;
 mod query;
 mod recent;
 mod retention;
+mod returned;
 mod rights;
 mod rows;
 mod settings;

@@ -29,7 +29,7 @@ fn status(found: &Value, name: &str) -> String {
 fn the_doctor_looks_at_a_home_without_a_passphrase_and_names_what_is_wrong() {
     let home = Home::new();
     let authros = home.authros().with(&["--robots", "1"]);
-    authros.run(&["topics", "list"]).expect_code(0);
+    authros.run(&["topics", "watch", "/robot1/odom"]).expect_code(0);
     let fresh = examined(&authros, 0);
     assert_eq!((status(&fresh, "chain"), status(&fresh, "keys")), ("ok".into(), "warn".into()), "{fresh}");
     authros.enrol();

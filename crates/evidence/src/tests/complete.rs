@@ -91,7 +91,7 @@ impl Case {
             let one = BundledRecord {
                 record: record.blob.clone(),
                 signature: record.signature,
-                anchor: Some(AnchorClaim::new(BLOCK, BLOCK, 1, Anchoring::Each)),
+                anchor: Some(AnchorClaim::new(BLOCK, BLOCK, 1, Anchoring::Each {})),
                 disclosure: disclosed.then(reveal),
             };
             packing.record(record.digest, one).expect("added");
@@ -187,7 +187,7 @@ fn a_statement_that_is_not_proven_spoils_nothing_and_one_that_is_refused_does() 
     agree(&mute, &World::trust(), Outcome::Holds);
     let report = verify(&Bundle::of_members(&mute, ours()).expect("reads"), Some(&World::trust()), ours());
     assert!(report.warnings.iter().any(|text| text.contains("own statement is not proven")), "{:?}", report.warnings);
-    agree(&with(Some(AnchorClaim::new(BLOCK - 1, BLOCK, 1, Anchoring::Each))), &World::trust(), Outcome::Refused);
+    agree(&with(Some(AnchorClaim::new(BLOCK - 1, BLOCK, 1, Anchoring::Each {}))), &World::trust(), Outcome::Refused);
 }
 
 #[test]

@@ -1,15 +1,20 @@
 //! The subscriptions of one connection: the entries of all of them arrive on one channel.
 
 use std::collections::HashMap;
+use std::time::Duration;
 
 use tokio::sync::mpsc;
 use tokio::task::AbortHandle;
+use tokio::time::{Instant, sleep_until};
 
 use crate::gateway::code::{Code, Refusal};
 use crate::gateway::command::Entry;
 
 /// The most entries that wait; beyond that the desk waits.
 const WAITING: usize = 8;
+
+/// How soon it is asked again whether an entry may be sent, while the chain is not fresh.
+const AGAIN: Duration = Duration::from_millis(500);
 
 /// An entry of a subscription, or its end.
 pub(super) struct Fed {
@@ -23,12 +28,14 @@ pub(super) struct Feeds {
     sender: mpsc::Sender<Fed>,
     receiver: mpsc::Receiver<Fed>,
     running: HashMap<u32, AbortHandle>,
+    /// An entry that waits for the chain, and when it is tried again. Those behind it wait too: it is one chain for all.
+    paused: Option<(Fed, Instant)>,
 }
 
 impl Feeds {
     pub fn new() -> Self {
         let (sender, receiver) = mpsc::channel(WAITING);
-        Self { sender, receiver, running: HashMap::new() }
+        Self { sender, receiver, running: HashMap::new(), paused: None }
     }
 
     pub fn has(&self, request: u32) -> bool {
@@ -64,10 +71,22 @@ impl Feeds {
         if let Some(task) = self.running.remove(&request) {
             task.abort();
         }
+        self.paused.take_if(|(fed, _)| fed.request == request);
+    }
+
+    /// Keeps an entry until the chain is known again; nothing is sent before it.
+    pub fn pause(&mut self, fed: Fed) {
+        self.paused = Some((fed, Instant::now() + AGAIN));
     }
 
     /// Waits for an entry. Can be cancelled at any point.
     pub async fn next(&mut self) -> Fed {
+        if let Some((_, again)) = &self.paused {
+            sleep_until(*again).await;
+        }
+        if let Some((fed, _)) = self.paused.take() {
+            return fed;
+        }
         match self.receiver.recv().await {
             Some(fed) => fed,
             // The sender beside it lives as long.
@@ -77,7 +96,11 @@ impl Feeds {
 
     /// An entry that is already there.
     pub fn waiting(&mut self) -> Option<Fed> {
-        self.receiver.try_recv().ok()
+        match &self.paused {
+            Some((_, again)) if *again > Instant::now() => None,
+            Some(_) => self.paused.take().map(|(fed, _)| fed),
+            None => self.receiver.try_recv().ok(),
+        }
     }
 }
 

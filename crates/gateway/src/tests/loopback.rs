@@ -201,6 +201,42 @@ async fn a_subscriber_gets_records_until_the_revoke_and_none_after() {
     reader.ping().await.expect("the session goes on");
 }
 
+/// Waits until an entry was asked for twice while the chain is silent.
+async fn asked_again(stage: &Stage) {
+    stage.desk.state().asked_in_vain = 0;
+    while stage.desk.state().asked_in_vain < 2 {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+#[tokio::test]
+async fn a_subscription_pauses_while_the_chain_is_silent_and_goes_on_or_ends_by_what_it_says_then() {
+    let stage = Stage::new().await;
+    let (alice, bob) = (alice(), bob());
+    let (owner, reader) = (stage.enrol(&alice).await, stage.enrol(&bob).await);
+    let (mut owner, mut reader) =
+        (stage.connect(&owner).await.expect("connects"), stage.connect(&reader).await.expect("connects"));
+    owner.grant(&alice.signing, grant_to(&bob)).await.expect("noted");
+    let subscription = reader.subscribe(&Selection::all(alice.account())).await.expect("subscribes");
+    stage.desk.state().silent = true;
+    for seq in 1..3 {
+        owner.upload(vec![alice.record(&alice.signing, seq, b"live")]).await.expect("receipt");
+    }
+    asked_again(&stage).await;
+    reader.ping().await.expect("what needs no right is answered meanwhile");
+    stage.desk.state().silent = false;
+    for seq in 1..3 {
+        let (request, entry, _) = reader.next_event(Duration::from_secs(30)).await.expect("a record");
+        assert_eq!((request, entry.seq), (subscription, seq));
+    }
+    stage.desk.state().silent = true;
+    owner.upload(vec![alice.record(&alice.signing, 3, b"not for bob")]).await.expect("receipt");
+    asked_again(&stage).await;
+    owner.revoke(&alice.signing, revoke_of(&bob)).await.expect("obeyed");
+    stage.desk.state().silent = false;
+    assert_eq!(refusal(reader.next_event(Duration::from_secs(30)).await.map(|_| ())), Some(Code::NotAuthorised));
+}
+
 #[tokio::test]
 async fn a_subscriber_whose_keys_were_replaced_gets_nothing_more() {
     let stage = Stage::new().await;

@@ -49,6 +49,10 @@ pub(crate) struct State {
     pub proofless: bool,
     /// Accounts that the keeper does not admit.
     pub dismissed: HashSet<Address>,
+    /// The chain is silent: who may read is not known.
+    pub silent: bool,
+    /// How often a record was asked for meanwhile.
+    pub asked_in_vain: usize,
     /// Every change so far.
     pub changes: usize,
 }
@@ -228,7 +232,11 @@ impl Desk for MemoryDesk {
     }
 
     async fn fetch(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal> {
-        let state = self.state();
+        let mut state = self.state();
+        if state.silent {
+            state.asked_in_vain += 1;
+            return Err(Refusal::new(Code::Stale, "the chain is silent"));
+        }
         let found = state.records.values().find(|record| record.digest == *digest);
         let record = found.ok_or_else(|| Refusal::new(Code::NotFound, "no such record"))?;
         state.may_read(&caller.account, &record.header.owner)?;

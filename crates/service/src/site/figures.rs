@@ -45,10 +45,16 @@ type Kept = Mutex<Option<(Instant, Arc<str>)>>;
 impl Site {
     /// Starts monitoring of a site that is to stay: its alerts and its figures.
     pub fn oversee(self: &Arc<Self>) {
+        self.parts.life.stay();
         self.watch_for_alerts();
         if self.config().metrics.listen.is_some() {
             drop(self.parts.supervisor.keep("metrics", self, Self::serve_figures));
         }
+    }
+
+    /// Whether it is to stay, and not to end with the command that it runs for.
+    pub fn is_to_stay(&self) -> bool {
+        self.parts.life.is_to_stay()
     }
 
     async fn serve_figures(self: Arc<Self>) {

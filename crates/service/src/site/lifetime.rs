@@ -15,17 +15,29 @@ static BEGUN: LazyLock<Instant> = LazyLock::new(Instant::now);
 pub(super) struct Lifetime {
     /// Set as soon as the site was told to end; background tasks are not restarted from then on.
     ending: AtomicBool,
+    /// Whether it is to run until it is told to end, and not for one command.
+    stays: AtomicBool,
     stopping: watch::Sender<bool>,
 }
 
 impl Lifetime {
     pub fn new() -> Self {
-        Self { ending: AtomicBool::new(false), stopping: watch::channel(false).0 }
+        Self { ending: AtomicBool::new(false), stays: AtomicBool::new(false), stopping: watch::channel(false).0 }
     }
 
     /// The site was told to end: nothing new is begun, what was captured is still stored.
     pub fn end(&self) {
         self.ending.store(true, Ordering::Release);
+    }
+
+    /// The site is to run until it is told to end.
+    pub fn stay(&self) {
+        self.stays.store(true, Ordering::Release);
+    }
+
+    /// Whether it is to run until it is told to end.
+    pub fn is_to_stay(&self) -> bool {
+        self.stays.load(Ordering::Acquire)
     }
 
     /// Everything captured is stored.

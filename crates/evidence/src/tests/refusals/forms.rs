@@ -1,5 +1,8 @@
 //! Bundles that are not of the form: whatever one verifier refuses of it, the other does not accept.
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+
 use super::*;
 use crate::manifest::{MANIFEST, Manifest};
 use crate::time::StampTree;
@@ -141,8 +144,40 @@ fn members_that_are_not_of_their_form_are_refused_by_both_though_they_are_signed
         "another key's name",
     );
     say("a key that is none", &more(&world, &format!("{}.pem", hex("keys/")), b"x"), "contains no SM2 public key");
+    let (before, compressed) = (format!("a key\n{pem}"), compressed(&pem));
+    let words = "not written in a bundle's one form";
+    say("text before a key", &more(&world, &name_of_key(&pem), before.as_bytes()), words);
+    say("a key whose point is compressed", &more(&world, &name_of_key(&pem), compressed.as_bytes()), words);
+    let each = r#"{"format": "authros-anchor/1", "block": 40, "shown_at": 40, "keys": 1, "anchor": {"mode": "each", "index": 0}}"#;
+    say(
+        "an anchor by itself with a line more",
+        &with(&world, "anchor.json", |bytes| *bytes = each.into()),
+        "unknown field `index`",
+    );
     say("a member that no bundle has", &more(&world, "chain/more.txt", b"x"), "chain/more.txt");
     expect_published();
+}
+
+/// The member of a key.
+fn name_of_key(pem: &str) -> String {
+    let key = authros_crypto::keyfile::sm2_public_from_pem(pem).expect("a key");
+    format!("keys/{}.pem", signer_id(&key).to_hex())
+}
+
+/// The same key, with its point as SEC 1 compresses it: x, and whether y is odd.
+fn compressed(pem: &str) -> String {
+    let body: String = pem.lines().filter(|line| !line.starts_with('-')).collect();
+    let info = STANDARD.decode(body).expect("base64");
+    let (head, point) = info.split_at(info.len() - 65);
+    // The lengths of the sequence and of the bit string: 32 bytes less each.
+    let mut shorter = head.to_vec();
+    shorter[1] -= 32;
+    shorter[24] -= 32;
+    shorter.push(2 | point[64] & 1);
+    shorter.extend_from_slice(&point[1..33]);
+    let text = STANDARD.encode(shorter);
+    let (first, rest) = text.split_at(64);
+    format!("-----BEGIN PUBLIC KEY-----\n{first}\n{rest}\n-----END PUBLIC KEY-----\n")
 }
 
 /// A manifest that says more than the form has, signed by its exporter.
@@ -215,10 +250,11 @@ fn other_spellings_are_refused_by_both_though_they_are_signed_for() {
     refused("a space within a hash", &anchor(&|text| changed(&text, "root", spaced)));
     let pem = authros_crypto::keyfile::sm2_public_pem(&pair().public).expect("a point");
     let noisy = |pem: &str| pem.replacen("MFkw", "MFkw#", 1);
-    let name = |key: &authros_model::PublicKey| format!("keys/{}.pem", signer_id(key).to_hex());
-    let key = authros_crypto::keyfile::sm2_public_from_pem(&pem).expect("a key");
     assert_ne!(noisy(&pem), pem);
-    refused("a key with a stray character", &more(&world, &name(&key), noisy(&pem).as_bytes()));
+    refused("a key with a stray character", &more(&world, &name_of_key(&pem), noisy(&pem).as_bytes()));
+    for (from, to, what) in [("\n", "\r\n", "a key of other lines"), ("-\n", "-\n\n", "a key with a line more")] {
+        refused(what, &more(&world, &name_of_key(&pem), pem.replace(from, to).as_bytes()));
+    }
 }
 
 /// The first text with this name, changed.

@@ -134,11 +134,13 @@ impl Capture {
         topic: TopicName,
         type_name: Option<TypeName>,
     ) -> Result<(), Failure> {
-        self.watches.change(profile, |watches| {
-            watches.retain(|(watched, _)| *watched != topic);
-            watches.push((topic.clone(), type_name.clone()));
-        })?;
-        self.log.write(profile, "watch", topic.as_str(), "done").await?;
+        let listed = async {
+            self.watches.change(profile, |watches| {
+                watches.retain(|(watched, _)| *watched != topic);
+                watches.push((topic.clone(), type_name.clone()));
+            })
+        };
+        self.log.deed(profile, "watch", topic.as_str(), listed).await?;
         if let Some(owner) = self.owners.get(profile) {
             if self.ros.is_wanted() && owner.sealing().is_none() {
                 self.profiles.register(&owner).await?;
@@ -155,8 +157,8 @@ impl Capture {
         profile: &ProfileName,
         topic: &TopicName,
     ) -> Result<(), Failure> {
-        self.watches.change(profile, |watches| watches.retain(|(watched, _)| watched != topic))?;
-        self.log.write(profile, "unwatch", topic.as_str(), "done").await?;
+        let removed = async { self.watches.change(profile, |watches| watches.retain(|(watched, _)| watched != topic)) };
+        self.log.deed(profile, "unwatch", topic.as_str(), removed).await?;
         if let Some(owner) = self.owners.get(profile) {
             self.recorder.unwatch(topic.as_str(), &owner.author);
             self.ros.wishes_changed();

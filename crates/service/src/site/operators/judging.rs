@@ -88,7 +88,7 @@ impl Operators {
             asker.end();
             return Ok(Some(format!("operator '{name}' was removed; ask the owner of profile '{profile}'")));
         };
-        let state = self.state(statement, &certifier);
+        let state = self.state(profile, statement, &certifier)?;
         if state != OperatorState::Stands {
             asker.end();
             return Ok(Some(format!(

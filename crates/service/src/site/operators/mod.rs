@@ -2,6 +2,7 @@
 //! judged by request. Each request reads what is stated of them now, so an end is heeded by connections that stand.
 
 mod asker;
+mod ends;
 mod hearing;
 mod judging;
 #[cfg(test)]
@@ -17,12 +18,14 @@ use super::audit::Log;
 use super::blocking;
 use super::consoles::Claims;
 use super::identity::owners::Owners;
+use super::lifetime::Lifetime;
 use super::parts::Parts;
 use crate::config::Config;
 use crate::crypto::{
     MOST_OPERATORS, OperatorList, OperatorStatement, OperatorTerms, check_operator, random_bytes, read_public,
     signer_id,
 };
+use crate::model::steady_clock::look;
 use crate::model::{Address, Digest, OperatorName, ProfileName, PublicKey, Signature, Timestamp};
 use crate::paths::Home;
 use crate::pipeline::{Owner, Plant};
@@ -30,6 +33,8 @@ use crate::service::command::{self as ask, Ask as _, OperatorCommand};
 use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, OperatorChallenge, OperatorState, OperatorView, Reply};
 use asker::Acting;
+use ends::Ends;
+use tokio::task::block_in_place;
 
 /// The operators of a home's profiles.
 pub(super) struct Operators {
@@ -38,6 +43,8 @@ pub(super) struct Operators {
     plant: Plant,
     log: Arc<Log>,
     owners: Arc<Owners>,
+    life: Arc<Lifetime>,
+    ends: Ends,
     changing: tokio::sync::Mutex<()>,
     /// Told when statements change, and when a connection becomes an operator's.
     changed: tokio::sync::watch::Sender<()>,
@@ -51,13 +58,15 @@ type Certifier = (PublicKey, Address);
 impl Operators {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
-        let Parts { home, config, plant, log, owners, .. } = parts.clone();
+        let Parts { home, config, plant, log, owners, life, .. } = parts.clone();
         Self {
             home,
             config,
+            ends: Ends::new(plant.ledger.clone()),
             plant,
             log,
             owners,
+            life,
             changing: tokio::sync::Mutex::default(),
             changed: tokio::sync::watch::Sender::default(),
             proving: tokio::sync::Mutex::default(),
@@ -114,27 +123,40 @@ impl Operators {
         .await
     }
 
-    fn state(&self, statement: &OperatorStatement, (signing, account): &Certifier) -> OperatorState {
-        let (now, terms) = (Timestamp::now(), &statement.terms);
+    fn state(
+        &self,
+        profile: &ProfileName,
+        statement: &OperatorStatement,
+        (signing, account): &Certifier,
+    ) -> Result<OperatorState, Failure> {
+        let (clock, terms) = (look(), &statement.terms);
         if statement.check(self.plant.provider, signing, account).is_err() {
-            OperatorState::NotSigned
-        } else if now < terms.from {
-            OperatorState::NotYet
-        } else if terms.until.is_some_and(|until| now >= until) {
+            return Ok(OperatorState::NotSigned);
+        }
+        let is_over = block_in_place(|| self.ends.is_over(profile, terms, &clock))?;
+        Ok(if is_over {
             OperatorState::Expired
+        } else if clock.machine < terms.from {
+            OperatorState::NotYet
         } else {
             OperatorState::Stands
-        }
+        })
     }
 
-    fn view(&self, statement: &OperatorStatement, certifier: &Certifier) -> OperatorView {
+    fn view(
+        &self,
+        profile: &ProfileName,
+        statement: &OperatorStatement,
+        certifier: &Certifier,
+    ) -> Result<OperatorView, Failure> {
+        let state = self.state(profile, statement, certifier)?;
         let OperatorTerms { name, key, rights, from, until } = statement.terms.clone();
-        OperatorView { name, key: signer_id(&key), rights, from, until, state: self.state(statement, certifier) }
+        Ok(OperatorView { name, key: signer_id(&key), rights, from, until, state })
     }
 
     async fn rows(self: &Arc<Self>, profile: &ProfileName) -> Result<Vec<OperatorView>, Failure> {
         let (list, certifier) = self.stated(profile).await?;
-        Ok(list.0.iter().map(|statement| self.view(statement, &certifier)).collect())
+        list.0.iter().map(|statement| self.view(profile, statement, &certifier)).collect()
     }
 
     async fn write(self: &Arc<Self>, profile: &ProfileName, list: OperatorList) -> Result<(), Failure> {
@@ -208,12 +230,13 @@ impl Operators {
     ) -> Result<OperatorView, Failure> {
         let challenge = asker.take_challenge();
         let (list, certifier) = self.stated(profile).await?;
-        let statement = list.of(&name).filter(|one| self.state(one, &certifier) == OperatorState::Stands);
-        let proven = challenge.zip(statement).filter(|(challenge, statement)| {
+        let view = list.of(&name).map(|statement| self.view(profile, statement, &certifier)).transpose()?;
+        let standing = view.filter(|view| view.state == OperatorState::Stands);
+        let proven = challenge.zip(list.of(&name).zip(standing)).filter(|(challenge, (statement, _))| {
             let asked = (challenge, &certifier.1, profile.as_str());
             check_operator(self.plant.provider, &statement.terms, asked, &proof).is_ok()
         });
-        let Some((_, statement)) = proven else {
+        let Some((_, (statement, view))) = proven else {
             let _first = self.log.refused(profile.as_str(), "operator's proof");
             return Err(refused(format!(
                 "'{name}' is no operator of profile '{profile}' now, or this is not its key, or the signature is of \
@@ -224,6 +247,6 @@ impl Operators {
             return Err(refused("this connection acts as an operator already; open another one"));
         }
         self.changed.send_replace(());
-        Ok(self.view(statement, &certifier))
+        Ok(view)
     }
 }

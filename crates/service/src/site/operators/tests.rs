@@ -104,7 +104,7 @@ async fn each_does_what_its_rights_say_and_the_log_names_it() {
     captures.ask(watch()).await.expect("capturing");
     owner.ask(UnwatchTopic { topic: "/odom".parse().expect("a topic") }).await.expect("the owner's own");
     let own = |action: &str, subject: &str| ("alice/eve".to_owned(), action.to_owned(), subject.to_owned());
-    assert_eq!(lines_of(&site, "eve"), [own("watch", "/odom")]);
+    assert_eq!(lines_of(&site, "eve"), [own("watch", "/odom"), own("watch", "/odom")], "begun and done");
 
     site.parts.log.write_counted(None).await;
     let tried: Vec<_> =
