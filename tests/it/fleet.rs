@@ -6,6 +6,7 @@ use crate::support;
 
 mod enduring;
 mod killing;
+mod lacking;
 mod reconciling;
 mod shared_vault;
 mod swarm;
