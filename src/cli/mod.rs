@@ -22,6 +22,7 @@ mod evidence;
 mod fleet;
 mod follow;
 mod gateway;
+mod gateways;
 mod handover;
 mod incidents;
 mod lists;

@@ -4,8 +4,8 @@ use std::io::Write as _;
 use std::path::Path;
 
 use super::{
-    adopt, alerts, audit, check, coverage, fleet, gateway, incidents, lists, operators, parties, policy, quarantine,
-    robots, viewing, witnesses,
+    adopt, alerts, audit, check, coverage, fleet, gateway, gateways, incidents, lists, operators, parties, policy,
+    quarantine, robots, viewing, witnesses,
 };
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
@@ -13,10 +13,10 @@ use crate::service::command::{Ask, Command, SecretBytes};
 use crate::service::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, Answer, AuditCheck, AuditView, BackupView, ChainView,
     CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceGatewaysView, DeviceRow,
-    DeviceTopicsView, ExportedFile, FellowView, FleetView, GatewayStatusView, GrantRow, IdentityView, IncidentView,
-    KeyChangeView, KeysView, OpenedView, OperatorView, PathView, PinsView, PolicyView, Provenance, QuarantineView,
-    RecordAudit, RecordPage, Reply, RingPullView, RobotGatewayView, RobotRow, RobotView, TopicRow, TransactionView,
-    WitnessView, WitnessesView,
+    DeviceTopicsView, ExportedFile, FellowView, FleetView, GatewayStatusView, GatewaysView, GrantRow, IdentityView,
+    IncidentView, KeyChangeView, KeysView, OpenedView, OperatorView, PathView, PinsView, PolicyView, Provenance,
+    QuarantineView, RecordAudit, RecordPage, Reply, RingPullView, RobotGatewayView, RobotRow, RobotView, TopicRow,
+    TransactionView, WitnessView, WitnessesView,
 };
 use crate::service::{Client, Failure};
 use authros_output::Output;
@@ -168,6 +168,13 @@ impl Printed for Box<RecordAudit> {
     fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         output.result(&self, || check::audit(&self));
         Ok(check::audit_code(&self))
+    }
+}
+
+impl Printed for GatewaysView {
+    fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+        output.result(&self, || gateways::text(&self));
+        Ok(gateways::code(&self))
     }
 }
 

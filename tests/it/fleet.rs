@@ -7,6 +7,7 @@ use crate::support;
 mod console;
 mod enduring;
 mod killing;
+mod lacking;
 mod reconciling;
 mod shared_vault;
 mod swarm;

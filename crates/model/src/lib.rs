@@ -62,7 +62,7 @@ pub use position::{Contradiction, Countersignature, Position, SignedPosition};
 pub use profile::ProfileName;
 pub use publisher::{Doubt, ListedPublishers, PinMode, Publisher};
 pub use quarantine::QuarantineReport;
-pub use ranges::Ranges;
+pub use ranges::{Ranges, Spans};
 pub use recorder_words::{Birth, Heads, Heights};
 pub use retention::{Keeping, RetentionReport, RetentionRule, RetentionRules};
 pub use robot_policy::PolicyReport;

@@ -48,11 +48,162 @@ impl Ranges {
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
+
+    /// The lowest and the highest of them.
+    pub fn ends(&self) -> Option<(u64, u64)> {
+        Some((self.0.first()?.0, self.0.last()?.1))
+    }
+
+    /// Whether a number is among them.
+    pub fn contains(&self, number: u64) -> bool {
+        let behind = self.0.partition_point(|(first, _)| *first <= number);
+        behind.checked_sub(1).and_then(|place| self.0.get(place)).is_some_and(|(_, last)| number <= *last)
+    }
+
+    /// Of these ranges, in any order, which may overlap; numbers that no record can have are left out.
+    pub fn of_spans(mut spans: Vec<(u64, u64)>) -> Self {
+        spans.sort_unstable();
+        let mut found = Self::default();
+        for (first, last) in spans {
+            let (first, last) = (first.max(1), last.min(Self::HIGHEST));
+            match found.0.last_mut() {
+                _ if first > last => {}
+                Some((_, end)) if first <= end.saturating_add(1) => *end = last.max(*end),
+                _ => found.0.push((first, last)),
+            }
+        }
+        found
+    }
+
+    /// The numbers of both.
+    pub fn union(&self, other: &Self) -> Self {
+        Self::of_spans(self.iter().chain(other.iter()).collect())
+    }
+
+    /// Its numbers without those of another.
+    pub fn without(&self, other: &Self) -> Self {
+        let (mut left, mut taken) = (Self::default(), other.iter().peekable());
+        for (mut first, last) in self.iter() {
+            while taken.next_if(|(_, end)| *end < first).is_some() {}
+            // What takes of this range; the last of them may take of the next one, too.
+            while first <= last
+                && let Some((begin, end)) = taken.peek().copied().filter(|(begin, _)| *begin <= last)
+            {
+                if begin > first {
+                    left.0.push((first, begin - 1));
+                }
+                first = end.saturating_add(1);
+                taken.next_if(|(_, end)| *end < last);
+            }
+            if first <= last {
+                left.0.push((first, last));
+            }
+        }
+        left
+    }
+
+    /// The numbers that are in both.
+    pub fn common(&self, other: &Self) -> Self {
+        self.without(&self.without(other))
+    }
+}
+
+/// Numbers as they come, mostly one after the other: what they take of memory follows from the ranges that they make.
+#[derive(Debug, Clone, Default)]
+pub struct Spans {
+    spans: Vec<(u64, u64)>,
+    /// How many there were when they were last put in order.
+    ordered: usize,
+}
+
+impl Spans {
+    /// So many may wait before they are put in order.
+    const LOOSE: usize = 256;
+
+    /// Adds a number.
+    pub fn add(&mut self, number: u64) {
+        match self.spans.last_mut() {
+            Some((first, last)) if (*first..=*last).contains(&number) => {}
+            Some((_, last)) if last.checked_add(1) == Some(number) => *last = number,
+            _ => {
+                if self.spans.len() >= self.ordered * 2 + Self::LOOSE {
+                    self.spans = Ranges::of_spans(std::mem::take(&mut self.spans)).0;
+                    self.ordered = self.spans.len();
+                }
+                self.spans.push((number, number));
+            }
+        }
+    }
+
+    /// How many ranges are in memory.
+    pub fn size(&self) -> usize {
+        self.spans.len()
+    }
+
+    /// The numbers, in order.
+    pub fn ranges(self) -> Ranges {
+        Ranges::of_spans(self.spans)
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
+    use proptest::prelude::*;
+
     use super::*;
+
+    proptest! {
+        #[test]
+        fn operations_on_ranges_are_those_on_sets(
+            one in proptest::collection::btree_set(0_u64..40, 0..30),
+            other in proptest::collection::btree_set(0_u64..40, 0..30),
+            spans in proptest::collection::vec((0_u64..40, 0_u64..40), 0..12),
+        ) {
+            // No record has the number 0.
+            let set = |numbers: &BTreeSet<u64>| numbers.iter().copied().filter(|number| *number > 0).collect::<Vec<_>>();
+            let numbers = |ranges: &Ranges| ranges.iter().flat_map(|(first, last)| first..=last).collect::<Vec<_>>();
+            let (left, right) = (Ranges::of(set(&one)), Ranges::of(set(&other)));
+            let spanned: BTreeSet<u64> = spans.iter().flat_map(|(first, last)| *first..=*last).collect();
+            let cases = [
+                (left.union(&right), set(&(&one | &other))),
+                (left.without(&right), set(&(&one - &other))),
+                (left.common(&right), set(&(&one & &other))),
+                (Ranges::of_spans(spans), set(&spanned)),
+            ];
+            for (found, expected) in cases {
+                prop_assert_eq!(&found, &Ranges::of(expected.clone()), "in their one form");
+                prop_assert_eq!(found.count(), expected.len() as u64);
+                prop_assert_eq!(found.ends(), expected.first().copied().zip(expected.last().copied()));
+                prop_assert!((0..41).all(|number| found.contains(number) == expected.contains(&number)));
+                prop_assert_eq!(numbers(&found), expected);
+            }
+        }
+    }
+
+    #[test]
+    fn numbers_in_any_order_become_few_ranges_on_the_way() {
+        let mut spans = Spans::default();
+        // Each pair the wrong way round.
+        (0..20_000_u64).for_each(|number| spans.add((number ^ 1) + 1));
+        assert!(spans.size() < 1_000, "{}", spans.size());
+        assert_eq!(spans.ranges(), Ranges::of((1..=20_000).collect()));
+        let mut scattered = Spans::default();
+        (1..=2_000_u64).rev().for_each(|number| scattered.add(number * 2));
+        scattered.add(u64::MAX);
+        assert_eq!(scattered.ranges(), Ranges::of((1..=2_000).map(|number| number * 2).collect()));
+    }
+
+    #[test]
+    fn ranges_at_the_ends_of_what_there_is_are_joined_and_taken_apart() {
+        let all = Ranges::of_spans(vec![(0, u64::MAX)]);
+        assert_eq!(pairs(&all), [(1, Ranges::HIGHEST)]);
+        assert_eq!(Ranges::of_spans(vec![(Ranges::HIGHEST + 1, u64::MAX), (9, 8)]), Ranges::default());
+        let middle = Ranges::of(vec![5]);
+        assert_eq!(pairs(&all.without(&middle)), [(1, 4), (6, Ranges::HIGHEST)]);
+        assert_eq!((all.without(&all), all.common(&middle)), (Ranges::default(), middle));
+    }
 
     fn pairs(ranges: &Ranges) -> Vec<(u64, u64)> {
         ranges.iter().collect()

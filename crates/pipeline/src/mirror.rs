@@ -2,6 +2,9 @@
 //! ledger as if they had been captured here. A gateway that lies gets nothing in.
 
 mod erased;
+pub mod lacking;
+#[cfg(test)]
+mod lacking_tests;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Mutex, PoisonError};

@@ -1,6 +1,7 @@
 //! Reading: who may, with which key, and the results of the checks. The vault's bytes are compared with the chain
 //! before anything else, and nothing is shown before the last check.
 
+mod granted;
 mod own;
 
 use std::sync::{Arc, PoisonError};

@@ -54,9 +54,9 @@ use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId
 use crate::service::reply::{
     AdministrationView, AuditCheck, AuditView, CaptureSummary, ChainView, CheckView, CompareView, ContactRow,
     CoverageView, DecidedView, DeployedView, DeviceGatewaysView, DeviceRow, DeviceTopicsView, EnrolledView,
-    EvidenceView, ExportedFile, GatewayView, GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PinsView,
-    PlayedView, PolicyView, Provenance, QuarantineView, RecordPage, ServedView, SiteView, StampView, TopicRow,
-    TransactionView,
+    EvidenceView, ExportedFile, GatewayView, GatewaysView, GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView,
+    PinsView, PlayedView, PolicyView, Provenance, QuarantineView, RecordPage, ServedView, SiteView, StampView,
+    TopicRow, TransactionView,
 };
 pub use crate::store::AuditQuery;
 
@@ -249,6 +249,15 @@ requests! {
     ListGrants => Vec<GrantRow>;
     /// Records others share with this profile.
     ListShared(query: UploadQuery) => RecordPage;
+    /// Which of the records shared with this profile, and of its own, each gateway lacks that this home joins.
+    CompareGateways {
+        /// Only of this owner.
+        owner: Option<Party>,
+        /// Only of this topic.
+        topic: Option<TopicName>,
+        /// At how many gateways each record is to be; `None` = at all.
+        copies: Option<u32>,
+    } => GatewaysView;
     /// The paper's Data_Check of one record: digest against the chain, and signature.
     CheckShared {
         /// Its id.

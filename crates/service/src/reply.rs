@@ -6,6 +6,7 @@ mod chain;
 mod check;
 mod fleet;
 mod forging;
+mod gateways;
 mod identity;
 mod incidents;
 mod operate;
@@ -32,6 +33,7 @@ pub use self::check::{
 };
 pub use self::fleet::{FellowView, FleetView};
 pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
+pub use self::gateways::{GatewayHoldings, GatewaysView, HoleView, LackView, UntoldView};
 pub use self::identity::{
     DeviceGatewaysView, DeviceTopicsView, EnrolledView, EpochView, IdentityView, KeyChangeView, KeysView,
     RobotGatewayView, TransactionView,
@@ -240,6 +242,8 @@ replies! {
     Fellows(Vec<FellowView>);
     /// To `FleetStatus`.
     Fleet(FleetView);
+    /// To `CompareGateways`.
+    Gateways(GatewaysView);
     /// To `PrepareUnattended`.
     UnattendedPrepared(UnattendedFile);
     /// To `AddOperator`, `RemoveOperator` and `ListOperators`.

@@ -51,6 +51,7 @@ impl Command {
             | Self::ShowUpload { .. }
             | Self::ListGrants
             | Self::ListShared(_)
+            | Self::CompareGateways { .. }
             | Self::CheckShared { .. }
             | Self::ListDevices
             | Self::CompareFingerprint { .. }

@@ -49,6 +49,7 @@ const LOOK: &[&str] = &[
     "show_upload",
     "list_grants",
     "list_shared",
+    "compare_gateways",
     "check_shared",
     "list_devices",
     "compare_fingerprint",

@@ -12,8 +12,9 @@ use crate::pipeline::Owner;
 use crate::service::command::{
     self as ask, Ask, Command, IncidentCommand, Operation, RecordingCommand, RecordingProgress, Request, StoreCommand,
 };
-use crate::service::reply::{Failure, Reply};
+use crate::service::reply::{Failure, GatewaysView, Reply};
 use crate::site::devices::pulling::span;
+use crate::site::mirror::comparing::Wishes;
 
 impl Site {
     /// Answers one request. Each variant has its arm here, so a request that nothing answers does not compile.
@@ -108,6 +109,10 @@ impl Site {
             Command::StampEvidence => self.stamps.stamp().await.map(ask::StampEvidence::told),
             Command::ListShared(query) => {
                 self.reading.list_shared(&self.caught_up_owner(&profile).await?, query).await.map(ask::ListShared::told)
+            }
+            Command::CompareGateways { owner: of, topic, copies } => {
+                let wishes = Wishes { owner: of, topic, copies };
+                self.compare_gateways(&owner()?, wishes).await.map(ask::CompareGateways::told)
             }
             Command::CheckShared { id } => {
                 self.reading.check_record(&self.caught_up_owner(&profile).await?, &id).await.map(ask::CheckShared::told)
@@ -272,6 +277,13 @@ impl Site {
                 self.backup.back_up(profile, file, passphrase).await.map(ask::BackUp::told)
             }
         }
+    }
+
+    /// What each gateway that is joined lacks; they are asked in the profile's name, which the log tells.
+    async fn compare_gateways(self: &Arc<Self>, owner: &Arc<Owner>, wishes: Wishes) -> Result<GatewaysView, Failure> {
+        let whose = wishes.owner.as_ref().map_or_else(|| "everybody".to_owned(), |owner| owner.to_string());
+        let compared = self.joined.compared(owner, (&self.reading, &self.contacts), wishes);
+        self.parts.log.deed(&owner.profile, "compare gateways", &format!("records of {whose}"), compared).await
     }
 
     /// The profile's owner, once the records shared with it are known up to now.

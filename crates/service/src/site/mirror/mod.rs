@@ -1,9 +1,14 @@
 //! Mirrors each gateway's records of a profile here: lists and fetches what is missing, then takes records as they come. A
 //! lost connection is opened again, with pauses that grow to five seconds.
 
+pub(super) mod comparing;
 mod erased;
+mod listing;
+#[cfg(test)]
+mod listing_tests;
 mod remote;
 pub(super) mod remotes;
+mod telling;
 
 use crate::paths::Home;
 use crate::pipeline::Plant;

@@ -113,6 +113,11 @@ impl Remote {
         })
     }
 
+    /// Its key, once it is pinned.
+    pub fn key(&self) -> Option<SignerId> {
+        self.trust.current().pinned
+    }
+
     fn gateway(&self) -> Result<SignerId, Failure> {
         let pinned = self.trust.current().pinned;
         pinned.ok_or_else(|| Failure::new(ErrorKind::Unreachable, "no gateway has been contacted yet"))

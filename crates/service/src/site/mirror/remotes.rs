@@ -19,7 +19,7 @@ use crate::service::reply::Failure;
 use crate::site::chain::connection::Lost;
 
 /// How long a command waits until the gateways' records are here.
-const FIRST_ROUND: Duration = Duration::from_secs(90);
+pub(super) const FIRST_ROUND: Duration = Duration::from_secs(90);
 
 /// The gateways that this site joins; at least one.
 pub(crate) struct Remotes(Vec<Arc<Remote>>);
@@ -106,7 +106,7 @@ impl Remotes {
     }
 
     /// Waits until the mirror of one gateway has settled for a profile.
-    async fn settled(remote: &Remote, profile: &ProfileName) -> Option<Result<(), Failure>> {
+    pub(super) async fn settled(remote: &Remote, profile: &ProfileName) -> Option<Result<(), Failure>> {
         let mut mirrored = remote.follow();
         let settled = mirrored.wait_for(|all| matches!(all.get(profile), Some(Mirrored::Caught | Mirrored::Failed(_))));
         let all = tokio::time::timeout(FIRST_ROUND, settled).await.ok()?.ok()?;
