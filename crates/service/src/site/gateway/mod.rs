@@ -10,6 +10,7 @@ mod cut_off_tests;
 mod desk;
 mod devices;
 mod erased;
+mod erasing;
 mod fellows;
 mod handing;
 mod live;
@@ -18,6 +19,7 @@ mod reading;
 mod reconciling;
 pub(super) mod reserved;
 mod round;
+mod round_erased;
 mod standing;
 pub(super) mod status;
 mod taking;
@@ -36,7 +38,7 @@ use crate::site::mirror::remotes::Remotes;
 use crate::site::parts::Parts;
 use crate::site::sharing::Sharing;
 use crate::site::supervision::Supervisor;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::time::Duration;
@@ -46,7 +48,7 @@ use tokio::task::block_in_place;
 
 use crate::crypto::{Fingerprint, SmKeyPair};
 use crate::gateway::{Cabinet, Context, Limits, Schedule, Server};
-use crate::model::{Address, AnchorMode, Domain, Timestamp};
+use crate::model::{Address, AnchorMode, Domain, PublicKey, Timestamp};
 use crate::pipeline::Owner;
 use crate::pipeline::forwarder::Link as Line;
 use crate::service::event::{NoticeLevel, Part};
@@ -125,6 +127,8 @@ pub(in crate::site) struct Gateway {
     sharing: Arc<Sharing>,
     admissions: Arc<Admissions>,
     fellows: Fellows,
+    /// The keys under which all erasures of an owner of this home are stated.
+    stated_under: Mutex<BTreeMap<Address, PublicKey>>,
     /// The running one, if there is one.
     serving: Mutex<Option<Serving>>,
     remote: Option<Arc<Remotes>>,
@@ -154,6 +158,7 @@ impl Gateway {
             sharing: Arc::clone(sharing),
             admissions: Arc::clone(admissions),
             fellows: Fellows::new(parts),
+            stated_under: Mutex::default(),
             serving: Mutex::default(),
             remote,
             passed_on: OnceLock::new(),
