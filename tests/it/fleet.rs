@@ -5,6 +5,7 @@
 use crate::support;
 
 mod enduring;
+mod erasing;
 mod killing;
 mod reconciling;
 mod shared_vault;
@@ -90,10 +91,15 @@ impl Gateway {
     }
 
     fn keeper(&self) -> Authros {
+        self.profile("keeper")
+    }
+
+    /// Somebody whose profile is in its home.
+    fn profile(&self, name: &str) -> Authros {
         let [url, contract] = &self.chain;
         let options = ["--chain", url, "--contract", contract, "--robots", "0", "--confirmations", self.confirmations];
-        let keeper = self.home.profile("keeper").with(&options);
-        if self.vault.is_empty() { keeper } else { keeper.with(&["--vault", &self.vault]) }
+        let profile = self.home.profile(name).with(&options);
+        if self.vault.is_empty() { profile } else { profile.with(&["--vault", &self.vault]) }
     }
 
     fn address(&self) -> String {
