@@ -170,9 +170,9 @@ impl Ledger {
     pub fn erased_among(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
-                "SELECT 1 FROM retained JOIN records ON n = retained.record WHERE digest = ?1
+                "SELECT 1 FROM retained JOIN records ON records.n = retained.record WHERE digest = ?1
                  AND (EXISTS (SELECT 1 FROM settings WHERE key = 'erased:' || lower(hex(report)))
-                     OR EXISTS (SELECT 1 FROM erasures WHERE erasures.record = n AND taken = 1))",
+                     OR EXISTS (SELECT 1 FROM erasures WHERE erasures.record = records.n AND taken = 1))",
             )?;
             let mut erased = Vec::new();
             for digest in digests {

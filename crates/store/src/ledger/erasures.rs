@@ -83,7 +83,7 @@ impl Ledger {
         self.write_many(stated.len(), move |session| {
             let mut put = session.connection.prepare_cached(
                 "REPLACE INTO erasures (record, statement, account, taken)
-                 SELECT n, ?2, ?3, coalesce((SELECT taken FROM erasures WHERE record = n), 0)
+                 SELECT n, ?2, ?3, coalesce((SELECT taken FROM erasures WHERE record = records.n), 0)
                  FROM records WHERE digest = ?1",
             )?;
             for StatedErasure { digest, statement, account } in &stated {

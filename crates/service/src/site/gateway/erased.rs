@@ -146,3 +146,7 @@ pub(super) fn is_owners(network: &Network, owner: Address, key: &PublicKey) -> b
     let now = Moment::newest(network.directory.now());
     matches!(may_sign(&network.directory, owner, signer_id(key), now), Ok(SigningRight::Owner(_)))
 }
+
+#[cfg(test)]
+#[path = "erased_tests.rs"]
+mod tests;

@@ -149,4 +149,4 @@ fn failed(error: &PipelineError) -> Refusal {
 
 #[cfg(test)]
 #[path = "erasing_tests.rs"]
-mod tests;
+pub(super) mod tests;

@@ -7,31 +7,36 @@ use crate::gateway::{ErasedRecord, Fetched, Wanted};
 use crate::model::{Domain, Ranges, Signature, Timestamp};
 use crate::pipeline::Owner;
 use crate::pipeline::mirror::Anchors;
-use crate::site::Site;
 use crate::site::gateway::GatewayDesk;
 use crate::site::gateway::round::Took;
 use crate::site::gateway::taking::tests::{RECORDER, TOPIC, anchored, codes, record, stranger};
-use crate::site::testing::{registered, site_with_chain};
+use crate::site::testing::{registered, site_of};
+use crate::site::{Needs, Site};
 use crate::store::IncidentSpan;
 
 const REPORT: Digest = Digest([0x77; 32]);
 const AT: Timestamp = Timestamp(1_700_000_000_000_000_000);
 
 /// A site with a gateway, an owner of that home, and the chain; its folder is removed with the value.
-struct Ground {
-    site: std::sync::Arc<Site>,
+pub(in crate::site::gateway) struct Ground {
+    pub site: std::sync::Arc<Site>,
     _folder: tempfile::TempDir,
     _running: tokio::sync::oneshot::Sender<()>,
-    alice: std::sync::Arc<Owner>,
-    network: Network,
-    desk: GatewayDesk,
+    pub alice: std::sync::Arc<Owner>,
+    pub network: Network,
+    pub desk: GatewayDesk,
     /// Who keeps the other gateway.
     other: EoaSecret,
 }
 
 impl Ground {
     async fn new() -> Self {
-        let (site, folder) = site_with_chain();
+        Self::with(&[]).await
+    }
+
+    /// The same with settings.
+    pub async fn with(settings: &[(&str, &str)]) -> Self {
+        let (site, folder) = site_of(settings, Needs { ros: false, chain: true });
         let (keeper, alice) = (registered(&site, "keeper").await, registered(&site, "alice").await);
         let (running, ended) = tokio::sync::oneshot::channel();
         site.gateway.serve(&keeper, "127.0.0.1:0".parse().expect("an address"), false, ended).await.expect("serves");
@@ -49,7 +54,7 @@ impl Ground {
     }
 
     /// The same, handed over and verified here.
-    async fn here(&self, seq: u64) -> (SealedRecord, Fetched) {
+    pub async fn here(&self, seq: u64) -> (SealedRecord, Fetched) {
         let (sealed, fetched) = self.elsewhere(seq).await;
         assert_eq!(self.hand_over(seq, &fetched).await.taken, [seq]);
         let ledger = &self.site.plant.ledger;
@@ -107,7 +112,7 @@ impl Ground {
     }
 }
 
-async fn until(what: &str, is_so: impl Fn() -> bool) {
+pub(in crate::site::gateway) async fn until(what: &str, is_so: impl Fn() -> bool) {
     for _ in 0..600 {
         if is_so() {
             return;
@@ -217,7 +222,8 @@ async fn nothing_is_erased_at_the_word_of_anybody_but_its_owner() {
     }
     // One that is on no chain: its owner signed everything, and nobody anchored it.
     let unanchored = record(&ground.network, &ground.alice, &own, (9, b"a face"));
-    let (took, taken) = ground.tell(vec![ground.stated(&unanchored, &handed, (&own, &account))]).await;
+    let unproven = Fetched { signature: unanchored.signature, ..handed.clone() };
+    let (took, taken) = ground.tell(vec![ground.stated(&unanchored, &unproven, (&own, &account))]).await;
     assert_eq!((taken, codes(&took.refused)), (0, vec![Code::Tampered]), "{took:?}");
     assert_eq!(ground.site.plant.ledger.record(unanchored.digest), Ok(None));
     for sealed in [&copy, &second] {

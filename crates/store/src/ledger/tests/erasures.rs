@@ -185,6 +185,11 @@ fn what_another_gateway_told_is_named_where_it_is_and_listed_where_it_is_not() {
     let retained = ledger.retained(copy.digest).expect("read").expect("accounted for");
     assert_eq!((retained.stated, retained.report), (Some(statement(8, 2)), Digest([8; 32])));
     assert_eq!(ledger.given_up(OWNER), Ok(2), "counted once");
+    // Whoever puts another statement in its place makes nothing of this home's own of it.
+    let other = StatedErasure { digest: copy.digest, statement: statement(8, 3), account: None };
+    ledger.keep_erasures(vec![other]).expect("kept");
+    let kept = ledger.kept_erasure(copy.digest).expect("read").expect("kept");
+    assert_eq!((kept.statement, kept.taken), (statement(8, 3), true));
 }
 
 #[test]
