@@ -257,6 +257,8 @@ pub fn samples() -> Vec<Sample> {
         "relay",
         "holdings",
         "hand_over",
+        "fetch_erased",
+        "erasures",
     ];
     samples.extend(names.iter().zip(requests()).map(|(name, request)| sample(name, 1, &client_text(&request))));
     let names = [
@@ -270,6 +272,7 @@ pub fn samples() -> Vec<Sample> {
         "time",
         "told_holdings",
         "handed_over",
+        "told_erasures",
         "event",
         "end",
         "refused",

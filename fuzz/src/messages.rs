@@ -1,11 +1,12 @@
 //! One valid message of every Command and shape.
 
-use authros::crypto::AccountSignature;
+use authros::crypto::{AccountSignature, ErasedStatement};
 use authros::gateway::allocation::AllocationRequest;
 use authros::gateway::command::{Inner, Part};
 use authros::gateway::{
-    Answer, Code, Command, Entry, Fetched, GrantNotice, HandedOver, Held, HoldingPlace, Holdings, Page, Query, Receipt,
-    Registration, RelayCall, Request, RevokeNotice, Selection, Standing, Upload, Wanted,
+    Answer, Code, Command, Entry, ErasedRecord, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver, Held,
+    HoldingPlace, Holdings, Page, Query, Receipt, Registration, RelayCall, Request, RevokeNotice, Selection, Standing,
+    ToldErasure, Upload, Wanted,
 };
 use authros::model::{
     Address, Digest, FilterId, Hash, Identity, PublicKey, Ranges, RecordKind, RecorderId, Signature, SignerId,
@@ -15,6 +16,17 @@ use authros::model::{
 const PLACE: HoldingPlace = HoldingPlace { block: 1, batch: 2, leaf: 3 };
 const WANTED: Wanted =
     Wanted { owner: Address([1; 20]), recorder: RecorderId([2; 16]), topic_id: TopicId([3; 16]), first: 4, last: 9 };
+
+const ERASED_AFTER: ErasurePlace = ErasurePlace { ledger: RecorderId([6; 16]), number: 7 };
+
+fn erasures() -> Erasures {
+    let (signer, signature) = (PublicKey([1; 64]), Signature([2; 64]));
+    let record = Fetched { signer, signature, proof: vec![3; 10], blob: vec![4; 20] };
+    let statement = ErasedStatement { report: Digest([5; 32]), at: Timestamp(6), signer, signature };
+    let left = ErasedRecord { record, statement };
+    let told = ToldErasure { digest: Digest([7; 32]), account_signature: AccountSignature([8; 65]), left };
+    Erasures { told: vec![told; 2], next: ERASED_AFTER, more: true }
+}
 
 fn holdings() -> Holdings {
     let Wanted { owner, recorder, topic_id, .. } = WANTED;
@@ -70,6 +82,8 @@ pub fn requests() -> Vec<Request> {
         Request::Relay(RelayCall { method: "eth_call".to_owned(), parameters: "[{},\"latest\"]".to_owned() }),
         Request::Holdings(PLACE),
         Request::HandOver(WANTED),
+        Request::FetchErased(Digest([3; 32])),
+        Request::Erasures(ERASED_AFTER),
     ]
 }
 
@@ -104,6 +118,7 @@ pub fn answers() -> Vec<Answer> {
         Answer::Time(Timestamp(5)),
         Answer::Holdings(Box::new(holdings())),
         Answer::HandedOver(Box::new(HandedOver { records: vec![record.clone(); 2], next: Some(7) })),
+        Answer::Erasures(Box::new(erasures())),
         Answer::Event(Box::new((entry(), record))),
         Answer::End(Code::NotAuthorised),
         Answer::Refused(Code::Token),

@@ -79,11 +79,21 @@ pub fn status(view: &FleetView) -> String {
             let how = "`authros gateway admit` lets an owner use this gateway";
             lines.push(format!("{}: records of {} owners are not taken; {how}", one.address, one.passed_over));
         }
+        if one.erased > 0 {
+            lines.push(format!("{}: {} records were erased here too, as their owners state", one.address, one.erased));
+        }
         if one.anchored_twice > 0 {
             lines.push(format!("{}: {} records were anchored by both", one.address, one.anchored_twice));
         }
         let refused = one.refused.iter();
         lines.extend(refused.map(|row| format!("{}: {} records refused: {}", one.address, row.count, row.text)));
+    }
+    if view.held > 0 {
+        lines.push(format!(
+            "{} records that their owner had erased elsewhere stay here, because incidents hold them; `authros incident remove \
+             NAME --yes` lets them go",
+            view.held
+        ));
     }
     lines.join("\n")
 }

@@ -1,31 +1,14 @@
 //! Someone who gets the disk of a site looks for the bytes of a recording that was erased: in the vault's file, its log,
 //! the ledger and everything else in the home, while the site runs and after it has ended.
 
-use std::path::{Path, PathBuf};
-
 use authros::model::Digest;
 use authros::store::open_vault;
 
-use crate::support::{Home, holds, is_verified, text, wait_until};
+use crate::support::erased::{ciphertext_of, pieces_of, with_any};
+use crate::support::{Home, is_verified, text, wait_until};
 use crate::{Outcome, judge};
 
 const TOPIC: &str = "/robot1/camera/compressed";
-
-/// The files of a home in which one of these pieces is.
-fn with_any(folder: &Path, pieces: &[Vec<u8>]) -> Vec<PathBuf> {
-    let mut found = Vec::new();
-    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
-        let path = entry.path();
-        if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
-            found.extend(with_any(&path, pieces));
-        } else if let Ok(bytes) = std::fs::read(&path)
-            && pieces.iter().any(|piece| holds(&bytes, piece))
-        {
-            found.push(path);
-        }
-    }
-    found
-}
 
 #[test]
 fn find_erased_bytes() {
@@ -38,20 +21,7 @@ fn find_erased_bytes() {
         let records = authros.records(&["uploads", "list", "--topic", TOPIC]);
         (records.len() >= 5 && records.iter().all(is_verified)).then_some(records)
     });
-    // Pieces from the beginning, the middle and the end of each ciphertext: it lies on many pages.
-    let blobs: Vec<(Digest, Vec<u8>)> = {
-        let vault = open_vault(None, &home.path().join("vault")).expect("the site's own file");
-        let blob = |record| {
-            let digest: Digest = text(record, "digest").parse().expect("a digest");
-            (digest, vault.get(digest).expect("read").expect("stored"))
-        };
-        records.iter().map(blob).collect()
-    };
-    let parts = |(_, blob): &(Digest, Vec<u8>)| {
-        let length = blob.len();
-        [300, length / 2, length - 40].map(|at| blob[at..at + 32].to_vec())
-    };
-    let pieces: Vec<Vec<u8>> = blobs.iter().flat_map(parts).collect();
+    let (blobs, pieces) = (ciphertext_of(&home, &records), pieces_of(&home, &records));
     assert!(!with_any(&home.path(), &pieces).is_empty(), "the search finds what is there");
 
     authros.json(&["retention", "erase", "--topic", TOPIC, "--reason", "a face is in it", "--yes"]);

@@ -6,6 +6,7 @@ use crate::support;
 
 mod console;
 mod enduring;
+mod erasing;
 mod killing;
 mod lacking;
 mod reconciling;
@@ -92,10 +93,15 @@ impl Gateway {
     }
 
     fn keeper(&self) -> Authros {
+        self.profile("keeper")
+    }
+
+    /// Somebody whose profile is in its home.
+    fn profile(&self, name: &str) -> Authros {
         let [url, contract] = &self.chain;
         let options = ["--chain", url, "--contract", contract, "--robots", "0", "--confirmations", self.confirmations];
-        let keeper = self.home.profile("keeper").with(&options);
-        if self.vault.is_empty() { keeper } else { keeper.with(&["--vault", &self.vault]) }
+        let profile = self.home.profile(name).with(&options);
+        if self.vault.is_empty() { profile } else { profile.with(&["--vault", &self.vault]) }
     }
 
     fn address(&self) -> String {

@@ -10,6 +10,7 @@ pub mod client_stream;
 pub mod clock;
 pub mod conservation;
 pub mod console;
+pub mod erased;
 pub mod figures;
 pub mod gate;
 pub mod hostile;

@@ -1,12 +1,17 @@
 //! What an owner states of a record that it had erased: for readers who never had it, beside the header, the signature and
-//! the proof that stay. Signed by d_C, so no gateway can say it of a record that it only withholds.
+//! the proof that stay. Signed by d_C, so no gateway can say it of a record that it only withholds. Where others are to
+//! erase their copies, the owner's account signs, too: a thief who has only one of the keys destroys nothing.
 
 use crate::model::wire::{Reader, WireError};
 use crate::model::{Digest, Header, PublicKey, Signature, Timestamp};
 
-use super::{CryptoError, Provider, SmKeyPair};
+use super::{
+    AccountSignature, CryptoError, EoaSecret, Provider, SmKeyPair, TypedStructure, recover_account, sign_hash,
+};
 
 const LABEL: &[u8] = b"AuthROS/erased/1";
+/// The EIP-712 type that the account signs.
+const TYPE: &str = "Erasure(address owner,bytes32 record,bytes32 header,bytes32 report,uint64 time)";
 const WHAT: &str = "statement of an erased record";
 
 /// `report (32) || time (8) || P_C (64) || signature (64)`, big endian. The signature is SM2 over `"AuthROS/erased/1" || domain
@@ -52,6 +57,48 @@ impl ErasedStatement {
         verified.map_err(|_| CryptoError::NotAccepted { what: WHAT, field: "signature" })
     }
 
+    /// The same stated by the owner's account, for whoever has a copy. It does not name the SM2 key, so it outlasts that.
+    ///
+    /// # Errors
+    /// [`CryptoError::DamagedRecord`] if the header is none, [`CryptoError::Internal`].
+    pub fn sign_by_account(
+        &self,
+        provider: &dyn Provider,
+        account: &EoaSecret,
+        about: (&Digest, &[u8]),
+    ) -> Result<AccountSignature, CryptoError> {
+        sign_hash(account, &self.account_hash(provider, about)?)
+    }
+
+    /// Whether the account of the header's owner signed it for the record with this digest and public header.
+    ///
+    /// # Errors
+    /// [`CryptoError::DamagedRecord`] or [`CryptoError::NotAccepted`].
+    pub fn check_account(
+        &self,
+        provider: &dyn Provider,
+        signature: &AccountSignature,
+        about: (&Digest, &[u8]),
+    ) -> Result<(), CryptoError> {
+        let (header, _) = Header::parse(about.1).map_err(CryptoError::DamagedRecord)?;
+        let hash = self.account_hash(provider, about)?;
+        if recover_account(&hash, signature).is_ok_and(|account| account == header.owner) {
+            return Ok(());
+        }
+        Err(CryptoError::NotAccepted { what: WHAT, field: "account's signature" })
+    }
+
+    fn account_hash(
+        &self,
+        provider: &dyn Provider,
+        (digest, header): (&Digest, &[u8]),
+    ) -> Result<[u8; 32], CryptoError> {
+        let (parsed, _) = Header::parse(header).map_err(CryptoError::DamagedRecord)?;
+        let structure = TypedStructure::new(TYPE).address(&parsed.owner).word(&digest.0);
+        let structure = structure.word(&provider.sm3(&[header])).word(&self.report.0).number(self.at.0);
+        Ok(structure.signing_hash(&parsed.domain))
+    }
+
     /// Encodes it.
     pub fn encode(&self) -> Vec<u8> {
         [&self.report.0[..], &self.at.0.to_be_bytes(), &self.signer.0, &self.signature.0].concat()
@@ -93,10 +140,14 @@ mod tests {
     use crate::{ProviderName, provider};
 
     fn header(seq: u64) -> Vec<u8> {
+        header_of(seq, Address([2; 20]), Domain([1; 32]))
+    }
+
+    fn header_of(seq: u64, owner: Address, domain: Domain) -> Vec<u8> {
         let header = Header {
             kind: RecordKind::Data,
-            domain: Domain([1; 32]),
-            owner: Address([2; 20]),
+            domain,
+            owner,
             signer: SignerId([3; 32]),
             epoch: 1,
             recorder: RecorderId([4; 16]),
@@ -141,5 +192,51 @@ mod tests {
             assert!(matches!(lie, Err(CryptoError::NotAccepted { .. })), "{lie:?}");
         }
         assert!(matches!(stated.check(provider, &digest, b"none"), Err(CryptoError::DamagedRecord(_))));
+    }
+
+    #[test]
+    fn only_the_owners_account_has_copies_erased_elsewhere() {
+        let provider = provider(ProviderName::default());
+        let (account, thief) = (EoaSecret::generate().expect("generates"), EoaSecret::generate().expect("generates"));
+        let pair = SmKeyPair::generate(provider).expect("a pair");
+        let of = |seq, domain| header_of(seq, account.address(), Domain([domain; 32]));
+        let (digest, header, strangers) = (Digest([9; 32]), of(1, 1), header(1));
+        let about = (&digest, header.as_slice());
+        let stated = ErasedStatement::sign(provider, &pair, about, (Digest([10; 32]), Timestamp(11))).expect("signs");
+        let signature = stated.sign_by_account(provider, &account, about).expect("signs");
+        stated.check_account(provider, &signature, about).expect("it holds");
+        // The hash that is signed, put together by hand.
+        let structure =
+            TypedStructure::new("Erasure(address owner,bytes32 record,bytes32 header,bytes32 report,uint64 time)");
+        let structure = structure.address(&account.address()).word(&[9; 32]).word(&provider.sm3(&[&header]));
+        let hash = structure.word(&[10; 32]).number(11).signing_hash(&Domain([1; 32]));
+        assert_eq!(recover_account(&hash, &signature).ok(), Some(account.address()));
+        let by_another_key = ErasedStatement { signer: PublicKey([1; 64]), ..stated };
+        by_another_key.check_account(provider, &signature, about).expect("it outlasts a change of the SM2 key");
+
+        let by_thief = stated.sign_by_account(provider, &thief, about).expect("signs");
+        let other = Digest([8; 32]);
+        let mut altered = signature;
+        altered.0[40] ^= 1;
+        let lies = [
+            ("another account's", stated.check_account(provider, &by_thief, about)),
+            ("of another record", stated.check_account(provider, &signature, (&other, &header))),
+            ("of another header", stated.check_account(provider, &signature, (&digest, &of(2, 1)))),
+            ("of another chain", stated.check_account(provider, &signature, (&digest, &of(1, 2)))),
+            ("of another owner's", stated.check_account(provider, &signature, (&digest, &strangers))),
+            (
+                "of another time",
+                ErasedStatement { at: Timestamp(12), ..stated }.check_account(provider, &signature, about),
+            ),
+            (
+                "of another report",
+                ErasedStatement { report: Digest([1; 32]), ..stated }.check_account(provider, &signature, about),
+            ),
+            ("altered", stated.check_account(provider, &altered, about)),
+            ("nothing", stated.check_account(provider, &AccountSignature([0; 65]), about)),
+        ];
+        for (what, lie) in lies {
+            assert!(matches!(lie, Err(CryptoError::NotAccepted { .. })), "{what}: {lie:?}");
+        }
     }
 }

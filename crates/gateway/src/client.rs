@@ -14,8 +14,9 @@ use crate::model::{Countersignature, Digest, Hash, ProfileName, SignedPosition, 
 use super::allocation::{AllocationRequest, Applicant, apply};
 use super::command::relay::LONGEST_PARAMETERS;
 use super::command::{
-    Answer, Command, DeviceNotice, Entry, ErasedRecord, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, Page,
-    Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, Upload, Wanted,
+    Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver,
+    HoldingPlace, Holdings, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing,
+    Upload, Wanted,
 };
 use super::error::GatewayError;
 use super::hello::{Agreed, Context, NetworkName};
@@ -340,6 +341,17 @@ impl Client {
         match self.ask(&Request::Holdings(after)).await? {
             Answer::Holdings(holdings) => Ok(*holdings),
             _ => Err(GatewayError::Unexpected("no holdings")),
+        }
+    }
+
+    /// What was erased at the gateway, after a place; nothing of it is checked here.
+    ///
+    /// # Errors
+    /// [`GatewayError`]; `Refused(Malformed)` if it is a gateway of an earlier version, whose session goes on.
+    pub async fn erasures(&mut self, after: ErasurePlace) -> Result<Erasures, GatewayError> {
+        match self.ask(&Request::Erasures(after)).await? {
+            Answer::Erasures(erasures) => Ok(*erasures),
+            _ => Err(GatewayError::Unexpected("nothing of what was erased")),
         }
     }
 

@@ -16,8 +16,8 @@ use crate::model::{
 
 use super::code::{Code, Refusal};
 use super::command::{
-    DeviceNotice, Entry, ErasedRecord, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, Page, Query,
-    Registration, RevokeNotice, Selection, Standing, Wanted,
+    DeviceNotice, Entry, ErasedRecord, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver, HoldingPlace,
+    Holdings, Page, Query, Registration, RevokeNotice, Selection, Standing, Wanted,
 };
 use super::hello::NetworkName;
 use super::standings::Stood;
@@ -193,6 +193,12 @@ pub trait Desk: Send + Sync + 'static {
     /// What this gateway holds, in the order of the anchoring blocks: `NotAuthorised` unless the caller is the keeper of a
     /// gateway that this one's keeper named.
     async fn holdings(&self, caller: &Caller, after: &HoldingPlace) -> Result<Holdings, Refusal> {
+        let _ = after;
+        Err(Refusal::new(Code::NotAuthorised, format_args!("{} keeps no gateway of this fleet", caller.account)))
+    }
+
+    /// What was erased here at its owner's word, under the same condition.
+    async fn erasures(&self, caller: &Caller, after: &ErasurePlace) -> Result<Erasures, Refusal> {
         let _ = after;
         Err(Refusal::new(Code::NotAuthorised, format_args!("{} keeps no gateway of this fleet", caller.account)))
     }

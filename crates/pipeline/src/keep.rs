@@ -2,7 +2,7 @@
 //! vault, the ledger and with it the acknowledgement.
 
 use crate::crypto::fault;
-use crate::model::RecordState;
+use crate::model::{Digest, RecordState};
 use crate::store::{NewRecord, RecordRow, StoreError};
 
 use super::Plant;
@@ -36,10 +36,17 @@ impl Plant {
     ) -> Result<T, StoreError> {
         self.takes_records()?;
         self.ledger.check_foreign(records.as_mut())?;
-        if self.vault.durable() {
-            self.put(records.as_mut())?;
+        if !self.vault.durable() {
+            return acknowledge(records);
         }
-        acknowledge(records)
+        let put = self.put(records.as_mut())?;
+        let done = acknowledge(records)?;
+        // What was erased between the look at it and the write came back with the bytes.
+        let again = self.ledger.retained_of(&put)?;
+        if !again.is_empty() {
+            self.vault.scour(&again)?;
+        }
+        Ok(done)
     }
 
     /// The bytes that the vault has of a record. Deleted ones are gone, even where an earlier version took them in again.
@@ -53,18 +60,20 @@ impl Plant {
         self.vault.get(row.digest)
     }
 
-    fn put(&self, records: &mut [NewRecord]) -> Result<(), StoreError> {
+    /// Returns those of other recorders whose bytes were written.
+    fn put(&self, records: &mut [NewRecord]) -> Result<Vec<Digest>, StoreError> {
         let retained = self.ledger.retained_among(records)?;
-        let kept = records.iter().filter(|record| !retained.contains(&record.digest));
-        let bytes = kept.filter_map(|record| Some((record.digest, record.local_copy.as_deref()?)));
+        let kept = || records.iter().filter(|record| !retained.contains(&record.digest));
+        let bytes = kept().filter_map(|record| Some((record.digest, record.local_copy.as_deref()?)));
         self.vault.put(&bytes.collect::<Vec<_>>())?;
         fault::point("vault-put");
+        let foreign = kept().filter(|record| record.foreign.is_some()).map(|record| record.digest).collect();
         for record in records {
             record.local_copy = None;
             if record.state == RecordState::Sealed {
                 record.state = RecordState::Stored;
             }
         }
-        Ok(())
+        Ok(foreign)
     }
 }

@@ -25,6 +25,8 @@ use super::reader::Reader;
 use super::watcher::CURSOR;
 use super::{Network, Owner, PipelineError, Plant, proof};
 
+pub use erased::{prove_erased, taken_erased};
+
 /// Length of the tag at the end of a sealed body, bytes.
 const TAG: u64 = 16;
 /// How long the watcher may lag behind the block of a proof.
@@ -137,6 +139,28 @@ pub async fn wait_for(plant: &Plant, block: u64, patience: Duration) -> Result<(
     Ok(())
 }
 
+/// Whether the signer had the right at the anchoring block, which the watcher here has so long to read.
+async fn check_right(
+    plant: &Plant,
+    network: &Network,
+    (header, digest, fetched): (&Header, Digest, &Fetched),
+    (block, patience): (u64, Duration),
+) -> Result<(), PipelineError> {
+    wait_for(plant, block, patience).await?;
+    let at = Moment::of_block(block, network.ask_time(block).await?);
+    let right = authority::may_sign(&network.directory, header.owner, header.signer, at);
+    let right = right.map_err(|why| PipelineError::NotTakenIn { digest, why: why.to_string() })?;
+    note_signer(plant, header, fetched, &right)
+}
+
+/// The key of a device is known from its records alone.
+fn note_signer(plant: &Plant, header: &Header, fetched: &Fetched, right: &SigningRight) -> Result<(), PipelineError> {
+    match right {
+        SigningRight::Owner(_) => Ok(()),
+        SigningRight::Device(_) => Ok(block_in_place(|| plant.ledger.keep_signer(header.signer, fetched.signer))?),
+    }
+}
+
 /// The owners whose records a reader may have: itself, and everyone who currently shares with it.
 pub fn sources(network: &Network, reader: &Owner) -> BTreeSet<Address> {
     let grants = authority::shared_with(&network.directory, reader.address);
@@ -223,22 +247,15 @@ impl Mirror<'_> {
         fetched: &Fetched,
         proof: Option<&AnchorProof>,
     ) -> Result<bool, PipelineError> {
-        let at = match proof {
-            Some(proof) => {
-                wait_for(self.plant, proof.block, BEHIND).await?;
-                Moment::of_block(proof.block, self.network.ask_time(proof.block).await?)
-            }
-            None => Moment::newest(self.network.directory.now()),
-        };
-        match authority::may_sign(&self.network.directory, header.owner, header.signer, at) {
-            Ok(SigningRight::Owner(_)) => {}
-            Ok(SigningRight::Device(_)) => {
-                block_in_place(|| self.plant.ledger.keep_signer(header.signer, fetched.signer))?;
-            }
-            Err(_) if proof.is_none() => return Ok(false),
-            Err(why) => return Err(PipelineError::NotTakenIn { digest, why: why.to_string() }),
+        if let Some(proof) = proof {
+            check_right(self.plant, self.network, (header, digest, fetched), (proof.block, BEHIND)).await?;
+            return Ok(true);
         }
-        Ok(true)
+        let now = Moment::newest(self.network.directory.now());
+        match authority::may_sign(&self.network.directory, header.owner, header.signer, now) {
+            Ok(right) => note_signer(self.plant, header, fetched, &right).map(|()| true),
+            Err(_) => Ok(false),
+        }
     }
 
     async fn keep(

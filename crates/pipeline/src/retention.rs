@@ -211,6 +211,22 @@ fn report(
     Ok(true)
 }
 
+/// Overwrites records that other gateways of the fleet said their owners had erased, and that are still here; returns how
+/// many. One caller at a time.
+///
+/// # Errors
+/// Errors of vault and ledger; called again, it does what is left.
+pub fn delete_told(plant: &Plant) -> Result<u64, PipelineError> {
+    let digests = plant.ledger.told_to_delete(ROUND)?;
+    if !digests.is_empty() {
+        plant.ledger.scour_local_copies(&digests)?;
+        plant.vault.scour(&digests)?;
+        plant.ledger.deleted(&digests)?;
+        plant.observer.records_changed();
+    }
+    Ok(digests.len() as u64)
+}
+
 /// Deletes records named in anchored retention records; returns how many. One caller at a time.
 ///
 /// # Errors

@@ -14,6 +14,7 @@ mod directory;
 mod earlier;
 mod edges;
 mod erased;
+mod erasures;
 mod filter_choice;
 mod forwarding;
 mod gaps;
@@ -51,7 +52,7 @@ mod witnesses;
 mod writer;
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rusqlite::{Connection, OptionalExtension as _, params};
@@ -69,6 +70,7 @@ pub use directory::{KeptEnvelope, KeptRight, RightEvent, RightKind, StandingRigh
 pub use earlier::{EarlierAnchor, Left};
 pub use edges::is_legal;
 pub use erased::{Erasure, TakenErased};
+pub use erasures::{ErasurePage, KeptErasure, StatedErasure, ToldErased, Unstated};
 pub use filter_choice::FilterChoice;
 pub use forwarding::KeptReceipt;
 pub use gaps::{GapRow, Loss};
@@ -114,6 +116,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_14.sql"),
         include_str!("ledger/schema_15.sql"),
         include_str!("ledger/schema_16.sql"),
+        include_str!("ledger/schema_17.sql"),
     ],
 };
 const READERS_KEPT: usize = 4;
@@ -137,6 +140,8 @@ struct Shared {
     readers: Mutex<Vec<Connection>>,
     /// How many holders are holding records back.
     held: AtomicUsize,
+    /// How often something was named at the word of another gateway.
+    told: AtomicU64,
 }
 
 impl Ledger {
@@ -166,6 +171,7 @@ impl Ledger {
                 writer,
                 readers,
                 held: AtomicUsize::new(0),
+                told: AtomicU64::new(0),
             }),
         })
     }

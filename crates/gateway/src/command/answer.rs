@@ -4,6 +4,7 @@ use crate::model::wire::{Reader, WireError};
 use crate::model::{Countersignature, Hash, PublicKey, Signature, Timestamp};
 
 use super::Command;
+use super::erasures::{Erasures, OF_ERASURES};
 use super::holdings::{HandedOver, Holdings};
 use super::query::{Entry, Page};
 use super::relay::Relayed;
@@ -111,6 +112,8 @@ pub enum Answer {
     Countersigned(Box<Countersignature>),
     /// What the gateway holds.
     Holdings(Box<Holdings>),
+    /// What was erased.
+    Erasures(Box<Erasures>),
     /// The records of a range.
     HandedOver(Box<HandedOver>),
     /// A record of a subscription: entry || record.
@@ -134,7 +137,7 @@ impl Answer {
             Self::Time(_) => Command::Ping,
             Self::Relayed(_) => Command::Relay,
             Self::Countersigned(_) => Command::Countersign,
-            Self::Holdings(_) => Command::Holdings,
+            Self::Holdings(_) | Self::Erasures(_) => Command::Holdings,
             Self::HandedOver(_) => Command::HandOver,
             Self::Event(_) => Command::Event,
             Self::End(_) => Command::End,
@@ -162,6 +165,7 @@ impl Answer {
             Self::Relayed(relayed) => relayed.encode(),
             Self::Countersigned(countersignature) => countersignature.encode(),
             Self::Holdings(holdings) => holdings.encode(),
+            Self::Erasures(erasures) => erasures.encode(),
             Self::HandedOver(handed) => handed.encode(),
             Self::Event(event) => [event.0.encode(), event.1.encode()].concat(),
             Self::End(code) | Self::Refused(code) => code.number().to_be_bytes().to_vec(),
@@ -198,6 +202,9 @@ impl Answer {
             Command::Fetch => Self::Record(Box::new(Fetched::read(&mut reader)?)),
             Command::Subscribe | Command::Unsubscribe => Self::Done(command),
             Command::Countersign => return countersigned(body),
+            Command::Holdings if body.first().is_some_and(|first| first & OF_ERASURES.to_be_bytes()[0] != 0) => {
+                Self::Erasures(Box::new(Erasures::read(&mut reader)?))
+            }
             Command::Holdings => Self::Holdings(Box::new(Holdings::read(&mut reader)?)),
             Command::HandOver => Self::HandedOver(Box::new(HandedOver::read(&mut reader)?)),
             Command::Ping => Self::Time(Timestamp(reader.u64("time")?)),

@@ -5,6 +5,7 @@ use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, SignedPosition, Token, TopicId};
 
 use super::Command;
+use super::erasures::{ERASED as WHAT_WAS_ERASED, ErasurePlace};
 use super::holdings::{HoldingPlace, Wanted};
 use super::query::{Query, Selection};
 use super::relay::RelayCall;
@@ -142,6 +143,8 @@ pub enum Request {
     Countersign(Box<SignedPosition>),
     /// What the gateway holds, after a place in its holdings.
     Holdings(HoldingPlace),
+    /// What was erased, after a place: place (24) || 1. Earlier gateways answer `Malformed`.
+    Erasures(ErasurePlace),
     /// The records of a range.
     HandOver(Wanted),
 }
@@ -166,7 +169,7 @@ impl Request {
             Self::Ping => Command::Ping,
             Self::Relay(_) => Command::Relay,
             Self::Countersign(_) => Command::Countersign,
-            Self::Holdings(_) => Command::Holdings,
+            Self::Holdings(_) | Self::Erasures(_) => Command::Holdings,
             Self::HandOver(_) => Command::HandOver,
         }
     }
@@ -197,6 +200,7 @@ impl Request {
             Self::Relay(call) => call.encode(),
             Self::Countersign(stated) => stated.encode(),
             Self::Holdings(after) => after.encode(),
+            Self::Erasures(after) => [after.encode(), vec![WHAT_WAS_ERASED]].concat(),
             Self::HandOver(wanted) => wanted.encode(),
             Self::DeviceNotice(notice) => notice.encode(),
         }
@@ -232,7 +236,7 @@ impl Request {
             Command::Ping => Self::Ping,
             Command::Relay => Self::Relay(RelayCall::read(&mut reader)?),
             Command::Countersign => Self::Countersign(Box::new(SignedPosition::read(&mut reader)?)),
-            Command::Holdings => Self::Holdings(HoldingPlace::read(&mut reader)?),
+            Command::Holdings => read_holdings(&mut reader)?,
             Command::HandOver => Self::HandOver(Wanted::read(&mut reader)?),
             Command::Event | Command::End | Command::Refuse => return Err(WireError::Value("command")),
         };
@@ -282,6 +286,18 @@ fn read_fetch(reader: &mut Reader<'_>) -> Result<Request, WireError> {
     match reader.u8("what is fetched")? {
         ERASED => Ok(Request::FetchErased(digest)),
         _ => Err(WireError::Value("what is fetched")),
+    }
+}
+
+fn read_holdings(reader: &mut Reader<'_>) -> Result<Request, WireError> {
+    let place: [u8; 24] = reader.array("place")?;
+    let mut place = Reader::new(&place);
+    if reader.rest().is_empty() {
+        return HoldingPlace::read(&mut place).map(Request::Holdings);
+    }
+    match reader.u8("what is told")? {
+        WHAT_WAS_ERASED => ErasurePlace::read(&mut place).map(Request::Erasures),
+        _ => Err(WireError::Value("what is told")),
     }
 }
 

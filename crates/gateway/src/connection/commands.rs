@@ -135,6 +135,9 @@ impl Commands {
             Request::Holdings(after) => {
                 desk.holdings(&self.caller, &after).await.map(|held| Answer::Holdings(Box::new(held)))
             }
+            Request::Erasures(after) => {
+                desk.erasures(&self.caller, &after).await.map(|told| Answer::Erasures(Box::new(told)))
+            }
             Request::HandOver(wanted) => {
                 desk.hand_over(&self.caller, &wanted).await.map(|handed| Answer::HandedOver(Box::new(handed)))
             }

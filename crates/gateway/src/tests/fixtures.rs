@@ -3,12 +3,14 @@
 use std::collections::BTreeMap;
 
 use authros_crypto::{
-    AccountSignature, EoaSecret, ProviderName, SealRequest, SmKeyPair, SmSecret, TopicKey, TransportKey, provider, seal,
+    AccountSignature, EoaSecret, ErasedStatement, ProviderName, SealRequest, SmKeyPair, SmSecret, TopicKey,
+    TransportKey, provider, seal,
 };
 use authros_gateway::allocation::{AllocationRequest, Applicant};
 use authros_gateway::command::{
-    Answer, Command, Entry, Fetched, GrantNotice, HandedOver, Held, HoldingPlace, Holdings, Page, Query, Registration,
-    RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, Upload, Wanted,
+    Answer, Command, Entry, ErasedRecord, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver, Held, HoldingPlace,
+    Holdings, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, ToldErasure,
+    Upload, Wanted,
 };
 use authros_gateway::hello::{ClientHello, Context, GatewayHello, ListSummary, NetworkName};
 use authros_gateway::session::Session;
@@ -176,6 +178,7 @@ pub(crate) fn sample_requests() -> Vec<Request> {
         Request::Relay(RelayCall { method: "eth_call".into(), parameters: "[{},\"latest\"]".into() }),
         Request::Countersign(Box::new(stated())),
         Request::Holdings(HoldingPlace { block: 1, batch: 2, leaf: 3 }),
+        Request::Erasures(ErasurePlace { ledger: RecorderId([1; 16]), number: 2 }),
         Request::HandOver(wanted(4, 9)),
     ]
 }
@@ -216,6 +219,15 @@ fn holdings() -> Holdings {
     Holdings { held: vec![Held { owner, recorder, topic_id, ranges }; 2], next, more: true }
 }
 
+fn erasures() -> Erasures {
+    let (signer, signature) = (PublicKey([1; 64]), Signature([2; 64]));
+    let record = Fetched { signer, signature, proof: vec![3; 40], blob: vec![4; 99] };
+    let statement = ErasedStatement { report: Digest([5; 32]), at: Timestamp(6), signer, signature };
+    let left = ErasedRecord { record, statement };
+    let told = ToldErasure { digest: Digest([7; 32]), account_signature: AccountSignature([8; 65]), left };
+    Erasures { told: vec![told; 2], next: ErasurePlace { ledger: RecorderId([9; 16]), number: 10 }, more: true }
+}
+
 /// One answer of each shape.
 pub(crate) fn sample_answers() -> Vec<Answer> {
     let record =
@@ -237,6 +249,7 @@ pub(crate) fn sample_answers() -> Vec<Answer> {
         Answer::Relayed(Relayed::Fault { code: -32000, words: "reverted".into(), data: "\"0x08\"".into() }),
         Answer::Countersigned(Box::new(countersigned(&stated()))),
         Answer::Holdings(Box::new(holdings())),
+        Answer::Erasures(Box::new(erasures())),
         Answer::HandedOver(Box::new(HandedOver { records: vec![record.clone(); 2], next: Some(7) })),
         Answer::HandedOver(Box::default()),
         Answer::Event(Box::new((entry(), record))),

@@ -15,7 +15,7 @@ use super::stage::Stage;
 use super::*;
 use crate::crypto::prove;
 use crate::gateway::allocation::apply;
-use crate::gateway::command::{Inner, RelayCall};
+use crate::gateway::command::{ErasurePlace, Inner, RelayCall};
 use crate::gateway::connection::{Shared, serve_agreed};
 use crate::gateway::frame::{FrameDecoder, FrameKind, encode};
 use crate::gateway::hello::Agreed;
@@ -131,6 +131,7 @@ fn accepted_requests(stage: &Stage, member: &Member) -> Vec<Request> {
         Request::Ping,
         Request::Relay(RelayCall { method: "eth_blockNumber".to_owned(), parameters: "[]".to_owned() }),
         Request::Holdings(HoldingPlace::default()),
+        Request::Erasures(ErasurePlace::default()),
         Request::HandOver(wanted(1, 3)),
         // The last one: afterwards the name is the device's.
         Request::DeviceNotice(device.public.into()),

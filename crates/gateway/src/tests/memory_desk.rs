@@ -13,8 +13,8 @@ use authros_chain::merkle::{Inclusion, Leaf};
 use authros_chain::{AnchorProof, RelayError};
 use authros_crypto::{SmKeyPair, signer_id};
 use authros_gateway::command::{
-    DeviceNotice, Entry, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, Page, Query, Registration,
-    RevokeNotice, Selection, Standing, Wanted,
+    DeviceNotice, Entry, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, Page, Query,
+    Registration, RevokeNotice, Selection, Standing, Wanted,
 };
 use authros_gateway::desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
 use authros_gateway::{Code, NetworkName, Refusal, Stood};
@@ -311,6 +311,10 @@ impl Desk for MemoryDesk {
 
     async fn holdings(&self, _: &Caller, after: &HoldingPlace) -> Result<Holdings, Refusal> {
         Ok(Holdings { next: *after, ..Holdings::default() })
+    }
+
+    async fn erasures(&self, _: &Caller, after: &ErasurePlace) -> Result<Erasures, Refusal> {
+        Ok(Erasures { next: *after, ..Erasures::default() })
     }
 
     async fn hand_over(&self, _: &Caller, _: &Wanted) -> Result<HandedOver, Refusal> {

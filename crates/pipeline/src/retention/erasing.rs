@@ -3,11 +3,11 @@
 
 use std::collections::BTreeMap;
 
-use crate::crypto::{ErasedStatement, SmKeyPair, signer_id};
-use crate::model::{Digest, Header, RecordKind, RecordState, RecorderId, RetentionReport, TopicId};
+use crate::crypto::{EoaSecret, ErasedStatement, SmKeyPair, signer_id};
+use crate::model::{Digest, Header, RecordKind, RecordState, RecorderId, RetentionReport, Timestamp, TopicId};
 use crate::pipeline::statement::{self, Speaker, Statement};
 use crate::pipeline::{Network, Owner, PipelineError, Plant};
-use crate::store::{Erasure, RecordRow, Retained};
+use crate::store::{Erasure, RecordRow, Retained, StatedErasure, Unstated};
 
 use super::{ROUND, TOPIC, TYPE, header_of, rolling};
 
@@ -96,24 +96,54 @@ fn report(
     let named: Vec<(Digest, Vec<u8>)> = records.into_iter().map(|(row, header)| (row.digest, header)).collect();
     let told = named.clone();
     statement::put(plant, &speaker, statement, |row| plant.ledger.erase(row, erasure, named))?;
-    state(plant, &keys.signing, erasure, &told)
+    state(plant, (&keys.signing, &owner.eoa()), erasure, &told)
 }
 
-/// Signs for readers who never had these records that they were erased.
+/// Signs for readers who never had these records, and for gateways that have copies, that they were erased.
 fn state(
     plant: &Plant,
-    signing: &SmKeyPair,
+    keys: (&SmKeyPair, &EoaSecret),
     erasure: &Erasure,
     erased: &[(Digest, Vec<u8>)],
 ) -> Result<(), PipelineError> {
     let mut statements = Vec::with_capacity(erased.len());
     for (digest, header) in erased {
         let Some(retained) = plant.ledger.retained(*digest)? else { continue };
-        let about = (digest, header.as_slice());
-        let stated = ErasedStatement::sign(plant.provider, signing, about, (retained.report, erasure.at))?;
-        statements.push((*digest, stated.encode()));
+        statements.push(stated(plant, keys, (digest, header), (retained.report, erasure.at))?);
     }
-    Ok(plant.ledger.keep_erasure_statements(statements)?)
+    Ok(plant.ledger.keep_erasures(statements)?)
+}
+
+/// What an owner states of one erased record, signed by d_C and by the account.
+///
+/// # Errors
+/// [`PipelineError::Crypto`].
+pub fn stated(
+    plant: &Plant,
+    (signing, account): (&SmKeyPair, &EoaSecret),
+    about: (&Digest, &[u8]),
+    when: (Digest, Timestamp),
+) -> Result<StatedErasure, PipelineError> {
+    let statement = ErasedStatement::sign(plant.provider, signing, about, when)?;
+    let signature = statement.sign_by_account(plant.provider, account, about)?;
+    let account = Some(signature.0.to_vec());
+    Ok(StatedErasure { digest: *about.0, statement: statement.encode(), account })
+}
+
+/// States what an owner had erased before there were such statements, before the account signed them, or under an earlier
+/// key. Returns whether nothing is left to state; as long as there is, it is to be called again.
+///
+/// # Errors
+/// Errors of signing and the ledger; what was stated so far stays.
+pub fn restate(plant: &Plant, owner: &Owner, signing: &SmKeyPair) -> Result<bool, PipelineError> {
+    let unstated = plant.ledger.unstated(owner.address, &signing.public, ROUND)?;
+    let (keys, count) = ((signing, &owner.eoa()), unstated.len());
+    let mut statements = Vec::with_capacity(count);
+    for Unstated { digest, report, header, erasure } in unstated {
+        statements.push(stated(plant, keys, (&digest, &header), (report, erasure.at))?);
+    }
+    plant.ledger.keep_erasures(statements)?;
+    Ok(count < ROUND)
 }
 
 /// Whether a record that is gone, and whose retention record is not here, was erased as its owner states: with a key that

@@ -11,6 +11,7 @@ use crate::pipeline::PipelineError;
 use crate::pipeline::mirror::{Anchors, Mirror};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::verifier::verify_round;
+use crate::store::{NewRecord, RootSighting, StatedErasure, ToldErased};
 
 const REPORT: Digest = Digest([0x77; 32]);
 const AT: Timestamp = Timestamp(1_700_000_000_000_000_000);
@@ -89,7 +90,8 @@ async fn what_an_owner_states_to_be_erased_is_listed_with_its_proof() {
     // Whoever alters the ledger makes no erasure of a hole: the statement is checked each time.
     let thief = SmKeyPair::generate(line.plant.provider).expect("a pair");
     let forged = stated(&line, &thief, &digest, header_of(&sealed)).encode();
-    ledger.keep_erasure_statements(vec![(digest, forged)]).expect("written");
+    let forged = StatedErasure { digest, statement: forged, account: None };
+    ledger.keep_erasures(vec![forged]).expect("written");
     assert_eq!(reader.check(&row).await.expect("checked"), (Verdict::Missing, digest));
 }
 
@@ -136,4 +138,31 @@ async fn what_a_gateway_says_was_erased_is_not_believed() {
     let row = line.plant.ledger.record(digest).expect("read").expect("here");
     assert_eq!(row.deleted_at, None);
     assert_eq!(line.plant.vault.get(digest).expect("read"), Some(sealed.blob));
+}
+
+/// A robot brings a record in the very moment in which another gateway tells that its owner had it erased.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn bytes_that_arrive_while_they_are_erased_do_not_stay() {
+    let line = line().await;
+    let (plant, sealed) = (&line.plant, elsewhere(&line.owner, 1, b"a face", None));
+    let (digest, ledger) = (sealed.digest, &line.plant.ledger);
+    let ErasedRecord { record, statement } = left(&line, &sealed).await;
+    let proof = AnchorProof::parse(&record.proof).expect("a proof");
+    let AnchorProof { account, transaction, block, block_hash, inclusion } = proof;
+    let inclusion = inclusion.expect("in a batch");
+    let (root, count) = (inclusion.root, inclusion.count);
+    let anchor = RootSighting { account, root, count, transaction, block, block_hash };
+    let brought = NewRecord::foreign(sealed.clone(), Address([8; 20]));
+    let listed = NewRecord { local_copy: None, state: RecordState::Stored, ..brought.clone() };
+    let taken = crate::pipeline::mirror::taken_erased(record.blob, &statement);
+    let kept = plant.keep([brought], |rows| {
+        assert!(plant.vault.contains(digest)?, "its bytes come first");
+        let told = ledger.take_told(listed, (taken, vec![1; 65]), (inclusion, anchor))?;
+        assert_eq!(told, ToldErased::Listed);
+        ledger.append(rows.into())
+    });
+    kept.expect("acknowledged");
+    assert_eq!((plant.vault.get(digest), ledger.local_copy(digest)), (Ok(None), Ok(None)));
+    let row = ledger.record(digest).expect("read").expect("listed");
+    assert_eq!(row.deleted_at, Some(AT));
 }

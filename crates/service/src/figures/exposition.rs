@@ -264,6 +264,10 @@ fn fleet(text: &mut Text, figures: &Figures) {
     text.family(("authros_fleet_taken_total", "counter", help), rows, |text, name, row| {
         text.value(name, &[("gateway", &row.fellow)], row.taken);
     });
+    let help = "Records erased here because another gateway of the fleet told that their owners had them erased.";
+    text.family(("authros_fleet_erased_total", "counter", help), rows, |text, name, row| {
+        text.value(name, &[("gateway", &row.fellow)], row.erased);
+    });
     let help = "Records that this gateway and another one of the fleet anchored, both.";
     text.family(("authros_fleet_anchored_twice_total", "counter", help), rows, |text, name, row| {
         text.value(name, &[("gateway", &row.fellow)], row.twice);

@@ -136,6 +136,8 @@ pub struct FellowFigures {
     pub lacking: u64,
     /// Records taken over from it.
     pub taken: u64,
+    /// Records erased here at its word.
+    pub erased: u64,
     /// Records that this gateway and another one anchored.
     pub twice: u64,
     /// Of what it sent, what was refused, by the protocol's code.

@@ -24,6 +24,9 @@ pub struct FellowView {
     pub lacking: u64,
     /// Records taken over from it since this site runs.
     pub taken: u64,
+    /// Records erased here since this site runs, because it told that their owners had them erased, and that holds.
+    #[serde(default)]
+    pub erased: u64,
     /// Owners of records it told of who may not use the gateway of this home: their records are not taken.
     pub passed_over: u64,
     /// Records that this gateway and another one anchored, both.
@@ -43,4 +46,7 @@ pub struct FleetView {
     pub key: Option<SignerId>,
     /// The gateways that were named.
     pub fellows: Vec<FellowView>,
+    /// Records that their owner had erased elsewhere, and that stay here because an incident of that owner holds them.
+    #[serde(default)]
+    pub held: u64,
 }

@@ -8,7 +8,6 @@ use super::append::add;
 use super::retention::name;
 use super::{Ledger, NewRecord, database, database::whole};
 use crate::crypto::ErasedStatement;
-use crate::model::bytes::{hex, unhex};
 use crate::model::{Digest, Timestamp, clean};
 use crate::store::StoreError;
 
@@ -67,11 +66,6 @@ pub(super) fn place(report: &Digest) -> String {
     format!("erased:{report}")
 }
 
-/// The setting that has its owner's statement of an erased record.
-fn statement_place(digest: &Digest) -> String {
-    format!("erasure of:{digest}")
-}
-
 /// Makes a record that a rule has named, and whose bytes are still here, this erasure's; `false` if it is not such a one.
 fn take_from_rule(connection: &Connection, digest: Digest, report: Digest) -> Result<bool, StoreError> {
     let taken = connection
@@ -85,7 +79,7 @@ fn take_from_rule(connection: &Connection, digest: Digest, report: Digest) -> Re
 }
 
 /// Counts a record among those of its topic whose ciphertext is given up.
-fn count_given_up(connection: &Connection, digest: Digest) -> Result<(), StoreError> {
+pub(super) fn count_given_up(connection: &Connection, digest: Digest) -> Result<(), StoreError> {
     connection
         .prepare_cached(
             "INSERT INTO retained_topics SELECT topic, 1, bytes FROM records WHERE digest = ?1
@@ -132,28 +126,6 @@ impl Ledger {
         Ok(self.setting(&place(&report))?.and_then(|text| Erasure::read(&text)))
     }
 
-    /// Notes what an owner states of records that it had erased, for readers who do not have them.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then none is noted.
-    pub fn keep_erasure_statements(&self, statements: Vec<(Digest, Vec<u8>)>) -> Result<(), StoreError> {
-        self.write_many(statements.len(), move |session| {
-            let mut put = session.connection.prepare_cached("REPLACE INTO settings VALUES (?1, ?2)")?;
-            for (digest, statement) in &statements {
-                put.execute([statement_place(digest), hex(statement)])?;
-            }
-            Ok(())
-        })
-    }
-
-    /// What its owner states of an erased record.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn erasure_statement(&self, digest: Digest) -> Result<Option<Vec<u8>>, StoreError> {
-        Ok(self.setting(&statement_place(&digest))?.and_then(|text| unhex(&text)))
-    }
-
     /// Notes a record that its owner had erased before it came here: its row, its public header, and the owner's
     /// statement, in one commit. `false` if it is here with its bytes: then nothing changes.
     ///
@@ -182,21 +154,25 @@ impl Ledger {
                 .prepare_cached("UPDATE records SET deleted_at = ?2 WHERE digest = ?1 AND deleted_at IS NULL")?
                 .execute(params![digest, at])?;
             connection
-                .prepare_cached("INSERT INTO settings VALUES (?1, ?2) ON CONFLICT DO NOTHING")?
-                .execute([statement_place(&record.digest), hex(&taken.statement)])?;
+                .prepare_cached(
+                    "INSERT INTO erasures (record, statement, taken) SELECT n, ?2, 1 FROM records WHERE digest = ?1
+                     ON CONFLICT DO NOTHING",
+                )?
+                .execute(params![digest, taken.statement])?;
             Ok(true)
         })
     }
 
-    /// Those of these records that somebody had erased.
+    /// Those of these records that somebody had erased, here or elsewhere.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn erased_among(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
-                "SELECT 1 FROM retained JOIN records ON n = record WHERE digest = ?1
-                 AND EXISTS (SELECT 1 FROM settings WHERE key = 'erased:' || lower(hex(report)))",
+                "SELECT 1 FROM retained JOIN records ON records.n = retained.record WHERE digest = ?1
+                 AND (EXISTS (SELECT 1 FROM settings WHERE key = 'erased:' || lower(hex(report)))
+                     OR EXISTS (SELECT 1 FROM erasures WHERE erasures.record = records.n AND taken = 1))",
             )?;
             let mut erased = Vec::new();
             for digest in digests {

@@ -252,7 +252,7 @@ impl Ledger {
     }
 }
 
-fn take_in(
+pub(super) fn take_in(
     connection: &Connection,
     digest: Digest,
     inclusion: &Inclusion,

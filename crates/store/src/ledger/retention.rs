@@ -8,7 +8,6 @@ use rusqlite::{Connection, OptionalExtension as _, params};
 use super::append::{add, count};
 use super::rows::{LEARNED_NAME, TOPIC_NAME, unsigned};
 use super::{Erasure, Ledger, NewRecord, database::whole};
-use crate::model::bytes::unhex;
 use crate::model::{Address, Digest, RecordKind, RecordState, Timestamp, TopicId};
 use crate::store::StoreError;
 
@@ -168,12 +167,9 @@ impl Ledger {
             let mut statement = connection.prepare_cached(&format!(
                 "SELECT one.digest FROM retained INDEXED BY retained_due CROSS JOIN records one ON one.n = record
                  JOIN topics t ON t.key = one.topic JOIN records told ON told.digest = report {LEARNED_NAME}
-                 WHERE retained.deleted_at IS NULL AND t.owner = ?1 AND told.state IN (?2, ?3)
-                 AND NOT EXISTS (SELECT 1 FROM incidents i WHERE i.owner = t.owner
-                     AND one.captured_at >= i.since AND one.captured_at < coalesce(i.until, 9223372036854775807)
-                     AND ({TOPIC_NAME} IN (SELECT topic FROM incident_topics WHERE incident = i.key)
-                         OR NOT EXISTS (SELECT 1 FROM incident_topics WHERE incident = i.key)))
-                 ORDER BY record LIMIT ?4"
+                 WHERE retained.deleted_at IS NULL AND t.owner = ?1 AND told.state IN (?2, ?3) AND NOT {}
+                 ORDER BY record LIMIT ?4",
+                is_held()
             ))?;
             let (confirmed, verified) = (RecordState::Confirmed.code(), RecordState::Verified.code());
             let values = params![owner.0, confirmed, verified, i64::try_from(limit).unwrap_or(i64::MAX)];
@@ -196,6 +192,10 @@ impl Ledger {
                      WHERE record = (SELECT n FROM records WHERE digest = ?1)",
                     "UPDATE records SET deleted_at = coalesce(deleted_at, ?2) WHERE digest = ?1",
                     "DELETE FROM copies WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",
+                    // Told from now on: whoever has read past the earlier number reads it again.
+                    "REPLACE INTO erasures (record, statement, account, taken)
+                     SELECT record, statement, account, taken FROM erasures
+                     WHERE record = (SELECT n FROM records WHERE digest = ?1) AND ?2 > 0",
                 ] {
                     session.connection.prepare_cached(sql)?.execute(params![digest.0, now])?;
                 }
@@ -214,14 +214,14 @@ impl Ledger {
                 .prepare_cached(
                     "SELECT report, coalesce(told.state IN (?2, ?3), 0), header, retained.deleted_at,
                      (SELECT value FROM settings WHERE key = 'erased:' || lower(hex(report))), told.n IS NOT NULL,
-                     (SELECT value FROM settings WHERE key = 'erasure of:' || lower(hex(one.digest))) FROM records one
+                     (SELECT statement FROM erasures WHERE erasures.record = one.n AND taken = 1) FROM records one
                      JOIN retained ON record = one.n LEFT JOIN records told ON told.digest = report WHERE one.digest = ?1",
                 )?
                 .query_row(params![digest.0, RecordState::Confirmed.code(), RecordState::Verified.code()], |row| {
                     let erased = row.get::<_, Option<String>>(4)?.and_then(|text| Erasure::read(&text));
-                    let (told, stated): (bool, Option<String>) = (row.get(5)?, row.get(6)?);
+                    let (told, stated): (bool, Option<Vec<u8>>) = (row.get(5)?, row.get(6)?);
                     // Its own erasures a ledger knows without a statement.
-                    let stated = stated.filter(|_| erased.is_none()).and_then(|text| unhex(&text));
+                    let stated = stated.filter(|_| erased.is_none());
                     if !told && stated.is_none() {
                         return Ok(None);
                     }
@@ -245,19 +245,28 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn retained_among(&self, records: &[NewRecord]) -> Result<HashSet<Digest>, StoreError> {
-        let mut foreign = records.iter().filter(|record| record.foreign.is_some()).peekable();
-        if foreign.peek().is_none() {
-            return Ok(HashSet::new());
+        let foreign: Vec<Digest> =
+            records.iter().filter(|record| record.foreign.is_some()).map(|record| record.digest).collect();
+        Ok(self.retained_of(&foreign)?.into_iter().collect())
+    }
+
+    /// Those of these digests whose ciphertext is deleted or named to be.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn retained_of(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
+        if digests.is_empty() {
+            return Ok(Vec::new());
         }
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
                 "SELECT 1 FROM records WHERE digest = ?1
                  AND (deleted_at IS NOT NULL OR EXISTS (SELECT 1 FROM retained WHERE record = n))",
             )?;
-            let mut retained = HashSet::new();
-            for record in foreign {
-                if statement.exists(params![record.digest.0])? {
-                    retained.insert(record.digest);
+            let mut retained = Vec::new();
+            for digest in digests {
+                if statement.exists(params![digest.0])? {
+                    retained.push(*digest);
                 }
             }
             Ok(retained)
@@ -289,6 +298,16 @@ impl Ledger {
             Ok(count(session.connection.prepare_cached(sql)?.execute(values)?))
         })
     }
+}
+
+/// Whether an incident of its owner holds the record `one`, of the topic `t`, with [`LEARNED_NAME`] joined.
+pub(super) fn is_held() -> String {
+    format!(
+        "EXISTS (SELECT 1 FROM incidents i WHERE i.owner = t.owner
+             AND one.captured_at >= i.since AND one.captured_at < coalesce(i.until, 9223372036854775807)
+             AND ({TOPIC_NAME} IN (SELECT topic FROM incident_topics WHERE incident = i.key)
+                 OR NOT EXISTS (SELECT 1 FROM incident_topics WHERE incident = i.key)))"
+    )
 }
 
 pub(super) fn name(connection: &Connection, digest: Digest, report: Digest, header: &[u8]) -> Result<(), StoreError> {

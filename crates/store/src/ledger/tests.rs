@@ -5,6 +5,7 @@ mod ages;
 mod coverage;
 mod directory;
 mod erased;
+mod erasures;
 mod gaps;
 mod glance;
 mod groups;

@@ -79,6 +79,8 @@ pub(super) struct Progress {
     last_there: Option<Instant>,
     /// Records taken from it.
     pub taken: u64,
+    /// Records erased here at its word.
+    pub erased: u64,
     /// Those lacking as of then, and how many owners may not use this gateway.
     pub lacking: u64,
     pub passed_over: u64,
@@ -258,6 +260,7 @@ impl Fellows {
                     heard: one.heard,
                     lacking: one.lacking,
                     taken: one.taken,
+                    erased: one.erased,
                     twice: one.twice,
                     refused: one.refused.iter().map(|(code, count)| (code.number(), *count)).collect(),
                 }
@@ -331,6 +334,7 @@ fn view(fellow: Fellow, all: &BTreeMap<SignerId, Progress>, network: Option<&Net
         reconciled: one.heard.is_some() && one.lacking == 0 && one.trouble.is_none() && one.complete,
         lacking: one.lacking,
         taken: one.taken,
+        erased: one.erased,
         passed_over: one.passed_over,
         anchored_twice: one.twice,
         refused: refused

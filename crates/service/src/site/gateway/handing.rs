@@ -40,7 +40,7 @@ impl Told {
 
 impl GatewayDesk {
     /// The network, if the caller keeps a gateway that this one's keeper named.
-    fn among_fellows(&self, caller: &Caller) -> Result<Network, Refusal> {
+    pub(super) fn among_fellows(&self, caller: &Caller) -> Result<Network, Refusal> {
         let network = self.fresh_network()?;
         if caller.device.is_none() && self.gateway.fellows.is_keeper(&network, &caller.account) {
             return Ok(network);

@@ -11,6 +11,7 @@ mod cut_off_tests;
 mod desk;
 mod devices;
 mod erased;
+mod erasing;
 mod fellows;
 mod fetching;
 mod handing;
@@ -20,6 +21,7 @@ mod reading;
 mod reconciling;
 pub(super) mod reserved;
 mod round;
+mod round_erased;
 mod standing;
 pub(super) mod status;
 mod taking;
@@ -40,7 +42,7 @@ use crate::site::mirror::remotes::Remotes;
 use crate::site::parts::Parts;
 use crate::site::sharing::Sharing;
 use crate::site::supervision::Supervisor;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::time::Duration;
@@ -50,7 +52,7 @@ use tokio::task::block_in_place;
 
 use crate::crypto::{Fingerprint, SmKeyPair};
 use crate::gateway::{Cabinet, Context, Limits, Schedule, Server};
-use crate::model::{Address, AnchorMode, Domain, Timestamp};
+use crate::model::{Address, AnchorMode, Domain, PublicKey, Timestamp};
 use crate::pipeline::Owner;
 use crate::pipeline::forwarder::Link as Line;
 use crate::pipeline::mirror::Anchors;
@@ -134,6 +136,8 @@ pub(in crate::site) struct Gateway {
     fetching: Arc<Fetching>,
     /// Anchors of what the others of the fleet hand over, as far as the chain confirmed them.
     anchors: Anchors,
+    /// The keys under which all erasures of an owner of this home are stated.
+    stated_under: Mutex<BTreeMap<Address, PublicKey>>,
     /// The running one, if there is one.
     serving: Mutex<Option<Serving>>,
     remote: Option<Arc<Remotes>>,
@@ -166,6 +170,7 @@ impl Gateway {
             told: Told::default(),
             fetching: Arc::default(),
             anchors: Anchors::default(),
+            stated_under: Mutex::default(),
             serving: Mutex::default(),
             remote,
             passed_on: OnceLock::new(),

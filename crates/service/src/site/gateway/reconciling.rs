@@ -18,7 +18,7 @@ use crate::gateway::{Applicant, Client, Code, Context, Credentials, Endpoint, Ga
 use crate::model::{ProfileName, SignerId, Timestamp, clean};
 use crate::pipeline::Network;
 use crate::service::command::{self as ask, Ask, FleetCommand};
-use crate::service::event::Part;
+use crate::service::event::{NoticeLevel, Part};
 use crate::service::figures::FellowFigures;
 use crate::service::reply::{Failure, FellowView, FleetView, PartHealth, Reply};
 
@@ -60,7 +60,8 @@ impl Gateway {
                 let served = self.served();
                 let (address, key) =
                     (served.as_ref().map(|view| view.address.clone()), served.map(|view| view.gateway));
-                Ok(ask::FleetStatus::told(FleetView { address, key, fellows: self.fellow_rows()? }))
+                let held = block_in_place(|| self.plant.ledger.held_although_erased())?;
+                Ok(ask::FleetStatus::told(FleetView { address, key, fellows: self.fellow_rows()?, held }))
             }
         }
     }
@@ -132,7 +133,8 @@ impl Gateway {
     async fn one_round(&self, desk: &GatewayDesk, network: &Network, line: &mut Line) -> bool {
         let mut round = Round::default();
         let ended = self.ask(desk, network, line, &mut round).await;
-        let taken = round.taken;
+        let taken = round.taken + round.erased.values().sum::<u64>();
+        self.tell_erased(desk, &line.fellow, &round).await;
         // One that only talks is not listened to without a pause.
         let more = round.more && taken > 0 && ended.is_ok();
         self.note(line, round, ended.is_ok());
@@ -166,9 +168,20 @@ impl Gateway {
         more
     }
 
+    /// Writes down what is erased here at a word from elsewhere, and whose.
+    async fn tell_erased(&self, desk: &GatewayDesk, fellow: &Fellow, round: &Round) {
+        for (owner, count) in &round.erased {
+            let (subject, outcome) = (format!("{count} records of {owner}"), format!("told by {}", fellow.address));
+            if let Err(failure) = self.log.write(&desk.keeper.profile, "fleet erase", &subject, &outcome).await {
+                self.hub.notice(NoticeLevel::Warning, &failure.message);
+            }
+        }
+    }
+
     fn note(&self, line: &Line, round: Round, whole: bool) {
         self.fellows.of(line.fellow.key, |one| {
             one.taken += round.taken;
+            one.erased += round.erased.values().sum::<u64>();
             one.twice += round.twice;
             for (code, count) in round.refused {
                 *one.refused.entry(code).or_default() += count;
@@ -192,6 +205,7 @@ impl Gateway {
             line.client = None;
             let client = self.connect(desk, network, line).await.map_err(Ended::Gateway)?;
             line.client = Some(client);
+            line.course.connected();
         }
         let Some(client) = &mut line.client else { return Ok(()) };
         let here = Taking { desk, anchors: &self.anchors, copies: self.copies(desk) };

@@ -9,12 +9,16 @@ use async_trait::async_trait;
 
 use super::copies::Copies;
 use super::fetching::{Claim, Which};
-use crate::gateway::{Client, Code, Fetched, GatewayError, HandedOver, Held, HoldingPlace, Holdings, Refusal, Wanted};
+use super::round_erased::{ErasureCourse, TookErased, read_erasures};
+use crate::gateway::{
+    Client, Code, ErasurePlace, Erasures, Fetched, GatewayError, HandedOver, Held, HoldingPlace, Holdings, Refusal,
+    ToldErasure, Wanted,
+};
 use crate::model::{Address, Digest, Ranges, RecorderId, TopicId};
 use crate::store::Lacking;
 
 /// The most answers about holdings that are read in a round.
-const MOST_PAGES: usize = 8;
+pub(super) const MOST_PAGES: usize = 8;
 /// The most requests for records in a round.
 const MOST_REQUESTS: usize = 256;
 /// No further records are asked for once a round took so many bytes.
@@ -44,6 +48,9 @@ pub(super) trait Other: Send {
 
     /// Records of a range.
     async fn hand_over(&mut self, wanted: Wanted) -> Result<HandedOver, GatewayError>;
+
+    /// What was erased there after a place; `None` if it is of an earlier version.
+    async fn erasures(&mut self, after: ErasurePlace) -> Result<Option<Erasures>, GatewayError>;
 }
 
 #[async_trait]
@@ -54,6 +61,13 @@ impl Other for Client {
 
     async fn hand_over(&mut self, wanted: Wanted) -> Result<HandedOver, GatewayError> {
         Client::hand_over(self, wanted).await
+    }
+
+    async fn erasures(&mut self, after: ErasurePlace) -> Result<Option<Erasures>, GatewayError> {
+        match Client::erasures(self, after).await {
+            Err(GatewayError::Refused(Code::Malformed)) => Ok(None),
+            told => told.map(Some),
+        }
     }
 }
 
@@ -74,6 +88,10 @@ pub(super) trait Here: Sync {
 
     /// Takes records of a range, each checked as if its robot had sent it.
     async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<Took, Refusal>;
+
+    /// Erases here what its owners had erased, as far as all of it holds; what is done is counted in `round`. With patience,
+    /// an anchor that the chain here does not have yet is waited for.
+    async fn erase(&self, told: Vec<ToldErasure>, patient: bool, round: &mut Round) -> Result<TookErased, Refusal>;
 }
 
 /// What became of records that were handed over.
@@ -108,12 +126,18 @@ pub(super) struct Course {
     twice: BTreeSet<Digest>,
     /// Owners whose records are not taken.
     passed_over: BTreeSet<Address>,
+    erased: ErasureCourse,
 }
 
 impl Course {
     /// Whether all of its holdings were read.
     pub fn is_at_end(&self) -> bool {
         self.at_end
+    }
+
+    /// A session with the gateway has begun.
+    pub fn connected(&mut self) {
+        self.erased.connected();
     }
 
     /// How many owners have records there that are not taken here.
@@ -176,6 +200,8 @@ impl Course {
 pub(super) struct Round {
     /// Records taken.
     pub taken: u64,
+    /// Records that are gone here at their owners' word, or going, by owner.
+    pub erased: BTreeMap<Address, u64>,
     /// Records that were lacking and still are.
     pub lacking: u64,
     /// Records that both anchored, newly seen.
@@ -225,6 +251,7 @@ pub(super) async fn reconcile(
     course: &mut Course,
     round: &mut Round,
 ) -> Result<(), Ended> {
+    read_erasures(other, here, &mut course.erased, round).await?;
     let copies = course.begin(here, Instant::now());
     read_on(other, (here, &copies), course, round).await?;
     // What it told and did not give is not here, whenever it told it.
@@ -378,12 +405,7 @@ async fn some(
     }
     for refusal in refused {
         *round.refused.entry(refusal.code).or_default() += 1;
-        // Room and admission are this keeper's business, and no lie of the other one; nor is a record of the contract that it
-        // used before.
-        if matches!(
-            refusal.code,
-            Code::NotYours | Code::Quota | Code::NotAuthorised | Code::Suspended | Code::NotRegistered
-        ) {
+        if !is_a_lie(refusal.code) {
             continue;
         }
         left.refusals -= 1;
@@ -399,8 +421,14 @@ async fn some(
     Ok((until, taken.len() as u64))
 }
 
+/// Room and admission are this keeper's business, and no lie of the other one; nor is a record of the contract that it used
+/// before.
+pub(super) fn is_a_lie(code: Code) -> bool {
+    !matches!(code, Code::NotYours | Code::Quota | Code::NotAuthorised | Code::Suspended | Code::NotRegistered)
+}
+
 /// Whether a refusal says that nothing can be taken here now, whosever it is.
-fn is_of_here(code: Code) -> bool {
+pub(super) fn is_of_here(code: Code) -> bool {
     matches!(code, Code::Stale | Code::Internal | Code::Closing)
 }
 

@@ -86,6 +86,10 @@ impl Here for Shelf {
         }
         Ok(Took { taken, later, refused })
     }
+
+    async fn erase(&self, _: Vec<ToldErasure>, _: bool, _: &mut Round) -> Result<TookErased, Refusal> {
+        Ok(TookErased::default())
+    }
 }
 
 /// A gateway by a script: what it tells after a place, and what it hands over.
@@ -109,6 +113,10 @@ where
     async fn hand_over(&mut self, wanted: Wanted) -> Result<HandedOver, GatewayError> {
         self.asked += 1;
         Ok((self.hand)(wanted))
+    }
+
+    async fn erasures(&mut self, _: ErasurePlace) -> Result<Option<Erasures>, GatewayError> {
+        Ok(None)
     }
 }
 

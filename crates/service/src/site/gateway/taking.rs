@@ -9,12 +9,13 @@ use tokio::task::block_in_place;
 use super::GatewayDesk;
 use super::copies::Copies;
 use super::fetching::{Claim, Which};
-use super::round::{Here, Took};
+use super::round::{Here, Round, Took};
+use super::round_erased::TookErased;
 use crate::chain::AnchorProof;
 use crate::chain::merkle::Inclusion;
 use crate::crypto::signer_id;
 use crate::gateway::identity_check::verify_each;
-use crate::gateway::{Code, Context, Desk as _, Fetched, Held, Received, Refusal, Upload, Wanted};
+use crate::gateway::{Code, Context, Desk as _, Fetched, Held, Received, Refusal, ToldErasure, Upload, Wanted};
 use crate::model::{Address, Digest, Header};
 use crate::pipeline::authority::{Moment, SigningRight, may_sign};
 use crate::pipeline::mirror::{Anchors, wait_for};
@@ -87,6 +88,10 @@ impl Here for Taking<'_> {
         }
         let taken = block_in_place(|| self.keep(&wanted.owner, proven, &mut refused))?;
         Ok(Took { taken, later, refused })
+    }
+
+    async fn erase(&self, told: Vec<ToldErasure>, patient: bool, round: &mut Round) -> Result<TookErased, Refusal> {
+        self.erase_told(told, patient, round).await
     }
 }
 
@@ -227,4 +232,4 @@ fn failed(error: &PipelineError) -> Refusal {
 
 #[cfg(test)]
 #[path = "taking_tests.rs"]
-mod tests;
+pub(super) mod tests;

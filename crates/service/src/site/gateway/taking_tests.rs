@@ -12,10 +12,15 @@ use crate::model::{Head, Ranges, RecordKind, RecordState, RecorderId, Signature,
 use crate::pipeline::Owner;
 use crate::site::testing::{registered, site_with_chain};
 
-const RECORDER: RecorderId = RecorderId([4; 16]);
-const TOPIC: TopicId = TopicId([8; 16]);
+pub(in crate::site::gateway) const RECORDER: RecorderId = RecorderId([4; 16]);
+pub(in crate::site::gateway) const TOPIC: TopicId = TopicId([8; 16]);
 
-fn record(network: &Network, owner: &Owner, signer: &SmKeyPair, (seq, body): (u64, &[u8])) -> SealedRecord {
+pub(in crate::site::gateway) fn record(
+    network: &Network,
+    owner: &Owner,
+    signer: &SmKeyPair,
+    (seq, body): (u64, &[u8]),
+) -> SealedRecord {
     let head = Head {
         topic: "/odom".into(),
         type_name: "nav_msgs/Odometry".into(),
@@ -61,7 +66,12 @@ async fn by_hand(network: &Network, eoa: &EoaSecret, call: &Call) -> (crate::mod
 }
 
 /// The record as a gateway hands it over that anchored it, alone in its batch.
-async fn anchored(network: &Network, by: &EoaSecret, sealed: &SealedRecord, signer: &SmKeyPair) -> Fetched {
+pub(in crate::site::gateway) async fn anchored(
+    network: &Network,
+    by: &EoaSecret,
+    sealed: &SealedRecord,
+    signer: &SmKeyPair,
+) -> Fetched {
     let Header { owner, recorder, topic_id, seq, .. } = sealed.header;
     let root = Leaf { owner, recorder, topic_id, seq, digest: sealed.digest }.hash();
     let previous = network.chain.anchor_head(by.address()).await.expect("answered");
@@ -72,7 +82,7 @@ async fn anchored(network: &Network, by: &EoaSecret, sealed: &SealedRecord, sign
 }
 
 /// Somebody else on this chain, who keeps the other gateway.
-async fn stranger(network: &Network) -> EoaSecret {
+pub(in crate::site::gateway) async fn stranger(network: &Network) -> EoaSecret {
     let (eoa, provider) =
         (EoaSecret::generate().expect("a key"), crate::crypto::provider(crate::crypto::ProviderName::RustCrypto));
     let [signing, envelope] = [(); 2].map(|()| SmKeyPair::generate(provider).expect("a pair"));
@@ -81,7 +91,7 @@ async fn stranger(network: &Network) -> EoaSecret {
     eoa
 }
 
-fn codes(refusals: &[Refusal]) -> Vec<Code> {
+pub(in crate::site::gateway) fn codes(refusals: &[Refusal]) -> Vec<Code> {
     refusals.iter().map(|refusal| refusal.code).collect()
 }
 

@@ -18,7 +18,7 @@ use crate::site::parts::Parts;
 use crate::site::reading::Reading;
 use crate::store::Reserve;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// The disk under a site.
 pub(in crate::site) struct Storage {
@@ -37,6 +37,8 @@ pub(in crate::site) struct Storage {
     naming: tokio::sync::Mutex<()>,
     /// Whether named ciphertext may be left to delete.
     has_named: AtomicBool,
+    /// How often other gateways had something named, as of the last look; and how much of it incidents hold here.
+    seen: (AtomicU64, AtomicU64),
 }
 
 impl Storage {
@@ -56,6 +58,7 @@ impl Storage {
             reading: Arc::clone(reading),
             naming: tokio::sync::Mutex::default(),
             has_named: AtomicBool::new(true),
+            seen: (AtomicU64::new(0), AtomicU64::new(0)),
         }
     }
 }

@@ -45,6 +45,13 @@ impl Storage {
                     self.hub.notice(NoticeLevel::Error, &text);
                 }
             }
+            if let Err(failure) = self.sweep_told().await {
+                let text = format!(
+                    "what owners had erased at other gateways is still here, it is tried again: {}",
+                    failure.message
+                );
+                self.hub.notice(NoticeLevel::Error, &text);
+            }
             if let Err(failure) = self.look_for_named().await {
                 self.hub.notice(NoticeLevel::Warning, &failure.message);
             }
@@ -79,6 +86,31 @@ impl Storage {
         let asked = Arc::clone(owner);
         let deleted = blocking(self, move |storage| Ok(retention::delete(&storage.plant, &asked)?)).await?;
         self.tell(owner, &Round { deleted, ..Round::default() }).await
+    }
+
+    /// What other gateways of the fleet said was erased, whoever's profile is open here.
+    async fn sweep_told(self: &Arc<Self>) -> Result<(), Failure> {
+        let named = self.plant.ledger.named_elsewhere();
+        if self.seen.0.swap(named, Ordering::AcqRel) != named {
+            self.has_named.store(true, Ordering::Release);
+        }
+        if !self.has_named.load(Ordering::Acquire) {
+            return Ok(());
+        }
+        let _one_at_a_time = self.naming.lock().await;
+        let held = blocking(self, |storage| {
+            retention::delete_told(&storage.plant)?;
+            Ok(storage.plant.ledger.held_although_erased()?)
+        })
+        .await?;
+        if self.seen.1.swap(held, Ordering::AcqRel) < held {
+            let text = format!(
+                "{held} records that their owner had erased elsewhere stay here, because an incident holds them; `authros \
+                 incident remove NAME --yes` lets them go"
+            );
+            self.hub.notice(NoticeLevel::Warning, &text);
+        }
+        Ok(())
     }
 
     async fn look_for_named(self: &Arc<Self>) -> Result<(), Failure> {

@@ -95,7 +95,7 @@ fn a_ledger_of_version_7_is_brought_up_and_finds_its_tags() {
                         ALTER TABLE bindings DROP COLUMN device; ALTER TABLE bindings DROP COLUMN notices;
                         DROP TABLE filter_streams; CREATE INDEX records_by_stream ON records (stream, captured_at);
                         DROP TABLE chain_nodes; DROP TABLE chain_proofs; DROP INDEX batches_unproven;
-                        DROP INDEX batches_without_proof; ALTER TABLE batches DROP COLUMN proof;
+                        DROP INDEX batches_without_proof; ALTER TABLE batches DROP COLUMN proof; DROP TABLE erasures;
                         PRAGMA user_version = 7";
     let (home, ledger) = open();
     let tagged = NewRecord { filters: vec![tag(1), tag(2)], ..record(1, 1, 1) };

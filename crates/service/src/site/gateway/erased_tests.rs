@@ -1,0 +1,28 @@
+//! What is left of records that a rule of retention deleted, for readers who never had them.
+#![allow(clippy::expect_used, reason = "a test fails by panicking")]
+
+use super::super::erasing::tests::{Ground, until};
+use super::super::taking::tests::TOPIC;
+use crate::model::bytes::hex;
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn what_a_rule_deleted_is_stated_to_readers_and_to_no_other_gateway() {
+    let ground = Ground::with(&[("retention", "/odom=1s")]).await;
+    let (plant, ledger) = (&ground.site.plant, &ground.site.plant.ledger);
+    let (sealed, _) = ground.here(1).await;
+    ledger.name(ground.alice.address, hex(&TOPIC.0), "/odom".to_owned()).expect("learned");
+    until("deleted by the rule", || {
+        ledger.record(sealed.digest).expect("read").is_some_and(|row| row.deleted_at.is_some())
+    })
+    .await;
+    let row = ledger.record(sealed.digest).expect("read").expect("listed");
+    let retained = ledger.retained(sealed.digest).expect("read").expect("accounted for");
+    assert_eq!((retained.anchored, &retained.erased), (true, &None), "by nobody in person");
+    let stated = ground.desk.stated(&ground.network, &row, &retained).expect("asked").expect("stated");
+    stated.check(plant.provider, &sealed.digest, &sealed.header.encode()).expect("signed for this record");
+    assert_eq!((stated.signer, Some(stated.at)), (ground.alice.signing().public, retained.deleted_at));
+    assert_eq!(stated.report, retained.report);
+    assert_eq!(ledger.kept_erasure(sealed.digest), Ok(None), "signed when it is asked for, and not kept");
+    assert_eq!(ledger.erasures(0, 9).map(|page| page.erasures), Ok(Vec::new()), "retention is each site's own");
+    ground.site.stop().await;
+}

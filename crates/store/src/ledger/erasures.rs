@@ -1,0 +1,311 @@
+//! What owners state of records that they had erased: noted with each erasure, told to other gateways of a fleet in a fixed
+//! order, and taken from them. A copy goes only where the owner's account has signed, too.
+
+use std::sync::atomic::Ordering;
+
+use rusqlite::{Connection, OptionalExtension as _, params};
+
+use super::append::add;
+use super::erased::count_given_up;
+use super::kept::take_in;
+use super::retention::is_held;
+use super::rows::{LEARNED_NAME, state, unsigned};
+use super::{Erasure, Ledger, NewRecord, RootSighting, TakenErased, database::whole};
+use crate::chain::merkle::Inclusion;
+use crate::model::{Address, Digest, PublicKey, RecordState, Timestamp};
+use crate::store::StoreError;
+
+/// What an owner of this home states of an erased record.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StatedErasure {
+    /// The record.
+    pub digest: Digest,
+    /// What is stated, signed by d_C.
+    pub statement: Vec<u8>,
+    /// The signature of the owner's account; `None` = not signed by it.
+    pub account: Option<Vec<u8>>,
+}
+
+/// A statement as it is kept.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KeptErasure {
+    /// What is stated, signed by d_C.
+    pub statement: Vec<u8>,
+    /// The signature of the owner's account.
+    pub account: Option<Vec<u8>>,
+    /// Whether it came from elsewhere.
+    pub taken: bool,
+}
+
+/// An erased record of an owner of this home about which the owner states nothing that holds today.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Unstated {
+    /// The record.
+    pub digest: Digest,
+    /// The retention record that names it.
+    pub report: Digest,
+    /// Its public header.
+    pub header: Vec<u8>,
+    /// Who had it erased, when and why.
+    pub erasure: Erasure,
+}
+
+/// A part of what was erased here.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct ErasurePage {
+    /// Records with statement and account's signature.
+    pub erasures: Vec<(Digest, Vec<u8>, Vec<u8>)>,
+    /// The number of the last one, if there is any.
+    pub last: Option<u64>,
+    /// Whether more may follow.
+    pub more: bool,
+}
+
+/// What became of a record that another gateway said was erased.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ToldErased {
+    /// It was never here: it is listed without bytes from now on.
+    Listed,
+    /// Its bytes are here, and named to be overwritten.
+    Named,
+    /// It was gone already; the statement is the newer one now.
+    Restated,
+    /// Nothing changed: this home decided about it itself, or it is in a state in which nobody may.
+    Unchanged,
+}
+
+impl Ledger {
+    /// Notes what owners of this home state of records that they had erased; what was noted before is replaced.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like; then none is noted.
+    pub fn keep_erasures(&self, stated: Vec<StatedErasure>) -> Result<(), StoreError> {
+        self.write_many(stated.len(), move |session| {
+            let mut put = session.connection.prepare_cached(
+                "REPLACE INTO erasures (record, statement, account, taken)
+                 SELECT n, ?2, ?3, coalesce((SELECT taken FROM erasures WHERE record = records.n), 0)
+                 FROM records WHERE digest = ?1",
+            )?;
+            for StatedErasure { digest, statement, account } in &stated {
+                put.execute(params![digest.0, statement, account])?;
+            }
+            Ok(())
+        })
+    }
+
+    /// What is stated of an erased record.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn kept_erasure(&self, digest: Digest) -> Result<Option<KeptErasure>, StoreError> {
+        self.read(|connection| kept(connection, digest))
+    }
+
+    /// What was erased here and may be told to other gateways after a number, in order: what its owner's account has signed
+    /// for, and whose bytes are gone.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn erasures(&self, after: u64, limit: usize) -> Result<ErasurePage, StoreError> {
+        let after = i64::try_from(after).unwrap_or(i64::MAX);
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT erasures.n, digest, statement, account FROM erasures JOIN records one ON one.n = record
+                 WHERE erasures.n > ?1 AND account IS NOT NULL AND deleted_at IS NOT NULL ORDER BY erasures.n LIMIT ?2",
+            )?;
+            let rows = statement.query_map(params![after, i64::try_from(limit).unwrap_or(i64::MAX)], |row| {
+                Ok((unsigned(row, 0)?, (Digest(row.get(1)?), row.get(2)?, row.get(3)?)))
+            })?;
+            let rows: Vec<_> = rows.collect::<Result<_, _>>()?;
+            let (last, more) = (rows.last().map(|(number, _)| *number), rows.len() >= limit);
+            Ok(ErasurePage { erasures: rows.into_iter().map(|(_, erasure)| erasure).collect(), last, more })
+        })
+    }
+
+    /// Records that an owner of this home had erased and does not state with this key and the account, at most `limit`. Looks
+    /// at all that is deleted: not to be asked often.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn unstated(&self, owner: Address, key: &PublicKey, limit: usize) -> Result<Vec<Unstated>, StoreError> {
+        self.read(|connection| {
+            // P_C is behind the retention record (32) and the time (8) of a statement.
+            let mut statement = connection.prepare_cached(
+                "SELECT one.digest, report, header, value FROM retained JOIN records one ON one.n = retained.record
+                 JOIN topics t ON t.key = one.topic
+                 JOIN settings ON settings.key = 'erased:' || lower(hex(report))
+                 LEFT JOIN erasures ON erasures.record = retained.record
+                 WHERE t.owner = ?1 AND retained.deleted_at IS NOT NULL
+                 AND (account IS NULL OR substr(statement, 41, 64) <> ?2) LIMIT ?3",
+            )?;
+            let most = i64::try_from(limit).unwrap_or(i64::MAX);
+            let rows = statement.query_map(params![owner.0, key.0, most], |row| {
+                let erasure = row.get::<_, String>(3).map(|text| Erasure::read(&text))?;
+                Ok((Digest(row.get(0)?), Digest(row.get(1)?), row.get(2)?, erasure))
+            })?;
+            let mut found = Vec::new();
+            for row in rows {
+                let (digest, report, header, erasure) = row?;
+                found.extend(erasure.map(|erasure| Unstated { digest, report, header, erasure }));
+            }
+            Ok(found)
+        })
+    }
+
+    /// Takes what another gateway told of an erased record, after everything about it was checked: its row with its anchor
+    /// if it was never here, otherwise its bytes are named to be overwritten; the statement with it, in one commit.
+    ///
+    /// # Errors
+    /// See [`Ledger::append`] and [`Ledger::take_in`]; then nothing changes.
+    pub fn take_told(
+        &self,
+        record: NewRecord,
+        (taken, account): (TakenErased, Vec<u8>),
+        (inclusion, anchor): (Inclusion, RootSighting),
+    ) -> Result<ToldErased, StoreError> {
+        self.takes_records()?;
+        let told = self.write(move |session| {
+            let (digest, now) = (record.digest, whole("time", Timestamp::now().0)?);
+            let before = found(session.connection, digest)?;
+            add(session, &record, now)?;
+            let connection = session.connection;
+            let told = match before {
+                None => list(connection, digest, &taken)?,
+                Some((_, true)) => restate(connection, digest, &taken)?,
+                Some((state, false)) if may_go(state) => give_up(connection, digest, &taken)?,
+                Some(_) => ToldErased::Unchanged,
+            };
+            if told == ToldErased::Unchanged {
+                return Ok(told);
+            }
+            connection
+                .prepare_cached(
+                    "REPLACE INTO erasures (record, statement, account, taken)
+                     SELECT n, ?2, ?3, 1 FROM records WHERE digest = ?1",
+                )?
+                .execute(params![digest.0, taken.statement, account])?;
+            take_in(connection, digest, &inclusion, &anchor)?;
+            Ok(told)
+        })?;
+        self.shared.told.fetch_add(u64::from(told == ToldErased::Named), Ordering::AcqRel);
+        Ok(told)
+    }
+
+    /// How often a record was named at the word of another gateway since this file was opened: whoever overwrites such records
+    /// sees that there is something to do.
+    pub fn named_elsewhere(&self) -> u64 {
+        self.shared.told.load(Ordering::Acquire)
+    }
+
+    /// Records that other gateways said were erased, whose bytes are still here, and that no incident holds. What is not verified yet is left until it is: its bytes are what is verified.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn told_to_delete(&self, limit: usize) -> Result<Vec<Digest>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(&format!(
+                "SELECT one.digest FROM {} AND one.state IN (?1, ?2) AND NOT {} ORDER BY retained.record LIMIT ?3",
+                told(),
+                is_held()
+            ))?;
+            let (verified, tampered) = (RecordState::Verified.code(), RecordState::Tampered.code());
+            let values = params![verified, tampered, i64::try_from(limit).unwrap_or(i64::MAX)];
+            let rows = statement.query_map(values, |row| row.get(0).map(Digest))?;
+            Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// How many records that other gateways said were erased stay here, because an incident of their owner holds them.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn held_although_erased(&self) -> Result<u64, StoreError> {
+        self.read(|connection| {
+            let sql = format!("SELECT count(*) FROM {} AND {}", told(), is_held());
+            Ok(connection.prepare_cached(&sql)?.query_row([], |row| unsigned(row, 0))?)
+        })
+    }
+}
+
+/// What others said was erased, and is still here: the record `one`, of the topic `t`.
+fn told() -> String {
+    format!(
+        "retained INDEXED BY retained_due CROSS JOIN records one ON one.n = retained.record
+         JOIN erasures ON erasures.record = one.n JOIN topics t ON t.key = one.topic {LEARNED_NAME}
+         WHERE retained.deleted_at IS NULL AND erasures.taken = 1"
+    )
+}
+
+fn kept(connection: &Connection, digest: Digest) -> Result<Option<KeptErasure>, StoreError> {
+    let found = connection
+        .prepare_cached(
+            "SELECT statement, account, taken FROM erasures WHERE record = (SELECT n FROM records WHERE digest = ?1)",
+        )?
+        .query_row([digest.0], |row| {
+            Ok(KeptErasure { statement: row.get(0)?, account: row.get(1)?, taken: row.get(2)? })
+        })
+        .optional()?;
+    Ok(found)
+}
+
+/// A record's state, and whether its bytes are gone.
+fn found(connection: &Connection, digest: Digest) -> Result<Option<(RecordState, bool)>, StoreError> {
+    let found = connection
+        .prepare_cached("SELECT state, deleted_at IS NOT NULL FROM records WHERE digest = ?1")?
+        .query_row([digest.0], |row| Ok((state(row, 0)?, row.get(1)?)))
+        .optional()?;
+    Ok(found)
+}
+
+/// Whether bytes of a record in this state may be given up: not while they wait for the vault, or an operator decides.
+fn may_go(state: RecordState) -> bool {
+    use RecordState::{Batched, Confirmed, Mined, Stored, Submitted, Tampered, Verified};
+    matches!(state, Stored | Batched | Submitted | Mined | Confirmed | Verified | Tampered)
+}
+
+/// Notes a record that was never here as deleted.
+fn list(connection: &Connection, digest: Digest, taken: &TakenErased) -> Result<ToldErased, StoreError> {
+    let at = whole("time", taken.at.0)?;
+    connection
+        .prepare_cached(
+            "INSERT INTO retained (record, report, header, deleted_at) SELECT n, ?2, ?3, ?4 FROM records WHERE digest = ?1",
+        )?
+        .execute(params![digest.0, taken.report.0, taken.header, at])?;
+    connection
+        .prepare_cached("UPDATE records SET deleted_at = ?2 WHERE digest = ?1")?
+        .execute(params![digest.0, at])?;
+    count_given_up(connection, digest)?;
+    Ok(ToldErased::Listed)
+}
+
+/// Whoever accounted for the bytes before does so by the newer statement.
+fn restate(connection: &Connection, digest: Digest, taken: &TakenErased) -> Result<ToldErased, StoreError> {
+    if !kept(connection, digest)?.is_some_and(|kept| kept.taken) {
+        return Ok(ToldErased::Unchanged);
+    }
+    connection
+        .prepare_cached("UPDATE retained SET report = ?2 WHERE record = (SELECT n FROM records WHERE digest = ?1)")?
+        .execute(params![digest.0, taken.report.0])?;
+    Ok(ToldErased::Restated)
+}
+
+/// Names a record whose bytes are here. What a rule has named is the owner's erasure from then on; what a person of this home
+/// has named stays theirs.
+fn give_up(connection: &Connection, digest: Digest, taken: &TakenErased) -> Result<ToldErased, StoreError> {
+    let is_named = "SELECT 1 FROM retained WHERE record = (SELECT n FROM records WHERE digest = ?1)";
+    let is_named = connection.prepare_cached(is_named)?.exists([digest.0])?;
+    let named = connection
+        .prepare_cached(
+            "INSERT INTO retained (record, report, header) SELECT n, ?2, ?3 FROM records WHERE digest = ?1
+             ON CONFLICT DO UPDATE SET report = excluded.report, header = excluded.header
+             WHERE NOT EXISTS (SELECT 1 FROM settings WHERE key = 'erased:' || lower(hex(retained.report)))",
+        )?
+        .execute(params![digest.0, taken.report.0, taken.header])?;
+    if named == 0 {
+        return Ok(ToldErased::Unchanged);
+    }
+    if !is_named {
+        count_given_up(connection, digest)?;
+    }
+    Ok(ToldErased::Named)
+}
