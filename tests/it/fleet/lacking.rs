@@ -77,7 +77,7 @@ fn a_reader_is_told_which_records_each_gateway_lacks_and_who_has_them() {
         let (code, view) = told(&bob, &[]);
         (code == Some(0)).then_some(view)
     });
-    let held: Vec<u64> = list(&view, "gateways").iter().map(|gateway| count(gateway, "verified")).collect();
+    let held: Vec<u64> = list(&view, "gateways").iter().map(|gateway| count(gateway, "records")).collect();
     assert!(held[0] == held[1] && held[0] >= at_first + at_second, "{view}");
 
     first.kill();
@@ -85,7 +85,7 @@ fn a_reader_is_told_which_records_each_gateway_lacks_and_who_has_them() {
     let gateways = list(&view, "gateways");
     assert_eq!((code, &view["ok"]), (Some(UNREACHABLE), &Value::Bool(false)), "{view}");
     assert!(gateways[0]["problem"].is_string() && gateways[1]["problem"].is_null(), "{view}");
-    assert_eq!((count(&gateways[1], "lacking"), count(&gateways[1], "verified")), (0, held[1]), "{view}");
+    assert_eq!((count(&gateways[1], "lacking"), count(&gateways[1], "records")), (0, held[1]), "{view}");
     // Nobody answers a reader whose only gateway is away.
     second.kill();
     carol.authros.fails(UNREACHABLE, &["shared", "gateways"]);
