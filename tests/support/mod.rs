@@ -6,6 +6,7 @@
 
 pub mod anvil;
 pub mod authros;
+pub mod cable;
 pub mod client_stream;
 pub mod clock;
 pub mod conservation;
@@ -34,6 +35,7 @@ use std::time::{Duration, Instant};
 
 pub use anvil::Anvil;
 pub use authros::{Authros, Home};
+pub use cable::Cable;
 pub use conservation::Conservation;
 pub use console::{Console, Terminal};
 pub use process::{Outcome, Running};
