@@ -8,6 +8,7 @@ mod cutting;
 mod enduring;
 mod ground;
 mod killing;
+mod parting;
 mod reconciling;
 mod sessions;
 mod shared_vault;

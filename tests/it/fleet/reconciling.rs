@@ -13,7 +13,7 @@ pub(super) fn name_each_other(gateways: &[&Gateway]) {
 }
 
 /// What a gateway knows of the others.
-fn fellows(gateway: &Gateway) -> Vec<Value> {
+pub(super) fn fellows(gateway: &Gateway) -> Vec<Value> {
     list(&gateway.keeper().json(&["fleet", "status"]), "fellows")
 }
 
