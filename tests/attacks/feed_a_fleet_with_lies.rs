@@ -1,40 +1,28 @@
 //! A gateway of the fleet that its neighbour trusts by fingerprint turns hostile: it tells endless holdings and hands over
 //! forged records, replayed ones, those of other owners, and proofs of anchors that never were.
 
-use std::collections::HashMap;
-use std::net::SocketAddr;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use async_trait::async_trait;
+use authros::chain::AnchorProof;
 use authros::chain::merkle::{Inclusion, Leaf};
-use authros::chain::{AnchorProof, RelayError};
-use authros::crypto::{ProviderName, SmKeyPair, provider, signer_id};
-use authros::gateway::{
-    Account, Binding, Cabinet, Caller, Code, Desk, DeviceNotice, Entry, Fetched, GrantNotice, HandedOver, Held,
-    HoldingPlace, Holdings, Limits, NetworkName, Page, Query, Received, Refusal, Registration, RevokeNotice, Schedule,
-    Selection, Server, Standing, Stood, Upload, Wanted,
-};
-use authros::model::{
-    Address, Digest, Hash, Header, ProfileName, PublicKey, Ranges, RecorderId, Signature, SignerId, Timestamp, Token,
-    TopicId,
-};
+use authros::crypto::{ProviderName, SmKeyPair, provider};
+use authros::gateway::{Fetched, HandedOver, Held, HoldingPlace, Holdings, Query, Selection, Upload, Wanted};
+use authros::model::{Address, Digest, Hash, Header, PublicKey, Ranges, RecorderId, Signature, Timestamp, TopicId};
 use serde_json::Value;
-use tokio::sync::mpsc;
 
 use super::support::gate::Gate;
 use super::support::member::{Member, connect};
+use super::support::stub_desk::{self, Tells};
 use super::support::{Home, count, list, wait_until};
 use super::{Outcome, judge};
 
 /// Numbers told at a time.
 const TOLD: u64 = 8192;
 
-/// The hostile gateway's desk: it admits its victim and lies to it.
+/// What the hostile gateway says.
 struct Liar {
-    victim: Account,
-    bindings: Mutex<HashMap<ProfileName, Binding>>,
     lies: Vec<Fetched>,
     owner: Address,
     stranger: Address,
@@ -43,110 +31,22 @@ struct Liar {
     handed: AtomicUsize,
 }
 
-fn not_here<Done>() -> Result<Done, Refusal> {
-    Err(Refusal::new(Code::NotHere, "a hostile gateway"))
-}
-
-#[async_trait]
-impl Desk for Liar {
-    async fn account(&self, _: &Address) -> Result<Account, Refusal> {
-        Ok(self.victim)
-    }
-
-    async fn admits(&self, _: &Address) -> Result<(), Refusal> {
-        Ok(())
-    }
-
-    async fn is_token(&self, _: &Address, _: &Token) -> Result<bool, Refusal> {
-        Ok(true)
-    }
-
-    async fn is_lent(&self, _: &Address, _: &SignerId) -> Result<bool, Refusal> {
-        Ok(false)
-    }
-
-    async fn signer(&self, _: &Address, _: &SignerId) -> Result<Option<PublicKey>, Refusal> {
-        Ok(None)
-    }
-
-    async fn binding(&self, name: &ProfileName) -> Result<Option<Binding>, Refusal> {
-        Ok(self.bindings.lock().expect("not poisoned").get(name).cloned())
-    }
-
-    async fn successor(&self, _: &Address) -> Result<Option<Address>, Refusal> {
-        Ok(None)
-    }
-
-    async fn bind(&self, name: &ProfileName, binding: Binding) -> Result<(), Refusal> {
-        self.bindings.lock().expect("not poisoned").insert(name.clone(), binding);
-        Ok(())
-    }
-
-    async fn register(&self, _: &Registration) -> Result<Hash, Refusal> {
-        not_here()
-    }
-
-    async fn store(&self, _: &Caller, _: Vec<Received>) -> Result<Timestamp, Refusal> {
-        not_here()
-    }
-
-    async fn query(&self, _: &Caller, _: &Query) -> Result<Page, Refusal> {
-        not_here()
-    }
-
-    async fn check(&self, _: &Caller, _: &[Digest]) -> Result<Vec<Standing>, Refusal> {
-        not_here()
-    }
-
-    async fn prove(&self, _: &Caller, _: &[Digest]) -> Result<Vec<Stood>, Refusal> {
-        not_here()
-    }
-
-    async fn fetch(&self, _: &Caller, _: &Digest) -> Result<Fetched, Refusal> {
-        not_here()
-    }
-
-    async fn subscribe(&self, _: &Caller, _: &Selection) -> Result<mpsc::Receiver<Entry>, Refusal> {
-        not_here()
-    }
-
-    async fn grant(&self, _: &Caller, _: &GrantNotice) -> Result<(), Refusal> {
-        not_here()
-    }
-
-    async fn revoke(&self, _: &Caller, _: &RevokeNotice) -> Result<(), Refusal> {
-        not_here()
-    }
-
-    async fn network_name(&self) -> Result<NetworkName, Refusal> {
-        not_here()
-    }
-
-    async fn relay(&self, _: Option<&Caller>, _: &str, _: &Value) -> Result<Value, RelayError> {
-        Err(RelayError::NotAllowed)
-    }
-
-    async fn device(&self, _: &Caller, _: &DeviceNotice) -> Result<(), Refusal> {
-        not_here()
-    }
-
+impl Tells for Liar {
     /// Without an end: each part is of one owner who is admitted there, and one who is not.
-    async fn holdings(&self, _: &Caller, after: &HoldingPlace) -> Result<Holdings, Refusal> {
+    fn holdings(&self, after: &HoldingPlace) -> Option<Holdings> {
         self.told.fetch_add(1, Ordering::AcqRel);
         let (recorder, topic_id) = self.place;
         let first = after.block * TOLD + 1;
         let ranges = Ranges::of((first..first + TOLD - 1).collect());
         let of = |owner, ranges| Held { owner, recorder, topic_id, ranges };
         let held = vec![of(self.stranger, Ranges::of(vec![1])), of(self.owner, ranges)];
-        Ok(Holdings { held, next: HoldingPlace { block: after.block + 1, ..*after }, more: true })
+        Some(Holdings { held, next: HoldingPlace { block: after.block + 1, ..*after }, more: true })
     }
 
-    async fn hand_over(&self, _: &Caller, wanted: &Wanted) -> Result<HandedOver, Refusal> {
+    fn hand_over(&self, wanted: &Wanted) -> HandedOver {
         self.handed.fetch_add(1, Ordering::AcqRel);
-        Ok(HandedOver { records: self.lies.clone(), next: Some(wanted.first + 1) })
+        HandedOver { records: self.lies.clone(), next: Some(wanted.first + 1) }
     }
-
-    fn refused(&self, _: SocketAddr, _: &Refusal) {}
 }
 
 /// A record with an anchor that has the right form and is on no chain.
@@ -198,11 +98,9 @@ async fn feed_a_fleet_with_lies() {
     let (carol, mallory) = (member("carol"), member("mallory"));
     let keeper = gate.home.profile("gateway");
     keeper.json(&["gateway", "admit", &carol.address().to_string()]);
-    let victim = Member::of(&gate.home, "gateway", gate.gateway.domain).keyring;
+    let victim = Member::of(&gate.home, "gateway", gate.gateway.domain);
     let (topic_id, _) = carol.topic("/odom");
     let liar = Arc::new(Liar {
-        victim: Account { signing: victim.signing.public, envelope: victim.envelope.public },
-        bindings: Mutex::default(),
         lies: lies(&carol, &mallory),
         owner: carol.address(),
         stranger: mallory.address(),
@@ -211,12 +109,8 @@ async fn feed_a_fleet_with_lies() {
         handed: AtomicUsize::new(0),
     });
     let (context, identity) = (gate.gateway.endpoint().context, mallory.keyring.signing.clone());
-    let (folder, now) = (away.root().join("hostile"), Timestamp::now());
-    let key = signer_id(&identity.public).to_string();
-    let cabinet = Cabinet::open(&folder, context.provider, context.domain, identity, Schedule::default(), now);
-    let desk = Arc::clone(&liar) as Arc<dyn Desk>;
-    let server = Server::start("127.0.0.1:0", desk, context, cabinet.expect("opens"), Limits::default()).await;
-    let server = server.expect("listens");
+    let (folder, tells) = (away.root().join("hostile"), Arc::clone(&liar) as Arc<dyn Tells>);
+    let (server, key) = stub_desk::serve(context, &victim, identity, &folder, tells).await;
     keeper.json(&["fleet", "add", &server.address().to_string(), "--gateway-key", &key]);
 
     let told = tokio::task::block_in_place(|| {

@@ -5,6 +5,7 @@
 use crate::support;
 
 mod cutting;
+mod earlier;
 mod enduring;
 mod ground;
 mod killing;

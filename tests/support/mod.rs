@@ -23,6 +23,7 @@ pub mod redis;
 pub mod ros;
 pub mod ros2;
 pub mod source;
+pub mod stub_desk;
 pub mod two;
 pub mod wire;
 
