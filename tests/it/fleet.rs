@@ -5,6 +5,7 @@
 use crate::support;
 
 mod cutting;
+mod doubling;
 mod earlier;
 mod enduring;
 mod ground;
