@@ -20,8 +20,8 @@ use super::support::wait_until;
 
 /// How long a gateway may take to answer a client that knows others.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Before the next gateway is tried.
-const PAUSE: Duration = Duration::from_millis(50);
+/// Before the next gateway is tried; it doubles up to the longest, as robots' pauses do.
+const PAUSES: [Duration; 2] = [Duration::from_millis(50), Duration::from_secs(2)];
 /// How long the last records may take.
 const REST: Duration = Duration::from_secs(120);
 
@@ -169,6 +169,7 @@ async fn client(scene: Arc<Scene>, number: u16, load: Load) -> Brought {
         next += load.records;
         let digests = uploads.iter().map(|upload| Digest(scene.keys.provider().sm3(&[&upload.blob])));
         let (digests, mut broken, begun) = (digests.collect::<Vec<_>>(), None, Instant::now());
+        let mut pause = PAUSES[0];
         loop {
             let tried = Instant::now();
             let done = attempt(&scene.places[at], &known[at], from, &mut session, &uploads).await;
@@ -176,7 +177,9 @@ async fn client(scene: Arc<Scene>, number: u16, load: Load) -> Brought {
             assert!(begun.elapsed() < REST, "{name}: no gateway takes its records: {error}");
             (session, at) = (None, (at + 1) % known.len());
             broken.get_or_insert(tried);
-            tokio::time::sleep(PAUSE).await;
+            // Not together with all others.
+            tokio::time::sleep(pause / 2 + pause / 2 * u32::from(number % 8) / 8).await;
+            pause = (pause * 2).min(PAUSES[1]);
         }
         brought.failovers.extend(broken.map(|broken: Instant| broken.elapsed()));
         brought.acknowledged.extend(digests);
