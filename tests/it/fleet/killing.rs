@@ -91,7 +91,7 @@ fn each_record_is_held_once(ground: &Ground) {
     let every = Duration::from_secs(1) * u32::from(clients).div_ceil(RECORDS);
     let load = Load { clients, records: 1, every, bytes: 256 };
     let mut swarm = Swarm::start(keys, &all, load);
-    wait_until(300, "robots are at work", || (swarm.acknowledged() > u64::from(clients)).then_some(()));
+    wait_until(900, "robots are at work", || (swarm.acknowledged() > u64::from(clients)).then_some(()));
     let time = length(KILLING[0], KILLING[1]);
     let killed = kill_at_random(&mut gateways, &swarm, time, &mut Chance(22));
     let brought = swarm.stop();
