@@ -5,44 +5,31 @@
 use crate::support;
 
 mod console;
+mod copies;
+mod cutting;
+mod doubling;
+mod earlier;
 mod enduring;
 mod erasing;
+mod ground;
 mod killing;
 mod lacking;
+mod parting;
 mod reconciling;
+mod sessions;
 mod shared_vault;
 mod swarm;
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
+use ground::Ground;
 use reconciling::{name_each_other, reconciled};
 use serde_json::Value;
-use support::{Authros, Home, Running, count, free_port, heavy, is_verified, text, wait_until};
+use support::{Authros, Cable, Home, Running, count, free_port, heavy, is_verified, text, wait_until};
 
 const TOPIC: &str = "/robot1/odom";
 const UNREACHABLE: i32 = 4;
-
-/// A chain in a home of its own, served to the gateways.
-struct Ground {
-    _home: Home,
-    _site: Running,
-    url: String,
-    contract: String,
-}
-
-impl Ground {
-    fn new() -> Self {
-        let home = Home::new();
-        let founder = home.profile("founder").with(&["--robots", "0"]);
-        let mut site = founder.with(&["--json"]).spawn(&["chain", "serve", "--listen", "127.0.0.1:0"]);
-        let said = site.wait_for_text("serving", 60);
-        let told: Value = said.lines().find_map(|line| serde_json::from_str(line).ok()).expect("one JSON line");
-        let url = text(&told["serving"], "url");
-        let contract = text(&founder.json(&["chain", "deploy"]), "contract");
-        Self { _home: home, _site: site, url, contract }
-    }
-}
 
 /// A gateway in a home of its own.
 struct Gateway {
@@ -57,6 +44,8 @@ struct Gateway {
     figures: Option<u16>,
     /// Its vault; if empty, one of its own.
     vault: String,
+    /// Further settings, by environment.
+    variables: Vec<(&'static str, &'static str)>,
 }
 
 impl Gateway {
@@ -69,16 +58,34 @@ impl Gateway {
         Self::made(ground, confirmations, "")
     }
 
+    /// One with these settings.
+    fn set(ground: &Ground, variables: &[(&'static str, &'static str)]) -> Self {
+        let mut gateway = Self::new(ground);
+        gateway.kill();
+        gateway.variables = variables.to_vec();
+        gateway.start();
+        gateway
+    }
+
     /// One that keeps its records in this vault.
     fn keeping_in(ground: &Ground, vault: &str) -> Self {
         Self::made(ground, "1", vault)
     }
 
+    /// One that reaches the chain by a line that can be cut.
+    fn over(ground: &Ground, line: &Cable) -> Self {
+        Self::of([format!("http://{}", line.address()), ground.contract.clone()], "1", "")
+    }
+
     fn made(ground: &Ground, confirmations: &'static str, vault: &str) -> Self {
-        let chain = [ground.url.clone(), ground.contract.clone()];
+        Self::of([ground.url.clone(), ground.contract.clone()], confirmations, vault)
+    }
+
+    fn of(chain: [String; 2], confirmations: &'static str, vault: &str) -> Self {
         let (home, port, vault) = (Home::new(), free_port(), vault.to_owned());
         let (site, key, domain, figures) = (None, String::new(), String::new(), None);
-        let mut gateway = Self { home, port, chain, confirmations, site, key, domain, figures, vault };
+        let variables = Vec::new();
+        let mut gateway = Self { home, port, chain, confirmations, site, key, domain, figures, vault, variables };
         gateway.start();
         gateway
     }
@@ -138,6 +145,11 @@ struct Member {
 
 impl Member {
     fn new(name: &str, gateways: &[&Gateway]) -> Self {
+        Self::on(None, name, gateways)
+    }
+
+    /// One whose transactions may cost something on that chain.
+    fn on(ground: Option<&Ground>, name: &str, gateways: &[&Gateway]) -> Self {
         let (home, first) = (Home::new(), gateways[0]);
         let also: Vec<String> =
             gateways[1..].iter().map(|gateway| format!("{}={}", gateway.address(), gateway.key)).collect();
@@ -146,6 +158,9 @@ impl Member {
             .with_variable("AUTHROS_SITE", &first.address())
             .with_variable("AUTHROS_GATEWAY_KEY", &first.key)
             .with_variable("AUTHROS_SITE_ALSO", &also.join(","));
+        if let Some(ground) = ground {
+            ground.fund(&text(&authros.json(&["identity", "create"]), "address"));
+        }
         let address = authros.enrol();
         gateways.iter().filter(|gateway| gateway.site.is_some()).for_each(|gateway| gateway.admit(&address));
         let mut member = Self { home, authros, address, site: None };

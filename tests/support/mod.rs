@@ -6,6 +6,7 @@
 
 pub mod anvil;
 pub mod authros;
+pub mod cable;
 pub mod client_stream;
 pub mod clock;
 pub mod conservation;
@@ -23,6 +24,7 @@ pub mod redis;
 pub mod ros;
 pub mod ros2;
 pub mod source;
+pub mod stub_desk;
 pub mod two;
 pub mod wire;
 
@@ -35,6 +37,7 @@ use std::time::{Duration, Instant};
 
 pub use anvil::Anvil;
 pub use authros::{Authros, Home};
+pub use cable::Cable;
 pub use conservation::Conservation;
 pub use console::{Console, Terminal};
 pub use process::{Outcome, Running};

@@ -402,7 +402,7 @@ pub const DEFINITIONS: &[Definition] = &[
         variable: "AUTHROS_SITE_ALSO",
         default: "",
         text: "further gateways of the fleet joined, in order: HOST:PORT=KEY, separated by commas; the chain comes through the \
-               first that answers, records from all",
+               one that knows its newest block, records from all",
     },
     Definition {
         name: "console.theme",

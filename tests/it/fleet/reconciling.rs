@@ -1,7 +1,15 @@
 //! Gateways that name each other: what a robot brings to one is at the other, once, whatever happens to the first.
 
+use authros::gateway::{Selection, Standing};
+use authros::model::Digest;
+
+use super::sessions::{known, runtime, session};
 use super::*;
 use support::list;
+use support::member::Member as Keys;
+
+/// How soon a reader at one gateway has what was verified at another: asked for by the product.
+const ELSEWHERE: Duration = Duration::from_secs(5);
 
 /// Each names all others.
 pub(super) fn name_each_other(gateways: &[&Gateway]) {
@@ -111,4 +119,54 @@ fn a_gateway_that_was_cut_off_catches_up_by_itself() {
     let at_bob = bob.verified(&shared, all);
     assert_eq!(alice.verified(&["uploads", "list"], all), at_bob, "the owner, who asks both, has each once");
     wait_until(60, "the first one is at ease", || fellows(&first)[0]["problem"].is_null().then_some(()));
+}
+
+#[test]
+fn a_reader_at_one_gateway_has_what_is_verified_at_another_within_five_seconds() {
+    let _alone = heavy();
+    let (ground, runtime) = (Ground::new(), runtime());
+    let (first, second) = (Gateway::new(&ground), Gateway::new(&ground));
+    let both = [&first, &second];
+    let (alice, bob) = (Member::new("alice", &both), Member::new("bob", &[&second]));
+    alice.grant(&bob);
+    name_each_other(&both);
+    let domain = first.domain.parse().expect("a domain");
+    let (keys, his) = (Keys::of(&alice.home, "alice", domain), Keys::of(&bob.home, "bob", domain));
+    let mut waits = runtime.block_on(async {
+        let (first, second) = (known(&first), known(&second));
+        let (mut robot, _) = session(&keys, &first, "scout").await;
+        let (mut owner, _) = session(&keys, &first, "owner").await;
+        let (mut reader, _) = session(&his, &second, "bob-reads").await;
+        while reader.subscribe(&Selection::all(keys.address())).await.is_err() {
+            // The gateway has not read the grant yet.
+            tokio::time::sleep(Duration::from_millis(200)).await;
+        }
+        let mut waits = Vec::new();
+        for seq in 1..=20 {
+            let record = keys.record(&keys.keyring.signing, TOPIC, seq, b"one of twenty");
+            let digest = Digest(keys.provider().sm3(&[&record.blob]));
+            robot.upload(vec![record]).await.expect("taken");
+            let verified = async {
+                while owner.check(&[digest]).await.expect("answers") != [Standing::Verified] {
+                    tokio::time::sleep(Duration::from_millis(10)).await;
+                }
+                Instant::now()
+            };
+            let arrived = async {
+                let (_, entry, _) = reader.next_event(Duration::from_secs(120)).await.expect("arrives");
+                assert_eq!(entry.digest, digest, "in their order, each once");
+                Instant::now()
+            };
+            let (verified, arrived) = tokio::join!(verified, arrived);
+            waits.push(arrived.saturating_duration_since(verified));
+        }
+        waits
+    });
+    waits.sort();
+    let (middle, longest) = (waits[waits.len() / 2], waits[waits.len() - 1]);
+    println!(
+        "from verified at one gateway to the reader at another: p50 {middle:?}, max {longest:?} of {}",
+        waits.len()
+    );
+    assert!(longest < ELSEWHERE, "{waits:?}");
 }

@@ -12,6 +12,7 @@ use authros::gateway::{
 };
 use authros::model::{Digest, SignerId, Timestamp};
 use tokio::runtime::Runtime;
+use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
 
 use super::Gateway;
@@ -20,8 +21,10 @@ use super::support::wait_until;
 
 /// How long a gateway may take to answer a client that knows others.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Before the next gateway is tried.
-const PAUSE: Duration = Duration::from_millis(50);
+/// Before the next gateway is tried; it doubles up to the longest, as robots' pauses do.
+const PAUSES: [Duration; 2] = [Duration::from_millis(50), Duration::from_secs(2)];
+/// How many clients are enrolled at once.
+const ENROLLING: usize = 16;
 /// How long the last records may take.
 const REST: Duration = Duration::from_secs(120);
 
@@ -38,6 +41,8 @@ struct Scene {
     places: Vec<Place>,
     ending: AtomicBool,
     acknowledged: AtomicU64,
+    /// Turns for those that are enrolled at once.
+    enrolling: Semaphore,
 }
 
 /// What came of one client, or of all.
@@ -109,7 +114,8 @@ impl Swarm {
         let runtime = runtime.expect("a runtime");
         let places = gateways.iter().map(|gateway| Place::of(gateway, &keys)).collect();
         let (ending, acknowledged) = (AtomicBool::new(false), AtomicU64::new(0));
-        let scene = Arc::new(Scene { keys, places, ending, acknowledged });
+        let enrolling = Semaphore::new(ENROLLING);
+        let scene = Arc::new(Scene { keys, places, ending, acknowledged, enrolling });
         let clients = (1..=load.clients).map(|number| runtime.spawn(client(Arc::clone(&scene), number, load)));
         let clients = clients.collect();
         Self { scene, clients, runtime }
@@ -155,7 +161,7 @@ async fn client(scene: Arc<Scene>, number: u16, load: Load) -> Brought {
     let from = source(number);
     let mut known = Vec::new();
     for place in &scene.places {
-        known.push(place.allocate(&scene.keys, &name, from).await.expect("the owner is admitted"));
+        known.push(enrolled(&scene, place, &name, from).await);
     }
     let (mut brought, mut next) = (Brought::default(), 1);
     let (mut at, mut session) = (usize::from(number) % known.len(), None);
@@ -169,6 +175,7 @@ async fn client(scene: Arc<Scene>, number: u16, load: Load) -> Brought {
         next += load.records;
         let digests = uploads.iter().map(|upload| Digest(scene.keys.provider().sm3(&[&upload.blob])));
         let (digests, mut broken, begun) = (digests.collect::<Vec<_>>(), None, Instant::now());
+        let mut pause = PAUSES[0];
         loop {
             let tried = Instant::now();
             let done = attempt(&scene.places[at], &known[at], from, &mut session, &uploads).await;
@@ -176,7 +183,9 @@ async fn client(scene: Arc<Scene>, number: u16, load: Load) -> Brought {
             assert!(begun.elapsed() < REST, "{name}: no gateway takes its records: {error}");
             (session, at) = (None, (at + 1) % known.len());
             broken.get_or_insert(tried);
-            tokio::time::sleep(PAUSE).await;
+            // Not together with all others.
+            tokio::time::sleep(pause / 2 + pause / 2 * u32::from(number % 8) / 8).await;
+            pause = (pause * 2).min(PAUSES[1]);
         }
         brought.failovers.extend(broken.map(|broken: Instant| broken.elapsed()));
         brought.acknowledged.extend(digests);
@@ -186,6 +195,19 @@ async fn client(scene: Arc<Scene>, number: u16, load: Load) -> Brought {
         tokio::time::sleep_until(due.into()).await;
     }
     brought
+}
+
+/// Robots are not enrolled all at the same moment, and a gateway may have no room for a handshake just then.
+async fn enrolled(scene: &Scene, place: &Place, name: &str, from: IpAddr) -> Credentials {
+    let _turn = scene.enrolling.acquire().await.expect("never closed");
+    let begun = Instant::now();
+    loop {
+        match place.allocate(&scene.keys, name, from).await {
+            Ok(credentials) => return credentials,
+            Err(error) => assert!(begun.elapsed() < REST, "{name}: {error}"),
+        }
+        tokio::time::sleep(PAUSES[1]).await;
+    }
 }
 
 async fn attempt(

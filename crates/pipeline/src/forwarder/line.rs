@@ -18,7 +18,7 @@ use crate::store::KeptReceipt;
 
 use super::outbox::Outbox;
 use super::roster::{Condition, Roster};
-use super::{ForwardError, Gate, Link, is_about_a_record};
+use super::{ForwardError, Gate, Link, Pace, is_about_a_record};
 
 /// How long one of several gateways may be silent before it is asked whether it is there.
 const SILENCE: Duration = Duration::from_secs(3);
@@ -71,20 +71,20 @@ impl Line {
 
     /// Works until it is dropped. Can be cancelled at any point.
     pub async fn run(mut self) {
-        let pace = self.outbox.pace;
-        let mut pause = pace.first_pause;
+        let mut pauses = Pauses::of(self.outbox.pace);
         loop {
             self.rest().await;
             self.moved = false;
             match self.session().await {
-                Ok(()) => pause = pace.first_pause,
+                Ok(()) => pauses.begin_again(),
                 Err(error) => self.tell(&error),
             }
             if self.moved {
-                pause = pace.first_pause;
+                pauses.begin_again();
             }
-            sleep(shortened(pause)).await;
-            pause = (pause * 2).min(pace.longest_pause);
+            // Without random bytes the whole pause does.
+            let share = random_bytes::<1>().map_or(u8::MAX, |[byte]| byte);
+            sleep(shortened(pauses.next(), share)).await;
         }
     }
 
@@ -245,10 +245,61 @@ impl Line {
     }
 }
 
-/// A pause between half of this and all of it: robots that lost a gateway together do not come back together.
-fn shortened(pause: Duration) -> Duration {
+/// The pauses after failures: each is twice as long as the one before, up to the longest.
+struct Pauses {
+    pace: Pace,
+    next: Duration,
+}
+
+impl Pauses {
+    fn of(pace: Pace) -> Self {
+        Self { pace, next: pace.first_pause }
+    }
+
+    fn begin_again(&mut self) {
+        self.next = self.pace.first_pause;
+    }
+
+    fn next(&mut self) -> Duration {
+        let pause = self.next;
+        self.next = (pause * 2).min(self.pace.longest_pause);
+        pause
+    }
+}
+
+/// A pause between half of this and all of it, by a random `share` of 255: robots that lost a gateway together do not come back
+/// together.
+fn shortened(pause: Duration, share: u8) -> Duration {
     let half = pause / 2;
-    // Without random bytes the whole pause does.
-    let share = random_bytes::<1>().map_or(u8::MAX, |[byte]| byte);
     half + half.mul_f64(f64::from(share) / 255.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::forwarder::PATIENCE_OF_SEVERAL;
+
+    #[test]
+    fn pauses_double_up_to_a_longest_and_begin_again() {
+        let mut pauses = Pauses::of(Pace::default());
+        let told: Vec<u128> = std::iter::repeat_with(|| pauses.next().as_millis()).take(8).collect();
+        assert_eq!(told, [250, 500, 1000, 2000, 4000, 5000, 5000, 5000]);
+        pauses.begin_again();
+        assert_eq!(pauses.next(), Duration::from_millis(250));
+    }
+
+    #[test]
+    fn a_pause_is_shortened_at_random_to_between_half_of_it_and_all_of_it() {
+        let pause = Duration::from_secs(4);
+        let of = |share| shortened(pause, share);
+        assert_eq!((of(0), of(255)), (pause / 2, pause));
+        assert!((0..255).all(|share| of(share) < of(share + 1)), "each share is another pause");
+        assert!(shortened(Duration::ZERO, 255).is_zero());
+    }
+
+    #[test]
+    fn a_silent_gateway_is_left_within_ten_seconds() {
+        // It is asked whether it is there, and then waited for; nothing else comes before the next one's turn.
+        assert!(SILENCE + PATIENCE_OF_SEVERAL < Duration::from_secs(10));
+    }
 }

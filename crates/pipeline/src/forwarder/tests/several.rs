@@ -76,6 +76,41 @@ async fn the_next_gateway_takes_over_and_the_first_takes_back() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_gateway_that_swallows_packets_is_left_for_the_next() {
+    let mut scene = Scene::new().await;
+    let second = Second::beside(&scene).await;
+    // As a robot in the field: its patience with one of several gateways, and its pauses.
+    let robot = Robot { patience: Duration::from_secs(10), ..scene.robot() };
+    let list = [scene.access(), second.access()];
+    let forwarder = Forwarder::new(scene.plant.clone(), robot, &list).expect("trusts");
+    let work = start(&scene, forwarder.resending_after(Duration::from_secs(3600)));
+    scene.capture(5, 100);
+    scene.verify();
+    scene.until_state(RecordState::Verified, 5).await;
+    let in_place = |work: &Work| matches!(&*work.link.borrow(), Link::InPlace(text) if text.contains("in place of"));
+
+    // Nothing is on its way: the robot asks whether the gateway is there.
+    scene.relay.mute();
+    let begun = Instant::now();
+    scene.until("the next one is on duty", |_| in_place(&work)).await;
+    println!("nothing to send: the next gateway is on duty {:?} after the first one fell silent", begun.elapsed());
+    assert!(begun.elapsed() < Duration::from_secs(20), "ten seconds are promised on a machine that is not busy");
+    scene.capture(7, 100);
+    scene.until("the next one has them", |_| second.holds() == 7).await;
+    scene.relay.cut();
+    scene.until("home again", |_| *work.link.borrow() == Link::Up).await;
+
+    // Records are on their way: it takes them and its receipt is lost.
+    scene.relay.mute();
+    scene.capture(3, 100);
+    let begun = Instant::now();
+    scene.until("the next one has these too", |_| second.holds() == 10).await;
+    println!("records on their way: the next gateway has them {:?} after the first one fell silent", begun.elapsed());
+    assert!(begun.elapsed() < Duration::from_secs(20), "ten seconds are promised on a machine that is not busy");
+    scene.until("each has a receipt", |scene| scene.counts().data_in(RecordState::Stored) == 0).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn what_one_gateway_does_not_prove_goes_to_the_next_once() {
     let mut scene = Scene::new().await;
     let second = Second::beside(&scene).await;

@@ -8,7 +8,10 @@ use std::time::Duration;
 use tokio::sync::mpsc::error::TryRecvError;
 use tokio::sync::oneshot;
 
-use crate::chain::{Chain, serve};
+use serde_json::json;
+
+use crate::chain::relay::{NEWEST, block_number};
+use crate::chain::{Chain, RelayError, serve};
 use crate::gateway::{Caller, Code, Desk as _, Query, Selection};
 use crate::model::{Party, Timestamp};
 use crate::pipeline::Owner;
@@ -86,6 +89,9 @@ async fn a_gateway_that_was_cut_off_refuses_until_its_chain_is_fresh() {
     let mut bobs = desk.subscribe(&caller(&bob), &selection).await.expect("granted");
     let mut carols = desk.subscribe(&caller(&carol), &selection).await.expect("granted");
 
+    let newest = async || desk.relay(None, NEWEST, &json!([])).await.map(|block| block_number(NEWEST, &block));
+    let before = newest().await.expect("it says that it is fresh").expect("a number");
+
     let address = line.end().await;
     let act = Administration::Suspend { account: Party::Address(bob.address) };
     ground.administering.administer(&founder, &act).await.expect("suspended");
@@ -95,6 +101,7 @@ async fn a_gateway_that_was_cut_off_refuses_until_its_chain_is_fresh() {
     for (reader, whose) in [(&bob, "a reader"), (&alice, "the owner herself")] {
         assert_eq!(ask(reader).await.map(drop), Err(Code::Stale), "{whose}");
     }
+    assert!(matches!(newest().await, Err(RelayError::Silent(_))), "those who have other gateways follow another one");
     assert!(desk.account(&alice.address).await.is_ok(), "what robots bring is taken all the same");
     let silent = [bobs.try_recv(), carols.try_recv()];
     assert!(silent.iter().all(|next| matches!(next, Err(TryRecvError::Empty))), "a pause is no end: {silent:?}");
@@ -107,6 +114,7 @@ async fn a_gateway_that_was_cut_off_refuses_until_its_chain_is_fresh() {
         }
     };
     assert_eq!(answer.map(drop), Err(Code::Suspended), "the first answer knows what happened meanwhile");
+    assert!(newest().await.expect("it is fresh again").is_some_and(|now| now > before), "with what happened meanwhile");
     assert_eq!(bobs.recv().await, None, "his subscription has ended");
     assert!(ask(&carol).await.is_ok() && ask(&alice).await.is_ok());
     assert!(matches!(carols.try_recv(), Err(TryRecvError::Empty)), "hers goes on");

@@ -8,9 +8,11 @@ use crate::chain::Call;
 use crate::chain::merkle::Leaf;
 use crate::crypto::{EoaSecret, SealRequest, SealedRecord, SmKeyPair, TopicKey, prove, seal};
 use crate::model::head::Compression;
-use crate::model::{Head, Ranges, RecordKind, RecordState, RecorderId, Signature, Timestamp, Token, TopicId};
+use crate::model::{Head, Party, Ranges, RecordKind, RecordState, RecorderId, Signature, Timestamp, Token, TopicId};
 use crate::pipeline::Owner;
-use crate::site::testing::{registered, site_with_chain};
+use crate::service::command::Administration;
+use crate::site::Needs;
+use crate::site::testing::{registered, site_of, site_with_chain};
 
 pub(in crate::site::gateway) const RECORDER: RecorderId = RecorderId([4; 16]);
 pub(in crate::site::gateway) const TOPIC: TopicId = TopicId([8; 16]);
@@ -18,6 +20,15 @@ pub(in crate::site::gateway) const TOPIC: TopicId = TopicId([8; 16]);
 pub(in crate::site::gateway) fn record(
     network: &Network,
     owner: &Owner,
+    signer: &SmKeyPair,
+    (seq, body): (u64, &[u8]),
+) -> SealedRecord {
+    record_on(TOPIC, (network, owner.address), signer, (seq, body))
+}
+
+fn record_on(
+    topic_id: TopicId,
+    (network, owner): (&Network, Address),
     signer: &SmKeyPair,
     (seq, body): (u64, &[u8]),
 ) -> SealedRecord {
@@ -34,13 +45,13 @@ pub(in crate::site::gateway) fn record(
     };
     let request = SealRequest {
         domain: network.domain,
-        owner: owner.address,
+        owner,
         signer,
         epoch: 1,
         topic_key: &TopicKey::new([6; 32]),
         recorder: RECORDER,
         seq,
-        topic_id: TOPIC,
+        topic_id,
         kind: RecordKind::Data,
         filters: Vec::new(),
         captured_at: Timestamp(seq),
@@ -83,12 +94,17 @@ pub(in crate::site::gateway) async fn anchored(
 
 /// Somebody else on this chain, who keeps the other gateway.
 pub(in crate::site::gateway) async fn stranger(network: &Network) -> EoaSecret {
+    newcomer(network).await.0
+}
+
+/// An account that is not of this home, with its d_C.
+async fn newcomer(network: &Network) -> (EoaSecret, SmKeyPair) {
     let (eoa, provider) =
         (EoaSecret::generate().expect("a key"), crate::crypto::provider(crate::crypto::ProviderName::RustCrypto));
     let [signing, envelope] = [(); 2].map(|()| SmKeyPair::generate(provider).expect("a pair"));
     let identity = prove(provider, &network.domain, &eoa.address(), &signing, &envelope.public, Token([3; 32]));
     by_hand(network, &eoa, &Call::Register { identity: identity.expect("proven") }).await;
-    eoa
+    (eoa, signing)
 }
 
 pub(in crate::site::gateway) fn codes(refusals: &[Refusal]) -> Vec<Code> {
@@ -163,5 +179,61 @@ async fn what_another_gateway_hands_over_is_judged_by_the_block_that_anchors_it(
     let lacking = ledger.lacking((alice.address, RECORDER, TOPIC), &told).expect("read").numbers;
     assert_eq!(lacking.iter().collect::<Vec<_>>(), [(3, 4), (6, 9)]);
     assert_eq!(ledger.record(first.digest).expect("read").map(|row| row.seq), Some(1), "the first one stays");
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn an_owner_over_its_quota_or_suspended_is_refused_whoever_brings_its_records() {
+    let settings = [("gateway.quota_bytes", "4KiB"), ("gateway.quota_streams", "1")];
+    let (site, _folder) = site_of(&settings, Needs { ros: false, chain: true });
+    let keeper = registered(&site, "keeper").await;
+    let (_running, ended) = tokio::sync::oneshot::channel();
+    site.gateway.serve(&keeper, "127.0.0.1:0".parse().expect("an address"), true, ended).await.expect("serves");
+    let network = site.network().await.expect("a chain");
+    let (desk, other) = (site.gateway.served_desk().expect("serves"), stranger(&network).await);
+    let (guest, own) = newcomer(&network).await;
+    let (anchors, owner) = (Anchors::default(), guest.address());
+    let here = Taking { desk: &desk, anchors: &anchors };
+    while desk.account(&owner).await.is_err() {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    assert!(here.welcomes(&owner).is_ok(), "an open gateway");
+    let all_of = |topic_id| Wanted { owner, recorder: RECORDER, topic_id, first: 1, last: 9 };
+    let hers = async |topic, seq, body: &[u8]| {
+        anchored(&network, &other, &record_on(topic, (&network, owner), &own, (seq, body)), &own).await
+    };
+    let take = async |topic, records| {
+        let Took { taken, refused, .. } = here.take(&all_of(topic), records).await.expect("asked");
+        (taken, codes(&refused))
+    };
+    let long = vec![7; 8 * 1024];
+    assert_eq!(take(TOPIC, vec![hers(TOPIC, 1, b"one").await]).await, (vec![1], Vec::new()));
+    let second = TopicId([9; 16]);
+    let beyond = hers(second, 1, b"another topic").await;
+    assert_eq!(take(second, vec![beyond.clone()]).await, (Vec::new(), vec![Code::Quota]), "one stream");
+    let large = hers(TOPIC, 2, &long).await;
+    assert_eq!(take(TOPIC, vec![large.clone()]).await, (Vec::new(), vec![Code::Quota]), "four KiB");
+    assert_eq!(take(TOPIC, vec![hers(TOPIC, 3, b"three").await]).await, (vec![3], Vec::new()), "this one fits");
+    let (of_topic, of_second) = ((owner, RECORDER, TOPIC), (owner, RECORDER, second));
+    let told = Ranges::of(vec![1, 2, 3]);
+    let lacking = |which| site.plant.ledger.lacking(which, &told).expect("read").numbers.count();
+    assert_eq!((lacking(of_topic), lacking(of_second)), (1, 3), "nothing of what was refused is here");
+
+    // The keeper admits it: no quota any more. Suspended, nothing of it is taken, however good it is.
+    site.gateway.admissions.admit(&keeper.profile, &Party::Address(owner)).await.expect("admitted");
+    let act = Administration::Suspend { account: Party::Address(owner) };
+    site.administering.administer(&keeper, &act).await.expect("suspended");
+    while desk.account(&owner).await.is_ok() {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    assert_eq!(take(TOPIC, vec![large.clone()]).await, (Vec::new(), vec![Code::Suspended]));
+    assert_eq!((lacking(of_topic), lacking(of_second)), (1, 3));
+    let act = Administration::Restore { account: Party::Address(owner) };
+    site.administering.administer(&keeper, &act).await.expect("restored");
+    while desk.account(&owner).await.is_err() {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    assert_eq!(take(TOPIC, vec![large]).await, (vec![2], Vec::new()), "anchored before that, and admitted by now");
+    assert_eq!(take(second, vec![beyond]).await, (vec![1], Vec::new()));
     site.stop().await;
 }

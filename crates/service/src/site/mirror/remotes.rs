@@ -1,12 +1,12 @@
-//! The gateways of the site that this one joins, in order: the chain comes through the first that answers, the records
-//! from all of them.
+//! The gateways of the site that this one joins, in order: the chain comes through the one that knows the newest block, the
+//! records from all of them.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use super::Joined;
 use super::remote::{Mirrored, Remote};
-use crate::chain::{Chain, ChainOptions, Endpoint, Pin, RelayLine};
+use crate::chain::{Chain, ChainOptions, Endpoint, Pin, Relay, RelayLine};
 use crate::config::RemoteSite;
 use crate::crypto::Provider;
 use crate::gateway::{ChainLine, ChainLines, GatewayError, GrantNotice, KeptTrust, NetworkName, RevokeNotice};
@@ -95,6 +95,7 @@ impl Remotes {
         let lines = self.0.iter().map(|remote| remote.line(named.domain())).collect::<Result<Vec<_>, _>>()?;
         let place = Self::meet(&lines).await.map_err(Failure::from)?;
         let contract = Some(contract.unwrap_or(named.contract));
+        let lines = lines.into_iter().map(|line| line as Arc<dyn Relay>).collect();
         let endpoint = Endpoint::Relay(RelayLine(Arc::new(ChainLines::new(lines, place))));
         let chain = Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?;
         if (chain.chain_id(), chain.genesis()) != (named.chain_id, named.genesis) {
