@@ -272,8 +272,9 @@ fn removal(state: &State, one: &FellowView) -> Confirm {
 
 /// The fleet is another one now.
 pub fn changed(state: &mut State, deed: &Deed, rows: Vec<FellowView>) {
-    let (address, key) = state.gateway.fleet.take().map_or((None, None), |fleet| (fleet.address, fleet.key));
-    let fleet = FleetView { address, key, fellows: rows };
+    let before = state.gateway.fleet.take();
+    let before = before.unwrap_or(FleetView { address: None, key: None, fellows: Vec::new(), held: 0 });
+    let fleet = FleetView { fellows: rows, ..before };
     let now = state.now;
     state.gateway.set_fleet(fleet, now);
     let text = match deed {

@@ -158,6 +158,10 @@ pub fn facts(state: &State, one: &FellowView) -> Vec<Fact> {
         count => ("twice", format!("{} anchored by both; harmless", records(count)), Role::Body),
     };
     facts.push(twice);
+    if one.erased > 0 {
+        let text = format!("{} erased here at its word, which its owner signed", records(one.erased));
+        facts.push(("erased", text, Role::Body));
+    }
     if one.passed_over > 0 {
         let owners = counted(one.passed_over, "owner");
         let text = format!("{owners} may not use this gateway: not taken; authros gateway admit lets an owner use it");

@@ -46,8 +46,10 @@ fn pairs(ranges: &Ranges) -> Vec<(u64, u64)> {
     ranges.iter().collect()
 }
 
-/// Numbers and who has them.
-fn told(lacks: &[Lack]) -> Vec<(Vec<(u64, u64)>, Vec<usize>, bool)> {
+/// Ranges, who has them, and whether they are here.
+type Told = (Vec<(u64, u64)>, Vec<usize>, bool);
+
+fn told(lacks: &[Lack]) -> Vec<Told> {
     lacks.iter().map(|lack| (pairs(&lack.numbers), lack.holders.clone(), lack.is_here)).collect()
 }
 

@@ -8,6 +8,7 @@ use crate::model::{Domain, Ranges, Signature, Timestamp};
 use crate::pipeline::Owner;
 use crate::pipeline::mirror::Anchors;
 use crate::site::gateway::GatewayDesk;
+use crate::site::gateway::copies::Copies;
 use crate::site::gateway::round::Took;
 use crate::site::gateway::taking::tests::{RECORDER, TOPIC, anchored, codes, record, stranger};
 use crate::site::testing::{registered, site_of};
@@ -68,7 +69,7 @@ impl Ground {
     async fn hand_over(&self, seq: u64, fetched: &Fetched) -> Took {
         let wanted = Wanted { owner: self.alice.address, recorder: RECORDER, topic_id: TOPIC, first: seq, last: seq };
         let anchors = Anchors::default();
-        let here = Taking { desk: &self.desk, anchors: &anchors };
+        let here = Taking { desk: &self.desk, anchors: &anchors, copies: Copies::All };
         here.take(&wanted, vec![fetched.clone()]).await.expect("asked")
     }
 
@@ -93,7 +94,7 @@ impl Ground {
 
     async fn tell(&self, told: Vec<ToldErasure>) -> (TookErased, u64) {
         let (anchors, mut round) = (Anchors::default(), Round::default());
-        let here = Taking { desk: &self.desk, anchors: &anchors };
+        let here = Taking { desk: &self.desk, anchors: &anchors, copies: Copies::All };
         let took = here.erase_told(told, true, &mut round).await.expect("asked");
         (took, round.erased.values().sum())
     }

@@ -2,7 +2,7 @@
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeSet;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 use async_trait::async_trait;
 
@@ -12,6 +12,8 @@ use crate::gateway::{
     Code, ErasedRecord, Erasures, Fetched, GatewayError, HandedOver, Held, HoldingPlace, Holdings, ToldErasure, Wanted,
 };
 use crate::model::{Address, Digest, PublicKey, RecorderId, Signature, Timestamp};
+use crate::site::gateway::copies::Copies;
+use crate::site::gateway::fetching::{Claim, Fetching, Which};
 use crate::site::gateway::round::Took;
 use crate::store::Lacking;
 
@@ -48,6 +50,14 @@ impl Here for Shelf {
 
     fn lacking(&self, _: &Held) -> Result<Lacking, Refusal> {
         Ok(Lacking::default())
+    }
+
+    fn copies(&self) -> Copies {
+        Copies::All
+    }
+
+    fn claim(&self, which: Which, wanted: Vec<u64>) -> Claim {
+        Arc::new(Fetching::default()).claim(which, wanted)
     }
 
     async fn take(&self, _: &Wanted, _: Vec<Fetched>) -> Result<Took, Refusal> {

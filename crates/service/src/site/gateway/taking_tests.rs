@@ -193,7 +193,7 @@ async fn an_owner_over_its_quota_or_suspended_is_refused_whoever_brings_its_reco
     let (desk, other) = (site.gateway.served_desk().expect("serves"), stranger(&network).await);
     let (guest, own) = newcomer(&network).await;
     let (anchors, owner) = (Anchors::default(), guest.address());
-    let here = Taking { desk: &desk, anchors: &anchors };
+    let here = Taking { desk: &desk, anchors: &anchors, copies: Copies::All };
     while desk.account(&owner).await.is_err() {
         tokio::time::sleep(Duration::from_millis(20)).await;
     }

@@ -45,6 +45,7 @@ impl<Make: FnMut(u64, &Query) -> Result<Page, GatewayError> + Send> Pages<Make> 
 
 #[async_trait]
 impl<Make: FnMut(u64, &Query) -> Result<Page, GatewayError> + Send> Lister for Pages<Make> {
+    #[expect(clippy::unnecessary_literal_bound, reason = "the form of the trait")]
     fn address(&self) -> &str {
         "gateway:7420"
     }
