@@ -4,7 +4,7 @@
 use std::time::{Duration, Instant};
 
 use super::round::{Ended, Here, MOST_PAGES, MOST_REFUSED, Other, Round, is_a_lie};
-use crate::gateway::{ErasurePlace, Refusal};
+use crate::gateway::{ErasurePlace, GatewayError, Refusal};
 
 /// How often all of it is read again: statements under an owner's new key are told anew, others may come to hold again.
 const WHOLE: Duration = Duration::from_secs(3600);
@@ -67,9 +67,15 @@ pub(super) async fn read_erasures(
     course.begin(Instant::now());
     let (mut refusals, mut anew) = (MOST_REFUSED, false);
     for _ in 0..MOST_PAGES {
-        let Some(page) = other.erasures(course.after).await? else {
-            course.silent = true;
-            return Ok(());
+        let page = match other.erasures(course.after).await {
+            Ok(Some(page)) => page,
+            Ok(None) => {
+                course.silent = true;
+                return Ok(());
+            }
+            // Whether it tells what it holds does not depend on it, and what it refuses of both is told of that.
+            Err(GatewayError::Refused(_)) => return Ok(()),
+            Err(error) => return Err(error.into()),
         };
         let (same, number) = (page.next.ledger == course.after.ledger, page.next.number);
         let stands = page.more && number == course.after.number || number < course.after.number;

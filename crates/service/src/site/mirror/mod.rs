@@ -6,6 +6,7 @@ mod erased;
 mod listing;
 #[cfg(test)]
 mod listing_tests;
+mod missed;
 mod remote;
 pub(super) mod remotes;
 mod telling;
@@ -31,6 +32,7 @@ use crate::pipeline::mirror::{Anchors, Mirror, sources};
 use crate::pipeline::{Network, Owner, PipelineError};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::Failure;
+use missed::Missed;
 use remote::{Mirrored, Remote};
 use remotes::Remotes;
 
@@ -205,8 +207,9 @@ impl Joined {
         let subscriber = subscribe(subscriber, &live).await?;
         let _feeding = Aborted(tokio::spawn(follow(subscriber, feed)));
         remote.note(&owner.profile, Mirrored::Behind);
+        let mut missed = Missed::default();
         for source in &sources {
-            self.catch_up(&mut client, &mirror, *source).await?;
+            self.catch_up(&mut client, &mirror, *source, &mut missed).await?;
         }
         remote.note(&owner.profile, Mirrored::Caught);
         let (mut listed, mut heard) = (Instant::now(), Instant::now());
@@ -221,8 +224,13 @@ impl Joined {
                         return Ok(());
                     }
                     let (entry, record) = next?;
-                    if mirror.wants(&entry)? {
-                        self.take(&mirror, entry.owner, &entry, record).await?;
+                    let taken = match mirror.wants(&entry)? {
+                        true => self.take(&mirror, entry.owner, &entry, record).await?,
+                        // Here already; or the gateway knows of a grant that the chain here does not show yet.
+                        false => self.has(&entry)?,
+                    };
+                    if !taken {
+                        missed.add(entry.owner, &entry, Instant::now());
                     }
                 }
                 () = tokio::time::sleep(TICK) => {}
@@ -235,9 +243,16 @@ impl Joined {
             if self.settle_proofs(&mut client, &mirror, &sources).await? {
                 heard = Instant::now();
             }
+            for (source, entry) in missed.due(Instant::now()) {
+                if mirror.wants(&entry)? {
+                    self.fetch(&mut client, &mirror, (source, &entry), &mut missed).await?;
+                } else if !self.has(&entry)? {
+                    missed.add(source, &entry, Instant::now());
+                }
+            }
             if listed.elapsed() >= LISTING {
                 for source in sources.iter().filter(|source| !live.contains(source)) {
-                    self.catch_up(&mut client, &mirror, *source).await?;
+                    self.catch_up(&mut client, &mirror, *source, &mut missed).await?;
                 }
                 listed = Instant::now();
             }
@@ -248,29 +263,33 @@ impl Joined {
         }
     }
 
+    /// Returns `false` if the chain here does not know enough yet to take it in.
     async fn take(
         &self,
         mirror: &Mirror<'_>,
         source: Address,
         entry: &Entry,
         record: Fetched,
-    ) -> Result<(), PipelineError> {
+    ) -> Result<bool, PipelineError> {
         match mirror.take(source, entry.digest, record).await {
-            Ok(changed) => {
-                if changed {
-                    self.hub.changed(Part::Uploads);
-                    self.hub.changed(Part::Grants);
-                    self.hub.confirmed.notify_one();
-                }
-                Ok(())
+            Ok(true) => {
+                self.hub.changed(Part::Uploads);
+                self.hub.changed(Part::Grants);
+                self.hub.confirmed.notify_one();
+                Ok(true)
             }
+            Ok(false) => self.has(entry),
             // One bad record must not keep the others away.
             Err(error @ (PipelineError::NotTakenIn { .. } | PipelineError::Crypto(_))) => {
                 self.hub.notice(NoticeLevel::Error, &error.to_string());
-                Ok(())
+                Ok(true)
             }
             Err(error) => Err(error),
         }
+    }
+
+    fn has(&self, entry: &Entry) -> Result<bool, PipelineError> {
+        Ok(block_in_place(|| self.plant.ledger.record(entry.digest))?.is_some())
     }
 
     /// Lists the gateway's records of an owner, and fetches what is missing here.
@@ -279,6 +298,7 @@ impl Joined {
         client: &mut Client,
         mirror: &Mirror<'_>,
         source: Address,
+        missed: &mut Missed,
     ) -> Result<(), Broken> {
         let place = Place::load(self, mirror, source)?;
         let begin = place.begin(Timestamp::now());
@@ -295,7 +315,7 @@ impl Joined {
             for entry in &page.entries {
                 newest = newest.max(entry.captured_at.seconds());
                 if mirror.wants(entry)? {
-                    self.fetch(client, mirror, source, entry).await?;
+                    self.fetch(client, mirror, (source, entry), missed).await?;
                 }
             }
             let Some(next) = page.next else { break };
@@ -310,11 +330,16 @@ impl Joined {
         &self,
         client: &mut Client,
         mirror: &Mirror<'_>,
-        source: Address,
-        entry: &Entry,
+        (source, entry): (Address, &Entry),
+        missed: &mut Missed,
     ) -> Result<(), Broken> {
         match client.fetch(&entry.digest).await {
-            Ok(record) => Ok(self.take(mirror, source, entry, record).await?),
+            Ok(record) => {
+                if !self.take(mirror, source, entry, record).await? {
+                    missed.add(source, entry, Instant::now());
+                }
+                Ok(())
+            }
             Err(GatewayError::Refused(Code::NotFound)) => self.learn_erased(client, mirror, source, entry).await,
             Err(GatewayError::Refused(Code::NotAuthorised | Code::Tampered)) => Ok(()),
             Err(GatewayError::Crypto(error)) => {
