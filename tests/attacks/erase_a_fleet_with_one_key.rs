@@ -135,7 +135,7 @@ async fn erase_a_fleet_with_one_key() {
     let records = stored(&mut client, vec![upload(1, b"a face"), upload(2, b"another one")], carol.provider()).await;
 
     let fellow =
-        HostileFellow { erasures: Box::new(without_end(lies(&carol, &mallory, &records))), ..HostileFellow::of(&gate) };
+        HostileFellow { erasures: Box::new(without_end(lies(&carol, &mallory, &records))), ..HostileFellow::silent() };
     let (fellow, server) = fellow.serve(&gate, &away, mallory.keyring.signing.clone()).await;
     let told = noticed(&gate, "it says were erased do not hold");
     let asked = fellow.asked();
@@ -161,7 +161,7 @@ async fn erase_a_fleet_with_one_key() {
             next: ErasurePlace { ledger: LEDGER, number: 1 },
             more: true,
         }),
-        ..HostileFellow::of(&gate)
+        ..HostileFellow::silent()
     };
     let folder = Home::new();
     let (_, server) = stands.serve(&gate, &folder, mallory.keyring.signing.clone()).await;
@@ -171,7 +171,7 @@ async fn erase_a_fleet_with_one_key() {
     let hers = (&carol.keyring.signing, &carol.keyring.eoa);
     let honest = told_once(told_of(&carol, &records[0], hers));
     let folder = Home::new();
-    let (_, server) = HostileFellow { erasures: Box::new(honest), ..HostileFellow::of(&gate) }
+    let (_, server) = HostileFellow { erasures: Box::new(honest), ..HostileFellow::silent() }
         .serve(&gate, &folder, mallory.keyring.signing.clone())
         .await;
     let erased = tokio::task::block_in_place(|| {

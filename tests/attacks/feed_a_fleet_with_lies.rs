@@ -80,7 +80,7 @@ async fn feed_a_fleet_with_lies() {
     let fellow = HostileFellow {
         holdings: Box::new(endless(carol.address(), mallory.address(), (carol.recorder, topic_id))),
         hand_over: Box::new(move |wanted| HandedOver { records: handed.clone(), next: Some(wanted.first + 1) }),
-        ..HostileFellow::of(&gate)
+        ..HostileFellow::silent()
     };
     let (liar, server) = fellow.serve(&gate, &away, mallory.keyring.signing.clone()).await;
 

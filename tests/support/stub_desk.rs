@@ -10,9 +10,9 @@ use async_trait::async_trait;
 use authros::chain::RelayError;
 use authros::crypto::{SmKeyPair, signer_id};
 use authros::gateway::{
-    Account, Binding, Cabinet, Caller, Code, Context, Desk, DeviceNotice, Entry, Fetched, GrantNotice, HandedOver,
-    HoldingPlace, Holdings, Limits, NetworkName, Page, Query, Received, Refusal, Registration, RevokeNotice, Schedule,
-    Selection, Server, Standing, Stood, Wanted,
+    Account, Binding, Cabinet, Caller, Code, Context, Desk, DeviceNotice, Entry, ErasurePlace, Erasures, Fetched,
+    GrantNotice, HandedOver, HoldingPlace, Holdings, Limits, NetworkName, Page, Query, Received, Refusal, Registration,
+    RevokeNotice, Schedule, Selection, Server, Standing, Stood, Wanted,
 };
 use authros::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
 use serde_json::Value;
@@ -27,6 +27,11 @@ pub trait Tells: Send + Sync {
 
     /// Records of a range.
     fn hand_over(&self, wanted: &Wanted) -> HandedOver;
+
+    /// What was erased there behind a place; `None` = it refuses.
+    fn erasures(&self, _: &ErasurePlace) -> Option<Erasures> {
+        None
+    }
 }
 
 struct StubDesk {
@@ -149,6 +154,10 @@ impl Desk for StubDesk {
 
     async fn hand_over(&self, _: &Caller, wanted: &Wanted) -> Result<HandedOver, Refusal> {
         Ok(self.tells.hand_over(wanted))
+    }
+
+    async fn erasures(&self, _: &Caller, after: &ErasurePlace) -> Result<Erasures, Refusal> {
+        self.tells.erasures(after).map_or_else(not_here, Ok)
     }
 
     fn refused(&self, _: SocketAddr, _: &Refusal) {}

@@ -35,6 +35,10 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::DiskFull`] and the like.
     pub fn keep_signer(&self, id: SignerId, key: PublicKey) -> Result<(), StoreError> {
+        // It comes with every record of the device, and a commit for each would be what takes the time.
+        if self.signer(id)?.is_some() {
+            return Ok(());
+        }
         self.write(move |session| {
             session
                 .connection

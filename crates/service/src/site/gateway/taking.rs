@@ -154,11 +154,7 @@ impl Taking<'_> {
         match may_sign(&network.directory, owner, signer, Moment::of_block(block, time)) {
             Ok(SigningRight::Owner(_)) => Ok(()),
             Ok(SigningRight::Device(_)) => {
-                let kept = block_in_place(|| match plant.ledger.signer(signer)? {
-                    // A commit for each record would be what takes the time.
-                    Some(_) => Ok(()),
-                    None => plant.ledger.keep_signer(signer, received.signer),
-                });
+                let kept = block_in_place(|| plant.ledger.keep_signer(signer, received.signer));
                 kept.map_err(Refusal::because(Code::Internal))
             }
             Err(why) => Err(Refusal::new(Code::Signature, why)),
