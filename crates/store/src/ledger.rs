@@ -119,7 +119,7 @@ const SCHEMA: Schema = Schema {
         include_str!("ledger/schema_17.sql"),
     ],
 };
-const READERS_KEPT: usize = 4;
+const READERS_KEPT: usize = 8;
 /// The setting that names the recorder of the ledger this one was copied from.
 const PREDECESSOR: &str = "recorder:predecessor";
 /// The setting that says up to which block a copied ledger's accounts may have anchored without it.

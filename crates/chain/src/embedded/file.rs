@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use ethers::utils::rlp;
 use k256::ecdsa::SigningKey;
+use rusqlite::config::DbConfig;
 use rusqlite::{Connection, ErrorCode, OptionalExtension, Row, params};
 use zeroize::Zeroizing;
 
@@ -358,6 +359,8 @@ pub fn keys_of(consensus: &Consensus) -> usize {
 fn connect(path: &Path) -> rusqlite::Result<Connection> {
     let connection = Connection::open(path)?;
     connection.busy_timeout(Duration::from_secs(5))?;
+    // A statement is planned once, whatever is bound to it.
+    connection.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_QPSG, true)?;
     connection.pragma_update(None, "locking_mode", "EXCLUSIVE")?;
     Ok(connection)
 }

@@ -1,5 +1,7 @@
 //! Finding one record by its digest or a prefix of it.
 
+use std::collections::HashMap;
+
 use rusqlite::{OptionalExtension as _, params};
 
 use super::Ledger;
@@ -13,18 +15,27 @@ impl Ledger {
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn record(&self, digest: Digest) -> Result<Option<RecordRow>, StoreError> {
+        Ok(self.records(&[digest])?.pop().flatten())
+    }
+
+    /// The records with these digests, in this order, as of one moment.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn records(&self, digests: &[Digest]) -> Result<Vec<Option<RecordRow>>, StoreError> {
         self.read(|connection| {
-            let stream = connection
-                .prepare_cached("SELECT stream FROM records WHERE digest = ?1")?
-                .query_row(params![digest.0], |row| row.get(0))
-                .optional()?;
-            let by_key = rows::keyed_streams(connection, stream)?;
-            let sql = format!("SELECT {} FROM records WHERE digest = ?1", rows::COLUMNS);
-            let row = connection
-                .prepare_cached(&sql)?
-                .query_row(params![digest.0], |row| rows::record(row, &by_key))
-                .optional()?;
-            Ok(row)
+            let mut stream_of = connection.prepare_cached("SELECT stream FROM records WHERE digest = ?1")?;
+            let mut find =
+                connection.prepare_cached(&format!("SELECT {} FROM records WHERE digest = ?1", rows::COLUMNS))?;
+            let mut by_key = HashMap::new();
+            let one = |digest: &Digest| {
+                let stream: Option<i64> = stream_of.query_row(params![digest.0], |row| row.get(0)).optional()?;
+                if let Some(stream) = stream.filter(|stream| !by_key.contains_key(stream)) {
+                    by_key.extend(rows::keyed_streams(connection, [stream])?);
+                }
+                Ok(find.query_row(params![digest.0], |row| rows::record(row, &by_key)).optional()?)
+            };
+            digests.iter().map(one).collect()
         })
     }
 

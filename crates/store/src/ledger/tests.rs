@@ -17,6 +17,7 @@ mod pages;
 mod quarantine;
 mod rights;
 mod speed;
+mod statements;
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
