@@ -223,7 +223,7 @@ impl Node {
                 self.file.remember(std::mem::take(&mut outcome.written.made));
                 let (included, receipts) =
                     (std::mem::take(&mut outcome.included), std::mem::take(&mut outcome.receipts));
-                self.looked = Looked::at(header.number, included, receipts);
+                self.looked.wrote(header.number, included, receipts);
                 self.machine.apply(outcome);
                 self.head = reference(header);
                 if let Sealing::Authority(authority) = &mut self.sealing {

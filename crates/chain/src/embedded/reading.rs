@@ -2,6 +2,7 @@
 //! by the header.
 
 use std::cell::RefCell;
+use std::collections::VecDeque;
 use std::rc::Rc;
 
 use ethers::utils::rlp;
@@ -23,18 +24,41 @@ pub struct Done {
     pub receipt: Receipt,
 }
 
-/// The block whose transactions were read last: callers ask for one after another.
+/// The most blocks that are remembered, and the most transactions in them.
+const MOST_BLOCKS: usize = 32;
+const MOST_TRANSACTIONS: usize = 1024;
+
+/// The blocks whose transactions were read or written last: callers ask for one after another, and several callers for the
+/// same ones. Their senders need not be recovered again.
 #[derive(Default)]
-pub struct Looked(RefCell<Option<(u64, Rc<Vec<Done>>)>>);
+pub struct Looked(RefCell<VecDeque<Block>>);
+
+/// A block's number and its transactions.
+type Block = (u64, Rc<Vec<Done>>);
 
 /// A block's header, its transactions with their results, and the index of one of them.
 pub type Place = (Header, Rc<Vec<Done>>, usize);
 
 impl Looked {
-    /// A block that was just written.
-    pub fn at(number: u64, sent: Vec<Transaction>, receipts: Vec<Receipt>) -> Self {
+    /// Remembers a block that was just written.
+    pub fn wrote(&self, number: u64, sent: Vec<Transaction>, receipts: Vec<Receipt>) {
         let done = sent.into_iter().zip(receipts).map(|(transaction, receipt)| Done { transaction, receipt });
-        Self(RefCell::new(Some((number, Rc::new(done.collect())))))
+        self.remember(number, Rc::new(done.collect()));
+    }
+
+    fn find(&self, number: u64) -> Option<Rc<Vec<Done>>> {
+        self.0.borrow().iter().find(|(known, _)| *known == number).map(|(_, done)| Rc::clone(done))
+    }
+
+    /// The ones remembered for longest make room; one block is remembered however long it is.
+    fn remember(&self, number: u64, done: Rc<Vec<Done>>) {
+        let mut blocks = self.0.borrow_mut();
+        blocks.retain(|(known, _)| *known != number);
+        blocks.push_back((number, done));
+        let sum = |blocks: &VecDeque<Block>| blocks.iter().map(|(_, done)| done.len()).sum::<usize>();
+        while blocks.len() > MOST_BLOCKS || blocks.len() > 1 && sum(&blocks) > MOST_TRANSACTIONS {
+            blocks.pop_front();
+        }
     }
 }
 
@@ -65,8 +89,8 @@ impl Node {
     /// [`ChainError::Tampered`] if they differ from what the header commits to.
     pub fn done(&self, header: &Header) -> Result<Rc<Vec<Done>>, ChainError> {
         let number = header.number;
-        if let Some((_, done)) = self.looked.0.borrow().as_ref().filter(|(looked, _)| *looked == number) {
-            return Ok(Rc::clone(done));
+        if let Some(done) = self.looked.find(number) {
+            return Ok(done);
         }
         let mined = self.file.block_transactions(number)?;
         let done = mined.iter().map(|one| self.decoded(header, one)).collect::<Result<Vec<_>, _>>()?;
@@ -79,7 +103,7 @@ impl Node {
             return Err(self.file.tampered(number, "its transactions or receipts were changed"));
         }
         let done = Rc::new(done);
-        *self.looked.0.borrow_mut() = Some((number, Rc::clone(&done)));
+        self.looked.remember(number, Rc::clone(&done));
         Ok(done)
     }
 
@@ -107,5 +131,24 @@ impl Node {
             return Err(gone());
         }
         Ok(Some((header, done, place)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_blocks_are_remembered_and_not_more() {
+        let looked = Looked::default();
+        for number in 1..=100 {
+            looked.wrote(number, Vec::new(), Vec::new());
+        }
+        let remembered: Vec<u64> = (1..=100).filter(|number| looked.find(*number).is_some()).collect();
+        assert_eq!(remembered, (100 - MOST_BLOCKS as u64 + 1..=100).collect::<Vec<_>>());
+        let first = looked.find(70).expect("remembered");
+        looked.remember(70, Rc::clone(&first));
+        looked.wrote(101, Vec::new(), Vec::new());
+        assert!(looked.find(69).is_none() && looked.find(70).is_some(), "the one that was read last stays");
     }
 }
