@@ -12,7 +12,12 @@ use crate::model::Address;
 
 /// The private key of an externally owned account.
 #[derive(Clone, Zeroize, ZeroizeOnDrop)]
-pub struct EoaSecret([u8; 32]);
+pub struct EoaSecret {
+    secret: [u8; 32],
+    /// Public, and asked for far oftener than anything is signed.
+    #[zeroize(skip)]
+    address: Address,
+}
 
 impl EoaSecret {
     /// Fresh, from the operating system's random source.
@@ -34,30 +39,28 @@ impl EoaSecret {
     /// [`CryptoError::SecretRange`] if it is out of range or of another length.
     pub fn from_slice(bytes: &[u8]) -> Result<Self, CryptoError> {
         let range = CryptoError::SecretRange("secp256k1");
-        let Ok(array) = <[u8; 32]>::try_from(bytes) else { return Err(range) };
-        SigningKey::from_slice(bytes).map(|_| Self(array)).map_err(|_| range)
+        let Ok(secret) = <[u8; 32]>::try_from(bytes) else { return Err(range) };
+        let Ok(key) = SigningKey::from_slice(bytes) else { return Err(range) };
+        let mut point = [0; 64];
+        point.copy_from_slice(&key.verifying_key().to_encoded_point(false).as_bytes()[1..]);
+        Ok(Self { secret, address: Address::from_public_key(&point) })
     }
 
     /// The secret bytes; do not copy them anywhere that outlives their use.
     pub fn expose(&self) -> &[u8; 32] {
-        &self.0
+        &self.secret
     }
 
     /// The account's address.
     pub fn address(&self) -> Address {
-        let mut point = [0; 64];
-        if let Ok(key) = SigningKey::from_slice(&self.0) {
-            let encoded = key.verifying_key().to_encoded_point(false);
-            point.copy_from_slice(&encoded.as_bytes()[1..]);
-        }
-        Address::from_public_key(&point)
+        self.address
     }
 }
 
 /// In constant time.
 impl PartialEq for EoaSecret {
     fn eq(&self, other: &Self) -> bool {
-        self.0.ct_eq(&other.0).into()
+        self.secret.ct_eq(&other.secret).into()
     }
 }
 
