@@ -109,6 +109,23 @@ impl GatewayDesk {
         if guest {
             self.check_quota(owner, &records)?;
         }
+        self.put_down(records, acknowledge)
+    }
+
+    /// Whether an owner's records are taken without a quota.
+    pub(super) fn is_admitted(&self, owner: &Address) -> Result<bool, Refusal> {
+        Ok(matches!(self.standing_of(&self.known_network()?, owner)?, Access::Admitted))
+    }
+
+    /// Stores records of owners who are admitted, see [`Self::is_admitted`].
+    ///
+    /// # Errors
+    /// [`Refusal`]; nothing is acknowledged then.
+    pub(super) fn put_down<Done>(
+        &self,
+        records: Vec<Received>,
+        acknowledge: impl FnOnce(Vec<NewRecord>) -> Result<Done, StoreError>,
+    ) -> Result<Timestamp, Refusal> {
         let plant = &self.gateway.plant;
         let row = |record: Received| NewRecord::foreign(record.into(), self.keeper.address);
         let rows: Vec<_> = records.into_iter().map(row).collect();

@@ -10,7 +10,7 @@ use crate::pipeline::mirror::Anchors;
 use crate::site::gateway::GatewayDesk;
 use crate::site::gateway::copies::Copies;
 use crate::site::gateway::round::Took;
-use crate::site::gateway::taking::tests::{RECORDER, TOPIC, anchored, codes, record, stranger};
+use crate::site::gateway::taking::tests::{RECORDER, TOPIC, anchored, codes, handed, numbers, record, stranger};
 use crate::site::testing::{registered, site_of};
 use crate::site::{Needs, Site};
 use crate::store::IncidentSpan;
@@ -57,7 +57,7 @@ impl Ground {
     /// The same, handed over and verified here.
     pub async fn here(&self, seq: u64) -> (SealedRecord, Fetched) {
         let (sealed, fetched) = self.elsewhere(seq).await;
-        assert_eq!(self.hand_over(seq, &fetched).await.taken, [seq]);
+        assert_eq!(numbers(self.hand_over(seq, &fetched).await.taken), [seq]);
         let ledger = &self.site.plant.ledger;
         until("verified", || {
             ledger.record(sealed.digest).expect("read").is_some_and(|row| row.state == RecordState::Verified)
@@ -70,7 +70,7 @@ impl Ground {
         let wanted = Wanted { owner: self.alice.address, recorder: RECORDER, topic_id: TOPIC, first: seq, last: seq };
         let anchors = Anchors::default();
         let here = Taking { desk: &self.desk, anchors: &anchors, copies: Copies::All };
-        here.take(&wanted, vec![fetched.clone()]).await.expect("asked")
+        here.take(handed(wanted, vec![fetched.clone()])).await.expect("asked")
     }
 
     /// As an honest gateway tells it.

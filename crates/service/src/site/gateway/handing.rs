@@ -9,9 +9,9 @@ use super::GatewayDesk;
 use super::admission::Standing as Access;
 use crate::gateway::command::holdings::{MOST_HANDED, MOST_HANDED_BYTES, MOST_TOLD};
 use crate::gateway::{Caller, Code, Fetched, HandedOver, Held, HoldingPlace, Holdings, Refusal, Wanted};
-use crate::model::{Address, Ranges, RecorderId, TopicId};
+use crate::model::{Address, Digest, Ranges, RecorderId, TopicId};
 use crate::pipeline::Network;
-use crate::store::HoldingRow;
+use crate::store::{HoldingRow, RecordRow};
 
 /// How long an answer about holdings is given again: all gateways of a fleet ask for the same newest records.
 const TOLD_AGAIN: Duration = Duration::from_millis(400);
@@ -71,23 +71,26 @@ impl GatewayDesk {
         let ledger = &self.gateway.plant.ledger;
         let which = (wanted.owner, wanted.recorder, wanted.topic_id);
         let found = ledger.held_between(which, (wanted.first, wanted.last), MOST_HANDED).map_err(&internal)?;
-        let (mut handed, mut bytes) = (HandedOver::default(), 0);
         let full = found.len() >= MOST_HANDED;
-        for (seq, digest) in &found {
-            let Some(row) = ledger.record(*digest).map_err(&internal)? else { continue };
-            match self.bytes_of(&network, &row) {
-                Ok(record) => {
-                    let length = size(&record);
-                    if bytes > 0 && bytes + length > MOST_HANDED_BYTES {
-                        handed.next = Some(*seq);
-                        return Ok(handed);
-                    }
-                    bytes += length;
-                    handed.records.push(record);
+        let digests: Vec<Digest> = found.iter().map(|(_, digest)| *digest).collect();
+        let rows: Vec<RecordRow> = ledger.records(&digests).map_err(&internal)?.into_iter().flatten().collect();
+        let (mut handed, mut bytes) = (HandedOver::default(), 0);
+        // Of the longest records no more are in memory than go into an answer.
+        for some in rows.chunk_by(fitting()) {
+            for (row, record) in some.iter().zip(self.all_bytes_of(&network, some)?) {
+                let record = match record {
+                    Ok(record) => record,
+                    // What is not right here is nothing to give; the audit of records tells of it.
+                    Err(refusal) if matches!(refusal.code, Code::NotFound | Code::Tampered) => continue,
+                    Err(refusal) => return Err(refusal),
+                };
+                let length = size(&record);
+                if bytes > 0 && bytes + length > MOST_HANDED_BYTES {
+                    handed.next = Some(row.seq);
+                    return Ok(handed);
                 }
-                // What is not right here is nothing to give; the audit of records tells of it.
-                Err(refusal) if matches!(refusal.code, Code::NotFound | Code::Tampered) => {}
-                Err(refusal) => return Err(refusal),
+                bytes += length;
+                handed.records.push(record);
             }
         }
         let last = found.last().map(|(seq, _)| *seq).filter(|last| full && *last < wanted.last);
@@ -102,6 +105,18 @@ impl GatewayDesk {
             return Err(Refusal::new(Code::NotAuthorised, format_args!("{owner} was not admitted with records")));
         }
         Ok(())
+    }
+}
+
+/// Whether a record follows another one into the same part of an answer: until its bytes would not fit in.
+fn fitting() -> impl FnMut(&RecordRow, &RecordRow) -> bool {
+    let most = MOST_HANDED_BYTES as u64;
+    let mut sum: Option<u64> = None;
+    move |before, row| {
+        let together = sum.unwrap_or(before.bytes).saturating_add(row.bytes);
+        let fits = together <= most;
+        sum = Some(if fits { together } else { row.bytes });
+        fits
     }
 }
 

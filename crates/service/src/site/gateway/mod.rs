@@ -25,6 +25,7 @@ mod round_erased;
 mod standing;
 pub(super) mod status;
 mod taking;
+mod visit;
 
 use crate::config::Config;
 use crate::paths::Home;

@@ -10,7 +10,7 @@ use crate::pipeline::Network;
 use crate::pipeline::authority::{self, Moment, NoRight, Policy, ReadRefused, ReadingRight, SigningRight};
 use crate::pipeline::authority::{may_read, may_sign};
 use crate::site::chain::freshness::GRACE;
-use crate::store::{RecordQuery, RecordRow};
+use crate::store::{BatchPlace, RecordQuery, RecordRow};
 use tokio::time::timeout;
 
 /// How long the chain may be silent before nothing is stored or passed on any more. Reading ends sooner, see
@@ -124,8 +124,7 @@ impl GatewayDesk {
         self.check_loan(&network, caller)?;
         let mut known: Vec<(Address, Option<ReadingRight>)> = Vec::new();
         let mut standings = Vec::with_capacity(digests.len());
-        for digest in digests {
-            let row = self.gateway.plant.ledger.record(*digest).map_err(Refusal::because(Code::Internal))?;
+        for row in self.gateway.plant.ledger.records(digests).map_err(Refusal::because(Code::Internal))? {
             let Some(row) = row else {
                 standings.push(Standing::Unknown);
                 continue;
@@ -143,16 +142,22 @@ impl GatewayDesk {
 
     /// The state of digests, each with its place on the chain.
     pub(super) fn proven(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal> {
-        let ledger = &self.gateway.plant.ledger;
+        let standings = self.standings(caller, digests)?;
+        let is_proven = |standing: &Standing| matches!(standing, Standing::Anchored | Standing::Verified);
+        let proven: Vec<Digest> = digests
+            .iter()
+            .zip(&standings)
+            .filter(|(_, standing)| is_proven(standing))
+            .map(|(digest, _)| *digest)
+            .collect();
+        let (ledger, internal) = (&self.gateway.plant.ledger, Refusal::because(Code::Internal));
+        let rows = ledger.records(&proven).map_err(&internal)?;
+        let mut found = rows.into_iter().zip(ledger.batch_places(&proven).map_err(&internal)?);
         let mut stood = Vec::with_capacity(digests.len());
-        for (digest, standing) in digests.iter().zip(self.standings(caller, digests)?) {
-            let mut found = None;
-            if matches!(standing, Standing::Anchored | Standing::Verified) {
-                let row = ledger.record(*digest).map_err(Refusal::because(Code::Internal))?;
-                let place = ledger.batch_place(*digest).map_err(Refusal::because(Code::Internal))?;
-                found = row.and_then(|row| proof(&row, place));
-            }
-            stood.push(Stood { standing, proof: found.map(|proof| proof.encode()).unwrap_or_default() });
+        for standing in standings {
+            let found = if is_proven(&standing) { found.next() } else { None };
+            let proof = found.and_then(|(row, place)| proof(&row?, place));
+            stood.push(Stood { standing, proof: proof.map(|proof| proof.encode()).unwrap_or_default() });
         }
         Ok(stood)
     }
@@ -179,8 +184,32 @@ impl GatewayDesk {
 
     /// A record with its proof, whoever is to have it.
     pub(super) fn bytes_of(&self, network: &Network, row: &RecordRow) -> Result<Fetched, Refusal> {
+        let missing = || Err(Refusal::new(Code::NotFound, format_args!("record {} is missing", row.id)));
+        self.all_bytes_of(network, std::slice::from_ref(row))?.pop().unwrap_or_else(missing)
+    }
+
+    /// The same for several, in their order; what is wrong with one is said in its place.
+    pub(super) fn all_bytes_of(
+        &self,
+        network: &Network,
+        rows: &[RecordRow],
+    ) -> Result<Vec<Result<Fetched, Refusal>>, Refusal> {
         let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
-        let stored = plant.vault.get(row.digest).map_err(&internal)?;
+        let digests: Vec<Digest> = rows.iter().map(|row| row.digest).collect();
+        let stored = plant.vault.get_many(&digests).map_err(&internal)?;
+        let places = plant.ledger.batch_places(&digests).map_err(&internal)?;
+        let parts = rows.iter().zip(stored.into_iter().zip(places));
+        Ok(parts.map(|(row, (stored, place))| self.fetched(network, row, stored, place)).collect())
+    }
+
+    fn fetched(
+        &self,
+        network: &Network,
+        row: &RecordRow,
+        stored: Option<Vec<u8>>,
+        place: Option<BatchPlace>,
+    ) -> Result<Fetched, Refusal> {
+        let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
         let blob = match stored {
             // Deleted is deleted, even where an earlier version took the bytes in again.
             _ if row.deleted_at.is_some() => None,
@@ -193,7 +222,6 @@ impl GatewayDesk {
         }
         let signer = authority::key_of(plant, network, row).map_err(Refusal::because(Code::Internal))?;
         let unknown = || Refusal::new(Code::Tampered, format_args!("the signer of record {} is unknown", row.id));
-        let place = plant.ledger.batch_place(row.digest).map_err(&internal)?;
         let proof = proof(row, place).map(|proof| proof.encode()).unwrap_or_default();
         Ok(Fetched { signer: signer.ok_or_else(unknown)?, signature: row.signature, proof, blob })
     }

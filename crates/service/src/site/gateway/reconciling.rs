@@ -25,7 +25,7 @@ use crate::service::reply::{Failure, FellowView, FleetView, PartHealth, Reply};
 /// How often each gateway is asked, at most.
 const PERIOD: Duration = Duration::from_millis(500);
 /// How often any gateway is: in a large fleet each is asked less often.
-const BETWEEN: Duration = Duration::from_millis(100);
+const BETWEEN: Duration = Duration::from_millis(150);
 /// How long it may take to answer.
 const PATIENCE: Duration = Duration::from_secs(10);
 

@@ -3,7 +3,8 @@
 
 use std::time::{Duration, Instant};
 
-use super::round::{Ended, Here, MOST_PAGES, MOST_REFUSED, Other, Round, is_a_lie};
+use super::round::{Ended, Here, Other, Round, is_a_lie};
+use super::visit::{MOST_PAGES, MOST_REFUSED};
 use crate::gateway::{ErasurePlace, GatewayError, Refusal};
 
 /// How often all of it is read again: statements under an owner's new key are told anew, others may come to hold again.

@@ -14,7 +14,7 @@ use crate::gateway::{
 use crate::model::{Address, Digest, PublicKey, RecorderId, Signature, Timestamp};
 use crate::site::gateway::copies::Copies;
 use crate::site::gateway::fetching::{Claim, Fetching, Which};
-use crate::site::gateway::round::Took;
+use crate::site::gateway::round::{Handed, Took};
 use crate::store::Lacking;
 
 const LEDGER: RecorderId = RecorderId([1; 16]);
@@ -48,8 +48,8 @@ impl Here for Shelf {
         Ok(())
     }
 
-    fn lacking(&self, _: &Held) -> Result<Lacking, Refusal> {
-        Ok(Lacking::default())
+    fn lacking(&self, _: &[Held]) -> Result<Vec<Lacking>, Refusal> {
+        Ok(Vec::new())
     }
 
     fn copies(&self) -> Copies {
@@ -60,7 +60,7 @@ impl Here for Shelf {
         Arc::new(Fetching::default()).claim(which, wanted)
     }
 
-    async fn take(&self, _: &Wanted, _: Vec<Fetched>) -> Result<Took, Refusal> {
+    async fn take(&self, _: Vec<Handed>) -> Result<Took, Refusal> {
         Ok(Took::default())
     }
 

@@ -4,31 +4,32 @@
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::super::fetching::Fetching;
+use super::super::fetching::{Claim, Fetching, Which};
+use super::super::visit::{MOST_LATER, MOST_PAGES, MOST_REFUSED, MOST_REQUESTS};
 use super::*;
 use crate::model::{PublicKey, Signature};
 
-const RECORDER: RecorderId = RecorderId([2; 16]);
-const TOPIC: TopicId = TopicId([3; 16]);
-const FRIEND: Address = Address([1; 20]);
+pub(in crate::site::gateway) const RECORDER: RecorderId = RecorderId([2; 16]);
+pub(in crate::site::gateway) const TOPIC: TopicId = TopicId([3; 16]);
+pub(in crate::site::gateway) const FRIEND: Address = Address([1; 20]);
 const STRANGER: Address = Address([9; 20]);
 
 /// The record with a number, as [`Shelf`] reads it: the number is all of its bytes.
-fn record(number: u64) -> Fetched {
+pub(in crate::site::gateway) fn record(number: u64) -> Fetched {
     let (signer, signature) = (PublicKey([1; 64]), Signature([2; 64]));
     Fetched { signer, signature, proof: Vec::new(), blob: number.to_be_bytes().to_vec() }
 }
 
-fn held(owner: Address, numbers: impl IntoIterator<Item = u64>) -> Held {
+pub(in crate::site::gateway) fn held(owner: Address, numbers: impl IntoIterator<Item = u64>) -> Held {
     Held { owner, recorder: RECORDER, topic_id: TOPIC, ranges: Ranges::of(numbers.into_iter().collect()) }
 }
 
 /// A place that holds numbers, and takes records that are not forged: those with a number below a thousand.
 #[derive(Default)]
-struct Shelf {
+pub(in crate::site::gateway) struct Shelf {
     held: Mutex<BTreeSet<u64>>,
-    takes: Mutex<usize>,
-    fetching: Arc<Fetching>,
+    pub takes: Mutex<usize>,
+    pub fetching: Arc<Fetching>,
     copies: Copies,
     stale: bool,
     /// What is on its way to an anchor here.
@@ -38,7 +39,7 @@ struct Shelf {
 }
 
 impl Shelf {
-    fn numbers(&self) -> Vec<u64> {
+    pub fn numbers(&self) -> Vec<u64> {
         self.held.lock().unwrap_or_else(PoisonError::into_inner).iter().copied().collect()
     }
 }
@@ -57,29 +58,34 @@ impl Here for Shelf {
         self.copies.clone()
     }
 
-    fn lacking(&self, told: &Held) -> Result<Lacking, Refusal> {
+    fn lacking(&self, told: &[Held]) -> Result<Vec<Lacking>, Refusal> {
         let held = self.held.lock().expect("not poisoned");
-        let numbers = told.ranges.iter().flat_map(|(first, last)| first..=last);
-        let numbers = numbers.filter(|number| !held.contains(number)).collect();
-        Ok(Lacking { numbers: Ranges::of(numbers), twice: self.twice.clone() })
+        let lacking = |told: &Held| {
+            let numbers = told.ranges.iter().flat_map(|(first, last)| first..=last);
+            let numbers = numbers.filter(|number| !held.contains(number)).collect();
+            Lacking { numbers: Ranges::of(numbers), twice: self.twice.clone() }
+        };
+        Ok(told.iter().map(lacking).collect())
     }
 
     fn claim(&self, which: Which, wanted: Vec<u64>) -> Claim {
         self.fetching.claim(which, wanted)
     }
 
-    async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<Took, Refusal> {
+    async fn take(&self, parts: Vec<Handed>) -> Result<Took, Refusal> {
         *self.takes.lock().expect("not poisoned") += 1;
         let Took { mut taken, mut later, mut refused } = Took::default();
-        for record in records {
+        let records = parts.into_iter().flat_map(|part| part.records.into_iter().map(move |one| (part.wanted, one)));
+        for (wanted, record) in records {
             let number = u64::from_be_bytes(record.blob.try_into().expect("eight bytes"));
+            let one = (wanted.owner, wanted.recorder, wanted.topic_id, number);
             if self.unseen.is_some_and(|unseen| number >= unseen) {
-                later.push(number);
+                later.insert(one);
             } else if (700..800).contains(&number) {
                 refused.push(Refusal::new(Code::NotYours, "of another network"));
             } else if number < 1000 && (wanted.first..=wanted.last).contains(&number) {
                 self.held.lock().expect("not poisoned").insert(number);
-                taken.push(number);
+                taken.insert(one);
             } else {
                 refused.push(Refusal::new(Code::Signature, "forged"));
             }
@@ -93,7 +99,7 @@ impl Here for Shelf {
 }
 
 /// A gateway by a script: what it tells after a place, and what it hands over.
-struct Script<Tell, Hand> {
+pub(in crate::site::gateway) struct Script<Tell, Hand> {
     tell: Tell,
     hand: Hand,
     asked: usize,
@@ -120,7 +126,7 @@ where
     }
 }
 
-fn script<Tell, Hand>(tell: Tell, hand: Hand) -> Script<Tell, Hand>
+pub(in crate::site::gateway) fn script<Tell, Hand>(tell: Tell, hand: Hand) -> Script<Tell, Hand>
 where
     Tell: FnMut(HoldingPlace) -> Holdings + Send,
     Hand: FnMut(Wanted) -> HandedOver + Send,
@@ -128,7 +134,7 @@ where
     Script { tell, hand, asked: 0 }
 }
 
-fn place(block: u64) -> HoldingPlace {
+pub(in crate::site::gateway) fn place(block: u64) -> HoldingPlace {
     HoldingPlace { block, ..HoldingPlace::default() }
 }
 
@@ -183,7 +189,9 @@ async fn what_is_lacking_is_taken_once_and_a_round_is_resumed() {
 }
 
 /// Tells all of these numbers at once, and nothing behind them.
-fn all_at_once(upto: u64) -> Script<impl FnMut(HoldingPlace) -> Holdings, impl FnMut(Wanted) -> HandedOver> {
+pub(in crate::site::gateway) fn all_at_once(
+    upto: u64,
+) -> Script<impl FnMut(HoldingPlace) -> Holdings, impl FnMut(Wanted) -> HandedOver> {
     let tell = move |after: HoldingPlace| {
         let held = if after < place(90) { vec![held(FRIEND, 1..=upto)] } else { Vec::new() };
         Holdings { held, next: place(90), more: false }
@@ -193,24 +201,6 @@ fn all_at_once(upto: u64) -> Script<impl FnMut(HoldingPlace) -> Holdings, impl F
         HandedOver { records, next: None }
     };
     script(tell, hand)
-}
-
-#[tokio::test]
-async fn what_another_line_is_fetching_is_left_to_it_and_asked_for_when_that_one_did_not_bring_it() {
-    let (mut other, here, mut course) = (all_at_once(20), Shelf::default(), Course::default());
-    let claimed = here.fetching.claim((FRIEND, RECORDER, TOPIC), 5..=8);
-    for taken in [16, 0] {
-        let mut round = Round::default();
-        reconcile(&mut other, &here, &mut course, &mut round).await.expect("a round");
-        assert_eq!((round.taken, round.lacking, round.more), (taken, 4, false));
-    }
-    drop(claimed);
-    // It is told of these numbers no more.
-    let mut round = Round::default();
-    reconcile(&mut other, &here, &mut course, &mut round).await.expect("a round");
-    assert_eq!((round.taken, round.lacking), (4, 0));
-    assert_eq!(here.numbers(), (1..=20).collect::<Vec<_>>());
-    assert_eq!(here.fetching.claim((FRIEND, RECORDER, TOPIC), 1..=20).numbers.len(), 20, "all are free again");
 }
 
 #[tokio::test]

@@ -1,6 +1,7 @@
 //! Records that another gateway of the fleet hands over: each is checked as if its robot had sent it here, against the
 //! chain that is known here, and goes the one way into vault and ledger. A gateway that lies gets nothing in.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 use async_trait::async_trait;
@@ -9,14 +10,14 @@ use tokio::task::block_in_place;
 use super::GatewayDesk;
 use super::copies::Copies;
 use super::fetching::{Claim, Which};
-use super::round::{Here, Round, Took};
+use super::round::{Handed, Here, Numbered, Round, Took};
 use super::round_erased::TookErased;
 use crate::chain::AnchorProof;
 use crate::chain::merkle::Inclusion;
 use crate::crypto::signer_id;
 use crate::gateway::identity_check::verify_each;
 use crate::gateway::{Code, Context, Desk as _, Fetched, Held, Received, Refusal, ToldErasure, Upload, Wanted};
-use crate::model::{Address, Digest, Header};
+use crate::model::{Address, Digest, Header, SignerId};
 use crate::pipeline::authority::{Moment, SigningRight, may_sign};
 use crate::pipeline::mirror::{Anchors, wait_for};
 use crate::pipeline::{Network, PipelineError};
@@ -33,8 +34,17 @@ type Proven = (Received, (Digest, Inclusion, RootSighting));
 enum Judged {
     /// It holds.
     Holds(Box<Proven>),
-    /// The record with this number: the chain here does not have the block of its anchor yet.
-    Later(u64),
+    /// The chain here does not have the block of its anchor yet.
+    Later(Numbered),
+}
+
+/// What was seen while others of the same records were judged.
+#[derive(Default)]
+struct Known {
+    /// The highest block that the watcher was seen to have read.
+    read: Option<u64>,
+    /// Devices whose keys are kept.
+    devices: BTreeSet<SignerId>,
 }
 
 /// The side of a round that takes.
@@ -57,9 +67,11 @@ impl Here for Taking<'_> {
         self.copies.clone()
     }
 
-    fn lacking(&self, held: &Held) -> Result<Lacking, Refusal> {
-        let Held { owner, recorder, topic_id, ranges } = held;
-        let found = block_in_place(|| self.desk.gateway.plant.ledger.lacking((*owner, *recorder, *topic_id), ranges));
+    fn lacking(&self, held: &[Held]) -> Result<Vec<Lacking>, Refusal> {
+        let ledger = &self.desk.gateway.plant.ledger;
+        let lacking =
+            |Held { owner, recorder, topic_id, ranges }: &Held| ledger.lacking((*owner, *recorder, *topic_id), ranges);
+        let found: Result<Vec<_>, _> = block_in_place(|| held.iter().map(lacking).collect());
         found.map_err(Refusal::because(Code::Internal))
     }
 
@@ -67,26 +79,22 @@ impl Here for Taking<'_> {
         self.desk.gateway.fetching.claim(which, wanted)
     }
 
-    async fn take(&self, wanted: &Wanted, records: Vec<Fetched>) -> Result<Took, Refusal> {
+    async fn take(&self, parts: Vec<Handed>) -> Result<Took, Refusal> {
         let network = self.desk.known_network()?;
-        // Registered and not suspended, as of now.
-        if let Err(refusal) = self.desk.account(&wanted.owner).await {
-            return if refusal.code == Code::Stale {
-                Err(refusal)
-            } else {
-                Ok(Took { refused: vec![refusal], ..Took::default() })
-            };
-        }
-        let (mut proven, mut later, mut refused) = (Vec::new(), Vec::new(), Vec::new());
-        for (received, proof) in self.received(&network, wanted, records, &mut refused).await? {
-            match self.proven(&network, received, &proof).await {
+        let (mut proven, mut later, mut refused) = (Vec::new(), BTreeSet::new(), Vec::new());
+        let parts = self.of_accounts(parts, &mut refused).await?;
+        let mut known = Known::default();
+        for (received, proof) in self.received(&network, parts, &mut refused).await? {
+            match self.proven(&network, received, &proof, &mut known).await {
                 Ok(Judged::Holds(one)) => proven.push(*one),
-                Ok(Judged::Later(number)) => later.push(number),
+                Ok(Judged::Later(one)) => {
+                    later.insert(one);
+                }
                 Err(refusal) if matches!(refusal.code, Code::Stale | Code::Internal) => return Err(refusal),
                 Err(refusal) => refused.push(refusal),
             }
         }
-        let taken = block_in_place(|| self.keep(&wanted.owner, proven, &mut refused))?;
+        let taken = block_in_place(|| self.keep(proven, &mut refused))?;
         Ok(Took { taken, later, refused })
     }
 
@@ -96,17 +104,35 @@ impl Here for Taking<'_> {
 }
 
 impl Taking<'_> {
+    /// What is of accounts that are registered and not suspended, as of now.
+    async fn of_accounts(&self, mut parts: Vec<Handed>, refused: &mut Vec<Refusal>) -> Result<Vec<Handed>, Refusal> {
+        let owners: BTreeSet<Address> = parts.iter().map(|part| part.wanted.owner).collect();
+        for owner in owners {
+            match self.desk.account(&owner).await {
+                Ok(_) => {}
+                Err(refusal) if refusal.code == Code::Stale => return Err(refusal),
+                Err(refusal) => {
+                    parts.retain(|part| part.wanted.owner != owner);
+                    refused.push(refusal);
+                }
+            }
+        }
+        Ok(parts)
+    }
+
     /// Records that were asked for and are signed, with the bytes of their proofs; the others are refused.
     async fn received(
         &self,
         network: &Network,
-        wanted: &Wanted,
-        records: Vec<Fetched>,
+        parts: Vec<Handed>,
         refused: &mut Vec<Refusal>,
     ) -> Result<Vec<(Received, Vec<u8>)>, Refusal> {
         let (mut uploads, mut signers, mut proofs) = (Vec::new(), Vec::new(), Vec::new());
-        for record in records {
-            match asked_for(network, wanted, &record) {
+        let records = parts
+            .into_iter()
+            .flat_map(|Handed { wanted, records, .. }| records.into_iter().map(move |one| (wanted, one)));
+        for (wanted, record) in records {
+            match asked_for(network, &wanted, &record) {
                 Ok(()) => {
                     let Fetched { signer, signature, proof, blob } = record;
                     uploads.push(Upload { signature, blob });
@@ -130,14 +156,20 @@ impl Taking<'_> {
     }
 
     /// In place of a robot's session stands the anchor: the signer's right is judged by its block.
-    async fn proven(&self, network: &Network, received: Received, proof: &[u8]) -> Result<Judged, Refusal> {
+    async fn proven(
+        &self,
+        network: &Network,
+        received: Received,
+        proof: &[u8],
+        known: &mut Known,
+    ) -> Result<Judged, Refusal> {
         let proof = AnchorProof::parse(proof)?;
         let confirmed = self.anchors.confirm(network, &received.header, received.digest, proof).await;
         let proof = match confirmed {
-            Err(PipelineError::NotSeen { .. }) => return Ok(Judged::Later(received.header.seq)),
+            Err(PipelineError::NotSeen { .. }) => return Ok(Judged::Later(number_of(&received.header))),
             confirmed => confirmed.map_err(|error| failed(&error))?,
         };
-        self.check_signer(network, &received, proof.block).await?;
+        self.check_signer(network, &received, proof.block, known).await?;
         let AnchorProof { account, transaction, block, block_hash, inclusion } = proof;
         let inclusion = inclusion.ok_or_else(|| Refusal::new(Code::Malformed, "a gateway's anchors are batches"))?;
         let anchor =
@@ -146,61 +178,104 @@ impl Taking<'_> {
         Ok(Judged::Holds(Box::new((received, (digest, inclusion, anchor)))))
     }
 
-    async fn check_signer(&self, network: &Network, received: &Received, block: u64) -> Result<(), Refusal> {
+    async fn check_signer(
+        &self,
+        network: &Network,
+        received: &Received,
+        block: u64,
+        known: &mut Known,
+    ) -> Result<(), Refusal> {
         let plant = &self.desk.gateway.plant;
-        wait_for(plant, block, BEHIND).await.map_err(|error| failed(&error))?;
+        if known.read.is_none_or(|read| read < block) {
+            wait_for(plant, block, BEHIND).await.map_err(|error| failed(&error))?;
+            known.read = Some(block);
+        }
         let time = network.ask_time(block).await.map_err(|error| failed(&error))?;
         let Header { owner, signer, .. } = received.header;
         match may_sign(&network.directory, owner, signer, Moment::of_block(block, time)) {
             Ok(SigningRight::Owner(_)) => Ok(()),
+            Ok(SigningRight::Device(_)) if known.devices.contains(&signer) => Ok(()),
             Ok(SigningRight::Device(_)) => {
                 let kept = block_in_place(|| plant.ledger.keep_signer(signer, received.signer));
-                kept.map_err(Refusal::because(Code::Internal))
+                kept.map_err(Refusal::because(Code::Internal))?;
+                known.devices.insert(signer);
+                Ok(())
             }
             Err(why) => Err(Refusal::new(Code::Signature, why)),
         }
     }
 
-    /// Stores what holds; if one contradicts what is here, each of them by itself.
-    fn keep(&self, owner: &Address, proven: Vec<Proven>, refusals: &mut Vec<Refusal>) -> Result<Vec<u64>, Refusal> {
+    /// Stores what holds: all together, and what has a quota owner by owner.
+    fn keep(&self, proven: Vec<Proven>, refusals: &mut Vec<Refusal>) -> Result<BTreeSet<Numbered>, Refusal> {
+        let (mut together, mut by_owner) = (Vec::new(), BTreeMap::<Address, Vec<Proven>>::new());
+        let mut admitted = BTreeMap::new();
+        for one in proven {
+            let owner = one.0.header.owner;
+            let is_admitted = match admitted.get(&owner) {
+                Some(known) => *known,
+                None => *admitted.entry(owner).or_insert(self.desk.is_admitted(&owner)?),
+            };
+            if is_admitted { together.push(one) } else { by_owner.entry(owner).or_default().push(one) }
+        }
+        let mut taken = self.keep_some(None, together, refusals)?;
+        for (owner, some) in by_owner {
+            taken.extend(self.keep_some(Some(owner), some, refusals)?);
+        }
+        self.desk.gateway.hub.confirmed.notify_one();
+        self.desk.gateway.hub.changed(Part::Uploads);
+        Ok(taken)
+    }
+
+    /// Those of one owner, or of owners who are admitted; if one contradicts what is here, each of them by itself.
+    fn keep_some(
+        &self,
+        owner: Option<Address>,
+        proven: Vec<Proven>,
+        refusals: &mut Vec<Refusal>,
+    ) -> Result<BTreeSet<Numbered>, Refusal> {
         if proven.is_empty() {
-            return Ok(Vec::new());
+            return Ok(BTreeSet::new());
         }
         let several = proven.len() > 1;
-        let taken = match self.keep_all(owner, proven.clone()) {
+        match self.keep_all(owner, proven.clone()) {
             Err(refusal) if refusal.code == Code::Malformed && several => {
-                let mut taken = Vec::new();
+                let mut taken = BTreeSet::new();
                 for one in proven {
                     match self.keep_all(owner, vec![one]) {
                         Ok(numbers) => taken.extend(numbers),
                         Err(refusal) => refusals.push(refusal),
                     }
                 }
-                taken
+                Ok(taken)
             }
-            Err(refusal) if matches!(refusal.code, Code::Stale | Code::Internal) => return Err(refusal),
+            Err(refusal) if matches!(refusal.code, Code::Stale | Code::Internal) => Err(refusal),
             Err(refusal) => {
                 refusals.push(refusal);
-                Vec::new()
+                Ok(BTreeSet::new())
             }
-            Ok(taken) => taken,
-        };
-        self.desk.gateway.hub.confirmed.notify_one();
-        self.desk.gateway.hub.changed(Part::Uploads);
-        Ok(taken)
+            Ok(taken) => Ok(taken),
+        }
     }
 
-    fn keep_all(&self, owner: &Address, proven: Vec<Proven>) -> Result<Vec<u64>, Refusal> {
-        let numbers = proven.iter().map(|(received, _)| received.header.seq).collect();
+    fn keep_all(&self, owner: Option<Address>, proven: Vec<Proven>) -> Result<BTreeSet<Numbered>, Refusal> {
+        let numbers = proven.iter().map(|(received, _)| number_of(&received.header)).collect();
         let (records, anchors): (Vec<_>, Vec<_>) = proven.into_iter().unzip();
         let ledger = &self.desk.gateway.plant.ledger;
-        let kept = self.desk.keep_by(owner, records, |rows| ledger.append_anchored(rows, anchors));
+        let anchor = |rows| ledger.append_anchored(rows, anchors);
+        let kept = match owner {
+            Some(owner) => self.desk.keep_by(&owner, records, anchor),
+            None => self.desk.put_down(records, anchor),
+        };
         if kept.is_err() {
             // A block may have been replaced since the chain was asked.
             self.anchors.forget();
         }
         kept.map(|_| numbers)
     }
+}
+
+fn number_of(header: &Header) -> Numbered {
+    (header.owner, header.recorder, header.topic_id, header.seq)
 }
 
 /// What a robot's upload is asked, and that it is one of the records that were asked for.

@@ -107,6 +107,16 @@ async fn newcomer(network: &Network) -> (EoaSecret, SmKeyPair) {
     (eoa, signing)
 }
 
+/// Records as one answer to what was asked for.
+pub(in crate::site::gateway) fn handed(wanted: Wanted, records: Vec<Fetched>) -> Vec<Handed> {
+    vec![Handed { wanted, until: wanted.last, records }]
+}
+
+/// The numbers, of whatever topics.
+pub(in crate::site::gateway) fn numbers(of: BTreeSet<Numbered>) -> Vec<u64> {
+    of.into_iter().map(|(.., number)| number).collect()
+}
+
 pub(in crate::site::gateway) fn codes(refusals: &[Refusal]) -> Vec<Code> {
     refusals.iter().map(|refusal| refusal.code).collect()
 }
@@ -128,10 +138,10 @@ async fn what_another_gateway_hands_over_is_judged_by_the_block_that_anchors_it(
 
     let own = alice.signing();
     let first = record(&network, &alice, &own, (1, b"one"));
-    let handed = anchored(&network, &other, &first, &own).await;
+    let first_handed = anchored(&network, &other, &first, &own).await;
     for _ in 0..2 {
-        let Took { taken, refused, .. } = here.take(&wanted, vec![handed.clone()]).await.expect("asked");
-        assert_eq!((taken, codes(&refused)), (vec![1], Vec::new()), "twice is once");
+        let Took { taken, refused, .. } = here.take(handed(wanted, vec![first_handed.clone()])).await.expect("asked");
+        assert_eq!((numbers(taken), codes(&refused)), (vec![1], Vec::new()), "twice is once");
     }
     let ledger = &site.plant.ledger;
     let row = ledger.record(first.digest).expect("read").expect("held");
@@ -144,24 +154,24 @@ async fn what_another_gateway_hands_over_is_judged_by_the_block_that_anchors_it(
     let before = anchored(&network, &other, &record(&network, &alice, &robot, (2, b"two")), &robot).await;
     site.devices.recall(&alice, &signer_id(&robot.public).to_string()).await.expect("recalled");
     let after = anchored(&network, &other, &record(&network, &alice, &robot, (3, b"three")), &robot).await;
-    let Took { taken, refused, .. } = here.take(&wanted, vec![before, after]).await.expect("asked");
-    assert_eq!((taken, codes(&refused)), (vec![2], vec![Code::Signature]), "{refused:?}");
+    let Took { taken, refused, .. } = here.take(handed(wanted, vec![before, after])).await.expect("asked");
+    assert_eq!((numbers(taken), codes(&refused)), (vec![2], vec![Code::Signature]), "{refused:?}");
 
     // Anchored by somebody, and signed by nobody who may.
     let thief = SmKeyPair::generate(site.plant.provider).expect("a pair");
     let stolen = anchored(&network, &other, &record(&network, &alice, &thief, (4, b"four")), &thief).await;
-    let unsigned = Fetched { signature: Signature([7; 64]), ..handed.clone() };
+    let unsigned = Fetched { signature: Signature([7; 64]), ..first_handed.clone() };
     // A true proof of another record, and another record under a number that is taken, beside a good one.
     let elsewhere = record(&network, &alice, &own, (5, b"five"));
     let proven = anchored(&network, &other, &elsewhere, &own).await;
-    let foreign = Fetched { proof: handed.proof.clone(), ..proven.clone() };
+    let foreign = Fetched { proof: first_handed.proof.clone(), ..proven.clone() };
     let second = anchored(&network, &other, &record(&network, &alice, &own, (1, b"another one")), &own).await;
     let lies = vec![stolen, unsigned, foreign, second, proven];
-    let Took { taken, refused, .. } = here.take(&wanted, lies).await.expect("asked");
+    let Took { taken, refused, .. } = here.take(handed(wanted, lies)).await.expect("asked");
     let expected = [Code::Signature, Code::Signature, Code::Tampered, Code::Malformed];
-    assert_eq!((taken, codes(&refused)), (vec![5], expected.to_vec()), "{refused:?}");
+    assert_eq!((numbers(taken), codes(&refused)), (vec![5], expected.to_vec()), "{refused:?}");
     // An anchor that the chain here does not have: in a block that may come yet, and in one that is long here.
-    let genuine = AnchorProof::parse(&handed.proof).expect("a proof");
+    let genuine = AnchorProof::parse(&first_handed.proof).expect("a proof");
     let newest = network.chain.head().await.expect("answered").number;
     let sixth = record(&network, &alice, &own, (6, b"six"));
     let inclusion = anchored(&network, &other, &sixth, &own).await;
@@ -171,10 +181,18 @@ async fn what_another_gateway_hands_over_is_judged_by_the_block_that_anchors_it(
         let proof = AnchorProof { transaction, block, inclusion: place.clone(), ..genuine.clone() }.encode();
         Fetched { proof, ..inclusion.clone() }
     };
-    let Took { taken, later, refused } = here.take(&wanted, vec![elsewhere(newest + 9)]).await.expect("asked");
-    assert_eq!((taken, later, codes(&refused)), (Vec::new(), vec![6], Vec::new()), "it comes later, perhaps");
-    let Took { taken, later, refused } = here.take(&wanted, vec![elsewhere(1)]).await.expect("asked");
-    assert_eq!((taken, later, codes(&refused)), (Vec::new(), Vec::new(), vec![Code::Tampered]), "a lie");
+    let Took { taken, later, refused } = here.take(handed(wanted, vec![elsewhere(newest + 9)])).await.expect("asked");
+    assert_eq!(
+        (numbers(taken), numbers(later), codes(&refused)),
+        (Vec::new(), vec![6], Vec::new()),
+        "it comes later, perhaps"
+    );
+    let Took { taken, later, refused } = here.take(handed(wanted, vec![elsewhere(1)])).await.expect("asked");
+    assert_eq!(
+        (numbers(taken), numbers(later), codes(&refused)),
+        (Vec::new(), Vec::new(), vec![Code::Tampered]),
+        "a lie"
+    );
     let told = Ranges::of((1..=9).collect());
     let lacking = ledger.lacking((alice.address, RECORDER, TOPIC), &told).expect("read").numbers;
     assert_eq!(lacking.iter().collect::<Vec<_>>(), [(3, 4), (6, 9)]);
@@ -203,8 +221,8 @@ async fn an_owner_over_its_quota_or_suspended_is_refused_whoever_brings_its_reco
         anchored(&network, &other, &record_on(topic, (&network, owner), &own, (seq, body)), &own).await
     };
     let take = async |topic, records| {
-        let Took { taken, refused, .. } = here.take(&all_of(topic), records).await.expect("asked");
-        (taken, codes(&refused))
+        let Took { taken, refused, .. } = here.take(handed(all_of(topic), records)).await.expect("asked");
+        (numbers(taken), codes(&refused))
     };
     let long = vec![7; 8 * 1024];
     assert_eq!(take(TOPIC, vec![hers(TOPIC, 1, b"one").await]).await, (vec![1], Vec::new()));
@@ -235,5 +253,56 @@ async fn an_owner_over_its_quota_or_suspended_is_refused_whoever_brings_its_reco
     }
     assert_eq!(take(TOPIC, vec![large]).await, (vec![2], Vec::new()), "anchored before that, and admitted by now");
     assert_eq!(take(second, vec![beyond]).await, (vec![1], Vec::new()));
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn records_of_several_owners_are_taken_together_and_one_who_may_not_spoils_nothing() {
+    let settings = [("gateway.quota_bytes", "4KiB")];
+    let (site, _folder) = site_of(&settings, Needs { ros: false, chain: true });
+    let (keeper, alice) = (registered(&site, "keeper").await, registered(&site, "alice").await);
+    let (_running, ended) = tokio::sync::oneshot::channel();
+    site.gateway.serve(&keeper, "127.0.0.1:0".parse().expect("an address"), true, ended).await.expect("serves");
+    let network = site.network().await.expect("a chain");
+    let (desk, other) = (site.gateway.served_desk().expect("serves"), stranger(&network).await);
+    let (guest, hers) = newcomer(&network).await;
+    while desk.account(&guest.address()).await.is_err() {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    let anchors = Anchors::default();
+    let here = Taking { desk: &desk, anchors: &anchors, copies: Copies::All };
+    let own = alice.signing();
+    let of_alice = async |topic, seq, body: &[u8]| {
+        anchored(&network, &other, &record_on(topic, (&network, alice.address), &own, (seq, body)), &own).await
+    };
+    let of_guest = async |seq, body: &[u8]| {
+        anchored(&network, &other, &record_on(TOPIC, (&network, guest.address()), &hers, (seq, body)), &hers).await
+    };
+    let second = TopicId([9; 16]);
+    let asked = |owner, topic_id| Wanted { owner, recorder: RECORDER, topic_id, first: 1, last: 9 };
+    let nobody = Address([0x5a; 20]);
+    let parts = [
+        (asked(alice.address, TOPIC), vec![of_alice(TOPIC, 1, b"one").await]),
+        (asked(guest.address(), TOPIC), vec![of_guest(1, &vec![7; 8 * 1024]).await]),
+        // Asked of one topic, answered with another one's.
+        (asked(alice.address, TOPIC), vec![of_alice(second, 2, b"two").await]),
+        (asked(nobody, TOPIC), vec![of_alice(TOPIC, 5, b"of nobody").await]),
+        (asked(alice.address, second), vec![of_alice(second, 1, b"one of the other topic").await]),
+    ];
+    let parts = parts.into_iter().flat_map(|(wanted, records)| handed(wanted, records)).collect();
+    let Took { taken, later, refused } = here.take(parts).await.expect("asked");
+    let expected = [(alice.address, RECORDER, TOPIC, 1), (alice.address, RECORDER, second, 1)];
+    assert_eq!((taken, later), (BTreeSet::from(expected), BTreeSet::new()));
+    assert_eq!(codes(&refused), [Code::NotRegistered, Code::Malformed, Code::Quota], "{refused:?}");
+
+    // Under a number that is taken: only this one is refused, whoever came with it.
+    let parts = [
+        (asked(alice.address, TOPIC), vec![of_alice(TOPIC, 1, b"another one").await, of_alice(TOPIC, 2, b"two").await]),
+        (asked(guest.address(), TOPIC), vec![of_guest(2, b"short").await]),
+    ];
+    let parts = parts.into_iter().flat_map(|(wanted, records)| handed(wanted, records)).collect();
+    let Took { taken, refused, .. } = here.take(parts).await.expect("asked");
+    let expected = [(alice.address, RECORDER, TOPIC, 2), (guest.address(), RECORDER, TOPIC, 2)];
+    assert_eq!((taken, codes(&refused)), (BTreeSet::from(expected), vec![Code::Malformed]), "{refused:?}");
     site.stop().await;
 }

@@ -1,0 +1,314 @@
+//! What is done in a round with another gateway: its holdings are read, what is lacking here is claimed, asked for, and
+//! taken some at a time.
+
+use std::time::Instant;
+
+use super::copies::Copies;
+use super::fetching::{Claim, Which};
+use super::round::{Course, Ended, Handed, Here, Other, Round, Took, is_a_lie, is_of_here};
+use crate::gateway::command::holdings::{MOST_HANDED, MOST_HANDED_BYTES};
+use crate::gateway::{Code, Held, Refusal, Wanted};
+use crate::model::{Address, Ranges};
+use crate::store::Lacking;
+/// Of so many topics it is looked at once what is lacking.
+const TOPICS: usize = 16;
+/// The most answers about holdings that are read in a round.
+pub(super) const MOST_PAGES: usize = 8;
+/// The most requests for records in a round.
+pub(super) const MOST_REQUESTS: usize = 256;
+/// No further records are asked for once a round took so many bytes.
+const MOST_BYTES: usize = 64 * 1024 * 1024;
+/// After so many refusals of what it sent, a gateway is left alone for a while.
+pub(super) const MOST_REFUSED: usize = 16;
+/// After so many records whose anchors the chain here does not have yet, the round is over.
+pub(super) const MOST_LATER: usize = 1024;
+/// The most numbers that are remembered as not to be had, until holdings are read from the beginning again.
+const MOST_SET_ASIDE: usize = 16_384;
+/// The most records remembered as anchored twice.
+const MOST_TWICE: usize = 4096;
+/// The most owners remembered as not admitted.
+const MOST_PASSED_OVER: usize = 1024;
+
+/// What is left of a round's bounds.
+struct Left {
+    requests: usize,
+    bytes: usize,
+    refusals: usize,
+    later: usize,
+}
+
+/// Records that were handed over and are not taken yet: they are checked and written together, because each
+/// write costs more than a record.
+#[derive(Default)]
+struct Basket {
+    parts: Vec<Handed>,
+    /// Nobody else fetches them meanwhile.
+    claims: Vec<Claim>,
+    records: usize,
+    bytes: usize,
+}
+
+impl Basket {
+    fn add(&mut self, part: Handed) {
+        self.records += part.records.len();
+        self.bytes += part.records.iter().map(|record| record.blob.len()).sum::<usize>();
+        self.parts.push(part);
+    }
+
+    fn is_full(&self) -> bool {
+        self.records >= MOST_HANDED || self.bytes >= MOST_HANDED_BYTES || self.parts.len() >= MOST_HANDED
+    }
+}
+
+/// One round with another gateway.
+pub(super) struct Visit<'a, Far, Near> {
+    other: &'a mut Far,
+    here: &'a Near,
+    copies: &'a Copies,
+    course: &'a mut Course,
+    round: &'a mut Round,
+    left: Left,
+    basket: Basket,
+    /// The last owner who was looked at, and whether its records are taken here.
+    last: Option<(Address, bool)>,
+}
+
+impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
+    /// Nothing is done yet.
+    pub fn new(
+        other: &'a mut Far,
+        here: &'a Near,
+        copies: &'a Copies,
+        (course, round): (&'a mut Course, &'a mut Round),
+    ) -> Self {
+        let left = Left { requests: MOST_REQUESTS, bytes: MOST_BYTES, refusals: MOST_REFUSED, later: MOST_LATER };
+        Self { other, here, copies, course, round, left, basket: Basket::default(), last: None }
+    }
+
+    /// Reads on where the last round ended.
+    ///
+    /// # Errors
+    /// [`Ended`].
+    pub async fn read_on(mut self) -> Result<(), Ended> {
+        let before = self.course.newest;
+        if !self.left_to_others().await? {
+            self.round.more = true;
+            return Ok(());
+        }
+        for _ in 0..MOST_PAGES {
+            let page = self.other.holdings(self.course.after).await?;
+            if page.next < self.course.after || page.more && page.next == self.course.after {
+                return Err(Ended::Lies("its list of what it holds does not advance".to_owned()));
+            }
+            if !self.all(&page.held).await? {
+                // The same part is told again; what was taken of it is here by then.
+                (self.round.more, self.course.at_end) = (true, false);
+                return Ok(());
+            }
+            self.course.newest = self.course.newest.max(page.next.block);
+            self.course.at_end = !page.more;
+            if !page.more {
+                self.course.rest(page.next, before, self.left.later < MOST_LATER, Instant::now());
+                return Ok(());
+            }
+            self.course.after = page.next;
+        }
+        self.round.more = true;
+        Ok(())
+    }
+
+    /// Asks for what another line was fetching and has not brought; `false` = the round's bounds are reached.
+    async fn left_to_others(&mut self) -> Result<bool, Ended> {
+        let elsewhere = std::mem::take(&mut self.course.elsewhere);
+        let held = |(which, numbers): (&Which, &Vec<u64>)| {
+            let (owner, recorder, topic_id) = *which;
+            Held { owner, recorder, topic_id, ranges: Ranges::of(numbers.clone()) }
+        };
+        let told: Vec<Held> = elsewhere.iter().map(held).collect();
+        let done = self.all(&told).await;
+        if !matches!(done, Ok(true)) {
+            // What of it is here by now is seen the next time.
+            self.course.elsewhere = elsewhere;
+        }
+        done
+    }
+
+    /// What is told of these topics, all taken; `false` = the round's bounds are reached.
+    async fn all(&mut self, told: &[Held]) -> Result<bool, Ended> {
+        let mut whole = true;
+        for some in told.chunks(TOPICS) {
+            let kept = self.kept(some)?;
+            let lacking = self.here.lacking(&kept).map_err(Ended::Here)?;
+            for (held, lacking) in kept.iter().zip(lacking) {
+                whole = self.one(held, lacking).await?;
+                if !whole {
+                    break;
+                }
+            }
+            if !whole {
+                break;
+            }
+        }
+        self.empty().await?;
+        Ok(whole)
+    }
+
+    /// What of these topics is kept here.
+    fn kept(&mut self, told: &[Held]) -> Result<Vec<Held>, Ended> {
+        let mut kept = Vec::with_capacity(told.len());
+        for held in told {
+            if !self.is_welcome(&held.owner)? {
+                continue;
+            }
+            let ranges = self.copies.kept((&held.owner, &held.recorder, &held.topic_id), &held.ranges);
+            if !ranges.is_empty() {
+                kept.push(Held { ranges, ..*held });
+            }
+        }
+        Ok(kept)
+    }
+
+    fn is_welcome(&mut self, owner: &Address) -> Result<bool, Ended> {
+        if let Some((_, welcome)) = self.last.filter(|(last, _)| last == owner) {
+            return Ok(welcome);
+        }
+        let welcome = match self.here.welcomes(owner) {
+            Ok(()) => true,
+            Err(refusal) if is_of_here(refusal.code) => return Err(Ended::Here(refusal)),
+            Err(_) => {
+                if self.course.passed_over.len() < MOST_PASSED_OVER {
+                    self.course.passed_over.insert(*owner);
+                }
+                false
+            }
+        };
+        self.last = Some((*owner, welcome));
+        Ok(welcome)
+    }
+
+    /// What is told of one topic; `false` = the round's bounds are reached.
+    async fn one(&mut self, held: &Held, Lacking { numbers, twice }: Lacking) -> Result<bool, Ended> {
+        for digest in twice {
+            if self.course.twice.len() < MOST_TWICE && self.course.twice.insert(digest) {
+                self.round.twice += 1;
+            }
+        }
+        let Held { owner, recorder, topic_id, .. } = *held;
+        let wanted: Vec<u64> = numbers
+            .iter()
+            .flat_map(|(first, last)| first..=last)
+            .filter(|number| !self.course.set_aside.contains(&(owner, recorder, topic_id, *number)))
+            .collect();
+        if wanted.is_empty() {
+            return Ok(true);
+        }
+        let claim = self.here.claim((owner, recorder, topic_id), wanted);
+        if !claim.elsewhere.is_empty() && !self.leave_to_others((owner, recorder, topic_id), &claim.elsewhere) {
+            return Ok(false);
+        }
+        self.fetch((owner, recorder, topic_id), claim).await
+    }
+
+    /// Remembers what another line is fetching; `false` = there is too much of it.
+    fn leave_to_others(&mut self, which: Which, numbers: &[u64]) -> bool {
+        self.round.lacking += numbers.len() as u64;
+        let elsewhere = &mut self.course.elsewhere;
+        if elsewhere.values().map(Vec::len).sum::<usize>() + numbers.len() > MOST_SET_ASIDE {
+            return false;
+        }
+        elsewhere.entry(which).or_default().extend(numbers);
+        true
+    }
+
+    /// Asks for all of a claim; `false` = the round's bounds are reached.
+    async fn fetch(&mut self, (owner, recorder, topic_id): Which, claim: Claim) -> Result<bool, Ended> {
+        let wanted = Ranges::of(claim.numbers.clone());
+        self.basket.claims.push(claim);
+        let mut open = wanted.count();
+        for (first, last) in wanted.iter() {
+            let mut next = Some(first);
+            while let Some(first) = next {
+                if self.left.requests == 0 || self.left.bytes == 0 {
+                    self.round.lacking += open;
+                    return Ok(false);
+                }
+                let asked = Wanted { owner, recorder, topic_id, first, last };
+                let until = self.some(asked).await?;
+                open = open.saturating_sub(until - first + 1);
+                next = (until < last).then(|| until + 1);
+            }
+        }
+        Ok(true)
+    }
+
+    /// Asks for records of a range once; returns the last number that is dealt with.
+    async fn some(&mut self, asked: Wanted) -> Result<u64, Ended> {
+        let handed = self.other.hand_over(asked).await?;
+        let until = match handed.next {
+            None => asked.last,
+            Some(next) if (asked.first + 1..=asked.last).contains(&next) => next - 1,
+            Some(_) => return Err(Ended::Lies("what it hands over does not advance".to_owned())),
+        };
+        let bytes: usize = handed.records.iter().map(|record| record.blob.len()).sum();
+        (self.left.requests, self.left.bytes) = (self.left.requests - 1, self.left.bytes.saturating_sub(bytes));
+        self.basket.add(Handed { wanted: asked, until, records: handed.records });
+        if self.basket.is_full() {
+            // The rest of a claim that is being fetched stays with this line.
+            let last = self.basket.claims.pop();
+            self.empty().await?;
+            self.basket.claims.extend(last);
+        }
+        Ok(until)
+    }
+
+    /// Takes what is in the basket.
+    async fn empty(&mut self) -> Result<(), Ended> {
+        let Basket { parts, claims, .. } = std::mem::take(&mut self.basket);
+        if parts.is_empty() {
+            return Ok(());
+        }
+        let asked: Vec<(Wanted, u64)> = parts.iter().map(|part| (part.wanted, part.until)).collect();
+        let took = self.here.take(parts).await.map_err(Ended::Here)?;
+        drop(claims);
+        self.note(&asked, took)
+    }
+
+    fn note(&mut self, asked: &[(Wanted, u64)], Took { taken, later, refused }: Took) -> Result<(), Ended> {
+        self.round.taken += taken.len() as u64;
+        self.round.lacking += later.len() as u64;
+        for (Wanted { owner, recorder, topic_id, first, .. }, until) in asked {
+            let numbers = (*first..=*until).map(|number| (*owner, *recorder, *topic_id, number));
+            for one in numbers.filter(|one| !taken.contains(one) && !later.contains(one)) {
+                if self.course.set_aside.len() >= MOST_SET_ASIDE {
+                    return Err(Ended::Lies("it tells of far more than it hands over".to_owned()));
+                }
+                self.course.set_aside.insert(one);
+            }
+        }
+        self.note_refused(&refused)?;
+        self.left.later = self.left.later.saturating_sub(later.len());
+        if self.left.later == 0 {
+            let why = "the node here does not have the blocks with its anchors yet";
+            return Err(Ended::Here(Refusal::new(Code::Stale, why)));
+        }
+        Ok(())
+    }
+
+    fn note_refused(&mut self, refused: &[Refusal]) -> Result<(), Ended> {
+        for refusal in refused {
+            *self.round.refused.entry(refusal.code).or_default() += 1;
+            if !is_a_lie(refusal.code) {
+                continue;
+            }
+            self.left.refusals -= 1;
+            if self.left.refusals == 0 {
+                return Err(Ended::Lies(format!("{MOST_REFUSED} of its records do not hold, the last one: {refusal}")));
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+#[path = "visit_tests.rs"]
+mod tests;
