@@ -16,6 +16,7 @@ use super::robot::{Brought, Pace, Robot, Scene, Sealed, source};
 use super::station::{Ground, Settings, Station};
 use crate::network::Directory;
 use crate::progress::Progress;
+use crate::usage::processor_seconds;
 use authros_crypto::Provider;
 use authros_gateway::Context;
 use authros_service::Failure;
@@ -54,6 +55,8 @@ pub(super) struct Settled {
     pub copies: u64,
     /// What gateways said against each other meanwhile, and how often it was found.
     pub problems: BTreeMap<String, u64>,
+    /// When the last of it was verified, and the processor time of this process until then, seconds.
+    pub end: (Instant, f64),
 }
 
 /// A fleet.
@@ -183,21 +186,25 @@ impl World {
     pub async fn settle(&self, wanted: u64, copies: usize, deadline: Instant) -> Result<Settled, Failure> {
         let all = self.stations.len();
         let (mut before, mut quiet, mut problems) = (0, 0, BTreeMap::new());
+        let mut end = (Instant::now(), processor_seconds());
         loop {
             let (mut sum, mut least, mut pending) = (0, u64::MAX, 0);
             for station in self.stations.iter() {
                 let (verified, waiting) = station.lock().await.verified()?;
                 (sum, least, pending) = (sum + verified, least.min(verified), pending + waiting);
             }
-            quiet = if sum == before { quiet + 1 } else { 0 };
+            quiet = if sum == before && pending == 0 { quiet + 1 } else { 0 };
+            if quiet == 0 {
+                end = (Instant::now(), processor_seconds());
+            }
             before = sum;
             let there = if copies == all { least >= wanted } else { sum >= wanted * copies as u64 };
             let over = copies == all || copies == 1 || quiet >= QUIET;
             if there && over && pending == 0 {
-                return Ok(Settled { in_time: true, copies: sum, problems });
+                return Ok(Settled { in_time: true, copies: sum, problems, end });
             }
             if Instant::now() > deadline {
-                return Ok(Settled { in_time: false, copies: sum, problems });
+                return Ok(Settled { in_time: false, copies: sum, problems, end });
             }
             for station in self.stations.iter() {
                 let found = station.lock().await.problems().await?;
