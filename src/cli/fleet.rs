@@ -73,7 +73,18 @@ pub fn status(view: &FleetView) -> String {
         _ => "no gateway runs here; start it with authros gateway serve".to_owned(),
     };
     let mut lines = vec![own, all(&view.fellows)];
+    if let Some(copies) = view.copies.filter(|_| !view.fellows.is_empty()) {
+        let there = view.fellows.iter().filter(|one| !one.away).count() + 1;
+        let how_many = if usize::from(copies) >= there { "all".to_owned() } else { copies.to_string() };
+        lines.push(format!("each record is kept by {how_many} of the {there} gateways that are there (fleet.copies)"));
+    }
     for one in &view.fellows {
+        if one.away {
+            lines.push(format!(
+                "{}: away (fleet.away_after), so others keep what fell to it until it is back",
+                one.address
+            ));
+        }
         lines.extend(one.problem.iter().map(|problem| format!("{}: {problem}", one.address)));
         if one.passed_over > 0 {
             let how = "`authros gateway admit` lets an owner use this gateway";
@@ -96,4 +107,45 @@ pub fn status(view: &FleetView) -> String {
         ));
     }
     lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::SignerId;
+
+    fn fellow(address: &str, away: bool) -> FellowView {
+        FellowView {
+            address: address.to_owned(),
+            key: SignerId([7; 32]),
+            account: None,
+            added_at: Timestamp(0),
+            heard: None,
+            reconciled: false,
+            lacking: 0,
+            taken: 0,
+            erased: 0,
+            passed_over: 0,
+            anchored_twice: 0,
+            refused: Vec::new(),
+            problem: None,
+            away,
+        }
+    }
+
+    fn told(copies: Option<u16>, fellows: Vec<FellowView>) -> String {
+        status(&FleetView { address: None, key: None, fellows, held: 0, copies })
+    }
+
+    #[test]
+    fn who_keeps_each_record_is_told_where_not_all_do() {
+        let fellows = || ["a:1", "b:1", "c:1"].map(|address| fellow(address, address == "c:1")).to_vec();
+        assert!(!told(None, fellows()).contains("kept by"));
+        let some = told(Some(2), fellows());
+        assert!(some.contains("each record is kept by 2 of the 3 gateways that are there"), "{some}");
+        assert!(some.contains("c:1: away") && !some.contains("a:1: away"), "{some}");
+        let few = told(Some(5), fellows());
+        assert!(few.contains("kept by all of the 3 gateways"), "{few}");
+        assert!(!told(Some(2), Vec::new()).contains("kept by"), "no fleet, nothing to say");
+    }
 }

@@ -273,7 +273,7 @@ fn removal(state: &State, one: &FellowView) -> Confirm {
 /// The fleet is another one now.
 pub fn changed(state: &mut State, deed: &Deed, rows: Vec<FellowView>) {
     let before = state.gateway.fleet.take();
-    let before = before.unwrap_or(FleetView { address: None, key: None, fellows: Vec::new(), held: 0 });
+    let before = before.unwrap_or(FleetView { address: None, key: None, fellows: Vec::new(), held: 0, copies: None });
     let fleet = FleetView { fellows: rows, ..before };
     let now = state.now;
     state.gateway.set_fleet(fleet, now);

@@ -146,6 +146,10 @@ pub fn facts(state: &State, one: &FellowView) -> Vec<Fact> {
     if let Some(problem) = &one.problem {
         facts.insert(1, ("trouble", clean(problem, 300), Role::Bad));
     }
+    if one.away {
+        let text = "away: others keep what fell to it until it is back".to_owned();
+        facts.insert(1, ("copies", text, Role::Warning));
+    }
     if one.refused.is_empty() {
         facts.push(("refused", "none".to_owned(), Role::Dim));
     }

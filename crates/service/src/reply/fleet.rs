@@ -35,6 +35,9 @@ pub struct FellowView {
     pub refused: Vec<RefusedView>,
     /// Why nothing comes from it now.
     pub problem: Option<String>,
+    /// Whether it was silent for `fleet.away_after`, so that others keep what fell to it; never where all keep everything.
+    #[serde(default)]
+    pub away: bool,
 }
 
 /// The fleet of the gateway of this home.
@@ -49,4 +52,7 @@ pub struct FleetView {
     /// Records that their owner had erased elsewhere, and that stay here because an incident of that owner holds them.
     #[serde(default)]
     pub held: u64,
+    /// How many gateways are to keep each record (`fleet.copies`); `None` = all of them.
+    #[serde(default)]
+    pub copies: Option<u16>,
 }

@@ -341,6 +341,7 @@ fn view(fellow: Fellow, all: &BTreeMap<SignerId, Progress>, network: Option<&Net
             .map(|(code, count)| RefusedView { code: code.number(), text: code.text().to_owned(), count: *count })
             .collect(),
         problem: one.trouble.as_ref().map(|(_, why, _)| why.clone()),
+        away: false,
     }
 }
 

@@ -61,7 +61,8 @@ impl Gateway {
                 let (address, key) =
                     (served.as_ref().map(|view| view.address.clone()), served.map(|view| view.gateway));
                 let held = block_in_place(|| self.plant.ledger.held_although_erased())?;
-                Ok(ask::FleetStatus::told(FleetView { address, key, fellows: self.fellow_rows()?, held }))
+                let (fellows, copies) = (self.fellow_rows()?, self.config.fleet_copies);
+                Ok(ask::FleetStatus::told(FleetView { address, key, fellows, held, copies }))
             }
         }
     }
@@ -77,7 +78,12 @@ impl Gateway {
     }
 
     fn fellow_rows(&self) -> Result<Vec<FellowView>, Failure> {
-        self.fellows.rows(self.link.network_now().as_ref())
+        let mut rows = self.fellows.rows(self.link.network_now().as_ref())?;
+        if self.config.fleet_copies.is_some() {
+            let there = self.fellows.there(self.config.fleet_away_after);
+            rows.iter_mut().for_each(|row| row.away = !there.contains(&row.key));
+        }
+        Ok(rows)
     }
 
     /// Follows every gateway of the list, until the site ends.
