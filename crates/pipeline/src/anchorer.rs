@@ -23,6 +23,8 @@ const MOST_OPEN_BATCHES: usize = 2;
 const REST: Duration = Duration::from_secs(60);
 /// How long to wait when only the chain can bring news.
 const IDLE: Duration = Duration::from_secs(1);
+/// How often it is looked whose right has ended while nothing is closed or sent.
+const LOOK: Duration = Duration::from_millis(500);
 /// Leaf orders tried to find a root that no batch had before.
 const MOST_ORDERS: usize = 16;
 
@@ -33,6 +35,8 @@ pub struct Anchorer {
     /// Witnesses whose anchors the contract refused (because they are suspended, for example), and until when they
     /// rest.
     resting: HashMap<Address, Instant>,
+    /// When it was looked whose right to sign has ended or begun again.
+    settled: Option<Instant>,
 }
 
 /// The result of a round.
@@ -53,7 +57,7 @@ impl Round {
 impl Anchorer {
     /// An anchorer of one owner's records.
     pub fn new(mode: AnchorMode) -> Self {
-        Self { mode, pace: Pace::default(), resting: HashMap::new() }
+        Self { mode, pace: Pace::default(), resting: HashMap::new(), settled: None }
     }
 
     /// Does what is due now; records whose signer may not sign now wait. `lanes` are the accounts that anchor batches
@@ -73,14 +77,16 @@ impl Anchorer {
         if network.directory.epoch(owner) == 0 {
             return Ok(Round::wait(IDLE));
         }
-        block_in_place(|| authority::settle_waiting(plant, network, owner))?;
+        let lately = self.settled.is_some_and(|at| at.elapsed() < LOOK);
+        if !lately || self.mode == AnchorMode::Each {
+            self.settle(plant, network, owner)?;
+        }
         self.resting.retain(|_, until| Instant::now() < *until);
         let free = free_lane(plant, sender, lanes, &self.resting)?;
         let Some((lane, open)) = free else { return Ok(Round::wait(IDLE)) };
         // Batches already closed come first, whatever the mode is now.
-        let waiting = block_in_place(|| plant.ledger.waiting_batches(owner, 1))?;
-        if let Some(batch) = waiting.first() {
-            return self.send(plant, network, sender, lane, owner, *batch).await;
+        if let Some(batch) = self.waiting(plant, network, owner, lately)? {
+            return self.send(plant, network, sender, lane, owner, batch).await;
         }
         let own = match self.mode {
             AnchorMode::Each => lanes.iter().find(|lane| lane.address() == owner),
@@ -91,7 +97,7 @@ impl Anchorer {
                 Some(batch) => self.send(plant, network, sender, lane, owner, batch).await,
                 None => one_by_one(plant, network, sender, (owner, own)).await,
             },
-            None => match self.close(plant, owner, open == 0)? {
+            None => match self.close(plant, network, owner, open == 0)? {
                 Ok(batch) => self.send(plant, network, sender, lane, owner, batch).await,
                 Err(due_in) => Ok(Round::wait(due_in)),
             },
@@ -118,10 +124,36 @@ impl Anchorer {
         }
     }
 
+    /// Lets records of signers who may not sign now wait, and those of signers who may again go on. That looks at all
+    /// topics, so it is done before a batch is closed or sent, and else only now and then.
+    fn settle(&mut self, plant: &Plant, network: &Network, owner: Address) -> Result<(), PipelineError> {
+        block_in_place(|| authority::settle_waiting(plant, network, owner))?;
+        self.settled = Some(Instant::now());
+        Ok(())
+    }
+
+    /// A closed batch that no transaction anchors.
+    fn waiting(
+        &mut self,
+        plant: &Plant,
+        network: &Network,
+        owner: Address,
+        look: bool,
+    ) -> Result<Option<WaitingBatch>, PipelineError> {
+        let first = || block_in_place(|| plant.ledger.waiting_batches(owner, 1)).map(|found| found.first().copied());
+        let found = first()?;
+        if found.is_none() || !look {
+            return Ok(found);
+        }
+        self.settle(plant, network, owner)?;
+        Ok(first()?)
+    }
+
     /// Closes a batch if one is due; otherwise returns how long until then.
     fn close(
         &mut self,
         plant: &Plant,
+        network: &Network,
         owner: Address,
         idle: bool,
     ) -> Result<Result<WaitingBatch, Duration>, PipelineError> {
@@ -133,6 +165,7 @@ impl Anchorer {
             if !due_in.is_zero() {
                 return Ok(Err(due_in));
             }
+            self.settle(plant, network, owner)?;
             let leaves = plant.ledger.stored_leaves(owner, MOST_LEAVES)?;
             let count = leaves.len();
             let Some(batch) = close_batch(plant, owner, leaves)? else { return Ok(Err(LONGEST_WAIT)) };

@@ -35,6 +35,9 @@ use crate::service::reply::Failure;
 /// topics.
 const BETWEEN_LOOKS: Duration = Duration::from_millis(25);
 
+/// With a great many topics a look takes long: so many times as long nothing is looked at.
+const TIMES_A_LOOK: u32 = 4;
+
 /// Starts all tasks needed by the run.
 pub(super) fn start(
     site: &Arc<Site>,
@@ -281,7 +284,8 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
                     site.parts.hub.changed(Part::Uploads);
                 }
                 if !round.next.is_zero() {
-                    let rest = round.next.min(BETWEEN_LOOKS);
+                    let look = if round.submitted == 0 { begun.elapsed() } else { Duration::ZERO };
+                    let rest = round.next.min(BETWEEN_LOOKS.max(look * TIMES_A_LOOK));
                     tokio::time::sleep(rest).await;
                     tokio::select! {
                         () = stored => {}
