@@ -39,7 +39,7 @@ pub struct Node {
     pub file: Rc<ChainFile>,
     /// Since when it is of version 3.
     pub era: Era,
-    /// The block whose transactions were read last.
+    /// The blocks whose transactions were read or written last.
     pub looked: Looked,
     /// The pending transactions.
     pub pool: Pool,

@@ -24,9 +24,10 @@ pub struct Done {
     pub receipt: Receipt,
 }
 
-/// The most blocks that are remembered, and the most transactions in them.
+/// The most blocks that are remembered, and the most bytes of transactions in them, each with so many beside its own.
 const MOST_BLOCKS: usize = 32;
-const MOST_TRANSACTIONS: usize = 1024;
+const MOST_BYTES: usize = 2 * 1024 * 1024;
+const BESIDE: usize = 1024;
 
 /// The blocks whose transactions were read or written last: callers ask for one after another, and several callers for the
 /// same ones. Their senders need not be recovered again.
@@ -55,8 +56,11 @@ impl Looked {
         let mut blocks = self.0.borrow_mut();
         blocks.retain(|(known, _)| *known != number);
         blocks.push_back((number, done));
-        let sum = |blocks: &VecDeque<Block>| blocks.iter().map(|(_, done)| done.len()).sum::<usize>();
-        while blocks.len() > MOST_BLOCKS || blocks.len() > 1 && sum(&blocks) > MOST_TRANSACTIONS {
+        let sum = |blocks: &VecDeque<Block>| {
+            let all = blocks.iter().flat_map(|(_, done)| done.iter());
+            all.map(|done| done.transaction.raw.len() + BESIDE).sum::<usize>()
+        };
+        while blocks.len() > MOST_BLOCKS || blocks.len() > 1 && sum(&blocks) > MOST_BYTES {
             blocks.pop_front();
         }
     }

@@ -77,6 +77,11 @@ impl GatewayDesk {
         let (mut handed, mut bytes) = (HandedOver::default(), 0);
         // Of the longest records no more are in memory than go into an answer.
         for some in rows.chunk_by(fitting()) {
+            let least = some.first().map_or(0, |row| usize::try_from(row.bytes).unwrap_or(usize::MAX));
+            if bytes > 0 && least.saturating_add(bytes) > MOST_HANDED_BYTES {
+                handed.next = some.first().map(|row| row.seq);
+                return Ok(handed);
+            }
             for (row, record) in some.iter().zip(self.all_bytes_of(&network, some)?) {
                 let record = match record {
                     Ok(record) => record,

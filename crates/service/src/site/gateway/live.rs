@@ -111,7 +111,7 @@ impl Watch {
 
     fn entries(&self, digests: &[Digest], reach: &ReadingRight) -> Vec<Entry> {
         let ledger = &self.desk.gateway.plant.ledger;
-        let rows = ledger.records(digests).unwrap_or_default().into_iter().flatten();
+        let rows = digests.iter().filter_map(|digest| ledger.record(*digest).ok().flatten());
         rows.filter(|row| self.wants(row, reach)).map(|row| entry(&row)).collect()
     }
 

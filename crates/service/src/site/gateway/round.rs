@@ -98,6 +98,8 @@ pub(super) struct Took {
     pub later: BTreeSet<Numbered>,
     /// Why others are not held.
     pub refused: Vec<Refusal>,
+    /// Why some of `later` could not be judged: the chain here says nothing now.
+    pub silent: Option<Refusal>,
 }
 
 /// A number of a topic.
@@ -119,6 +121,8 @@ pub(super) struct Course {
     /// Numbers that it told and that another line was fetching then.
     pub(super) elsewhere: BTreeMap<Which, Vec<u64>>,
     pub(super) twice: BTreeSet<Digest>,
+    /// Whether the last of its records were true: then many are judged together, else each answer by itself.
+    pub(super) was_true: bool,
     /// Owners whose records are not taken.
     pub(super) passed_over: BTreeSet<Address>,
     erased: ErasureCourse,

@@ -74,7 +74,7 @@ impl Here for Shelf {
 
     async fn take(&self, parts: Vec<Handed>) -> Result<Took, Refusal> {
         *self.takes.lock().expect("not poisoned") += 1;
-        let Took { mut taken, mut later, mut refused } = Took::default();
+        let Took { mut taken, mut later, mut refused, silent } = Took::default();
         let records = parts.into_iter().flat_map(|part| part.records.into_iter().map(move |one| (part.wanted, one)));
         for (wanted, record) in records {
             let number = u64::from_be_bytes(record.blob.try_into().expect("eight bytes"));
@@ -90,7 +90,7 @@ impl Here for Shelf {
                 refused.push(Refusal::new(Code::Signature, "forged"));
             }
         }
-        Ok(Took { taken, later, refused })
+        Ok(Took { taken, later, refused, silent })
     }
 
     async fn erase(&self, _: Vec<ToldErasure>, _: bool, _: &mut Round) -> Result<TookErased, Refusal> {

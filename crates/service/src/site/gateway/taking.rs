@@ -1,6 +1,7 @@
 //! Records that another gateway of the fleet hands over: each is checked as if its robot had sent it here, against the
 //! chain that is known here, and goes the one way into vault and ledger. A gateway that lies gets nothing in.
 
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -35,7 +36,7 @@ enum Judged {
     /// It holds.
     Holds(Box<Proven>),
     /// The chain here does not have the block of its anchor yet.
-    Later(Numbered),
+    Later,
 }
 
 /// What was seen while others of the same records were judged.
@@ -83,19 +84,28 @@ impl Here for Taking<'_> {
         let network = self.desk.known_network()?;
         let (mut proven, mut later, mut refused) = (Vec::new(), BTreeSet::new(), Vec::new());
         let parts = self.of_accounts(parts, &mut refused).await?;
-        let mut known = Known::default();
+        let (mut known, mut silent) = (Known::default(), None);
         for (received, proof) in self.received(&network, parts, &mut refused).await? {
+            let number = number_of(&received.header);
+            if silent.is_some() {
+                later.insert(number);
+                continue;
+            }
             match self.proven(&network, received, &proof, &mut known).await {
                 Ok(Judged::Holds(one)) => proven.push(*one),
-                Ok(Judged::Later(one)) => {
-                    later.insert(one);
+                Ok(Judged::Later) => {
+                    later.insert(number);
                 }
-                Err(refusal) if matches!(refusal.code, Code::Stale | Code::Internal) => return Err(refusal),
+                // What was judged before is kept all the same.
+                Err(refusal) if matches!(refusal.code, Code::Stale | Code::Internal) => {
+                    later.insert(number);
+                    silent = Some(refusal);
+                }
                 Err(refusal) => refused.push(refusal),
             }
         }
         let taken = block_in_place(|| self.keep(proven, &mut refused))?;
-        Ok(Took { taken, later, refused })
+        Ok(Took { taken, later, refused, silent })
     }
 
     async fn erase(&self, told: Vec<ToldErasure>, patient: bool, round: &mut Round) -> Result<TookErased, Refusal> {
@@ -166,7 +176,7 @@ impl Taking<'_> {
         let proof = AnchorProof::parse(proof)?;
         let confirmed = self.anchors.confirm(network, &received.header, received.digest, proof).await;
         let proof = match confirmed {
-            Err(PipelineError::NotSeen { .. }) => return Ok(Judged::Later(number_of(&received.header))),
+            Err(PipelineError::NotSeen { .. }) => return Ok(Judged::Later),
             confirmed => confirmed.map_err(|error| failed(&error))?,
         };
         self.check_signer(network, &received, proof.block, known).await?;
@@ -205,24 +215,29 @@ impl Taking<'_> {
         }
     }
 
-    /// Stores what holds: all together, and what has a quota owner by owner.
+    /// Stores what holds: all together, and what has a quota topic by topic, so that one beyond it spoils no other.
     fn keep(&self, proven: Vec<Proven>, refusals: &mut Vec<Refusal>) -> Result<BTreeSet<Numbered>, Refusal> {
-        let (mut together, mut by_owner) = (Vec::new(), BTreeMap::<Address, Vec<Proven>>::new());
+        let (mut together, mut by_topic) = (Vec::new(), BTreeMap::<Which, Vec<Proven>>::new());
         let mut admitted = BTreeMap::new();
         for one in proven {
-            let owner = one.0.header.owner;
-            let is_admitted = match admitted.get(&owner) {
-                Some(known) => *known,
-                None => *admitted.entry(owner).or_insert(self.desk.is_admitted(&owner)?),
-            };
-            if is_admitted { together.push(one) } else { by_owner.entry(owner).or_default().push(one) }
+            let (owner, recorder, topic_id, _) = number_of(&one.0.header);
+            if let Entry::Vacant(unknown) = admitted.entry(owner) {
+                unknown.insert(match self.desk.is_admitted(&owner) {
+                    Err(refusal) if matches!(refusal.code, Code::Stale | Code::Internal) => return Err(refusal),
+                    // Why not is said when its records are to be kept.
+                    found => found.unwrap_or(false),
+                });
+            }
+            if admitted.get(&owner) == Some(&true) {
+                together.push(one);
+            } else {
+                by_topic.entry((owner, recorder, topic_id)).or_default().push(one);
+            }
         }
         let mut taken = self.keep_some(None, together, refusals)?;
-        for (owner, some) in by_owner {
+        for ((owner, ..), some) in by_topic {
             taken.extend(self.keep_some(Some(owner), some, refusals)?);
         }
-        self.desk.gateway.hub.confirmed.notify_one();
-        self.desk.gateway.hub.changed(Part::Uploads);
         Ok(taken)
     }
 
@@ -269,6 +284,9 @@ impl Taking<'_> {
         if kept.is_err() {
             // A block may have been replaced since the chain was asked.
             self.anchors.forget();
+        } else {
+            self.desk.gateway.hub.confirmed.notify_one();
+            self.desk.gateway.hub.changed(Part::Uploads);
         }
         kept.map(|_| numbers)
     }

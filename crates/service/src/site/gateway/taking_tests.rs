@@ -181,13 +181,14 @@ async fn what_another_gateway_hands_over_is_judged_by_the_block_that_anchors_it(
         let proof = AnchorProof { transaction, block, inclusion: place.clone(), ..genuine.clone() }.encode();
         Fetched { proof, ..inclusion.clone() }
     };
-    let Took { taken, later, refused } = here.take(handed(wanted, vec![elsewhere(newest + 9)])).await.expect("asked");
+    let Took { taken, later, refused, .. } =
+        here.take(handed(wanted, vec![elsewhere(newest + 9)])).await.expect("asked");
     assert_eq!(
         (numbers(taken), numbers(later), codes(&refused)),
         (Vec::new(), vec![6], Vec::new()),
         "it comes later, perhaps"
     );
-    let Took { taken, later, refused } = here.take(handed(wanted, vec![elsewhere(1)])).await.expect("asked");
+    let Took { taken, later, refused, .. } = here.take(handed(wanted, vec![elsewhere(1)])).await.expect("asked");
     assert_eq!(
         (numbers(taken), numbers(later), codes(&refused)),
         (Vec::new(), Vec::new(), vec![Code::Tampered]),
@@ -275,30 +276,36 @@ async fn records_of_several_owners_are_taken_together_and_one_who_may_not_spoils
     let of_alice = async |topic, seq, body: &[u8]| {
         anchored(&network, &other, &record_on(topic, (&network, alice.address), &own, (seq, body)), &own).await
     };
-    let of_guest = async |seq, body: &[u8]| {
-        anchored(&network, &other, &record_on(TOPIC, (&network, guest.address()), &hers, (seq, body)), &hers).await
+    let of_guest = async |topic, seq, body: &[u8]| {
+        anchored(&network, &other, &record_on(topic, (&network, guest.address()), &hers, (seq, body)), &hers).await
     };
     let second = TopicId([9; 16]);
     let asked = |owner, topic_id| Wanted { owner, recorder: RECORDER, topic_id, first: 1, last: 9 };
     let nobody = Address([0x5a; 20]);
     let parts = [
         (asked(alice.address, TOPIC), vec![of_alice(TOPIC, 1, b"one").await]),
-        (asked(guest.address(), TOPIC), vec![of_guest(1, &vec![7; 8 * 1024]).await]),
+        (asked(guest.address(), TOPIC), vec![of_guest(TOPIC, 1, &vec![7; 8 * 1024]).await]),
+        // Beyond its quota is one topic's record, not the other one's.
+        (asked(guest.address(), second), vec![of_guest(second, 1, b"short").await]),
         // Asked of one topic, answered with another one's.
         (asked(alice.address, TOPIC), vec![of_alice(second, 2, b"two").await]),
         (asked(nobody, TOPIC), vec![of_alice(TOPIC, 5, b"of nobody").await]),
         (asked(alice.address, second), vec![of_alice(second, 1, b"one of the other topic").await]),
     ];
     let parts = parts.into_iter().flat_map(|(wanted, records)| handed(wanted, records)).collect();
-    let Took { taken, later, refused } = here.take(parts).await.expect("asked");
-    let expected = [(alice.address, RECORDER, TOPIC, 1), (alice.address, RECORDER, second, 1)];
+    let Took { taken, later, refused, .. } = here.take(parts).await.expect("asked");
+    let expected = [
+        (alice.address, RECORDER, TOPIC, 1),
+        (alice.address, RECORDER, second, 1),
+        (guest.address(), RECORDER, second, 1),
+    ];
     assert_eq!((taken, later), (BTreeSet::from(expected), BTreeSet::new()));
     assert_eq!(codes(&refused), [Code::NotRegistered, Code::Malformed, Code::Quota], "{refused:?}");
 
     // Under a number that is taken: only this one is refused, whoever came with it.
     let parts = [
         (asked(alice.address, TOPIC), vec![of_alice(TOPIC, 1, b"another one").await, of_alice(TOPIC, 2, b"two").await]),
-        (asked(guest.address(), TOPIC), vec![of_guest(2, b"short").await]),
+        (asked(guest.address(), TOPIC), vec![of_guest(TOPIC, 2, b"short").await]),
     ];
     let parts = parts.into_iter().flat_map(|(wanted, records)| handed(wanted, records)).collect();
     let Took { taken, refused, .. } = here.take(parts).await.expect("asked");

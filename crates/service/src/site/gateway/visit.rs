@@ -1,7 +1,7 @@
 //! What is done in a round with another gateway: its holdings are read, what is lacking here is claimed, asked for, and
 //! taken some at a time.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use super::copies::Copies;
 use super::fetching::{Claim, Which};
@@ -10,6 +10,8 @@ use crate::gateway::command::holdings::{MOST_HANDED, MOST_HANDED_BYTES};
 use crate::gateway::{Code, Held, Refusal, Wanted};
 use crate::model::{Address, Ranges};
 use crate::store::Lacking;
+/// So long records that came wait for others, so that a slow gateway does not keep them from other lines.
+const LONGEST: Duration = Duration::from_secs(1);
 /// Of so many topics it is looked at once what is lacking.
 const TOPICS: usize = 16;
 /// The most answers about holdings that are read in a round.
@@ -46,17 +48,21 @@ struct Basket {
     claims: Vec<Claim>,
     records: usize,
     bytes: usize,
+    /// When the first of them came.
+    since: Option<Instant>,
 }
 
 impl Basket {
     fn add(&mut self, part: Handed) {
+        self.since.get_or_insert_with(Instant::now);
         self.records += part.records.len();
         self.bytes += part.records.iter().map(|record| record.blob.len()).sum::<usize>();
         self.parts.push(part);
     }
 
     fn is_full(&self) -> bool {
-        self.records >= MOST_HANDED || self.bytes >= MOST_HANDED_BYTES || self.parts.len() >= MOST_HANDED
+        let waited = self.since.is_some_and(|since| since.elapsed() >= LONGEST);
+        waited || self.records >= MOST_HANDED || self.bytes >= MOST_HANDED_BYTES || self.parts.len() >= MOST_HANDED
     }
 }
 
@@ -135,22 +141,25 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
 
     /// What is told of these topics, all taken; `false` = the round's bounds are reached.
     async fn all(&mut self, told: &[Held]) -> Result<bool, Ended> {
-        let mut whole = true;
+        let done = self.each(told).await;
+        if !matches!(done, Err(Ended::Here(_))) {
+            // A line that breaks again and again brings something all the same.
+            self.empty().await?;
+        }
+        done
+    }
+
+    async fn each(&mut self, told: &[Held]) -> Result<bool, Ended> {
         for some in told.chunks(TOPICS) {
             let kept = self.kept(some)?;
-            let lacking = self.here.lacking(&kept).map_err(Ended::Here)?;
+            let (lacking, requests) = (self.here.lacking(&kept).map_err(Ended::Here)?, self.left.requests);
             for (held, lacking) in kept.iter().zip(lacking) {
-                whole = self.one(held, lacking).await?;
-                if !whole {
-                    break;
+                if !self.one(held, lacking, requests == self.left.requests).await? {
+                    return Ok(false);
                 }
             }
-            if !whole {
-                break;
-            }
         }
-        self.empty().await?;
-        Ok(whole)
+        Ok(true)
     }
 
     /// What of these topics is kept here.
@@ -186,8 +195,9 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
         Ok(welcome)
     }
 
-    /// What is told of one topic; `false` = the round's bounds are reached.
-    async fn one(&mut self, held: &Held, Lacking { numbers, twice }: Lacking) -> Result<bool, Ended> {
+    /// What is told of one topic; `false` = the round's bounds are reached. Unless what is lacking was looked up just now,
+    /// another line may have brought it meanwhile.
+    async fn one(&mut self, held: &Held, Lacking { numbers, twice }: Lacking, just_now: bool) -> Result<bool, Ended> {
         for digest in twice {
             if self.course.twice.len() < MOST_TWICE && self.course.twice.insert(digest) {
                 self.round.twice += 1;
@@ -206,7 +216,13 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
         if !claim.elsewhere.is_empty() && !self.leave_to_others((owner, recorder, topic_id), &claim.elsewhere) {
             return Ok(false);
         }
-        self.fetch((owner, recorder, topic_id), claim).await
+        let mut wanted = Ranges::of(claim.numbers.clone());
+        if !just_now {
+            let claimed = Held { owner, recorder, topic_id, ranges: wanted };
+            wanted = self.here.lacking(&[claimed]).map_err(Ended::Here)?.pop().unwrap_or_default().numbers;
+        }
+        self.basket.claims.push(claim);
+        self.fetch((owner, recorder, topic_id), &wanted).await
     }
 
     /// Remembers what another line is fetching; `false` = there is too much of it.
@@ -220,10 +236,8 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
         true
     }
 
-    /// Asks for all of a claim; `false` = the round's bounds are reached.
-    async fn fetch(&mut self, (owner, recorder, topic_id): Which, claim: Claim) -> Result<bool, Ended> {
-        let wanted = Ranges::of(claim.numbers.clone());
-        self.basket.claims.push(claim);
+    /// Asks for all of these numbers, which are claimed; `false` = the round's bounds are reached.
+    async fn fetch(&mut self, (owner, recorder, topic_id): Which, wanted: &Ranges) -> Result<bool, Ended> {
         let mut open = wanted.count();
         for (first, last) in wanted.iter() {
             let mut next = Some(first);
@@ -252,7 +266,7 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
         let bytes: usize = handed.records.iter().map(|record| record.blob.len()).sum();
         (self.left.requests, self.left.bytes) = (self.left.requests - 1, self.left.bytes.saturating_sub(bytes));
         self.basket.add(Handed { wanted: asked, until, records: handed.records });
-        if self.basket.is_full() {
+        if !self.course.was_true || self.basket.is_full() {
             // The rest of a claim that is being fetched stays with this line.
             let last = self.basket.claims.pop();
             self.empty().await?;
@@ -273,7 +287,8 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
         self.note(&asked, took)
     }
 
-    fn note(&mut self, asked: &[(Wanted, u64)], Took { taken, later, refused }: Took) -> Result<(), Ended> {
+    fn note(&mut self, asked: &[(Wanted, u64)], took: Took) -> Result<(), Ended> {
+        let Took { taken, later, refused, silent } = took;
         self.round.taken += taken.len() as u64;
         self.round.lacking += later.len() as u64;
         for (Wanted { owner, recorder, topic_id, first, .. }, until) in asked {
@@ -285,7 +300,12 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
                 self.course.set_aside.insert(one);
             }
         }
+        self.course.was_true =
+            !refused.iter().any(|refusal| is_a_lie(refusal.code)) && (self.course.was_true || !taken.is_empty());
         self.note_refused(&refused)?;
+        if let Some(refusal) = silent {
+            return Err(Ended::Here(refusal));
+        }
         self.left.later = self.left.later.saturating_sub(later.len());
         if self.left.later == 0 {
             let why = "the node here does not have the blocks with its anchors yet";

@@ -57,6 +57,30 @@ async fn a_few_records_of_each_of_many_topics_are_taken_together() {
     let (here, mut course, mut round) = (Shelf::default(), Course::default(), Round::default());
     reconcile(&mut other, &here, &mut course, &mut round).await.expect("a round");
     assert_eq!((round.taken, round.lacking, course.is_at_end()), (140, 0, true));
-    assert_eq!(*here.takes.lock().expect("not poisoned"), 2, "70 at once, and the rest");
+    assert_eq!(
+        *here.takes.lock().expect("not poisoned"),
+        3,
+        "seven to see whether they are true, 70 at once, the rest"
+    );
     assert_eq!(here.fetching.claim((FRIEND, RECORDER, topic(8)), 1..=20).numbers.len(), 20, "all are free again");
+}
+
+#[tokio::test]
+async fn what_came_before_a_line_fails_is_taken_all_the_same() {
+    let topic = |number: u8| TopicId([number; 16]);
+    let mut other = script(
+        move |_| {
+            let held = (1..=9_u8).map(|part| Held { topic_id: topic(part), ..held(FRIEND, [u64::from(part)]) });
+            Holdings { held: held.collect(), next: place(1), more: false }
+        },
+        |wanted: Wanted| {
+            // With the fourth topic it fails.
+            let next = (wanted.first == 4).then_some(u64::MAX);
+            HandedOver { records: vec![record(wanted.first)], next }
+        },
+    );
+    let (here, mut course, mut round) = (Shelf::default(), Course::default(), Round::default());
+    let ended = reconcile(&mut other, &here, &mut course, &mut round).await;
+    assert!(matches!(ended, Err(Ended::Lies(_))), "{ended:?}");
+    assert_eq!((round.taken, here.numbers()), (3, vec![1, 2, 3]));
 }
