@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use rusqlite::{OptionalExtension as _, params};
+use rusqlite::params;
 
 use super::Ledger;
 use super::rows::{self, RecordRow};
@@ -24,16 +24,17 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn records(&self, digests: &[Digest]) -> Result<Vec<Option<RecordRow>>, StoreError> {
         self.read(|connection| {
-            let mut stream_of = connection.prepare_cached("SELECT stream FROM records WHERE digest = ?1")?;
             let mut find =
                 connection.prepare_cached(&format!("SELECT {} FROM records WHERE digest = ?1", rows::COLUMNS))?;
             let mut by_key = HashMap::new();
             let one = |digest: &Digest| {
-                let stream: Option<i64> = stream_of.query_row(params![digest.0], |row| row.get(0)).optional()?;
-                if let Some(stream) = stream.filter(|stream| !by_key.contains_key(stream)) {
+                let mut found = find.query(params![digest.0])?;
+                let Some(row) = found.next()? else { return Ok(None) };
+                let stream: i64 = row.get(0)?;
+                if !by_key.contains_key(&stream) {
                     by_key.extend(rows::keyed_streams(connection, [stream])?);
                 }
-                Ok(find.query_row(params![digest.0], |row| rows::record(row, &by_key)).optional()?)
+                Ok(Some(rows::record(row, &by_key)?))
             };
             digests.iter().map(one).collect()
         })
