@@ -28,6 +28,8 @@ THREADS = "2"
 # How long something takes that never ran here.
 UNKNOWN = {"flow": 5, "heavy flow": 15, "unit tests": 40, "checks": 90}
 SLOWEST = 20
+# Of each flow that failed so many lines are printed once more at the end, where a log is read first.
+LAST_LINES = 100
 # Every so many seconds it says what is still running.
 STILL = 300
 
@@ -115,6 +117,7 @@ class Turns:
 
     def __init__(self, waiting):
         self.waiting, self.running, self.ended, self.failed = waiting, [], [], False
+        self.said = []
         self.sums, self.lock = [0, 0, 0], threading.Condition()
 
     def next(self):
@@ -156,6 +159,7 @@ class Turns:
         self.sums = [before + more for before, more in zip(self.sums, numbers)]
         if status != 0:
             said = output.replace(result[0], "") if result else output
+            self.said.append((job.name, said.rstrip().splitlines()[-LAST_LINES:]))
             print(f"{said}\n{job.name} ended with {status} after {job.seconds:.1f} s\ntest {job.name} ... FAILED", flush=True)
             return
         for line in re.findall(r"^SKIPPED .+$", output, re.MULTILINE):
@@ -171,6 +175,8 @@ class Turns:
         heavy = [job for job in self.ended if job.is_heavy]
         for name, some in (("all", self.ended), ("the heavy ones", heavy)):
             print(f"{sum(job.seconds for job in some):8.1f} {sum(job.processor for job in some):7.1f}  {name}")
+        for name, lines in self.said:
+            print("\n".join([f"\nthe last lines of {name}", *(f"    {line}" for line in lines)]))
         passed, failed, ignored = self.sums
         verdict = "FAILED" if failed else "ok"
         print(f"test result: {verdict}. {passed} passed; {failed} failed; {ignored} ignored; all flows; "

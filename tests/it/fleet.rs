@@ -26,7 +26,7 @@ use std::time::{Duration, Instant};
 use ground::Ground;
 use reconciling::{name_each_other, reconciled};
 use serde_json::Value;
-use support::{Authros, Cable, Home, Running, count, free_port, heavy, is_verified, text, wait_until};
+use support::{Authros, Cable, Home, Running, count, free_port, heavy, is_verified, poll, text, wait_until};
 
 const TOPIC: &str = "/robot1/odom";
 const UNREACHABLE: i32 = 4;
@@ -108,6 +108,7 @@ impl Gateway {
         let [url, contract] = &self.chain;
         let options = ["--chain", url, "--contract", contract, "--robots", "0", "--confirmations", self.confirmations];
         let profile = self.home.profile(name).with(&options);
+        let profile = self.variables.iter().fold(profile, |profile, (name, value)| profile.with_variable(name, value));
         if self.vault.is_empty() { profile } else { profile.with(&["--vault", &self.vault]) }
     }
 
@@ -177,16 +178,23 @@ impl Member {
 
     /// The ids of all records of a list, once there are this many and each is verified.
     fn verified(&self, list: &[&str], wanted: u64) -> BTreeSet<String> {
-        let records = wait_until(180, "all records are verified here", || {
+        let mut seen = Vec::new();
+        let records = poll(180, || {
             // One whose gateway was away tries again after a while, and says so until then.
             let first = self.authros.with(&["--json"]).run(&[list, &["--limit", "1"]].concat());
             if first.code == Some(UNREACHABLE) {
                 return None;
             }
-            let records = self.authros.records(list);
-            let done = records.len() as u64 >= wanted && records.iter().all(is_verified);
-            done.then_some(records)
+            seen = self.authros.records(list);
+            let done = seen.len() as u64 >= wanted && seen.iter().all(is_verified);
+            done.then(|| std::mem::take(&mut seen))
         });
+        let Some(records) = records else {
+            let told = self.site.as_ref().map(Running::stderr).unwrap_or_default();
+            let name = |record: &Value| format!("{} {}", record["id"], record["state"]);
+            let seen: Vec<String> = seen.iter().map(name).collect();
+            panic!("not {wanted} records are verified here within 180 s, but {}: {seen:?}\nsaid: {told}", seen.len());
+        };
         let ids: BTreeSet<String> = records.iter().map(|record| text(record, "id")).collect();
         assert_eq!((records.len() as u64, ids.len() as u64), (wanted, wanted), "none lost and none twice");
         ids

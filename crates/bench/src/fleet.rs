@@ -134,7 +134,7 @@ pub async fn run(
     let mut many = Part::new(World::open(&plan, gateways).await?);
     let measured = several(&plan, arguments, &mut many, &mut results, outlet).await;
     many.world.close().await;
-    measured?;
+    let begun = measured?;
     compare(&mut results);
     let about = Map::from_iter([
         ("seed".to_owned(), json!(arguments.seed)),
@@ -143,19 +143,30 @@ pub async fn run(
     ]);
     let report = Report { name: "fleet", machine: Machine::read(), about, results };
     outlet.show(&report, || text(&report), || plots::page(&report))?;
-    if !report.results.iter().all(Row::is_whole) {
+    if !begun || !report.results.iter().all(Row::is_whole) {
         return Ok(Judgement::Incomplete);
     }
     Ok(Judgement::reached(report.results.iter().filter(|row| row.failures == 0).all(|row| row.per_copy_ratio <= ASKED)))
 }
 
+/// Returns whether each part was begun: one for which no time is left would show figures of nothing.
 async fn several(
     plan: &Plan,
     arguments: &FleetArguments,
     many: &mut Part,
     results: &mut Vec<Row>,
     outlet: &Outlet,
-) -> Result<(), Failure> {
+) -> Result<bool, Failure> {
+    let in_time = |part: &str| {
+        let in_time = Instant::now() < plan.deadline;
+        if !in_time {
+            outlet.note(&format!("bench fleet: no time is left for '{part}' and what follows; see --seconds"));
+        }
+        in_time
+    };
+    if !in_time("apart") {
+        return Ok(false);
+    }
     let gateways = usize::from(arguments.gateways);
     results.push(many.measure(plan, "apart", 1, None).await?);
     many.world.name_each_other().await?;
@@ -170,12 +181,18 @@ async fn several(
     outlet.note(&format!(
         "bench fleet: each named all others and had their {held} records after {took:.1} s, {bytes} bytes"
     ));
+    if !in_time("reconciling") {
+        return Ok(false);
+    }
     results.push(many.measure(plan, "reconciling", copies, None).await?);
     if arguments.failures > 0 {
+        if !in_time("failures") {
+            return Ok(false);
+        }
         let failing = Some((arguments.failures, arguments.seed));
         results.push(many.measure(plan, "failures", copies, failing).await?);
     }
-    Ok(())
+    Ok(true)
 }
 
 /// The flag of the whole program says how many, here without the bound for robots of ROS.

@@ -112,16 +112,24 @@ impl Anchors {
 
 /// The block that has the proof's transaction.
 async fn block_of(network: &Network, digest: Digest, proof: &AnchorProof) -> Result<(u64, Hash), PipelineError> {
-    if let Some(receipt) = network.chain.receipt(proof.transaction).await?.filter(|receipt| receipt.success) {
-        return Ok((receipt.block, receipt.block_hash));
+    if let Some(found) = mined_in(network, proof).await? {
+        return Ok(found);
     }
     // Two nodes do not have a block at the same moment, and the newest ones may be replaced.
     let (block, head) = (proof.block, network.chain.head().await?.number);
     if block.saturating_add(network.confirmations) > head && block <= head.saturating_add(AHEAD) {
         return Err(PipelineError::NotSeen { digest, block });
     }
-    let why = "the chain does not have its anchoring transaction".to_owned();
-    Err(PipelineError::NotTakenIn { digest, why })
+    // The block may have come after the first question and before the second.
+    mined_in(network, proof).await?.ok_or_else(|| PipelineError::NotTakenIn {
+        digest,
+        why: "the chain does not have its anchoring transaction".to_owned(),
+    })
+}
+
+async fn mined_in(network: &Network, proof: &AnchorProof) -> Result<Option<(u64, Hash)>, PipelineError> {
+    let receipt = network.chain.receipt(proof.transaction).await?.filter(|receipt| receipt.success);
+    Ok(receipt.map(|receipt| (receipt.block, receipt.block_hash)))
 }
 
 /// Waits until the watcher here has read a block's events, for so long at most: rights follow from them.
