@@ -11,6 +11,7 @@ mod doubling;
 mod earlier;
 mod enduring;
 mod erasing;
+mod granting;
 mod ground;
 mod killing;
 mod lacking;

@@ -6,7 +6,7 @@ pub mod lacking;
 #[cfg(test)]
 mod lacking_tests;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -169,10 +169,12 @@ fn note_signer(plant: &Plant, header: &Header, fetched: &Fetched, right: &Signin
     }
 }
 
-/// The owners whose records a reader may have: itself, and everyone who currently shares with it.
-pub fn sources(network: &Network, reader: &Owner) -> BTreeSet<Address> {
+/// The owners whose records a reader may have: itself, and everyone who currently shares with it; with the transaction of
+/// the grant, which is another one when an owner shares anew. For the reader itself that is zero.
+pub fn sources(network: &Network, reader: &Owner) -> BTreeMap<Address, Hash> {
     let grants = authority::shared_with(&network.directory, reader.address);
-    grants.into_iter().map(|grant| grant.terms.owner).chain([reader.address]).collect()
+    let shared = grants.into_iter().map(|grant| (grant.terms.owner, grant.transaction));
+    shared.chain([(reader.address, Hash([0; 32]))]).collect()
 }
 
 impl Mirror<'_> {

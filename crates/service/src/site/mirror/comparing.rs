@@ -77,7 +77,7 @@ impl Joined {
         let only = wishes.owner.as_ref().map(|party| contacts.resolve(party)).transpose()?;
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
         let mut wanted = Vec::new();
-        for source in sources(&network, owner).into_iter().filter(|source| only.is_none_or(|only| only == *source)) {
+        for source in sources(&network, owner).into_keys().filter(|source| only.is_none_or(|only| only == *source)) {
             let Some(scope) = reader.scope(source) else { continue };
             reading.learn_names(&reader, source).await?;
             wanted.push(Wanted { owner: source, scope, topics: None });

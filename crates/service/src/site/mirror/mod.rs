@@ -7,8 +7,10 @@ mod listing;
 #[cfg(test)]
 mod listing_tests;
 mod missed;
+mod place;
 mod remote;
 pub(super) mod remotes;
+mod subscribing;
 mod telling;
 
 use crate::paths::Home;
@@ -18,7 +20,7 @@ use crate::site::chain::link::Link;
 use crate::site::identity::owners::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -27,14 +29,16 @@ use tokio::task::block_in_place;
 
 use super::supervision::Aborted;
 use crate::gateway::{Client, Code, Entry, Fetched, GatewayError, Query, Selection, Standing};
-use crate::model::{Address, Timestamp};
+use crate::model::{Address, Hash, Timestamp};
 use crate::pipeline::mirror::{Anchors, Mirror, sources};
 use crate::pipeline::{Network, Owner, PipelineError};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::Failure;
 use missed::Missed;
+use place::Place;
 use remote::{Mirrored, Remote};
 use remotes::Remotes;
+use subscribing::{Refused, follow, subscribe};
 
 /// The first pause after a failure, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(5));
@@ -50,10 +54,6 @@ const SUBSCRIPTIONS: usize = 16;
 const LISTING: Duration = Duration::from_secs(10);
 /// How long a connection may be silent before it is tested.
 const SILENCE: Duration = Duration::from_secs(30);
-/// How far before the newest record seen a listing begins: outboxes of robots may be hours old.
-const LATE: u64 = 24 * 3600;
-/// How often a listing starts from the very beginning.
-const WHOLE: u64 = 24 * 3600;
 /// How long a gateway that does not know its chain now is asked again without a word.
 const QUIET: Duration = Duration::from_secs(15);
 /// Records that may wait to be stored.
@@ -89,8 +89,6 @@ impl Broken {
         matches!(self, Self::Gateway(GatewayError::Refused(Code::Stale)))
     }
 }
-
-type Fed = Result<(Entry, Fetched), GatewayError>;
 
 /// The site that this one joins through its gateway, if it joins one.
 pub(in crate::site) struct Joined {
@@ -203,13 +201,13 @@ impl Joined {
         // Subscribed before listing, so that nothing falls in between.
         let (feed, mut fed) = mpsc::channel(WAITING);
         let subscriber = remote.connect(&self.home, owner, network).await?;
-        let live: Vec<Address> = sources.iter().copied().take(SUBSCRIPTIONS).collect();
-        let subscriber = subscribe(subscriber, &live).await?;
+        let live: Vec<Address> = sources.keys().copied().take(SUBSCRIPTIONS).collect();
+        let (subscriber, refused) = subscribe(subscriber, &live).await?;
         let _feeding = Aborted(tokio::spawn(follow(subscriber, feed)));
         remote.note(&owner.profile, Mirrored::Behind);
-        let mut missed = Missed::default();
+        let (mut missed, mut refused) = (Missed::default(), Refused::new(refused, Instant::now()));
         for source in &sources {
-            self.catch_up(&mut client, &mirror, *source, &mut missed).await?;
+            self.catch_up(&mut client, &mirror, source, &mut missed).await?;
         }
         remote.note(&owner.profile, Mirrored::Caught);
         let (mut listed, mut heard) = (Instant::now(), Instant::now());
@@ -236,7 +234,8 @@ impl Joined {
                 () = tokio::time::sleep(TICK) => {}
                 () = self.life.stopped() => return Ok(()),
             }
-            if crate::pipeline::mirror::sources(network, owner) != sources || client.is_spent() {
+            let others = crate::pipeline::mirror::sources(network, owner) != sources;
+            if others || client.is_spent() || refused.is_given(&mut client, Instant::now()).await? {
                 remote.note(&owner.profile, Mirrored::Behind);
                 return Ok(());
             }
@@ -251,8 +250,8 @@ impl Joined {
                 }
             }
             if listed.elapsed() >= LISTING {
-                for source in sources.iter().filter(|source| !live.contains(source)) {
-                    self.catch_up(&mut client, &mirror, *source, &mut missed).await?;
+                for source in sources.iter().filter(|(source, _)| !live.contains(source)) {
+                    self.catch_up(&mut client, &mirror, source, &mut missed).await?;
                 }
                 listed = Instant::now();
             }
@@ -297,23 +296,23 @@ impl Joined {
         self: &Arc<Self>,
         client: &mut Client,
         mirror: &Mirror<'_>,
-        source: Address,
+        (source, grant): (&Address, &Hash),
         missed: &mut Missed,
     ) -> Result<(), Broken> {
-        let place = Place::load(self, mirror, source)?;
+        let source = *source;
+        let mut place = Place::load(&self.plant.ledger, mirror, (source, grant))?;
         let begin = place.begin(Timestamp::now());
         let from = Timestamp::from_seconds(begin);
         let selection = Selection::all(source);
         let mut query = Query { selection, from, until: Timestamp(u64::MAX), cursor: 0, limit: PAGE };
-        let mut newest = place.newest;
         loop {
             let page = match client.query(&query).await {
-                // A grant ended meanwhile: the chain is going to say so.
+                // A grant ended meanwhile and the chain is going to say so, or it is asked for again.
                 Err(GatewayError::Refused(Code::NotAuthorised)) => return Ok(()),
                 page => page?,
             };
             for entry in &page.entries {
-                newest = newest.max(entry.captured_at.seconds());
+                place.newest = place.newest.max(entry.captured_at.seconds());
                 if mirror.wants(entry)? {
                     self.fetch(client, mirror, (source, entry), missed).await?;
                 }
@@ -321,9 +320,7 @@ impl Joined {
             let Some(next) = page.next else { break };
             query.cursor = next;
         }
-        let now = Timestamp::now().seconds();
-        let whole = if begin == 0 { now } else { place.whole };
-        Ok(Place { newest: newest.min(now), whole, ..place }.save(self)?)
+        Ok(place.listed(begin, Timestamp::now()).save(&self.plant.ledger)?)
     }
 
     async fn fetch(
@@ -355,10 +352,10 @@ impl Joined {
         &self,
         client: &mut Client,
         mirror: &Mirror<'_>,
-        sources: &BTreeSet<Address>,
+        sources: &BTreeMap<Address, Hash>,
     ) -> Result<bool, Broken> {
         let mut asked = false;
-        for source in sources {
+        for source in sources.keys() {
             let waiting = mirror.unproven(*source, CHECKED)?;
             if waiting.is_empty() {
                 continue;
@@ -380,63 +377,5 @@ impl Joined {
             }
         }
         Ok(asked)
-    }
-}
-
-async fn subscribe(mut client: Client, owners: &[Address]) -> Result<Client, GatewayError> {
-    for owner in owners {
-        match client.subscribe(&Selection::all(*owner)).await {
-            Ok(_) | Err(GatewayError::Refused(Code::NotAuthorised)) => {}
-            Err(error) => return Err(error),
-        }
-    }
-    Ok(client)
-}
-
-/// Passes on what comes, until the connection or a subscription ends.
-async fn follow(mut client: Client, feed: mpsc::Sender<Fed>) {
-    loop {
-        let next = match client.next_event(SILENCE).await {
-            Ok((_, entry, record)) => Ok((entry, record)),
-            Err(GatewayError::TimedOut) => match client.ping().await {
-                Ok(_) if !client.is_spent() => continue,
-                Ok(_) => Err(GatewayError::Closed),
-                Err(error) => Err(error),
-            },
-            Err(error) => Err(error),
-        };
-        let ended = next.is_err();
-        if feed.send(next).await.is_err() || ended {
-            return;
-        }
-    }
-}
-
-/// The position of an owner's mirror, durably: capture times in seconds.
-struct Place {
-    name: String,
-    newest: u64,
-    whole: u64,
-}
-
-impl Place {
-    fn load(joined: &Joined, mirror: &Mirror<'_>, source: Address) -> Result<Self, Failure> {
-        let (domain, me, keeper) = (mirror.network.domain, mirror.reader.address, mirror.keeper);
-        let name = format!("mirror:{domain}:{keeper}:{me}:{source}");
-        let text = block_in_place(|| joined.plant.ledger.setting(&name))?.unwrap_or_default();
-        let (newest, whole) = text.split_once(' ').unwrap_or_default();
-        let number = |text: &str| text.parse().unwrap_or(0);
-        Ok(Self { newest: number(newest), whole: number(whole), name })
-    }
-
-    /// Where the next listing begins: a day before the newest record seen, and now and then at the beginning.
-    fn begin(&self, now: Timestamp) -> u64 {
-        let due = now.seconds().saturating_sub(self.whole) >= WHOLE;
-        if due { 0 } else { self.newest.saturating_sub(LATE) }
-    }
-
-    fn save(&self, joined: &Joined) -> Result<(), Failure> {
-        let text = format!("{} {}", self.newest, self.whole);
-        Ok(block_in_place(|| joined.plant.ledger.put_setting(&self.name, &text))?)
     }
 }

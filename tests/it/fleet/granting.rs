@@ -1,0 +1,27 @@
+//! A grant to somebody whose site is running already. The site knows it from the chain at once; a gateway gives nothing until
+//! the grant's block is as deep as its keeper wants, and the site has to ask again by itself.
+
+use super::reconciling::bring;
+use super::*;
+use support::skipped;
+
+#[test]
+fn a_reader_whose_site_runs_gets_what_was_granted_once_the_gateway_takes_the_grant_for_final() {
+    let _alone = heavy();
+    let Some(ground) = Ground::on_anvil() else { skipped!("no anvil; tests/run installs it into target/peers") };
+    let gateway = Gateway::of([ground.url.clone(), ground.contract.clone()], "6", "");
+    let alice = Member::on(Some(&ground), "alice", &[&gateway]);
+    let (bob, carol) = (Member::on(Some(&ground), "bob", &[&gateway]), Member::on(Some(&ground), "carol", &[&gateway]));
+    let robot = Robot::enrol(&alice, "scout", &[&gateway]);
+    // What is there before the grant, and what comes after it.
+    let before = bring(&robot, "3");
+    alice.grant(&bob);
+    let shared = ["shared", "list", "--owner", &alice.address];
+    bob.verified(&shared, before);
+    let all = bring(&robot, "3");
+    let own = alice.verified(&["uploads", "list"], all);
+    assert_eq!(bob.verified(&shared, all), own, "and it goes on");
+    // A second reader changes nothing for the first.
+    alice.grant(&carol);
+    assert_eq!(carol.verified(&shared, all), own);
+}
