@@ -29,7 +29,7 @@ use super::spread::{Spread, bars, decimal, number};
 use super::usage::{most_files, processor_seconds};
 use crate::Global;
 use crate::args::FleetArguments;
-use authros_crypto::Provider;
+use authros_crypto::{Provider, forget_signers};
 use authros_model::{Digest, ErrorKind};
 use authros_output::table;
 use authros_service::Failure;
@@ -127,7 +127,7 @@ pub async fn run(
     let mut results = Vec::new();
     outlet.note(&format!("bench fleet: {} robots, first at one gateway, then at {}", plan.robots, arguments.gateways));
     let mut one = Part::new(World::open(&plan, 1).await?);
-    let first = one.measure(&plan, "one", 1, None).await;
+    let first = one.measure(&plan, "one", 1, None, outlet).await;
     one.world.close().await;
     results.push(first?);
     let gateways = usize::from(arguments.gateways);
@@ -168,7 +168,7 @@ async fn several(
         return Ok(false);
     }
     let gateways = usize::from(arguments.gateways);
-    results.push(many.measure(plan, "apart", 1, None).await?);
+    results.push(many.measure(plan, "apart", 1, None, outlet).await?);
     many.world.name_each_other().await?;
     let (held, begun) = (many.acknowledged.len() as u64, Instant::now());
     let copies = arguments.copies.map_or(gateways, |copies| gateways.min(copies.into()));
@@ -184,13 +184,13 @@ async fn several(
     if !in_time("reconciling") {
         return Ok(false);
     }
-    results.push(many.measure(plan, "reconciling", copies, None).await?);
+    results.push(many.measure(plan, "reconciling", copies, None, outlet).await?);
     if arguments.failures > 0 {
         if !in_time("failures") {
             return Ok(false);
         }
         let failing = Some((arguments.failures, arguments.seed));
-        results.push(many.measure(plan, "failures", copies, failing).await?);
+        results.push(many.measure(plan, "failures", copies, failing, outlet).await?);
     }
     Ok(true)
 }
@@ -256,8 +256,12 @@ impl Part {
         part: &'static str,
         copies: usize,
         failing: Option<(u32, u64)>,
+        outlet: &Outlet,
     ) -> Result<Row, Failure> {
         let sealed = self.world.seal(plan)?;
+        outlet.note(&format!("bench fleet: '{part}' begins"));
+        // The process has room for the tables of so many signers, and the part before took it.
+        forget_signers();
         let rest = failing.map_or(Duration::ZERO, |(times, _)| between_uploads(plan, times));
         let pace = Arc::new(Pace { deadline: plan.deadline, rest, hurry: AtomicBool::new(false) });
         let (begun, processor, bytes) = (Instant::now(), processor_seconds(), self.world.between());

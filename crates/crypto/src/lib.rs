@@ -88,6 +88,6 @@ pub use secret::{
     EoaSecret, EpochKey, EpochSalt, FilterKey, Fingerprint, FingerprintError, IndexKey, Sm4Key, SmKeyPair, SmSecret,
     TopicKey, TransportKey,
 };
-pub use sm2::verify_as_stranger;
+pub use sm2::{forget_signers, verify_as_stranger};
 pub use sm3::{Sm3Hasher, sm3_many};
 pub use unattended::UnattendedCredential;

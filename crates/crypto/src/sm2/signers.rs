@@ -46,6 +46,8 @@ pub(super) struct Signers {
     sightings: Mutex<Vec<(u64, u8)>>,
     hasher: RandomState,
     most: usize,
+    /// No table is idle before then: as long as it has not come, nobody looks through all of them.
+    idle_from: AtomicU64,
 }
 
 /// Those of this process, and since when time is counted.
@@ -64,7 +66,14 @@ impl Signers {
             sightings: Mutex::new(vec![(0, 0); COUNTED]),
             hasher: RandomState::new(),
             most,
+            idle_from: AtomicU64::new(0),
         }
+    }
+
+    /// Forgets all signers.
+    pub fn forget(&self) {
+        self.tables.write().unwrap_or_else(PoisonError::into_inner).clear();
+        self.sightings.lock().unwrap_or_else(PoisonError::into_inner).fill((0, 0));
     }
 
     /// The table of a known signer.
@@ -80,7 +89,7 @@ impl Signers {
         let known = Arc::new(Known { table: SignerTable::new(point), za: *za, used: AtomicU64::new(now) });
         let mut tables = self.tables.write().unwrap_or_else(PoisonError::into_inner);
         if tables.len() >= self.most {
-            let Some(idle) = idle(&tables, now) else { return };
+            let Some(idle) = self.idle(&tables, now) else { return };
             tables.remove(&idle);
         }
         tables.insert(public.0, known);
@@ -102,13 +111,21 @@ impl Signers {
     /// Whether there is room for a table, checked before it is built.
     fn has_room(&self, now: u64) -> bool {
         let tables = self.tables.read().unwrap_or_else(PoisonError::into_inner);
-        tables.len() < self.most || idle(&tables, now).is_some()
+        tables.len() < self.most || self.idle(&tables, now).is_some()
     }
-}
 
-/// The table unused for the longest time, if that is long enough.
-fn idle(tables: &HashMap<[u8; 64], Arc<Known>>, now: u64) -> Option<[u8; 64]> {
-    let used = tables.iter().map(|(key, known)| (key, known.used.load(Ordering::Relaxed)));
-    let (key, used) = used.min_by_key(|one| one.1)?;
-    (now.saturating_sub(used) >= IDLE).then_some(*key)
+    /// The table unused for the longest time, if that is long enough.
+    fn idle(&self, tables: &HashMap<[u8; 64], Arc<Known>>, now: u64) -> Option<[u8; 64]> {
+        if now < self.idle_from.load(Ordering::Relaxed) {
+            return None;
+        }
+        let used = tables.iter().map(|(key, known)| (key, known.used.load(Ordering::Relaxed)));
+        let (key, used) = used.min_by_key(|one| one.1)?;
+        if now.saturating_sub(used) >= IDLE {
+            return Some(*key);
+        }
+        // Use moves forward only, and a table that takes the place of another one was used just now.
+        self.idle_from.fetch_max(used + IDLE, Ordering::Relaxed);
+        None
+    }
 }

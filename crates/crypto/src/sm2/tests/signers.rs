@@ -104,3 +104,27 @@ fn forgeries_are_no_sightings() {
     }
     assert!(!one.is_known(of_process().0));
 }
+
+#[test]
+fn who_fell_silent_makes_room_as_soon_as_the_hour_is_over_though_nobody_looked_before() {
+    let (signers, [quiet, busy, new]) = (Signers::new(2), people(&mut Noise(47)));
+    meet_often(&signers, &quiet, 10);
+    meet_often(&signers, &busy, 0);
+    // All tables are looked at, and again after one was used.
+    strangers(&signers, u32::from(SIGHTINGS), IDLE - 1);
+    signers.known(&busy.public).expect("known").used(IDLE - 1);
+    strangers(&signers, u32::from(SIGHTINGS), IDLE + 9);
+    assert!(quiet.is_known(&signers) && busy.is_known(&signers));
+    meet_often(&signers, &new, IDLE + 10);
+    assert!(new.is_known(&signers) && busy.is_known(&signers) && !quiet.is_known(&signers));
+}
+
+#[test]
+fn forgotten_signers_are_strangers() {
+    let (signers, [one]) = (Signers::new(1), people(&mut Noise(48)));
+    meet_often(&signers, &one, 0);
+    signers.forget();
+    assert!(!one.is_known(&signers));
+    meet_often(&signers, &one, 0);
+    assert!(one.is_known(&signers), "and make friends again");
+}
