@@ -191,10 +191,9 @@ impl Member {
             done.then(|| std::mem::take(&mut seen))
         });
         let Some(records) = records else {
-            let told = self.site.as_ref().map(Running::stderr).unwrap_or_default();
             let name = |record: &Value| format!("{} {}", record["id"], record["state"]);
             let seen: Vec<String> = seen.iter().map(name).collect();
-            panic!("not {wanted} records are verified here within 180 s, but {}: {seen:?}\nsaid: {told}", seen.len());
+            panic!("not {wanted} records are verified here within 180 s, but {}: {seen:?}", seen.len());
         };
         let ids: BTreeSet<String> = records.iter().map(|record| text(record, "id")).collect();
         assert_eq!((records.len() as u64, ids.len() as u64), (wanted, wanted), "none lost and none twice");

@@ -99,12 +99,6 @@ impl Pipe {
     }
 }
 
-/// The state of a process in the system's letter; `None` if there is none.
-fn status_of(process: u32) -> Option<char> {
-    let told = std::fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
-    told.rsplit_once(") ")?.1.chars().next()
-}
-
 /// Memory of a process that is its own, KiB: without pages of files, which the system takes back at will.
 pub fn own_memory(process: u32) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).expect("it runs");
@@ -230,9 +224,9 @@ impl Running {
 
     /// What a test that fails is to say of each process that it began.
     #[allow(clippy::print_stdout, reason = "the output of a test")]
-    fn tell_last_words(&self) {
+    fn tell_last_words(&mut self) {
         const LINES: usize = 8;
-        let (running, said) = (matches!(status_of(self.id()), Some('R' | 'S' | 'D')), self.stderr());
+        let (running, said) = (self.is_running(), self.stderr());
         let lines: Vec<&str> = said.lines().collect();
         let last = lines[lines.len().saturating_sub(LINES)..].join("\n");
         println!("last words of {} ({}):\n{last}", self.command, if running { "running" } else { "ended" });

@@ -21,7 +21,7 @@ fn a_reader_whose_site_runs_gets_what_was_granted_once_the_gateway_takes_the_gra
     let all = bring(&robot, "3");
     let own = alice.verified(&["uploads", "list"], all);
     assert_eq!(bob.verified(&shared, all), own, "and it goes on");
-    // A second reader changes nothing for the first.
+    // For one who is granted it when all of it is there already, it is the same.
     alice.grant(&carol);
     assert_eq!(carol.verified(&shared, all), own);
 }
