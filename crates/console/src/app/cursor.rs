@@ -69,6 +69,23 @@ impl State {
         keys.into_iter().nth(position)
     }
 
+    /// Whether the rows of the records on screen answer an earlier request, and those of the present one are on their way.
+    pub fn awaits_rows(&self) -> bool {
+        self.records_feed().is_some_and(|feed| {
+            let slot = self.feeds.slot(feed);
+            let coming = slot.outstanding || slot.loaded && slot.stale && !self.holds(feed);
+            coming && slot.failure.is_none() && !(slot.loaded && slot.told == slot.generation)
+        })
+    }
+
+    /// Whether the rows of the records on screen answer the present request.
+    pub fn rows_are_here(&self) -> bool {
+        self.records_feed().is_some_and(|feed| {
+            let slot = self.feeds.slot(feed);
+            slot.loaded && slot.told == slot.generation && slot.failure.is_none()
+        })
+    }
+
     fn records_feed(&self) -> Option<Feed> {
         match self.screen {
             Screen::Uploads => Some(Feed::Uploads),

@@ -16,6 +16,7 @@ pub fn lock(state: &mut State) -> Vec<Effect> {
     });
     (state.identity_path, state.filled) = (None, None);
     state.detail.clear();
+    state.ahead.clear();
     if state.work.contains(&Tag::Lock) {
         return Vec::new();
     }

@@ -7,6 +7,7 @@
 
 pub mod action;
 pub mod administration;
+pub mod ahead;
 pub mod alerts;
 pub mod answer;
 pub mod available;

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use super::action::{Effect, Errand, Tag};
+use super::ahead::{self, Ahead};
 use super::alerts::AlertBook;
 use super::detail::Detail;
 use super::exporting::Exports;
@@ -158,6 +159,8 @@ pub struct State {
     pub exports: Exports,
     /// When a key was last pressed.
     pub touched: Timestamp,
+    /// Keys that wait for rows.
+    pub ahead: Ahead,
     /// Whether local times are shown beside UTC.
     pub local_time: bool,
     /// The profile that this console spoke for before, until the current one is claimed.
@@ -212,6 +215,7 @@ impl State {
             commands: Vec::new(),
             exports: Exports::default(),
             touched: Timestamp::default(),
+            ahead: Ahead::default(),
             local_time: false,
             former: None,
             tour,
@@ -246,6 +250,7 @@ impl State {
             self.feeds.next_retry(),
             self.rates.still_at(),
             super::lock::due(self),
+            ahead::gives_up_at(self),
             ages.and_then(|()| self.topics.older_at(self.now)),
             self.alerts.forgotten_at(),
             super::detail::due(self),

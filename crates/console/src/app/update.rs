@@ -1,6 +1,7 @@
 //! One action in, the state changed, effects out. Never waits, never fails.
 
 use super::action::{Action, Effect, Errand, Tag};
+use super::ahead;
 use super::alerts;
 use super::answer::answered;
 use super::countdown;
@@ -42,7 +43,13 @@ pub fn update(state: &mut State, action: Action) -> Vec<Effect> {
     if matches!(action, Action::Key(_) | Action::Paste(_) | Action::Click { .. } | Action::Do(_)) {
         state.touched = state.now;
     }
+    if matches!(action, Action::Paste(_) | Action::Click { .. } | Action::Do(_)) {
+        state.ahead.clear();
+    }
     let mut effects = act(state, action);
+    for key in ahead::ready(state) {
+        effects.extend(pressed(state, key));
+    }
     state.topics.refresh(false);
     policies::forget_if_locked(state);
     alerts::refresh(state);
@@ -98,6 +105,9 @@ fn pressed(state: &mut State, key: Key) -> Vec<Effect> {
     }
     if state.table().is_some_and(|table| table.filtering) && key != Key::Control('c') {
         return filter_or_move(state, key);
+    }
+    if ahead::keeps(state, key) {
+        return Vec::new();
     }
     match state.settings.keymap.meaning(&[key], state.screen) {
         Meaning::Does(verb) => return perform(state, verb),

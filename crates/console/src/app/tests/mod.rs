@@ -2,6 +2,7 @@
 
 pub mod fixtures;
 
+mod ahead;
 mod aiming;
 mod columns;
 mod contacts;

@@ -70,7 +70,9 @@ fn missed_events_make_everything_on_screen_asked_anew() {
 fn nothing_is_due_when_nothing_happens() {
     let mut robot = Robot::at_work(true);
     assert_eq!(robot.state.deadline(), None);
-    robot.types("3y");
+    robot.types("3");
+    robot.site_answers(true);
+    robot.types("y");
     assert!(robot.state.deadline().is_some(), "a toast goes by itself");
     robot.waits(3);
     // The topics' ages advance without news, only there.
