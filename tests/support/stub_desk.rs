@@ -32,6 +32,16 @@ pub trait Tells: Send + Sync {
     fn erasures(&self, _: &ErasurePlace) -> Option<Erasures> {
         None
     }
+
+    /// What it lists for a reader; `None` = it refuses.
+    fn listed(&self, _: &Query) -> Option<Page> {
+        None
+    }
+
+    /// Why it gives a reader no subscription; `None` = it gives one, which ends at once.
+    fn refuses_subscriptions(&self) -> Option<Code> {
+        Some(Code::NotHere)
+    }
 }
 
 struct StubDesk {
@@ -105,8 +115,8 @@ impl Desk for StubDesk {
         not_here()
     }
 
-    async fn query(&self, _: &Caller, _: &Query) -> Result<Page, Refusal> {
-        not_here()
+    async fn query(&self, _: &Caller, query: &Query) -> Result<Page, Refusal> {
+        self.tells.listed(query).map_or_else(not_here, Ok)
     }
 
     async fn check(&self, _: &Caller, _: &[Digest]) -> Result<Vec<Standing>, Refusal> {
@@ -122,7 +132,10 @@ impl Desk for StubDesk {
     }
 
     async fn subscribe(&self, _: &Caller, _: &Selection) -> Result<mpsc::Receiver<Entry>, Refusal> {
-        not_here()
+        match self.tells.refuses_subscriptions() {
+            Some(code) => Err(Refusal::new(code, "a gateway that gives nothing")),
+            None => Ok(mpsc::channel(1).1),
+        }
     }
 
     async fn grant(&self, _: &Caller, _: &GrantNotice) -> Result<(), Refusal> {

@@ -7,6 +7,7 @@ mod listing;
 #[cfg(test)]
 mod listing_tests;
 mod missed;
+mod pace;
 mod place;
 mod remote;
 pub(super) mod remotes;
@@ -35,6 +36,7 @@ use crate::pipeline::{Network, Owner, PipelineError};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::Failure;
 use missed::Missed;
+use pace::Pace;
 use place::Place;
 use remote::{Mirrored, Remote};
 use remotes::Remotes;
@@ -123,7 +125,7 @@ impl Joined {
     /// Mirrors a profile's records of the gateway at a place of the list until its owner is closed or the site ends.
     pub(super) async fn mirror(self: Arc<Self>, owner: Arc<Owner>, place: usize) {
         let Some(remote) = self.remotes.as_ref().and_then(|remotes| remotes.all().get(place)) else { return };
-        let (mut pause, mut stale) = (PAUSES.0, None);
+        let (mut pause, mut stale, mut pace) = (PAUSES.0, None, Pace::default());
         while !self.life.is_stopping() && self.owners.is_open(&owner) {
             let Some(network) = self.link.network_now() else {
                 tokio::time::sleep(TICK).await;
@@ -140,8 +142,15 @@ impl Joined {
                 tokio::time::sleep(TICK).await;
                 continue;
             }
+            let begun = Instant::now();
             match self.mirror_round(remote, &owner, &network).await {
-                Ok(()) => (pause, stale) = (PAUSES.0, None),
+                Ok(()) => {
+                    (pause, stale) = (PAUSES.0, None);
+                    tokio::select! {
+                        () = tokio::time::sleep(pace.after(begun.elapsed())) => {}
+                        () = self.life.stopped() => return,
+                    }
+                }
                 Err(broken) if broken.is_stale() && stale.get_or_insert_with(Instant::now).elapsed() < QUIET => {
                     remote.note(&owner.profile, Mirrored::Behind);
                     tokio::select! {
