@@ -42,7 +42,7 @@ fn without_bytes(record: &Fetched) -> Fetched {
 }
 
 /// Carol's own records, verified at the gateway: digest, and all of it.
-async fn stored(client: &mut Client, uploads: Vec<Upload>, provider: &dyn Provider) -> Vec<(Digest, Fetched)> {
+pub async fn stored(client: &mut Client, uploads: Vec<Upload>, provider: &dyn Provider) -> Vec<(Digest, Fetched)> {
     let digests: Vec<Digest> = uploads.iter().map(|upload| Digest(provider.sm3(&[&upload.blob]))).collect();
     client.upload(uploads).await.expect("taken");
     for _ in 0..600 {
@@ -60,7 +60,7 @@ async fn stored(client: &mut Client, uploads: Vec<Upload>, provider: &dyn Provid
 }
 
 /// Everything that a thief of one key can say, and what is nobody's word.
-fn lies(carol: &Member, mallory: &Member, records: &[(Digest, Fetched)]) -> Vec<ToldErasure> {
+pub fn lies(carol: &Member, mallory: &Member, records: &[(Digest, Fetched)]) -> Vec<ToldErasure> {
     let provider = carol.provider();
     let (hers, his) = (&carol.keyring, &mallory.keyring);
     let [(first, one), (second, other)] = records else { panic!("two records") };
@@ -203,7 +203,7 @@ async fn erase_a_fleet_with_one_key() {
     judge("erase_a_fleet_with_one_key", outcome);
 }
 
-fn told_of(carol: &Member, (digest, record): &(Digest, Fetched), keys: (&SmKeyPair, &EoaSecret)) -> ToldErasure {
+pub fn told_of(carol: &Member, (digest, record): &(Digest, Fetched), keys: (&SmKeyPair, &EoaSecret)) -> ToldErasure {
     told(carol.provider(), (*digest, &without_bytes(record)), keys)
 }
 

@@ -15,6 +15,7 @@ mod ask_for_what_a_gateway_holds;
 mod brick_the_chain_through_the_gateway;
 mod enrolled_robot;
 mod erase_a_fleet_with_one_key;
+mod erase_another_owners_records;
 mod feed_a_fleet_with_lies;
 mod fill_the_audit_log;
 mod fill_the_pool;

@@ -14,9 +14,8 @@ use crate::model::{Countersignature, Digest, Hash, ProfileName, SignedPosition, 
 use super::allocation::{AllocationRequest, Applicant, apply};
 use super::command::relay::LONGEST_PARAMETERS;
 use super::command::{
-    Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver,
-    HoldingPlace, Holdings, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing,
-    Upload, Wanted,
+    Answer, Command, DeviceNotice, Entry, ErasedRecord, Fetched, GrantNotice, Page, Query, Registration, RelayCall,
+    Relayed, Request, RevokeNotice, Selection, Standing, Upload,
 };
 use super::error::GatewayError;
 use super::hello::{Agreed, Context, NetworkName};
@@ -29,6 +28,7 @@ use super::system_keys::SystemKeyList;
 use super::trust::Trust;
 
 mod exchange;
+mod fleet;
 
 /// A gateway's address, and how to talk to it.
 #[derive(Clone)]
@@ -331,39 +331,6 @@ impl Client {
         let provider = self.endpoint.context.provider;
         check(provider, &record.blob, &record.signature, &record.signer, Anchor::Chain(*digest))?;
         Ok(record)
-    }
-
-    /// What the gateway holds after a place in its holdings; its word, until the records have been fetched and checked.
-    ///
-    /// # Errors
-    /// [`GatewayError`]; `Refused(NotAuthorised)` if its keeper has not named the caller's gateway.
-    pub async fn holdings(&mut self, after: HoldingPlace) -> Result<Holdings, GatewayError> {
-        match self.ask(&Request::Holdings(after)).await? {
-            Answer::Holdings(holdings) => Ok(*holdings),
-            _ => Err(GatewayError::Unexpected("no holdings")),
-        }
-    }
-
-    /// What was erased at the gateway, after a place; nothing of it is checked here.
-    ///
-    /// # Errors
-    /// [`GatewayError`]; `Refused(Malformed)` if it is a gateway of an earlier version, whose session goes on.
-    pub async fn erasures(&mut self, after: ErasurePlace) -> Result<Erasures, GatewayError> {
-        match self.ask(&Request::Erasures(after)).await? {
-            Answer::Erasures(erasures) => Ok(*erasures),
-            _ => Err(GatewayError::Unexpected("nothing of what was erased")),
-        }
-    }
-
-    /// Records of a range. Nothing of them is checked here.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
-    pub async fn hand_over(&mut self, wanted: Wanted) -> Result<HandedOver, GatewayError> {
-        match self.ask(&Request::HandOver(wanted)).await? {
-            Answer::HandedOver(handed) => Ok(*handed),
-            _ => Err(GatewayError::Unexpected("no records of the range")),
-        }
     }
 
     /// Subscribes; returns the number of the subscription.

@@ -17,7 +17,7 @@ pub mod request;
 
 pub use answer::{Answer, Fetched, Standing};
 pub use erased::ErasedRecord;
-pub use erasures::{ErasurePlace, Erasures, ToldErasure};
+pub use erasures::{ErasureOutcome, ErasurePlace, Erasures, ToldErasure};
 pub use holdings::{HandedOver, Held, HoldingPlace, Holdings, Wanted};
 pub use query::{Entry, Page, Query, Selection};
 pub use relay::{RelayCall, Relayed};
@@ -86,7 +86,8 @@ commands! {
     Relay = 18;
     /// What an owner states about its chain, for the keeper's countersignature.
     Countersign = 19;
-    /// Which anchored records the gateway holds, or which were erased, for a gateway of the same fleet.
+    /// Which anchored records the gateway holds, or which were erased, for a gateway of the same fleet; or what an owner had
+    /// erased, for a gateway that may hold it.
     Holdings = 20;
     /// The records of a range, for a gateway of the same fleet.
     HandOver = 21;

@@ -16,8 +16,8 @@ use crate::model::{
 
 use super::code::{Code, Refusal};
 use super::command::{
-    DeviceNotice, Entry, ErasedRecord, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver, HoldingPlace,
-    Holdings, Page, Query, Registration, RevokeNotice, Selection, Standing, Wanted,
+    DeviceNotice, Entry, ErasedRecord, ErasureOutcome, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver,
+    HoldingPlace, Holdings, Page, Query, Registration, RevokeNotice, Selection, Standing, ToldErasure, Wanted,
 };
 use super::hello::NetworkName;
 use super::standings::Stood;
@@ -201,6 +201,13 @@ pub trait Desk: Send + Sync + 'static {
     async fn erasures(&self, caller: &Caller, after: &ErasurePlace) -> Result<Erasures, Refusal> {
         let _ = after;
         Err(Refusal::new(Code::NotAuthorised, format_args!("{} keeps no gateway of this fleet", caller.account)))
+    }
+
+    /// Erases here what the caller had erased at home, as far as all of it holds; what becomes of each, in order. `NotAuthorised`
+    /// if one of them is somebody else's.
+    async fn erase(&self, caller: &Caller, told: Vec<ToldErasure>) -> Result<Vec<ErasureOutcome>, Refusal> {
+        let _ = told;
+        Err(Refusal::new(Code::NotHere, format_args!("nothing of {} is kept here", caller.account)))
     }
 
     /// The records of a range with their proofs, under the same condition.

@@ -39,9 +39,9 @@ pub use chain_lines::ChainLines;
 pub use client::{Client, Credentials, Endpoint};
 pub use code::{Code, Refusal};
 pub use command::{
-    Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver, Held,
-    HoldingPlace, Holdings, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing,
-    ToldErasure, Upload, Wanted,
+    Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasureOutcome, ErasurePlace, Erasures, Fetched, GrantNotice,
+    HandedOver, Held, HoldingPlace, Holdings, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice,
+    Selection, Standing, ToldErasure, Upload, Wanted,
 };
 pub use desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
 pub use error::GatewayError;

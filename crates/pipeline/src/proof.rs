@@ -2,12 +2,24 @@
 
 use tokio::task::block_in_place;
 
-use crate::chain::{Chain, ChainError, Event};
+use crate::chain::{AnchorProof, Chain, ChainError, Event};
 use crate::crypto::fault;
 use crate::model::{Address, Hash};
 use crate::store::{BatchPlace, RecordRow};
 
 use super::{Network, PipelineError, Plant};
+
+/// The record's place on the chain; `None` before it is in a block.
+pub fn anchor_proof(row: &RecordRow, place: Option<BatchPlace>) -> Option<AnchorProof> {
+    let (transaction, block, block_hash) = (row.transaction?, row.block?, row.block_hash?);
+    match place {
+        Some(place) => {
+            let account = place.account?;
+            Some(AnchorProof { account, transaction, block, block_hash, inclusion: Some(place.inclusion) })
+        }
+        None => Some(AnchorProof { account: row.owner, transaction, block, block_hash, inclusion: None }),
+    }
+}
 
 /// Whether the stored path leads from the record's leaf to the batch's root.
 pub fn is_included(place: &BatchPlace, row: &RecordRow) -> bool {

@@ -4,6 +4,7 @@
 pub mod erasing;
 mod held;
 mod returned;
+pub mod told;
 
 use std::collections::HashMap;
 

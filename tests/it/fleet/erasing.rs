@@ -101,3 +101,61 @@ fn what_an_owner_erases_at_her_home_is_gone_at_every_gateway() {
     told(&alice, &third, ("carol", &messages), &gone);
     third.keeper().json_within(120, &["audit", "--deep"]);
 }
+
+#[test]
+fn what_an_owner_erases_who_only_joins_gateways_is_gone_at_all_of_the_fleet() {
+    let _alone = heavy();
+    let ground = Ground::new();
+    let (first, mut second, third) = (Gateway::new(&ground), Gateway::new(&ground), Gateway::new(&ground));
+    name_each_other(&[&first, &second, &third]);
+    // Her home joins two of the three, and none is at home there.
+    let alice = Member::new("alice", &[&first, &second]);
+    third.admit(&alice.address);
+    let robot = Robot::enrol(&alice, "scout", &[&first]);
+    let all = bring(&robot, "8");
+    let messages = wait_until(180, "all is verified", || {
+        let messages = alice.authros.records(&["uploads", "list", "--topic", TOPIC, "--kind", "data"]);
+        (messages.len() >= 8 && messages.iter().all(is_verified)).then_some(messages)
+    });
+    [&second, &third].iter().for_each(|gateway| drop(reconciled(gateway, all)));
+    let (pieces, later) = (pieces_of(&first.home, &messages[..2]), pieces_of(&first.home, &messages[2..3]));
+    let others = pieces_of(&first.home, &messages[3..]);
+    let found = |gateway: &Gateway| !with_any(&gateway.home.path(), &pieces).is_empty();
+    assert!([&first, &second, &third].iter().all(|gateway| found(gateway)), "the search finds what is there");
+
+    let asking = ["retention", "erase", "--reason", WHY, "--record", &text(&messages[0], "id")];
+    let shown = alice.authros.with(&["--json"]).run(&asking).expect_code(2).stdout;
+    let shown: Value = serde_json::from_str(&shown).expect("JSON");
+    let stays = list(&shown, "stays");
+    let names = |line: &Value| line.as_str().is_some_and(|line| line.contains(&first.address()));
+    assert!(stays.iter().any(names) && found(&first), "it says who is told, and erases nothing yet: {stays:?}");
+    erase(&alice.authros, &messages[..2]);
+    for gateway in [&first, &second, &third] {
+        println!("no byte is at the gateway {} {:?} after", gateway.address(), is_gone(gateway, &pieces));
+        assert!(!with_any(&gateway.home.path(), &others).is_empty(), "what was not chosen stays");
+    }
+    // Both that she joins are told, each once, and write down by whom; the third hears it from them.
+    let written =
+        |gateway: &Gateway| list(&gateway.keeper().json(&["audit", "list", "--action", "fleet erase"]), "audit");
+    let by = |gateway: &Gateway, who: &str| {
+        let lines = written(gateway);
+        lines.iter().any(|line| text(line, "outcome").contains(who) && text(line, "subject").contains(&alice.address))
+    };
+    assert!(by(&first, "told by their owner") || by(&second, "told by their owner"));
+    assert!(by(&third, "told by 127.0.0.1"), "{:?}", written(&third));
+    let own = list(&alice.authros.json(&["audit", "list", "--action", "erase elsewhere"]), "audit");
+    assert!(own.iter().all(|line| text(line, "outcome").contains("erases its copies")) && own.len() == 2, "{own:?}");
+
+    // One that is away hears it when it is back, and nothing is told twice in the log.
+    second.kill();
+    erase(&alice.authros, &messages[2..3]);
+    is_gone(&first, &later);
+    assert!(!with_any(&second.home.path(), &later).is_empty(), "who is away keeps them until then");
+    second.start();
+    is_gone(&second, &later);
+    is_gone(&third, &later);
+    let gone: BTreeSet<String> = messages[..3].iter().map(|record| text(record, "id")).collect();
+    told(&alice, &third, ("bob", &messages), &gone);
+    let own = list(&alice.authros.json(&["audit", "list", "--action", "erase elsewhere"]), "audit");
+    assert!((3..=4).contains(&own.len()), "{own:?}");
+}

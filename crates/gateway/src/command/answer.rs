@@ -4,7 +4,7 @@ use crate::model::wire::{Reader, WireError};
 use crate::model::{Countersignature, Hash, PublicKey, Signature, Timestamp};
 
 use super::Command;
-use super::erasures::{Erasures, OF_ERASURES};
+use super::erasures::{ErasureOutcome, Erasures, OF_ERASURES, OF_OUTCOMES};
 use super::holdings::{HandedOver, Holdings};
 use super::query::{Entry, Page};
 use super::relay::Relayed;
@@ -114,6 +114,8 @@ pub enum Answer {
     Holdings(Box<Holdings>),
     /// What was erased.
     Erasures(Box<Erasures>),
+    /// What becomes of what was told, in order.
+    ErasuresTaken(Vec<ErasureOutcome>),
     /// The records of a range.
     HandedOver(Box<HandedOver>),
     /// A record of a subscription: entry || record.
@@ -137,7 +139,7 @@ impl Answer {
             Self::Time(_) => Command::Ping,
             Self::Relayed(_) => Command::Relay,
             Self::Countersigned(_) => Command::Countersign,
-            Self::Holdings(_) | Self::Erasures(_) => Command::Holdings,
+            Self::Holdings(_) | Self::Erasures(_) | Self::ErasuresTaken(_) => Command::Holdings,
             Self::HandedOver(_) => Command::HandOver,
             Self::Event(_) => Command::Event,
             Self::End(_) => Command::End,
@@ -166,6 +168,7 @@ impl Answer {
             Self::Countersigned(countersignature) => countersignature.encode(),
             Self::Holdings(holdings) => holdings.encode(),
             Self::Erasures(erasures) => erasures.encode(),
+            Self::ErasuresTaken(outcomes) => ErasureOutcome::encode_all(outcomes),
             Self::HandedOver(handed) => handed.encode(),
             Self::Event(event) => [event.0.encode(), event.1.encode()].concat(),
             Self::End(code) | Self::Refused(code) => code.number().to_be_bytes().to_vec(),
@@ -202,10 +205,7 @@ impl Answer {
             Command::Fetch => Self::Record(Box::new(Fetched::read(&mut reader)?)),
             Command::Subscribe | Command::Unsubscribe => Self::Done(command),
             Command::Countersign => return countersigned(body),
-            Command::Holdings if body.first().is_some_and(|first| first & OF_ERASURES.to_be_bytes()[0] != 0) => {
-                Self::Erasures(Box::new(Erasures::read(&mut reader)?))
-            }
-            Command::Holdings => Self::Holdings(Box::new(Holdings::read(&mut reader)?)),
+            Command::Holdings => read_holdings(body, &mut reader)?,
             Command::HandOver => Self::HandedOver(Box::new(HandedOver::read(&mut reader)?)),
             Command::Ping => Self::Time(Timestamp(reader.u64("time")?)),
             Command::Relay => Self::Relayed(Relayed::read(&mut reader)?),
@@ -216,6 +216,21 @@ impl Answer {
         reader.end()?;
         Ok(answer)
     }
+}
+
+/// What of the three it is stands in the highest bits of the count.
+fn read_holdings(body: &[u8], reader: &mut Reader<'_>) -> Result<Answer, WireError> {
+    let has = |bits: u16| {
+        let [bits, _] = bits.to_be_bytes();
+        body.first().is_some_and(|first| first & bits == bits)
+    };
+    Ok(if has(OF_OUTCOMES) {
+        Answer::ErasuresTaken(ErasureOutcome::read_all(reader)?)
+    } else if has(OF_ERASURES) {
+        Answer::Erasures(Box::new(Erasures::read(reader)?))
+    } else {
+        Answer::Holdings(Box::new(Holdings::read(reader)?))
+    })
 }
 
 fn countersigned(body: &[u8]) -> Result<Answer, WireError> {

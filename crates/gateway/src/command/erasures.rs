@@ -1,5 +1,6 @@
-//! What gateways of one fleet tell each other of records that their owners had erased: what a reader would get of each, and
-//! the signature of the owner's account, without which nobody erases a copy.
+//! What gateways of one fleet tell each other of records that their owners had erased, and what an owner tells the gateways that
+//! her home joins: what a reader would get of each, and the signature of the owner's account, without which nobody erases a
+//! copy.
 
 use crate::crypto::AccountSignature;
 use crate::model::wire::{Reader, WireError};
@@ -8,14 +9,18 @@ use crate::model::{Digest, RecorderId};
 use super::answer::Fetched;
 use super::erased::ErasedRecord;
 
-/// The most records told in one answer.
+/// The most records told at a time.
 pub const MOST_ERASURES: usize = 64;
 /// The longest of them, bytes: header, statement and proof are far shorter.
 const LONGEST_ERASURE: usize = 4096;
 /// A bit in the count: the answer is about what was erased.
 pub(super) const OF_ERASURES: u16 = 1 << 15;
+/// Bits in the count: the answer is about what becomes of records that were told.
+pub(super) const OF_OUTCOMES: u16 = 0b11 << 14;
 /// Behind the place in a request for holdings: what was erased is asked for.
 pub(super) const ERASED: u8 = 1;
+/// Behind a place of zeros: what the sender had erased is told.
+pub(super) const TELLS: u8 = 2;
 
 /// A place among what was erased: ledger (16) || number (8). Numbers are a ledger's own, so a place of another ledger, as
 /// before a restore, is no place; zeros are the beginning.
@@ -83,32 +88,14 @@ pub struct Erasures {
 
 impl Erasures {
     pub(super) fn encode(&self) -> Vec<u8> {
-        let told = &self.told[..self.told.len().min(MOST_ERASURES)];
-        let count = u16::try_from(told.len()).unwrap_or(0) | OF_ERASURES;
-        let mut out = count.to_be_bytes().to_vec();
-        for one in told {
-            let bytes = one.encode();
-            out.extend_from_slice(&u32::try_from(bytes.len()).unwrap_or(u32::MAX).to_be_bytes());
-            out.extend_from_slice(&bytes);
-        }
+        let mut out = encode_told(&self.told, OF_ERASURES);
         out.extend_from_slice(&self.next.encode());
         out.push(u8::from(self.more));
         out
     }
 
     pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
-        let count = usize::from(reader.u16("erasure count")? & !OF_ERASURES);
-        if count > MOST_ERASURES {
-            return Err(WireError::Value("erasure count"));
-        }
-        let mut told = Vec::with_capacity(count);
-        for _ in 0..count {
-            let length = usize::try_from(reader.u32("erasure length")?).unwrap_or(usize::MAX);
-            if length > LONGEST_ERASURE {
-                return Err(WireError::Value("erasure length"));
-            }
-            told.push(ToldErasure::read(&mut Reader::new(reader.take(length, "erasure")?))?);
-        }
+        let told = read_told(reader, OF_ERASURES)?;
         let next = ErasurePlace::read(reader)?;
         let more = match reader.u8("more")? {
             0 => false,
@@ -116,6 +103,71 @@ impl Erasures {
             _ => return Err(WireError::Value("more")),
         };
         Ok(Self { told, next, more })
+    }
+}
+
+/// Count (2, with these bits set) || length (4) and record each; what is too much is cut.
+pub(super) fn encode_told(told: &[ToldErasure], bits: u16) -> Vec<u8> {
+    let told = &told[..told.len().min(MOST_ERASURES)];
+    let count = u16::try_from(told.len()).unwrap_or(0) | bits;
+    let mut out = count.to_be_bytes().to_vec();
+    for one in told {
+        let bytes = one.encode();
+        out.extend_from_slice(&u32::try_from(bytes.len()).unwrap_or(u32::MAX).to_be_bytes());
+        out.extend_from_slice(&bytes);
+    }
+    out
+}
+
+pub(super) fn read_told(reader: &mut Reader<'_>, bits: u16) -> Result<Vec<ToldErasure>, WireError> {
+    let count = usize::from(reader.u16("erasure count")? & !bits);
+    if count > MOST_ERASURES {
+        return Err(WireError::Value("erasure count"));
+    }
+    let mut told = Vec::with_capacity(count);
+    for _ in 0..count {
+        let length = usize::try_from(reader.u32("erasure length")?).unwrap_or(usize::MAX);
+        if length > LONGEST_ERASURE {
+            return Err(WireError::Value("erasure length"));
+        }
+        let mut one = Reader::new(reader.take(length, "erasure")?);
+        told.push(ToldErasure::read(&mut one)?);
+        one.end()?;
+    }
+    Ok(told)
+}
+
+/// What becomes of a copy at a gateway at its owner's word (1).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ErasureOutcome {
+    /// Nothing now; it may be told again later.
+    Left = 0,
+    /// It is gone, or is being overwritten as soon as no incident of its owner there holds it.
+    Taken = 1,
+    /// Nothing: what was told does not hold.
+    Refused = 2,
+}
+
+impl ErasureOutcome {
+    fn from_code(code: u8) -> Option<Self> {
+        [Self::Left, Self::Taken, Self::Refused].into_iter().find(|outcome| *outcome as u8 == code)
+    }
+
+    /// Count (2, the two highest bits set) || outcome (1) each.
+    pub(super) fn encode_all(outcomes: &[Self]) -> Vec<u8> {
+        let outcomes = &outcomes[..outcomes.len().min(MOST_ERASURES)];
+        let count = u16::try_from(outcomes.len()).unwrap_or(0) | OF_OUTCOMES;
+        count.to_be_bytes().into_iter().chain(outcomes.iter().map(|outcome| *outcome as u8)).collect()
+    }
+
+    pub(super) fn read_all(reader: &mut Reader<'_>) -> Result<Vec<Self>, WireError> {
+        let count = usize::from(reader.u16("outcome count")? & !OF_OUTCOMES);
+        if count > MOST_ERASURES {
+            return Err(WireError::Value("outcome count"));
+        }
+        let codes = reader.take(count, "outcome")?;
+        codes.iter().map(|code| Self::from_code(*code).ok_or(WireError::Value("outcome"))).collect()
     }
 }
 
@@ -184,6 +236,32 @@ mod tests {
         assert!(reader.end().is_err());
         for lie in [&body[..24].iter().chain(&[2]).copied().collect::<Vec<u8>>(), &[body.clone(), vec![0]].concat()] {
             assert!(Request::parse(Command::Holdings, lie).is_err());
+        }
+    }
+
+    #[test]
+    fn an_owner_tells_in_the_same_form_and_hears_what_becomes_of_each() {
+        let request = Request::TellErasures(vec![told(); 2]);
+        let body = request.encode();
+        assert_eq!((&body[..24], body[24], &body[25..27]), (&[0; 24][..], 2, &[0, 2][..]));
+        let asked = Answer::Erasures(Box::new(Erasures { told: vec![told(); 2], ..Erasures::default() })).encode();
+        assert_eq!(body[27..], asked[2..asked.len() - 25], "as an answer has it, without a place");
+        assert_eq!(Request::parse(Command::Holdings, &body), Ok(request.clone()));
+        assert_eq!(request.command(), Command::Holdings);
+        assert!((25..body.len()).all(|cut| Request::parse(Command::Holdings, &body[..cut]).is_err()));
+        let mut elsewhere = body.clone();
+        elsewhere[3] = 1;
+        let none = [&[0; 24][..], &[2, 0, 0]].concat();
+        for lie in [elsewhere, [&body[..], &[0]].concat(), none] {
+            assert!(Request::parse(Command::Holdings, &lie).is_err());
+        }
+
+        let all = vec![ErasureOutcome::Left, ErasureOutcome::Taken, ErasureOutcome::Refused];
+        let answer = Answer::ErasuresTaken(all);
+        assert_eq!(answer.encode(), [0xc0, 3, 0, 1, 2]);
+        assert_eq!(parse(&answer.encode()), Ok(answer));
+        for lie in [&[0xc0, 1, 3][..], &[0xc0, 2, 1], &[0xc0, 1, 1, 1], &[0xc0, 65], &[0xff, 0xff]] {
+            assert!(parse(lie).is_err(), "{lie:?}");
         }
     }
 }

@@ -5,7 +5,7 @@ use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, SignedPosition, Token, TopicId};
 
 use super::Command;
-use super::erasures::{ERASED as WHAT_WAS_ERASED, ErasurePlace};
+use super::erasures::{ERASED as WHAT_WAS_ERASED, ErasurePlace, TELLS, ToldErasure, encode_told, read_told};
 use super::holdings::{HoldingPlace, Wanted};
 use super::query::{Query, Selection};
 use super::relay::RelayCall;
@@ -19,6 +19,8 @@ pub const MOST_CHECKED: usize = 1024;
 pub const SIGNED: u16 = 1 << 15;
 /// Behind the digest of a fetch: what is left of an erased record is asked for.
 const ERASED: u8 = 1;
+/// Bytes of a place in holdings, or among what was erased.
+const PLACE: usize = 24;
 /// The longest signed transaction passed on, bytes.
 pub const LONGEST_TRANSACTION: usize = 3 * 1024;
 
@@ -145,6 +147,9 @@ pub enum Request {
     Holdings(HoldingPlace),
     /// What was erased, after a place: place (24) || 1. Earlier gateways answer `Malformed`.
     Erasures(ErasurePlace),
+    /// What the session's owner had erased: zeros (24) || 2 || count (2), then length (4) and record each, as in an answer to
+    /// [`Self::Erasures`]. Earlier gateways answer `Malformed`.
+    TellErasures(Vec<ToldErasure>),
     /// The records of a range.
     HandOver(Wanted),
 }
@@ -169,7 +174,7 @@ impl Request {
             Self::Ping => Command::Ping,
             Self::Relay(_) => Command::Relay,
             Self::Countersign(_) => Command::Countersign,
-            Self::Holdings(_) | Self::Erasures(_) => Command::Holdings,
+            Self::Holdings(_) | Self::Erasures(_) | Self::TellErasures(_) => Command::Holdings,
             Self::HandOver(_) => Command::HandOver,
         }
     }
@@ -201,6 +206,7 @@ impl Request {
             Self::Countersign(stated) => stated.encode(),
             Self::Holdings(after) => after.encode(),
             Self::Erasures(after) => [after.encode(), vec![WHAT_WAS_ERASED]].concat(),
+            Self::TellErasures(told) => [vec![0; PLACE], vec![TELLS], encode_told(told, 0)].concat(),
             Self::HandOver(wanted) => wanted.encode(),
             Self::DeviceNotice(notice) => notice.encode(),
         }
@@ -290,13 +296,17 @@ fn read_fetch(reader: &mut Reader<'_>) -> Result<Request, WireError> {
 }
 
 fn read_holdings(reader: &mut Reader<'_>) -> Result<Request, WireError> {
-    let place: [u8; 24] = reader.array("place")?;
-    let mut place = Reader::new(&place);
+    let bytes: [u8; PLACE] = reader.array("place")?;
+    let mut place = Reader::new(&bytes);
     if reader.rest().is_empty() {
         return HoldingPlace::read(&mut place).map(Request::Holdings);
     }
     match reader.u8("what is told")? {
         WHAT_WAS_ERASED => ErasurePlace::read(&mut place).map(Request::Erasures),
+        TELLS if bytes == [0; PLACE] => {
+            let told = read_told(reader, 0)?;
+            if told.is_empty() { Err(WireError::Value("erasure count")) } else { Ok(Request::TellErasures(told)) }
+        }
         _ => Err(WireError::Value("what is told")),
     }
 }

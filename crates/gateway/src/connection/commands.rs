@@ -138,6 +138,7 @@ impl Commands {
             Request::Erasures(after) => {
                 desk.erasures(&self.caller, &after).await.map(|told| Answer::Erasures(Box::new(told)))
             }
+            Request::TellErasures(told) => desk.erase(&self.caller, told).await.map(Answer::ErasuresTaken),
             Request::HandOver(wanted) => {
                 desk.hand_over(&self.caller, &wanted).await.map(|handed| Answer::HandedOver(Box::new(handed)))
             }

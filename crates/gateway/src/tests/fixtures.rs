@@ -8,9 +8,9 @@ use authros_crypto::{
 };
 use authros_gateway::allocation::{AllocationRequest, Applicant};
 use authros_gateway::command::{
-    Answer, Command, Entry, ErasedRecord, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver, Held, HoldingPlace,
-    Holdings, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, ToldErasure,
-    Upload, Wanted,
+    Answer, Command, Entry, ErasedRecord, ErasureOutcome, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver,
+    Held, HoldingPlace, Holdings, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection,
+    Standing, ToldErasure, Upload, Wanted,
 };
 use authros_gateway::hello::{ClientHello, Context, GatewayHello, ListSummary, NetworkName};
 use authros_gateway::session::Session;
@@ -179,6 +179,7 @@ pub(crate) fn sample_requests() -> Vec<Request> {
         Request::Countersign(Box::new(stated())),
         Request::Holdings(HoldingPlace { block: 1, batch: 2, leaf: 3 }),
         Request::Erasures(ErasurePlace { ledger: RecorderId([1; 16]), number: 2 }),
+        Request::TellErasures(vec![told(); 2]),
         Request::HandOver(wanted(4, 9)),
     ]
 }
@@ -219,13 +220,18 @@ fn holdings() -> Holdings {
     Holdings { held: vec![Held { owner, recorder, topic_id, ranges }; 2], next, more: true }
 }
 
-fn erasures() -> Erasures {
+/// A record that was erased.
+pub(crate) fn told() -> ToldErasure {
     let (signer, signature) = (PublicKey([1; 64]), Signature([2; 64]));
     let record = Fetched { signer, signature, proof: vec![3; 40], blob: vec![4; 99] };
     let statement = ErasedStatement { report: Digest([5; 32]), at: Timestamp(6), signer, signature };
     let left = ErasedRecord { record, statement };
-    let told = ToldErasure { digest: Digest([7; 32]), account_signature: AccountSignature([8; 65]), left };
-    Erasures { told: vec![told; 2], next: ErasurePlace { ledger: RecorderId([9; 16]), number: 10 }, more: true }
+    ToldErasure { digest: Digest([7; 32]), account_signature: AccountSignature([8; 65]), left }
+}
+
+fn erasures() -> Erasures {
+    let next = ErasurePlace { ledger: RecorderId([9; 16]), number: 10 };
+    Erasures { told: vec![told(); 2], next, more: true }
 }
 
 /// One answer of each shape.
@@ -250,6 +256,7 @@ pub(crate) fn sample_answers() -> Vec<Answer> {
         Answer::Countersigned(Box::new(countersigned(&stated()))),
         Answer::Holdings(Box::new(holdings())),
         Answer::Erasures(Box::new(erasures())),
+        Answer::ErasuresTaken(vec![ErasureOutcome::Taken, ErasureOutcome::Left, ErasureOutcome::Refused]),
         Answer::HandedOver(Box::new(HandedOver { records: vec![record.clone(); 2], next: Some(7) })),
         Answer::HandedOver(Box::default()),
         Answer::Event(Box::new((entry(), record))),

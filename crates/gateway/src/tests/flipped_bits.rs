@@ -9,7 +9,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
-use super::fixtures::{stated, wanted};
+use super::fixtures::{stated, told, wanted};
 use super::hostile::text;
 use super::stage::Stage;
 use super::*;
@@ -132,6 +132,7 @@ fn accepted_requests(stage: &Stage, member: &Member) -> Vec<Request> {
         Request::Relay(RelayCall { method: "eth_blockNumber".to_owned(), parameters: "[]".to_owned() }),
         Request::Holdings(HoldingPlace::default()),
         Request::Erasures(ErasurePlace::default()),
+        Request::TellErasures(vec![told()]),
         Request::HandOver(wanted(1, 3)),
         // The last one: afterwards the name is the device's.
         Request::DeviceNotice(device.public.into()),
@@ -207,5 +208,5 @@ async fn no_bit_of_a_frame_of_any_command_reaches_the_desk_flipped() {
     }
     let state = stage.desk.state();
     assert_eq!((state.records.len(), state.subscribers.len(), state.registrations.len()), (4, 1, 1));
-    assert_eq!((state.grants.len(), state.revokes.len(), state.changes), (1, 1, before + 8));
+    assert_eq!((state.grants.len(), state.revokes.len(), state.changes), (1, 1, before + 9));
 }

@@ -13,8 +13,8 @@ use authros_chain::merkle::{Inclusion, Leaf};
 use authros_chain::{AnchorProof, RelayError};
 use authros_crypto::{SmKeyPair, signer_id};
 use authros_gateway::command::{
-    DeviceNotice, Entry, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, Page, Query,
-    Registration, RevokeNotice, Selection, Standing, Wanted,
+    DeviceNotice, Entry, ErasureOutcome, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver, HoldingPlace,
+    Holdings, Page, Query, Registration, RevokeNotice, Selection, Standing, ToldErasure, Wanted,
 };
 use authros_gateway::desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
 use authros_gateway::{Code, NetworkName, Refusal, Stood};
@@ -315,6 +315,11 @@ impl Desk for MemoryDesk {
 
     async fn erasures(&self, _: &Caller, after: &ErasurePlace) -> Result<Erasures, Refusal> {
         Ok(Erasures { next: *after, ..Erasures::default() })
+    }
+
+    async fn erase(&self, _: &Caller, told: Vec<ToldErasure>) -> Result<Vec<ErasureOutcome>, Refusal> {
+        self.state().changes += 1;
+        Ok(vec![ErasureOutcome::Taken; told.len()])
     }
 
     async fn hand_over(&self, _: &Caller, _: &Wanted) -> Result<HandedOver, Refusal> {

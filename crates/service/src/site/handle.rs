@@ -271,7 +271,8 @@ impl Site {
             StoreCommand::EraseRecords(wishes) => {
                 let owner = self.parts.owners.unlocked(profile)?;
                 self.reading.learn_own_names(profile).await?;
-                self.storage.erase(&owner, wishes).await.map(ask::EraseRecords::told)
+                let view = self.storage.erase(&owner, wishes).await?;
+                Ok(ask::EraseRecords::told(self.joined.names_who_is_told(view)))
             }
             StoreCommand::BackUp { file, passphrase } => {
                 self.backup.back_up(profile, file, passphrase).await.map(ask::BackUp::told)

@@ -15,9 +15,9 @@ use crate::chain::{Call, RelayError};
 use crate::crypto::{SmKeyPair, open_transport_key, seal_transport_key, signer_id};
 use crate::gateway::desk::Account;
 use crate::gateway::{
-    Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, Entry, ErasedRecord, ErasurePlace, Erasures, Fetched,
-    GrantNotice, HandedOver, HoldingPlace, Holdings, NetworkName, Page, Query, Received, Refusal, Registration,
-    RevokeNotice, Selection, Standing, Stood, Wanted,
+    Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, Entry, ErasedRecord, ErasureOutcome, ErasurePlace,
+    Erasures, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, NetworkName, Page, Query, Received, Refusal,
+    Registration, RevokeNotice, Selection, Standing, Stood, ToldErasure, Wanted,
 };
 use crate::model::{
     Address, Countersignature, Digest, Hash, ProfileName, PublicKey, SignedPosition, SignerId, Timestamp, Token,
@@ -381,6 +381,11 @@ impl Desk for GatewayDesk {
         self.freshen().await?;
         let (caller, after) = (caller.clone(), *after);
         self.blocking(move |desk| desk.told_erasures(&caller, after)).await
+    }
+
+    async fn erase(&self, caller: &Caller, told: Vec<ToldErasure>) -> Result<Vec<ErasureOutcome>, Refusal> {
+        self.freshen().await?;
+        self.erase_for(caller, told).await
     }
 
     async fn hand_over(&self, caller: &Caller, wanted: &Wanted) -> Result<HandedOver, Refusal> {

@@ -4,13 +4,12 @@
 use std::sync::PoisonError;
 
 use super::GatewayDesk;
-use super::standing::proof;
-use crate::crypto::{AccountSignature, ErasedStatement, signer_id};
+use crate::crypto::ErasedStatement;
 use crate::gateway::command::erasures::MOST_ERASURES;
-use crate::gateway::{Caller, Code, ErasedRecord, ErasurePlace, Erasures, Fetched, Refusal, ToldErasure};
-use crate::model::{Address, Digest, Header, PublicKey};
-use crate::pipeline::authority::{self, Moment, SigningRight, may_sign};
+use crate::gateway::{Caller, Code, ErasedRecord, ErasurePlace, Erasures, Refusal};
+use crate::model::Digest;
 use crate::pipeline::retention::erasing;
+use crate::pipeline::retention::told::{is_owners, left_of, told_of};
 use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
 use crate::store::{RecordRow, Retained};
@@ -26,18 +25,9 @@ impl GatewayDesk {
         let none = || Refusal::new(Code::NotFound, format_args!("record {} was not erased by its owner", row.id));
         let retained = retained.ok_or_else(none)?;
         let statement = self.stated(&network, &row, &retained)?.ok_or_else(none)?;
-        let record = self.left_of(&network, &row, retained.header)?;
-        Ok(ErasedRecord { record, statement })
-    }
-
-    /// A record without its message: the header in place of its bytes.
-    fn left_of(&self, network: &Network, row: &RecordRow, header: Vec<u8>) -> Result<Fetched, Refusal> {
-        let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
-        let signer = authority::key_of(plant, network, row).map_err(Refusal::because(Code::Internal))?;
         let unknown = || Refusal::new(Code::Tampered, format_args!("the signer of record {} is unknown", row.id));
-        let place = plant.ledger.batch_place(row.digest).map_err(&internal)?;
-        let proof = proof(row, place).map(|proof| proof.encode()).unwrap_or_default();
-        Ok(Fetched { signer: signer.ok_or_else(unknown)?, signature: row.signature, proof, blob: header })
+        let record = left_of(plant, &network, &row, retained.header).map_err(Refusal::because(Code::Internal))?;
+        Ok(ErasedRecord { record: record.ok_or_else(unknown)?, statement })
     }
 
     /// The owner's statement; signed now if it was erased before there were statements, or if the owner has another key
@@ -86,39 +76,10 @@ impl GatewayDesk {
         let page = ledger.erasures(after, MOST_ERASURES).map_err(Refusal::because(Code::Internal))?;
         let mut told = Vec::with_capacity(page.erasures.len());
         for (digest, statement, account) in page.erasures {
-            told.extend(self.told(&network, digest, (&statement, &account))?);
+            let one = told_of(&self.gateway.plant, &network, (digest, &statement, &account));
+            told.extend(one.map_err(Refusal::because(Code::Internal))?);
         }
         Ok(Erasures { told, next: ErasurePlace { ledger: here, number: page.last.unwrap_or(after) }, more: page.more })
-    }
-
-    /// `None` if nobody would take it now: its owner has another key, or its anchor is in no batch of a block.
-    fn told(
-        &self,
-        network: &Network,
-        digest: Digest,
-        (statement, account): (&[u8], &[u8]),
-    ) -> Result<Option<ToldErasure>, Refusal> {
-        let (ledger, internal) = (&self.gateway.plant.ledger, Refusal::because(Code::Internal));
-        let (Ok(statement), Ok(account)) = (ErasedStatement::parse(statement), account.try_into()) else {
-            return Ok(None);
-        };
-        let Some(row) = ledger.record(digest).map_err(&internal)? else { return Ok(None) };
-        let is_batched = ledger.batch_place(digest).map_err(&internal)?.is_some() && row.block.is_some();
-        let retained = ledger.retained(digest).map_err(&internal)?;
-        let is_of_here = |retained: &Retained| {
-            Header::parse(&retained.header).is_ok_and(|(header, _)| header.domain == network.domain)
-        };
-        let is_told = is_batched && is_owners(network, row.owner, &statement.signer);
-        let Some(retained) = retained.filter(|retained| is_told && is_of_here(retained)) else { return Ok(None) };
-        match self.left_of(network, &row, retained.header) {
-            Ok(record) => {
-                let left = ErasedRecord { record, statement };
-                Ok(Some(ToldErasure { digest, account_signature: AccountSignature(account), left }))
-            }
-            // What is not right here is nothing to tell; the audit of records speaks of it.
-            Err(refusal) if refusal.code == Code::Tampered => Ok(None),
-            Err(refusal) => Err(refusal),
-        }
     }
 
     /// Once for each key of an owner: what was erased under an earlier one, or before accounts signed, is stated anew.
@@ -139,12 +100,6 @@ impl GatewayDesk {
             under.insert(owner.address, keys.signing.public);
         }
     }
-}
-
-/// Whether this is the key that an owner has now.
-pub(super) fn is_owners(network: &Network, owner: Address, key: &PublicKey) -> bool {
-    let now = Moment::newest(network.directory.now());
-    matches!(may_sign(&network.directory, owner, signer_id(key), now), Ok(SigningRight::Owner(_)))
 }
 
 #[cfg(test)]

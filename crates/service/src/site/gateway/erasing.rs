@@ -1,21 +1,22 @@
-//! What another gateway of the fleet says was erased: each record is held against the chain that is known here, and its owner
-//! must have stated it with both keys. Then the bytes here are named to be overwritten, or the record is listed without.
+//! What another gateway of the fleet, or its owner, says was erased: each record is held against the chain that is known here,
+//! and its owner must have stated it with both keys. Then the bytes here are named to be overwritten, or the record is listed without.
 
 use std::time::Duration;
 
 use tokio::task::block_in_place;
 
-use super::erased::is_owners;
+use super::GatewayDesk;
 use super::round::{Here as _, Round, is_of_here};
 use super::round_erased::TookErased;
 use super::taking::Taking;
 use crate::crypto::{ErasedStatement, SealedRecord, signer_id};
-use crate::gateway::{Code, Refusal, ToldErasure};
+use crate::gateway::{Caller, Code, ErasureOutcome, Refusal, ToldErasure};
 use crate::model::{Address, Digest, Header, RecordState};
 use crate::pipeline::columns::header_difference;
 use crate::pipeline::mirror::{prove_erased, taken_erased};
+use crate::pipeline::retention::told::is_owners;
 use crate::pipeline::{Network, PipelineError};
-use crate::service::event::Part;
+use crate::service::event::{NoticeLevel, Part};
 use crate::store::{KeptErasure, NewRecord, RootSighting, StoreError, ToldErased};
 
 /// How long the watcher here may lag behind the block of a proof.
@@ -33,7 +34,59 @@ enum Judged {
     Later,
 }
 
+impl GatewayDesk {
+    /// Erases here what the caller had erased at home: what becomes of each, in order.
+    pub(super) async fn erase_for(
+        &self,
+        caller: &Caller,
+        told: Vec<ToldErasure>,
+    ) -> Result<Vec<ErasureOutcome>, Refusal> {
+        let network = self.known_network()?;
+        if let Some(other) = told.iter().find(|one| !is_of(one, caller.account)) {
+            let text = format_args!("record {} is not {}'s", other.digest, caller.account);
+            return Err(Refusal::new(Code::NotAuthorised, text));
+        }
+        let here = Taking { desk: self, anchors: &self.gateway.anchors, copies: self.gateway.copies(self) };
+        let (mut outcomes, mut count, mut ended) = (Vec::with_capacity(told.len()), 0, Ok(()));
+        for one in told {
+            match here.outcome(&network, one).await {
+                Ok((outcome, is_new)) => {
+                    count += u64::from(is_new);
+                    outcomes.push(outcome);
+                }
+                Err(refusal) => {
+                    ended = Err(refusal);
+                    break;
+                }
+            }
+        }
+        if count > 0 {
+            let subject = format!("{count} records of {}", caller.account);
+            let written = self.gateway.log.write(&self.keeper.profile, "fleet erase", &subject, "told by their owner");
+            if let Err(failure) = written.await {
+                self.gateway.hub.notice(NoticeLevel::Warning, &failure.message);
+            }
+        }
+        ended.map(|()| outcomes)
+    }
+}
+
+fn is_of(told: &ToldErasure, owner: Address) -> bool {
+    Header::parse(&told.left.record.blob).is_ok_and(|(header, _)| header.owner == owner)
+}
+
 impl Taking<'_> {
+    /// What becomes of one record at its owner's word, and whether that is new.
+    async fn outcome(&self, network: &Network, told: ToldErasure) -> Result<(ErasureOutcome, bool), Refusal> {
+        match self.erase_one(network, told).await {
+            Ok(Judged::Taken(_)) => Ok((ErasureOutcome::Taken, true)),
+            Ok(Judged::Known) => Ok((ErasureOutcome::Taken, false)),
+            Ok(Judged::Left | Judged::Later) => Ok((ErasureOutcome::Left, false)),
+            Err(refusal) if is_of_here(refusal.code) => Err(refusal),
+            Err(_) => Ok((ErasureOutcome::Refused, false)),
+        }
+    }
+
     /// Takes what holds, one after the other; with patience, only until an anchor that the chain here does not have yet.
     pub(super) async fn erase_told(
         &self,

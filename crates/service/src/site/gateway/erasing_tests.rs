@@ -257,3 +257,39 @@ async fn what_an_incident_of_its_owner_holds_here_stays_until_that_is_removed() 
     assert_eq!(ledger.held_although_erased(), Ok(0));
     ground.site.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn an_owner_who_is_away_has_her_own_erased_and_nobody_elses() {
+    use ErasureOutcome::{Refused, Taken};
+    let ground = Ground::new().await;
+    let mallory = registered(&ground.site, "mallory").await;
+    let (copy, handed) = ground.here(1).await;
+    let (second, proof) = ground.here(2).await;
+    let (first, other) = (ground.told(&copy, &handed), ground.told(&second, &proof));
+    let peer = "127.0.0.1:1".parse().expect("an address");
+    let caller = |owner: &Owner| {
+        let (account, signing, name) = (owner.address, owner.signing().public, "away".parse().expect("a name"));
+        Caller { name, account, signing, device: None, peer }
+    };
+    let (alice, thief) = (caller(&ground.alice), caller(&mallory));
+    // Not in another's session, whatever signatures she has; nor one among others.
+    let by_thief = ground.desk.erase_for(&thief, vec![first.clone()]).await;
+    assert_eq!(by_thief.map_err(|refusal| refusal.code), Err(Code::NotAuthorised));
+    // A thief of d_C and K_T alone, in her name.
+    let stolen = ground.stated(&copy, &handed, (&ground.alice.signing(), &mallory.eoa()));
+    assert_eq!(ground.desk.erase_for(&alice, vec![stolen]).await.expect("asked"), [Refused]);
+    assert_eq!(ground.bytes(&copy), Some(copy.blob.clone()));
+
+    let nothing = ToldErasure { account_signature: AccountSignature([0; 65]), ..other.clone() };
+    let told = vec![nothing, first.clone()];
+    assert_eq!(ground.desk.erase_for(&alice, told).await.expect("asked"), [Refused, Taken]);
+    ground.gone(&copy).await;
+    assert_eq!(ground.bytes(&second), Some(second.blob.clone()));
+    assert_eq!(
+        ground.desk.erase_for(&alice, vec![first, other]).await.expect("asked"),
+        [Taken, Taken],
+        "again, and more"
+    );
+    ground.gone(&second).await;
+    ground.site.stop().await;
+}

@@ -3,12 +3,13 @@
 use std::time::{Duration, Instant};
 
 use super::GatewayDesk;
-use super::standing::{entry, proof, standing};
+use super::standing::{entry, standing};
 use crate::gateway::{Caller, Code, Fetched, Page, Query, Refusal, Selection, Standing, Stood};
 use crate::model::{Address, Digest, Scope, SignerId, Timestamp};
 use crate::pipeline::Network;
 use crate::pipeline::authority::{self, Moment, NoRight, Policy, ReadRefused, ReadingRight, SigningRight};
 use crate::pipeline::authority::{may_read, may_sign};
+use crate::pipeline::proof::anchor_proof;
 use crate::site::chain::freshness::GRACE;
 use crate::store::{BatchPlace, RecordQuery, RecordRow};
 use tokio::time::timeout;
@@ -156,7 +157,7 @@ impl GatewayDesk {
         let mut stood = Vec::with_capacity(digests.len());
         for standing in standings {
             let found = if is_proven(&standing) { found.next() } else { None };
-            let proof = found.and_then(|(row, place)| proof(&row?, place));
+            let proof = found.and_then(|(row, place)| anchor_proof(&row?, place));
             stood.push(Stood { standing, proof: proof.map(|proof| proof.encode()).unwrap_or_default() });
         }
         Ok(stood)
@@ -222,7 +223,7 @@ impl GatewayDesk {
         }
         let signer = authority::key_of(plant, network, row).map_err(Refusal::because(Code::Internal))?;
         let unknown = || Refusal::new(Code::Tampered, format_args!("the signer of record {} is unknown", row.id));
-        let proof = proof(row, place).map(|proof| proof.encode()).unwrap_or_default();
+        let proof = anchor_proof(row, place).map(|proof| proof.encode()).unwrap_or_default();
         Ok(Fetched { signer: signer.ok_or_else(unknown)?, signature: row.signature, proof, blob })
     }
 }

@@ -224,7 +224,7 @@ impl Gateway {
     }
 
     /// Which records are kept here: `fleet.copies` of the gateways that are there keep each.
-    fn copies(&self, desk: &GatewayDesk) -> Copies {
+    pub(super) fn copies(&self, desk: &GatewayDesk) -> Copies {
         let own = signer_id(&desk.keeper.gateway_identity().public);
         let there = self.fellows.there(self.config.fleet_away_after);
         Copies::of(self.plant.provider, self.config.fleet_copies, own, there)

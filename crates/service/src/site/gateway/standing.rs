@@ -1,9 +1,8 @@
-//! A record as a gateway reports it: entry, standing, proof.
+//! A record as a gateway reports it: entry and standing.
 
-use crate::chain::AnchorProof;
 use crate::gateway::{Entry, Standing};
 use crate::model::RecordState;
-use crate::store::{BatchPlace, RecordRow};
+use crate::store::RecordRow;
 
 /// The standing of a record in this state.
 pub(super) fn standing(state: RecordState) -> Standing {
@@ -34,17 +33,5 @@ pub(super) fn entry(row: &RecordRow) -> Entry {
         length: row.bytes,
         kind: row.kind,
         standing: standing(row.state),
-    }
-}
-
-/// The record's place on the chain; `None` before it is in a block.
-pub(super) fn proof(row: &RecordRow, place: Option<BatchPlace>) -> Option<AnchorProof> {
-    let (transaction, block, block_hash) = (row.transaction?, row.block?, row.block_hash?);
-    match place {
-        Some(place) => {
-            let account = place.account?;
-            Some(AnchorProof { account, transaction, block, block_hash, inclusion: Some(place.inclusion) })
-        }
-        None => Some(AnchorProof { account: row.owner, transaction, block, block_hash, inclusion: None }),
     }
 }

@@ -7,6 +7,7 @@ mod listing;
 #[cfg(test)]
 mod listing_tests;
 mod missed;
+mod own_erasures;
 mod pace;
 mod place;
 mod remote;
@@ -17,6 +18,7 @@ mod telling;
 use crate::paths::Home;
 use crate::pipeline::Plant;
 use crate::service::hub::Hub;
+use crate::site::audit::Log;
 use crate::site::chain::link::Link;
 use crate::site::identity::owners::Owners;
 use crate::site::lifetime::Lifetime;
@@ -36,6 +38,7 @@ use crate::pipeline::{Network, Owner, PipelineError};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::Failure;
 use missed::Missed;
+use own_erasures::OwnErasures;
 use pace::Pace;
 use place::Place;
 use remote::{Mirrored, Remote};
@@ -97,6 +100,7 @@ pub(in crate::site) struct Joined {
     home: Home,
     plant: Plant,
     hub: Arc<Hub>,
+    log: Arc<Log>,
     owners: Arc<Owners>,
     link: Arc<Link>,
     life: Arc<Lifetime>,
@@ -106,8 +110,8 @@ pub(in crate::site) struct Joined {
 impl Joined {
     /// From the shared parts.
     pub fn new(parts: &Parts, remotes: Option<Arc<Remotes>>) -> Self {
-        let Parts { home, plant, hub, owners, link, life, .. } = parts.clone();
-        Self { home, plant, hub, owners, link, life, remotes }
+        let Parts { home, plant, hub, log, owners, link, life, .. } = parts.clone();
+        Self { home, plant, hub, log, owners, link, life, remotes }
     }
 }
 
@@ -126,6 +130,7 @@ impl Joined {
     pub(super) async fn mirror(self: Arc<Self>, owner: Arc<Owner>, place: usize) {
         let Some(remote) = self.remotes.as_ref().and_then(|remotes| remotes.all().get(place)) else { return };
         let (mut pause, mut stale, mut pace) = (PAUSES.0, None, Pace::default());
+        let mut told = OwnErasures::default();
         while !self.life.is_stopping() && self.owners.is_open(&owner) {
             let Some(network) = self.link.network_now() else {
                 tokio::time::sleep(TICK).await;
@@ -143,7 +148,7 @@ impl Joined {
                 continue;
             }
             let begun = Instant::now();
-            match self.mirror_round(remote, &owner, &network).await {
+            match self.mirror_round(remote, (&owner, &network), &mut told).await {
                 Ok(()) => {
                     (pause, stale) = (PAUSES.0, None);
                     tokio::select! {
@@ -199,9 +204,10 @@ impl Joined {
     async fn mirror_round(
         self: &Arc<Self>,
         remote: &Remote,
-        owner: &Arc<Owner>,
-        network: &Network,
+        (owner, network): (&Arc<Owner>, &Network),
+        told: &mut OwnErasures,
     ) -> Result<(), Broken> {
+        told.connected();
         let keeper = remote.keeper(network)?;
         let mirror =
             Mirror { plant: &self.plant, network, reader: owner.as_ref(), keeper, anchors: Anchors::default() };
@@ -248,6 +254,7 @@ impl Joined {
                 remote.note(&owner.profile, Mirrored::Behind);
                 return Ok(());
             }
+            self.tell_erasures(&mut client, (remote, owner, network), told).await?;
             if self.settle_proofs(&mut client, &mirror, &sources).await? {
                 heard = Instant::now();
             }

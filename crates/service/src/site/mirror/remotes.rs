@@ -41,7 +41,8 @@ impl Remotes {
         &self.0
     }
 
-    fn addresses(&self) -> String {
+    /// Their addresses, for people.
+    pub(super) fn addresses(&self) -> String {
         let addresses: Vec<&str> = self.0.iter().map(|remote| remote.address()).collect();
         addresses.join(", ")
     }

@@ -1,0 +1,58 @@
+//! What others are told of records that their owners had erased: gateways of the fleet, those that the owner's home joins, and
+//! readers. What is left of each, and only what somebody would take now.
+
+use crate::crypto::{AccountSignature, ErasedStatement, signer_id};
+use crate::gateway::{ErasedRecord, Fetched, ToldErasure};
+use crate::model::{Address, Digest, Header, PublicKey};
+use crate::pipeline::authority::{Moment, SigningRight, key_of, may_sign};
+use crate::pipeline::proof::anchor_proof;
+use crate::pipeline::{Network, PipelineError, Plant};
+use crate::store::{RecordRow, Retained};
+
+/// A record without its message: the header in place of its bytes. `None` if its signer is unknown.
+///
+/// # Errors
+/// Errors of the ledger.
+pub fn left_of(
+    plant: &Plant,
+    network: &Network,
+    row: &RecordRow,
+    header: Vec<u8>,
+) -> Result<Option<Fetched>, PipelineError> {
+    let Some(signer) = key_of(plant, network, row)? else { return Ok(None) };
+    let place = plant.ledger.batch_place(row.digest)?;
+    let proof = anchor_proof(row, place).map(|proof| proof.encode()).unwrap_or_default();
+    Ok(Some(Fetched { signer, signature: row.signature, proof, blob: header }))
+}
+
+/// What is told of an erased record, by the statement and the account's signature that the ledger has. `None` if nobody would
+/// take it now: its owner has another key, its anchor is in no batch of a block, or its signer is unknown.
+///
+/// # Errors
+/// Errors of the ledger.
+pub fn told_of(
+    plant: &Plant,
+    network: &Network,
+    (digest, statement, account): (Digest, &[u8], &[u8]),
+) -> Result<Option<ToldErasure>, PipelineError> {
+    let ledger = &plant.ledger;
+    let (Ok(statement), Ok(account)) = (ErasedStatement::parse(statement), account.try_into()) else {
+        return Ok(None);
+    };
+    let Some(row) = ledger.record(digest)? else { return Ok(None) };
+    let is_batched = ledger.batch_place(digest)?.is_some() && row.block.is_some();
+    if !is_batched || !is_owners(network, row.owner, &statement.signer) {
+        return Ok(None);
+    }
+    let is_of_here =
+        |retained: &Retained| Header::parse(&retained.header).is_ok_and(|(header, _)| header.domain == network.domain);
+    let Some(retained) = ledger.retained(digest)?.filter(is_of_here) else { return Ok(None) };
+    let left = left_of(plant, network, &row, retained.header)?.map(|record| ErasedRecord { record, statement });
+    Ok(left.map(|left| ToldErasure { digest, account_signature: AccountSignature(account), left }))
+}
+
+/// Whether this is the key that an owner has now.
+pub fn is_owners(network: &Network, owner: Address, key: &PublicKey) -> bool {
+    let now = Moment::newest(network.directory.now());
+    matches!(may_sign(&network.directory, owner, signer_id(key), now), Ok(SigningRight::Owner(_)))
+}

@@ -1,0 +1,256 @@
+//! What the owner of this home had erased is told to each gateway that it joins, which overwrites its copies and tells the others
+//! of its fleet. Told is what is gone here, by the owner's statement under both keys.
+
+use std::time::{Duration, Instant};
+
+use tokio::task::block_in_place;
+
+use super::remote::Remote;
+use super::{Broken, Joined};
+use crate::gateway::command::erasures::MOST_ERASURES;
+use crate::gateway::{Client, Code, ErasureOutcome, GatewayError, ToldErasure};
+use crate::model::{Address, Digest, Header, PublicKey, clean};
+use crate::pipeline::retention::erasing;
+use crate::pipeline::retention::told::{is_owners, told_of};
+use crate::pipeline::{Network, Owner, PipelineError};
+use crate::service::event::NoticeLevel;
+use crate::service::reply::{ErasureView, Failure};
+
+/// How often all is told again: a gateway may have been restored from a backup.
+const WHOLE: Duration = Duration::from_secs(3600);
+/// The same after a gateway left something that it may take later.
+const SOON: Duration = Duration::from_secs(60);
+/// The most pages told without looking at anything else.
+const MOST_PAGES: usize = 8;
+
+/// How far a gateway was told, over all sessions with it.
+#[derive(Debug, Default)]
+pub(super) struct OwnErasures {
+    after: u64,
+    /// What was noted after this number was told to nobody there before.
+    known: Option<u64>,
+    begun: Option<Instant>,
+    at_end: bool,
+    left: bool,
+    /// The key under which all of it is stated.
+    stated_under: Option<PublicKey>,
+    will: Will,
+}
+
+/// Whether a gateway takes any of it: one of an earlier version does not, nor one that serves the owner no more.
+#[derive(Debug, Default, PartialEq, Eq)]
+enum Will {
+    #[default]
+    Unknown,
+    /// Not in this session; that was said.
+    Refuses,
+    /// Not in an earlier session.
+    Refused,
+}
+
+/// What became of a page.
+#[derive(Debug, Default, PartialEq, Eq)]
+struct Told {
+    taken: u64,
+    left: u64,
+    refused: u64,
+}
+
+impl Told {
+    fn of(outcomes: &[ErasureOutcome]) -> Self {
+        let count = |wanted| outcomes.iter().filter(|outcome| **outcome == wanted).count() as u64;
+        Self {
+            taken: count(ErasureOutcome::Taken),
+            left: count(ErasureOutcome::Left),
+            refused: count(ErasureOutcome::Refused),
+        }
+    }
+}
+
+impl OwnErasures {
+    /// Another session: perhaps with a later version.
+    pub fn connected(&mut self) {
+        if self.will == Will::Refuses {
+            self.will = Will::Refused;
+        }
+    }
+
+    fn begin(&mut self, now: Instant) {
+        let pause = if self.left { SOON } else { WHOLE };
+        if self.begun.is_some_and(|begun| self.at_end && now.duration_since(begun) >= pause) {
+            (self.after, self.left, self.begun) = (0, false, None);
+        }
+        if self.begun.is_none() {
+            (self.begun, self.at_end) = (Some(now), false);
+        }
+    }
+
+    /// The place behind which nothing was told to this gateway, as of the last run of this home.
+    fn load(&mut self, joined: &Joined, name: &str) -> Result<u64, Failure> {
+        if let Some(known) = self.known {
+            return Ok(known);
+        }
+        let text = block_in_place(|| joined.plant.ledger.setting(name))?.unwrap_or_default();
+        let known = text.parse().unwrap_or(0);
+        (self.known, self.after) = (Some(known), known);
+        Ok(known)
+    }
+}
+
+impl Joined {
+    /// Tells the gateway what it was not told yet; now and then all of it again.
+    pub(super) async fn tell_erasures(
+        &self,
+        client: &mut Client,
+        (remote, owner, network): (&Remote, &Owner, &Network),
+        told: &mut OwnErasures,
+    ) -> Result<(), Broken> {
+        if told.will == Will::Refuses || !self.stated(owner, network, told)? {
+            return Ok(());
+        }
+        let keeper = remote.keeper(network)?;
+        // Numbers are the ledger's own: those of a restored home begin anew.
+        let ledger = self.plant.ledger.recorder();
+        let name = format!("erasures told:{}:{ledger}:{keeper}:{}", network.domain, owner.address);
+        let mut known = told.load(self, &name)?;
+        told.begin(Instant::now());
+        for _ in 0..MOST_PAGES {
+            let page = block_in_place(|| self.plant.ledger.erasures(told.after, MOST_ERASURES))
+                .map_err(PipelineError::from)?;
+            let records = block_in_place(|| self.own(owner.address, network, &page.erasures))?;
+            let outcome = match records.len() {
+                0 => Told::default(),
+                count => match client.tell_erasures(records).await {
+                    Ok(outcomes) => Told::of(&outcomes),
+                    Err(GatewayError::Refused(code)) if code != Code::Stale => {
+                        if std::mem::replace(&mut told.will, Will::Refuses) == Will::Unknown {
+                            self.warn_of_copies(remote, code, count);
+                        }
+                        return Ok(());
+                    }
+                    Err(error) => return Err(error.into()),
+                },
+            };
+            told.left |= outcome.left > 0;
+            let Some(last) = page.last else {
+                told.at_end = true;
+                return Ok(());
+            };
+            if last > known {
+                self.note(remote, owner, &outcome).await;
+                (known, told.known, told.will) = (last, Some(last), Will::Unknown);
+                if !told.left {
+                    let kept = block_in_place(|| self.plant.ledger.put_setting(&name, &last.to_string()));
+                    kept.map_err(PipelineError::from)?;
+                }
+            }
+            (told.after, told.at_end) = (last, !page.more);
+            if !page.more {
+                return Ok(());
+            }
+        }
+        Ok(())
+    }
+
+    /// Once for each key of the owner: what was erased under an earlier one, or before accounts signed, is stated anew. Returns
+    /// whether all of it is stated.
+    fn stated(&self, owner: &Owner, network: &Network, told: &mut OwnErasures) -> Result<bool, PipelineError> {
+        let keys = owner.sealing().filter(|keys| is_owners(network, owner.address, &keys.signing.public));
+        let Some(keys) = keys else { return Ok(false) };
+        if told.stated_under == Some(keys.signing.public) {
+            return Ok(true);
+        }
+        let done = block_in_place(|| erasing::restate(&self.plant, owner, &keys.signing))?;
+        told.stated_under = done.then_some(keys.signing.public);
+        Ok(done)
+    }
+
+    /// Those of these records that are the owner's own.
+    fn own(
+        &self,
+        owner: Address,
+        network: &Network,
+        erasures: &[(Digest, Vec<u8>, Vec<u8>)],
+    ) -> Result<Vec<ToldErasure>, PipelineError> {
+        let mut own = Vec::with_capacity(erasures.len());
+        for (digest, statement, account) in erasures {
+            let one = told_of(&self.plant, network, (*digest, statement, account))?;
+            let is_own =
+                |one: &ToldErasure| Header::parse(&one.left.record.blob).is_ok_and(|(header, _)| header.owner == owner);
+            own.extend(one.filter(is_own));
+        }
+        Ok(own)
+    }
+
+    async fn note(&self, remote: &Remote, owner: &Owner, outcome: &Told) {
+        let address = clean(remote.address(), 255);
+        let Told { taken, left, refused } = outcome;
+        if *taken > 0 {
+            let (subject, heard) = (format!("{taken} records"), format!("the gateway {address} erases its copies"));
+            if let Err(failure) = self.log.write(&owner.profile, "erase elsewhere", &subject, &heard).await {
+                self.hub.notice(NoticeLevel::Warning, &failure.message);
+            }
+        }
+        if left + refused > 0 {
+            let text = format!(
+                "the gateway {address} keeps its copies of {} records that '{}' had erased: {left} it may erase later and is told \
+                 of again, {refused} it does not",
+                left + refused,
+                owner.profile
+            );
+            self.hub.notice(NoticeLevel::Warning, &text);
+        }
+    }
+
+    fn warn_of_copies(&self, remote: &Remote, code: Code, count: usize) {
+        let why = match code {
+            Code::Malformed => "it is of an earlier version; ask its operator to update it".to_owned(),
+            code => clean(&GatewayError::Refused(code).to_string(), 300),
+        };
+        let address = clean(remote.address(), 255);
+        let text = format!("the gateway {address} was told of {count} erased records and keeps its copies: {why}");
+        self.hub.notice(NoticeLevel::Warning, &text);
+    }
+
+    /// What an erasure does not reach, where this site joins gateways.
+    pub(in crate::site) fn names_who_is_told(&self, mut view: ErasureView) -> ErasureView {
+        if let (Some(remotes), Some(copies)) = (&self.remotes, view.stays.first_mut()) {
+            *copies = format!(
+                "copies that readers have fetched, and those at gateways of an earlier version or outside the fleet of {}, which this \
+                 home tells",
+                clean(&remotes.addresses(), 600)
+            );
+        }
+        view
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_is_told_again_after_an_hour_and_soon_where_something_was_left() {
+        let now = Instant::now();
+        let mut told = OwnErasures { after: 7, at_end: true, begun: Some(now), ..OwnErasures::default() };
+        told.begin(now + WHOLE / 2);
+        assert_eq!((told.after, told.at_end), (7, true), "what is new is told from there");
+        told.begin(now + WHOLE);
+        assert_eq!((told.after, told.at_end), (0, false));
+        (told.after, told.at_end, told.left) = (7, true, true);
+        told.begin(now + WHOLE + SOON / 2);
+        assert_eq!(told.after, 7);
+        told.begin(now + WHOLE + SOON);
+        assert_eq!((told.after, told.left), (0, false));
+        told.after = 3;
+        told.begin(now + WHOLE * 9);
+        assert_eq!(told.after, 3, "not while it is being told");
+    }
+
+    #[test]
+    fn outcomes_are_counted() {
+        use ErasureOutcome::{Left, Refused, Taken};
+        let expected = Told { taken: 2, left: 1, refused: 1 };
+        assert_eq!(Told::of(&[Taken, Left, Refused, Taken]), expected);
+    }
+}
