@@ -18,6 +18,9 @@ fn a_reader_whose_site_runs_gets_what_was_granted_once_the_gateway_takes_the_gra
     alice.grant(&bob);
     let shared = ["shared", "list", "--owner", &alice.address];
     bob.verified(&shared, before);
+    let said = bob.site.as_ref().expect("running").stderr();
+    let waits: Vec<&str> = said.lines().filter(|line| line.contains("yet: its keeper may want")).collect();
+    assert!(waits.len() == 1 && waits[0].contains(&alice.address), "he is told once what he waits for: {said}");
     let all = bring(&robot, "3");
     let own = alice.verified(&["uploads", "list"], all);
     assert_eq!(bob.verified(&shared, all), own, "and it goes on");

@@ -23,7 +23,7 @@ use crate::site::chain::link::Link;
 use crate::site::identity::owners::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -254,6 +254,9 @@ impl Joined {
                 remote.note(&owner.profile, Mirrored::Behind);
                 return Ok(());
             }
+            if let Some(owners) = refused.is_late() {
+                self.tell_waiting(remote, owner, owners);
+            }
             self.tell_erasures(&mut client, (remote, owner, network), told).await?;
             if self.settle_proofs(&mut client, &mirror, &sources).await? {
                 heard = Instant::now();
@@ -276,6 +279,18 @@ impl Joined {
                 heard = Instant::now();
             }
         }
+    }
+
+    fn tell_waiting(&self, remote: &Remote, owner: &Owner, owners: &BTreeSet<Address>) {
+        let owners: Vec<String> = owners.iter().map(ToString::to_string).collect();
+        let text = format!(
+            "the gateway {} does not give '{}' the records of {} yet: its keeper may want their grant some blocks deeper in the \
+             chain; it is asked again, every ten seconds at the latest",
+            crate::model::clean(remote.address(), 255),
+            owner.profile,
+            owners.join(", ")
+        );
+        self.hub.notice(NoticeLevel::Warning, &text);
     }
 
     /// Returns `false` if the chain here does not know enough yet to take it in.

@@ -13,6 +13,9 @@ use crate::model::{Address, Timestamp};
 /// The first pause before the gateway is asked again whether it gives an owner's records, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(10));
 
+/// A reader is told that he waits once the pauses are so long: some four seconds after the first refusal.
+const LATE: Duration = Duration::from_secs(4);
+
 /// A record of a subscription with its entry, or why there are no more.
 pub(super) type Fed = Result<(Entry, Fetched), GatewayError>;
 
@@ -22,12 +25,19 @@ pub(super) struct Refused {
     owners: BTreeSet<Address>,
     again: Instant,
     pause: Duration,
+    said: bool,
 }
 
 impl Refused {
     /// As of now.
     pub fn new(owners: BTreeSet<Address>, now: Instant) -> Self {
-        Self { owners, again: now + PAUSES.0, pause: PAUSES.0 }
+        Self { owners, again: now + PAUSES.0, pause: PAUSES.0, said: false }
+    }
+
+    /// The owners, once, if it takes longer than a gateway needs to see a block: it may want a grant to be deeper in the chain.
+    pub fn is_late(&mut self) -> Option<&BTreeSet<Address>> {
+        let late = !self.owners.is_empty() && self.pause >= LATE && !std::mem::replace(&mut self.said, true);
+        late.then_some(&self.owners)
     }
 
     /// Asks again if it is time to; `true` = the gateway gives the records of one of them now.
@@ -90,5 +100,26 @@ pub(super) async fn follow(mut client: Client, feed: mpsc::Sender<Fed>) {
         if feed.send(next).await.is_err() || ended {
             return;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reader_is_told_once_and_not_of_a_moment() {
+        let mut none = Refused::new(BTreeSet::new(), Instant::now());
+        none.pause = PAUSES.1;
+        assert_eq!(none.is_late(), None);
+        let owners = BTreeSet::from([Address([1; 20])]);
+        let mut refused = Refused::new(owners.clone(), Instant::now());
+        for pause in [500, 1_000, 2_000] {
+            refused.pause = Duration::from_millis(pause);
+            assert_eq!(refused.is_late(), None, "{pause}");
+        }
+        refused.pause = LATE;
+        assert_eq!(refused.is_late(), Some(&owners));
+        assert_eq!(refused.is_late(), None, "once");
     }
 }
