@@ -1,6 +1,8 @@
 //! Records that come through a gateway: every claim is compared with the chain, then they are stored in vault and
 //! ledger as if they had been captured here. A gateway that lies gets nothing in.
 
+#[cfg(test)]
+mod block_tests;
 mod erased;
 pub mod lacking;
 #[cfg(test)]
