@@ -208,7 +208,7 @@ impl Joined {
             code => clean(&GatewayError::Refused(code).to_string(), 300),
         };
         let address = clean(remote.address(), 255);
-        let text = format!("the gateway {address} was told of {count} erased records and keeps its copies: {why}");
+        let text = format!("the gateway {address} was told what was erased and keeps its copies ({count}): {why}");
         self.hub.notice(NoticeLevel::Warning, &text);
     }
 
