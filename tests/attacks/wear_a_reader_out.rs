@@ -17,7 +17,7 @@ use super::{Outcome, judge};
 
 /// Sessions that a site may open within [`WINDOW`] for a gateway that ends each of them.
 const FEW: usize = 5;
-const WINDOW: Duration = Duration::from_secs(12);
+const WINDOW: Duration = Duration::from_secs(8);
 
 #[derive(Default)]
 struct Tease {
