@@ -271,7 +271,7 @@ fn done<T>(state: &mut State, tag: &Tag, result: Result<T, Failure>, take: impl 
             }
             undo::note(state, tag);
             for feed in touched_by(tag) {
-                state.feeds.slot_mut(*feed).stale = true;
+                state.feeds.overtake(*feed);
             }
         }
         Err(failure) => failed(state, tag, &failure),

@@ -153,6 +153,17 @@ impl Feeds {
         slot.stale = true;
     }
 
+    /// An act of this console changed the data. An answer in flight may be from before it, and is dropped; what is shown
+    /// answers the same request as the next one does.
+    pub fn overtake(&mut self, feed: Feed) {
+        let slot = self.slot_mut(feed);
+        slot.stale = true;
+        if std::mem::take(&mut slot.outstanding) {
+            slot.told += u64::from(slot.told == slot.generation);
+            slot.generation += 1;
+        }
+    }
+
     /// No answer to a request of `former` answers one of these.
     pub fn follow(&mut self, former: &Self) {
         for (slot, before) in self.0.iter_mut().zip(&former.0) {

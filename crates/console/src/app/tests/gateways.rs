@@ -1,6 +1,7 @@
 //! The fleet on the Gateway screen: how each other gateway stands, naming one, removing one, and taking that back.
 
 use super::{Robot, fixtures};
+use crate::app::feed::Feed;
 use crate::app::fleet::{Deed, Standing};
 use crate::app::popup::{Popup, Purpose};
 use crate::app::{Action, Effect, Key, Tag};
@@ -121,7 +122,7 @@ fn a_gateway_is_named_by_form_and_question_and_that_is_taken_back() {
     robot.is_answered(&add(None), Ok(Reply::Fellows(rows)));
     assert_eq!(robot.message(), format!("gateway {ADDRESS} is in the fleet (U: undo)"));
     assert_eq!(robot.state.gateway.all_fellows().len(), 1, "it is there at once");
-    assert_eq!(fleet_asked(&robot), 1, "and asked about");
+    assert_eq!(fleet_asked(&robot), 2, "and asked about once more than by the form, whose answer is from before");
     robot.types("zy");
     assert!(matches!(robot.effects.last(), Some(Effect::CopyText(text)) if *text == line), "{:?}", robot.effects);
     robot.types("U");
@@ -204,6 +205,32 @@ fn a_gateway_is_removed_after_a_question_and_comes_back_with_undo() {
     assert_eq!(robot.state.gateway.all_fellows().len(), 3);
     robot.types("U");
     assert!(matches!(sent(&robot), FleetCommand::AddFellow { address, .. } if address == TROUBLED));
+}
+
+#[test]
+fn a_gateway_that_was_removed_does_not_come_back_with_an_answer_from_before() {
+    let mut robot = at_the_fleet();
+    robot.waits(3);
+    let asked = |robot: &Robot| {
+        let of_fleet = |tag: &Tag| matches!(tag, Tag::Feed(Feed::Fleet, _));
+        let tags: Vec<Tag> = robot.sent.iter().map(|(_, tag)| tag.clone()).filter(of_fleet).collect();
+        tags
+    };
+    let before = asked(&robot);
+    assert_eq!(before.len(), 1, "how the fleet stands is asked again and again");
+    robot.types("xy");
+    let (rest, gone): (Vec<_>, Vec<_>) = robots::fellows().into_iter().partition(|one| one.address != TROUBLED);
+    let tag = Tag::Fleet(Deed::Remove { address: TROUBLED.to_owned(), key: gone[0].key });
+    robot.is_answered(&tag, Ok(Reply::Fellows(rest.clone())));
+    let all = robots::fleet(robots::fellows());
+    robot.is_answered(&before[0], Ok(Reply::Fleet(all)));
+    assert_eq!(robot.state.gateway.all_fellows().len(), 3, "that answer is from before");
+    fills(&mut robot, TROUBLED, &gone[0].key.to_hex());
+    assert!(question(&robot).contains("Add this gateway to the fleet?"), "it can be named again at once");
+    // And what was asked for after it counts.
+    let after = asked(&robot).pop().expect("asked anew");
+    robot.is_answered(&after, Ok(Reply::Fleet(robots::fleet(rest[..2].to_vec()))));
+    assert_eq!(robot.state.gateway.all_fellows().len(), 2);
 }
 
 #[test]
