@@ -96,7 +96,7 @@ fn a_real_recorder_in_the_reader_s_graph_hears_what_the_robot_said() {
         let figures = ["published", "refused", "missing", "dropped"].map(|figure| count(&played, figure));
         assert_eq!(figures, [list_bag(&bag).len() as u64, 0, 0, 0], "{played}");
         assert_eq!(played["ended_by"], "whole");
-        recorder.stop("INT", 60);
+        Roscore::stop_recording(recorder);
         expect_same(recorded, &bag, 1);
     }
 }
@@ -117,7 +117,7 @@ fn pictures_of_a_megabyte_arrive_at_ten_a_second() {
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let played = plant.bob.spawn(&arguments).wait(120).expect_code(0).document();
     assert_eq!(count(&played, "published").to_string(), number, "{played}");
-    recorder.stop("INT", 60);
+    Roscore::stop_recording(recorder);
     let (heard, said) = (messages(&recorded, "/camera"), messages(&bag, "/camera"));
     assert_eq!(heard.len().to_string(), number);
     assert!(heard == said, "the same bytes in the same order");
@@ -156,7 +156,7 @@ fn what_is_played_live_ends_with_the_grant_and_late_subscribers_get_what_was_lat
     assert_eq!(reader.publishers(LATCHED), "", "nobody publishes it any more");
     // What comes after the revoke is never received.
     drive(&robot, &plant, &bag, 3);
-    recorder.stop("INT", 60);
+    Roscore::stop_recording(recorder);
     for topic in ["/odom", "/words"] {
         assert!(messages(&live, topic) == messages(&bag, topic), "{topic}: what was verified live, and nothing after");
     }

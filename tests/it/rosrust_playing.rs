@@ -76,7 +76,7 @@ fn a_real_recorder_hears_by_rosrust_what_the_robot_said_until_the_revoke_and_its
     let played = played.expect_code(0).document();
     let figures = ["published", "refused", "missing", "dropped"].map(|figure| count(&played, figure));
     assert_eq!(figures, [list_bag(&bag).len() as u64, 0, 0, 0], "{played}");
-    recorder.stop("INT", 60);
+    Roscore::stop_recording(recorder);
     for topic in TOPICS {
         let (heard, expected) = (messages(&recorded, topic), messages(&bag, topic));
         assert_eq!(heard.len(), expected.len(), "{topic}");
@@ -111,7 +111,7 @@ fn a_real_recorder_hears_by_rosrust_what_the_robot_said_until_the_revoke_and_its
     assert_eq!((&played["ended_by"], count(&played, "refused")), (&"revoked".into(), 0), "{played}");
     assert_eq!(reader.publishers(LATCHED), "", "nobody publishes it any more");
     drive(&robot, &plant, &bag, 3);
-    recorder.stop("INT", 60);
+    Roscore::stop_recording(recorder);
     for topic in ["/odom", "/words"] {
         assert!(messages(&live, topic) == messages(&bag, topic), "{topic}: what was verified live, and nothing after");
     }

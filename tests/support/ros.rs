@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::Duration;
 
 use serde_json::Value;
 use tempfile::TempDir;
@@ -100,6 +101,13 @@ impl Roscore {
             recorder.wait_for_text(&format!("Subscribing to {topic}"), 60);
         }
         recorder
+    }
+
+    /// Ends a recorder. A publisher is gone as soon as the machine has its bytes, and a recorder reads no further once it has
+    /// the signal: it gets a moment to read what is there.
+    pub fn stop_recording(recorder: Running) {
+        std::thread::sleep(Duration::from_secs(1));
+        recorder.stop("INT", 60);
     }
 
     /// A subscriber that ends when it has received this many messages of the topics, and prints them in hex.
