@@ -74,7 +74,7 @@ impl State {
         self.records_feed().is_some_and(|feed| {
             let slot = self.feeds.slot(feed);
             let coming = slot.outstanding || slot.loaded && slot.stale && !self.holds(feed);
-            coming && slot.failure.is_none() && !(slot.loaded && slot.told == slot.generation)
+            coming && slot.failure.is_none() && !slot.is_answered()
         })
     }
 
@@ -82,7 +82,7 @@ impl State {
     pub fn rows_are_here(&self) -> bool {
         self.records_feed().is_some_and(|feed| {
             let slot = self.feeds.slot(feed);
-            slot.loaded && slot.told == slot.generation && slot.failure.is_none()
+            slot.is_answered() && slot.failure.is_none()
         })
     }
 

@@ -97,6 +97,13 @@ pub struct Slot {
     pub retry_at: Option<Timestamp>,
 }
 
+impl Slot {
+    /// Whether the data here answers the present request.
+    pub fn is_answered(&self) -> bool {
+        self.loaded && self.told == self.generation
+    }
+}
+
 /// All slots.
 #[derive(Debug, Clone)]
 pub struct Feeds([Slot; Feed::ALL.len()]);

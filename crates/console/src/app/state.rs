@@ -314,10 +314,8 @@ impl State {
     pub fn holds(&self, feed: Feed) -> bool {
         let leaving = matches!(self.popups.last(), Some(Popup::Quit(_)));
         let needed = feed == Feed::Identity || feed == Feed::Site && leaving;
-        let slot = self.feeds.slot(feed);
         // Pages of the past can still be turned; the request itself excludes what came later.
-        let answered = slot.loaded && slot.told == slot.generation;
-        self.is_frozen() && answered && !needed
+        self.is_frozen() && self.feeds.slot(feed).is_answered() && !needed
     }
 
     /// Shows the operator a message for 3 s.

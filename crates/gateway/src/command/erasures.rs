@@ -4,7 +4,7 @@
 
 use crate::crypto::AccountSignature;
 use crate::model::wire::{Reader, WireError};
-use crate::model::{Digest, RecorderId};
+use crate::model::{Address, Digest, Header, RecorderId};
 
 use super::answer::Fetched;
 use super::erased::ErasedRecord;
@@ -61,6 +61,11 @@ pub struct ToldErasure {
 }
 
 impl ToldErasure {
+    /// Whether its header names this owner.
+    pub fn is_of(&self, owner: Address) -> bool {
+        Header::parse(&self.left.record.blob).is_ok_and(|(header, _)| header.owner == owner)
+    }
+
     fn encode(&self) -> Vec<u8> {
         let left = self.left.clone().into_fetched().encode();
         [&self.digest.0[..], &self.account_signature.0, &left].concat()

@@ -42,7 +42,7 @@ impl GatewayDesk {
         told: Vec<ToldErasure>,
     ) -> Result<Vec<ErasureOutcome>, Refusal> {
         let network = self.known_network()?;
-        if let Some(other) = told.iter().find(|one| !is_of(one, caller.account)) {
+        if let Some(other) = told.iter().find(|one| !one.is_of(caller.account)) {
             let text = format_args!("record {} is not {}'s", other.digest, caller.account);
             return Err(Refusal::new(Code::NotAuthorised, text));
         }
@@ -69,10 +69,6 @@ impl GatewayDesk {
         }
         ended.map(|()| outcomes)
     }
-}
-
-fn is_of(told: &ToldErasure, owner: Address) -> bool {
-    Header::parse(&told.left.record.blob).is_ok_and(|(header, _)| header.owner == owner)
 }
 
 impl Taking<'_> {

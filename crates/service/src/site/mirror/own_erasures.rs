@@ -9,7 +9,7 @@ use super::remote::Remote;
 use super::{Broken, Joined};
 use crate::gateway::command::erasures::MOST_ERASURES;
 use crate::gateway::{Client, Code, ErasureOutcome, GatewayError, ToldErasure};
-use crate::model::{Address, Digest, Header, PublicKey, clean};
+use crate::model::{Address, Digest, PublicKey, clean};
 use crate::pipeline::retention::erasing;
 use crate::pipeline::retention::told::{is_owners, told_of};
 use crate::pipeline::{Network, Owner, PipelineError};
@@ -118,19 +118,7 @@ impl Joined {
             let page = block_in_place(|| self.plant.ledger.erasures(told.after, MOST_ERASURES))
                 .map_err(PipelineError::from)?;
             let records = block_in_place(|| self.own(owner.address, network, &page.erasures))?;
-            let outcome = match records.len() {
-                0 => Told::default(),
-                count => match client.tell_erasures(records).await {
-                    Ok(outcomes) => Told::of(&outcomes),
-                    Err(GatewayError::Refused(code)) if code != Code::Stale => {
-                        if std::mem::replace(&mut told.will, Will::Refuses) == Will::Unknown {
-                            self.warn_of_copies(remote, code, count);
-                        }
-                        return Ok(());
-                    }
-                    Err(error) => return Err(error.into()),
-                },
-            };
+            let Some(outcome) = self.tell_some(client, remote, records, &mut told.will).await? else { return Ok(()) };
             told.left |= outcome.left > 0;
             let Some(last) = page.last else {
                 told.at_end = true;
@@ -150,6 +138,30 @@ impl Joined {
             }
         }
         Ok(())
+    }
+
+    /// Tells one page; `None` if the gateway takes none of it in this session.
+    async fn tell_some(
+        &self,
+        client: &mut Client,
+        remote: &Remote,
+        records: Vec<ToldErasure>,
+        will: &mut Will,
+    ) -> Result<Option<Told>, Broken> {
+        if records.is_empty() {
+            return Ok(Some(Told::default()));
+        }
+        let count = records.len();
+        match client.tell_erasures(records).await {
+            Ok(outcomes) => Ok(Some(Told::of(&outcomes))),
+            Err(GatewayError::Refused(code)) if code != Code::Stale => {
+                if std::mem::replace(will, Will::Refuses) == Will::Unknown {
+                    self.warn_of_copies(remote, code, count);
+                }
+                Ok(None)
+            }
+            Err(error) => Err(error.into()),
+        }
     }
 
     /// Once for each key of the owner: what was erased under an earlier one, or before accounts signed, is stated anew. Returns
@@ -175,9 +187,7 @@ impl Joined {
         let mut own = Vec::with_capacity(erasures.len());
         for (digest, statement, account) in erasures {
             let one = told_of(&self.plant, network, (*digest, statement, account))?;
-            let is_own =
-                |one: &ToldErasure| Header::parse(&one.left.record.blob).is_ok_and(|(header, _)| header.owner == owner);
-            own.extend(one.filter(is_own));
+            own.extend(one.filter(|one| one.is_of(owner)));
         }
         Ok(own)
     }
