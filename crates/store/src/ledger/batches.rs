@@ -127,7 +127,7 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn unbatched(&self, keeper: Address) -> Result<(u64, Option<Timestamp>), StoreError> {
         self.read(|connection| {
-            // Mostly nobody's do, and then no stream is looked at: a gateway has ten thousand of them, and is asked at each block.
+            // Usually none waits. Then no stream is looked at: a gateway may have ten thousand, and this is asked at each block.
             let any = connection
                 .prepare_cached("SELECT 1 FROM records INDEXED BY records_by_state WHERE state = ?1 LIMIT 1")?
                 .exists([RecordState::Stored.code()])?;
