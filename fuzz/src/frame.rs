@@ -257,6 +257,7 @@ pub fn samples() -> Vec<Sample> {
         "relay",
         "holdings",
         "hand_over",
+        "hand_over_many",
         "fetch_erased",
         "erasures",
     ];
@@ -272,6 +273,7 @@ pub fn samples() -> Vec<Sample> {
         "time",
         "told_holdings",
         "handed_over",
+        "many_handed_over",
         "told_erasures",
         "event",
         "end",

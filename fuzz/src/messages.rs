@@ -5,8 +5,8 @@ use authros::gateway::allocation::AllocationRequest;
 use authros::gateway::command::{Inner, Part};
 use authros::gateway::{
     Answer, Code, Command, Entry, ErasedRecord, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver, Held,
-    HoldingPlace, Holdings, Page, Query, Receipt, Registration, RelayCall, Request, RevokeNotice, Selection, Standing,
-    ToldErasure, Upload, Wanted,
+    HoldingPlace, Holdings, ManyHandedOver, Page, Query, Receipt, Registration, RelayCall, Request, RevokeNotice,
+    Selection, Standing, ToldErasure, Upload, Wanted,
 };
 use authros::model::{
     Address, Digest, FilterId, Hash, Identity, PublicKey, Ranges, RecordKind, RecorderId, Signature, SignerId,
@@ -82,6 +82,7 @@ pub fn requests() -> Vec<Request> {
         Request::Relay(RelayCall { method: "eth_call".to_owned(), parameters: "[{},\"latest\"]".to_owned() }),
         Request::Holdings(PLACE),
         Request::HandOver(WANTED),
+        Request::HandOverMany(vec![WANTED; 2]),
         Request::FetchErased(Digest([3; 32])),
         Request::Erasures(ERASED_AFTER),
     ]
@@ -118,6 +119,10 @@ pub fn answers() -> Vec<Answer> {
         Answer::Time(Timestamp(5)),
         Answer::Holdings(Box::new(holdings())),
         Answer::HandedOver(Box::new(HandedOver { records: vec![record.clone(); 2], next: Some(7) })),
+        Answer::ManyHandedOver(Box::new(ManyHandedOver {
+            handed: HandedOver { records: vec![record.clone()], next: Some(7) },
+            range: 1,
+        })),
         Answer::Erasures(Box::new(erasures())),
         Answer::Event(Box::new((entry(), record))),
         Answer::End(Code::NotAuthorised),

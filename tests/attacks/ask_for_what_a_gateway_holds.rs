@@ -17,6 +17,9 @@ async fn ask(parts: &mut Parts, who: &str, client: &mut Client, wanted: Wanted) 
     parts.answered(&format!("{who}: holdings"), told, &[Code::NotAuthorised]);
     let handed = client.hand_over(wanted).await.map(|handed| format!("{} records", handed.records.len()));
     parts.answered(&format!("{who}: records"), handed, &[Code::NotAuthorised]);
+    let many = client.hand_over_many(vec![wanted; 3]).await;
+    let many = many.map(|many| format!("{} records", many.handed.records.len()));
+    parts.answered(&format!("{who}: records of several ranges"), many, &[Code::NotAuthorised]);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -38,7 +41,16 @@ async fn ask_for_what_a_gateway_holds() {
     for (first, last) in [(0, 1), (5, 1), (1, u64::MAX), (Ranges::HIGHEST, u64::MAX)] {
         let answer = client.hand_over(Wanted { first, last, ..wanted }).await.map(|_| format!("{first} to {last}"));
         parts.answered("an absurd range", answer, &[Code::Malformed]);
+        let answer = client.hand_over_many(vec![wanted, Wanted { first, last, ..wanted }]).await;
+        parts.answered(
+            "an absurd range behind another",
+            answer.map(|_| format!("{first} to {last}")),
+            &[Code::Malformed],
+        );
     }
+    let long = Wanted { first: 1, last: 8_192, ..wanted };
+    let answer = client.hand_over_many(vec![long; 2]).await.map(|_| "handed over".to_owned());
+    parts.answered("more numbers than are told at once", answer, &[Code::Malformed]);
     drop(client);
 
     let scene = Scene::new();

@@ -11,8 +11,8 @@ use authros::chain::RelayError;
 use authros::crypto::{SmKeyPair, signer_id};
 use authros::gateway::{
     Account, Binding, Cabinet, Caller, Code, Context, Desk, DeviceNotice, Entry, ErasurePlace, Erasures, Fetched,
-    GrantNotice, HandedOver, HoldingPlace, Holdings, Limits, NetworkName, Page, Query, Received, Refusal, Registration,
-    RevokeNotice, Schedule, Selection, Server, Standing, Stood, Wanted,
+    GrantNotice, HandedOver, HoldingPlace, Holdings, Limits, ManyHandedOver, NetworkName, Page, Query, Received,
+    Refusal, Registration, RevokeNotice, Schedule, Selection, Server, Standing, Stood, Wanted,
 };
 use authros::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
 use serde_json::Value;
@@ -27,6 +27,12 @@ pub trait Tells: Send + Sync {
 
     /// Records of a range.
     fn hand_over(&self, wanted: &Wanted) -> HandedOver;
+
+    /// Records of several ranges: those of the first one, unless a test wants something else.
+    fn hand_over_many(&self, wanted: &[Wanted]) -> ManyHandedOver {
+        let handed = wanted.first().map(|first| self.hand_over(first)).unwrap_or_default();
+        ManyHandedOver { handed, range: 0 }
+    }
 
     /// What was erased there behind a place; `None` = it refuses.
     fn erasures(&self, _: &ErasurePlace) -> Option<Erasures> {
@@ -167,6 +173,10 @@ impl Desk for StubDesk {
 
     async fn hand_over(&self, _: &Caller, wanted: &Wanted) -> Result<HandedOver, Refusal> {
         Ok(self.tells.hand_over(wanted))
+    }
+
+    async fn hand_over_many(&self, _: &Caller, wanted: &[Wanted]) -> Result<ManyHandedOver, Refusal> {
+        Ok(self.tells.hand_over_many(wanted))
     }
 
     async fn erasures(&self, _: &Caller, after: &ErasurePlace) -> Result<Erasures, Refusal> {

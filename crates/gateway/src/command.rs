@@ -18,7 +18,7 @@ pub mod request;
 pub use answer::{Answer, Fetched, Standing};
 pub use erased::ErasedRecord;
 pub use erasures::{ErasureOutcome, ErasurePlace, Erasures, ToldErasure};
-pub use holdings::{HandedOver, Held, HoldingPlace, Holdings, Wanted};
+pub use holdings::{HandedOver, Held, HoldingPlace, Holdings, ManyHandedOver, Wanted};
 pub use query::{Entry, Page, Query, Selection};
 pub use relay::{RelayCall, Relayed};
 pub use request::{DeviceNotice, GrantNotice, Registration, Request, RevokeNotice, Upload};

@@ -17,7 +17,8 @@ use crate::model::{
 use super::code::{Code, Refusal};
 use super::command::{
     DeviceNotice, Entry, ErasedRecord, ErasureOutcome, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver,
-    HoldingPlace, Holdings, Page, Query, Registration, RevokeNotice, Selection, Standing, ToldErasure, Wanted,
+    HoldingPlace, Holdings, ManyHandedOver, Page, Query, Registration, RevokeNotice, Selection, Standing, ToldErasure,
+    Wanted,
 };
 use super::hello::NetworkName;
 use super::standings::Stood;
@@ -212,6 +213,12 @@ pub trait Desk: Send + Sync + 'static {
 
     /// The records of a range with their proofs, under the same condition.
     async fn hand_over(&self, caller: &Caller, wanted: &Wanted) -> Result<HandedOver, Refusal> {
+        let _ = wanted;
+        Err(Refusal::new(Code::NotAuthorised, format_args!("{} keeps no gateway of this fleet", caller.account)))
+    }
+
+    /// The same of several ranges, in their order.
+    async fn hand_over_many(&self, caller: &Caller, wanted: &[Wanted]) -> Result<ManyHandedOver, Refusal> {
         let _ = wanted;
         Err(Refusal::new(Code::NotAuthorised, format_args!("{} keeps no gateway of this fleet", caller.account)))
     }

@@ -57,7 +57,7 @@ pub fn check_reach(caller: &Caller, request: &Request) -> Result<(), Refusal> {
         // Notices are not erased, and its owner alone has anything erased.
         Request::FetchErased(_) | Request::TellErasures(_) => false,
         // A robot is nobody's gateway.
-        Request::Holdings(_) | Request::Erasures(_) | Request::HandOver(_) => false,
+        Request::Holdings(_) | Request::Erasures(_) | Request::HandOver(_) | Request::HandOverMany(_) => false,
         _ => true,
     };
     if may {

@@ -40,8 +40,8 @@ pub use client::{Client, Credentials, Endpoint};
 pub use code::{Code, Refusal};
 pub use command::{
     Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasureOutcome, ErasurePlace, Erasures, Fetched, GrantNotice,
-    HandedOver, Held, HoldingPlace, Holdings, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice,
-    Selection, Standing, ToldErasure, Upload, Wanted,
+    HandedOver, Held, HoldingPlace, Holdings, ManyHandedOver, Page, Query, Registration, RelayCall, Relayed, Request,
+    RevokeNotice, Selection, Standing, ToldErasure, Upload, Wanted,
 };
 pub use desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
 pub use error::GatewayError;

@@ -18,12 +18,12 @@ pub struct HexError {
 /// Lower-case hex of `bytes`.
 pub fn hex(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 16] = b"0123456789abcdef";
-    let mut text = String::with_capacity(bytes.len() * 2);
-    for byte in bytes {
-        text.push(char::from(DIGITS[usize::from(byte >> 4)]));
-        text.push(char::from(DIGITS[usize::from(byte & 15)]));
+    let mut text = vec![0; bytes.len() * 2];
+    for (pair, byte) in text.as_chunks_mut::<2>().0.iter_mut().zip(bytes) {
+        *pair = [DIGITS[usize::from(byte >> 4)], DIGITS[usize::from(byte & 15)]];
     }
-    text
+    // Its bytes are all digits.
+    String::from_utf8(text).unwrap_or_default()
 }
 
 /// The bytes of a hex text, with or without `0x`; `None` if it is not hex of whole bytes.
@@ -32,11 +32,20 @@ pub fn unhex(text: &str) -> Option<Vec<u8>> {
     if !text.len().is_multiple_of(2) {
         return None;
     }
-    text.chunks_exact(2).map(|pair| Some(nibble(pair[0])? << 4 | nibble(pair[1])?)).collect()
+    let mut bytes = Vec::with_capacity(text.len() / 2);
+    for [high, low] in text.as_chunks::<2>().0 {
+        bytes.push(nibble(*high)? << 4 | nibble(*low)?);
+    }
+    Some(bytes)
 }
 
 fn nibble(character: u8) -> Option<u8> {
-    char::from(character).to_digit(16).and_then(|digit| u8::try_from(digit).ok())
+    match character {
+        b'0'..=b'9' => Some(character - b'0'),
+        b'a'..=b'f' => Some(character - b'a' + 10),
+        b'A'..=b'F' => Some(character - b'A' + 10),
+        _ => None,
+    }
 }
 
 macro_rules! fixed_bytes {
@@ -146,5 +155,24 @@ mod tests {
         assert_eq!(unhex("abc"), None);
         assert_eq!(unhex("zz"), None);
         assert_eq!(unhex("é0"), None);
+    }
+
+    #[test]
+    fn hex_is_what_the_standard_library_writes_and_reads() {
+        let all: Vec<u8> = (0..=255).collect();
+        let written: String = all.iter().map(|byte| format!("{byte:02x}")).collect();
+        assert_eq!(hex(&all), written);
+        for text in [written.clone(), format!("0x{written}"), written.to_uppercase()] {
+            assert_eq!(unhex(&text), Some(all.clone()));
+        }
+        for byte in 0..128u8 {
+            let digit = char::from(byte);
+            for text in [format!("{digit}0"), format!("7{digit}")] {
+                // A sign is none of its digits.
+                let expected = u8::from_str_radix(&text, 16).ok().filter(|_| digit != '+');
+                assert_eq!(unhex(&text), expected.map(|byte| vec![byte]), "{text:?}");
+            }
+        }
+        assert_eq!((hex(&[]), unhex(""), unhex("0x")), (String::new(), Some(Vec::new()), Some(Vec::new())));
     }
 }

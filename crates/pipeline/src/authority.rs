@@ -5,11 +5,13 @@
 //! right, or say in words why there is none.
 
 mod reading;
+mod signers;
 mod signing;
 #[cfg(test)]
 mod tests;
 mod waiting;
 
 pub use reading::{Policy, ReadRefused, ReadingRight, may_read, shared_with, standing_grant, standing_grants};
+pub use signers::Signers;
 pub use signing::{Moment, NoRight, SigningRight, is_lent, is_suspended, key_of, may_sign, right_of, signer_of};
 pub use waiting::settle_waiting;

@@ -5,6 +5,7 @@
 //! Ciphertext is kept permanently in the vault, not here.
 
 mod ages;
+mod anchored;
 mod append;
 mod batches;
 mod chain_proofs;
@@ -75,7 +76,7 @@ pub use filter_choice::FilterChoice;
 pub use forwarding::KeptReceipt;
 pub use gaps::{GapRow, Loss};
 pub use glance::Glance;
-pub use holdings::{HoldingPage, HoldingRow, Lacking};
+pub use holdings::{HeldRecord, HoldingPage, HoldingRow, Lacking};
 pub use incidents::{IncidentNote, IncidentRow, IncidentSpan, SpanCoverage};
 pub use inspect::{AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, Sequence};
 pub use kept::KeptBinding;

@@ -151,8 +151,9 @@ impl Station {
     /// If it is stopped, or its ledger cannot be read.
     pub fn verified(&self) -> Result<(u64, u64), Failure> {
         let running = self.running.as_ref().ok_or_else(|| internal("a gateway is stopped"))?;
-        let counts = block_in_place(|| running.site.plant.ledger.counts(None))?;
-        Ok((counts.data_in(RecordState::Verified), counts.pending()))
+        let data = block_in_place(|| running.site.plant.ledger.data_by_state())?;
+        let pending = data.iter().filter(|(state, _)| state.is_pending()).map(|(_, count)| count).sum();
+        Ok((data.get(&RecordState::Verified).copied().unwrap_or(0), pending))
     }
 
     /// Records that this gateway and another one anchored, both, since it was begun.

@@ -28,6 +28,8 @@ const OF_OWNER: usize = 100;
 const LOOK: Duration = Duration::from_secs(1);
 /// After so many looks without a further copy there is none to come.
 const QUIET: u32 = 5;
+/// Gateways are asked what they say against each other at one look in so many.
+const PROBLEMS: u32 = 5;
 
 /// What all fleets of a run have in common.
 pub(super) struct Plan {
@@ -185,7 +187,7 @@ impl World {
     /// If a ledger cannot be read.
     pub async fn settle(&self, wanted: u64, copies: usize, deadline: Instant) -> Result<Settled, Failure> {
         let all = self.stations.len();
-        let (mut before, mut quiet, mut problems) = (0, 0, BTreeMap::new());
+        let (mut before, mut quiet, mut problems, mut looks) = (0, 0, BTreeMap::new(), 0u32);
         let mut end = (Instant::now(), processor_seconds());
         loop {
             let (mut sum, mut least, mut pending) = (0, u64::MAX, 0);
@@ -206,9 +208,12 @@ impl World {
             if Instant::now() > deadline {
                 return Ok(Settled { in_time: false, copies: sum, problems, end });
             }
-            for station in self.stations.iter() {
-                let found = station.lock().await.problems().await?;
-                found.into_iter().for_each(|problem| *problems.entry(problem).or_default() += 1);
+            looks += 1;
+            if looks.is_multiple_of(PROBLEMS) {
+                for station in self.stations.iter() {
+                    let found = station.lock().await.problems().await?;
+                    found.into_iter().for_each(|problem| *problems.entry(problem).or_default() += 1);
+                }
             }
             tokio::time::sleep(LOOK).await;
         }

@@ -2,7 +2,8 @@
 
 use super::Client;
 use crate::gateway::command::{
-    Answer, ErasureOutcome, ErasurePlace, Erasures, HandedOver, HoldingPlace, Holdings, Request, ToldErasure, Wanted,
+    Answer, ErasureOutcome, ErasurePlace, Erasures, HandedOver, HoldingPlace, Holdings, ManyHandedOver, Request,
+    ToldErasure, Wanted,
 };
 use crate::gateway::error::GatewayError;
 
@@ -37,6 +38,17 @@ impl Client {
         match self.ask(&Request::HandOver(wanted)).await? {
             Answer::HandedOver(handed) => Ok(*handed),
             _ => Err(GatewayError::Unexpected("no records of the range")),
+        }
+    }
+
+    /// Records of several ranges. Nothing of them is checked here.
+    ///
+    /// # Errors
+    /// [`GatewayError`]; `Refused(Malformed)` if it is a gateway of an earlier version, whose session goes on.
+    pub async fn hand_over_many(&mut self, wanted: Vec<Wanted>) -> Result<ManyHandedOver, GatewayError> {
+        match self.ask(&Request::HandOverMany(wanted)).await? {
+            Answer::ManyHandedOver(many) => Ok(*many),
+            _ => Err(GatewayError::Unexpected("no records of the ranges")),
         }
     }
 

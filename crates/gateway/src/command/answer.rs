@@ -5,7 +5,7 @@ use crate::model::{Countersignature, Hash, PublicKey, Signature, Timestamp};
 
 use super::Command;
 use super::erasures::{ErasureOutcome, Erasures, OF_ERASURES, OF_OUTCOMES};
-use super::holdings::{HandedOver, Holdings};
+use super::holdings::{HandedOver, Holdings, ManyHandedOver};
 use super::query::{Entry, Page};
 use super::relay::Relayed;
 use super::request::{MOST_CHECKED, SIGNED};
@@ -118,6 +118,8 @@ pub enum Answer {
     ErasuresTaken(Vec<ErasureOutcome>),
     /// The records of a range.
     HandedOver(Box<HandedOver>),
+    /// The records of several ranges.
+    ManyHandedOver(Box<ManyHandedOver>),
     /// A record of a subscription: entry || record.
     Event(Box<(Entry, Fetched)>),
     /// A subscription has ended: code (2).
@@ -140,7 +142,7 @@ impl Answer {
             Self::Relayed(_) => Command::Relay,
             Self::Countersigned(_) => Command::Countersign,
             Self::Holdings(_) | Self::Erasures(_) | Self::ErasuresTaken(_) => Command::Holdings,
-            Self::HandedOver(_) => Command::HandOver,
+            Self::HandedOver(_) | Self::ManyHandedOver(_) => Command::HandOver,
             Self::Event(_) => Command::Event,
             Self::End(_) => Command::End,
             Self::Refused(_) => Command::Refuse,
@@ -170,6 +172,7 @@ impl Answer {
             Self::Erasures(erasures) => erasures.encode(),
             Self::ErasuresTaken(outcomes) => ErasureOutcome::encode_all(outcomes),
             Self::HandedOver(handed) => handed.encode(),
+            Self::ManyHandedOver(many) => many.encode(),
             Self::Event(event) => [event.0.encode(), event.1.encode()].concat(),
             Self::End(code) | Self::Refused(code) => code.number().to_be_bytes().to_vec(),
         }
@@ -206,7 +209,10 @@ impl Answer {
             Command::Subscribe | Command::Unsubscribe => Self::Done(command),
             Command::Countersign => return countersigned(body),
             Command::Holdings => read_holdings(body, &mut reader)?,
-            Command::HandOver => Self::HandedOver(Box::new(HandedOver::read(&mut reader)?)),
+            Command::HandOver => match ManyHandedOver::read(&mut reader)? {
+                (handed, None) => Self::HandedOver(Box::new(handed)),
+                (handed, Some(range)) => Self::ManyHandedOver(Box::new(ManyHandedOver { handed, range })),
+            },
             Command::Ping => Self::Time(Timestamp(reader.u64("time")?)),
             Command::Relay => Self::Relayed(Relayed::read(&mut reader)?),
             Command::Event => Self::Event(Box::new((Entry::read(&mut reader)?, Fetched::read(&mut reader)?))),

@@ -10,6 +10,10 @@ use super::answer::Fetched;
 pub const MOST_TOLD: u64 = 8192;
 /// The most records handed over in one answer.
 pub const MOST_HANDED: usize = 64;
+/// The most ranges that are asked for at once.
+pub const MOST_RANGES: usize = 64;
+/// Bytes of a range that is asked for.
+const RANGE: usize = 68;
 /// No further record is handed over once an answer has this many bytes; a single longer one travels alone.
 pub const MOST_HANDED_BYTES: usize = 4 * 1024 * 1024;
 
@@ -149,6 +153,29 @@ impl Wanted {
         let fits = range.push(wanted.first, wanted.last) && range.count() <= MOST_TOLD;
         if fits { Ok(wanted) } else { Err(WireError::Value("range")) }
     }
+
+    /// How many numbers the range has.
+    pub fn count(&self) -> u64 {
+        (self.last - self.first).saturating_add(1)
+    }
+}
+
+/// Several ranges, one after the other; those that are too many are left out.
+pub(super) fn encode_wanted(wanted: &[Wanted]) -> Vec<u8> {
+    wanted.iter().take(MOST_RANGES).flat_map(Wanted::encode).collect()
+}
+
+/// One range, or several of at most [`MOST_TOLD`] numbers in all.
+pub(super) fn read_wanted(reader: &mut Reader<'_>) -> Result<Vec<Wanted>, WireError> {
+    let ranges = reader.rest().len().div_ceil(RANGE).max(1);
+    if ranges > MOST_RANGES {
+        return Err(WireError::Value("range count"));
+    }
+    let wanted = (0..ranges).map(|_| Wanted::read(reader)).collect::<Result<Vec<_>, _>>()?;
+    if wanted.iter().map(Wanted::count).sum::<u64>() > MOST_TOLD {
+        return Err(WireError::Value("range"));
+    }
+    Ok(wanted)
 }
 
 /// Records of a range, in the order of their numbers: count (2) || length (4) and record, as an answer to Fetch, each ||
@@ -187,6 +214,31 @@ impl HandedOver {
         }
         let next = reader.u64("next number")?;
         Ok(Self { records, next: (next != 0).then_some(next) })
+    }
+}
+
+/// Records of several ranges, in the order in which those were asked for: an answer for one range || the range to go on in
+/// (2), counted from 0.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct ManyHandedOver {
+    /// The records, and the number to ask from next.
+    pub handed: HandedOver,
+    /// In which range that is; those before it are done. Means nothing at the end of the last one.
+    pub range: u16,
+}
+
+impl ManyHandedOver {
+    pub(super) fn encode(&self) -> Vec<u8> {
+        let mut out = self.handed.encode();
+        out.extend_from_slice(&self.range.to_be_bytes());
+        out
+    }
+
+    /// Without a range it is the answer for one.
+    pub(super) fn read(reader: &mut Reader<'_>) -> Result<(HandedOver, Option<u16>), WireError> {
+        let handed = HandedOver::read(reader)?;
+        let range = if reader.rest().is_empty() { None } else { Some(reader.u16("range")?) };
+        Ok((handed, range))
     }
 }
 
@@ -238,6 +290,21 @@ mod tests {
         for (first, last) in [(0, 1), (2, 1), (1, MOST_TOLD + 1), (1, u64::MAX), (u64::MAX, u64::MAX)] {
             assert!(parse(wanted(first, last)).is_err(), "{first} to {last}");
         }
+    }
+
+    #[test]
+    fn ranges_that_are_asked_for_together_are_few_and_have_no_more_numbers_than_are_told_at_once() {
+        let parse = |wanted: &[Wanted]| Request::parse(Command::HandOver, &encode_wanted(wanted));
+        assert_eq!(parse(&[wanted(1, 2)]), Ok(Request::HandOver(wanted(1, 2))), "one is what it always was");
+        let half = MOST_TOLD / 2;
+        for some in [vec![wanted(1, half), wanted(half + 1, MOST_TOLD)], vec![wanted(3, 3); MOST_RANGES]] {
+            assert_eq!(parse(&some), Ok(Request::HandOverMany(some)));
+        }
+        assert!(parse(&[wanted(1, half), wanted(1, half + 1)]).is_err());
+        assert!(parse(&[wanted(1, 1), wanted(5, 4)]).is_err());
+        let many = vec![wanted(1, 1).encode(); MOST_RANGES + 1].concat();
+        assert!(Request::parse(Command::HandOver, &many).is_err());
+        assert!(Request::parse(Command::HandOver, &many[..RANGE * 3 - 1]).is_err());
     }
 
     #[test]

@@ -6,7 +6,7 @@ use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, Signed
 
 use super::Command;
 use super::erasures::{ERASED as WHAT_WAS_ERASED, ErasurePlace, TELLS, ToldErasure, encode_told, read_told};
-use super::holdings::{HoldingPlace, Wanted};
+use super::holdings::{HoldingPlace, Wanted, encode_wanted, read_wanted};
 use super::query::{Query, Selection};
 use super::relay::RelayCall;
 use crate::gateway::allocation::AllocationRequest;
@@ -152,6 +152,8 @@ pub enum Request {
     TellErasures(Vec<ToldErasure>),
     /// The records of a range.
     HandOver(Wanted),
+    /// The records of 2 to 64 ranges, one after the other. Earlier gateways answer `Malformed`.
+    HandOverMany(Vec<Wanted>),
 }
 
 impl Request {
@@ -175,7 +177,7 @@ impl Request {
             Self::Relay(_) => Command::Relay,
             Self::Countersign(_) => Command::Countersign,
             Self::Holdings(_) | Self::Erasures(_) | Self::TellErasures(_) => Command::Holdings,
-            Self::HandOver(_) => Command::HandOver,
+            Self::HandOver(_) | Self::HandOverMany(_) => Command::HandOver,
         }
     }
 
@@ -208,6 +210,7 @@ impl Request {
             Self::Erasures(after) => [after.encode(), vec![WHAT_WAS_ERASED]].concat(),
             Self::TellErasures(told) => [vec![0; PLACE], vec![TELLS], encode_told(told, 0)].concat(),
             Self::HandOver(wanted) => wanted.encode(),
+            Self::HandOverMany(wanted) => encode_wanted(wanted),
             Self::DeviceNotice(notice) => notice.encode(),
         }
     }
@@ -243,7 +246,10 @@ impl Request {
             Command::Relay => Self::Relay(RelayCall::read(&mut reader)?),
             Command::Countersign => Self::Countersign(Box::new(SignedPosition::read(&mut reader)?)),
             Command::Holdings => read_holdings(&mut reader)?,
-            Command::HandOver => Self::HandOver(Wanted::read(&mut reader)?),
+            Command::HandOver => match read_wanted(&mut reader)?.as_slice() {
+                [one] => Self::HandOver(*one),
+                several => Self::HandOverMany(several.to_vec()),
+            },
             Command::Event | Command::End | Command::Refuse => return Err(WireError::Value("command")),
         };
         reader.end()?;

@@ -142,6 +142,9 @@ impl Commands {
             Request::HandOver(wanted) => {
                 desk.hand_over(&self.caller, &wanted).await.map(|handed| Answer::HandedOver(Box::new(handed)))
             }
+            Request::HandOverMany(wanted) => {
+                desk.hand_over_many(&self.caller, &wanted).await.map(|many| Answer::ManyHandedOver(Box::new(many)))
+            }
             _ => Err(Refusal::new(Code::NotHere, "a command for a session without a transport key")),
         }
     }

@@ -9,8 +9,8 @@ use authros_crypto::{
 use authros_gateway::allocation::{AllocationRequest, Applicant};
 use authros_gateway::command::{
     Answer, Command, Entry, ErasedRecord, ErasureOutcome, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver,
-    Held, HoldingPlace, Holdings, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection,
-    Standing, ToldErasure, Upload, Wanted,
+    Held, HoldingPlace, Holdings, ManyHandedOver, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice,
+    Selection, Standing, ToldErasure, Upload, Wanted,
 };
 use authros_gateway::hello::{ClientHello, Context, GatewayHello, ListSummary, NetworkName};
 use authros_gateway::session::Session;
@@ -181,6 +181,7 @@ pub(crate) fn sample_requests() -> Vec<Request> {
         Request::Erasures(ErasurePlace { ledger: RecorderId([1; 16]), number: 2 }),
         Request::TellErasures(vec![told(); 2]),
         Request::HandOver(wanted(4, 9)),
+        Request::HandOverMany(vec![wanted(4, 9), wanted(11, 11)]),
     ]
 }
 
@@ -259,6 +260,10 @@ pub(crate) fn sample_answers() -> Vec<Answer> {
         Answer::ErasuresTaken(vec![ErasureOutcome::Taken, ErasureOutcome::Left, ErasureOutcome::Refused]),
         Answer::HandedOver(Box::new(HandedOver { records: vec![record.clone(); 2], next: Some(7) })),
         Answer::HandedOver(Box::default()),
+        Answer::ManyHandedOver(Box::new(ManyHandedOver {
+            handed: HandedOver { records: vec![record.clone(); 2], next: Some(7) },
+            range: 1,
+        })),
         Answer::Event(Box::new((entry(), record))),
         Answer::End(Code::NotAuthorised),
         Answer::Refused(Code::Token),

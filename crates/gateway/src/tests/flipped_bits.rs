@@ -134,6 +134,7 @@ fn accepted_requests(stage: &Stage, member: &Member) -> Vec<Request> {
         Request::Erasures(ErasurePlace::default()),
         Request::TellErasures(vec![told()]),
         Request::HandOver(wanted(1, 3)),
+        Request::HandOverMany(vec![wanted(1, 3), wanted(5, 5)]),
         // The last one: afterwards the name is the device's.
         Request::DeviceNotice(device.public.into()),
     ]

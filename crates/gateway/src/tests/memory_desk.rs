@@ -14,7 +14,7 @@ use authros_chain::{AnchorProof, RelayError};
 use authros_crypto::{SmKeyPair, signer_id};
 use authros_gateway::command::{
     DeviceNotice, Entry, ErasureOutcome, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver, HoldingPlace,
-    Holdings, Page, Query, Registration, RevokeNotice, Selection, Standing, ToldErasure, Wanted,
+    Holdings, ManyHandedOver, Page, Query, Registration, RevokeNotice, Selection, Standing, ToldErasure, Wanted,
 };
 use authros_gateway::desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
 use authros_gateway::{Code, NetworkName, Refusal, Stood};
@@ -324,6 +324,10 @@ impl Desk for MemoryDesk {
 
     async fn hand_over(&self, _: &Caller, _: &Wanted) -> Result<HandedOver, Refusal> {
         Ok(HandedOver::default())
+    }
+
+    async fn hand_over_many(&self, _: &Caller, _: &[Wanted]) -> Result<ManyHandedOver, Refusal> {
+        Ok(ManyHandedOver::default())
     }
 
     fn refused(&self, _: SocketAddr, refusal: &Refusal) {

@@ -1,10 +1,8 @@
 //! The verifier's data from ledger and vault, requested for many records at once. The result for each record is the
 //! same as if it were read alone.
 
-use std::collections::HashMap;
-
 use crate::crypto::{check_deleted, fault};
-use crate::model::{Address, Digest, PublicKey, SignerId};
+use crate::model::{Digest, PublicKey};
 use crate::pipeline::authority::{self, NoRight};
 use crate::pipeline::retention::erasing::is_stated;
 use crate::pipeline::{Network, PipelineError, Plant, columns, proof};
@@ -24,7 +22,7 @@ pub(super) enum ReadBack {
 
 /// Reads some records back, in their order. The caller bounds their bytes.
 pub(super) fn read_back(plant: &Plant, network: &Network, rows: &[&RecordRow]) -> Vec<Result<ReadBack, PipelineError>> {
-    let mut signers = Signers { plant, network, known: HashMap::new() };
+    let mut signers = authority::Signers::new(plant, network);
     let there = put_back(plant, rows);
     let found: Vec<_> = there.into_iter().zip(rows).map(|(there, row)| there.and_then(|()| signers.of(row))).collect();
     let wanted = rows.iter().zip(&found).filter(|(_, signer)| matches!(signer, Ok(Ok(_))));
@@ -77,29 +75,6 @@ fn put_back(plant: &Plant, rows: &[&RecordRow]) -> Vec<Result<(), PipelineError>
         Ok(())
     };
     digests.into_iter().zip(there).map(one).collect()
-}
-
-/// Who signed the records of a page: few keys, in few blocks, so the same question is asked once.
-struct Signers<'a> {
-    plant: &'a Plant,
-    network: &'a Network,
-    known: HashMap<(Address, SignerId, Option<u64>), Result<PublicKey, NoRight>>,
-}
-
-impl Signers<'_> {
-    fn of(&mut self, row: &RecordRow) -> Result<Result<PublicKey, NoRight>, PipelineError> {
-        // If a contract was left behind, each record has its own place.
-        if !self.network.former.is_empty() {
-            return authority::signer_of(self.plant, self.network, row);
-        }
-        let asked = (row.owner, row.signer, row.block);
-        if let Some(known) = self.known.get(&asked) {
-            return Ok(known.clone());
-        }
-        let signer = authority::signer_of(self.plant, self.network, row)?;
-        self.known.insert(asked, signer.clone());
-        Ok(signer)
-    }
 }
 
 /// The vault has no bytes of it.

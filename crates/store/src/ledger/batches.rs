@@ -32,7 +32,7 @@ pub struct WaitingBatch {
 }
 
 /// A root found in a block.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct RootSighting {
     /// The account that anchored it.
     pub account: Address,
@@ -208,6 +208,18 @@ impl Ledger {
     }
 }
 
+/// The place of a record in its batch, by its row.
+pub(super) fn place_in(connection: &Connection, record: i64) -> Result<Option<BatchPlace>, StoreError> {
+    let place = connection
+        .prepare_cached(
+            "SELECT leaf, count, path, root, closed_at, account, block, block_hash, tx
+             FROM leaves JOIN batches ON key = batch WHERE record = ?1",
+        )?
+        .query_row([record], place)
+        .optional()?;
+    Ok(place)
+}
+
 fn place(row: &Row<'_>) -> rusqlite::Result<BatchPlace> {
     let path: Vec<u8> = row.get(2)?;
     Ok(BatchPlace {
@@ -261,7 +273,8 @@ fn key_of(connection: &Connection, root: Hash) -> Result<Option<i64>, StoreError
     Ok(key)
 }
 
-fn see(connection: &Connection, sighting: &RootSighting) -> Result<u64, StoreError> {
+/// A root was found in a block; returns how many records are mined by that.
+pub(super) fn see(connection: &Connection, sighting: &RootSighting) -> Result<u64, StoreError> {
     let (block, leaves) = (whole("block", sighting.block)?, whole("count", sighting.count)?);
     let found = connection
         .prepare_cached("SELECT key FROM batches WHERE root = ?1 AND count = ?2 AND block IS NULL")?

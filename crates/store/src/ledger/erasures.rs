@@ -5,9 +5,9 @@ use std::sync::atomic::Ordering;
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 
+use super::anchored::take_in;
 use super::append::add;
 use super::erased::count_given_up;
-use super::kept::take_in;
 use super::retention::is_held;
 use super::rows::{LEARNED_NAME, state, unsigned};
 use super::{Erasure, Ledger, NewRecord, RootSighting, TakenErased, database::whole};

@@ -1,9 +1,12 @@
 //! What a gateway holds for the other gateways of its fleet: anchored records in the order of the anchoring blocks, and
 //! which of another gateway's records are lacking here.
 
+use std::collections::HashMap;
+
 use rusqlite::{OptionalExtension as _, Row, params};
 
-use super::rows::{state, unsigned};
+use super::batches::{self, BatchPlace};
+use super::rows::{self, RecordRow, state, unsigned};
 use super::{Ledger, database::whole};
 use crate::model::{Address, Digest, Ranges, RecordState, RecorderId, TopicId};
 use crate::store::StoreError;
@@ -11,6 +14,8 @@ use crate::store::StoreError;
 /// A record that is held.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct HoldingRow {
+    /// Block, batch and leaf of its anchor.
+    pub place: (u64, u64, u64),
     /// The owner.
     pub owner: Address,
     /// The recorder.
@@ -32,6 +37,17 @@ pub struct HoldingPage {
     pub more: bool,
 }
 
+/// A record of one of several ranges that were asked for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct HeldRecord {
+    /// Which range, counted from 0.
+    pub range: usize,
+    /// The record.
+    pub row: RecordRow,
+    /// Its place in its batch.
+    pub place: Option<BatchPlace>,
+}
+
 /// Which of another gateway's records are lacking here.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Lacking {
@@ -48,8 +64,8 @@ type Which = (Address, RecorderId, TopicId);
 /// its end, and would miss what is told a little later.
 const WAITED_FOR: u64 = 256;
 
-/// A row that was looked at: its place, whether its anchor and bytes are here, its state.
-type Looked = ((u64, u64, u64), bool, RecordState, HoldingRow);
+/// A row that was looked at: whether its anchor and bytes are here, its state.
+type Looked = (bool, RecordState, HoldingRow);
 
 impl Ledger {
     /// The verified records behind a place (block, batch, leaf), at most `limit` looked at. Those that retention deleted,
@@ -78,12 +94,12 @@ impl Ledger {
                      AND (batches.block, batches.key, leaf) > (?1, ?2, ?3)
                  ORDER BY batches.block, batches.key, leaf LIMIT ?4",
             )?;
-            let looked = |row: &Row<'_>| Ok((place_of(row)?, row.get(7)?, state(row, 8)?, holding(row)?));
+            let looked = |row: &Row<'_>| Ok((row.get(7)?, state(row, 8)?, holding(row)?));
             let found = statement.query_map(params![block, batch, leaf, most], looked)?;
             let found: Vec<Looked> = found.collect::<Result<_, _>>()?;
             let more = found.len() >= limit;
-            let last = if more { found.last().map(|(place, ..)| *place) } else { end_of(&found) };
-            let told = |(_, whole, state, _): &Looked| *whole && *state == RecordState::Verified;
+            let last = if more { found.last().map(|(.., row)| row.place) } else { end_of(&found) };
+            let told = |(whole, state, _): &Looked| *whole && *state == RecordState::Verified;
             let rows = found.into_iter().filter(told).map(|(.., row)| row).collect();
             Ok(HoldingPage { rows, last, more })
         })
@@ -122,30 +138,37 @@ impl Ledger {
         })
     }
 
-    /// The records that [`Ledger::holdings`] tells with a number from `first` to `last`, in their order, at most `limit`.
+    /// The records that [`Ledger::holdings`] tells, of these ranges, each with its first and last number: in their order, at
+    /// most `limit`.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn held_between(
-        &self,
-        which: Which,
-        (first, last): (u64, u64),
-        limit: usize,
-    ) -> Result<Vec<(u64, Digest)>, StoreError> {
-        let (first, last) = (whole("number", first)?, whole("number", last)?);
-        let most = i64::try_from(limit).unwrap_or(i64::MAX);
+    pub fn held_between(&self, ranges: &[(Which, (u64, u64))], limit: usize) -> Result<Vec<HeldRecord>, StoreError> {
         self.read(|connection| {
-            let Some(topic) = topic_key(connection, which)? else { return Ok(Vec::new()) };
-            let mut statement = connection.prepare_cached(
-                "SELECT seq, digest FROM records WHERE topic = ?1 AND seq BETWEEN ?2 AND ?3 AND block IS NOT NULL
+            let mut statement = connection.prepare_cached(&format!(
+                "SELECT {}, n FROM records WHERE topic = ?1 AND seq BETWEEN ?2 AND ?3 AND block IS NOT NULL
                  AND deleted_at IS NULL AND state = ?5
                  AND NOT EXISTS (SELECT 1 FROM earlier_anchors AS earlier
                      WHERE earlier.record = records.n AND earlier.block = records.block)
                  ORDER BY seq LIMIT ?4",
-            )?;
-            let values = params![topic, first, last, most, RecordState::Verified.code()];
-            let rows = statement.query_map(values, |row| Ok((unsigned(row, 0)?, Digest(row.get(1)?))))?;
-            Ok(rows.collect::<Result<_, _>>()?)
+                rows::COLUMNS
+            ))?;
+            let (mut streams, mut found) = (HashMap::new(), Vec::new());
+            for (range, (which, (first, last))) in ranges.iter().enumerate() {
+                let (first, last) = (whole("number", *first)?, whole("number", *last)?);
+                let most = i64::try_from(limit - found.len()).unwrap_or(i64::MAX);
+                let Some(topic) = topic_key(connection, *which)? else { continue };
+                let mut rows = statement.query(params![topic, first, last, most, RecordState::Verified.code()])?;
+                while let Some(row) = rows.next()? {
+                    rows::learn_stream(connection, row, &mut streams)?;
+                    let place = batches::place_in(connection, row.get("n")?)?;
+                    found.push(HeldRecord { range, row: rows::record(row, &streams)?, place });
+                }
+                if found.len() >= limit {
+                    break;
+                }
+            }
+            Ok(found)
         })
     }
 }
@@ -163,24 +186,25 @@ fn topic_key(connection: &rusqlite::Connection, (owner, recorder, topic): Which)
 
 /// Where a list ends that has no more rows: before the first record of the newest blocks that is to be verified.
 fn end_of(found: &[Looked]) -> Option<(u64, u64, u64)> {
-    let newest = found.last().map_or(0, |((block, ..), ..)| *block);
-    let waits = |((block, ..), whole, state, _): &Looked| {
-        *whole && matches!(state, RecordState::Mined | RecordState::Confirmed) && block + WAITED_FOR >= newest
+    let block = |(.., row): &Looked| row.place.0;
+    let newest = found.last().map_or(0, block);
+    let waits = |looked: &&Looked| {
+        let (whole, state, _) = looked;
+        *whole && matches!(state, RecordState::Mined | RecordState::Confirmed) && block(looked) + WAITED_FOR >= newest
     };
-    found.iter().take_while(|row| !waits(row)).last().map(|(place, ..)| *place)
-}
-
-fn place_of(row: &Row<'_>) -> rusqlite::Result<(u64, u64, u64)> {
-    Ok((unsigned(row, 0)?, unsigned(row, 1)?, unsigned(row, 2)?))
+    found.iter().take_while(|looked| !waits(looked)).last().map(|(.., row)| row.place)
 }
 
 fn holding(row: &Row<'_>) -> rusqlite::Result<HoldingRow> {
+    let place = (unsigned(row, 0)?, unsigned(row, 1)?, unsigned(row, 2)?);
     let (owner, recorder) = (Address(row.get(3)?), RecorderId(row.get(4)?));
-    Ok(HoldingRow { owner, recorder, topic_id: TopicId(row.get(5)?), seq: unsigned(row, 6)? })
+    Ok(HoldingRow { place, owner, recorder, topic_id: TopicId(row.get(5)?), seq: unsigned(row, 6)? })
 }
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::super::tests::numbered as record;
     use super::*;
     use crate::chain::merkle::{Inclusion, Leaf, Tree};
@@ -213,10 +237,18 @@ mod tests {
         leaves.iter().enumerate().map(|(index, leaf)| (leaf.digest, place(index), anchor)).collect()
     }
 
+    fn append(
+        ledger: &Ledger,
+        records: Vec<NewRecord>,
+        anchors: Vec<(Digest, Inclusion, RootSighting)>,
+    ) -> Result<u64, StoreError> {
+        ledger.append_anchored(records, anchors, BTreeMap::new())
+    }
+
     fn mine(ledger: &Ledger, numbers: &[u8], block: u64) -> u64 {
         ledger.walk_to("watcher", (block, Hash([60; 32])), Vec::new()).expect("walked");
         let records = numbers.iter().map(|number| foreign(*number)).collect();
-        ledger.append_anchored(records, anchors(numbers, block)).expect("taken")
+        append(ledger, records, anchors(numbers, block)).expect("taken")
     }
 
     fn verify(ledger: &Ledger, numbers: &[u8], block: u64) {
@@ -255,9 +287,32 @@ mod tests {
         assert_eq!(all, [1, 2, 3, 4, 5], "block 10 before block 20");
         assert_eq!(told(&ledger.holdings((20, 0, 0), 9).expect("reads")).len(), 2);
         assert_eq!(ledger.holdings((u64::MAX, 0, 0), 9), Ok(HoldingPage::default()));
-        let held = ledger.held_between(WHICH, (2, 4), 9).expect("reads");
-        assert_eq!(held.iter().map(|(seq, _)| *seq).collect::<Vec<_>>(), [2, 3, 4]);
-        assert_eq!(ledger.held_between((Address([3; 20]), THERE, WHICH.2), (1, 9), 9), Ok(Vec::new()));
+        let held = ledger.held_between(&[(WHICH, (2, 4))], 9).expect("reads");
+        assert_eq!(held.iter().map(|held| held.row.seq).collect::<Vec<_>>(), [2, 3, 4]);
+        let digests: Vec<Digest> = held.iter().map(|held| held.row.digest).collect();
+        let places: Vec<_> = held.iter().map(|held| held.place.clone()).collect();
+        assert_eq!(places, ledger.batch_places(&digests).expect("reads"));
+        let rows: Vec<_> = held.into_iter().map(|held| Some(held.row)).collect();
+        assert_eq!(rows, ledger.records(&digests).expect("reads"));
+        let nobodys = (Address([3; 20]), THERE, WHICH.2);
+        assert_eq!(ledger.held_between(&[(nobodys, (1, 9))], 9), Ok(Vec::new()));
+    }
+
+    #[test]
+    fn of_several_ranges_the_first_ones_are_handed_over_as_far_as_is_asked() {
+        let home = tempfile::tempdir().expect("folder");
+        let ledger = ledger(&home);
+        take(&ledger, &[1, 2, 3, 4, 5], 10);
+        let nobodys = (Address([3; 20]), THERE, WHICH.2);
+        let ranges = [(WHICH, (4, 9)), (nobodys, (1, 9)), (WHICH, (1, 1)), (WHICH, (2, 3))];
+        let numbers = |limit| {
+            let held = ledger.held_between(&ranges, limit).expect("reads");
+            held.iter().map(|held| (held.range, held.row.seq)).collect::<Vec<_>>()
+        };
+        let all = [(0, 4), (0, 5), (2, 1), (3, 2), (3, 3)];
+        for limit in 0..7 {
+            assert_eq!(numbers(limit), all[..limit.min(5)], "{limit}");
+        }
     }
 
     #[test]
@@ -266,8 +321,14 @@ mod tests {
         let ledger = ledger(&home);
         take(&ledger, &[1, 2], 10);
         mine(&ledger, &[3], 11);
-        let held =
-            || ledger.held_between(WHICH, (1, 9), 9).expect("reads").iter().map(|(seq, _)| *seq).collect::<Vec<_>>();
+        let held = || {
+            ledger
+                .held_between(&[(WHICH, (1, 9))], 9)
+                .expect("reads")
+                .iter()
+                .map(|held| held.row.seq)
+                .collect::<Vec<_>>()
+        };
         let page = ledger.holdings((0, 0, 0), 9).expect("reads");
         assert_eq!((told(&page), page.last.map(|(block, ..)| block), page.more), (vec![1, 2], Some(10), false));
         assert_eq!(held(), [1, 2], "nor is it handed over");
@@ -296,8 +357,8 @@ mod tests {
         take(&ledger, &[3], 20);
         let page = ledger.holdings((0, 0, 0), 9).expect("reads");
         assert_eq!((told(&page), page.last.map(|(block, ..)| block)), (vec![3], Some(20)));
-        let held = ledger.held_between(WHICH, (1, 9), 9).expect("reads");
-        assert_eq!(held, [(3, Digest([3; 32]))]);
+        let held = ledger.held_between(&[(WHICH, (1, 9))], 9).expect("reads");
+        assert_eq!(held.iter().map(|held| held.row.digest).collect::<Vec<_>>(), [Digest([3; 32])]);
     }
 
     #[test]
@@ -311,21 +372,21 @@ mod tests {
         };
         let found = |number| ledger.record(Digest([number; 32])).expect("reads").map(|row| (row.state, row.block));
         walk(10, 60);
-        ledger.append_anchored(vec![foreign(1)], of_batch(0, 10, 60)).expect("taken");
+        append(&ledger, vec![foreign(1)], of_batch(0, 10, 60)).expect("taken");
         assert_eq!(found(1), Some((RecordState::Mined, Some(10))));
         ledger.unmine(10).expect("the block is gone");
         let replaced = Err(StoreError::Replaced { digest: Digest([2; 32]), block: 10 });
-        assert_eq!(ledger.append_anchored(vec![foreign(2)], of_batch(1, 10, 60)), replaced, "before it is read again");
+        assert_eq!(append(&ledger, vec![foreign(2)], of_batch(1, 10, 60)), replaced, "before it is read again");
         walk(10, 61);
-        assert_eq!(ledger.append_anchored(vec![foreign(2)], of_batch(1, 10, 60)), replaced, "nor afterwards");
+        assert_eq!(append(&ledger, vec![foreign(2)], of_batch(1, 10, 60)), replaced, "nor afterwards");
         assert_eq!((found(1), found(2)), (Some((RecordState::Batched, None)), None));
         walk(11, 62);
-        ledger.append_anchored(vec![foreign(2)], of_batch(1, 11, 62)).expect("taken");
+        append(&ledger, vec![foreign(2)], of_batch(1, 11, 62)).expect("taken");
         let there = Some((RecordState::Mined, Some(11)));
         assert_eq!((found(1), found(2)), (there, there), "where it is now");
         walk(2000, 63);
         let old = vec![anchors(&[3], 5).remove(0)];
-        assert_eq!(ledger.append_anchored(vec![foreign(3)], old), Ok(1), "of old blocks not each is kept");
+        assert_eq!(append(&ledger, vec![foreign(3)], old), Ok(1), "of old blocks not each is kept");
     }
 
     #[test]
@@ -352,9 +413,10 @@ mod tests {
         let home = tempfile::tempdir().expect("folder");
         let ledger = ledger(&home);
         take(&ledger, &[2], 10);
+        ledger.walk_to("watcher", (11, Hash([60; 32])), Vec::new()).expect("walked");
         let other = NewRecord { seq: 2, ..foreign(8) };
         let records = vec![foreign(3), other];
-        let refused = ledger.append_anchored(records, anchors(&[3], 11));
+        let refused = append(&ledger, records, anchors(&[3], 11));
         assert!(matches!(refused, Err(StoreError::Conflict { .. })), "{refused:?}");
         assert_eq!(ledger.record(Digest([3; 32])).expect("reads"), None);
     }

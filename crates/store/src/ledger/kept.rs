@@ -1,17 +1,10 @@
-//! What a gateway keeps for others: public keys of their devices, bindings of names, and anchors made elsewhere,
-//! recorded with their proofs.
+//! What a gateway keeps for others: public keys of their devices, and bindings of names.
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 
-use super::batches::{self, RootSighting};
-use super::edges::{By, may};
-use super::{Ledger, NewRecord, append, rows, trail};
-use crate::chain::merkle::Inclusion;
-use crate::model::{
-    Address, Digest, FilterId, Hash, ProfileName, PublicKey, RecordState, SignerId, Timestamp, TopicId,
-};
+use super::Ledger;
+use crate::model::{Address, Digest, FilterId, ProfileName, PublicKey, SignerId, TopicId};
 use crate::store::StoreError;
-use crate::store::database::whole;
 
 /// The binding of a name at a gateway.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -39,13 +32,7 @@ impl Ledger {
         if self.signer(id)?.is_some() {
             return Ok(());
         }
-        self.write(move |session| {
-            session
-                .connection
-                .prepare_cached("INSERT INTO signers VALUES (?1, ?2) ON CONFLICT DO NOTHING")?
-                .execute(params![id.0, key.0])?;
-            Ok(())
-        })
+        self.write(move |session| add_signer(session.connection, id, key))
     }
 
     /// The public key of a device, if it is known.
@@ -224,97 +211,11 @@ impl Ledger {
             Ok(rows.filter_map(Result::transpose).map(|digest| digest.map(Digest)).collect::<Result<_, _>>()?)
         })
     }
-
-    /// Notes where a stored record was anchored by another ledger: its place in the batch, and the block of the root
-    /// on the chain. From then on it counts as if anchored from here. Returns whether anything changed.
-    ///
-    /// # Errors
-    /// [`StoreError::NotReady`] if the record is unknown here, [`StoreError::Replaced`] if the watcher did not read that
-    /// block, [`StoreError::DiskFull`] and the like.
-    pub fn take_in(&self, digest: Digest, inclusion: Inclusion, anchor: RootSighting) -> Result<bool, StoreError> {
-        self.write(move |session| take_in(session.connection, digest, &inclusion, &anchor))
-    }
-
-    /// Acknowledges records with the anchors that another gateway made of them, in one commit, so that nobody here anchors
-    /// them again; a record that was here without an anchor gets it. Returns how many are anchored by this.
-    ///
-    /// # Errors
-    /// See [`Ledger::append`] and [`Ledger::take_in`]; then nothing is acknowledged.
-    pub fn append_anchored(
-        &self,
-        records: Vec<NewRecord>,
-        anchors: Vec<(Digest, Inclusion, RootSighting)>,
-    ) -> Result<u64, StoreError> {
-        self.takes_records()?;
-        self.write_many(records.len(), move |session| {
-            let now = whole("time", Timestamp::now().0)?;
-            records.iter().try_for_each(|record| append::add(session, record, now))?;
-            anchors.iter().try_fold(0, |taken, (digest, inclusion, anchor)| {
-                Ok(taken + u64::from(take_in(session.connection, *digest, inclusion, anchor)?))
-            })
-        })
-    }
 }
 
-pub(super) fn take_in(
-    connection: &Connection,
-    digest: Digest,
-    inclusion: &Inclusion,
-    anchor: &RootSighting,
-) -> Result<bool, StoreError> {
-    let found = connection
-        .prepare_cached("SELECT n, state FROM records WHERE digest = ?1")?
-        .query_row([digest.0], |row| Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?)))
-        .optional()?;
-    let (record, state) = found.ok_or(StoreError::NotReady { digest, found: "unknown" })?;
-    if !may(By::Batch, state, RecordState::Batched) {
-        return Ok(false);
-    }
-    if !is_read(connection, anchor)? {
-        return Err(StoreError::Replaced { digest, block: anchor.block });
-    }
+pub(super) fn add_signer(connection: &Connection, id: SignerId, key: PublicKey) -> Result<(), StoreError> {
     connection
-        .prepare_cached(
-            "INSERT INTO batches (root, owner, count, closed_at, account, tx)
-             VALUES (?1, ?2, ?3, ?4, ?2, ?5) ON CONFLICT DO NOTHING",
-        )?
-        .execute(params![
-            inclusion.root.0,
-            anchor.account.0,
-            whole("count", inclusion.count)?,
-            whole("time", Timestamp::now().0)?,
-            anchor.transaction.0
-        ])?;
-    let batch: i64 = connection
-        .prepare_cached("SELECT key FROM batches WHERE root = ?1")?
-        .query_row([inclusion.root.0], |row| row.get(0))?;
-    let path: Vec<u8> = inclusion.path.iter().flat_map(|step: &Hash| step.0).collect();
-    connection
-        .prepare_cached("DELETE FROM left_places WHERE batch = ?1 AND record = ?2")?
-        .execute(params![batch, record])?;
-    connection.prepare_cached("INSERT INTO leaves VALUES (?1, ?2, ?3, ?4)")?.execute(params![
-        record,
-        batch,
-        whole("index", inclusion.index)?,
-        path
-    ])?;
-    connection
-        .prepare_cached("UPDATE records SET state = ?2 WHERE n = ?1")?
-        .execute(params![record, RecordState::Batched.code()])?;
-    batches::see_record(connection, record, batch, anchor)?;
-    Ok(true)
-}
-
-/// Whether the watcher read this very block. Of old ones not each is kept: no reorg goes as deep.
-fn is_read(connection: &Connection, anchor: &RootSighting) -> Result<bool, StoreError> {
-    let read = connection
-        .prepare_cached(
-            "SELECT EXISTS (SELECT 1 FROM trail WHERE block = ?1 AND hash = ?2)
-                 OR ?1 + ?3 < coalesce((SELECT max(block) FROM trail), 0)",
-        )?
-        .query_row(
-            params![whole("block", anchor.block)?, anchor.block_hash.0, whole("block", trail::DENSE)?],
-            |row| row.get(0),
-        )?;
-    Ok(read)
+        .prepare_cached("INSERT INTO signers VALUES (?1, ?2) ON CONFLICT DO NOTHING")?
+        .execute(params![id.0, key.0])?;
+    Ok(())
 }

@@ -30,10 +30,7 @@ impl Ledger {
             let one = |digest: &Digest| {
                 let mut found = find.query(params![digest.0])?;
                 let Some(row) = found.next()? else { return Ok(None) };
-                let stream: i64 = row.get(0)?;
-                if !by_key.contains_key(&stream) {
-                    by_key.extend(rows::keyed_streams(connection, [stream])?);
-                }
+                rows::learn_stream(connection, row, &mut by_key)?;
                 Ok(Some(rows::record(row, &by_key)?))
             };
             digests.iter().map(one).collect()

@@ -227,6 +227,19 @@ pub(super) fn keyed_streams(
     Ok(found)
 }
 
+/// Makes the stream of a row with [`COLUMNS`] known, unless it is.
+pub(super) fn learn_stream(
+    connection: &Connection,
+    row: &Row<'_>,
+    streams: &mut HashMap<i64, Stream>,
+) -> Result<(), StoreError> {
+    let key: i64 = row.get(0)?;
+    if !streams.contains_key(&key) {
+        streams.extend(keyed_streams(connection, [key])?);
+    }
+    Ok(())
+}
+
 impl RecordRow {
     /// Whether its topic's name is known here; otherwise the pseudonym takes its place.
     pub fn is_named(&self) -> bool {

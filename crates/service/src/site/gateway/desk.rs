@@ -16,8 +16,8 @@ use crate::crypto::{SmKeyPair, open_transport_key, seal_transport_key, signer_id
 use crate::gateway::desk::Account;
 use crate::gateway::{
     Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, Entry, ErasedRecord, ErasureOutcome, ErasurePlace,
-    Erasures, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, NetworkName, Page, Query, Received, Refusal,
-    Registration, RevokeNotice, Selection, Standing, Stood, ToldErasure, Wanted,
+    Erasures, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, ManyHandedOver, NetworkName, Page, Query,
+    Received, Refusal, Registration, RevokeNotice, Selection, Standing, Stood, ToldErasure, Wanted,
 };
 use crate::model::{
     Address, Countersignature, Digest, Hash, ProfileName, PublicKey, SignedPosition, SignerId, Timestamp, Token,
@@ -391,6 +391,12 @@ impl Desk for GatewayDesk {
     async fn hand_over(&self, caller: &Caller, wanted: &Wanted) -> Result<HandedOver, Refusal> {
         self.freshen().await?;
         let (caller, wanted) = (caller.clone(), *wanted);
+        self.blocking(move |desk| desk.handed_over(&caller, &[wanted])).await.map(|many| many.handed)
+    }
+
+    async fn hand_over_many(&self, caller: &Caller, wanted: &[Wanted]) -> Result<ManyHandedOver, Refusal> {
+        self.freshen().await?;
+        let (caller, wanted) = (caller.clone(), wanted.to_vec());
         self.blocking(move |desk| desk.handed_over(&caller, &wanted)).await
     }
 

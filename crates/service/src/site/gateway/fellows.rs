@@ -99,7 +99,7 @@ pub(super) struct Fellows {
     plant: Plant,
     hub: Arc<Hub>,
     log: Arc<Log>,
-    list: RwLock<Option<Vec<Fellow>>>,
+    list: RwLock<Option<Arc<[Fellow]>>>,
     progress: Mutex<BTreeMap<SignerId, Progress>>,
     /// Changes are made one at a time.
     changing: tokio::sync::Mutex<()>,
@@ -114,9 +114,9 @@ impl Fellows {
     }
 
     /// The list. Waits for the ledger the first time.
-    pub(super) fn all(&self) -> Result<Vec<Fellow>, Failure> {
+    pub(super) fn all(&self) -> Result<Arc<[Fellow]>, Failure> {
         if let Some(list) = &*self.list.read().unwrap_or_else(PoisonError::into_inner) {
-            return Ok(list.clone());
+            return Ok(Arc::clone(list));
         }
         let list: Vec<Fellow> = match self.plant.ledger.setting(LIST)? {
             None => Vec::new(),
@@ -124,14 +124,15 @@ impl Fellows {
                 input("the list of the fleet's gateways in the ledger cannot be read; restore a backup")
             })?,
         };
-        *self.list.write().unwrap_or_else(PoisonError::into_inner) = Some(list.clone());
+        let list: Arc<[Fellow]> = list.into();
+        *self.list.write().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(&list));
         Ok(list)
     }
 
-    fn write(&self, list: Vec<Fellow>) -> Result<(), Failure> {
-        let text = serde_json::to_string(&list).map_err(|error| internal(error.to_string()))?;
+    fn write(&self, list: &[Fellow]) -> Result<(), Failure> {
+        let text = serde_json::to_string(list).map_err(|error| internal(error.to_string()))?;
         block_in_place(|| self.plant.ledger.put_setting(LIST, &text))?;
-        *self.list.write().unwrap_or_else(PoisonError::into_inner) = Some(list);
+        *self.list.write().unwrap_or_else(PoisonError::into_inner) = Some(list.into());
         self.hub.changed(Part::Health);
         Ok(())
     }
@@ -164,7 +165,7 @@ impl Fellows {
             return Err(input("that is the key of the gateway of this home; name the other ones"));
         }
         let _one_at_a_time = self.changing.lock().await;
-        let mut list = block_in_place(|| self.all())?;
+        let mut list = block_in_place(|| self.all())?.to_vec();
         list.retain(|fellow| fellow.key != key);
         if list.len() >= MOST {
             return Err(refused(format!("a fleet has at most {MOST} other gateways; remove one first")));
@@ -173,7 +174,7 @@ impl Fellows {
         list.push(Fellow { key, address, added_at: Timestamp::now() });
         let named = async {
             self.with(|all| all.remove(&key));
-            self.write(list)
+            self.write(&list)
         };
         self.log.deed(profile, "fleet add", &subject, named).await
     }
@@ -181,7 +182,7 @@ impl Fellows {
     /// Names a gateway no more.
     pub(super) async fn remove(&self, profile: &ProfileName, gateway: &str) -> Result<(), Failure> {
         let _one_at_a_time = self.changing.lock().await;
-        let mut list = block_in_place(|| self.all())?;
+        let mut list = block_in_place(|| self.all())?.to_vec();
         let is_it = |fellow: &Fellow| {
             fellow.address == gateway || gateway.len() >= LEAST_KEY && fellow.key.to_hex().starts_with(gateway)
         };
@@ -197,7 +198,7 @@ impl Fellows {
         list.retain(|other| other != fellow);
         let removed = async {
             self.with(|all| all.remove(&fellow.key));
-            self.write(list)
+            self.write(&list)
         };
         self.log.deed(profile, "fleet remove", &subject, removed).await
     }
@@ -218,7 +219,7 @@ impl Fellows {
     /// The gateways with what is known of each.
     pub(super) fn rows(&self, network: Option<&Network>) -> Result<Vec<FellowView>, Failure> {
         let list = block_in_place(|| self.all())?;
-        Ok(self.with(|all| list.into_iter().map(|fellow| view(fellow, all, network)).collect()))
+        Ok(self.with(|all| list.iter().map(|fellow| view(fellow, all, network)).collect()))
     }
 
     /// The state of the fleet, if there is one.
@@ -321,8 +322,8 @@ impl Fellows {
     }
 }
 
-fn view(fellow: Fellow, all: &BTreeMap<SignerId, Progress>, network: Option<&Network>) -> FellowView {
-    let (none, Fellow { key, address, added_at }) = (Progress::default(), fellow);
+fn view(fellow: &Fellow, all: &BTreeMap<SignerId, Progress>, network: Option<&Network>) -> FellowView {
+    let (none, Fellow { key, address, added_at }) = (Progress::default(), fellow.clone());
     let one = all.get(&key).unwrap_or(&none);
     let refused = one.refused.iter();
     FellowView {
@@ -397,7 +398,7 @@ mod tests {
         let ground = Ground::with(&[]);
         let (keeper, fellows) = (profile("keeper"), Fellows::new(&ground.parts));
         fellows.add(&keeper, ("b:7420", ONE), None).await.expect("named");
-        let fellow = fellows.all().expect("read").remove(0);
+        let fellow = fellows.all().expect("read")[0].clone();
         let mut events = ground.parts.hub.events().subscribe();
         assert!(fellows.is_due(ONE));
         for _ in 0..20 {

@@ -7,11 +7,11 @@ use super::standing::{entry, standing};
 use crate::gateway::{Caller, Code, Fetched, Page, Query, Refusal, Selection, Standing, Stood};
 use crate::model::{Address, Digest, Scope, SignerId, Timestamp};
 use crate::pipeline::Network;
-use crate::pipeline::authority::{self, Moment, NoRight, Policy, ReadRefused, ReadingRight, SigningRight};
+use crate::pipeline::authority::{Moment, NoRight, Policy, ReadRefused, ReadingRight, Signers, SigningRight};
 use crate::pipeline::authority::{may_read, may_sign};
 use crate::pipeline::proof::anchor_proof;
 use crate::site::chain::freshness::GRACE;
-use crate::store::{BatchPlace, RecordQuery, RecordRow};
+use crate::store::{BatchPlace, HeldRecord, RecordQuery, RecordRow};
 use tokio::time::timeout;
 
 /// How long the chain may be silent before nothing is stored or passed on any more. Reading ends sooner, see
@@ -186,26 +186,26 @@ impl GatewayDesk {
     /// A record with its proof, whoever is to have it.
     pub(super) fn bytes_of(&self, network: &Network, row: &RecordRow) -> Result<Fetched, Refusal> {
         let missing = || Err(Refusal::new(Code::NotFound, format_args!("record {} is missing", row.id)));
-        self.all_bytes_of(network, std::slice::from_ref(row))?.pop().unwrap_or_else(missing)
+        let place = self.gateway.plant.ledger.batch_place(row.digest).map_err(Refusal::because(Code::Internal))?;
+        self.all_bytes_of(network, &[HeldRecord { range: 0, row: row.clone(), place }])?.pop().unwrap_or_else(missing)
     }
 
     /// The same for several, in their order; what is wrong with one is said in its place.
     pub(super) fn all_bytes_of(
         &self,
         network: &Network,
-        rows: &[RecordRow],
+        held: &[HeldRecord],
     ) -> Result<Vec<Result<Fetched, Refusal>>, Refusal> {
-        let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
-        let digests: Vec<Digest> = rows.iter().map(|row| row.digest).collect();
-        let stored = plant.vault.get_many(&digests).map_err(&internal)?;
-        let places = plant.ledger.batch_places(&digests).map_err(&internal)?;
-        let parts = rows.iter().zip(stored.into_iter().zip(places));
-        Ok(parts.map(|(row, (stored, place))| self.fetched(network, row, stored, place)).collect())
+        let digests: Vec<Digest> = held.iter().map(|held| held.row.digest).collect();
+        let stored = self.gateway.plant.vault.get_many(&digests).map_err(Refusal::because(Code::Internal))?;
+        let mut signers = Signers::new(&self.gateway.plant, network);
+        let parts = held.iter().zip(stored);
+        Ok(parts.map(|(held, stored)| self.fetched(&mut signers, &held.row, stored, held.place.clone())).collect())
     }
 
     fn fetched(
         &self,
-        network: &Network,
+        signers: &mut Signers<'_>,
         row: &RecordRow,
         stored: Option<Vec<u8>>,
         place: Option<BatchPlace>,
@@ -221,7 +221,7 @@ impl GatewayDesk {
         if Digest(plant.provider.sm3(&[&blob])) != row.digest {
             return Err(Refusal::new(Code::Tampered, format_args!("record {} was altered", row.id)));
         }
-        let signer = authority::key_of(plant, network, row).map_err(Refusal::because(Code::Internal))?;
+        let signer = signers.of(row).map_err(Refusal::because(Code::Internal))?.ok();
         let unknown = || Refusal::new(Code::Tampered, format_args!("the signer of record {} is unknown", row.id));
         let proof = anchor_proof(row, place).map(|proof| proof.encode()).unwrap_or_default();
         Ok(Fetched { signer: signer.ok_or_else(unknown)?, signature: row.signature, proof, blob })

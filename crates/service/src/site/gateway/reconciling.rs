@@ -91,7 +91,7 @@ impl Gateway {
         let followed: Arc<Mutex<BTreeSet<(SignerId, String)>>> = Arc::default();
         while self.life.beat(PERIOD).await {
             let list = block_in_place(|| self.fellows.all()).unwrap_or_default();
-            for fellow in list {
+            for fellow in list.iter().cloned() {
                 let name = (fellow.key, fellow.address.clone());
                 if !followed.lock().unwrap_or_else(PoisonError::into_inner).insert(name.clone()) {
                     continue;

@@ -12,10 +12,10 @@ use super::fetching::{Claim, Which};
 use super::round_erased::{ErasureCourse, TookErased, read_erasures};
 use super::visit::Visit;
 use crate::gateway::{
-    Client, Code, ErasurePlace, Erasures, Fetched, GatewayError, HandedOver, Held, HoldingPlace, Holdings, Refusal,
-    ToldErasure, Wanted,
+    Client, Code, ErasurePlace, Erasures, Fetched, GatewayError, HandedOver, Held, HoldingPlace, Holdings,
+    ManyHandedOver, Refusal, ToldErasure, Wanted,
 };
-use crate::model::{Address, Digest, Ranges, RecorderId, TopicId};
+use crate::model::{Address, Digest, Header, Ranges, RecorderId, TopicId};
 use crate::store::Lacking;
 
 /// How many blocks are read again: a gateway may note anchors of a block a moment later than of the next.
@@ -34,6 +34,9 @@ pub(super) trait Other: Send {
     /// Records of a range.
     async fn hand_over(&mut self, wanted: Wanted) -> Result<HandedOver, GatewayError>;
 
+    /// Records of several ranges; `None` if it is of an earlier version.
+    async fn hand_over_many(&mut self, wanted: &[Wanted]) -> Result<Option<ManyHandedOver>, GatewayError>;
+
     /// What was erased there after a place; `None` if it is of an earlier version.
     async fn erasures(&mut self, after: ErasurePlace) -> Result<Option<Erasures>, GatewayError>;
 }
@@ -46,6 +49,13 @@ impl Other for Client {
 
     async fn hand_over(&mut self, wanted: Wanted) -> Result<HandedOver, GatewayError> {
         Client::hand_over(self, wanted).await
+    }
+
+    async fn hand_over_many(&mut self, wanted: &[Wanted]) -> Result<Option<ManyHandedOver>, GatewayError> {
+        match Client::hand_over_many(self, wanted.to_vec()).await {
+            Err(GatewayError::Refused(Code::Malformed)) => Ok(None),
+            handed => handed.map(Some),
+        }
     }
 
     async fn erasures(&mut self, after: ErasurePlace) -> Result<Option<Erasures>, GatewayError> {
@@ -89,6 +99,15 @@ pub(super) struct Handed {
     pub records: Vec<Fetched>,
 }
 
+impl Handed {
+    /// Whether a record is one of those that were asked for.
+    pub fn has(&self, header: &Header) -> bool {
+        let Wanted { owner, recorder, topic_id, first, last } = self.wanted;
+        (owner, recorder, topic_id) == (header.owner, header.recorder, header.topic_id)
+            && (first..=last).contains(&header.seq)
+    }
+}
+
 /// What became of records that were handed over.
 #[derive(Debug, Default)]
 pub(super) struct Took {
@@ -123,6 +142,8 @@ pub(super) struct Course {
     pub(super) twice: BTreeSet<Digest>,
     /// Whether the last of its records were true: then many are judged together, else each answer by itself.
     pub(super) was_true: bool,
+    /// It is of an earlier version, which hands over one range at a time.
+    pub(super) one_by_one: bool,
     /// Owners whose records are not taken.
     pub(super) passed_over: BTreeSet<Address>,
     erased: ErasureCourse,
@@ -137,6 +158,7 @@ impl Course {
     /// A session with the gateway has begun.
     pub fn connected(&mut self) {
         self.erased.connected();
+        self.one_by_one = false;
     }
 
     /// How many owners have records there that are not taken here.

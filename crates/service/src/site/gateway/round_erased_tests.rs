@@ -9,7 +9,8 @@ use async_trait::async_trait;
 use super::*;
 use crate::crypto::{AccountSignature, ErasedStatement};
 use crate::gateway::{
-    Code, ErasedRecord, Erasures, Fetched, GatewayError, HandedOver, Held, HoldingPlace, Holdings, ToldErasure, Wanted,
+    Code, ErasedRecord, Erasures, Fetched, GatewayError, HandedOver, Held, HoldingPlace, Holdings, ManyHandedOver,
+    ToldErasure, Wanted,
 };
 use crate::model::{Address, Digest, PublicKey, RecorderId, Signature, Timestamp};
 use crate::site::gateway::copies::Copies;
@@ -96,6 +97,10 @@ struct Script<Tell> {
 impl<Tell: FnMut(ErasurePlace) -> Option<Erasures> + Send> Other for Script<Tell> {
     async fn holdings(&mut self, _: HoldingPlace) -> Result<Holdings, GatewayError> {
         Ok(Holdings::default())
+    }
+
+    async fn hand_over_many(&mut self, _: &[Wanted]) -> Result<Option<ManyHandedOver>, GatewayError> {
+        Ok(None)
     }
 
     async fn hand_over(&mut self, _: Wanted) -> Result<HandedOver, GatewayError> {

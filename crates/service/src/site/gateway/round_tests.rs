@@ -14,7 +14,7 @@ pub(in crate::site::gateway) const TOPIC: TopicId = TopicId([3; 16]);
 pub(in crate::site::gateway) const FRIEND: Address = Address([1; 20]);
 const STRANGER: Address = Address([9; 20]);
 
-/// The record with a number, as [`Shelf`] reads it: the number is all of its bytes.
+/// The record with a number, as [`Shelf`] reads it: the number is all of its bytes, where it has no header.
 pub(in crate::site::gateway) fn record(number: u64) -> Fetched {
     let (signer, signature) = (PublicKey([1; 64]), Signature([2; 64]));
     Fetched { signer, signature, proof: Vec::new(), blob: number.to_be_bytes().to_vec() }
@@ -77,7 +77,8 @@ impl Here for Shelf {
         let Took { mut taken, mut later, mut refused, silent } = Took::default();
         let records = parts.into_iter().flat_map(|part| part.records.into_iter().map(move |one| (part.wanted, one)));
         for (wanted, record) in records {
-            let number = u64::from_be_bytes(record.blob.try_into().expect("eight bytes"));
+            let number = Header::parse(&record.blob).map(|(header, _)| header.seq);
+            let number = number.unwrap_or_else(|_| u64::from_be_bytes(record.blob.try_into().expect("eight bytes")));
             let one = (wanted.owner, wanted.recorder, wanted.topic_id, number);
             if self.unseen.is_some_and(|unseen| number >= unseen) {
                 later.insert(one);
@@ -119,6 +120,10 @@ where
     async fn hand_over(&mut self, wanted: Wanted) -> Result<HandedOver, GatewayError> {
         self.asked += 1;
         Ok((self.hand)(wanted))
+    }
+
+    async fn hand_over_many(&mut self, _: &[Wanted]) -> Result<Option<ManyHandedOver>, GatewayError> {
+        Ok(None)
     }
 
     async fn erasures(&mut self, _: ErasurePlace) -> Result<Option<Erasures>, GatewayError> {

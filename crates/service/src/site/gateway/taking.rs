@@ -18,7 +18,7 @@ use crate::chain::merkle::Inclusion;
 use crate::crypto::signer_id;
 use crate::gateway::identity_check::verify_each;
 use crate::gateway::{Code, Context, Desk as _, Fetched, Held, Received, Refusal, ToldErasure, Upload, Wanted};
-use crate::model::{Address, Digest, Header, SignerId};
+use crate::model::{Address, Digest, Header, PublicKey, SignerId};
 use crate::pipeline::authority::{Moment, SigningRight, may_sign};
 use crate::pipeline::mirror::{Anchors, wait_for};
 use crate::pipeline::{Network, PipelineError};
@@ -28,8 +28,15 @@ use crate::store::{Lacking, RootSighting};
 /// How long the watcher here may lag behind the block of a proof.
 const BEHIND: Duration = Duration::from_secs(3);
 
-/// A record that holds, and its anchor as the chain has it.
-type Proven = (Received, (Digest, Inclusion, RootSighting));
+/// A record that holds.
+#[derive(Clone)]
+struct Proven {
+    received: Received,
+    /// Its anchor as the chain has it.
+    anchor: (Digest, Inclusion, RootSighting),
+    /// The device that signed it, with its key.
+    device: Option<(SignerId, PublicKey)>,
+}
 
 /// What is found of a record.
 enum Judged {
@@ -44,8 +51,6 @@ enum Judged {
 struct Known {
     /// The highest block that the watcher was seen to have read.
     read: Option<u64>,
-    /// Devices whose keys are kept.
-    devices: BTreeSet<SignerId>,
 }
 
 /// The side of a round that takes.
@@ -179,22 +184,23 @@ impl Taking<'_> {
             Err(PipelineError::NotSeen { .. }) => return Ok(Judged::Later),
             confirmed => confirmed.map_err(|error| failed(&error))?,
         };
-        self.check_signer(network, &received, proof.block, known).await?;
+        let device = self.signing_device(network, &received, proof.block, known).await?;
         let AnchorProof { account, transaction, block, block_hash, inclusion } = proof;
         let inclusion = inclusion.ok_or_else(|| Refusal::new(Code::Malformed, "a gateway's anchors are batches"))?;
         let anchor =
             RootSighting { account, root: inclusion.root, count: inclusion.count, transaction, block, block_hash };
         let digest = received.digest;
-        Ok(Judged::Holds(Box::new((received, (digest, inclusion, anchor)))))
+        Ok(Judged::Holds(Box::new(Proven { received, anchor: (digest, inclusion, anchor), device })))
     }
 
-    async fn check_signer(
+    /// The device that signed, if it was not the owner; whoever had no right is refused.
+    async fn signing_device(
         &self,
         network: &Network,
         received: &Received,
         block: u64,
         known: &mut Known,
-    ) -> Result<(), Refusal> {
+    ) -> Result<Option<(SignerId, PublicKey)>, Refusal> {
         let plant = &self.desk.gateway.plant;
         if known.read.is_none_or(|read| read < block) {
             wait_for(plant, block, BEHIND).await.map_err(|error| failed(&error))?;
@@ -203,14 +209,8 @@ impl Taking<'_> {
         let time = network.ask_time(block).await.map_err(|error| failed(&error))?;
         let Header { owner, signer, .. } = received.header;
         match may_sign(&network.directory, owner, signer, Moment::of_block(block, time)) {
-            Ok(SigningRight::Owner(_)) => Ok(()),
-            Ok(SigningRight::Device(_)) if known.devices.contains(&signer) => Ok(()),
-            Ok(SigningRight::Device(_)) => {
-                let kept = block_in_place(|| plant.ledger.keep_signer(signer, received.signer));
-                kept.map_err(Refusal::because(Code::Internal))?;
-                known.devices.insert(signer);
-                Ok(())
-            }
+            Ok(SigningRight::Owner(_)) => Ok(None),
+            Ok(SigningRight::Device(_)) => Ok(Some((signer, received.signer))),
             Err(why) => Err(Refusal::new(Code::Signature, why)),
         }
     }
@@ -220,7 +220,7 @@ impl Taking<'_> {
         let (mut together, mut by_topic) = (Vec::new(), BTreeMap::<Which, Vec<Proven>>::new());
         let mut admitted = BTreeMap::new();
         for one in proven {
-            let (owner, recorder, topic_id, _) = number_of(&one.0.header);
+            let (owner, recorder, topic_id, _) = number_of(&one.received.header);
             if let Entry::Vacant(unknown) = admitted.entry(owner) {
                 unknown.insert(match self.desk.is_admitted(&owner) {
                     Err(refusal) if matches!(refusal.code, Code::Stale | Code::Internal) => return Err(refusal),
@@ -273,10 +273,11 @@ impl Taking<'_> {
     }
 
     fn keep_all(&self, owner: Option<Address>, proven: Vec<Proven>) -> Result<BTreeSet<Numbered>, Refusal> {
-        let numbers = proven.iter().map(|(received, _)| number_of(&received.header)).collect();
-        let (records, anchors): (Vec<_>, Vec<_>) = proven.into_iter().unzip();
+        let numbers = proven.iter().map(|one| number_of(&one.received.header)).collect();
+        let devices: BTreeMap<SignerId, PublicKey> = proven.iter().filter_map(|one| one.device).collect();
+        let (records, anchors): (Vec<_>, Vec<_>) = proven.into_iter().map(|one| (one.received, one.anchor)).unzip();
         let ledger = &self.desk.gateway.plant.ledger;
-        let anchor = |rows| ledger.append_anchored(rows, anchors);
+        let anchor = |rows| ledger.append_anchored(rows, anchors, devices);
         let kept = match owner {
             Some(owner) => self.desk.keep_by(&owner, records, anchor),
             None => self.desk.put_down(records, anchor),

@@ -6,10 +6,11 @@ use std::time::{Duration, Instant};
 use super::copies::Copies;
 use super::fetching::{Claim, Which};
 use super::round::{Course, Ended, Handed, Here, Other, Round, Took, is_a_lie, is_of_here};
-use crate::gateway::command::holdings::{MOST_HANDED, MOST_HANDED_BYTES};
-use crate::gateway::{Code, Held, Refusal, Wanted};
-use crate::model::{Address, Ranges};
+use crate::gateway::command::holdings::{MOST_HANDED, MOST_HANDED_BYTES, MOST_RANGES};
+use crate::gateway::{Code, HandedOver, Held, ManyHandedOver, Refusal, Wanted};
+use crate::model::{Address, Header, Ranges};
 use crate::store::Lacking;
+
 /// So long records that came wait for others, so that a slow gateway does not keep them from other lines.
 const LONGEST: Duration = Duration::from_secs(1);
 /// Of so many topics it is looked at once what is lacking.
@@ -37,6 +38,26 @@ struct Left {
     bytes: usize,
     refusals: usize,
     later: usize,
+}
+
+/// What is to be asked for: ranges of several topics go into one request.
+#[derive(Default)]
+struct List {
+    wanted: Vec<Wanted>,
+    /// Nobody else fetches them meanwhile.
+    claims: Vec<Claim>,
+}
+
+impl List {
+    fn count(&self) -> u64 {
+        self.wanted.iter().map(Wanted::count).sum()
+    }
+
+    /// Whether an answer holds a further range, too; the first one may be longer than that.
+    fn has_room_for(&self, one: &Wanted) -> bool {
+        let fits = self.count().saturating_add(one.count()) <= MOST_HANDED as u64;
+        self.wanted.is_empty() || self.wanted.len() < MOST_RANGES && fits
+    }
 }
 
 /// Records that were handed over and are not taken yet: they are checked and written together, because each
@@ -74,6 +95,7 @@ pub(super) struct Visit<'a, Far, Near> {
     course: &'a mut Course,
     round: &'a mut Round,
     left: Left,
+    list: List,
     basket: Basket,
     /// The last owner who was looked at, and whether its records are taken here.
     last: Option<(Address, bool)>,
@@ -88,7 +110,8 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
         (course, round): (&'a mut Course, &'a mut Round),
     ) -> Self {
         let left = Left { requests: MOST_REQUESTS, bytes: MOST_BYTES, refusals: MOST_REFUSED, later: MOST_LATER };
-        Self { other, here, copies, course, round, left, basket: Basket::default(), last: None }
+        let (list, basket) = (List::default(), Basket::default());
+        Self { other, here, copies, course, round, left, list, basket, last: None }
     }
 
     /// Reads on where the last round ended.
@@ -159,18 +182,16 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
                 }
             }
         }
-        Ok(true)
+        self.ask_for_all().await
     }
 
     /// What of these topics is kept here.
     fn kept(&mut self, told: &[Held]) -> Result<Vec<Held>, Ended> {
         let mut kept = Vec::with_capacity(told.len());
         for held in told {
-            if !self.is_welcome(&held.owner)? {
-                continue;
-            }
             let ranges = self.copies.kept((&held.owner, &held.recorder, &held.topic_id), &held.ranges);
-            if !ranges.is_empty() {
+            // Only of what falls to this gateway it matters who is admitted.
+            if !ranges.is_empty() && self.is_welcome(&held.owner)? {
                 kept.push(Held { ranges, ..*held });
             }
         }
@@ -221,7 +242,7 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
             let claimed = Held { owner, recorder, topic_id, ranges: wanted };
             wanted = self.here.lacking(&[claimed]).map_err(Ended::Here)?.pop().unwrap_or_default().numbers;
         }
-        self.basket.claims.push(claim);
+        self.list.claims.push(claim);
         self.fetch((owner, recorder, topic_id), &wanted).await
     }
 
@@ -236,43 +257,58 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
         true
     }
 
-    /// Asks for all of these numbers, which are claimed; `false` = the round's bounds are reached.
+    /// Puts all of these numbers, which are claimed, on the list; `false` = the round's bounds are reached.
     async fn fetch(&mut self, (owner, recorder, topic_id): Which, wanted: &Ranges) -> Result<bool, Ended> {
-        let mut open = wanted.count();
         for (first, last) in wanted.iter() {
-            let mut next = Some(first);
-            while let Some(first) = next {
-                if self.left.requests == 0 || self.left.bytes == 0 {
-                    self.round.lacking += open;
-                    return Ok(false);
-                }
-                let asked = Wanted { owner, recorder, topic_id, first, last };
-                let until = self.some(asked).await?;
-                open = open.saturating_sub(until - first + 1);
-                next = (until < last).then(|| until + 1);
+            let one = Wanted { owner, recorder, topic_id, first, last };
+            if !self.list.has_room_for(&one) && !self.ask_for_all().await? {
+                return Ok(false);
             }
+            self.list.wanted.push(one);
         }
         Ok(true)
     }
 
-    /// Asks for records of a range once; returns the last number that is dealt with.
-    async fn some(&mut self, asked: Wanted) -> Result<u64, Ended> {
-        let handed = self.other.hand_over(asked).await?;
-        let until = match handed.next {
-            None => asked.last,
-            Some(next) if (asked.first + 1..=asked.last).contains(&next) => next - 1,
-            Some(_) => return Err(Ended::Lies("what it hands over does not advance".to_owned())),
-        };
-        let bytes: usize = handed.records.iter().map(|record| record.blob.len()).sum();
-        (self.left.requests, self.left.bytes) = (self.left.requests - 1, self.left.bytes.saturating_sub(bytes));
-        self.basket.add(Handed { wanted: asked, until, records: handed.records });
-        if !self.course.was_true || self.basket.is_full() {
-            // The rest of a claim that is being fetched stays with this line.
-            let last = self.basket.claims.pop();
-            self.empty().await?;
-            self.basket.claims.extend(last);
+    /// Asks for all that is on the list; `false` = the round's bounds are reached.
+    async fn ask_for_all(&mut self) -> Result<bool, Ended> {
+        while !self.list.wanted.is_empty() {
+            if self.left.requests == 0 || self.left.bytes == 0 {
+                self.round.lacking += self.list.count();
+                self.list = List::default();
+                return Ok(false);
+            }
+            self.ask_for_some().await?;
         }
-        Ok(until)
+        // They end when what was handed over is taken.
+        self.basket.claims.append(&mut self.list.claims);
+        Ok(true)
+    }
+
+    /// One request, for the first ranges of the list or all of them. What is dealt with leaves it.
+    async fn ask_for_some(&mut self) -> Result<(), Ended> {
+        // Of one that is not known to be honest, each answer is judged by itself.
+        let together = self.course.was_true && !self.course.one_by_one && self.list.wanted.len() > 1;
+        let many = if together {
+            match self.other.hand_over_many(&self.list.wanted).await? {
+                Some(many) => many,
+                None => {
+                    self.course.one_by_one = true;
+                    return Ok(());
+                }
+            }
+        } else {
+            let Some(first) = self.list.wanted.first() else { return Ok(()) };
+            ManyHandedOver { handed: self.other.hand_over(*first).await?, range: 0 }
+        };
+        let asked = if together { self.list.wanted.len() } else { 1 };
+        let parts = dealt_with(&mut self.list.wanted, asked, many)?;
+        let bytes: usize = parts.iter().flat_map(|part| &part.records).map(|record| record.blob.len()).sum();
+        (self.left.requests, self.left.bytes) = (self.left.requests - 1, self.left.bytes.saturating_sub(bytes));
+        parts.into_iter().for_each(|part| self.basket.add(part));
+        if !self.course.was_true || self.basket.is_full() {
+            self.empty().await?;
+        }
+        Ok(())
     }
 
     /// Takes what is in the basket.
@@ -329,6 +365,39 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
     }
 }
 
+/// Takes off a list what an answer for its first `asked` ranges deals with: each range, or a part of it, with its records.
+fn dealt_with(list: &mut Vec<Wanted>, asked: usize, many: ManyHandedOver) -> Result<Vec<Handed>, Ended> {
+    let ManyHandedOver { handed: HandedOver { records, next }, range } = many;
+    let mut parts: Vec<Handed> = Vec::with_capacity(asked);
+    let part = |wanted: &Wanted, until| Handed { wanted: *wanted, until, records: Vec::new() };
+    match next {
+        None => parts.extend(list.drain(..asked.min(list.len())).map(|wanted| part(&wanted, wanted.last))),
+        Some(next) => {
+            let range = usize::from(range);
+            let on = list.get(range).filter(|on| range < asked && (on.first..=on.last).contains(&next)).copied();
+            let on = on.filter(|on| range > 0 || next > on.first);
+            let on = on.ok_or_else(|| Ended::Lies("what it hands over does not advance".to_owned()))?;
+            parts.extend(list.drain(..range).map(|wanted| part(&wanted, wanted.last)));
+            if next > on.first {
+                parts.push(part(&on, next - 1));
+            }
+            list.iter_mut().take(1).for_each(|rest| rest.first = next);
+        }
+    }
+    for record in records {
+        // One that nobody asked for is refused with whatever it comes with.
+        let place =
+            Header::parse(&record.blob).ok().and_then(|(header, _)| parts.iter().position(|part| part.has(&header)));
+        if let Some(part) = parts.get_mut(place.unwrap_or(0)) {
+            part.records.push(record);
+        }
+    }
+    Ok(parts)
+}
+
+#[cfg(test)]
+#[path = "visit_many_tests.rs"]
+mod many_tests;
 #[cfg(test)]
 #[path = "visit_tests.rs"]
 mod tests;
