@@ -28,10 +28,15 @@ pub trait Tells: Send + Sync {
     /// Records of a range.
     fn hand_over(&self, wanted: &Wanted) -> HandedOver;
 
-    /// Records of several ranges: those of the first one, unless a test wants something else.
+    /// Records of several ranges: those of the first one, then one is to go on.
     fn hand_over_many(&self, wanted: &[Wanted]) -> ManyHandedOver {
         let handed = wanted.first().map(|first| self.hand_over(first)).unwrap_or_default();
-        ManyHandedOver { handed, range: 0 }
+        match (handed.next, wanted.get(1)) {
+            (None, Some(second)) => {
+                ManyHandedOver { handed: HandedOver { next: Some(second.first), ..handed }, range: 1 }
+            }
+            _ => ManyHandedOver { handed, range: 0 },
+        }
     }
 
     /// What was erased there behind a place; `None` = it refuses.

@@ -41,7 +41,7 @@ impl Client {
         }
     }
 
-    /// Records of several ranges. Nothing of them is checked here.
+    /// Records of several ranges: 2 to 64, of at most 8,192 numbers in all. Nothing of them is checked here.
     ///
     /// # Errors
     /// [`GatewayError`]; `Refused(Malformed)` if it is a gateway of an earlier version, whose session goes on.

@@ -6,7 +6,7 @@ use crate::model::{Address, Ranges, RecorderId, TopicId};
 
 use super::answer::Fetched;
 
-/// The most numbers told in one answer.
+/// The most numbers told in one answer, and asked for in one request.
 pub const MOST_TOLD: u64 = 8192;
 /// The most records handed over in one answer.
 pub const MOST_HANDED: usize = 64;
@@ -156,7 +156,7 @@ impl Wanted {
 
     /// How many numbers the range has.
     pub fn count(&self) -> u64 {
-        (self.last - self.first).saturating_add(1)
+        self.last.saturating_sub(self.first).saturating_add(1)
     }
 }
 

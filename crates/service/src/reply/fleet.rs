@@ -27,7 +27,7 @@ pub struct FellowView {
     /// Records erased here since this site runs, because it told that their owners had them erased, and that holds.
     #[serde(default)]
     pub erased: u64,
-    /// Owners of records it told of who may not use the gateway of this home: their records are not taken.
+    /// Owners of records it told of that would be kept here, who may not use the gateway of this home: they are not taken.
     pub passed_over: u64,
     /// Records that this gateway and another one anchored, both.
     pub anchored_twice: u64,

@@ -33,7 +33,7 @@ impl Ledger {
     /// the same commit. Returns how many are anchored by this.
     ///
     /// # Errors
-    /// See [`Ledger::append`] and [`Ledger::take_in`]; then nothing is acknowledged.
+    /// See [`Ledger::append`] and [`Ledger::take_in`], that of the first record that has one; then nothing is acknowledged.
     pub fn append_anchored(
         &self,
         records: Vec<NewRecord>,
@@ -54,7 +54,7 @@ impl Ledger {
                         append::insert(session, record, place, &Born::waiting(record), now).map(drop)?
                     }
                     (Some(place), Some(anchor)) => {
-                        begin_anchored(session, (record, place), anchor, &mut batches, now)?;
+                        add_anchored(session, (record, place), anchor, &mut batches, now)?;
                         born.insert(record.digest);
                     }
                 }
@@ -81,8 +81,8 @@ struct Batch {
     block: Option<(Hash, i64, Hash)>,
 }
 
-/// A record that nobody here knows begins where its anchor is.
-fn begin_anchored(
+/// A record that is not known here is added as mined, in its batch.
+fn add_anchored(
     session: &mut Session<'_>,
     (record, place): (&NewRecord, Placed),
     (digest, inclusion, anchor): &Anchor,
@@ -93,7 +93,7 @@ fn begin_anchored(
     let batch = match batches.get(&which) {
         Some(batch) => *batch,
         None => {
-            let batch = seen(session.connection, *digest, inclusion, anchor)?;
+            let batch = note_batch(session.connection, *digest, inclusion, anchor)?;
             batches.insert(which, batch);
             batch
         }
@@ -102,8 +102,8 @@ fn begin_anchored(
     keep_leaf(session.connection, row, batch.key, inclusion)
 }
 
-/// The batch of an anchor, with the block in which its root is: this one, or an earlier one.
-fn seen(
+/// Notes the batch of an anchor, and the block in which its root is: this one, or an earlier one.
+fn note_batch(
     connection: &Connection,
     digest: Digest,
     inclusion: &Inclusion,

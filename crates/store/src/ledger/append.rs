@@ -193,7 +193,7 @@ pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Re
 /// The key of a record's topic, and its number there.
 pub(super) type Placed = (i64, i64);
 
-/// The place of a record that is not known yet.
+/// The place of a record that is not known yet, `None` for one that is; its topic and recorder are noted.
 pub(super) fn free_place(session: &mut Session<'_>, record: &NewRecord) -> Result<Option<Placed>, StoreError> {
     if !matches!(record.state, RecordState::Sealed | RecordState::Stored | RecordState::Quarantined) {
         return Err(StoreError::IllegalEdge { from: RecordState::Captured, to: record.state });

@@ -144,7 +144,7 @@ pub(super) struct Course {
     pub(super) was_true: bool,
     /// It is of an earlier version, which hands over one range at a time.
     pub(super) one_by_one: bool,
-    /// Owners whose records are not taken.
+    /// Owners whose records are not taken, of those that would be kept here.
     pub(super) passed_over: BTreeSet<Address>,
     erased: ErasureCourse,
 }

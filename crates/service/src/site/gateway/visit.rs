@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use super::copies::Copies;
 use super::fetching::{Claim, Which};
 use super::round::{Course, Ended, Handed, Here, Other, Round, Took, is_a_lie, is_of_here};
-use crate::gateway::command::holdings::{MOST_HANDED, MOST_HANDED_BYTES, MOST_RANGES};
+use crate::gateway::command::holdings::{MOST_HANDED, MOST_HANDED_BYTES, MOST_RANGES, MOST_TOLD};
 use crate::gateway::{Code, HandedOver, Held, ManyHandedOver, Refusal, Wanted};
 use crate::model::{Address, Header, Ranges};
 use crate::store::Lacking;
@@ -53,7 +53,7 @@ impl List {
         self.wanted.iter().map(Wanted::count).sum()
     }
 
-    /// Whether an answer holds a further range, too; the first one may be longer than that.
+    /// Whether one answer can also hold this range; the first one may be longer than that.
     fn has_room_for(&self, one: &Wanted) -> bool {
         let fits = self.count().saturating_add(one.count()) <= MOST_HANDED as u64;
         self.wanted.is_empty() || self.wanted.len() < MOST_RANGES && fits
@@ -178,6 +178,7 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
             let (lacking, requests) = (self.here.lacking(&kept).map_err(Ended::Here)?, self.left.requests);
             for (held, lacking) in kept.iter().zip(lacking) {
                 if !self.one(held, lacking, requests == self.left.requests).await? {
+                    self.ask_for_all().await?;
                     return Ok(false);
                 }
             }
@@ -242,8 +243,10 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
             let claimed = Held { owner, recorder, topic_id, ranges: wanted };
             wanted = self.here.lacking(&[claimed]).map_err(Ended::Here)?.pop().unwrap_or_default().numbers;
         }
+        // What was on the list before is asked for and taken without this claim, so that it does not end with those.
+        let done = self.fetch((owner, recorder, topic_id), &wanted).await;
         self.list.claims.push(claim);
-        self.fetch((owner, recorder, topic_id), &wanted).await
+        done
     }
 
     /// Remembers what another line is fetching; `false` = there is too much of it.
@@ -259,14 +262,23 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
 
     /// Puts all of these numbers, which are claimed, on the list; `false` = the round's bounds are reached.
     async fn fetch(&mut self, (owner, recorder, topic_id): Which, wanted: &Ranges) -> Result<bool, Ended> {
-        for (first, last) in wanted.iter() {
+        let mut open = wanted.count();
+        for (first, last) in wanted.iter().flat_map(requested) {
             let one = Wanted { owner, recorder, topic_id, first, last };
-            if !self.list.has_room_for(&one) && !self.ask_for_all().await? {
+            let has_room = self.list.wanted.is_empty() || self.asks_together() && self.list.has_room_for(&one);
+            if !has_room && !self.ask_for_all().await? {
+                self.round.lacking += open;
                 return Ok(false);
             }
+            open -= one.count();
             self.list.wanted.push(one);
         }
         Ok(true)
+    }
+
+    /// Of one that is not known to be honest, each answer is judged by itself.
+    fn asks_together(&self) -> bool {
+        self.course.was_true && !self.course.one_by_one
     }
 
     /// Asks for all that is on the list; `false` = the round's bounds are reached.
@@ -274,7 +286,8 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
         while !self.list.wanted.is_empty() {
             if self.left.requests == 0 || self.left.bytes == 0 {
                 self.round.lacking += self.list.count();
-                self.list = List::default();
+                self.list.wanted.clear();
+                self.basket.claims.append(&mut self.list.claims);
                 return Ok(false);
             }
             self.ask_for_some().await?;
@@ -286,8 +299,7 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
 
     /// One request, for the first ranges of the list or all of them. What is dealt with leaves it.
     async fn ask_for_some(&mut self) -> Result<(), Ended> {
-        // Of one that is not known to be honest, each answer is judged by itself.
-        let together = self.course.was_true && !self.course.one_by_one && self.list.wanted.len() > 1;
+        let together = self.asks_together() && self.list.wanted.len() > 1;
         let many = if together {
             match self.other.hand_over_many(&self.list.wanted).await? {
                 Some(many) => many,
@@ -363,6 +375,12 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
         }
         Ok(())
     }
+}
+
+/// A range in parts that may be asked for.
+fn requested((first, last): (u64, u64)) -> impl Iterator<Item = (u64, u64)> {
+    let step = usize::try_from(MOST_TOLD).unwrap_or(usize::MAX);
+    (first..=last).step_by(step).map(move |begin| (begin, last.min(begin.saturating_add(MOST_TOLD - 1))))
 }
 
 /// Takes off a list what an answer for its first `asked` ranges deals with: each range, or a part of it, with its records.

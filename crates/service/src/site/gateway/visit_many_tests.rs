@@ -3,6 +3,7 @@
 
 use async_trait::async_trait;
 
+use super::super::fetching::Fetching;
 use super::super::round::reconcile;
 use super::super::round::tests::{FRIEND, RECORDER, Shelf, held, place, record};
 use super::*;
@@ -16,7 +17,11 @@ fn topic(number: u64) -> TopicId {
 
 /// The record with a number, in its topic.
 fn whole(number: u64) -> Fetched {
-    let header = Header {
+    Fetched { blob: header(number).encode(), ..record(number) }
+}
+
+fn header(number: u64) -> Header {
+    Header {
         kind: RecordKind::Data,
         domain: Domain([1; 32]),
         owner: FRIEND,
@@ -31,8 +36,7 @@ fn whole(number: u64) -> Fetched {
         body_length: 16,
         salt: Salt([1; 24]),
         commit: Commit([1; 32]),
-    };
-    Fetched { blob: header.encode(), ..record(number) }
+    }
 }
 
 fn ranges(many: &[Wanted]) -> Vec<(u64, u64)> {
@@ -149,6 +153,74 @@ async fn a_gateway_of_an_earlier_version_is_asked_for_one_range_at_a_time() {
     assert_eq!(sizes, [[9].to_vec(), vec![1; 20]].concat(), "it is not asked again in this session");
     course.connected();
     assert!(!course.one_by_one, "but in the next one");
+}
+
+/// Long ranges of several topics: while any of a topic is still to be asked for, no other line fetches it.
+#[tokio::test]
+async fn what_is_not_fetched_yet_stays_claimed_while_other_topics_are_taken() {
+    let here = Shelf::default();
+    let mut other = Long { fetching: std::sync::Arc::clone(&here.fetching), free: Vec::new() };
+    let (mut course, mut round) = (Course::default(), Round::default());
+    course.was_true = true;
+    reconcile(&mut other, &here, &mut course, &mut round).await.expect("a round");
+    assert_eq!((round.taken, other.free), (600, Vec::new()));
+    for number in [1, 201, 401] {
+        let claimed = here.fetching.claim((FRIEND, RECORDER, hundreds(number)), 1..=600);
+        assert_eq!(claimed.numbers.len(), 600, "all are free again");
+    }
+}
+
+/// A number has a hundred and ninety-nine neighbours in its topic.
+fn hundreds(number: u64) -> TopicId {
+    TopicId([u8::try_from((number - 1) / 200).expect("few"); 16])
+}
+
+/// Holds three topics of two hundred numbers, and looks what is claimed whenever it is asked.
+struct Long {
+    fetching: std::sync::Arc<Fetching>,
+    /// Numbers that were asked for and that another line could have claimed.
+    free: Vec<u64>,
+}
+
+#[async_trait]
+impl Other for Long {
+    async fn holdings(&mut self, _: HoldingPlace) -> Result<Holdings, GatewayError> {
+        let part = |first| Held { topic_id: hundreds(first), ..held(FRIEND, first..first + 200) };
+        Ok(Holdings { held: [1, 201, 401].map(part).to_vec(), next: place(1), more: false })
+    }
+
+    async fn hand_over(&mut self, wanted: Wanted) -> Result<HandedOver, GatewayError> {
+        let claimed = self.fetching.claim((FRIEND, RECORDER, wanted.topic_id), wanted.first..=wanted.last);
+        self.free.extend(&claimed.numbers);
+        let upto = wanted.last.min(wanted.first + MOST_HANDED as u64 - 1);
+        let records = (wanted.first..=upto).map(|number| {
+            let blob = Header { topic_id: wanted.topic_id, ..header(number) }.encode();
+            Fetched { blob, ..record(number) }
+        });
+        Ok(HandedOver { records: records.collect(), next: (upto < wanted.last).then_some(upto + 1) })
+    }
+
+    async fn hand_over_many(&mut self, wanted: &[Wanted]) -> Result<Option<ManyHandedOver>, GatewayError> {
+        let first = wanted.first().copied().expect("something");
+        let handed = self.hand_over(first).await?;
+        // The rest is asked for again.
+        let (next, range) = handed.next.map_or((wanted.get(1).map(|one| one.first), 1), |next| (Some(next), 0));
+        Ok(Some(ManyHandedOver { handed: HandedOver { next, ..handed }, range }))
+    }
+
+    async fn erasures(&mut self, _: ErasurePlace) -> Result<Option<Erasures>, GatewayError> {
+        Ok(None)
+    }
+}
+
+#[test]
+fn a_range_that_is_longer_than_may_be_asked_for_is_asked_for_in_parts() {
+    let parts = |range| requested(range).collect::<Vec<_>>();
+    assert_eq!(parts((7, 7)), [(7, 7)]);
+    assert_eq!(parts((1, MOST_TOLD)), [(1, MOST_TOLD)]);
+    let (two, end) = (2 * MOST_TOLD, 2 * MOST_TOLD + 5);
+    assert_eq!(parts((1, end)), [(1, MOST_TOLD), (MOST_TOLD + 1, two), (two + 1, end)]);
+    assert_eq!(parts((u64::MAX - 1, u64::MAX)), [(u64::MAX - 1, u64::MAX)]);
 }
 
 /// What cannot be ends the visit, and nothing of such an answer is taken.
