@@ -2,7 +2,7 @@
 //! recorder and topic, in the order of the anchoring blocks; then the records of a range, with their proofs.
 
 use crate::model::wire::{Reader, WireError};
-use crate::model::{Address, Ranges, RecorderId, TopicId};
+use crate::model::{Address, Header, Ranges, RecorderId, TopicId};
 
 use super::answer::Fetched;
 
@@ -152,6 +152,12 @@ impl Wanted {
         let mut range = Ranges::default();
         let fits = range.push(wanted.first, wanted.last) && range.count() <= MOST_TOLD;
         if fits { Ok(wanted) } else { Err(WireError::Value("range")) }
+    }
+
+    /// Whether a record is one of the range.
+    pub fn has(&self, header: &Header) -> bool {
+        (self.owner, self.recorder, self.topic_id) == (header.owner, header.recorder, header.topic_id)
+            && (self.first..=self.last).contains(&header.seq)
     }
 
     /// How many numbers the range has.

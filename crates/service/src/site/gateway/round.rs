@@ -15,7 +15,7 @@ use crate::gateway::{
     Client, Code, ErasurePlace, Erasures, Fetched, GatewayError, HandedOver, Held, HoldingPlace, Holdings,
     ManyHandedOver, Refusal, ToldErasure, Wanted,
 };
-use crate::model::{Address, Digest, Header, Ranges, RecorderId, TopicId};
+use crate::model::{Address, Digest, Ranges, RecorderId, TopicId};
 use crate::store::Lacking;
 
 /// How many blocks are read again: a gateway may note anchors of a block a moment later than of the next.
@@ -97,15 +97,6 @@ pub(super) struct Handed {
     pub until: u64,
     /// The records.
     pub records: Vec<Fetched>,
-}
-
-impl Handed {
-    /// Whether a record is one of those that were asked for.
-    pub fn has(&self, header: &Header) -> bool {
-        let Wanted { owner, recorder, topic_id, first, last } = self.wanted;
-        (owner, recorder, topic_id) == (header.owner, header.recorder, header.topic_id)
-            && (first..=last).contains(&header.seq)
-    }
 }
 
 /// What became of records that were handed over.

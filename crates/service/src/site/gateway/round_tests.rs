@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::super::fetching::{Claim, Fetching, Which};
 use super::super::visit::{MOST_LATER, MOST_PAGES, MOST_REFUSED, MOST_REQUESTS};
 use super::*;
-use crate::model::{PublicKey, Signature};
+use crate::model::{Header, PublicKey, Signature};
 
 pub(in crate::site::gateway) const RECORDER: RecorderId = RecorderId([2; 16]);
 pub(in crate::site::gateway) const TOPIC: TopicId = TopicId([3; 16]);

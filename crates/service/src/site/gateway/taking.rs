@@ -303,9 +303,7 @@ fn asked_for(network: &Network, wanted: &Wanted, record: &Fetched) -> Result<(),
     if header.domain != network.domain {
         return Err(Refusal::new(Code::NotYours, format_args!("record {} is of another network", header.seq)));
     }
-    let asked = (header.owner, header.recorder, header.topic_id) == (wanted.owner, wanted.recorder, wanted.topic_id)
-        && (wanted.first..=wanted.last).contains(&header.seq);
-    if !asked {
+    if !wanted.has(&header) {
         return Err(Refusal::new(Code::Malformed, format_args!("record {} was not asked for", header.seq)));
     }
     if signer_id(&record.signer) != header.signer {

@@ -53,10 +53,9 @@ impl List {
         self.wanted.iter().map(Wanted::count).sum()
     }
 
-    /// Whether one answer can also hold this range; the first one may be longer than that.
+    /// Whether one answer can also hold this range.
     fn has_room_for(&self, one: &Wanted) -> bool {
-        let fits = self.count().saturating_add(one.count()) <= MOST_HANDED as u64;
-        self.wanted.is_empty() || self.wanted.len() < MOST_RANGES && fits
+        self.wanted.len() < MOST_RANGES && self.count().saturating_add(one.count()) <= MOST_HANDED as u64
     }
 }
 
@@ -265,6 +264,7 @@ impl<'a, Far: Other, Near: Here> Visit<'a, Far, Near> {
         let mut open = wanted.count();
         for (first, last) in wanted.iter().flat_map(requested) {
             let one = Wanted { owner, recorder, topic_id, first, last };
+            // The first one may be longer than an answer.
             let has_room = self.list.wanted.is_empty() || self.asks_together() && self.list.has_room_for(&one);
             if !has_room && !self.ask_for_all().await? {
                 self.round.lacking += open;
@@ -404,8 +404,9 @@ fn dealt_with(list: &mut Vec<Wanted>, asked: usize, many: ManyHandedOver) -> Res
     }
     for record in records {
         // One that nobody asked for is refused with whatever it comes with.
-        let place =
-            Header::parse(&record.blob).ok().and_then(|(header, _)| parts.iter().position(|part| part.has(&header)));
+        let place = Header::parse(&record.blob)
+            .ok()
+            .and_then(|(header, _)| parts.iter().position(|part| part.wanted.has(&header)));
         if let Some(part) = parts.get_mut(place.unwrap_or(0)) {
             part.records.push(record);
         }
