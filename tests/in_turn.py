@@ -30,6 +30,8 @@ UNKNOWN = {"flow": 5, "heavy flow": 15, "unit tests": 40, "checks": 90}
 SLOWEST = 20
 # Of each flow that failed so many lines are printed once more at the end, where a log is read first.
 LAST_LINES = 100
+# And of each failure its reason at the very end: so many lines, none longer than so many characters.
+REASON_LINES, REASON_WIDTH = 8, 240
 # Every so many seconds it says what is still running.
 STILL = 300
 
@@ -112,12 +114,22 @@ def jobs():
     return sorted(wanted, key=lambda job: -job.expected), known
 
 
+def reasons(output):
+    """The first lines of what each failed test of a program said, without the calls that led there."""
+    _, _, failures = output.partition("\nfailures:\n")
+    told = re.findall(r"^---- (.+) stdout ----\n(.*?)(?=^---- |^failures:|\Z)", failures, re.MULTILINE | re.DOTALL)
+    for name, said in told:
+        begin = max(said.find("panicked at"), 0)
+        lines = said[begin:].partition("stack backtrace:")[0].strip().splitlines()
+        yield name, [line[:REASON_WIDTH] for line in lines[:REASON_LINES]]
+
+
 class Turns:
     """Who is next, who runs, and what was found."""
 
     def __init__(self, waiting):
         self.waiting, self.running, self.ended, self.failed = waiting, [], [], False
-        self.said = []
+        self.said, self.reasons = [], []
         self.sums, self.lock = [0, 0, 0], threading.Condition()
 
     def next(self):
@@ -142,6 +154,7 @@ class Turns:
                 self.running.remove(job)
                 self.ended.append(job)
                 self.failed |= status != 0
+                self.reasons += reasons(output) if status != 0 else []
                 (self.tell_flow if job.is_flow else self.tell_program)(job, output, status)
                 self.lock.notify_all()
 
@@ -175,8 +188,9 @@ class Turns:
         heavy = [job for job in self.ended if job.is_heavy]
         for name, some in (("all", self.ended), ("the heavy ones", heavy)):
             print(f"{sum(job.seconds for job in some):8.1f} {sum(job.processor for job in some):7.1f}  {name}")
-        for name, lines in self.said:
-            print("\n".join([f"\nthe last lines of {name}", *(f"    {line}" for line in lines)]))
+        for title, told in (("the last lines of", self.said), ("the reason of", self.reasons)):
+            for name, lines in told:
+                print("\n".join([f"\n{title} {name}", *(f"    {line}" for line in lines)]))
         passed, failed, ignored = self.sums
         verdict = "FAILED" if failed else "ok"
         print(f"test result: {verdict}. {passed} passed; {failed} failed; {ignored} ignored; all flows; "

@@ -234,7 +234,13 @@ fn a_moving_record_is_aimed_at_opened_searched_for_and_left_while_others_come() 
     authros.run(&["topics", "watch", CAMERA]).expect_code(0);
     for (columns, rows) in [(80, 24), (200, 50)] {
         let mut operator = Operator(Console::open_in(&Terminal::of(columns, rows), &authros, &[]));
-        operator.presses("3").sees("verified").presses("\u{1b}[B\u{1b}[B").sees("as of");
+        operator.presses("3").sees_so_often("verified", 3).presses("\u{1b}[B\u{1b}[B").sees("as of");
+        // The screen may be seen after the first of the two keys, or while a frame is still being written.
+        let third =
+            |shown: &str| shown.lines().skip_while(|line| !line.contains("Topic ")).nth(3).map(is_at_the_cursor);
+        wait_until(PATIENCE, "the cursor to be at the third row", || {
+            Some(()).filter(|()| third(&operator.0.shown()) == Some(true))
+        });
         let aimed = selected(&operator.0.shown());
         let newest = || authros.records(&["uploads", "list", "--newest"]);
         let before = text(&newest()[0], "id");
@@ -254,14 +260,18 @@ fn a_moving_record_is_aimed_at_opened_searched_for_and_left_while_others_come() 
     }
 }
 
-/// Topic, sequence number and size of the row at the cursor: the part that does not change.
+fn is_at_the_cursor(row: &str) -> bool {
+    row.starts_with('▌')
+}
+
+/// Topic, sequence number, size and time of the row at the cursor: the part that does not change.
 fn selected(shown: &str) -> Vec<String> {
-    let row = shown.lines().find(|line| line.starts_with('▌')).expect("a row with the cursor");
+    let row = shown.lines().find(|line| is_at_the_cursor(line)).expect("a row with the cursor");
     // On a wide terminal the pane is beside the list.
     let row = row.split('│').next().unwrap_or_default();
-    row.split_whitespace()
-        .skip(1)
-        .filter(|word| word.starts_with('/') || word.contains(':'))
-        .map(str::to_owned)
-        .collect()
+    let mut words: Vec<String> =
+        row.split_whitespace().skip_while(|word| !word.starts_with('/')).map(str::to_owned).collect();
+    let time = words.iter().position(|word| word.contains(':')).expect("a time");
+    words.truncate(time + 1);
+    words
 }

@@ -42,7 +42,8 @@ def main():
     heard, number = 0, 0
     say(ready=True)
     while True:
-        publishers = len(reader.get_matched_publications())
+        # The list of them (get_matched_publications) fails if one comes between its two readings.
+        publishers = reader.get_subscription_matched_status().current_count
         if publishers != heard:
             heard = publishers
             say(publishers=heard)
