@@ -7,11 +7,12 @@ use std::path::Path;
 
 use serde_json::Value;
 use support::{
-    Authros, Console, Home, Redis, Roscore, Running, Terminal, count, heavy, is_verified, list, list_bag, long,
+    Anvil, Authros, Console, Home, Redis, Roscore, Running, Terminal, count, heavy, is_verified, list, list_bag, long,
     make_bag, skipped, text, two_profiles, wait_until,
 };
 
 const NO_ROS: &str = "no roscore, rosbag and rostopic in /usr/bin";
+const NO_NODE: &str = "no anvil; tests/run installs it into target/peers";
 const NO_REDIS: &str = "no redis-server and redis-cli";
 const TOPICS: [&str; 3] = ["/odom", "/words", LATCHED];
 const LATCHED: &str = "/calibration";
@@ -184,6 +185,45 @@ fn a_simulated_robot_is_played_live_until_the_revoke() {
         let topics = list(&two.bob.json(&["topics", "list"]), "topics");
         topics.iter().all(|topic| topic["topic"] != played.as_str() || is_silent(topic)).then_some(())
     });
+}
+
+#[test]
+fn nothing_played_live_is_left_out_when_another_reader_s_grant_ends() {
+    let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
+    let home = Home::new();
+    let _site = home.authros().with(&["--robots", "1", "--chain", &node.http()]).serve(&home);
+    let [alice, bob, carol, dave] = ["alice", "bob", "carol", "dave"].map(|name| home.profile(name));
+    let [_, to_bob, to_carol, to_dave] = [&alice, &bob, &carol, &dave].map(|profile| {
+        let address = text(&profile.json(&["identity", "create"]), "address");
+        node.fund(&address);
+        profile.json(&["register"]);
+        address
+    });
+    alice.json(&["topics", "watch", ODOM]);
+    for reader in [&to_bob, &to_carol, &to_dave] {
+        alice.json(&["grant", reader]);
+    }
+    let prefix = "/shared/alice";
+    let mut player = bob.spawn(&["--json", "shared", "play", "--follow", "--prefix", prefix, "--topic", ODOM]);
+    let played = format!("{prefix}{ODOM}");
+    wait_until(60, "it is published", || {
+        player.expect_running();
+        let topics = list(&bob.json(&["topics", "list"]), "topics");
+        topics.iter().any(|topic| topic["topic"] == played.as_str()).then_some(())
+    });
+    // With each an epoch begins, under which records are sealed and verified before its key is with those who may read on.
+    node.set_interval(1);
+    for reader in [&to_carol, &to_dave] {
+        alice.json(&["revoke", reader]);
+        let verified = || alice.records(&["uploads", "list", "--state", "verified"]).len();
+        let before = verified();
+        wait_until(60, "more is verified", || Some(()).filter(|()| verified() >= before + 5));
+    }
+    player.expect_running();
+    alice.json(&["revoke", &to_bob]);
+    let ended = player.wait(60).expect_code(REFUSED).document();
+    let figures = ["refused", "missing", "dropped"].map(|figure| count(&ended, figure));
+    assert_eq!((&ended["ended_by"], figures), (&"revoked".into(), [0, 0, 0]), "{ended}");
 }
 
 #[test]

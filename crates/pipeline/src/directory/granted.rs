@@ -86,6 +86,18 @@ impl Granted {
         self.wrapped.get(&epoch).is_some_and(|newest| *newest >= block)
     }
 
+    /// The newest epoch that has an envelope.
+    pub fn newest_wrapped(&self) -> Option<u64> {
+        self.wrapped.keys().next_back().copied()
+    }
+
+    /// The epochs before `epoch` and since the grant that have no envelope, as far back as memory goes. Each of them began
+    /// while it stood: it cannot be extended once it has ended.
+    pub fn unwrapped_before(&self, epoch: u64) -> impl Iterator<Item = u64> {
+        let oldest = self.wrapped.keys().next().copied().unwrap_or(epoch);
+        (oldest.max(self.terms.epoch)..epoch).filter(|epoch| !self.is_wrapped(*epoch))
+    }
+
     /// The number of its entries in memory.
     #[cfg(test)]
     pub(super) fn held(&self) -> usize {

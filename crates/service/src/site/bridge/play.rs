@@ -16,7 +16,7 @@ use super::feed::{Feed, Item};
 use super::names::Names;
 use super::pacer::{Pacer, TICK};
 use super::target::{Form, Target};
-use crate::crypto::OpenedRecord;
+use crate::crypto::{CryptoError, OpenedRecord};
 use crate::model::{Address, Digest, ErrorKind, Hash, Scope, Timestamp, clean};
 use crate::pipeline::reader::{Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
@@ -24,6 +24,8 @@ use crate::service::command::{Pace, PlayWishes};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::{Failure, PlayEnd, PlayedView};
 use crate::site::lifetime::Lifetime;
+use crate::store::RecordRow;
+use rights::AwaitedKey;
 
 /// Interval between looks for newly verified records.
 const LOOK: Duration = Duration::from_millis(200);
@@ -103,6 +105,7 @@ pub(super) struct Play<'a> {
     clock: Option<String>,
     definitions: HashMap<(Address, Digest), Arc<str>>,
     rights_at: Instant,
+    awaited: HashMap<Address, AwaitedKey>,
     registered_at: Instant,
     published: u64,
     refused: u64,
@@ -141,6 +144,7 @@ impl<'a> Play<'a> {
             clock: None,
             definitions: HashMap::new(),
             rights_at: now,
+            awaited: HashMap::new(),
             registered_at: now,
             published: 0,
             refused: 0,
@@ -244,7 +248,7 @@ impl<'a> Play<'a> {
         let opened = self.reader().open(row).await;
         let record = match opened {
             Ok(record) => record,
-            Err(error) => return self.judge(error),
+            Err(error) => return self.judge(row, error),
         };
         if !self.is_wanted(&record.head.topic) {
             return Ok(Taken::Done);
@@ -279,7 +283,7 @@ impl<'a> Play<'a> {
         }
         let allowed = self.reader().authorise(&item.row);
         if let Err(error) = allowed {
-            return self.judge(error);
+            return self.judge(&item.row, error);
         }
         if !self.target.publish(form, source, &record.body) {
             let follows = self.wishes.pace == Pace::Follow;
@@ -351,7 +355,7 @@ impl<'a> Play<'a> {
     }
 
     /// A record that does not open is counted; a failure that is not the record's ends the playback, or is retried.
-    fn judge(&mut self, error: PipelineError) -> Result<Taken, Failure> {
+    fn judge(&mut self, row: &RecordRow, error: PipelineError) -> Result<Taken, Failure> {
         let follows = self.wishes.pace == Pace::Follow;
         match (&error, error.kind()) {
             (PipelineError::Missing(_) | PipelineError::Deleted(..) | PipelineError::Erased { .. }, _) => {
@@ -363,6 +367,10 @@ impl<'a> Play<'a> {
                 self.rights_at = Instant::now().checked_sub(RIGHTS).unwrap_or(self.rights_at);
                 if let Some(end) = self.end() {
                     return Ok(Taken::Ended(end));
+                }
+                let is_locked_up = matches!(error, PipelineError::Crypto(CryptoError::WrongKey));
+                if follows && is_locked_up && self.awaits_key(row) {
+                    return Ok(Taken::Later);
                 }
                 Ok(self.refuse(NO_RIGHT.to_owned()))
             }

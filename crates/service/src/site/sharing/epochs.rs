@@ -2,6 +2,7 @@
 //! recorder switches before the transaction is sent.
 
 use super::Sharing;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::chain::Call;
@@ -97,20 +98,35 @@ impl Sharing {
         Err(refused(format!("earlier transactions of '{}' are still not in a block", owner.profile)))
     }
 
-    /// Active readers who lack an envelope of the current epoch for their current key; not those who are being revoked.
-    pub(in crate::site) fn lacking(&self, owner: &Owner, network: &Network) -> Result<Vec<Granted>, Failure> {
-        let epoch = network.directory.epoch(owner.address);
-        let mut lacking = authority::standing_grants(&network.directory, owner.address);
-        lacking
-            .retain(|grant| !grant.is_wrapped_since(epoch, network.directory.envelope_key_since(grant.terms.grantee)));
+    /// Active readers who lack an envelope, by its epoch: of the current one for their current key, or of an earlier one that
+    /// began since their grant, because the epoch after it began before they could be given it. Not those who are being
+    /// revoked.
+    pub(in crate::site) fn lacking(
+        &self,
+        owner: &Owner,
+        network: &Network,
+    ) -> Result<BTreeMap<u64, Vec<Granted>>, Failure> {
+        let (epoch, known) = (network.directory.epoch(owner.address), owner.epochs(network.domain));
+        let mut lacking: BTreeMap<u64, Vec<Granted>> = BTreeMap::new();
+        for grant in authority::standing_grants(&network.directory, owner.address) {
+            let since = network.directory.envelope_key_since(grant.terms.grantee);
+            let current = Some(epoch).filter(|epoch| !grant.is_wrapped_since(*epoch, since));
+            let earlier = grant.unwrapped_before(epoch).filter(|epoch| known.contains(epoch));
+            for epoch in earlier.chain(current).collect::<Vec<u64>>() {
+                lacking.entry(epoch).or_default().push(grant.clone());
+            }
+        }
         if !lacking.is_empty() {
             let leaving = self.owed_revocations(owner, network)?;
-            lacking.retain(|grant| !leaving.contains(&grant.terms.grantee));
+            lacking.retain(|_, grants| {
+                grants.retain(|grant| !leaving.contains(&grant.terms.grantee));
+                !grants.is_empty()
+            });
         }
         Ok(lacking)
     }
 
-    /// Sends envelopes of the current epoch to every active reader who lacks one. If one reader cannot be given any,
+    /// Sends every active reader the envelopes that they lack, the oldest epoch first. If one reader cannot be given any,
     /// the others still get theirs.
     ///
     /// # Errors
@@ -120,9 +136,22 @@ impl Sharing {
         owner: &Arc<Owner>,
         network: &Network,
     ) -> Result<(), Failure> {
-        let epoch = network.directory.epoch(owner.address);
+        let mut failed = None;
+        for (epoch, grants) in self.lacking(owner, network)? {
+            failed = self.rewrap_epoch(owner, network, epoch, grants).await.err().or(failed);
+        }
+        failed.map_or(Ok(()), Err)
+    }
+
+    async fn rewrap_epoch(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        network: &Network,
+        epoch: u64,
+        grants: Vec<Granted>,
+    ) -> Result<(), Failure> {
         let (mut envelopes, mut failed) = (Vec::new(), None);
-        for grant in self.lacking(owner, network)? {
+        for grant in grants {
             let checked = self.contacts.check_reader(network, owner.address, grant.terms.grantee).await;
             match checked.and_then(|()| self.envelope_for(owner, network, &grant, epoch)) {
                 Ok(envelope) => envelopes.push((grant.terms.grantee, envelope)),

@@ -39,6 +39,41 @@ async fn a_grant_is_given_once_to_a_known_key_and_its_end_begins_an_epoch() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_epoch_whose_keys_did_not_reach_a_reader_before_the_next_began_is_given_afterwards() {
+    let (site, _folder) = site_with_chain();
+    let (alice, bob) = (registered(&site, "alice").await, registered(&site, "bob").await);
+    let sharing = &site.sharing;
+    // No grant covers this one.
+    sharing.rotate(&alice, "before the grant").await.expect("rotates");
+    let to_bob = Party::Address(bob.address);
+    let given = sharing.grant(&alice, &to_bob, &[], Epochs::Current, None).await.expect("given");
+    assert_eq!(given.epoch, 2);
+
+    // As if the site had ended between the epoch and its envelopes.
+    let network = site.network().await.expect("a network");
+    let new_token = alice.prepare_epoch(network.domain, 3).expect("prepared");
+    alice.seal_under(network.domain, 3).expect("sealed under it");
+    let call = crate::chain::Call::Rotate { new_token };
+    let (_, receipt) = sharing.sender.send(&network.chain, &alice.eoa(), call, "rotate").await.expect("on the chain");
+    sharing.link.scanned(receipt.block).await;
+    alice.confirm_epoch(network.domain, 3).expect("confirmed");
+    let readable = || {
+        let reader = crate::pipeline::reader::Reader { plant: &sharing.plant, network: &network, reader: &bob };
+        let grant = sharing.active_grant(&network, alice.address, bob.address).expect("stands");
+        let envelopes = reader.envelopes(&grant).expect("read");
+        let mut epochs: Vec<u64> = envelopes.iter().map(|envelope| envelope.terms.epoch).collect();
+        epochs.sort_unstable();
+        epochs
+    };
+    let owed = || sharing.lacking(&alice, &network).expect("owed").into_keys().collect::<Vec<_>>();
+    assert_eq!((readable(), owed()), (vec![2], vec![3]));
+
+    sharing.rotate(&alice, "the one after").await.expect("rotates");
+    assert_eq!((readable(), owed()), (vec![2, 3, 4], vec![]));
+    site.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn nothing_is_granted_to_a_contact_with_another_key_until_it_is_confirmed() {
     let (site, _folder) = site_with_chain();
     let (alice, bob) = (registered(&site, "alice").await, made(&site, "bob").await);
