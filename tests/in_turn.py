@@ -30,8 +30,8 @@ UNKNOWN = {"flow": 5, "heavy flow": 15, "unit tests": 40, "checks": 90}
 SLOWEST = 20
 # Of each flow that failed so many lines are printed once more at the end, where a log is read first.
 LAST_LINES = 100
-# And of each failure its reason at the very end: so many lines, none longer than so many characters.
-REASON_LINES, REASON_WIDTH = 8, 240
+# And of each failure its reason at the very end: so many lines, of each so many characters at its beginning and its end.
+REASON_LINES, REASON_WIDTH = 8, 120
 # Every so many seconds it says what is still running.
 STILL = 300
 
@@ -114,6 +114,11 @@ def jobs():
     return sorted(wanted, key=lambda job: -job.expected), known
 
 
+def shortened(line):
+    """A line without its middle, if it is long."""
+    return line if len(line) <= 2 * REASON_WIDTH else f"{line[:REASON_WIDTH]} … {line[-REASON_WIDTH:]}"
+
+
 def reasons(output):
     """The first lines of what each failed test of a program said, without the calls that led there."""
     _, _, failures = output.partition("\nfailures:\n")
@@ -121,7 +126,7 @@ def reasons(output):
     for name, said in told:
         begin = max(said.find("panicked at"), 0)
         lines = said[begin:].partition("stack backtrace:")[0].strip().splitlines()
-        yield name, [line[:REASON_WIDTH] for line in lines[:REASON_LINES]]
+        yield name, [shortened(line) for line in lines[:REASON_LINES]]
 
 
 class Turns:
