@@ -12,7 +12,7 @@ use super::read_while_suspended::send;
 use super::support::gate::Gate;
 use super::support::member::{Member, connect};
 use super::support::stub_desk::{self, Tells};
-use super::support::{Authros, Home, is_verified, list as listed, poll};
+use super::support::{Authros, Home, is_verified, poll};
 use super::{Outcome, judge};
 
 /// Sessions that a site may open within [`WINDOW`] for a gateway that ends each of them.
@@ -82,10 +82,7 @@ async fn wear_a_reader_out() {
     let list = ["shared", "list", "--owner", &owned];
     let arrived = tokio::task::block_in_place(|| {
         poll(60, || {
-            // While a list is still on its way, that is said instead.
-            let answer = bob.run(&[&["--json"][..], &list].concat());
-            let came = Some(answer).filter(|answer| answer.code == Some(0))?;
-            let records = listed(&came.document(), "records");
+            let records = bob.records_so_far(&list)?;
             (records.len() == 1 && records.iter().all(is_verified)).then_some(())
         })
     });

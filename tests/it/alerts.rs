@@ -282,7 +282,7 @@ fn a_webhook_over_tls_is_told_where_its_authority_is_known_and_nobody_else_is() 
     let roots = folder.join("ca.pem").display().to_string();
     let known = named.with_variable("AUTHROS_ALERTS_ROOTS", &roots);
     assert_eq!(text(&known.json(&["alerts", "test"]), "text"), "204");
-    assert!(server.stdout().contains("\"state\":\"test\""), "{}", server.stdout());
+    server.wait_for_text("\"state\":\"test\"", 30);
     let by_system = named.with_variable("SSL_CERT_FILE", &roots);
     assert_eq!(text(&by_system.json(&["alerts", "test"]), "text"), "204");
     let empty = home.file("empty.pem", "no certificate\n", 0o600);

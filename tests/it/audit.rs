@@ -62,7 +62,7 @@ fn every_deed_is_a_line_and_refusals_are_counted() {
         ("capture start", TOPIC, "begun"),
         ("capture start", TOPIC, "done"),
         ("capture stop", TOPIC, "2 captured"),
-        ("refused", "not_granted", "3 in the minute from"),
+        ("refused", "not_granted", "in the minute from"),
         ("grant", &reader, "begun"),
         ("grant", &reader, "done"),
         ("list shared", "records", "done"),
@@ -92,7 +92,11 @@ fn every_deed_is_a_line_and_refusals_are_counted() {
         assert!(all.iter().filter(of_it).any(has_ended), "{begun} has not ended: {all:#?}");
     }
     let refused = lines(&alice, &["--action", "refused"]);
-    assert!(refused.len() == 1 && refused[0]["profile"] == "bob", "one line for three refusals: {refused:?}");
+    let first = |line: &Value| text(line, "outcome").split(' ').next().and_then(|times| times.parse::<u64>().ok());
+    let times: u64 = refused.iter().map(|line| first(line).expect("a number")).sum();
+    // A line for each minute of the clock, and the three may lie on both sides of a full one.
+    assert!(times == 3 && refused.len() <= 2, "few lines for three refusals: {refused:?}");
+    assert!(refused.iter().all(|line| line["profile"] == "bob"), "{refused:?}");
     assert!(lines(&alice, &["--by", "bob"]).iter().all(|line| line["profile"] == "bob"));
     assert!(lines(&alice, &["--since", "2099-01-01T00:00:00Z"]).is_empty());
     assert_eq!(alice.json(&["audit", "verify", "--without-heads"])["ok"], true);

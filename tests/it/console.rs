@@ -18,7 +18,7 @@ fn one_robot(home: &Home) -> Authros {
 fn the_busiest_topics_are_shown_by_full_name_before_any_key() {
     let home = Home::new();
     let mut console = Console::open(&home.authros());
-    let screen = console.wait_for(TOPIC, 10);
+    let screen = console.wait_for(TOPIC, 60);
     assert!(!screen.to_lowercase().contains("enter your passphrase"), "nothing is asked first:\n{screen}");
     console.press("q");
     assert!(console.wait(20).success(), "{}", console.shown());
@@ -62,7 +62,7 @@ fn watch_odometry(console: &mut Console, authros: &Authros) {
     console.press("odometry\r");
     wait_until(10, "the filter leaves one topic", || Some(()).filter(|()| !console.shown().contains("/robot1/camera")));
     console.press("w");
-    console.wait_for("Passphrase", 10);
+    console.wait_for("Passphrase", 60);
     console.press(PASSPHRASE);
     assert!(!console.shown().contains(PASSPHRASE), "never shown");
     console.press("\r");
@@ -77,9 +77,9 @@ fn watch_odometry(console: &mut Console, authros: &Authros) {
 fn the_help_lists_the_keys() {
     let home = Home::new();
     let mut console = Console::open(&one_robot(&home));
-    console.wait_for(TOPIC, 10);
+    console.wait_for(TOPIC, 60);
     console.press("?");
-    console.wait_for("watch", 10);
+    console.wait_for("watch", 60);
     console.press("\u{1b}");
     console.press("q");
     console.wait(20);
@@ -118,13 +118,13 @@ fn a_console_killed_while_it_captures_loses_nothing_acknowledged() {
 fn a_small_terminal_and_no_colour_are_no_reason_to_fail() {
     let home = Home::new();
     let mut console = Console::open(&one_robot(&home).with_variable("NO_COLOR", "1"));
-    console.wait_for(TOPIC, 10);
+    console.wait_for(TOPIC, 60);
     console.resize(10, 40);
     wait_until(10, "it says that the terminal is small", || {
         Some(()).filter(|()| console.shown().lines().filter(|line| !line.trim().is_empty()).count() <= 3)
     });
     console.resize(30, 100);
-    console.wait_for(TOPIC, 10);
+    console.wait_for(TOPIC, 60);
     console.press("q");
     assert!(console.wait(20).success());
     console.expect_restored();

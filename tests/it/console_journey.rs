@@ -4,7 +4,7 @@
 
 use crate::support;
 
-use support::{Authros, Console, Home, Terminal, heavy, text, wait_until};
+use support::{Authros, Console, Home, Terminal, heavy, poll, text, wait_until};
 
 const ODOMETRY: &str = "/robot1/odom";
 const CAMERA: &str = "/robot1/camera/compressed";
@@ -45,6 +45,24 @@ impl Operator {
         self
     }
 
+    /// Presses keys that are for a row until their effect is seen: they are given up after some seconds without rows.
+    fn presses_until(&mut self, keys: &str, text: &str) -> &mut Self {
+        wait_until(PATIENCE, &format!("'{text}' after {keys:?}"), || {
+            self.0.press(keys);
+            poll(5, || self.0.shown().contains(text).then_some(()))
+        });
+        self
+    }
+
+    /// Takes the filter away: a message on the screen goes first.
+    fn clears_the_filter(&mut self) -> &mut Self {
+        wait_until(PATIENCE, "the filter to go", || {
+            self.0.press("\u{1b}");
+            poll(1, || (!self.0.shown().contains("filter:")).then_some(()))
+        });
+        self
+    }
+
     /// Quits, even while records are pending.
     fn leaves(&mut self) {
         self.presses("\u{3}");
@@ -77,8 +95,8 @@ fn from_nothing_to_verified_records_of_two_topics() {
     operator.sees_so_often("watched", 2);
     operator.presses("3").sees("verified").sees("/robot1/");
     operator.presses("f").sees("FROZEN").presses("/verified\r").presses("\u{1b}[H");
-    operator.presses("f").no_longer_sees("FROZEN").sees("verified").presses("\r");
-    operator.sees("SM3 ").presses("\u{1b}[6~").sees("hashes to the root").presses("q");
+    operator.presses("f").no_longer_sees("FROZEN").presses_until("\r", "SM3 ");
+    operator.presses("\u{1b}[6~").sees("hashes to the root").presses("q");
     operator.presses("1").sees(" = ").sees("balanced");
     operator.leaves();
 }
@@ -105,13 +123,19 @@ fn a_grant_reaches_a_second_console_that_opens_a_record_and_a_revoke_ends_it() {
     alice.presses("i").sees("Revoking does not undo reads").presses("q");
 
     let mut bob = Operator::opens(&bob);
-    bob.presses("4").sees(ODOMETRY).presses("b").sees("All records").presses("\u{1b}[B\r").sees("filter: owner:0x");
+    bob.presses("4")
+        .sees(ODOMETRY)
+        .presses("b")
+        .sees("All records")
+        .sees("shares all topics")
+        .presses("\u{1b}[B\r")
+        .sees("filter: owner:0x");
     bob.presses("/").presses(" tag:mission=elsewhere\r").no_longer_sees(ODOMETRY);
-    bob.presses("\u{1b}")
+    bob.clears_the_filter()
         .sees(ODOMETRY)
         .presses("/tag:mission=harbour type:nav_msgs/Odometry\r")
         .sees("filter: tag:mission");
-    bob.presses("\r").sees("digest matches the chain").sees("nav_msgs/Odometry").presses("q");
+    bob.presses_until("\r", "digest matches the chain").sees("nav_msgs/Odometry").presses("q");
 
     alice.presses("x").sees("cannot be recalled").presses("x").no_longer_sees("cannot be recalled");
     alice.presses("x").sees("cannot be recalled").presses("y").sees("0 can read new records now");
@@ -131,7 +155,7 @@ fn filter_order_and_screen_are_there_again_at_the_next_start() {
     let mut again = Operator::opens(&authros);
     again.sees("by Hz").sees("filter: odom").sees(ODOMETRY);
     assert!(!again.0.shown().contains(CAMERA), "the filter holds");
-    again.presses("\u{1b}").sees(CAMERA);
+    again.clears_the_filter().sees(CAMERA);
     again.leaves();
 }
 
@@ -143,7 +167,7 @@ fn a_locked_console_captures_on_and_opens_nothing_until_it_is_unlocked() {
     let passphrase = home.file("passphrase", PASSPHRASE, 0o600);
     authros.with(&["--passphrase-file", &passphrase]).enrol();
     let mut operator = Operator::opens(&authros);
-    operator.sees("Unlock the keyring").presses(PASSPHRASE).presses("\r").sees("keyring unlocked");
+    operator.sees("Unlock the keyring").sees("LOCKED").presses(PASSPHRASE).presses("\r").no_longer_sees("LOCKED");
     authros.run(&["topics", "watch", ODOMETRY]).expect_code(0);
     operator.presses("3").sees("verified");
 

@@ -57,7 +57,7 @@ fn a_panic_of_the_drawing_thread_gives_the_terminal_back_and_says_where() {
     console.press("9");
     assert!(!console.wait(30).success());
     console.expect_restored();
-    let said = console.shown();
+    let said = console.wait_for("AUTHROS_FAULT", 30);
     assert!(said.contains("renderer.rs") && said.contains("AUTHROS_FAULT"), "{said}");
 }
 
@@ -239,8 +239,10 @@ fn keys_and_theme_of_ones_own_and_errors_by_line() {
     std::fs::write(&keymap, "[topics]\nkeys = [\n  { on = \"v\", run = \"wacth\" },\n]\n").expect("written");
     let mut console = Console::open(&one_robot(&home));
     assert!(!console.wait(30).success());
-    let said = console.wait_for("keymap.toml", 10).replace('\n', "");
-    assert!(said.contains("line 3") && said.contains("wacth"), "{said}");
+    let whole = |console: &Console| console.shown().replace('\n', "");
+    support::poll(30, || whole(&console).contains("wacth").then_some(()));
+    let said = whole(&console);
+    assert!(said.contains("keymap.toml") && said.contains("line 3") && said.contains("wacth"), "{said}");
 }
 
 #[test]

@@ -115,9 +115,8 @@ fn a_reader_who_comes_after_the_erasure_is_told_of_it_by_its_owner() {
     alice.json(&["gateway", "admit", &account]);
     alice.json(&["grant", &account, "--topic", ODOM]);
     let _reader = bob.serve(&away);
-    let shared = || bob.records(&["shared", "list"]);
     let listed = wait_until(120, "all are listed and settled", || {
-        let records = shared();
+        let records = bob.records_so_far(&["shared", "list"])?;
         let settled = |record: &Value| is_verified(record) || record["state"] == "deleted";
         (records.len() == before.len() && records.iter().all(settled)).then_some(records)
     });

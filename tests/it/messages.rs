@@ -151,8 +151,15 @@ fn open_picture(console: &mut Console) {
         let shown = console.shown();
         (shown.contains(CAMERA) && !shown.contains("/robot1/odom ")).then_some(())
     });
-    console.press("o");
-    console.wait_for(" Picture ", 30);
+    opened(console, " Picture ");
+}
+
+/// Opens the record at the cursor; a key for a row is given up after some seconds without rows.
+fn opened(console: &mut Console, text: &str) {
+    support::wait_until(60, text, || {
+        console.press("o");
+        support::poll(5, || console.shown().contains(text).then_some(()))
+    });
 }
 
 /// Waits until this many complete pictures have come, each between `begin` and `end`; returns the last one and what is
@@ -260,7 +267,7 @@ fn expect_seen(reader: &Authros) {
         (console.shown().matches('▀').count() > 300).then_some(())
     });
     console.press("\t");
-    console.wait_for("640 x 480", 10);
+    console.wait_for("640 x 480", 60);
     console.press("q");
     console.press("/");
     console.press("\u{15}odom\r");
@@ -268,8 +275,7 @@ fn expect_seen(reader: &Authros) {
         let shown = console.shown();
         (shown.contains("/robot1/odom") && !shown.contains(CAMERA)).then_some(())
     });
-    console.press("o");
-    console.wait_for("Linear velocity, m/s", 30);
+    opened(&mut console, "Linear velocity, m/s");
     console.press("\t");
     console.wait_for("Path: last", 30);
     assert!(console.shown().contains("this record"), "{}", console.shown());

@@ -208,9 +208,9 @@ fn a_list_says_who_may_publish() {
     let authros = home.authros().with(&["--ros-master", &roscore.uri()]);
     let authros = authros.with_variable("AUTHROS_PINS", "list").with_variable("AUTHROS_PUBLISHERS", &listed);
     let _site = authros.serve(&home);
-    let capture = authros.with(&["--json"]).spawn(&["capture", "--topic", TOPIC, "--for", "15s"]);
     let _stranger = roscore.publish_as("stranger", TOPIC, FORGED.0, 20);
     let _driver = roscore.publish_as("driver", TOPIC, GOOD.0, 20);
+    let capture = authros.with(&["--json"]).spawn(&["capture", "--topic", TOPIC, "--for", "15s"]);
     let outcome = capture.wait(120).expect_code(8);
     let summary = outcome.document();
     let (captured, verified, held) =

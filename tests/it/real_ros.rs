@@ -154,8 +154,9 @@ fn a_topic_of_another_type_than_asked_for_is_not_captured() {
     let Some(roscore) = Roscore::start() else { skipped!(NO_ROS) };
     let home = Home::new();
     let _publisher = roscore.publish("/words", "std_msgs/String", "data: words", 10);
+    wait_until(60, "it is published", || (!roscore.publishers("/words").is_empty()).then_some(()));
     let authros = home.authros().with(&["--ros-master", &roscore.uri(), "--json"]);
-    let outcome = authros.run(&["capture", "--topic", "/words", "--type", "nav_msgs/Odometry", "--for", "4s"]);
+    let outcome = authros.run(&["capture", "--topic", "/words", "--type", "nav_msgs/Odometry", "--for", "6s"]);
     assert!(matches!(outcome.code, Some(3 | 5 | 8)), "{outcome}");
     assert_eq!(outcome.document()["captured"].as_u64().unwrap_or(0), 0, "{outcome}");
     assert!(count(&outcome.document(), "skipped") > 0, "what was left out is counted: {outcome}");

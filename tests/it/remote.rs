@@ -50,7 +50,7 @@ fn ids(records: &[Value]) -> BTreeSet<String> {
 }
 
 fn shared(authros: &Authros) -> BTreeSet<String> {
-    ids(&authros.records(&["shared", "list"]))
+    ids(&wait_until(60, "a list", || authros.records_so_far(&["shared", "list"])))
 }
 
 #[test]
@@ -80,7 +80,7 @@ fn an_operator_without_a_chain_client_reads_what_is_shared_until_the_revoke() {
     gate.alice.json(&["grant", &address]);
     let own = gate.alice.records(&["uploads", "list"]);
     wait_until(60, "what is shared comes in", || (shared(&bob) == ids(&own)).then_some(()));
-    for record in bob.records(&["shared", "list"]) {
+    for record in wait_until(60, "a list", || bob.records_so_far(&["shared", "list"])) {
         let id = text(&record, "id");
         assert_eq!((&record["topic"], &record["type"]), (&"/robot1/odom".into(), &"nav_msgs/Odometry".into()));
         let checked = wait_until(60, "verified", || {

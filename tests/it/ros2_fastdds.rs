@@ -44,7 +44,7 @@ fn messages_of_fast_dds_arrive_whole_reliable_or_not_small_or_large() {
     let copy = |name: &str| home.root().join(name).to_str().expect("UTF-8").to_owned();
     for (topic, kind, number, hertz, size, flag) in [
         ("/fast", "string", fast, "1000", "100", ""),
-        ("/loose", "string", fast, "1000", "100", "best_effort"),
+        ("/loose", "string", fast, "200", "100", "best_effort"),
         ("/camera", "image", pictures, "10", "1000000", ""),
     ] {
         let number_text = number.to_string();

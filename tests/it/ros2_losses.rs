@@ -37,10 +37,11 @@ fn with_a_small_receive_buffer_what_is_reported_lost_is_what_was_sent_and_not_re
     let alice = home.profile("alice");
     alice.enrol();
 
-    let capture = alice.with(&["--json"]).spawn(&["capture", "--topic", "/camera", "--for", "12s"]);
     // The first and the last message are small: between two that arrive every number is accounted for.
     let flags = ["best_effort", "small_ends"];
     let mut camera = Talker::start(&network, &[&["/camera", "image", "40", "10", "1000000"], &flags[..]].concat());
+    // It waits for its reader; capture goes on until after its last message.
+    let capture = alice.with(&["--json"]).spawn(&["capture", "--topic", "/camera", "--for", "16s"]);
     assert_eq!(count(&camera.sent(60), "sent"), 40);
     let outcome = capture.wait(240);
     let summary = outcome.document();

@@ -56,7 +56,7 @@ fn a_real_subscriber_in_the_reader_s_domain_hears_what_the_robot_said() {
     // The lengths are no multiples of four, which DDS fills up.
     let kinds = [
         ("/words", "string", "300", "300", "37", ""),
-        ("/loose", "string", "300", "300", "121", "best_effort"),
+        ("/loose", "string", "300", "100", "121", "best_effort"),
         ("/camera", "image", "10", "20", "60001", ""),
     ];
     let originals = kinds.map(|(topic, kind, .., flag)| Listener::start(&network, "0", &[topic, kind, flag]));

@@ -171,7 +171,7 @@ fn two_profiles_watch_one_topic_at_once_and_both_hold_every_message() {
     let capture = ["capture", "--topic", "/robot1/odom", "--for", "5s"];
     let running = [&two.alice, &two.bob].map(|authros| authros.with(&["--json"]).spawn(&capture));
     for summary in running.map(|running| running.wait(120).expect_code(0).document()) {
-        assert!(summary["captured"].as_u64() >= Some(40) && summary["captured"] == summary["verified"], "{summary}");
+        assert!(summary["captured"].as_u64() >= Some(5) && summary["captured"] == summary["verified"], "{summary}");
         assert_eq!(summary["lost"], 0, "{summary}");
     }
     let [hers, his] = [&two.alice, &two.bob].map(|authros| {

@@ -86,9 +86,18 @@ pub struct Idle {
     pub cpu: f64,
 }
 
+/// Waits until the console's site is there and its lists have come; it draws before. Of another program there is nothing to
+/// wait for.
+fn up(console: &Console) {
+    let waits =
+        |shown: &str| shown.trim().is_empty() || ["starting…", "Asking"].iter().any(|word| shown.contains(word));
+    poll(30, || (!waits(&console.shown())).then_some(()));
+}
+
 /// Waits until it is up, then observes it for this long.
 pub fn idle(subject: &Subject, terminal: &Terminal, settle: Duration, watch: Duration) -> Idle {
     let console = subject.start(terminal);
+    up(&console);
     std::thread::sleep(settle);
     let (bytes, cpu, begin) = (console.bytes(), cpu_seconds(console.id()), Instant::now());
     std::thread::sleep(watch);
@@ -104,10 +113,12 @@ pub fn idle(subject: &Subject, terminal: &Terminal, settle: Duration, watch: Dur
 /// before counting begins.
 pub fn bytes_per_key(subject: &Subject, before: &[&str], keys: &[&str], presses: u32) -> f64 {
     let mut console = subject.start(&Terminal::of(80, 24));
+    up(&console);
     std::thread::sleep(Duration::from_secs(2));
     for key in before {
         console.press(key);
         quiet(&console);
+        up(&console);
     }
     let press = |console: &mut Console, count: u32| {
         for key in keys.iter().cycle().take(count as usize) {
@@ -159,12 +170,14 @@ pub struct Lost {
 /// Takes the terminal away, with the accompanying signal (`hung_up`) or without it.
 pub fn lost(subject: &Subject, directory: &Path, hung_up: bool) -> Lost {
     let (running, process) = in_script(subject, directory, hung_up);
+    // `script` shows what it draws; before that it may not have taken the terminal.
+    poll(60, || (running.stdout().len() > 500).then_some(()));
     std::thread::sleep(Duration::from_secs(2));
     let (before, begin) = (cpu_seconds(process), Instant::now());
     signal("KILL", &running.id().to_string());
     let alive = || is_alive(process);
     let mut last = before;
-    let ended_after = tight(10, || {
+    let ended_after = tight(30, || {
         last = last.max(cpu_seconds(process));
         (!alive()).then(|| begin.elapsed().as_secs_f64())
     });

@@ -11,6 +11,8 @@ fn expect_empty_restart_survived(mode: Mode, restarted: bool) {
     field.grow(10);
     let before = field.expect_settled(&node, 60);
 
+    // Nothing of what comes now is mined before the node dies.
+    node.set_interval(0);
     field.watch();
     let node = node.kill_and_start_empty(&[]);
     field.expect_told(&["chain adopt"], 60);

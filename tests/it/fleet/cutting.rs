@@ -15,7 +15,7 @@ use support::anvil::{call, number};
 use support::member::Member as Keys;
 
 /// One block and two seconds are promised; the rest is for a busy machine.
-const HEEDED: Duration = Duration::from_secs(10);
+const HEEDED: Duration = Duration::from_secs(30);
 
 /// The block of the first event of the contract after a block.
 fn first_event_after(ground: &Ground, head: u64) -> u64 {

@@ -9,7 +9,7 @@ use support::skipped;
 fn a_reader_whose_site_runs_gets_what_was_granted_once_the_gateway_takes_the_grant_for_final() {
     let _alone = heavy();
     let Some(ground) = Ground::on_anvil() else { skipped!("no anvil; tests/run installs it into target/peers") };
-    let gateway = Gateway::of([ground.url.clone(), ground.contract.clone()], "6", "");
+    let gateway = Gateway::of([ground.url.clone(), ground.contract.clone()], "12", "");
     let alice = Member::on(Some(&ground), "alice", &[&gateway]);
     let (bob, carol) = (Member::on(Some(&ground), "bob", &[&gateway]), Member::on(Some(&ground), "carol", &[&gateway]));
     let robot = Robot::enrol(&alice, "scout", &[&gateway]);

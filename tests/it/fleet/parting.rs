@@ -34,7 +34,7 @@ fn two_gateways_that_were_parted_hold_everything_once_when_the_line_is_back() {
     assert!(all > before, "both went on: {during:?} after {before}");
     let own = alice.verified(&["uploads", "list"], all);
     for (reader, gateway) in readers.iter().zip(&gateways) {
-        let has = reader.authros.records(&shared).len() as u64;
+        let has = wait_until(60, "a list", || reader.authros.records_so_far(&shared)).len() as u64;
         assert!((before..all).contains(&has), "{has} of {all}: nothing crosses the line");
         assert!(fellows(gateway)[0]["problem"].is_string());
     }
