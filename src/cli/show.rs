@@ -105,7 +105,6 @@ documents! {
     IdentityView => lists::identity;
     KeyChangeView => key_change;
     KeysView => lists::keys;
-    RecordPage => lists::records;
     Provenance => lists::provenance;
     TransactionView => transaction;
     Box<ChainView> => lists::chain;
@@ -168,6 +167,13 @@ impl Printed for Box<RecordAudit> {
     fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         output.result(&self, || check::audit(&self));
         Ok(check::audit_code(&self))
+    }
+}
+
+impl Printed for RecordPage {
+    fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
+        output.result(&self, || lists::records(&self));
+        Ok(if self.arriving.is_empty() { 0 } else { ErrorKind::Incomplete.exit_code() })
     }
 }
 

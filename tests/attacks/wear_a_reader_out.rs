@@ -1,6 +1,6 @@
 //! A gateway that a reader joins beside an honest one wants to keep his site busy: it lists for him and never lets him
-//! subscribe, or ends each subscription as it begins. He opens sessions in vain ever more rarely, and the honest gateway's
-//! records come to him all the same.
+//! subscribe, or ends each subscription as it begins, or its list has no end. He opens sessions and asks for pages in vain ever
+//! more rarely, and the honest gateway's records come to him all the same.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -17,12 +17,16 @@ use super::{Outcome, judge};
 
 /// Sessions that a site may open within [`WINDOW`] for a gateway that ends each of them.
 const FEW: usize = 5;
+/// Pages of a list that goes on and brings nothing, within the same time.
+const FEW_PAGES: usize = 200;
 const WINDOW: Duration = Duration::from_secs(8);
 
 #[derive(Default)]
 struct Tease {
     ends_them: AtomicBool,
     subscriptions: AtomicUsize,
+    has_no_end: AtomicBool,
+    pages: AtomicUsize,
 }
 
 impl Tells for Tease {
@@ -35,7 +39,9 @@ impl Tells for Tease {
     }
 
     fn listed(&self, _: &Query) -> Option<Page> {
-        Some(Page { entries: Vec::new(), next: None })
+        let page = self.pages.fetch_add(1, Ordering::AcqRel) + 1;
+        let next = self.has_no_end.load(Ordering::Acquire).then_some(page as u128);
+        Some(Page { entries: Vec::new(), next })
     }
 
     fn refuses_subscriptions(&self) -> Option<Code> {
@@ -45,12 +51,12 @@ impl Tells for Tease {
 }
 
 impl Tease {
-    /// How many subscriptions it was asked for, once it had been at it for a while.
-    async fn asked(&self) -> usize {
+    /// How often it was asked for what is counted, once it had been at it for a while.
+    async fn asked(&self, counted: &AtomicUsize) -> usize {
         tokio::time::sleep(WINDOW).await;
-        let before = self.subscriptions.load(Ordering::Acquire);
+        let before = counted.load(Ordering::Acquire);
         tokio::time::sleep(WINDOW).await;
-        self.subscriptions.load(Ordering::Acquire) - before
+        counted.load(Ordering::Acquire) - before
     }
 }
 
@@ -73,9 +79,11 @@ async fn wear_a_reader_out() {
     let bob = bob.with_variable("AUTHROS_SITE_ALSO", &format!("{}={key}", server.address()));
     let site = bob.serve(&his);
 
-    let refused = tease.asked().await;
+    let refused = tease.asked(&tease.subscriptions).await;
     tease.ends_them.store(true, Ordering::Release);
-    let ended = tease.asked().await;
+    let ended = tease.asked(&tease.subscriptions).await;
+    tease.has_no_end.store(true, Ordering::Release);
+    let pages = tease.asked(&tease.pages).await;
     let credentials = owner.allocate(&gate.gateway, "robot-7").await.expect("allocates");
     let mut robot = connect(&gate.gateway, &credentials).await;
     send(&owner, &mut robot, 1).await;
@@ -88,12 +96,13 @@ async fn wear_a_reader_out() {
     });
     drop(site);
     server.stop(Duration::from_secs(2)).await;
-    let told = format!("asked for {refused} and {ended} subscriptions in {} s each", WINDOW.as_secs());
+    let seconds = WINDOW.as_secs();
+    let told = format!("asked for {refused} and {ended} subscriptions and {pages} pages in {seconds} s each");
     let outcome = if arrived.is_none() {
         Outcome::Succeeded(format!("the honest gateway's record did not come; {told}"))
-    } else if refused.max(ended) > FEW {
+    } else if refused.max(ended) > FEW || pages > FEW_PAGES {
         Outcome::Succeeded(told)
-    } else if refused.min(ended) == 0 {
+    } else if refused.min(ended).min(pages) == 0 {
         Outcome::Otherwise(format!("it is not asked again at all: {told}"))
     } else {
         Outcome::Refused(told)

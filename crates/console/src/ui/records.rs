@@ -125,6 +125,9 @@ fn note(records: &Records, wanted: &Wanted) -> String {
     if records.next.is_some() {
         note.push_str(", more below");
     }
+    for address in &records.arriving {
+        note.push_str(&format!(", not all of {address} is here"));
+    }
     let asked = &wanted.asked;
     let words = [
         asked.topic.as_ref().map(|topic| format!("only {topic}")),

@@ -12,7 +12,7 @@ use crate::pipeline::Owner;
 use crate::service::command::{
     self as ask, Ask, Command, IncidentCommand, Operation, RecordingCommand, RecordingProgress, Request, StoreCommand,
 };
-use crate::service::reply::{Failure, GatewaysView, Reply};
+use crate::service::reply::{Failure, GatewaysView, RecordPage, Reply};
 use crate::site::devices::pulling::span;
 use crate::site::mirror::comparing::Wishes;
 
@@ -108,7 +108,10 @@ impl Site {
             }
             Command::StampEvidence => self.stamps.stamp().await.map(ask::StampEvidence::told),
             Command::ListShared(query) => {
-                self.reading.list_shared(&self.caught_up_owner(&profile).await?, query).await.map(ask::ListShared::told)
+                let owner = owner()?;
+                let arriving = self.joined.caught_up(&profile).await?;
+                let page = self.reading.list_shared(&owner, query).await?;
+                Ok(ask::ListShared::told(RecordPage { arriving, ..page }))
             }
             Command::CompareGateways { owner: of, topic, copies } => {
                 let wishes = Wishes { owner: of, topic, copies };
@@ -287,7 +290,8 @@ impl Site {
         self.parts.log.deed(&owner.profile, "compare gateways", &format!("records of {whose}"), compared).await
     }
 
-    /// The profile's owner, once the records shared with it are known up to now.
+    /// The profile's owner, once the records shared with it are known up to now: those of each gateway that does not keep
+    /// others waiting.
     async fn caught_up_owner(self: &Arc<Self>, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
         let owner = self.parts.owners.unlocked(profile)?;
         self.joined.caught_up(profile).await?;

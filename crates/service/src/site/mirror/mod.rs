@@ -9,6 +9,7 @@ mod listing_tests;
 mod missed;
 mod own_erasures;
 mod pace;
+mod patience;
 mod place;
 mod remote;
 pub(super) mod remotes;
@@ -40,6 +41,7 @@ use crate::service::reply::Failure;
 use missed::Missed;
 use own_erasures::OwnErasures;
 use pace::Pace;
+use patience::Patience;
 use place::Place;
 use remote::{Mirrored, Remote};
 use remotes::Remotes;
@@ -336,46 +338,55 @@ impl Joined {
         let from = Timestamp::from_seconds(begin);
         let selection = Selection::all(source);
         let mut query = Query { selection, from, until: Timestamp(u64::MAX), cursor: 0, limit: PAGE };
+        let mut patience = Patience::default();
         loop {
             let page = match client.query(&query).await {
                 // A grant ended meanwhile and the chain is going to say so, or it is asked for again.
                 Err(GatewayError::Refused(Code::NotAuthorised)) => return Ok(()),
                 page => page?,
             };
+            let mut new = false;
             for entry in &page.entries {
                 place.newest = place.newest.max(entry.captured_at.seconds());
                 if mirror.wants(entry)? {
-                    self.fetch(client, mirror, (source, entry), missed).await?;
+                    new |= self.fetch(client, mirror, (source, entry), missed).await?;
                 }
             }
             let Some(next) = page.next else { break };
             query.cursor = next;
+            let pause = patience.after(page.entries.len(), new)?;
+            if !pause.is_zero() {
+                tokio::time::sleep(pause).await;
+            }
         }
         Ok(place.listed(begin, Timestamp::now()).save(&self.plant.ledger)?)
     }
 
+    /// Returns whether the gateway has it.
     async fn fetch(
         &self,
         client: &mut Client,
         mirror: &Mirror<'_>,
         (source, entry): (Address, &Entry),
         missed: &mut Missed,
-    ) -> Result<(), Broken> {
+    ) -> Result<bool, Broken> {
         match client.fetch(&entry.digest).await {
             Ok(record) => {
                 if !self.take(mirror, source, entry, record).await? {
                     missed.add(source, entry, Instant::now());
                 }
-                Ok(())
+                return Ok(true);
             }
-            Err(GatewayError::Refused(Code::NotFound)) => self.learn_erased(client, mirror, source, entry).await,
-            Err(GatewayError::Refused(Code::NotAuthorised | Code::Tampered)) => Ok(()),
+            Err(GatewayError::Refused(Code::NotFound)) => {
+                self.learn_erased(client, mirror, source, entry).await?;
+            }
+            Err(GatewayError::Refused(Code::NotAuthorised | Code::Tampered)) => {}
             Err(GatewayError::Crypto(error)) => {
                 self.hub.notice(NoticeLevel::Error, &PipelineError::from(error).to_string());
-                Ok(())
             }
-            Err(error) => Err(error.into()),
+            Err(error) => return Err(error.into()),
         }
+        Ok(false)
     }
 
     /// Fetches again the records that have a proof by now. Returns whether the gateway was asked anything.

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 use tokio::task::block_in_place;
@@ -23,7 +23,7 @@ use crate::service::reply::Failure;
 
 /// How long a gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// The progress of a profile's mirror.
+/// What a profile's mirror has come to.
 #[derive(Debug, Clone)]
 pub(in crate::site) enum Mirrored {
     /// It has not caught up yet.
@@ -34,6 +34,31 @@ pub(in crate::site) enum Mirrored {
     Failed(Failure),
 }
 
+/// The progress of a profile's mirror.
+#[derive(Debug, Clone, Default)]
+pub(in crate::site) struct Progress {
+    /// Since when it has neither caught up nor failed; nothing if that is how it stands.
+    pub behind_since: Option<Instant>,
+    /// How often it has caught up or failed. A gateway that ends each subscription at once lets it catch up for moments.
+    pub settled: u64,
+    /// The end of the last attempt.
+    pub last: Option<Result<(), Failure>>,
+}
+
+impl Progress {
+    fn note(&mut self, mirrored: Mirrored) {
+        let ended = match mirrored {
+            Mirrored::Behind => {
+                self.behind_since.get_or_insert_with(Instant::now);
+                return;
+            }
+            Mirrored::Caught => Ok(()),
+            Mirrored::Failed(failure) => Err(failure),
+        };
+        *self = Self { behind_since: None, settled: self.settled + 1, last: Some(ended) };
+    }
+}
+
 /// The link to the gateway.
 pub(crate) struct Remote {
     address: String,
@@ -42,7 +67,7 @@ pub(crate) struct Remote {
     provider: &'static dyn Provider,
     trust: Arc<KeptTrust>,
     line: Mutex<Option<Arc<ChainLine>>>,
-    mirrored: watch::Sender<BTreeMap<ProfileName, Mirrored>>,
+    mirrored: watch::Sender<BTreeMap<ProfileName, Progress>>,
 }
 
 impl Remote {
@@ -72,7 +97,7 @@ impl Remote {
     }
 
     /// The progress of each profile's mirror, from now on.
-    pub fn follow(&self) -> watch::Receiver<BTreeMap<ProfileName, Mirrored>> {
+    pub fn follow(&self) -> watch::Receiver<BTreeMap<ProfileName, Progress>> {
         self.mirrored.subscribe()
     }
 
@@ -170,10 +195,16 @@ impl Remote {
         Ok(key)
     }
 
+    /// As if it had been behind since then.
+    #[cfg(test)]
+    pub(super) fn set_behind_since(&self, profile: &ProfileName, since: Instant) {
+        self.mirrored.send_modify(|all| all.entry(profile.clone()).or_default().behind_since = Some(since));
+    }
+
     /// Notes the progress of a profile's mirror.
     pub fn note(&self, profile: &ProfileName, mirrored: Mirrored) {
         self.mirrored.send_modify(|all| {
-            all.insert(profile.clone(), mirrored);
+            all.entry(profile.clone()).or_default().note(mirrored);
         });
     }
 }

@@ -5,12 +5,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use super::Joined;
-use super::remote::{Mirrored, Remote};
+use super::remote::{Progress, Remote};
 use crate::chain::{Chain, ChainOptions, Endpoint, Pin, Relay, RelayLine};
 use crate::config::RemoteSite;
 use crate::crypto::Provider;
 use crate::gateway::{ChainLine, ChainLines, GatewayError, GrantNotice, KeptTrust, NetworkName, RevokeNotice};
-use crate::model::{Address, ErrorKind, ProfileName};
+use crate::model::{Address, ErrorKind, ProfileName, clean};
 use crate::paths::Home;
 use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
@@ -107,41 +107,52 @@ impl Remotes {
         Ok(chain)
     }
 
-    /// Waits until the mirror of one gateway has settled for a profile.
+    /// Waits until the mirror of one gateway has caught up for a profile, or failed; nothing if it has been behind for too
+    /// long.
     pub(super) async fn settled(remote: &Remote, profile: &ProfileName) -> Option<Result<(), Failure>> {
-        let mut mirrored = remote.follow();
-        let settled = mirrored.wait_for(|all| matches!(all.get(profile), Some(Mirrored::Caught | Mirrored::Failed(_))));
-        let all = tokio::time::timeout(FIRST_ROUND, settled).await.ok()?.ok()?;
-        Some(match all.get(profile) {
-            Some(Mirrored::Failed(failure)) => Err(failure.clone()),
-            _ => Ok(()),
-        })
+        let mut progress = remote.follow();
+        let begun = progress.borrow().get(profile).cloned().unwrap_or_default();
+        let patience = FIRST_ROUND.saturating_sub(begun.behind_since.map_or(Duration::ZERO, |since| since.elapsed()));
+        let is_settled =
+            |one: &Progress| one.settled > begun.settled || (one.settled > 0 && one.behind_since.is_none());
+        let settled = progress.wait_for(|all| all.get(profile).is_some_and(is_settled));
+        let all = tokio::time::timeout(patience, settled).await.ok()?.ok()?;
+        all.get(profile)?.last.clone()
     }
 }
 
 impl Joined {
     /// Waits until the gateways' records for a profile are here; returns at once if this site joins none. Of several
-    /// gateways one that answers is enough: the others' records come when those are back.
+    /// gateways one that answers is enough: the others' records come when those are back. The addresses of those whose
+    /// records are still arriving: whoever never comes to an end does not keep the others' records back.
     ///
     /// # Errors
-    /// Why the last attempt failed.
-    pub(in crate::site) async fn caught_up(&self, profile: &ProfileName) -> Result<(), Failure> {
-        let Some(remotes) = &self.remotes else { return Ok(()) };
+    /// Why the last attempt failed, or that none is at its end.
+    pub(in crate::site) async fn caught_up(&self, profile: &ProfileName) -> Result<Vec<String>, Failure> {
+        let Some(remotes) = &self.remotes else { return Ok(Vec::new()) };
         self.link.network().await?;
-        let (mut caught, mut failed) = (false, None);
+        let (mut caught, mut failed, mut arriving) = (false, None, Vec::new());
         for remote in remotes.all() {
             match Remotes::settled(remote, profile).await {
                 Some(Ok(())) => caught = true,
                 Some(Err(failure)) => failed = failed.or(Some(failure)),
-                None => {
-                    let address = remote.address();
-                    let text =
-                        format!("the records of the gateway {address} are still arriving; try again in a moment");
-                    return Err(Failure::new(ErrorKind::Incomplete, text));
-                }
+                None => arriving.push(clean(remote.address(), 255)),
             }
         }
-        failed.filter(|_| !caught).map_or(Ok(()), Err)
+        match (caught, arriving.first()) {
+            (true, _) => Ok(arriving),
+            (false, Some(address)) => Err(still_arriving(address)),
+            (false, None) => failed.map_or(Ok(arriving), Err),
+        }
+    }
+
+    /// Like [`Self::caught_up`], for what has to be whole.
+    ///
+    /// # Errors
+    /// See there; and if records of any gateway are still arriving.
+    pub(in crate::site) async fn all_caught_up(&self, profile: &ProfileName) -> Result<(), Failure> {
+        let arriving = self.caught_up(profile).await?;
+        arriving.first().map_or(Ok(()), |address| Err(still_arriving(address)))
     }
 
     /// Tells the gateways of a grant, so that they need not wait for the chain.
@@ -167,5 +178,60 @@ impl Joined {
             let text = format!("a gateway could not be told and will learn of it from the chain: {error}");
             self.hub.notice(NoticeLevel::Warning, &text);
         }
+    }
+}
+
+fn still_arriving(address: &str) -> Failure {
+    let text = format!("the records of the gateway {address} are still arriving; try again in a moment, or without it");
+    Failure::new(ErrorKind::Incomplete, text)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::expect_used, reason = "a test fails by panicking")]
+
+    use std::time::Instant;
+
+    use super::super::remote::Mirrored;
+    use super::*;
+    use crate::crypto::{ProviderName, provider};
+
+    fn remote(folder: &tempfile::TempDir) -> Remote {
+        let trust = KeptTrust::open(folder.path().join("trust"), None, true).expect("a note");
+        Remote::new("127.0.0.1:1", None, trust, provider(ProviderName::RustCrypto))
+    }
+
+    #[tokio::test]
+    async fn a_gateway_that_lets_a_mirror_catch_up_for_moments_only_keeps_nobody_waiting() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (remote, profile) = (Arc::new(remote(&folder)), "bob".parse::<ProfileName>().expect("a name"));
+        remote.note(&profile, Mirrored::Behind);
+        let waiting = {
+            let (remote, profile) = (Arc::clone(&remote), profile.clone());
+            tokio::spawn(async move { Remotes::settled(&remote, &profile).await })
+        };
+        tokio::task::yield_now().await;
+        // The one who waits is on one thread with this, and sees only what is last.
+        remote.note(&profile, Mirrored::Caught);
+        remote.note(&profile, Mirrored::Behind);
+        assert_eq!(waiting.await.expect("no panic"), Some(Ok(())));
+
+        remote.note(&profile, Mirrored::Failed(refused("no")));
+        let failed = Remotes::settled(&remote, &profile).await;
+        assert!(matches!(failed, Some(Err(failure)) if failure.message == "no"), "as it stands");
+    }
+
+    #[tokio::test]
+    async fn a_gateway_that_never_comes_to_an_end_is_waited_for_once() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (remote, profile) = (remote(&folder), "bob".parse::<ProfileName>().expect("a name"));
+        remote.note(&profile, Mirrored::Caught);
+        remote.note(&profile, Mirrored::Behind);
+        remote.note(&profile, Mirrored::Behind);
+        let begun = Instant::now();
+        let short = tokio::time::timeout(Duration::from_millis(50), Remotes::settled(&remote, &profile)).await;
+        assert!(short.is_err(), "it may come to its end yet");
+        remote.set_behind_since(&profile, begun.checked_sub(FIRST_ROUND).expect("a machine up for longer"));
+        assert_eq!(Remotes::settled(&remote, &profile).await, None);
     }
 }
