@@ -7,14 +7,16 @@ use std::sync::Arc;
 use super::Site;
 use super::audit::acting::is_operator;
 use super::consoles::{Claims, opened_by, until_released};
-use crate::model::ProfileName;
+use crate::model::{ErrorKind, ProfileName};
 use crate::pipeline::Owner;
 use crate::service::command::{
-    self as ask, Ask, Command, IncidentCommand, Operation, RecordingCommand, RecordingProgress, Request, StoreCommand,
+    self as ask, Ask, Command, IncidentCommand, Operation, Pace, RecordingCommand, RecordingProgress, Request,
+    StoreCommand,
 };
 use crate::service::reply::{Failure, GatewaysView, RecordPage, Reply};
 use crate::site::devices::pulling::span;
 use crate::site::mirror::comparing::Wishes;
+use crate::site::mirror::remotes::still_arriving;
 
 impl Site {
     /// Answers one request. Each variant has its arm here, so a request that nothing answers does not compile.
@@ -108,8 +110,7 @@ impl Site {
             }
             Command::StampEvidence => self.stamps.stamp().await.map(ask::StampEvidence::told),
             Command::ListShared(query) => {
-                let owner = owner()?;
-                let arriving = self.joined.caught_up(&profile).await?;
+                let (owner, arriving) = self.caught_up_owner(&profile).await?;
                 let page = self.reading.list_shared(&owner, query).await?;
                 Ok(ask::ListShared::told(RecordPage { arriving, ..page }))
             }
@@ -118,17 +119,26 @@ impl Site {
                 self.compare_gateways(&owner()?, wishes).await.map(ask::CompareGateways::told)
             }
             Command::CheckShared { id } => {
-                self.reading.check_record(&self.caught_up_owner(&profile).await?, &id).await.map(ask::CheckShared::told)
+                let (owner, arriving) = self.caught_up_owner(&profile).await?;
+                let view = self.reading.check_record(&owner, &id).await;
+                view.map_err(|failure| or_arriving(failure, &arriving)).map(ask::CheckShared::told)
             }
             Command::OpenShared { id } => {
-                let view = self.reading.open_record(&self.caught_up_owner(&profile).await?, &id).await;
-                view.map(Box::new).map(ask::OpenShared::told)
+                let (owner, arriving) = self.caught_up_owner(&profile).await?;
+                let view = self.reading.open_record(&owner, &id).await;
+                view.map_err(|failure| or_arriving(failure, &arriving)).map(Box::new).map(ask::OpenShared::told)
             }
             Command::View(viewing) => {
-                self.reading.handle_viewing(&self.caught_up_owner(&profile).await?, viewing).await
+                let (owner, arriving) = self.caught_up_owner(&profile).await?;
+                let told = self.reading.handle_viewing(&owner, viewing).await;
+                told.map_err(|failure| or_arriving(failure, &arriving))
             }
             Command::Play(wishes) => {
-                let owner = self.caught_up_owner(&profile).await?;
+                let (owner, arriving) = self.caught_up_owner(&profile).await?;
+                // What comes later is played then; of the past all is played, or nothing.
+                if let Some(address) = arriving.first().filter(|_| wishes.pace != Pace::Follow) {
+                    return Err(still_arriving(address));
+                }
                 self.bridge.play(&owner, wishes, until_released(claims)).await.map(ask::Play::told)
             }
             Command::StopPlay => {
@@ -290,11 +300,16 @@ impl Site {
         self.parts.log.deed(&owner.profile, "compare gateways", &format!("records of {whose}"), compared).await
     }
 
-    /// The profile's owner, once the records shared with it are known up to now: those of each gateway that does not keep
-    /// others waiting.
-    async fn caught_up_owner(self: &Arc<Self>, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
+    /// The profile's owner, once the records shared with it are known up to now, and the gateways whose records are still
+    /// arriving.
+    async fn caught_up_owner(self: &Arc<Self>, profile: &ProfileName) -> Result<(Arc<Owner>, Vec<String>), Failure> {
         let owner = self.parts.owners.unlocked(profile)?;
-        self.joined.caught_up(profile).await?;
-        Ok(owner)
+        Ok((owner, self.joined.caught_up(profile).await?))
     }
+}
+
+/// A record that is not here may be among those that are still arriving.
+fn or_arriving(failure: Failure, arriving: &[String]) -> Failure {
+    let instead = arriving.first().filter(|_| failure.kind == ErrorKind::Input);
+    instead.map_or(failure, |address| still_arriving(address))
 }

@@ -105,7 +105,8 @@ pub(super) struct Play<'a> {
     clock: Option<String>,
     definitions: HashMap<(Address, Digest), Arc<str>>,
     rights_at: Instant,
-    awaited: HashMap<Address, AwaitedKey>,
+    /// Keys that have not come yet, by owner and epoch.
+    awaited: HashMap<(Address, u64), AwaitedKey>,
     registered_at: Instant,
     published: u64,
     refused: u64,
@@ -245,11 +246,15 @@ impl<'a> Play<'a> {
         if !self.givers.contains_key(&row.owner) {
             return Ok(self.refuse(NO_RIGHT.to_owned()));
         }
+        if self.looked_for_key(row) {
+            return Ok(Taken::Later);
+        }
         let opened = self.reader().open(row).await;
         let record = match opened {
             Ok(record) => record,
             Err(error) => return self.judge(row, error),
         };
+        self.awaited.remove(&(row.owner, row.epoch));
         if !self.is_wanted(&record.head.topic) {
             return Ok(Taken::Done);
         }

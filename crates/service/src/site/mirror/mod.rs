@@ -133,16 +133,15 @@ impl Joined {
         let Some(remote) = self.remotes.as_ref().and_then(|remotes| remotes.all().get(place)) else { return };
         let (mut pause, mut stale, mut pace) = (PAUSES.0, None, Pace::default());
         let mut told = OwnErasures::default();
+        remote.not_asked(&owner.profile);
         while !self.life.is_stopping() && self.owners.is_open(&owner) {
-            let Some(network) = self.link.network_now() else {
+            let known = self.link.network_now();
+            // d_E decrypts the transport key.
+            let Some(network) = known.filter(|_| !owner.is_locked()) else {
+                remote.not_asked(&owner.profile);
                 tokio::time::sleep(TICK).await;
                 continue;
             };
-            if owner.is_locked() {
-                // d_E decrypts the transport key.
-                tokio::time::sleep(TICK).await;
-                continue;
-            }
             if network.directory.identity(owner.address).is_err() {
                 // Nobody can share with it, and the gateway does not know it.
                 remote.note(&owner.profile, Mirrored::Caught);
@@ -349,44 +348,41 @@ impl Joined {
             for entry in &page.entries {
                 place.newest = place.newest.max(entry.captured_at.seconds());
                 if mirror.wants(entry)? {
-                    new |= self.fetch(client, mirror, (source, entry), missed).await?;
+                    // What cannot be taken in is nothing new, however often it is handed over.
+                    let was_here = self.has(entry)?;
+                    self.fetch(client, mirror, (source, entry), missed).await?;
+                    new |= !was_here && self.has(entry)?;
                 }
             }
             let Some(next) = page.next else { break };
             query.cursor = next;
-            let pause = patience.after(page.entries.len(), new)?;
-            if !pause.is_zero() {
-                tokio::time::sleep(pause).await;
-            }
+            tokio::time::sleep(patience.after(page.entries.len(), new)?).await;
         }
         Ok(place.listed(begin, Timestamp::now()).save(&self.plant.ledger)?)
     }
 
-    /// Returns whether the gateway has it.
     async fn fetch(
         &self,
         client: &mut Client,
         mirror: &Mirror<'_>,
         (source, entry): (Address, &Entry),
         missed: &mut Missed,
-    ) -> Result<bool, Broken> {
+    ) -> Result<(), Broken> {
         match client.fetch(&entry.digest).await {
             Ok(record) => {
                 if !self.take(mirror, source, entry, record).await? {
                     missed.add(source, entry, Instant::now());
                 }
-                return Ok(true);
+                Ok(())
             }
-            Err(GatewayError::Refused(Code::NotFound)) => {
-                self.learn_erased(client, mirror, source, entry).await?;
-            }
-            Err(GatewayError::Refused(Code::NotAuthorised | Code::Tampered)) => {}
+            Err(GatewayError::Refused(Code::NotFound)) => self.learn_erased(client, mirror, source, entry).await,
+            Err(GatewayError::Refused(Code::NotAuthorised | Code::Tampered)) => Ok(()),
             Err(GatewayError::Crypto(error)) => {
                 self.hub.notice(NoticeLevel::Error, &PipelineError::from(error).to_string());
+                Ok(())
             }
-            Err(error) => return Err(error.into()),
+            Err(error) => Err(error.into()),
         }
-        Ok(false)
     }
 
     /// Fetches again the records that have a proof by now. Returns whether the gateway was asked anything.

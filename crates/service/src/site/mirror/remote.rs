@@ -195,6 +195,16 @@ impl Remote {
         Ok(key)
     }
 
+    /// Nothing is asked of the gateway for a profile now; it is not the gateway that keeps it waiting.
+    pub fn not_asked(&self, profile: &ProfileName) {
+        self.mirrored.send_if_modified(|all| {
+            if let Some(since) = all.get_mut(profile).and_then(|one| one.behind_since.as_mut()) {
+                *since = Instant::now();
+            }
+            false
+        });
+    }
+
     /// As if it had been behind since then.
     #[cfg(test)]
     pub(super) fn set_behind_since(&self, profile: &ProfileName, since: Instant) {

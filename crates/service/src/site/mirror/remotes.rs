@@ -1,8 +1,12 @@
 //! The gateways of the site that this one joins, in order: the chain comes through the one that knows the newest block, the
 //! records from all of them.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
+
+use tokio::task::JoinSet;
+use tokio::time::{Instant, timeout_at};
 
 use super::Joined;
 use super::remote::{Progress, Remote};
@@ -20,6 +24,9 @@ use crate::site::chain::connection::Lost;
 
 /// How long a command waits until the gateways' records are here.
 pub(super) const FIRST_ROUND: Duration = Duration::from_secs(90);
+
+/// How long it waits for the others' once those of one are.
+const OTHERS: Duration = Duration::from_secs(30);
 
 /// The gateways that this site joins; at least one.
 pub(crate) struct Remotes(Vec<Arc<Remote>>);
@@ -131,14 +138,26 @@ impl Joined {
     pub(in crate::site) async fn caught_up(&self, profile: &ProfileName) -> Result<Vec<String>, Failure> {
         let Some(remotes) = &self.remotes else { return Ok(Vec::new()) };
         self.link.network().await?;
-        let (mut caught, mut failed, mut arriving) = (false, None, Vec::new());
-        for remote in remotes.all() {
-            match Remotes::settled(remote, profile).await {
-                Some(Ok(())) => caught = true,
-                Some(Err(failure)) => failed = failed.or(Some(failure)),
-                None => arriving.push(clean(remote.address(), 255)),
-            }
+        let mut waits = JoinSet::new();
+        for (place, remote) in remotes.all().iter().enumerate() {
+            let (remote, profile) = (Arc::clone(remote), profile.clone());
+            waits.spawn(async move { (place, Remotes::settled(&remote, &profile).await) });
         }
+        let (mut caught, mut failed, mut until) = (false, None, Instant::now() + FIRST_ROUND);
+        let mut settled = BTreeSet::new();
+        while let Ok(Some(Ok((place, end)))) = timeout_at(until, waits.join_next()).await {
+            match end {
+                Some(Ok(())) => {
+                    caught = true;
+                    until = until.min(Instant::now() + OTHERS);
+                }
+                Some(Err(failure)) => failed = failed.or(Some(failure)),
+                None => continue,
+            }
+            settled.insert(place);
+        }
+        let of = remotes.all().iter().enumerate().filter(|(place, _)| !settled.contains(place));
+        let arriving: Vec<String> = of.map(|(_, remote)| clean(remote.address(), 255)).collect();
         match (caught, arriving.first()) {
             (true, _) => Ok(arriving),
             (false, Some(address)) => Err(still_arriving(address)),
@@ -181,8 +200,12 @@ impl Joined {
     }
 }
 
-fn still_arriving(address: &str) -> Failure {
-    let text = format!("the records of the gateway {address} are still arriving; try again in a moment, or without it");
+/// Not all that a gateway has is here.
+pub(in crate::site) fn still_arriving(address: &str) -> Failure {
+    let text = format!(
+        "the records of the gateway {address} are still arriving; try again in a moment, or take it out of the gateways \
+         that this home joins"
+    );
     Failure::new(ErrorKind::Incomplete, text)
 }
 

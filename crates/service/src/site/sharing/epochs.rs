@@ -52,7 +52,7 @@ impl Sharing {
         owner.confirm_epoch(network.domain, next)?;
         if let Err(failure) = self.rewrap(owner, network).await {
             let text = format!(
-                "some readers of {} do not have the keys of epoch {next} yet: {}",
+                "some readers of {} do not have all keys up to epoch {next} yet: {}",
                 owner.profile, failure.message
             );
             self.hub.notice(NoticeLevel::Error, &text);

@@ -10,46 +10,62 @@ use crate::service::event::NoticeLevel;
 use crate::service::reply::PlayEnd;
 use crate::store::RecordRow;
 
-/// How long a key is awaited before the operator is told.
+/// How long a key is awaited before the operator is told, and how often it is looked for.
 const UNTOLD: Duration = Duration::from_secs(10);
+const LOOK: Duration = Duration::from_millis(500);
 
-/// How long a record waits for an epoch that the chain does not know yet. Its owner's sites seal under an epoch before they
-/// send it to the chain; a number that anybody who may sign for her made up must not hold a topic for ever.
-const UNKNOWN: Duration = Duration::from_secs(120);
+/// How long records wait for a key that need not come: of an epoch that the chain does not know yet, because its owner's sites
+/// seal under it before they send it, and anybody who may sign for her can make up a number; or of one that was passed over.
+const UNSURE: Duration = Duration::from_secs(120);
 
-/// The key of an epoch that has begun and that this reader does not have yet.
+/// How long they wait where there are keys: those of the newest block may have come while the record was looked at.
+const JUST_COME: Duration = Duration::from_secs(5);
+
+/// The key of an epoch that this reader does not have yet.
 pub(super) struct AwaitedKey {
-    epoch: u64,
     since: Instant,
+    looked: Instant,
+    has_begun: bool,
     is_told: bool,
 }
 
 impl Play<'_> {
+    /// Whether a record's key is awaited, and was looked for a moment ago.
+    pub(super) fn looked_for_key(&self, row: &RecordRow) -> bool {
+        self.awaited.get(&(row.owner, row.epoch)).is_some_and(|awaited| awaited.looked.elapsed() < LOOK)
+    }
+
     /// Whether the key of a record's epoch is still to come: an epoch begins before its keys reach those who may read on.
     pub(super) fn awaits_key(&mut self, row: &RecordRow) -> bool {
         let directory = &self.network.directory;
-        let newest = directory.grant_between(row.owner, self.owner.address).and_then(|grant| grant.newest_wrapped());
-        let begun = directory.epoch(row.owner);
-        if newest.is_none_or(|newest| newest >= row.epoch) || row.epoch > begun + 1 {
+        let (epoch, begun) = (row.epoch, directory.epoch(row.owner));
+        let Some(grant) = directory.grant_between(row.owner, self.owner.address) else { return false };
+        if epoch < grant.terms.epoch || epoch > begun + 1 {
             return false;
         }
-        let now = AwaitedKey { epoch: row.epoch, since: Instant::now(), is_told: false };
-        let awaited = self.awaited.entry(row.owner).or_insert(now);
-        if awaited.epoch != row.epoch {
-            *awaited = AwaitedKey { epoch: row.epoch, since: Instant::now(), is_told: false };
+        let now = Instant::now();
+        let fresh = || AwaitedKey { since: now, looked: now, has_begun: epoch <= begun, is_told: false };
+        let awaited = self.awaited.entry((row.owner, epoch)).or_insert_with(fresh);
+        if epoch <= begun && !awaited.has_begun {
+            *awaited = fresh();
         }
+        awaited.looked = now;
         let waited = awaited.since.elapsed();
+        let is_due = epoch <= begun && grant.newest_wrapped().is_some_and(|newest| newest < epoch);
+        let longest = if grant.is_wrapped(epoch) { JUST_COME } else { UNSURE };
+        if !is_due && waited >= longest {
+            return false;
+        }
         if waited >= UNTOLD && !std::mem::replace(&mut awaited.is_told, true) {
-            let name = self.name_of(row.owner);
             let text = format!(
-                "playback into {} waits: the key of epoch {} of {name} has not come yet; her site gives it once it reaches \
-                 the chain",
+                "playback into {} waits: the key of epoch {epoch} of {} has not come yet; her site gives it once it \
+                 reaches the chain",
                 self.target.name(),
-                row.epoch
+                self.name_of(row.owner)
             );
             self.bridge.hub.notice(NoticeLevel::Warning, &text);
         }
-        row.epoch <= begun || waited < UNKNOWN
+        true
     }
 
     /// Whether the right to everything that is played has ended, according to the chain now.
