@@ -16,7 +16,6 @@ use crate::service::command::{
 use crate::service::reply::{Failure, GatewaysView, RecordPage, Reply};
 use crate::site::devices::pulling::span;
 use crate::site::mirror::comparing::Wishes;
-use crate::site::mirror::remotes::still_arriving;
 
 impl Site {
     /// Answers one request. Each variant has its arm here, so a request that nothing answers does not compile.
@@ -134,10 +133,11 @@ impl Site {
                 told.map_err(|failure| or_arriving(failure, &arriving))
             }
             Command::Play(wishes) => {
-                let (owner, arriving) = self.caught_up_owner(&profile).await?;
+                let owner = owner()?;
                 // What comes later is played then; of the past all is played, or nothing.
-                if let Some(address) = arriving.first().filter(|_| wishes.pace != Pace::Follow) {
-                    return Err(still_arriving(address));
+                match wishes.pace {
+                    Pace::Follow => drop(self.joined.caught_up(&profile).await?),
+                    Pace::AtOnce | Pace::Rated { .. } => self.joined.all_caught_up(&profile).await?,
                 }
                 self.bridge.play(&owner, wishes, until_released(claims)).await.map(ask::Play::told)
             }
@@ -309,7 +309,9 @@ impl Site {
 }
 
 /// A record that is not here may be among those that are still arriving.
-fn or_arriving(failure: Failure, arriving: &[String]) -> Failure {
-    let instead = arriving.first().filter(|_| failure.kind == ErrorKind::Input);
-    instead.map_or(failure, |address| still_arriving(address))
+fn or_arriving(mut failure: Failure, arriving: &[String]) -> Failure {
+    for address in arriving.iter().filter(|_| failure.kind == ErrorKind::Input) {
+        failure.message.push_str(&format!("; not all that the gateway {address} has is here yet"));
+    }
+    failure
 }

@@ -25,7 +25,7 @@ use crate::service::event::NoticeLevel;
 use crate::service::reply::{Failure, PlayEnd, PlayedView};
 use crate::site::lifetime::Lifetime;
 use crate::store::RecordRow;
-use rights::AwaitedKey;
+use rights::Keys;
 
 /// Interval between looks for newly verified records.
 const LOOK: Duration = Duration::from_millis(200);
@@ -105,8 +105,7 @@ pub(super) struct Play<'a> {
     clock: Option<String>,
     definitions: HashMap<(Address, Digest), Arc<str>>,
     rights_at: Instant,
-    /// Keys that have not come yet, by owner and epoch.
-    awaited: HashMap<(Address, u64), AwaitedKey>,
+    keys: Keys,
     registered_at: Instant,
     published: u64,
     refused: u64,
@@ -145,7 +144,7 @@ impl<'a> Play<'a> {
             clock: None,
             definitions: HashMap::new(),
             rights_at: now,
-            awaited: HashMap::new(),
+            keys: Keys::default(),
             registered_at: now,
             published: 0,
             refused: 0,
@@ -246,7 +245,7 @@ impl<'a> Play<'a> {
         if !self.givers.contains_key(&row.owner) {
             return Ok(self.refuse(NO_RIGHT.to_owned()));
         }
-        if self.looked_for_key(row) {
+        if self.keys.looked_for((row.owner, row.topic_id, row.epoch), Instant::now()) {
             return Ok(Taken::Later);
         }
         let opened = self.reader().open(row).await;
@@ -254,7 +253,7 @@ impl<'a> Play<'a> {
             Ok(record) => record,
             Err(error) => return self.judge(row, error),
         };
-        self.awaited.remove(&(row.owner, row.epoch));
+        self.keys.came((row.owner, row.topic_id, row.epoch));
         if !self.is_wanted(&record.head.topic) {
             return Ok(Taken::Done);
         }

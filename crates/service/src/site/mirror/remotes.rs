@@ -136,6 +136,11 @@ impl Joined {
     /// # Errors
     /// Why the last attempt failed, or that none is at its end.
     pub(in crate::site) async fn caught_up(&self, profile: &ProfileName) -> Result<Vec<String>, Failure> {
+        self.waited_for(profile, OTHERS).await
+    }
+
+    /// How long the others are waited for once one has caught up is said by `others`.
+    async fn waited_for(&self, profile: &ProfileName, others: Duration) -> Result<Vec<String>, Failure> {
         let Some(remotes) = &self.remotes else { return Ok(Vec::new()) };
         self.link.network().await?;
         let mut waits = JoinSet::new();
@@ -149,7 +154,7 @@ impl Joined {
             match end {
                 Some(Ok(())) => {
                     caught = true;
-                    until = until.min(Instant::now() + OTHERS);
+                    until = until.min(Instant::now() + others);
                 }
                 Some(Err(failure)) => failed = failed.or(Some(failure)),
                 None => continue,
@@ -170,7 +175,7 @@ impl Joined {
     /// # Errors
     /// See there; and if records of any gateway are still arriving.
     pub(in crate::site) async fn all_caught_up(&self, profile: &ProfileName) -> Result<(), Failure> {
-        let arriving = self.caught_up(profile).await?;
+        let arriving = self.waited_for(profile, FIRST_ROUND).await?;
         arriving.first().map_or(Ok(()), |address| Err(still_arriving(address)))
     }
 
@@ -201,7 +206,7 @@ impl Joined {
 }
 
 /// Not all that a gateway has is here.
-pub(in crate::site) fn still_arriving(address: &str) -> Failure {
+fn still_arriving(address: &str) -> Failure {
     let text = format!(
         "the records of the gateway {address} are still arriving; try again in a moment, or take it out of the gateways \
          that this home joins"

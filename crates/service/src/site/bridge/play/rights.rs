@@ -1,10 +1,10 @@
 //! Whether the right to play continues, owner by owner, according to the chain now; and whose next key is on its way.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::time::{Duration, Instant};
 
 use super::{Play, RIGHTS};
-use crate::model::{Address, Hash};
+use crate::model::{Address, Hash, TopicId};
 use crate::pipeline::authority;
 use crate::service::event::NoticeLevel;
 use crate::service::reply::PlayEnd;
@@ -21,42 +21,78 @@ const UNSURE: Duration = Duration::from_secs(120);
 /// How long they wait where there are keys: those of the newest block may have come while the record was looked at.
 const JUST_COME: Duration = Duration::from_secs(5);
 
-/// The key of an epoch that this reader does not have yet.
-pub(super) struct AwaitedKey {
-    since: Instant,
-    looked: Instant,
-    has_begun: bool,
-    is_told: bool,
+/// What is known of a topic's key in an epoch.
+pub(super) enum TopicKeyState {
+    /// It opened a record. One that it does not open is another's.
+    Came,
+    /// It did not open the first one yet.
+    Awaited {
+        since: Instant,
+        looked: Instant,
+        /// Whether the chain knew the epoch by then.
+        has_begun: bool,
+    },
+}
+
+/// Owner, topic and epoch.
+type Which = (Address, TopicId, u64);
+
+/// What is known of the keys, and the owners and epochs that the operator was told of.
+#[derive(Default)]
+pub(super) struct Keys {
+    states: HashMap<Which, TopicKeyState>,
+    told: HashSet<(Address, u64)>,
+}
+
+impl Keys {
+    /// Whether a record's key is awaited, and was looked for a moment ago.
+    pub fn looked_for(&self, which: Which, now: Instant) -> bool {
+        let state = self.states.get(&which);
+        matches!(state, Some(TopicKeyState::Awaited { looked, .. }) if now.duration_since(*looked) < LOOK)
+    }
+
+    /// It opened a record.
+    pub fn came(&mut self, which: Which) {
+        self.states.insert(which, TopicKeyState::Came);
+    }
+
+    /// For how long it has been awaited, now that it opens nothing; nothing if it came, or was awaited for `longest`: records
+    /// are refused at once then.
+    fn awaited(&mut self, which: Which, begun: bool, longest: Duration, now: Instant) -> Option<Duration> {
+        let fresh = || TopicKeyState::Awaited { since: now, looked: now, has_begun: begun };
+        let state = self.states.entry(which).or_insert_with(fresh);
+        if matches!(state, TopicKeyState::Awaited { has_begun, .. } if begun && !*has_begun) {
+            *state = fresh();
+        }
+        let TopicKeyState::Awaited { since, looked, .. } = state else { return None };
+        let waited = now.duration_since(*since);
+        if waited >= longest {
+            return None;
+        }
+        *looked = now;
+        Some(waited)
+    }
 }
 
 impl Play<'_> {
-    /// Whether a record's key is awaited, and was looked for a moment ago.
-    pub(super) fn looked_for_key(&self, row: &RecordRow) -> bool {
-        self.awaited.get(&(row.owner, row.epoch)).is_some_and(|awaited| awaited.looked.elapsed() < LOOK)
-    }
-
     /// Whether the key of a record's epoch is still to come: an epoch begins before its keys reach those who may read on.
     pub(super) fn awaits_key(&mut self, row: &RecordRow) -> bool {
         let directory = &self.network.directory;
-        let (epoch, begun) = (row.epoch, directory.epoch(row.owner));
+        let (epoch, newest_epoch, now) = (row.epoch, directory.epoch(row.owner), Instant::now());
         let Some(grant) = directory.grant_between(row.owner, self.owner.address) else { return false };
-        if epoch < grant.terms.epoch || epoch > begun + 1 {
+        let has_begun = epoch <= newest_epoch;
+        if epoch < grant.terms.epoch || epoch > newest_epoch + 1 {
             return false;
         }
-        let now = Instant::now();
-        let fresh = || AwaitedKey { since: now, looked: now, has_begun: epoch <= begun, is_told: false };
-        let awaited = self.awaited.entry((row.owner, epoch)).or_insert_with(fresh);
-        if epoch <= begun && !awaited.has_begun {
-            *awaited = fresh();
-        }
-        awaited.looked = now;
-        let waited = awaited.since.elapsed();
-        let is_due = epoch <= begun && grant.newest_wrapped().is_some_and(|newest| newest < epoch);
-        let longest = if grant.is_wrapped(epoch) { JUST_COME } else { UNSURE };
-        if !is_due && waited >= longest {
-            return false;
-        }
-        if waited >= UNTOLD && !std::mem::replace(&mut awaited.is_told, true) {
+        let is_due = has_begun && grant.newest_wrapped().is_some_and(|newest| newest < epoch);
+        let longest = match is_due {
+            true => Duration::MAX,
+            false if grant.is_wrapped(epoch) => JUST_COME,
+            false => UNSURE,
+        };
+        let which = (row.owner, row.topic_id, epoch);
+        let Some(waited) = self.keys.awaited(which, has_begun, longest, now) else { return false };
+        if waited >= UNTOLD && self.keys.told.insert((row.owner, epoch)) {
             let text = format!(
                 "playback into {} waits: the key of epoch {epoch} of {} has not come yet; her site gives it once it \
                  reaches the chain",
@@ -114,5 +150,42 @@ impl Play<'_> {
         let text =
             format!("playback into {} ended: {why}; {} messages were published", self.target.name(), self.published);
         self.bridge.hub.notice(NoticeLevel::Warning, &text);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn which(topic: u8) -> Which {
+        (Address([1; 20]), TopicId([topic; 16]), 3)
+    }
+
+    #[test]
+    fn a_key_that_does_not_come_holds_its_own_topic_for_a_while_only() {
+        let (mut keys, begin) = (Keys::default(), Instant::now());
+        let after = |seconds: u64| begin + Duration::from_secs(seconds);
+        assert_eq!(keys.awaited(which(1), true, UNSURE, begin), Some(Duration::ZERO));
+        assert!(keys.looked_for(which(1), begin) && !keys.looked_for(which(2), begin), "another topic is looked at");
+        assert!(!keys.looked_for(which(1), after(1)), "it is looked for again");
+        assert_eq!(keys.awaited(which(1), true, UNSURE, after(119)), Some(Duration::from_secs(119)));
+        for moment in [120, 121] {
+            assert_eq!(keys.awaited(which(1), true, UNSURE, after(moment)), None, "given up");
+            assert!(!keys.looked_for(which(1), after(moment)), "and those after it are not held");
+        }
+        // One that is sure to come is awaited for as long as it takes.
+        assert!(keys.awaited(which(1), true, Duration::MAX, after(9_999)).is_some());
+        keys.came(which(2));
+        assert_eq!(keys.awaited(which(2), true, UNSURE, after(1)), None, "what it does not open is another's");
+    }
+
+    #[test]
+    fn an_epoch_that_begins_later_is_awaited_anew() {
+        let (mut keys, begin) = (Keys::default(), Instant::now());
+        let after = |seconds: u64| begin + Duration::from_secs(seconds);
+        assert!(keys.awaited(which(1), false, UNSURE, begin).is_some());
+        assert_eq!(keys.awaited(which(1), false, UNSURE, after(500)), None);
+        assert_eq!(keys.awaited(which(1), true, UNSURE, after(501)), Some(Duration::ZERO));
+        assert_eq!(keys.awaited(which(1), true, UNSURE, after(502)), Some(Duration::from_secs(1)));
     }
 }
