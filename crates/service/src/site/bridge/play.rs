@@ -25,7 +25,7 @@ use crate::service::event::NoticeLevel;
 use crate::service::reply::{Failure, PlayEnd, PlayedView};
 use crate::site::lifetime::Lifetime;
 use crate::store::RecordRow;
-use rights::Keys;
+use rights::{Keys, key_of};
 
 /// Interval between looks for newly verified records.
 const LOOK: Duration = Duration::from_millis(200);
@@ -245,7 +245,7 @@ impl<'a> Play<'a> {
         if !self.givers.contains_key(&row.owner) {
             return Ok(self.refuse(NO_RIGHT.to_owned()));
         }
-        if self.keys.looked_for((row.owner, row.topic_id, row.epoch), Instant::now()) {
+        if self.keys.looked_for(key_of(row), Instant::now()) {
             return Ok(Taken::Later);
         }
         let opened = self.reader().open(row).await;
@@ -253,7 +253,7 @@ impl<'a> Play<'a> {
             Ok(record) => record,
             Err(error) => return self.judge(row, error),
         };
-        self.keys.came((row.owner, row.topic_id, row.epoch));
+        self.keys.came(key_of(row));
         if !self.is_wanted(&record.head.topic) {
             return Ok(Taken::Done);
         }

@@ -356,7 +356,9 @@ impl Joined {
             }
             let Some(next) = page.next else { break };
             query.cursor = next;
-            tokio::time::sleep(patience.after(page.entries.len(), new)?).await;
+            if let Some(pause) = patience.after(page.entries.len(), new)? {
+                tokio::time::sleep(pause).await;
+            }
         }
         Ok(place.listed(begin, Timestamp::now()).save(&self.plant.ledger)?)
     }

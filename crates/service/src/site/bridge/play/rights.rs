@@ -37,6 +37,11 @@ pub(super) enum TopicKeyState {
 /// Owner, topic and epoch.
 type Which = (Address, TopicId, u64);
 
+/// The key that opens a record.
+pub(super) fn key_of(row: &RecordRow) -> Which {
+    (row.owner, row.topic_id, row.epoch)
+}
+
 /// What is known of the keys, and the owners and epochs that the operator was told of.
 #[derive(Default)]
 pub(super) struct Keys {
@@ -90,8 +95,7 @@ impl Play<'_> {
             false if grant.is_wrapped(epoch) => JUST_COME,
             false => UNSURE,
         };
-        let which = (row.owner, row.topic_id, epoch);
-        let Some(waited) = self.keys.awaited(which, has_begun, longest, now) else { return false };
+        let Some(waited) = self.keys.awaited(key_of(row), has_begun, longest, now) else { return false };
         if waited >= UNTOLD && self.keys.told.insert((row.owner, epoch)) {
             let text = format!(
                 "playback into {} waits: the key of epoch {epoch} of {} has not come yet; her site gives it once it \
