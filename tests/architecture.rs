@@ -13,7 +13,7 @@ const CRATES: [&str; 19] = [
 /// The rooms of the console, in order.
 const CONSOLE: [&str; 3] = ["app", "ui", "term"];
 /// The longest file, lines.
-const LONGEST: usize = 450;
+const LONGEST: usize = 800;
 /// The longest opening, lines; the map of the screen may be longer.
 const LONGEST_OPENING: usize = 6;
 const OPENS_WITH_A_MAP: &str = "crates/console/src/ui/mod.rs";
@@ -278,7 +278,7 @@ fn catches_all(line: &str) -> bool {
 }
 
 #[test]
-fn no_file_is_longer_than_450_lines() {
+fn no_file_is_longer_than_800_lines() {
     let mut long = Vec::new();
     for path in ["src", "crates", "tests", "benches", "fuzz"].into_iter().flat_map(rust_files) {
         let lines = read(&path).lines().count();
@@ -286,7 +286,7 @@ fn no_file_is_longer_than_450_lines() {
             long.push(format!("{} has {lines} lines", path.display()));
         }
     }
-    assert_none("longer than 450 lines", &long);
+    assert_none("longer than 800 lines", &long);
 }
 
 #[test]

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Counts the product's lines of Rust: neither tests, nor blank lines, nor comments. `tests/count_lines.py [CHECKOUT]`.
+"""Counts lines of code: neither tests, nor blank lines, nor comments. `tests/count_lines.py [CHECKOUT]`.
 
-A file that `#[cfg(test)] mod name;` names, and all below it, is a test; so is an inline `#[cfg(test)] mod name { .. }`.
-Fuzz targets and `tests/` are none of the product.
+A file that `#[cfg(test)] mod name;` names, and all below it, is a test; so is one that `#[path = ..]` beside it names, an
+inline `#[cfg(test)] mod name { .. }`, and `tests/` of a crate. `labs/` and `tools/` are counted apart: they are not shipped.
 """
 
 import re
@@ -10,15 +10,21 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-NAMED = re.compile(r"#\[cfg\(test\)\](?:\s*#\[[^\]]*\])*\s*(?:pub(?:\([^)]*\))?\s+)?mod\s+(\w+)\s*;")
-INLINE = re.compile(r"#\[cfg\(test\)\](?:\s*#\[[^\]]*\])*\s*(?:pub(?:\([^)]*\))?\s+)?mod\s+\w+\s*\{")
+ATTRIBUTES = r"(?P<more>(?:\s*#\[[^\]]*\])*)\s*(?:pub(?:\([^)]*\))?\s+)?mod\s+(?P<name>\w+)\s*"
+NAMED = re.compile(r"(?P<before>(?:#\[path\s*=[^\]]*\]\s*)?)#\[cfg\(test\)\]" + ATTRIBUTES + ";")
+INLINE = re.compile(r"#\[cfg\(test\)\]" + ATTRIBUTES + r"\{")
+PATH = re.compile(r'#\[path\s*=\s*"([^"]+)"\]')
 
 
 def tests_of(file: Path, text: str) -> list[Path]:
-    """Files and folders that hold this file's test modules."""
+    """Files and folders that hold this file's test modules, without `.rs`."""
     face = file.name in ("mod.rs", "lib.rs", "main.rs")
     folder = file.parent if face else file.with_suffix("")
-    return [folder / name for name in NAMED.findall(text)]
+    found = []
+    for module in NAMED.finditer(text):
+        path = PATH.search(module["before"] + module["more"])
+        found.append((file.parent / path[1]).with_suffix("") if path else folder / module["name"])
+    return found
 
 
 def without_inline_tests(text: str) -> str:
@@ -37,21 +43,38 @@ def code_lines(text: str) -> int:
     return sum(1 for line in lines if line and not line.startswith("//"))
 
 
-def main() -> None:
-    root = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-    files = [file for folder in ("src", "crates", "benches") for file in sorted((root / folder).rglob("*.rs"))]
+def script_lines(text: str) -> int:
+    lines = (line.strip() for line in text.splitlines())
+    return sum(1 for line in lines if line and not line.startswith("#"))
+
+
+def count(root: Path, folders: list[str]) -> Counter[str]:
+    files = [file for folder in folders for file in sorted((root / folder).rglob("*.rs"))]
     texts = {file: file.read_text(encoding="utf-8") for file in files}
     tests = {test for file, text in texts.items() for test in tests_of(file, text)}
     counts: Counter[str] = Counter()
     for file, text in texts.items():
-        if any(test == file.with_suffix("") or test in file.parents for test in tests):
-            continue
         parts = file.relative_to(root).parts
+        if "tests" in parts[:-1] or any(test == file.with_suffix("") or test in file.parents for test in tests):
+            continue
         room = parts[1] if parts[0] == "crates" else "/".join(parts[: 2 if len(parts) > 2 else 1])
         counts[room] += code_lines(without_inline_tests(text))
+    return counts
+
+
+def show(title: str, counts: Counter[str]) -> None:
     for room, lines in sorted(counts.items(), key=lambda item: -item[1]):
         print(f"{lines:7} {room}")
-    print(f"{sum(counts.values()):7} in all")
+    print(f"{sum(counts.values()):7} {title}\n")
+
+
+def main() -> None:
+    root = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
+    show("the product", count(root, ["src", "crates"]))
+    labs = count(root, ["labs", "benches", "fuzz"])
+    show("labs, not shipped", labs)
+    tools = {file.name: script_lines(file.read_text(encoding="utf-8")) for file in sorted((root / "tools").rglob("*.py"))}
+    show("tools", Counter(tools))
 
 
 main()

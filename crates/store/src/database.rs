@@ -27,12 +27,15 @@ const CELLS: &str = "FAST";
 /// How much room counts as plenty, bytes: far more than both logs and the reserve for a full disk.
 const PLENTY: u64 = 1024 * 1024 * 1024;
 
-/// One SQLite file's shape: an application id and the steps from each schema version to the next.
+/// The version of both schemas, kept in the file.
+const VERSION: i64 = 1;
+
+/// One SQLite file's shape.
 pub(super) struct Schema {
     /// Written into the file, so that another program's database is not mistaken for ours.
     pub application: i64,
-    /// Step `i` brings version `i` to `i + 1`.
-    pub steps: &'static [&'static str],
+    /// The statements that make its tables.
+    pub text: &'static str,
 }
 
 /// Opens (or creates) the file for its only writer.
@@ -48,7 +51,7 @@ pub(super) fn open_writer(path: &Path, schema: &Schema) -> Result<Connection, St
     let mut connection = connect(path)?;
     // What is deleted in a page that is written anyway costs nothing to overwrite.
     connection.pragma_update(None, "secure_delete", CELLS).map_err(|error| StoreError::from(error).in_file(path))?;
-    migrate(&mut connection, path, schema).map_err(|error| error.in_file(path))?;
+    prepare(&mut connection, path, schema).map_err(|error| error.in_file(path))?;
     Ok(connection)
 }
 
@@ -61,7 +64,6 @@ pub(super) fn check_version(path: &Path, schema: &Schema) -> Result<(), StoreErr
     if !path.exists() {
         return Ok(());
     }
-    let known = i64::try_from(schema.steps.len()).unwrap_or(i64::MAX);
     let mut log = path.as_os_str().to_owned();
     log.push("-wal");
     let log_waits = std::fs::metadata(log).is_ok_and(|log| log.len() > 0);
@@ -70,12 +72,11 @@ pub(super) fn check_version(path: &Path, schema: &Schema) -> Result<(), StoreErr
         let connection = Connection::open_with_flags(path, flags)?;
         connection.busy_timeout(BUSY)?;
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, log_waits)?;
-        let pragma = |name| connection.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
-        Ok((pragma("application_id")?, pragma("user_version")?))
+        identity(&connection)
     };
     match look() {
-        Ok((application, found)) if application == schema.application && found > known => {
-            Err(StoreError::Newer { file: path.to_owned(), found, known })
+        Ok((application, found)) if application == schema.application && found > VERSION => {
+            Err(StoreError::Newer { file: path.to_owned(), found, known: VERSION })
         }
         _ => Ok(()),
     }
@@ -184,32 +185,27 @@ fn connect(path: &Path) -> Result<Connection, StoreError> {
         .map_err(|error| StoreError::from(error).in_file(path))
 }
 
-/// Whether the file is already of the newest version: then nothing is written.
-fn is_newest(connection: &Connection, schema: &Schema) -> Result<bool, StoreError> {
+/// The file's application id and version; both are 0 in a new file.
+fn identity(connection: &Connection) -> rusqlite::Result<(i64, i64)> {
     let pragma = |name| connection.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
-    let newest = i64::try_from(schema.steps.len()).unwrap_or(i64::MAX);
-    Ok((pragma("user_version")?, pragma("application_id")?) == (newest, schema.application))
+    Ok((pragma("application_id")?, pragma("user_version")?))
 }
 
-fn migrate(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<(), StoreError> {
-    if is_newest(connection, schema)? {
+/// Makes the tables of a new file; writes nothing into any other.
+fn prepare(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<(), StoreError> {
+    let ours = (schema.application, VERSION);
+    if identity(connection)? == ours {
         return Ok(());
     }
     let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
-    let pragma = |name| transaction.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
-    let (found, application) = (pragma("user_version")?, pragma("application_id")?);
-    let known = i64::try_from(schema.steps.len()).unwrap_or(i64::MAX);
-    if application != schema.application && (application, found) != (0, 0) {
-        return Err(StoreError::Corrupt { file: path.to_owned(), detail: "another program's database".to_owned() });
+    match identity(&transaction)? {
+        (0, 0) => {}
+        found if found == ours => return Ok(()),
+        _ => return Err(StoreError::Corrupt { file: path.to_owned(), detail: "another program's database".to_owned() }),
     }
-    if found > known {
-        return Err(StoreError::Newer { file: path.to_owned(), found, known });
-    }
-    for step in schema.steps.iter().skip(usize::try_from(found).unwrap_or(0)) {
-        transaction.execute_batch(step)?;
-    }
+    transaction.execute_batch(schema.text)?;
     transaction.pragma_update(None, "application_id", schema.application)?;
-    transaction.pragma_update(None, "user_version", known)?;
+    transaction.pragma_update(None, "user_version", VERSION)?;
     transaction.commit()?;
     Ok(())
 }
@@ -241,24 +237,17 @@ mod tests {
     use super::*;
     use crate::model::ErrorKind;
 
-    const FIRST: Schema = Schema { application: 77, steps: &["CREATE TABLE a (x INTEGER);"] };
-    const SECOND: Schema =
-        Schema { application: 77, steps: &["CREATE TABLE a (x INTEGER);", "ALTER TABLE a ADD COLUMN y INTEGER;"] };
+    const FIRST: Schema = Schema { application: 77, text: "CREATE TABLE a (x INTEGER);" };
 
     #[test]
-    fn schemas_go_forward_and_never_back() {
+    fn another_programs_file_is_refused() {
         let home = tempfile::tempdir().expect("temporary directory");
         let path = home.path().join("x.db");
-        let connection = open_writer(&path, &FIRST).expect("new");
-        connection.execute("INSERT INTO a VALUES (1)", []).expect("row");
-        drop(connection);
-        let connection = open_writer(&path, &SECOND).expect("migrated");
-        let row: (i64, Option<i64>) =
-            connection.query_row("SELECT x, y FROM a", [], |row| Ok((row.get(0)?, row.get(1)?))).expect("row");
-        assert_eq!(row, (1, None));
-        drop(connection);
-        assert!(matches!(open_writer(&path, &FIRST), Err(StoreError::Newer { found: 2, known: 1, .. })));
-        let foreign = Schema { application: 78, steps: FIRST.steps };
+        open_writer(&path, &FIRST).expect("new").execute("INSERT INTO a VALUES (1)", []).expect("row");
+        let again = open_writer(&path, &FIRST).expect("ours");
+        assert_eq!(again.query_row("SELECT x FROM a", [], |row| row.get::<_, i64>(0)), Ok(1));
+        drop(again);
+        let foreign = Schema { application: 78, text: FIRST.text };
         assert!(matches!(open_writer(&path, &foreign), Err(StoreError::Corrupt { .. })));
     }
 
@@ -277,8 +266,8 @@ mod tests {
     fn a_later_version_is_refused_and_neither_file_nor_log_is_touched() {
         let home = tempfile::tempdir().expect("temporary directory");
         let written = home.path().join("x.db");
-        let connection = open_writer(&written, &SECOND).expect("new");
-        connection.execute("INSERT INTO a VALUES (1, 2)", []).expect("row");
+        let connection = open_writer(&written, &FIRST).expect("new");
+        connection.execute_batch("INSERT INTO a VALUES (1); PRAGMA user_version = 2").expect("a later version's");
         // As after a crash: all of it is in the log.
         let left = tempfile::tempdir().expect("temporary directory");
         for name in ["x.db", "x.db-wal"] {
@@ -291,7 +280,7 @@ mod tests {
             assert!(matches!(error, StoreError::Newer { found: 2, known: 1, .. }), "{error}");
             assert!(error.to_string().contains("use a newer authros"), "{error}");
             assert!(bytes_in(place.path()) == before, "something was written");
-            let connection = open_writer(&path, &SECOND).expect("as it was");
+            let connection = connect(&path).expect("as it was");
             let rows: i64 = connection.query_row("SELECT count(*) FROM a", [], |row| row.get(0)).expect("rows");
             assert_eq!(rows, 1);
         }

@@ -98,28 +98,7 @@ pub use usage::OwnerUsage;
 pub use witnesses::{KeptContradiction, KeptPosition, PositionCounts, Unwitnessed, WitnessRow};
 pub(super) use writer::Session;
 
-const SCHEMA: Schema = Schema {
-    application: 0x4155_4c31,
-    steps: &[
-        include_str!("ledger/schema_1.sql"),
-        include_str!("ledger/schema_2.sql"),
-        include_str!("ledger/schema_3.sql"),
-        include_str!("ledger/schema_4.sql"),
-        include_str!("ledger/schema_5.sql"),
-        include_str!("ledger/schema_6.sql"),
-        include_str!("ledger/schema_7.sql"),
-        include_str!("ledger/schema_8.sql"),
-        include_str!("ledger/schema_9.sql"),
-        include_str!("ledger/schema_10.sql"),
-        include_str!("ledger/schema_11.sql"),
-        include_str!("ledger/schema_12.sql"),
-        include_str!("ledger/schema_13.sql"),
-        include_str!("ledger/schema_14.sql"),
-        include_str!("ledger/schema_15.sql"),
-        include_str!("ledger/schema_16.sql"),
-        include_str!("ledger/schema_17.sql"),
-    ],
-};
+const SCHEMA: Schema = Schema { application: 0x4155_4c31, text: include_str!("ledger/schema.sql") };
 const READERS_KEPT: usize = 8;
 /// The setting that names the recorder of the ledger this one was copied from.
 const PREDECESSOR: &str = "recorder:predecessor";

@@ -10,7 +10,7 @@ use crate::model::Digest;
 use crate::store::StoreError;
 use crate::store::database::{self, Schema};
 
-const SCHEMA: Schema = Schema { application: 0x4155_5631, steps: &[include_str!("schema_1.sql")] };
+const SCHEMA: Schema = Schema { application: 0x4155_5631, text: include_str!("schema.sql") };
 
 /// A vault in a file of the home.
 pub struct EmbeddedVault {

@@ -1,5 +1,4 @@
-//! What owners state of erased records: brought over from earlier versions, told in an order that passes nothing over, and
-//! taken from other gateways.
+//! What owners state of erased records: told in an order that passes nothing over, and taken from other gateways.
 
 use super::*;
 use crate::chain::merkle::{Inclusion, Leaf, Tree};
@@ -50,60 +49,6 @@ fn take(ledger: &Ledger, record: &NewRecord, statement: Vec<u8>) -> Result<ToldE
 fn told(ledger: &Ledger, after: u64) -> (Vec<Digest>, Option<u64>) {
     let page = ledger.erasures(after, 9).expect("read");
     (page.erasures.into_iter().map(|(digest, ..)| digest).collect(), page.last)
-}
-
-/// What version 16 noted as settings.
-#[test]
-fn statements_of_an_earlier_version_are_brought_over() {
-    let home = tempfile::tempdir().expect("temporary directory");
-    let path = home.path().join("ledger.db");
-    let (own, theirs) = (record(1, 1, 1), brought(1));
-    let (mine, others) = (statement(0x11, 1), statement(0x22, 2));
-    {
-        let old = Schema { steps: &SCHEMA.steps[..16], ..SCHEMA };
-        let connection = database::open_writer(&path, &old).expect("version 16");
-        begin(&connection, &path).expect("named");
-        let sql = format!(
-            "INSERT INTO recorders (id) VALUES (x'{there}');
-             INSERT INTO topics (key, owner, recorder, topic_id, name) VALUES (1, x'{owner}', 1, x'{one}', '/robot1/odom'),
-                 (2, x'{owner}', (SELECT key FROM recorders WHERE id = x'{there}'), x'{four}', '');
-             INSERT INTO streams (key, topic, kind, type_name, signer) VALUES (1, 1, 1, 'a/B', x'{signer}'),
-                 (2, 2, 1, '', x'{signer}');
-             INSERT INTO records (n, digest, topic, stream, seq, epoch, signature, bytes, captured_at, acknowledged_at,
-                 simulated, state, deleted_at) VALUES
-                 (1, x'{own}', 1, 1, 1, 1, zeroblob(64), 5, 1, 1, 0, 7, 5000),
-                 (2, x'{theirs}', 2, 2, 1, 1, zeroblob(64), 5, 1, 1, 0, 7, 5000);
-             INSERT INTO retained VALUES (1, x'{eleven}', x'03', 5000), (2, x'{twenty_two}', x'03', 5000);
-             INSERT INTO settings VALUES ('erased:{eleven}', '5000' || char(10) || 'alice' || char(10) || 'a face'),
-                 ('erasure of:{own}', '{mine}'), ('erasure of:{theirs}', '{others}'), ('erasure of:{unknown}', '{others}'),
-                 ('erasure of:zz', 'no hex'), ('erasures', 'another setting')",
-            there = hex(&THERE.0),
-            owner = "01".repeat(20),
-            one = "01".repeat(16),
-            four = "04".repeat(16),
-            signer = "01".repeat(32),
-            own = own.digest,
-            theirs = theirs.digest,
-            unknown = "ee".repeat(32),
-            eleven = "11".repeat(32),
-            twenty_two = "22".repeat(32),
-            mine = hex(&mine),
-            others = hex(&others),
-        );
-        connection.execute_batch(&sql).expect("as it was");
-    }
-    let ledger = Ledger::open(&path).expect("brought up to date");
-    let kept = |record: &NewRecord| ledger.kept_erasure(record.digest).expect("read").expect("brought over");
-    assert_eq!(kept(&own), KeptErasure { statement: mine, account: None, taken: false });
-    assert_eq!(kept(&theirs), KeptErasure { statement: others.clone(), account: None, taken: true });
-    let stated = ledger.retained(theirs.digest).expect("read").and_then(|retained| retained.stated);
-    assert_eq!(stated, Some(others), "it accounts for the bytes as before");
-    assert_eq!(ledger.setting("erasures"), Ok(Some("another setting".to_owned())));
-    assert_eq!(ledger.setting(&format!("erasure of:{}", own.digest)), Ok(None));
-    assert_eq!(told(&ledger, 0), (Vec::new(), None), "no account has signed");
-    let unstated = ledger.unstated(OWNER, &PublicKey([1; 64]), 9).expect("read");
-    assert_eq!(unstated.iter().map(|one| one.digest).collect::<Vec<_>>(), [own.digest], "its own alone");
-    assert_eq!((unstated[0].erasure.reason.as_str(), unstated[0].report), ("a face", Digest([0x11; 32])));
 }
 
 #[test]

@@ -99,33 +99,3 @@ fn an_upload_by_itself_is_still_seen_while_the_record_waits() {
     assert_eq!(ledger.mined(&[sighting(&records[0], 4)]), Ok(1));
     assert_eq!(states(&ledger, &records), [Mined]);
 }
-
-#[test]
-fn a_ledger_of_version_9_with_an_anchored_batch_is_brought_up_and_passes_it_over() {
-    let home = tempfile::tempdir().expect("temporary directory");
-    let path = home.path().join("ledger.db");
-    let steps: &'static [&'static str] = &SCHEMA.steps[..9];
-    let connection = database::open_writer(&path, &Schema { application: SCHEMA.application, steps }).expect("old");
-    begin(&connection, &path).expect("named");
-    let digest = Digest([6; 32]);
-    let old = "INSERT INTO topics (owner, recorder, topic_id, name) VALUES (zeroblob(20), 1, zeroblob(16), '/a');
-         INSERT INTO streams (topic, kind, type_name, signer) VALUES (1, 1, 'a/B', zeroblob(32));
-         INSERT INTO batches (root, owner, count, closed_at, account, tx, block, block_hash)
-         VALUES (zeroblob(32), zeroblob(20), 1, 1, zeroblob(20), zeroblob(32), 3, zeroblob(32));
-         INSERT INTO leaves VALUES (1, 1, 0, x'');
-         INSERT INTO records (digest, topic, stream, seq, epoch, signature, bytes, captured_at, acknowledged_at,
-         simulated, state, tx, block, block_hash)
-         VALUES (x'0606060606060606060606060606060606060606060606060606060606060606', 1, 1, 1, 1, zeroblob(64), 5, 1, 1,
-         0, 6, zeroblob(32), 3, zeroblob(32))";
-    connection.execute_batch(old).expect("a confirmed record of then");
-    drop(connection);
-    let ledger = Ledger::open(&path).expect("brought up to date");
-    let row = ledger.record(digest).expect("read").expect("there");
-    assert_eq!((row.state, row.block), (Confirmed, Some(3)));
-    assert_eq!((ledger.was_passed_over(digest), ledger.pass_over(&[digest])), (Ok(false), Ok(1)));
-    let (owner, signer) = (Address([0; 20]), SignerId([0; 32]));
-    assert_eq!(ledger.hold_signer(owner, owner, signer), Ok(1));
-    assert_eq!(ledger.record(digest).map(|row| row.map(|row| row.state)), Ok(Some(RightEnded)));
-    assert_eq!(ledger.audit_batches(0, 9).map(|batches| (batches[0].held, batches[0].count)), Ok((1, 1)));
-    assert_eq!(ledger.contradictions(), Ok(Vec::new()));
-}

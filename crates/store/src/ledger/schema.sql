@@ -1,0 +1,286 @@
+-- The ledger: one row per record, and what moves it along its path.
+
+-- The one row about this file. `clean` is 0 while a process has it open.
+CREATE TABLE about (one INTEGER PRIMARY KEY CHECK (one = 1), recorder INTEGER NOT NULL, clean INTEGER NOT NULL);
+CREATE TABLE recorders (key INTEGER PRIMARY KEY, id BLOB NOT NULL UNIQUE);
+
+-- Names that many records share. `keeper` is the account that anchors a topic's records for its owner; NULL where the
+-- owner does.
+CREATE TABLE topics (
+    key INTEGER PRIMARY KEY, owner BLOB NOT NULL, recorder INTEGER NOT NULL, topic_id BLOB NOT NULL,
+    name TEXT NOT NULL, keeper BLOB, UNIQUE (owner, topic_id, recorder)
+);
+CREATE INDEX topics_by_keeper ON topics (keeper) WHERE keeper IS NOT NULL;
+CREATE TABLE streams (
+    key INTEGER PRIMARY KEY, topic INTEGER NOT NULL, kind INTEGER NOT NULL, type_name TEXT NOT NULL,
+    signer BLOB NOT NULL, UNIQUE (topic, kind, type_name, signer)
+);
+
+-- `deleted_at` is set when retention deletes the ciphertext.
+CREATE TABLE records (
+    n INTEGER PRIMARY KEY, digest BLOB NOT NULL UNIQUE, topic INTEGER NOT NULL, stream INTEGER NOT NULL,
+    seq INTEGER NOT NULL, epoch INTEGER NOT NULL, signature BLOB NOT NULL, bytes INTEGER NOT NULL,
+    captured_at INTEGER NOT NULL, acknowledged_at INTEGER NOT NULL, simulated INTEGER NOT NULL,
+    state INTEGER NOT NULL, tx BLOB, block INTEGER, block_hash BLOB, deleted_at INTEGER, UNIQUE (topic, seq)
+);
+CREATE INDEX records_by_state ON records (state, stream, captured_at);
+CREATE INDEX records_by_time ON records (captured_at);
+
+-- Sealed bytes that are not in a durable vault yet.
+CREATE TABLE copies (record INTEGER PRIMARY KEY, blob BLOB NOT NULL);
+
+-- Filter ids of records, as their headers have them, and the streams that ever had records with one: a search skips
+-- all others.
+CREATE TABLE filters (filter BLOB NOT NULL, record INTEGER NOT NULL, PRIMARY KEY (filter, record)) WITHOUT ROWID;
+CREATE TABLE filter_streams (
+    filter BLOB NOT NULL, stream INTEGER NOT NULL, PRIMARY KEY (filter, stream)
+) WITHOUT ROWID;
+
+-- Counts per stream and state, kept in the same transaction as the records.
+CREATE TABLE counters (
+    stream INTEGER NOT NULL, state INTEGER NOT NULL, records INTEGER NOT NULL, bytes INTEGER NOT NULL,
+    PRIMARY KEY (stream, state)
+) WITHOUT ROWID;
+CREATE TRIGGER record_added AFTER INSERT ON records BEGIN
+    INSERT INTO counters VALUES (NEW.stream, NEW.state, 1, NEW.bytes)
+        ON CONFLICT DO UPDATE SET records = records + 1, bytes = bytes + NEW.bytes;
+END;
+CREATE TRIGGER record_moved AFTER UPDATE OF state ON records WHEN NEW.state <> OLD.state BEGIN
+    UPDATE counters SET records = records - 1, bytes = bytes - OLD.bytes
+        WHERE stream = OLD.stream AND state = OLD.state;
+    INSERT INTO counters VALUES (NEW.stream, NEW.state, 1, NEW.bytes)
+        ON CONFLICT DO UPDATE SET records = records + 1, bytes = bytes + NEW.bytes;
+END;
+CREATE TABLE drops (
+    owner BLOB NOT NULL, topic TEXT NOT NULL, reason TEXT NOT NULL, count INTEGER NOT NULL,
+    PRIMARY KEY (owner, topic, reason)
+) WITHOUT ROWID;
+
+-- How many records of a stream were ever acknowledged. Never moved and never lowered, so that the counts per state,
+-- which move at every step, can be compared with it.
+CREATE TABLE intake (stream INTEGER PRIMARY KEY, records INTEGER NOT NULL);
+CREATE TRIGGER record_taken_in AFTER INSERT ON records BEGIN
+    INSERT INTO intake VALUES (NEW.stream, 1) ON CONFLICT DO UPDATE SET records = records + 1;
+END;
+
+-- What the sender signed; `digests` are the records it anchors, 32 bytes each, `batch` the root it anchors.
+CREATE TABLE transactions (
+    key INTEGER PRIMARY KEY, hash BLOB NOT NULL UNIQUE, account BLOB NOT NULL, nonce INTEGER NOT NULL,
+    raw BLOB NOT NULL, purpose TEXT NOT NULL, digests BLOB NOT NULL, signed_at INTEGER NOT NULL,
+    state INTEGER NOT NULL, block INTEGER, block_hash BLOB, gas_used INTEGER, reason TEXT, replaced_by BLOB,
+    batch BLOB
+);
+CREATE INDEX transactions_open ON transactions (account, nonce) WHERE state = 0;
+CREATE INDEX transactions_mined ON transactions (block) WHERE state = 1;
+CREATE INDEX transactions_by_nonce ON transactions (account, nonce);
+
+-- A closed batch; `account`, `tx` and `block` as the chain has them, or as the sender last tried. `proof`: NULL = not
+-- fetched yet, 1 = kept, 2 = could not be had.
+CREATE TABLE batches (
+    key INTEGER PRIMARY KEY, root BLOB NOT NULL UNIQUE, owner BLOB NOT NULL, count INTEGER NOT NULL,
+    closed_at INTEGER NOT NULL, account BLOB, tx BLOB, block INTEGER, block_hash BLOB,
+    proof INTEGER
+);
+CREATE INDEX batches_waiting ON batches (owner, key) WHERE tx IS NULL;
+CREATE INDEX batches_anchored ON batches (block) WHERE block IS NOT NULL;
+CREATE INDEX batches_unproven ON batches (block) WHERE block IS NOT NULL AND proof IS NULL;
+CREATE INDEX batches_without_proof ON batches (block) WHERE proof = 2;
+
+-- A record's place in its batch and its path to the root, 32 bytes a step.
+CREATE TABLE leaves (
+    record INTEGER PRIMARY KEY, batch INTEGER NOT NULL, leaf INTEGER NOT NULL, path BLOB NOT NULL,
+    UNIQUE (batch, leaf)
+);
+
+-- Records that left the batch they were placed in, each with its place there: nobody sent the batch, or the block that
+-- has its root does not count for them.
+CREATE TABLE left_places (
+    batch INTEGER NOT NULL, leaf INTEGER NOT NULL, record INTEGER NOT NULL, PRIMARY KEY (batch, leaf)
+) WITHOUT ROWID;
+
+-- Records anchored by a block in which their signer had no right; they are anchored again, in another batch.
+CREATE TABLE passed_over (record INTEGER PRIMARY KEY, tx BLOB, block INTEGER NOT NULL);
+
+-- Nodes of the chain's tries, each once, and the state after a block as far as it is kept: `nodes` are keys of
+-- chain_nodes, 8 bytes each, big-endian.
+CREATE TABLE chain_nodes (key INTEGER PRIMARY KEY, hash BLOB NOT NULL UNIQUE, node BLOB NOT NULL);
+CREATE TABLE chain_proofs (block INTEGER PRIMARY KEY, hash BLOB NOT NULL, nodes BLOB NOT NULL);
+
+-- How far the watcher has read, and the blocks that it has seen.
+CREATE TABLE cursors (name TEXT PRIMARY KEY, block INTEGER NOT NULL, hash BLOB NOT NULL) WITHOUT ROWID;
+CREATE TABLE trail (block INTEGER PRIMARY KEY, hash BLOB NOT NULL);
+
+-- Where verified records were anchored on a chain that the operator gave up for another one.
+CREATE TABLE earlier_anchors (
+    record INTEGER PRIMARY KEY, domain BLOB NOT NULL, tx BLOB, block INTEGER NOT NULL, block_hash BLOB
+);
+
+-- The contracts whose events were read, each with the block and the place in it of the last one.
+CREATE TABLE contracts (
+    key INTEGER PRIMARY KEY, domain BLOB NOT NULL UNIQUE, block INTEGER NOT NULL, place INTEGER NOT NULL
+);
+
+-- Their events. `kind`: 1 a grant, 2 an envelope of a further epoch, 3 an extension, 4 the beginning of an epoch, with
+-- the grantee where it is a revocation, 5 any other. `replaced` is the block of the event that replaced this one,
+-- `revoked` the epoch that began with the revocation of its grant, in the block `revoked_at`. An event with neither stands.
+CREATE TABLE rights (
+    contract INTEGER NOT NULL, block INTEGER NOT NULL, place INTEGER NOT NULL, kind INTEGER NOT NULL, owner BLOB,
+    grantee BLOB, epoch INTEGER, token BLOB, event TEXT NOT NULL, replaced INTEGER, revoked INTEGER,
+    revoked_at INTEGER, PRIMARY KEY (contract, block, place)
+) WITHOUT ROWID;
+CREATE INDEX rights_standing ON rights (contract, owner, kind, grantee) WHERE replaced IS NULL AND revoked IS NULL;
+CREATE INDEX rights_given ON rights (contract, owner, grantee) WHERE revoked IS NOT NULL;
+CREATE INDEX rights_received ON rights (contract, grantee) WHERE revoked IS NOT NULL;
+CREATE INDEX rights_tokens ON rights (contract, owner, epoch) WHERE token IS NOT NULL;
+
+-- The envelopes of grants and later events; read only by those who open them.
+CREATE TABLE envelopes (
+    contract INTEGER NOT NULL, block INTEGER NOT NULL, place INTEGER NOT NULL, envelope BLOB NOT NULL,
+    PRIMARY KEY (contract, block, place)
+) WITHOUT ROWID;
+
+CREATE TABLE settings (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+
+-- The audit log: `hash` covers the line and the hash of the line before.
+CREATE TABLE audit (
+    line INTEGER PRIMARY KEY, at INTEGER NOT NULL, profile TEXT NOT NULL, action TEXT NOT NULL,
+    subject TEXT NOT NULL, outcome TEXT NOT NULL, hash BLOB NOT NULL
+);
+
+-- Public keys of lent devices by their ids; the chain has only the ids.
+CREATE TABLE signers (id BLOB PRIMARY KEY, key BLOB NOT NULL) WITHOUT ROWID;
+
+-- Names at this site's gateway. `sealed_key` is the transport key, sealed; `device` is SM3 of the public key of the
+-- device that a name belongs to, NULL where it is its account's own; `notices` is the topic id of its owner's notices
+-- to it, where known.
+CREATE TABLE bindings (
+    name TEXT PRIMARY KEY, account BLOB NOT NULL, signing BLOB NOT NULL, envelope BLOB NOT NULL,
+    sealed_key BLOB NOT NULL, device BLOB, notices BLOB
+) WITHOUT ROWID;
+
+-- Names behind the pseudonyms (hex) of an owner's topics and types, learned by opening one of their records.
+CREATE TABLE names (
+    owner BLOB NOT NULL, id TEXT NOT NULL, name TEXT NOT NULL, PRIMARY KEY (owner, id)
+) WITHOUT ROWID;
+
+-- Signed receipts of a gateway that anchors records for this ledger, kept until each record is verified.
+CREATE TABLE receipts (
+    key INTEGER PRIMARY KEY, at INTEGER NOT NULL, digests BLOB NOT NULL, signature BLOB NOT NULL
+);
+CREATE TABLE receipted (record INTEGER PRIMARY KEY, receipt INTEGER NOT NULL);
+CREATE INDEX receipted_by_receipt ON receipted (receipt);
+
+-- Statements by which a gateway says how records stand: its time, what it signed (without label and domain), the
+-- signature.
+CREATE TABLE standings (key INTEGER PRIMARY KEY, at INTEGER NOT NULL, statement BLOB NOT NULL, signature BLOB NOT NULL);
+
+-- Which statement says that a forwarded record is verified, with the proof of its anchor, checked; `gone` once its
+-- ciphertext was given up.
+CREATE TABLE proven (
+    record INTEGER PRIMARY KEY, standing INTEGER NOT NULL, proof BLOB NOT NULL, at INTEGER NOT NULL,
+    gone INTEGER NOT NULL
+);
+CREATE INDEX proven_by_age ON proven (gone, at);
+
+-- Which gateways signed for a record that is not verified yet. `at` is when the newest receipt of that gateway came.
+CREATE TABLE gateways (key INTEGER PRIMARY KEY, id BLOB NOT NULL UNIQUE);
+CREATE TABLE placed (
+    record INTEGER NOT NULL, gateway INTEGER NOT NULL, at INTEGER NOT NULL, PRIMARY KEY (record, gateway)
+) WITHOUT ROWID;
+CREATE INDEX placed_by_gateway ON placed (gateway, record);
+
+-- Pinned publishers; `source` is how one came to be pinned: first, operator. A topic that had pins once gets no
+-- second first use.
+CREATE TABLE pins (
+    owner BLOB NOT NULL, topic TEXT NOT NULL, caller_id TEXT NOT NULL, host TEXT NOT NULL, type_name TEXT NOT NULL,
+    md5sum TEXT NOT NULL, source TEXT NOT NULL, at INTEGER NOT NULL,
+    PRIMARY KEY (owner, topic, caller_id, host, type_name, md5sum)
+) WITHOUT ROWID;
+CREATE TABLE pinned_topics (owner BLOB NOT NULL, topic TEXT NOT NULL, PRIMARY KEY (owner, topic)) WITHOUT ROWID;
+
+-- Publishers that an alarm was raised about; `open` until the operator has decided about the topic.
+CREATE TABLE alarms (
+    owner BLOB NOT NULL, topic TEXT NOT NULL, publisher TEXT NOT NULL, reason TEXT NOT NULL, at INTEGER NOT NULL,
+    open INTEGER NOT NULL, PRIMARY KEY (owner, topic, publisher)
+) WITHOUT ROWID;
+
+-- Every record that was ever quarantined; `report` is the quarantine record that counts it, `decision` what the
+-- operator did: released, discarded.
+CREATE TABLE held (
+    record INTEGER PRIMARY KEY, minute INTEGER NOT NULL, reason TEXT NOT NULL, publisher TEXT NOT NULL,
+    report BLOB, decision TEXT, decided_at INTEGER
+);
+CREATE INDEX held_unreported ON held (record) WHERE report IS NULL;
+CREATE INDEX held_undecided ON held (record) WHERE decision IS NULL;
+
+-- Messages that became no records; `report` is the gap record about them. Numbers are header.seq.
+CREATE TABLE gaps (
+    key INTEGER PRIMARY KEY, owner BLOB NOT NULL, topic TEXT NOT NULL, publisher TEXT NOT NULL, reason TEXT NOT NULL,
+    count INTEGER NOT NULL, first_number INTEGER, last_number INTEGER, first_at INTEGER NOT NULL,
+    last_at INTEGER NOT NULL, report BLOB
+);
+CREATE UNIQUE INDEX gaps_open ON gaps (owner, topic, publisher, reason) WHERE report IS NULL;
+CREATE INDEX gaps_by_report ON gaps (report) WHERE report IS NOT NULL;
+
+-- Records whose ciphertext retention deletes; `report` is the retention record that was anchored before, `header` the
+-- public header of the stored bytes, `deleted_at` when they were deleted. And what was deleted of each topic so far.
+CREATE TABLE retained (
+    record INTEGER PRIMARY KEY, report BLOB NOT NULL, header BLOB NOT NULL, deleted_at INTEGER
+);
+CREATE INDEX retained_due ON retained (record) WHERE deleted_at IS NULL;
+CREATE TABLE retained_topics (topic INTEGER PRIMARY KEY, records INTEGER NOT NULL, bytes INTEGER NOT NULL);
+
+-- What owners state of erased records. `account` is the signature of the owner's account, without which nobody erases
+-- a copy; NULL = not signed by it. `taken`: it came from elsewhere, and accounts for bytes whose retention record need
+-- not be here.
+CREATE TABLE erasures (
+    n INTEGER PRIMARY KEY AUTOINCREMENT, record INTEGER NOT NULL UNIQUE, statement BLOB NOT NULL, account BLOB,
+    taken INTEGER NOT NULL
+);
+
+-- Time from outside. A stamp is over many roots of batches, in their order, 32 bytes each; `upto` is the last batch
+-- under it. Each authority that stamped it gave a token; a stamp without any waits. `authority` is SHA-256 of the pinned
+-- certificate, `before` the latest moment that the token allows.
+CREATE TABLE stamps (key INTEGER PRIMARY KEY, made_at INTEGER NOT NULL, upto INTEGER NOT NULL, roots BLOB NOT NULL);
+CREATE TABLE stamped_roots (root BLOB PRIMARY KEY, stamp INTEGER NOT NULL) WITHOUT ROWID;
+CREATE TABLE stamp_tokens (
+    stamp INTEGER NOT NULL, authority BLOB NOT NULL, before INTEGER NOT NULL, token BLOB NOT NULL,
+    PRIMARY KEY (stamp, authority)
+) WITHOUT ROWID;
+
+-- Incidents: spans of time and topics whose records retention leaves alone. `until` is NULL while one goes on; one
+-- without topics is about all topics of its owner.
+CREATE TABLE incidents (
+    key INTEGER PRIMARY KEY, owner BLOB NOT NULL, name TEXT NOT NULL, since INTEGER NOT NULL, until INTEGER,
+    opened_at INTEGER NOT NULL, closed_at INTEGER, UNIQUE (owner, name)
+);
+CREATE TABLE incident_topics (
+    incident INTEGER NOT NULL, topic TEXT NOT NULL, PRIMARY KEY (incident, topic)
+) WITHOUT ROWID;
+CREATE TABLE incident_notes (
+    incident INTEGER NOT NULL, number INTEGER NOT NULL, at INTEGER NOT NULL, text TEXT NOT NULL,
+    PRIMARY KEY (incident, number)
+) WITHOUT ROWID;
+
+-- Witnesses. A party countersigns what an owner of this home states (`address` is NULL where it is never asked), or has
+-- its own statements countersigned here (`serves`), or both. `key` is SM3 of the party's key.
+CREATE TABLE witnesses (
+    owner BLOB NOT NULL, key BLOB NOT NULL, account BLOB NOT NULL, name TEXT NOT NULL, address TEXT,
+    serves INTEGER NOT NULL, added_at INTEGER NOT NULL, PRIMARY KEY (owner, key)
+) WITHOUT ROWID;
+CREATE TABLE positions (
+    key INTEGER PRIMARY KEY, owner BLOB NOT NULL, witness BLOB NOT NULL, network BLOB NOT NULL, upto INTEGER NOT NULL,
+    at INTEGER NOT NULL, roots BLOB NOT NULL, countersignature BLOB NOT NULL
+);
+CREATE INDEX positions_by_witness ON positions (owner, witness, network, key);
+CREATE TABLE witnessed_roots (
+    root BLOB NOT NULL, witness BLOB NOT NULL, position INTEGER NOT NULL, PRIMARY KEY (root, witness)
+) WITHOUT ROWID;
+CREATE TABLE countersigned (
+    key INTEGER PRIMARY KEY, party BLOB NOT NULL, network BLOB NOT NULL, countersignature BLOB NOT NULL
+);
+CREATE INDEX countersigned_by_party ON countersigned (party, network, key);
+CREATE TABLE contradictions (
+    key INTEGER PRIMARY KEY, party BLOB NOT NULL, at INTEGER NOT NULL, what TEXT NOT NULL, kept BLOB NOT NULL,
+    later BLOB NOT NULL UNIQUE
+);
