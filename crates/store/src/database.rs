@@ -201,7 +201,9 @@ fn prepare(connection: &mut Connection, path: &Path, schema: &Schema) -> Result<
     match identity(&transaction)? {
         (0, 0) => {}
         found if found == ours => return Ok(()),
-        _ => return Err(StoreError::Corrupt { file: path.to_owned(), detail: "another program's database".to_owned() }),
+        _ => {
+            return Err(StoreError::Corrupt { file: path.to_owned(), detail: "another program's database".to_owned() });
+        }
     }
     transaction.execute_batch(schema.text)?;
     transaction.pragma_update(None, "application_id", schema.application)?;

@@ -1,6 +1,5 @@
 //! The ledger's tests: individual behaviours here, random operations in `model`, random queries in `pages`.
 
-mod adoption;
 mod ages;
 mod coverage;
 mod directory;

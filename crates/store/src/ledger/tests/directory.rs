@@ -82,28 +82,3 @@ fn replaced_blocks_give_back_what_they_ended() {
     assert_eq!(ledger.standing_rights(DOMAIN), Ok(None));
     assert_eq!(between(None), Ok(Vec::new()));
 }
-
-#[test]
-fn a_ledger_of_version_9_is_brought_up_and_keeps_the_names_of_what_was_granted() {
-    let home = tempfile::tempdir().expect("temporary directory");
-    let path = home.path().join("ledger.db");
-    let old = Schema { steps: &SCHEMA.steps[..9], ..SCHEMA };
-    let connection = database::open_writer(&path, &old).expect("version 9");
-    name_recorder(&connection, &path).expect("a recorder");
-    let kept = [("granted:0x01:0x02", r#"["/odom"]"#), ("granted-topic:0x01:aa", "/odom"), ("directory-like", "x")];
-    let gone = [("directory", "[5,\"aa\",{}]"), ("directory:aa", "[5,\"aa\",{}]")];
-    for (key, value) in kept.iter().chain(&gone) {
-        connection.execute("INSERT INTO settings VALUES (?1, ?2)", [key, value]).expect("a setting");
-    }
-    drop(connection);
-    let ledger = Ledger::open(&path).expect("brought up");
-    for (key, value) in kept {
-        assert_eq!(ledger.setting(key), Ok(Some(value.to_owned())), "{key}");
-    }
-    for (key, _) in gone {
-        assert_eq!(ledger.setting(key), Ok(None), "{key}");
-    }
-    assert_eq!(ledger.standing_rights(DOMAIN), Ok(None), "the chain is asked again");
-    ledger.keep_rights(DOMAIN, vec![event(5, RightKind::Grant, 1)]).expect("kept");
-    assert_eq!(ledger.standing_rights(DOMAIN).expect("read").expect("some").events.len(), 1);
-}

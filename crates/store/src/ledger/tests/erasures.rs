@@ -3,7 +3,6 @@
 use super::*;
 use crate::chain::merkle::{Inclusion, Leaf, Tree};
 use crate::crypto::ErasedStatement;
-use crate::model::bytes::hex;
 use crate::model::{PublicKey, TopicId};
 
 const OWNER: Address = Address([1; 20]);

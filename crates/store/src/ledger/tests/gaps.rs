@@ -52,25 +52,3 @@ fn captured_is_counted_by_itself_and_held_against_the_states() {
     ledger.write(|session| Ok(session.connection.execute(gone, [])?)).expect("written");
     assert!(!ledger.counts(None).expect("counts").is_conserved(), "a record that no state counts is noticed");
 }
-
-#[test]
-fn a_ledger_of_any_earlier_version_is_brought_up_to_date() {
-    for version in 1..SCHEMA.steps.len() {
-        let home = tempfile::tempdir().expect("temporary directory");
-        let path = home.path().join("ledger.db");
-        let steps: &'static [&'static str] = &SCHEMA.steps[..version];
-        let connection = database::open_writer(&path, &Schema { application: SCHEMA.application, steps }).expect("old");
-        begin(&connection, &path).expect("named");
-        let old = "INSERT INTO topics (owner, recorder, topic_id, name) VALUES (zeroblob(20), 1, zeroblob(16), '/a');
-             INSERT INTO streams (topic, kind, type_name, signer) VALUES (1, 1, 'a/B', zeroblob(32));
-             INSERT INTO records (digest, topic, stream, seq, epoch, signature, bytes, captured_at, acknowledged_at,
-             simulated, state) VALUES (zeroblob(32), 1, 1, 1, 1, zeroblob(64), 5, 1, 1, 0, 2)";
-        connection.execute_batch(old).expect("a record of then");
-        drop(connection);
-        let ledger = Ledger::open(&path).expect("brought up to date");
-        let counts = ledger.counts(None).expect("counts");
-        assert_eq!((counts.captured(), counts.pending(), counts.is_conserved()), (1, 1, true), "from {version}");
-        ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
-        assert_eq!(ledger.counts(None).expect("counts").captured(), 2);
-    }
-}
