@@ -170,7 +170,7 @@ pub enum Verb {
     },
     /// List the profiles of this home
     Profiles,
-    /// Settings: show, check, dump, apply
+    /// Settings: show, check
     #[command(subcommand)]
     Config(ConfigVerb),
     /// Health of the site's parts, and the states of this profile's records
@@ -286,16 +286,6 @@ pub enum ConfigVerb {
     Show,
     /// Check the settings
     Check,
-    /// Print this site's configuration, without secrets, as one TOML file to keep in a repository
-    Dump,
-    /// Apply a configuration file to this home; differences are shown first
-    Apply {
-        /// The file, as written by `config dump`
-        file: PathBuf,
-        /// Only show the differences; exit code 8 if there are any
-        #[arg(long)]
-        check: bool,
-    },
 }
 
 /// `demo …`
@@ -342,9 +332,6 @@ pub struct ConsoleArguments {
     /// Plain ASCII glyphs
     #[arg(long)]
     pub ascii: bool,
-    /// Line mode for screen readers and pipes: words in, sentences out
-    #[arg(long)]
-    pub plain: bool,
     /// Read-only: nothing can be changed
     #[arg(long)]
     pub read_only: bool,

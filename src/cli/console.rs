@@ -26,15 +26,13 @@ pub fn run(
     arguments: ConsoleArguments,
     tour: Option<Cast>,
 ) -> Result<u8, Failure> {
-    if !arguments.plain && !term::is_interactive() {
+    if !term::is_interactive() {
         return Err(Failure::new(
             ErrorKind::Usage,
-            "the console needs a terminal; without one, use `authros console --plain`, `authros demo`, `authros \
-             capture` or `authros serve`",
+            "the console needs a terminal; without one, use `authros demo`, `authros capture` or `authros serve`",
         ));
     }
-    let plain = arguments.plain;
-    let leaves_site = tour.is_none() && !plain && context.operator.is_none();
+    let leaves_site = tour.is_none() && context.operator.is_none();
     let options = ConsoleOptions { tour, leaves_site, ..looks::options(&context, arguments)? };
     let successor = Successor::of(&context);
     let reader = options.tour.as_ref().map(|cast| cast.reader.clone());
@@ -44,8 +42,7 @@ pub fn run(
     let site = Arc::new(OnceLock::new());
     // The first frame does not wait for the site: calls are answered as soon as it is there.
     runtime.spawn(serve(context, reader, Arc::clone(&site), waiting, events));
-    let run = if plain { term::plain::run } else { term::run };
-    let ended = run(client, runtime.handle(), &options);
+    let ended = term::run(client, runtime.handle(), &options);
     // The site captures until the passphrase is known to be the right one.
     let secret = matches!(ended, Ok(ExitReason::LeaveSite)).then(|| successor.passphrase());
     if let Some(site) = site.get() {

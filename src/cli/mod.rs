@@ -46,7 +46,6 @@ mod retention;
 mod robots;
 mod serve;
 mod show;
-mod site_file;
 mod status;
 mod systemd;
 mod tour;

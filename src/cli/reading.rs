@@ -134,8 +134,6 @@ mod tests {
             "chain status",
             "chain succession list",
             "chain suspend bob",
-            "config dump",
-            "config apply FILE --check",
         ] {
             let failure = refusal(words).unwrap_or_else(|| panic!("{words} is not refused"));
             assert!(failure.kind == ErrorKind::Input && failure.message.contains(&missing), "{words}: {failure:?}");
@@ -151,7 +149,6 @@ mod tests {
             "gateway serve",
             "chain genesis --guide",
             "config show",
-            "config apply FILE",
             "doctor",
             "fleet add b:7420 --gateway-key HEX",
         ] {

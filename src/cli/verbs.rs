@@ -8,7 +8,7 @@ use super::args::{ConfigVerb, GrantsVerb, IdentityVerb, SharedVerb, TopicsVerb, 
 use super::connect::{Context, ProfileNeed};
 use super::quarantine::{self, QuarantineVerb};
 use super::show::Question;
-use super::{adopt, check, follow, lists, parse, passphrase, playing, progress, recordings, site_file, viewing};
+use super::{adopt, check, follow, lists, parse, passphrase, playing, progress, recordings, viewing};
 use crate::service::command::{
     CheckShared, CompareFingerprint, CreateIdentity, ExportUpload, ExtendGrant, ForeseeKeyChange, ListGrants, ListPins,
     ListShared, ListTopics, Lock, NameRecovery, ShowIdentity, ShowUpload, UnpinTopic, UnwatchTopic, ViewPath,
@@ -77,8 +77,6 @@ pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Fa
 pub async fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Result<u8, Failure> {
     let settings = context.config.show();
     match verb {
-        ConfigVerb::Dump => return site_file::dump(context, output).await,
-        ConfigVerb::Apply { file, check } => return site_file::apply(context, file, *check, output).await,
         ConfigVerb::Show => output.result(&serde_json::json!({ "settings": settings }), || lists::settings(&settings)),
         ConfigVerb::Check => output.result(&serde_json::json!({ "ok": true }), || "the settings are valid".to_owned()),
     }

@@ -245,47 +245,6 @@ fn keys_and_theme_of_ones_own_and_errors_by_line() {
     assert!(said.contains("keymap.toml") && said.contains("line 3") && said.contains("wacth"), "{said}");
 }
 
-#[test]
-fn lines_for_screen_readers_do_the_same_work() {
-    let home = Home::new();
-    let authros = one_robot(&home);
-    let script =
-        "create-identity\ncorrect horse\ncorrect horse\ntopics\nfilter odom\nrow 1\nshow\nwatch\nstatus\nquit\ny\n";
-    let file = home.file("script", script, 0o600);
-    let program = authros.program().to_str().expect("UTF-8").to_owned();
-    let line = [vec![program], authros.arguments(&["console", "--plain"])].concat();
-    let mut command = std::process::Command::new("sh");
-    command.args(["-c", "exec \"$0\" \"$@\" < script"]).args(&line).env_clear().envs(authros.variables());
-    command.current_dir(home.root());
-    drop(file);
-    let told = support::Running::start(command).wait(90).expect_code(0);
-    for text in ["identity created", "1, selected: /robot1/odom", "now watching /robot1/odom", "Passphrase"] {
-        assert!(told.stdout.contains(text), "no '{text}': {told}");
-    }
-    assert!(!told.stdout.contains("correct horse") && !told.stdout.contains('\u{1b}'), "{told}");
-    assert_eq!(foreign_in_lines(&told.stdout), None);
-    let topics = list(&authros.json(&["topics", "list"]), "topics");
-    assert!(topics.iter().any(|topic| topic["topic"] == TOPIC && topic["watched"] == true), "{topics:?}");
-}
-
-#[test]
-fn a_passphrase_typed_in_lines_is_not_echoed() {
-    let home = Home::new();
-    let mut console = Console::open_in(&Terminal::of(100, 30), &one_robot(&home), &["console", "--plain"]);
-    console.wait_for("Overview screen.", 30);
-    console.press("create-identity\r");
-    console.wait_for("Passphrase (at least", 30);
-    console.press("correct horse\r");
-    console.wait_for("Repeat", 30);
-    console.press("esc\r");
-    console.press("status\r");
-    console.wait_for("Profile default", 30);
-    console.press("quit\r");
-    assert!(console.wait(30).success(), "{}", console.shown());
-    assert!(!holds(&console.raw(), b"correct horse"));
-    assert!(console.is_restored());
-}
-
 fn scene(state: State) -> Scene {
     let theme = Theme::named("night").expect("embedded");
     Scene { state, theme, wish: Wish::Now, anew: false, extra: String::new(), suspended: false, over: false }

@@ -68,7 +68,6 @@ mod ros2_walls;
 mod rosrust_playing;
 mod scale;
 mod sharing;
-mod site_file;
 mod status;
 mod succession;
 mod time_stamps;

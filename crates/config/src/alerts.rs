@@ -5,8 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use super::error::ConfigError;
-use super::read::{Values, bytes, number, source_of, span, value, wrong};
-use super::source::Source;
+use super::read::{Source, Values, bytes, number, source_of, span, value, wrong};
 use crate::crypto::private_file;
 use crate::model::clean;
 

@@ -1,7 +1,7 @@
 //! The console's appearance, as far as the settings determine it.
 
 use super::error::ConfigError;
-use super::read::{Values, number, value, wrong};
+use super::read::{Values, number, switch, value, wrong};
 
 /// How the console shows the pictures of records.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -40,11 +40,6 @@ impl ConsoleSettings {
             Some("auto") | None => None,
             Some(_) => return Err(wrong(values, "console.ascii", "choose yes, no or auto")),
         };
-        let mouse = match value(values, "console.mouse") {
-            Some("yes") => true,
-            Some("no") | None => false,
-            Some(_) => return Err(wrong(values, "console.mouse", "choose yes or no")),
-        };
         let bytes_per_second = match value(values, "console.bytes_per_second") {
             Some(_) => u32::try_from(number(values, "console.bytes_per_second", 500, 100_000_000)?).ok(),
             None => None,
@@ -61,7 +56,7 @@ impl ConsoleSettings {
             lock_after,
             theme: value(values, "console.theme").map(str::to_owned),
             ascii,
-            mouse,
+            mouse: switch(values, "console.mouse", ("yes", "no"))?,
             bytes_per_second,
             pictures,
         })

@@ -23,29 +23,7 @@ pub enum ConfigError {
         /// The key.
         name: String,
     },
-    /// A rule for topics that is invalid.
-    #[error("{file} line {line}: this rule cannot be used: {what}")]
-    Rule {
-        /// The file.
-        file: String,
-        /// Line, from 1.
-        line: usize,
-        /// What is wrong.
-        what: String,
-    },
-    /// A secret in a file that others can read.
-    #[error("{file} line {line}: {name} holds a secret, but this file is meant to be shared; {instead}")]
-    Secret {
-        /// The file.
-        file: String,
-        /// Line, from 1.
-        line: usize,
-        /// The key.
-        name: String,
-        /// Where it belongs instead.
-        instead: &'static str,
-    },
-    /// An invalid entry in a list of the file.
+    /// An invalid `[[topic]]` or `[[watch]]` table, or a key that does not belong in this file.
     #[error("{file} line {line}: {what}")]
     Entry {
         /// The file.

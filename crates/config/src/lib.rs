@@ -11,11 +11,8 @@ mod error;
 mod lines;
 mod metrics;
 pub mod paths;
-mod published_by;
 mod read;
 mod robot_policy;
-mod site_file;
-mod source;
 #[cfg(test)]
 mod tests;
 mod time;
@@ -30,14 +27,9 @@ pub use self::console::{ConsoleSettings, Pictures};
 pub use self::definitions::{DEFINITIONS, Definition};
 pub use self::error::ConfigError;
 pub use self::metrics::{FiguresPlace, MetricsSettings};
-pub use self::published_by::{PublishedBy, PublishedByError};
-pub use self::read::without_password;
+pub use self::read::{SettingView, Source, without_password};
 use self::read::{Values, bytes, copies, find, number, parsed, period, read_file, span, switch, url, value, wrong};
 pub use self::robot_policy::{RingWish, RobotPolicy};
-pub use self::site_file::{
-    Decisions, Difference, Here, HomeSettings, KnownAccount, MOST_CONTACTS, Settings, SiteFile, Stays,
-};
-pub use self::source::{SettingView, Source};
 pub use self::time::TimeAuthority;
 use crate::crypto::{Kernel, ProviderName};
 use crate::model::{
@@ -55,6 +47,15 @@ pub enum MeterMode {
     All,
     /// Only watched topics.
     Watched,
+}
+
+/// What publishes in a graph of ROS 1.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PublishedBy {
+    /// Our own publisher, in the site's process.
+    Own,
+    /// rosrust, in the program `authros-rosrust`.
+    Rosrust,
 }
 
 /// All effective settings.
@@ -238,8 +239,8 @@ impl Config {
             definitions: text("ros.definitions").unwrap_or_default().to_owned(),
             ros_domain,
             ros2_program: text("ros.ros2_program").map(PathBuf::from),
-            publisher: parsed(&values, "ros.publisher")?.unwrap_or_default(),
-            robots_by: parsed(&values, "ros.robots_by")?.unwrap_or_default(),
+            publisher: published_by(&values, "ros.publisher")?,
+            robots_by: published_by(&values, "ros.robots_by")?,
             rosrust_program: text("ros.rosrust_program").map(PathBuf::from),
             robots: if without_robots { 0 } else { u16::try_from(robots).unwrap_or(0) },
             ros_master,
@@ -309,6 +310,10 @@ impl Config {
     pub fn source(&self, name: &str) -> Source {
         self.values.get(name).map_or(Source::Default, |(_, source)| source.clone())
     }
+}
+
+fn published_by(values: &Values, name: &'static str) -> Result<PublishedBy, ConfigError> {
+    Ok(if switch(values, name, ("own", "rosrust"))? { PublishedBy::Own } else { PublishedBy::Rosrust })
 }
 
 /// Hex digits of a key's fingerprint: half of the key's.

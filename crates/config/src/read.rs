@@ -1,4 +1,4 @@
-//! Values as text: from flags, environment, file or defaults, parsed into their types.
+//! Values as text with their sources (flag, environment, file, default), parsed into their types.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -6,9 +6,48 @@ use std::path::Path;
 use std::str::FromStr;
 use std::time::Duration;
 
+use serde::Serialize;
+
 use super::lines::Lines;
-use super::{ConfigError, DEFINITIONS, Definition, Source, topic_rules};
+use super::{ConfigError, DEFINITIONS, Definition, topic_rules};
 use crate::model::{ByteSize, TopicRules, clean, time_span};
+
+/// The source of a value.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Source {
+    /// Built in.
+    Default,
+    /// `config.toml`, with the line.
+    File(usize),
+    /// An environment variable.
+    Environment(&'static str),
+    /// A command-line flag.
+    Flag,
+}
+
+impl fmt::Display for Source {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Default => formatter.write_str("default"),
+            Self::File(line) => write!(formatter, "config.toml line {line}"),
+            Self::Environment(name) => write!(formatter, "environment {name}"),
+            Self::Flag => formatter.write_str("flag"),
+        }
+    }
+}
+
+/// One setting as printed by `config show`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct SettingView {
+    /// Its name.
+    pub name: &'static str,
+    /// Its value.
+    pub value: String,
+    /// Its source.
+    pub source: String,
+    /// Its meaning.
+    pub text: &'static str,
+}
 
 /// A URL with any `user:password@` hidden.
 pub fn without_password(url: &str) -> String {
@@ -42,11 +81,6 @@ pub(super) fn find(
     )
 }
 
-/// A file's name in messages.
-pub(super) fn file_name(path: &Path) -> String {
-    clean(&path.display().to_string(), 200)
-}
-
 pub(super) fn document(file: &str, text: &str) -> Result<toml::Table, ConfigError> {
     text.parse().map_err(|error: toml::de::Error| ConfigError::Syntax {
         file: file.to_owned(),
@@ -55,24 +89,21 @@ pub(super) fn document(file: &str, text: &str) -> Result<toml::Table, ConfigErro
 }
 
 pub(super) fn read_file(path: &Path, text: &str) -> Result<(FileValues, TopicRules), ConfigError> {
-    let file = file_name(path);
-    read_document(&file, document(&file, text)?, text)
+    let file = clean(&path.display().to_string(), 200);
+    read_document(document(&file, text)?, &Lines::of(&file, text))
 }
 
-/// Settings and rules of a document; `text` is its source, for the line numbers.
+/// Settings and rules of a document.
 pub(super) fn read_document(
-    file: &str,
     mut document: toml::Table,
-    text: &str,
+    lines: &Lines,
 ) -> Result<(FileValues, TopicRules), ConfigError> {
-    let rules = document.remove(topic_rules::TABLE).map(|tables| topic_rules::read(&tables, text)).transpose();
-    let rules =
-        rules.map_err(|fault| ConfigError::Rule { file: file.to_owned(), line: fault.line, what: fault.what })?;
-    let (mut values, lines) = (FileValues::new(), Lines::of(text));
+    let rules = document.remove(topic_rules::TABLE).map(|tables| topic_rules::read(&tables, lines)).transpose()?;
+    let mut values = FileValues::new();
     flatten("", &toml::Value::Table(document), &mut |name, value| {
         let line = lines.line(name);
         if !DEFINITIONS.iter().any(|definition| definition.name == name) {
-            return Err(ConfigError::Unknown { file: file.to_owned(), line, name: clean(name, 60) });
+            return Err(ConfigError::Unknown { file: lines.file.clone(), line, name: clean(name, 60) });
         }
         let value = value.as_str().map_or_else(|| value.to_string(), str::to_owned);
         values.insert(name.to_owned(), (value, line));
@@ -81,7 +112,7 @@ pub(super) fn read_document(
     Ok((values, rules.unwrap_or_default()))
 }
 
-pub(super) fn flatten(
+fn flatten(
     prefix: &str,
     value: &toml::Value,
     each: &mut dyn FnMut(&str, &toml::Value) -> Result<(), ConfigError>,

@@ -6,9 +6,8 @@ use toml::Value;
 
 use crate::ConfigError;
 use crate::lines::Lines;
-use crate::model::{TopicName, TopicRules, clean};
-use crate::read::{Values, document, read_document};
-use crate::source::Source;
+use crate::model::{TopicName, TopicRules};
+use crate::read::{Source, Values, document, read_document};
 use crate::{RingSettings, ring, topic_rules};
 
 /// What errors call the text.
@@ -49,17 +48,14 @@ impl RobotPolicy {
     /// # Errors
     /// [`ConfigError`] for the first thing that is not valid.
     pub fn read(text: &str) -> Result<Self, ConfigError> {
-        let lines = Lines::of(text);
+        let lines = Lines::of(FILE, text);
         let mut document = document(FILE, text)?;
         let watched = document.remove(WATCH).map(|tables| watched(&tables, &lines)).transpose()?;
         let has_rules = document.contains_key(topic_rules::TABLE);
-        let (found, rules) = read_document(FILE, document, text)?;
-        if let Some((name, (_, line))) = found.iter().find(|(name, _)| !SETTINGS.contains(&name.as_str())) {
-            let what = format!(
-                "a robot's policy has no '{}'; it has [[topic]], [[watch]], ring.keep and ring.topics",
-                clean(name, 60)
-            );
-            return Err(ConfigError::Entry { file: FILE.to_owned(), line: *line, what });
+        let (found, rules) = read_document(document, &lines)?;
+        if let Some(name) = found.keys().find(|name| !SETTINGS.contains(&name.as_str())) {
+            let what = format!("a robot's policy has no '{name}'; it has [[topic]], [[watch]], ring.keep and ring.topics");
+            return Err(lines.fault(name, &what));
         }
         let mut values = Values::new();
         for name in SETTINGS {
@@ -86,15 +82,10 @@ fn named(error: ConfigError) -> ConfigError {
 }
 
 fn watched(tables: &Value, lines: &Lines) -> Result<Vec<TopicName>, ConfigError> {
-    let fault = |place: &str, what: String| ConfigError::Entry {
-        file: FILE.to_owned(),
-        line: lines.line(place),
-        what: clean(&what, 300),
-    };
-    let form = |place: &str| fault(place, "write [[watch]] tables, each with topic = \"/robot1/odom\"".to_owned());
+    let form = |place: &str| lines.fault(place, "write [[watch]] tables, each with topic = \"/robot1/odom\"");
     let tables = tables.as_array().ok_or_else(|| form(WATCH))?;
     if tables.len() > MOST_WATCHED {
-        return Err(fault(WATCH, format!("there are more than {MOST_WATCHED} [[watch]] tables")));
+        return Err(lines.fault(WATCH, &format!("there are more than {MOST_WATCHED} [[watch]] tables")));
     }
     let mut topics = BTreeSet::new();
     for (index, table) in tables.iter().enumerate() {
@@ -103,12 +94,12 @@ fn watched(tables: &Value, lines: &Lines) -> Result<Vec<TopicName>, ConfigError>
         if let Some(key) = table.keys().find(|key| *key != "topic") {
             let what =
                 format!("[[watch]] of a policy has no key '{key}', only topic; types and rates are for [[topic]]");
-            return Err(fault(&format!("{place}.{key}"), what));
+            return Err(lines.fault(&format!("{place}.{key}"), &what));
         }
         let topic = table.get("topic").and_then(Value::as_str).ok_or_else(|| form(&place))?;
-        let topic = topic.parse::<TopicName>().map_err(|error| fault(&place, error.to_string()))?;
+        let topic = topic.parse::<TopicName>().map_err(|error| lines.fault(&place, &error.to_string()))?;
         if !topics.insert(topic) {
-            return Err(fault(&place, "this topic is watched twice; remove one of them".to_owned()));
+            return Err(lines.fault(&place, "this topic is watched twice; remove one of them"));
         }
     }
     Ok(topics.into_iter().collect())

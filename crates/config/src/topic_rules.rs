@@ -3,10 +3,12 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::model::{TopicRule, TopicRules, TypeName, clean, positive_span};
+use super::ConfigError;
+use super::lines::Lines;
+use crate::model::{TopicRule, TopicRules, TypeName, positive_span};
 
 /// The name of the tables.
-pub const TABLE: &str = "topic";
+pub(super) const TABLE: &str = "topic";
 
 /// The most rules.
 const MOST_RULES: usize = 1000;
@@ -14,51 +16,24 @@ const MOST_RULES: usize = 1000;
 const MOST_TAGS: usize = 16;
 /// The highest rate that limits anything, messages a second.
 const FASTEST: f64 = 100_000.0;
-/// Why a rule is invalid: the line, from 1, and what is wrong.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct RuleFault {
-    /// The line in the file.
-    pub line: usize,
-    /// What is wrong, cleaned.
-    pub what: String,
-}
 
-/// Reads the rules from the value of `topic`; `text` is the file, for its line numbers.
+/// Reads the rules from the value of `topic`.
 ///
 /// # Errors
-/// [`RuleFault`] for the first invalid rule.
-pub fn read(value: &toml::Value, text: &str) -> Result<TopicRules, RuleFault> {
-    let starts = starts(text);
-    let fault = |line: usize, what: &str| RuleFault { line, what: clean(what, 300) };
-    let first = starts.first().copied().unwrap_or(1);
-    let tables = value.as_array().ok_or_else(|| fault(first, "write topic rules as [[topic]] tables"))?;
+/// [`ConfigError`] for the first invalid rule.
+pub(super) fn read(value: &toml::Value, lines: &Lines) -> Result<TopicRules, ConfigError> {
+    let form = |place: &str| lines.fault(place, "write topic rules as [[topic]] tables");
+    let tables = value.as_array().ok_or_else(|| form(TABLE))?;
     if tables.len() > MOST_RULES {
-        return Err(fault(first, &format!("there are more than {MOST_RULES} rules")));
+        return Err(lines.fault(TABLE, &format!("there are more than {MOST_RULES} rules")));
     }
-    let mut rules = Vec::with_capacity(tables.len());
-    for (index, table) in tables.iter().enumerate() {
-        let line = starts.get(index).copied().unwrap_or(first);
-        let table = table.as_table().ok_or_else(|| fault(line, "write rules as [[topic]] tables"))?;
-        let rule = rule(table, line).map_err(|(key, what)| fault(line_of(text, line, key), &what))?;
-        rules.push(Arc::new(rule));
-    }
-    Ok(TopicRules(rules))
-}
-
-/// Lines on which the tables begin.
-fn starts(text: &str) -> Vec<usize> {
-    let begins = |line: &str| line.replace([' ', '\t', '"', '\''], "").starts_with("[[topic]]");
-    text.lines().enumerate().filter(|(_, line)| begins(line)).map(|(index, _)| index + 1).collect()
-}
-
-/// The line of a key after the start of its table; that start if it is not found.
-fn line_of(text: &str, start: usize, key: &str) -> usize {
-    let behind = text.lines().enumerate().skip(start).take_while(|(_, line)| !line.trim_start().starts_with("[["));
-    let has = |line: &str| {
-        let line = line.trim_start().trim_start_matches(['"', '\'', '[']);
-        line.starts_with(key) || line.starts_with("topic.")
+    let rule = |(index, table): (usize, &toml::Value)| {
+        let place = format!("{TABLE}.{index}");
+        let table = table.as_table().ok_or_else(|| form(&place))?;
+        let rule = rule(table, lines.line(&place));
+        rule.map(Arc::new).map_err(|(key, what)| lines.fault(&format!("{place}.{key}"), &what))
     };
-    behind.into_iter().find(|(_, line)| has(line)).map_or(start, |(index, _)| index + 1)
+    tables.iter().enumerate().map(rule).collect::<Result<_, _>>().map(TopicRules)
 }
 
 type Wrong<'a> = (&'a str, String);
@@ -130,9 +105,9 @@ fn retention(value: &toml::Value) -> Result<u64, Wrong<'static>> {
 mod tests {
     use super::*;
 
-    fn rules(text: &str) -> Result<TopicRules, RuleFault> {
+    fn rules(text: &str) -> Result<TopicRules, ConfigError> {
         let table: toml::Table = text.parse().expect("TOML");
-        read(&table["topic"], text)
+        read(&table["topic"], &Lines::of("config.toml", text))
     }
 
     #[test]
@@ -164,8 +139,8 @@ mod tests {
             (5, "match = \"b\"\n"),
             (4, "rate = 1\n"),
         ] {
-            let fault = rules(&format!("{first}[[topic]]\n{table}")).expect_err(table);
-            assert_eq!(fault.line, line, "{table}: {fault:?}");
+            let error = rules(&format!("{first}[[topic]]\n{table}")).expect_err(table);
+            assert!(matches!(error, ConfigError::Entry { line: at, .. } if at == line), "{table}: {error:?}");
         }
         assert!(rules("topic = 3\n").is_err());
     }

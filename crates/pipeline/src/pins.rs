@@ -374,18 +374,6 @@ impl Pins {
         Ok(gone)
     }
 
-    /// The operator no longer accepts one publisher of a topic; others of its caller id stay.
-    ///
-    /// # Errors
-    /// Errors of the ledger; then nothing changes.
-    pub fn unpin_one(&self, owner: Address, topic: &str, publisher: &Publisher) -> Result<(), StoreError> {
-        let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
-        self.ledger.unpin_one(owner, topic, publisher)?;
-        topics.remove(&(owner, topic.to_owned()));
-        self.judge_anew(owner, topic, |verdict| *verdict.origin.caller_id == *publisher.caller_id);
-        Ok(())
-    }
-
     /// Drops verdicts that no longer follow from the pins.
     fn judge_anew(&self, owner: Address, topic: &str, changed: impl Fn(&Verdict) -> bool) {
         let mut verdicts = self.verdicts.write().unwrap_or_else(PoisonError::into_inner);

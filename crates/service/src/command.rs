@@ -35,7 +35,7 @@ pub use self::incidents::{
     CloseIncident, IncidentCommand, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident,
 };
 pub use self::operate::{
-    Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, ListAlerts, ListWatches, Lock, Operation,
+    Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, ListAlerts, Lock, Operation,
     TestAlert,
 };
 pub use self::operators::{
@@ -158,13 +158,6 @@ requests! {
         topic: TopicName,
         /// The node name.
         caller_id: String,
-    } => PinsView;
-    /// No longer accept one publisher of a topic; others with its caller id stay.
-    UnpinPublisher {
-        /// The topic.
-        topic: TopicName,
-        /// The publisher.
-        publisher: Publisher,
     } => PinsView;
     /// Quarantined messages, oldest first.
     ListQuarantine {

@@ -57,7 +57,7 @@ pub use self::records::{
 pub use self::robots::{RingPullView, RobotRow, RobotTopicRow, RobotView};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
-pub use self::topics::{CaptureSummary, CoveragePart, CoverageView, HeldUp, TopicRow, TopicSummary, WatchView};
+pub use self::topics::{CaptureSummary, CoveragePart, CoverageView, HeldUp, TopicRow, TopicSummary};
 pub use self::unattended::{UnattendedFile, UnattendedState, UnattendedView};
 pub use self::viewing::PathView;
 pub use self::witnesses::{ContradictionView, GivenView, WitnessAnswers, WitnessView, WitnessesView};
@@ -204,8 +204,6 @@ replies! {
     GatewayStatus(GatewayStatusView);
     /// To `Operation::Admit`, `Operation::Dismiss` and `Operation::ListAdmitted`.
     Admitted(Vec<AdmittedView>);
-    /// To `Operation::ListWatches`.
-    Watches(Vec<WatchView>);
     /// To `Operation::ListAlerts`.
     Alerts(AlertsView);
     /// To `Operation::TestAlert`.

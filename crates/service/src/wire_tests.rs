@@ -80,7 +80,6 @@ pub(crate) const REQUESTS: &[&str] = &[
     r#"{"command":"operate","operation":"lock"}"#,
     r#"{"command":"operate","operation":"hold_capture","hold":true}"#,
     r#"{"command":"operate","operation":"back_up_keys"}"#,
-    r#"{"command":"operate","operation":"list_watches"}"#,
     r#"{"command":"operate","operation":"list_alerts"}"#,
     r#"{"command":"operate","operation":"test_alert"}"#,
     r#"{"command":"operate","operation":"gateway_status"}"#,

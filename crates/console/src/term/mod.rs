@@ -12,10 +12,9 @@ pub mod colour;
 pub mod encode;
 pub mod files;
 pub mod guard;
+pub mod host;
 pub mod input;
-pub mod outside;
 pub mod pixels;
-pub mod plain;
 pub mod renderer;
 pub mod signals;
 pub mod stage;
@@ -26,15 +25,14 @@ mod library;
 mod session;
 
 use std::io::{self, IsTerminal};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use tokio::runtime::Handle;
 
 use crate::app::tour::Cast;
-use crate::app::zone::Zone;
-use crate::app::{Keymap, Settings, State};
+use crate::app::Keymap;
 use crate::config::Pictures;
-use crate::model::{ErrorKind, ProfileName, Timestamp};
+use crate::model::{ErrorKind, ProfileName};
 use crate::service::{Client, Failure};
 use crate::ui::{ThemeError, Themes};
 
@@ -72,7 +70,7 @@ pub struct ConsoleOptions {
     pub profiles: Vec<ProfileName>,
     /// Who is who in the tour, if the console starts with it.
     pub tour: Option<Cast>,
-    /// Whether the caller can leave a site running in the console's place.
+    /// Whether the caller can leave a site running after the console.
     pub leaves_site: bool,
 }
 
@@ -81,7 +79,7 @@ pub struct ConsoleOptions {
 pub enum ExitReason {
     /// The operator quit.
     Quit,
-    /// The operator quit; a site is to run in the console's place.
+    /// The operator quit; a site continues without the console.
     LeaveSite,
     /// The site refused this console; the message is still to be shown.
     Refused(Failure),
@@ -106,9 +104,6 @@ impl ExitReason {
 /// Why the console cannot run.
 #[derive(Debug, thiserror::Error)]
 pub enum TermError {
-    /// There is no terminal.
-    #[error("the console needs a terminal; without one, use `authros demo`, `authros capture` or `authros serve`")]
-    NotATerminal,
     /// The theme cannot be used.
     #[error(transparent)]
     Theme(#[from] ThemeError),
@@ -124,38 +119,10 @@ impl TermError {
     /// Decides the exit code.
     pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::NotATerminal => ErrorKind::Usage,
             Self::Theme(_) => ErrorKind::Input,
             Self::Terminal(_) | Self::Fault(_) => ErrorKind::Internal,
         }
     }
-}
-
-/// Where relative paths start.
-fn directory(options: &ConsoleOptions) -> io::Result<PathBuf> {
-    options.directory.clone().map_or_else(std::env::current_dir, Ok)
-}
-
-/// The state before the first answer, at the present time.
-fn first_state(client: &Client, options: &ConsoleOptions, directory: &Path) -> State {
-    let mut state = State::new(Settings {
-        profile: client.profile().clone(),
-        operator: options.operator.clone(),
-        read_only: options.read_only,
-        directory: directory.to_owned(),
-        home: std::env::var_os("HOME").map(PathBuf::from),
-        keymap: options.keymap.clone(),
-        themes: options.themes.names(),
-        lock_after: options.lock_after,
-        process: std::process::id(),
-        asks_passphrase: options.asks_passphrase,
-        profiles: options.profiles.clone(),
-        tour: options.tour.clone(),
-        leaves_site: options.leaves_site,
-        zone: Zone::new(jiff::tz::TimeZone::system()),
-    });
-    (state.now, state.mouse) = (Timestamp::now(), options.mouse);
-    state
 }
 
 /// Whether there is a terminal to read keys from and to draw on.
@@ -169,10 +136,7 @@ pub fn is_interactive() -> bool {
 /// forever if the terminal is gone: the caller should end the process soon.
 ///
 /// # Errors
-/// [`TermError`] if there is no terminal, or it fails.
+/// [`TermError`] if the terminal fails.
 pub fn run(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<ExitReason, TermError> {
-    if !is_interactive() {
-        return Err(TermError::NotATerminal);
-    }
     session::Session::open(client, handle, options)?.run()
 }

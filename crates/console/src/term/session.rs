@@ -2,7 +2,7 @@
 //! effects to the site, the terminal and the files.
 
 use std::io::{self, IsTerminal};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::sync::{Arc, MutexGuard, PoisonError, TryLockError};
@@ -13,13 +13,14 @@ use tokio::runtime::Handle;
 
 use super::budget::{Budget, OVER_SSH};
 use super::colour::Depth;
-use super::outside::{Heard, Outside, sender};
+use super::host::{Host, Message, sender};
 use super::pixels::{self, Pixels};
 use super::renderer::{self, Painter};
 use super::signals::{self, Listener};
 use super::stage::{Stage, Wish};
 use super::{ConsoleOptions, ExitReason, TermError, clipboard, guard, input};
-use crate::app::{Action, Effect, update};
+use crate::app::zone::Zone;
+use crate::app::{Action, Effect, Settings, State, update};
 use crate::config::Pictures;
 use crate::model::{ProfileName, Timestamp};
 use crate::service::Client;
@@ -34,9 +35,9 @@ const STUCK_AFTER: Duration = Duration::from_millis(1500);
 
 /// One run of the console.
 pub struct Session {
-    outside: Outside,
+    host: Host,
     stage: Arc<Stage>,
-    ears: Receiver<Heard>,
+    messages: Receiver<Message>,
     stop: Arc<AtomicBool>,
     reading: Option<thread::JoinHandle<()>>,
     resized: Option<(u16, u16, Instant)>,
@@ -55,32 +56,32 @@ impl Session {
     pub fn open(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<Self, TermError> {
         let depth = Depth::from_environment(|name| std::env::var(name).ok());
         let theme = theme(options, depth)?;
-        let directory = super::directory(options)?;
-        let mut state = super::first_state(&client, options, &directory);
+        let directory = options.directory.clone().map_or_else(std::env::current_dir, Ok)?;
+        let mut state = first_state(&client, options, &directory);
         state.theme.clone_from(&theme.name);
         if let Some(kept) = options.kept.as_deref().and_then(super::kept::read) {
             crate::app::resume::recall(&mut state, &kept);
         }
         state.size = crossterm::terminal::size()?;
-        let (mouth, ears) = channel();
-        let signals = Listener::start(sender(&mouth, Heard::Signal))?;
+        let (sending, messages) = channel();
+        let signals = Listener::start(sender(&sending, Message::Signal))?;
         let guard = guard::Guard::enter(
             pixels::taking_away(options.pictures),
-            sender(&mouth, |fault| Heard::Act(Action::Fault(fault))),
-            sender(&mouth, Heard::Broken),
+            sender(&sending, |fault| Message::Act(Action::Fault(fault))),
+            sender(&sending, Message::Broken),
         )?;
         let rate = bytes_per_second(options);
         let painter = Painter::new(depth, state.size).with_pixels(Pixels::new(options.pictures, rate));
         let stage = Arc::new(Stage::new(state, theme));
         let budget = Budget::new(rate, Instant::now());
-        renderer::start(Arc::clone(&stage), painter, budget, sender(&mouth, |_| Heard::TerminalFailed))?;
+        renderer::start(Arc::clone(&stage), painter, budget, sender(&sending, |_| Message::TerminalFailed))?;
         let stop = Arc::new(AtomicBool::new(false));
-        let reading = Some(input::start(Arc::clone(&stop), sender(&mouth, Heard::Act))?);
+        let reading = Some(input::start(Arc::clone(&stop), sender(&sending, Message::Act))?);
         let session = Self {
             profile: client.profile().clone(),
-            outside: Outside { client, handle: handle.clone(), mouth, directory },
+            host: Host { client, handle: handle.clone(), messages: sending, directory },
             stage,
-            ears,
+            messages,
             stop,
             reading,
             resized: None,
@@ -91,7 +92,7 @@ impl Session {
             _guard: guard,
             _signals: signals,
         };
-        session.outside.listen();
+        session.host.listen();
         if session.mouse {
             session.stage.change(Wish::Now, |scene| scene.extra.push_str(guard::TAKE_MOUSE));
         }
@@ -103,9 +104,9 @@ impl Session {
         let effects = crate::app::update::start(&mut self.stage.scene().state);
         let mut ended = self.carry_out(effects);
         while ended.is_none() {
-            let heard = self.ears.recv_timeout(self.patience());
-            ended = match heard {
-                Ok(heard) => self.hear(heard),
+            let received = self.messages.recv_timeout(self.patience());
+            ended = match received {
+                Ok(message) => self.receive(message),
                 Err(RecvTimeoutError::Timeout) => None,
                 Err(RecvTimeoutError::Disconnected) => Some(Err(TermError::Fault("its threads ended".to_owned()))),
             };
@@ -127,23 +128,22 @@ impl Session {
         [due, settled].into_iter().flatten().fold(WATCH_EVERY, Duration::min)
     }
 
-    fn hear(&mut self, heard: Heard) -> Option<Result<ExitReason, TermError>> {
-        match heard {
-            Heard::Act(Action::Resize { columns, rows }) => {
+    fn receive(&mut self, message: Message) -> Option<Result<ExitReason, TermError>> {
+        match message {
+            Message::Act(Action::Resize { columns, rows }) => {
                 self.resized = Some((columns, rows, Instant::now() + SETTLE));
                 None
             }
-            Heard::Act(action) => self.act(action),
-            Heard::Signal(signal) if signals::ends(signal) => Some(Ok(ended_by(signal))),
-            Heard::Signal(signal) if signals::suspends(signal) => self.suspend(),
-            Heard::Signal(signal) if signals::continues(signal) => self.retake(),
-            Heard::Signal(_) => None,
-            Heard::TerminalFailed if io::stdin().is_terminal() => {
+            Message::Act(action) => self.act(action),
+            Message::Signal(signal) if signals::ends(signal) => Some(Ok(ended_by(signal))),
+            Message::Signal(signal) if signals::suspends(signal) => self.suspend(),
+            Message::Signal(signal) if signals::continues(signal) => self.retake(),
+            Message::Signal(_) => None,
+            Message::TerminalFailed if io::stdin().is_terminal() => {
                 Some(Err(TermError::Fault("the terminal accepts no more output".to_owned())))
             }
-            Heard::TerminalFailed => Some(Ok(ExitReason::TerminalGone)),
-            Heard::Broken(what) => Some(Err(TermError::Fault(what))),
-            Heard::Line(_) | Heard::NoMoreLines => None,
+            Message::TerminalFailed => Some(Ok(ExitReason::TerminalGone)),
+            Message::Broken(what) => Some(Err(TermError::Fault(what))),
         }
     }
 
@@ -183,7 +183,7 @@ impl Session {
     fn carry_out(&mut self, effects: Vec<Effect>) -> Option<Result<ExitReason, TermError>> {
         for effect in effects {
             match effect {
-                Effect::Send(command, tag) => self.outside.ask(command, tag),
+                Effect::Send(command, tag) => self.host.ask(command, tag),
                 Effect::Quit => return Some(Ok(ExitReason::Quit)),
                 Effect::LeaveSite => return Some(Ok(ExitReason::LeaveSite)),
                 Effect::Leave(failure) => return Some(Ok(ExitReason::Refused(failure))),
@@ -195,10 +195,10 @@ impl Session {
                 Effect::CopyText(text) => {
                     self.stage.change(Wish::Now, |scene| scene.extra.push_str(&clipboard::sequence(&text)));
                 }
-                Effect::SpeakFor(profile) => self.outside.speak_for(profile),
-                Effect::WriteFiles { base, directory, files } => self.outside.write(base, directory, files),
-                Effect::FindPaths(sought) => self.outside.find(sought),
-                Effect::ReadText(path) => self.outside.read(path),
+                Effect::SpeakFor(profile) => self.host.speak_for(profile),
+                Effect::WriteFiles { base, directory, files } => self.host.write(base, directory, files),
+                Effect::FindPaths(sought) => self.host.find(sought),
+                Effect::ReadText(path) => self.host.read(path),
             }
         }
         None
@@ -263,7 +263,7 @@ impl Session {
     /// Ends the threads and gives the terminal back.
     fn close(&self) {
         self.stop.store(true, Ordering::Relaxed);
-        let of_the_first = *self.outside.client.profile() == self.profile;
+        let of_the_first = *self.host.client.profile() == self.profile;
         if let Some(path) = self.kept.as_ref().filter(|_| of_the_first) {
             let kept = crate::app::resume::kept(&self.stage.scene().state);
             super::kept::write(path, &kept);
@@ -276,6 +276,28 @@ impl Session {
             guard::abandon();
         }
     }
+}
+
+/// The state before the first answer.
+fn first_state(client: &Client, options: &ConsoleOptions, directory: &Path) -> State {
+    let mut state = State::new(Settings {
+        profile: client.profile().clone(),
+        operator: options.operator.clone(),
+        read_only: options.read_only,
+        directory: directory.to_owned(),
+        home: std::env::var_os("HOME").map(PathBuf::from),
+        keymap: options.keymap.clone(),
+        themes: options.themes.names(),
+        lock_after: options.lock_after,
+        process: std::process::id(),
+        asks_passphrase: options.asks_passphrase,
+        profiles: options.profiles.clone(),
+        tour: options.tour.clone(),
+        leaves_site: options.leaves_site,
+        zone: Zone::new(jiff::tz::TimeZone::system()),
+    });
+    (state.now, state.mouse) = (Timestamp::now(), options.mouse);
+    state
 }
 
 /// Waits for the frame being written; `None` if the terminal takes no bytes.

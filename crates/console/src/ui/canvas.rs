@@ -16,7 +16,6 @@ pub struct Canvas<'a> {
     theme: &'a Theme,
     cursor: Option<Position>,
     placement: Option<Placement>,
-    rules: bool,
 }
 
 /// The columns `text` takes once it is cleaned.
@@ -41,25 +40,10 @@ pub fn right_of(area: Rect, columns: u16) -> Rect {
     Rect { x: area.x + columns, width: area.width - columns, ..area }
 }
 
-/// What divides columns that are read out.
-pub const RULE: &str = "│";
-
 impl<'a> Canvas<'a> {
     /// Draws on `buffer`.
     pub fn new(buffer: &'a mut Buffer, theme: &'a Theme) -> Self {
-        Self { buffer, theme, cursor: None, placement: None, rules: false }
-    }
-
-    /// The same with a rule between the columns of tables, for what is read out and not seen.
-    pub fn with_rules(self) -> Self {
-        Self { rules: true, ..self }
-    }
-
-    /// Puts a rule into the gap between two columns of a table, if there are rules.
-    pub fn rule(&mut self, area: Rect) {
-        if self.rules && self.buffer.area().contains(Position { x: area.x, y: area.y }) {
-            self.buffer[(area.x, area.y)].set_symbol(RULE);
-        }
+        Self { buffer, theme, cursor: None, placement: None }
     }
 
     /// How many colours pictures may have; none in ASCII.

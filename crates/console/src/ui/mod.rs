@@ -94,7 +94,7 @@ fn draw_whole(canvas: &mut Canvas, area: Rect, state: &State) {
 }
 
 /// Draws the screen in view without header, messages and bar.
-pub fn draw_content(canvas: &mut Canvas, area: Rect, state: &State) {
+fn draw_content(canvas: &mut Canvas, area: Rect, state: &State) {
     let area = detail::draw(canvas, area, state);
     match state.screen {
         Screen::Overview => overview::draw(canvas, area, state),

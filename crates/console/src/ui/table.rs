@@ -260,9 +260,7 @@ fn draw_cells(
         } else {
             canvas.put(place, &text, role)
         };
-        rest = right_of(rest, *width);
-        canvas.rule(Rect { width: rest.width.min(1), ..rest });
-        rest = right_of(rest, 1);
+        rest = right_of(rest, *width + 1);
     }
 }
 

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Ask, Command, SecretBytes};
 use crate::model::Party;
-use crate::service::reply::{AdmittedView, AlertTestView, AlertsView, GatewayStatusView, IdentityView, WatchView};
+use crate::service::reply::{AdmittedView, AlertTestView, AlertsView, GatewayStatusView, IdentityView};
 
 requests! {
     /// One of these.
@@ -20,8 +20,6 @@ requests! {
     } => ();
     /// The profile's keyring as stored on disk, under its passphrase.
     BackUpKeys => SecretBytes;
-    /// Topics that the profile watches, whether anybody publishes them or not.
-    ListWatches => Vec<WatchView>;
     /// Active alerts.
     ListAlerts => AlertsView;
     /// Send a test alert, marked as such, and return the reply.

@@ -66,7 +66,6 @@ impl Command {
             | Self::UnwatchTopic { .. }
             | Self::PinTopic { .. }
             | Self::UnpinTopic { .. }
-            | Self::UnpinPublisher { .. }
             | Self::Capture { .. }
             | Self::StopCapture => CAPTURE,
             Self::Grant { .. } | Self::ExtendGrant { .. } | Self::Revoke { .. } => GRANT,
@@ -144,7 +143,7 @@ fn of_store(command: &StoreCommand) -> Needed {
 
 fn of_operation(operation: &Operation) -> Needed {
     match operation {
-        Operation::ListWatches | Operation::ListAlerts | Operation::GatewayStatus | Operation::ListAdmitted => LOOK,
+        Operation::ListAlerts | Operation::GatewayStatus | Operation::ListAdmitted => LOOK,
         Operation::HoldCapture { .. } => CAPTURE,
         Operation::Lock
         | Operation::BackUpKeys

@@ -9,7 +9,6 @@ use crate::service::wire_tests::REQUESTS;
 
 /// Requests that the list of lines has no example of.
 const FURTHER: &[&str] = &[
-    r#"{"command":"unpin_publisher","topic":"/odom","publisher":{"caller_id":"/n","host":"h","type":"std_msgs/String","md5sum":"992ce8a1687cec8c8bd883ec73ca41d1"}}"#,
     r#"{"command":"enrol_device","gateway":"h:1","fingerprint":null,"name":"scout","topics":[],"until":null,"passphrase":"p"}"#,
     r#"{"command":"add_device_gateway","device":"scout","address":"h:1","key":"0707070707070707070707070707070707070707070707070707070707070707"}"#,
     r#"{"command":"play","owner":null,"topics":[],"since":null,"until":null,"pace":"at_once","clock":false,"prefix":null,"remaps":[],"master":null}"#,
@@ -61,7 +60,6 @@ const LOOK: &[&str] = &[
     "verify_audit",
     "open_console",
     "of_store audit_records",
-    "operate list_watches",
     "operate list_alerts",
     "operate gateway_status",
     "operate list_admitted",
@@ -80,7 +78,6 @@ const CAPTURE: &[&str] = &[
     "unwatch_topic",
     "pin_topic",
     "unpin_topic",
-    "unpin_publisher",
     "capture",
     "stop_capture",
     "policy learn",

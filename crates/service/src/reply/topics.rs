@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::{Timestamp, TopicName, TypeName};
+use crate::model::{Timestamp, TopicName};
 
 /// Why a watched topic is not captured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -140,16 +140,6 @@ impl CoverageView {
 /// Earlier sites knew only ROS 1.
 fn first() -> u8 {
     1
-}
-
-/// A watched topic.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct WatchView {
-    /// Its name.
-    pub topic: TopicName,
-    /// The type it must have.
-    #[serde(rename = "type")]
-    pub type_name: Option<TypeName>,
 }
 
 /// Figures of one topic in a capture's summary.

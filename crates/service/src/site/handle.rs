@@ -78,9 +78,6 @@ impl Site {
             Command::UnpinTopic { topic, caller_id } => {
                 self.pins.unpin(&profile, &topic, &caller_id).await.map(ask::UnpinTopic::told)
             }
-            Command::UnpinPublisher { topic, publisher } => {
-                self.pins.unpin_one(&profile, &topic, &publisher).await.map(ask::UnpinPublisher::told)
-            }
             Command::ListQuarantine { topic, limit } => {
                 self.quarantine.view(&profile, topic, limit).await.map(ask::ListQuarantine::told)
             }
@@ -262,7 +259,6 @@ impl Site {
                 Ok(ask::HoldCapture::told(()))
             }
             Operation::BackUpKeys => self.profiles.back_up_keys(profile).await.map(ask::BackUpKeys::told),
-            Operation::ListWatches => self.capture.watched(profile).map(ask::ListWatches::told),
             Operation::ListAlerts => self.alerts_view().await.map(ask::ListAlerts::told),
             Operation::TestAlert => self.test_alert().await.map(ask::TestAlert::told),
             Operation::GatewayStatus => self.gateway.status().map(ask::GatewayStatus::told),

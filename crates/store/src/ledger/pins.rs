@@ -69,21 +69,6 @@ impl Ledger {
         })
     }
 
-    /// Removes one pin on a topic, leaving others of its caller id; returns how many there were.
-    ///
-    /// # Errors
-    /// [`StoreError::DiskFull`] and the like; then it is not removed.
-    pub fn unpin_one(&self, owner: Address, topic: &str, publisher: &Publisher) -> Result<u64, StoreError> {
-        let (topic, publisher) = (topic.to_owned(), publisher.clone());
-        self.write(move |session| {
-            let Publisher { caller_id, host, type_name, md5sum } = &publisher;
-            let sql = "DELETE FROM pins WHERE owner = ?1 AND topic = ?2 AND caller_id = ?3 AND host = ?4
-                       AND type_name = ?5 AND md5sum = ?6";
-            let these = params![owner.0, topic, caller_id, host, type_name, md5sum];
-            Ok(count(session.connection.execute(sql, these)?))
-        })
-    }
-
     /// The pins of an owner, of one topic or of all.
     ///
     /// # Errors
@@ -225,20 +210,6 @@ mod tests {
         assert_eq!(ledger.unpin(OWNER, "/t", "/b"), Ok(1));
         assert_eq!((ledger.was_pinned(OWNER, "/t"), ledger.was_pinned(OWNER, "/u")), (Ok(true), Ok(false)));
         assert_eq!(ledger.pins(Address([2; 20]), None), Ok(Vec::new()));
-    }
-
-    #[test]
-    fn one_pin_is_taken_away_and_others_of_its_caller_id_stay() {
-        let home = tempfile::tempdir().expect("folder");
-        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
-        let on = |host: &str| Publisher { host: host.to_owned(), ..publisher("a") };
-        ledger.pin(OWNER, "/t", &[on("one"), on("two")], "operator").expect("pinned");
-        ledger.pin(OWNER, "/t", &[on("three")], "first").expect("pinned");
-        let unpin = |host: &str| ledger.unpin_one(OWNER, "/t", &on(host));
-        assert_eq!((unpin("one"), unpin("one"), unpin("two"), unpin("four")), (Ok(1), Ok(0), Ok(1), Ok(0)));
-        let left = ledger.pins(OWNER, None).expect("read");
-        let left: Vec<_> = left.iter().map(|pin| (pin.publisher.host.as_str(), pin.source.as_str())).collect();
-        assert_eq!(left, [("three", "first")]);
     }
 
     #[test]

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use tokio::task::block_in_place;
 
 use crate::model::{ProfileName, Timestamp, TopicName, TypeName, clean};
-use crate::service::reply::{Failure, HeldUp, TopicRow, WatchView};
+use crate::service::reply::{Failure, HeldUp, TopicRow};
 use crate::store::TopicCounts;
 
 impl Capture {
@@ -119,12 +119,6 @@ impl Capture {
         let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashMap::new()) };
         let counts = block_in_place(|| self.losses.counts(&self.plant, owner))?;
         Ok(counts.topics.into_iter().map(|topic| (topic.topic.clone(), topic)).collect())
-    }
-
-    /// Topics that the profile watches.
-    pub(in crate::site) fn watched(&self, profile: &ProfileName) -> Result<Vec<WatchView>, Failure> {
-        let watches = block_in_place(|| self.watches.of(profile))?;
-        Ok(watches.into_iter().map(|(topic, type_name)| WatchView { topic, type_name }).collect())
     }
 
     /// Captures a topic until it is unwatched, across restarts.

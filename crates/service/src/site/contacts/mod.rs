@@ -17,7 +17,6 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use tokio::task::block_in_place;
 
-use crate::config::MOST_CONTACTS;
 use crate::crypto::Fingerprint;
 use crate::model::{Address, ContactName, Party, ProfileName};
 use crate::pipeline::Network;
@@ -25,6 +24,8 @@ use crate::service::event::Part;
 use crate::service::failure::{input, internal, refused};
 use crate::service::reply::{CompareView, ContactRow, Failure};
 
+/// The most contacts of a home.
+const MOST_CONTACTS: usize = 1_000;
 /// Where the book is stored in the ledger.
 pub(crate) const BOOK: &str = "contacts";
 
@@ -118,7 +119,8 @@ impl Contacts {
         network.directory.identity(account).ok().map(|identity| Fingerprint::of(&identity.signing).to_string())
     }
 
-    /// Adds an account. Without a fingerprint, that of its registered key is noted as found.
+    /// Adds an account; the same one a second time changes nothing. Without a fingerprint, that of its registered key is
+    /// noted as found.
     pub(super) async fn add(
         self: &Arc<Self>,
         profile: &ProfileName,
@@ -146,10 +148,17 @@ impl Contacts {
                  channel which one is right"
             )));
         }
-        let fingerprint = fingerprint.or(registered);
         {
             let _one_at_a_time = self.changing.lock().await;
             let mut book = self.book()?;
+            let is_same = |known: &Contact| {
+                let same_key = !given || known.given && known.fingerprint == fingerprint;
+                known.name == name && known.address == address && same_key
+            };
+            // A script that is repeated changes nothing.
+            if book.iter().any(is_same) {
+                return self.rows().await;
+            }
             if let Some(known) = book.iter().find(|contact| contact.name == name || contact.address == address) {
                 let (name, address) = (&known.name, known.address);
                 return Err(refused(format!(
@@ -162,7 +171,7 @@ impl Contacts {
                 )));
             }
             let subject = format!("{name} {address}");
-            book.push(Contact { name, address, fingerprint, given });
+            book.push(Contact { name, address, fingerprint: fingerprint.or(registered), given });
             book.sort_by(|one, other| one.name.cmp(&other.name));
             self.log.deed(profile, "contact add", &subject, async { self.write_book(&book) }).await?;
         }

@@ -28,6 +28,11 @@ async fn a_name_stands_for_one_account_and_an_account_has_one_name() {
         assert_eq!(twice.kind, ErrorKind::Refused);
         assert!(twice.message.contains("contacts remove bob"), "{}", twice.message);
     }
+    let other_key = contacts.add(&alice, name("bob"), one, Some(typed(2))).await.expect_err("another key");
+    assert_eq!(other_key.kind, ErrorKind::Refused);
+    for fingerprint in [Some(typed(1)), None] {
+        assert_eq!(contacts.add(&alice, name("bob"), one, fingerprint).await.expect("repeated").len(), 1);
+    }
     assert_eq!(contacts.resolve(&Party::Contact(name("bob"))).ok(), Some(one));
     let stranger = contacts.resolve(&Party::Contact(name("carol"))).expect_err("not in the book");
     assert!(stranger.message.contains("contacts add carol"), "{}", stranger.message);

@@ -8,7 +8,7 @@ use tokio::sync::{broadcast, mpsc};
 use crate::crypto::{OperatorKey, ProviderName, provider};
 use crate::model::{ErrorKind, OperatorName, Signature, Timestamp};
 use crate::service::command::{
-    ActAsOperator, AddOperator, Ask, ChallengeOperator, CreateIdentity, ListOperators, ListWatches, RemoveOperator,
+    ActAsOperator, AddOperator, Ask, ChallengeOperator, CreateIdentity, ListAlerts, ListOperators, RemoveOperator,
     RotateKeys, SecretText, Unlock, UnwatchTopic, WatchTopic,
 };
 use crate::service::reply::{Failure, OperatorState, OperatorView};
@@ -92,15 +92,15 @@ async fn each_does_what_its_rights_say_and_the_log_names_it() {
     let looks = joined(&site, "alice");
     let view = act(&looks, &bob).await.expect("its own key");
     assert_eq!((view.state, view.rights.to_string()), (OperatorState::Stands, "look".to_owned()));
-    looks.ask(ListWatches).await.expect("looking");
+    looks.ask(ListAlerts).await.expect("looking");
     refused(&looks, watch(), "needs the right 'capture'").await;
     refused(&looks, RotateKeys, "only the owner").await;
     refused(&looks, RemoveOperator { name: eve.name.clone() }, "only the owner").await;
-    refused(&looks.for_profile(profile("carol")), ListWatches, "operator of profile 'alice'").await;
+    refused(&looks.for_profile(profile("carol")), ListAlerts, "operator of profile 'alice'").await;
 
     let captures = joined(&site, "alice");
     act(&captures, &eve).await.expect("its own key");
-    refused(&captures, ListWatches, "needs the right 'look'").await;
+    refused(&captures, ListAlerts, "needs the right 'look'").await;
     captures.ask(watch()).await.expect("capturing");
     owner.ask(UnwatchTopic { topic: "/odom".parse().expect("a topic") }).await.expect("the owner's own");
     let own = |action: &str, subject: &str| ("alice/eve".to_owned(), action.to_owned(), subject.to_owned());
@@ -176,18 +176,18 @@ async fn where_operators_are_required_others_give_the_passphrase() {
     let bob = key("bob");
     add(&owner, &bob, "look").await.expect("the site's own process is the owner's");
     let stranger = joined(&site, "alice");
-    refused(&stranger, ListWatches, "operators.required").await;
+    refused(&stranger, ListAlerts, "operators.required").await;
     refused(&stranger, watch(), "operators.required").await;
     let unlock = |passphrase: &str| Unlock { passphrase: SecretText::new(passphrase.to_owned()) };
     // The keyring is open: still it has to be the right one.
     refused(&stranger, unlock("not the passphrase"), "wrong passphrase").await;
-    refused(&stranger, ListWatches, "operators.required").await;
+    refused(&stranger, ListAlerts, "operators.required").await;
     stranger.ask(unlock(PASSPHRASE)).await.expect("the owner");
     stranger.ask(watch()).await.expect("the owner");
-    refused(&stranger.for_profile(profile("carol")), ListWatches, "operators.required").await;
+    refused(&stranger.for_profile(profile("carol")), ListAlerts, "operators.required").await;
     let looks = joined(&site, "alice");
     act(&looks, &bob).await.expect("an operator");
-    looks.ask(ListWatches).await.expect("looking");
+    looks.ask(ListAlerts).await.expect("looking");
     site.stop().await;
 }
 
@@ -218,7 +218,7 @@ fn tell(site: &Site, text: &str) {
 
 /// Whatever was to come has come once its request is answered and the other one, who hears all, has heard what was told.
 async fn hears_no_more(client: &Client, heard: &mut broadcast::Receiver<Event>, refusal: &str) {
-    refused(client, ListWatches, refusal).await;
+    refused(client, ListAlerts, refusal).await;
     while let Ok(event) = heard.try_recv() {
         assert!(!matches!(&event, Event::Notice { text, .. } if text.contains("secret")), "{event:?}");
     }

@@ -136,20 +136,6 @@ impl Pinning {
         self.view(profile, Some(topic)).await
     }
 
-    /// No longer accepts one publisher of a topic; others with its caller id, and those in the settings, stay.
-    pub(super) async fn unpin_one(
-        self: &Arc<Self>,
-        profile: &ProfileName,
-        topic: &TopicName,
-        publisher: &Publisher,
-    ) -> Result<PinsView, Failure> {
-        let owner = self.owners.address_of(profile)?;
-        let unpinned = async { Ok(block_in_place(|| self.pins.unpin_one(owner, topic.as_str(), publisher))?) };
-        self.log.deed(profile, "unpin", &format!("{topic} {publisher}"), unpinned).await?;
-        self.hub.changed(Part::Topics);
-        self.view(profile, Some(topic)).await
-    }
-
     /// Topics with an open alarm about a publisher.
     pub fn alarmed_topics(&self, profile: &ProfileName) -> Result<HashSet<String>, Failure> {
         let Ok(owner) = self.owners.address_of(profile) else { return Ok(HashSet::new()) };

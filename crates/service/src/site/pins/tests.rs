@@ -60,22 +60,6 @@ async fn another_publisher_is_held_back_until_the_operator_pins_it_and_after_it_
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn one_publisher_is_unpinned_and_others_of_its_name_stay_as_they_came() {
-    let ground = Ground::with(&[]);
-    let (pinning, owner) = (pinning(&ground, PinMode::First, ""), ground.owner("alice"));
-    let (alice, topic) = (profile("alice"), "/odom".parse().expect("a topic"));
-    assert_eq!(pinning.pins.judge(owner.address, "/odom", &origin(1, "/driver")), None, "seen first");
-    let on = |host: &str| Publisher { host: host.to_owned(), ..publisher("/driver") };
-    pinning.pin(&alice, &topic, vec![on("one"), on("two")]).await.expect("pinned");
-    pinning.unpin_one(&alice, &topic, &on("one")).await.expect("unpinned");
-    let left = pinning.unpin_one(&alice, &topic, &on("two")).await.expect("unpinned too");
-    let left: Vec<_> = left.pins.iter().map(|pin| (pin.publisher.host.as_str(), pin.source.as_str())).collect();
-    assert_eq!(left, [("robot", "first")]);
-    assert_eq!(pinning.pins.judge(owner.address, "/odom", &origin(2, "/driver")), None);
-    assert_eq!(ground.audited("unpin").len(), 4, "two, each begun and done");
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn pins_of_the_settings_are_shown_and_taken_back_only_there() {
     let ground = Ground::with(&[]);
     let listed = format!("/odom=/driver@robot:std_msgs/String:{MD5}");

@@ -1,12 +1,10 @@
-//! Common to full screen and line mode: requests to the site, its events, writing files, and the one channel on which
-//! everything reaches the updating thread.
+//! Requests to the site, its events, files, and the one channel on which everything reaches the updating thread.
 
 use std::path::PathBuf;
 use std::sync::mpsc::Sender;
 
 use tokio::runtime::Handle;
 use tokio::sync::broadcast::error::RecvError;
-use zeroize::Zeroizing;
 
 use super::files;
 use crate::app::paths::Sought;
@@ -16,7 +14,7 @@ use crate::service::client::site_gone;
 use crate::service::{Client, Command};
 
 /// Messages to the updating thread.
-pub enum Heard {
+pub enum Message {
     /// An action for `app::update`.
     Act(Action),
     /// A signal.
@@ -25,29 +23,25 @@ pub enum Heard {
     TerminalFailed,
     /// A thread of the console panicked.
     Broken(String),
-    /// A line was typed (line mode).
-    Line(Zeroizing<String>),
-    /// No more lines come (line mode).
-    NoMoreLines,
 }
 
 /// The site and the files.
-pub struct Outside {
+pub struct Host {
     /// Talks to the site.
     pub client: Client,
     /// Runs what waits.
     pub handle: Handle,
     /// To the updating thread.
-    pub mouth: Sender<Heard>,
+    pub messages: Sender<Message>,
     /// Where files are written.
     pub directory: PathBuf,
 }
 
-impl Outside {
+impl Host {
     /// Forwards the site's events.
     pub fn listen(&self) {
         let mut events = self.client.events();
-        let say = sender(&self.mouth, Heard::Act);
+        let say = sender(&self.messages, Message::Act);
         self.handle.spawn(async move {
             loop {
                 match events.recv().await {
@@ -67,7 +61,7 @@ impl Outside {
     /// Sends a command; its answer comes as an action.
     pub fn ask(&self, command: Command, tag: Tag) {
         let answer = self.client.send(command);
-        let say = sender(&self.mouth, Heard::Act);
+        let say = sender(&self.messages, Message::Act);
         self.handle.spawn(async move {
             let result = answer.await.unwrap_or_else(|_| Err(site_gone()));
             say(Action::Answered { tag, result: Box::new(result) });
@@ -77,7 +71,7 @@ impl Outside {
     /// Writes files; their paths come as an action.
     pub fn write(&self, base: Option<PathBuf>, directory: Option<String>, contents: Vec<Contents>) {
         let base = base.unwrap_or_else(|| self.directory.clone());
-        let say = sender(&self.mouth, Heard::Act);
+        let say = sender(&self.messages, Message::Act);
         self.handle.spawn_blocking(move || {
             say(Action::FilesWritten(files::write_all(&base, directory.as_deref(), &contents)));
         });
@@ -85,7 +79,7 @@ impl Outside {
 
     /// Reads a file as text; it comes as an action.
     pub fn read(&self, path: PathBuf) {
-        let say = sender(&self.mouth, Heard::Act);
+        let say = sender(&self.messages, Message::Act);
         self.handle.spawn_blocking(move || {
             let read = files::read_text(&path);
             say(Action::TextRead(path, read));
@@ -94,7 +88,7 @@ impl Outside {
 
     /// Reads which paths begin as typed; they come as an action.
     pub fn find(&self, sought: Sought) {
-        let say = sender(&self.mouth, Heard::Act);
+        let say = sender(&self.messages, Message::Act);
         self.handle.spawn_blocking(move || {
             let found = files::find(&sought);
             say(Action::PathsFound(sought, found));
@@ -103,8 +97,8 @@ impl Outside {
 }
 
 /// Sends things to the updating thread, each wrapped.
-pub fn sender<T, W: Fn(T) -> Heard>(mouth: &Sender<Heard>, wrap: W) -> impl Fn(T) + use<T, W> {
-    let mouth = mouth.clone();
+pub fn sender<T, W: Fn(T) -> Message>(messages: &Sender<Message>, wrap: W) -> impl Fn(T) + use<T, W> {
+    let messages = messages.clone();
     // After the end nobody listens, and nothing is lost by that.
-    move |thing| drop(mouth.send(wrap(thing)))
+    move |thing| drop(messages.send(wrap(thing)))
 }
