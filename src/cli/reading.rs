@@ -1,7 +1,7 @@
 //! Commands about what a home has make none: a path that is mistyped would seem well, and what was made there would stop a
 //! restore.
 
-use super::args::{AgentVerb, ChainVerb, ConfigVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, TopicsVerb, Verb};
+use super::args::{AgentVerb, ChainVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, TopicsVerb, Verb};
 use super::fleet::FleetVerb;
 use super::operators::OperatorsVerb;
 use super::parties::ContactsVerb;
@@ -47,6 +47,8 @@ fn makes_a_home(verb: &Verb) -> bool {
         | Verb::Tour(_)
         | Verb::Bench(_)
         | Verb::Console(_)
+        // Settings are shown and checked without touching a home.
+        | Verb::Config(_)
         | Verb::Completions { .. }
         | Verb::Complete { .. }
         | Verb::Man => true,
@@ -76,10 +78,6 @@ fn makes_a_home(verb: &Verb) -> bool {
         Verb::Agent(verb) => matches!(verb, AgentVerb::Run(_)),
         Verb::Gateway(verb) => matches!(verb, GatewayVerb::Serve { .. } | GatewayVerb::Admit { .. }),
         Verb::Chain(verb) => matches!(verb, ChainVerb::Deploy { .. } | ChainVerb::Serve { .. } | ChainVerb::Genesis(_)),
-        // Settings are shown and checked without touching a home.
-        Verb::Config(verb) => {
-            matches!(verb, ConfigVerb::Show | ConfigVerb::Check | ConfigVerb::Apply { check: false, .. })
-        }
         // Whoever is to be an operator has no home here.
         Verb::Operators(verb) => matches!(verb, OperatorsVerb::Key { .. }),
     }

@@ -71,16 +71,12 @@ pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Fa
 }
 
 /// `config …`
-///
-/// # Errors
-/// Errors of the file, the settings or the site.
-pub async fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Result<u8, Failure> {
+pub fn config(context: &Context, verb: &ConfigVerb, output: &Output) {
     let settings = context.config.show();
     match verb {
         ConfigVerb::Show => output.result(&serde_json::json!({ "settings": settings }), || lists::settings(&settings)),
         ConfigVerb::Check => output.result(&serde_json::json!({ "ok": true }), || "the settings are valid".to_owned()),
     }
-    Ok(0)
 }
 
 /// `identity create`: the passphrase is written once the site is there, because a file without its keyring opens nothing.

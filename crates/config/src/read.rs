@@ -94,10 +94,7 @@ pub(super) fn read_file(path: &Path, text: &str) -> Result<(FileValues, TopicRul
 }
 
 /// Settings and rules of a document.
-pub(super) fn read_document(
-    mut document: toml::Table,
-    lines: &Lines,
-) -> Result<(FileValues, TopicRules), ConfigError> {
+pub(super) fn read_document(mut document: toml::Table, lines: &Lines) -> Result<(FileValues, TopicRules), ConfigError> {
     let rules = document.remove(topic_rules::TABLE).map(|tables| topic_rules::read(&tables, lines)).transpose()?;
     let mut values = FileValues::new();
     flatten("", &toml::Value::Table(document), &mut |name, value| {

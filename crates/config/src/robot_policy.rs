@@ -54,7 +54,8 @@ impl RobotPolicy {
         let has_rules = document.contains_key(topic_rules::TABLE);
         let (found, rules) = read_document(document, &lines)?;
         if let Some(name) = found.keys().find(|name| !SETTINGS.contains(&name.as_str())) {
-            let what = format!("a robot's policy has no '{name}'; it has [[topic]], [[watch]], ring.keep and ring.topics");
+            let what =
+                format!("a robot's policy has no '{name}'; it has [[topic]], [[watch]], ring.keep and ring.topics");
             return Err(lines.fault(name, &what));
         }
         let mut values = Values::new();

@@ -35,8 +35,7 @@ pub use self::incidents::{
     CloseIncident, IncidentCommand, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident,
 };
 pub use self::operate::{
-    Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, ListAlerts, Lock, Operation,
-    TestAlert,
+    Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, ListAlerts, Lock, Operation, TestAlert,
 };
 pub use self::operators::{
     ActAsOperator, AddOperator, ChallengeOperator, ListOperators, OperatorCommand, RemoveOperator,

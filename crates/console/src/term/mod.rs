@@ -29,8 +29,8 @@ use std::path::PathBuf;
 
 use tokio::runtime::Handle;
 
-use crate::app::tour::Cast;
 use crate::app::Keymap;
+use crate::app::tour::Cast;
 use crate::config::Pictures;
 use crate::model::{ErrorKind, ProfileName};
 use crate::service::{Client, Failure};
