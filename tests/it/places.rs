@@ -1,5 +1,5 @@
-//! Where things are stored: data, settings and console memory each in the user's folder for them, an old home continues
-//! as it is, and a backup restores all of it.
+//! Where files are: data, settings and console memory each in the user's folder for them, and a backup restores all of
+//! it.
 
 use std::fs;
 use std::path::Path;
@@ -52,29 +52,6 @@ fn the_ledger_lies_with_the_data_and_settings_lie_apart() {
     }
     let message = authros.with_variable("XDG_DATA_HOME", "d").fails(INPUT, &["config", "show"]);
     assert!(message.contains("XDG_DATA_HOME") && message.contains("absolute"), "{message}");
-}
-
-#[test]
-fn an_old_place_goes_on_and_two_places_are_named() {
-    for (name, folder) in
-        [("config.toml", CONFIG), ("keymap.toml", CONFIG), ("themes/a.toml", CONFIG), ("console/default.json", STATE)]
-    {
-        let user = Home::new();
-        let authros = Authros::bare(user.root());
-        let [old, new] = [DATA, folder].map(|folder| format!("{folder}/{name}"));
-        write(&user, &old, "");
-        authros.run(&["config", "show"]).expect_code(0);
-        write(&user, &new, "");
-        let message = authros.fails(INPUT, &["config", "show"]);
-        let first = name.split('/').next().expect("a name");
-        for place in [DATA, folder] {
-            assert!(message.contains(&format!("{place}/{first}")), "{message}");
-        }
-        authros.with(&["--home", user.path().to_str().expect("UTF-8")]).run(&["config", "show"]).expect_code(0);
-    }
-    let user = Home::new();
-    write(&user, &format!("{DATA}/config.toml"), SETTINGS);
-    assert_eq!(source_of_robots(&Authros::bare(user.root())), "config.toml line 1");
 }
 
 #[test]

@@ -18,24 +18,10 @@ const KEYMAP: &str = "keymap.toml";
 const THEMES: &str = "themes";
 const CONSOLE: &str = "console";
 
-/// Why the standard places cannot be used.
+/// A variable that must hold an absolute path does not.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum PlaceError {
-    /// The same item exists in its new and in its old place.
-    #[error(
-        "both {} and {} exist, but only one can be used; keep one and move the other away",
-        old.display(), new.display()
-    )]
-    Twice {
-        /// The one in the data folder.
-        old: PathBuf,
-        /// The one in its own folder.
-        new: PathBuf,
-    },
-    /// A variable that must hold an absolute path does not.
-    #[error("{0} is '{1}', which is not an absolute path; correct it, or give --home")]
-    Relative(&'static str, String),
-}
+#[error("{0} is '{1}', which is not an absolute path; correct it, or give --home")]
+pub struct PlaceError(&'static str, String);
 
 impl PlaceError {
     /// Determines the exit code.
@@ -64,22 +50,11 @@ fn folders() -> Result<Option<ProjectDirs>, PlaceError> {
     for name in ["XDG_DATA_HOME", "XDG_CONFIG_HOME", "XDG_STATE_HOME"] {
         // The library would ignore it, and a home would seem to be empty.
         if let Some(value) = set(name).filter(|value| Path::new(value).is_relative()) {
-            return Err(PlaceError::Relative(name, crate::model::clean(&value.to_string_lossy(), 200)));
+            return Err(PlaceError(name, crate::model::clean(&value.to_string_lossy(), 200)));
         }
     }
     // Without HOME the library would take a folder from the user database that nobody specified.
     Ok(set("HOME").and_then(|_| ProjectDirs::from("", "", FOLDER)))
-}
-
-/// The old place of an item if only that is in use, otherwise the new one.
-fn in_use(old: PathBuf, new: PathBuf) -> Result<PathBuf, PlaceError> {
-    let is_there = |path: &Path| path.symlink_metadata().is_ok();
-    let is_one = || old.canonicalize().is_ok_and(|old| new.canonicalize().is_ok_and(|new| new == old));
-    match (is_there(&old), is_there(&new)) {
-        (true, true) if !is_one() => Err(PlaceError::Twice { old, new }),
-        (true, false) => Ok(old),
-        _ => Ok(new),
-    }
 }
 
 impl Home {
@@ -93,32 +68,31 @@ impl Home {
     /// `$XDG_DATA_HOME/authros` or `./authros-home`.
     ///
     /// # Errors
-    /// [`PlaceError`] if a variable is wrong or something exists in two places.
+    /// [`PlaceError`] if a variable is wrong.
     pub fn standard() -> Result<Self, PlaceError> {
         let root = Self::standard_root()?;
         let Some(folders) = folders()? else { return Ok(Self::new(root)) };
         let (config, state) = (folders.config_dir(), folders.state_dir().unwrap_or(&root));
-        Self::apart(&root, config, state)
+        Ok(Self::apart(&root, config, state))
     }
 
     /// Only the data folder of [`Self::standard`].
     ///
     /// # Errors
-    /// [`PlaceError::Relative`].
+    /// [`PlaceError`] if a variable is wrong.
     pub fn standard_root() -> Result<PathBuf, PlaceError> {
         let alone = || set("XDG_DATA_HOME").map_or_else(|| WITHOUT_HOME.into(), |data| Path::new(&data).join(FOLDER));
         Ok(folders()?.map_or_else(alone, |folders| folders.data_dir().to_owned()))
     }
 
-    fn apart(root: &Path, config: &Path, state: &Path) -> Result<Self, PlaceError> {
-        let place = |name: &str, folder: &Path| in_use(root.join(name), folder.join(name));
-        Ok(Self {
-            settings: place(SETTINGS, config)?,
-            keymap: place(KEYMAP, config)?,
-            themes: place(THEMES, config)?,
-            console: place(CONSOLE, state)?,
+    fn apart(root: &Path, config: &Path, state: &Path) -> Self {
+        Self {
             root: root.to_owned(),
-        })
+            settings: config.join(SETTINGS),
+            keymap: config.join(KEYMAP),
+            themes: config.join(THEMES),
+            console: state.join(CONSOLE),
+        }
     }
 
     /// What lies outside [`Self::root`], each with its name in a single-folder home.
@@ -292,26 +266,13 @@ mod tests {
     }
 
     #[test]
-    fn each_thing_has_its_folder_and_an_old_place_goes_on() {
-        let user = tempfile::tempdir().expect("a directory");
-        let [data, config, state] = ["data", "config", "state"].map(|name| user.path().join(name));
-        let home = || Home::apart(&data, &config, &state);
-        let new = home().expect("nothing is there");
-        let names: Vec<_> = new.outside().into_iter().map(|(name, path)| (name, path.to_owned())).collect();
+    fn each_thing_has_its_folder() {
+        let [data, config, state] = ["/data", "/config", "/state"].map(Path::new);
+        let home = Home::apart(data, config, state);
         let [settings, keymap, themes] = [SETTINGS, KEYMAP, THEMES].map(|name| (name, config.join(name)));
+        let names: Vec<_> = home.outside().into_iter().map(|(name, path)| (name, path.to_owned())).collect();
         assert_eq!(names, [settings, keymap, themes, (CONSOLE, state.join(CONSOLE))]);
-        std::fs::create_dir_all(&data).expect("made");
-        std::fs::write(data.join(SETTINGS), "").expect("written");
-        let old = home().expect("the old place alone");
-        assert_eq!((old.config(), old.keymap()), (data.join(SETTINGS), config.join(KEYMAP)));
-        assert_eq!(old.outside().len(), 3);
-        std::fs::create_dir_all(&config).expect("made");
-        std::os::unix::fs::symlink(data.join(SETTINGS), config.join(SETTINGS)).expect("linked");
-        assert_eq!(home().expect("one file").config(), config.join(SETTINGS));
-        std::fs::remove_file(config.join(SETTINGS)).expect("removed");
-        std::fs::write(config.join(SETTINGS), "").expect("written");
-        let twice = PlaceError::Twice { old: data.join(SETTINGS), new: config.join(SETTINGS) };
-        assert_eq!(home(), Err(twice));
+        assert_eq!(Home::apart(data, data, data).outside(), []);
     }
 
     #[test]
