@@ -63,7 +63,6 @@ fn makes_a_home(verb: &Verb) -> bool {
         | Verb::Retention(_)
         | Verb::Unattended(_)
         | Verb::Devices(_)
-        | Verb::Witness(_)
         | Verb::Alerts(_)
         | Verb::Evidence(_)
         | Verb::Profiles
@@ -111,7 +110,6 @@ mod tests {
             "fleet status",
             "operators list",
             "operators remove bob",
-            "witness list",
             "devices list",
             "identity show",
             "identity list",

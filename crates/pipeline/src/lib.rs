@@ -19,7 +19,6 @@ pub mod authority;
 mod block_times;
 pub mod chain_proofs;
 pub mod columns;
-pub mod countersigning;
 pub mod directory;
 pub mod disk_ring;
 pub mod epoch;
@@ -28,7 +27,6 @@ pub mod error;
 pub mod evidence;
 mod evidence_heights;
 mod evidence_stamps;
-mod evidence_witnesses;
 pub mod export_folder;
 #[cfg(test)]
 mod fixture;

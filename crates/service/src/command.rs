@@ -20,7 +20,6 @@ mod robots;
 mod secret;
 mod unattended;
 mod viewing;
-mod witnesses;
 
 use serde::{Deserialize, Serialize};
 
@@ -48,7 +47,6 @@ pub use self::robots::{LONGEST_POLICY, ListRobots, PullRing, RobotCommand, SetRo
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::unattended::{EndUnattended, PrepareUnattended, UnattendedCommand};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
-pub use self::witnesses::{AddWitness, AskWitnesses, ListWitnesses, RemoveWitness, WitnessCommand, WitnessStatus};
 use crate::chain::Revision;
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 use crate::service::reply::{
@@ -401,8 +399,6 @@ requests! {
         Operate(Operation),
         /// Incidents: spans of own records, kept together.
         OfIncident(IncidentCommand),
-        /// Witnesses: parties that countersign.
-        OfWitness(WitnessCommand),
         /// Robots: what is asked of them.
         OfRobot(RobotCommand),
         /// The fleet: gateways that reconcile what they hold.

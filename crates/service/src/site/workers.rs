@@ -19,7 +19,6 @@ use super::operators::Operators;
 use super::quarantine::Quarantine;
 use super::sharing::Sharing;
 use super::storage::Storage;
-use super::witnesses::Witnesses;
 use super::{Needs, NetworkState, Site};
 use crate::chain::ChainError;
 use crate::model::Domain;
@@ -69,7 +68,6 @@ pub(super) fn start(
             site.parts.supervisor.keep("time stamps", &site.stamps, TimeStamps::keep);
         }
         site.parts.supervisor.keep("chain proofs", &site.chain_proofs, ChainProofs::keep);
-        site.parts.supervisor.keep("witnesses", &site.witnesses, Witnesses::keep);
         site.parts.supervisor.keep("fleet", &site.gateway, Gateway::reconcile);
         site.parts.supervisor.keep("verifier", site, verify);
         site.parts.supervisor.keep("scrubber", &site.audit, Audit::keep_scrubbing);
