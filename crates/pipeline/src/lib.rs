@@ -13,6 +13,7 @@ use authros_store as store;
 
 pub mod adoption;
 pub mod anchorer;
+pub mod anchoring_accounts;
 pub mod audit_head;
 pub mod author;
 pub mod authority;
@@ -63,7 +64,6 @@ pub mod storer;
 mod tests;
 pub mod verifier;
 pub mod watcher;
-pub mod witness;
 
 pub use author::Author;
 pub use block_times::BlockTimes;

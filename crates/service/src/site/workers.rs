@@ -214,8 +214,8 @@ impl Site {
         });
         if self.parts.config.lanes > 1 {
             let given = Arc::clone(owner);
-            let work = move |lanes: Arc<Lanes>| lanes.keep_witnesses(Arc::clone(&given));
-            self.parts.supervisor.keep_while(&format!("witnesses {name}"), &self.lanes, while_open(self, owner), work);
+            let work = move |lanes: Arc<Lanes>| lanes.keep_extra(Arc::clone(&given));
+            self.parts.supervisor.keep_while(&format!("lanes {name}"), &self.lanes, while_open(self, owner), work);
         }
         let given = Arc::clone(owner);
         let work = move |devices: Arc<Devices>| devices.keep_attending(Arc::clone(&given));
