@@ -184,7 +184,10 @@ impl Printed for GatewaysView {
 
 impl Printed for CheckView {
     fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
-        output.result(&self, || format!("{}: {}", self.id, self.verdict.word()));
+        output.result(&self, || {
+            let contract = self.contract.map_or_else(String::new, |answer| format!("\n{}", answer.text()));
+            format!("{}: {}{contract}", self.id, self.verdict.word())
+        });
         Ok(lists::verdict_code(self.verdict))
     }
 }

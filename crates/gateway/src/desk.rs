@@ -13,7 +13,7 @@ use crate::model::{
     Address, Digest, Hash, Header, ProfileName, PublicKey, RecordKind, Signature, SignerId, Timestamp, Token, TopicId,
 };
 
-use super::code::Refusal;
+use super::code::{Code, Refusal};
 use super::command::{
     DeviceNotice, Entry, ErasedRecord, ErasureOutcome, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver,
     HoldingPlace, Holdings, ManyHandedOver, Page, Query, Registration, RevokeNotice, Selection, Standing, ToldErasure,

@@ -1,5 +1,6 @@
 //! Anchoring as a whole: ledger, anchorer, sender, watcher and the embedded chain.
 
+mod asking;
 mod chain_proofs;
 mod erased;
 mod flipped;

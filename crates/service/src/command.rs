@@ -256,7 +256,8 @@ requests! {
         /// At how many gateways each record is to be; `None` = at all.
         copies: Option<u32>,
     } => GatewaysView;
-    /// The paper's Data_Check of one record: digest against the chain, and signature.
+    /// The paper's Data_Check of one record: digest against the chain, signature, and the contract's answer about the
+    /// right to read it.
     CheckShared {
         /// Its id.
         id: String,

@@ -50,8 +50,8 @@ pub use self::recordings::{
     Refused,
 };
 pub use self::records::{
-    Caveat, CheckView, EvidenceView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView, ShownState,
-    StampView, StampedView,
+    Caveat, CheckView, ContractAnswer, EvidenceView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView,
+    ShownState, StampView, StampedView,
 };
 pub use self::robots::{RingPullView, RobotRow, RobotTopicRow, RobotView};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};

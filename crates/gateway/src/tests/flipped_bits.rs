@@ -9,7 +9,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
-use super::fixtures::{stated, told, wanted};
+use super::fixtures::{told, wanted};
 use super::hostile::text;
 use super::stage::Stage;
 use super::*;
