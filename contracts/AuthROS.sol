@@ -324,7 +324,7 @@ contract AuthROS {
     }
 
     /// @notice Anchors the Merkle root of a batch, chained to the sender's last one.
-    /// @dev The sender is a witness of time and existence; authorship is the SM2 signature in each record.
+    /// @dev The sender attests time and existence; authorship is the SM2 signature in each record.
     ///      Where a root is anchored twice, the earliest counts.
     /// @param root Merkle root, SM3; neither all zeros nor all ones
     /// @param count number of leaves

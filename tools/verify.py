@@ -3,7 +3,7 @@
 
     verify.py NAME.authros [--trust trust.toml]
 
-It says of each record whether level (a), (b), (c), (e) and (g) are proven, own_chain, unproven, absent or refused, and of each topic
+It says of each record whether level (a), (b), (c) and (e) are proven, own_chain, unproven, absent or refused, and of each topic
 what (f) comes to, as JSON, and ends with 0 where (a) to (c) are proven for all by what was pinned, 8 where something is not
 proven or holds by the exporter's own chain alone, 6 where something is refused, 3 where the trust file cannot be used. It is
 slow, on purpose: it can be read in one sitting. Bodies packed by the matrix code are opened and not unpacked, and it says so.
@@ -508,7 +508,6 @@ JSON_FORMS = {
     "records": {"format": str, "block": int, "shown_at": int, "keys": int,
                 "anchor": ({"mode": str}, {"mode": str, "account": ACCOUNT, "root": 32, "index": int, "count": int, "path": [32]})},
     "stamps": {"format": str, "top": 32, "count": int, "roots": [PLACE]},
-    "witnesses": {"format": str, "roots": [PLACE]},
 }
 
 
@@ -526,16 +525,9 @@ def has_form(found, form):
     return is_account(found) if form == ACCOUNT else re.fullmatch("(0x)?[0-9a-fA-F]{%d}" % (2 * form), found) is not None
 
 
-# The fields of a countersignature, and their widths.
-COUNTERSIGNATURE = {"version": 1, "chain": 8, "genesis": 32, "contract": 20, "owner": 20, "key": 64, "recorder": 16, "block": 8,
-                    "block_hash": 32, "earlier": 8, "earlier_hash": 32, "top": 32, "count": 8, "head": 32, "number": 8,
-                    "signature": 64, "time": 8, "witness": 20, "witness_key": 64, "countersignature": 64}
-
-
 class Bundle:
     FORMS = re.compile(r"mimetype|manifest\.(json|der)|trust\.toml|VERIFY\.txt|report\.html|chain/(nodes|[0-9]+)\.rlp|"
-                       r"heights\.json|stamps/[0-9a-f]{64}/(roots\.json|[0-9a-f]{32}\.der)|"
-                       r"witnesses/[0-9a-f]{64}/(countersignature\.bin|roots\.json)|keys/[0-9a-f]{64}\.pem|identities/[0-9a-f]{64}\.bin|definitions/[0-9a-f]{64}\.txt|"
+                       r"heights\.json|stamps/[0-9a-f]{64}/(roots\.json|[0-9a-f]{32}\.der)|keys/[0-9a-f]{64}\.pem|identities/[0-9a-f]{64}\.bin|definitions/[0-9a-f]{64}\.txt|"
                        r"records/[0-9a-f]{64}/(record\.bin|signature\.der|anchor\.json|reveal\.(bin|der))")
 
     def __init__(self, path):
@@ -584,7 +576,6 @@ class Bundle:
                 self.anchor_of_form(json.loads(data))
         self.heights = self.listed_heights()
         self.stamped = self.listed_stamps()
-        self.witnesses = self.listed_witnesses()
         nodes = rlp(self.members["chain/nodes.rlp"]) if "chain/nodes.rlp" in self.members else []
         if any(not isinstance(node, bytes) or len(node) > 1024 for node in nodes):
             raise Refused("a node of the state is longer than any node")
@@ -621,31 +612,6 @@ class Bundle:
                 root, path = unhex(one["root"]), [unhex(step) for step in one["path"]]
                 leads = one["index"] < count and root_of(sm3(b"\0AuthROS/stamp/1" + root), one["index"], count, path) == top
                 found.setdefault(root, []).append((folder, leads))
-        return found
-
-    def listed_witnesses(self):
-        """Countersignatures of witnesses: what was stated, who saw it, and whether roots of batches lead there."""
-        found, folders = [], {name.split("/")[1] for name in self.members if name.startswith("witnesses/")}
-        for folder in sorted(folders):
-            if not {f"witnesses/{folder}/{name}" for name in ("countersignature.bin", "roots.json")} <= set(self.members):
-                raise Refused("a countersignature is not whole")
-            data = self.members[f"witnesses/{folder}/countersignature.bin"]
-            listed = json.loads(self.members[f"witnesses/{folder}/roots.json"])
-            if len(data) != 541 or sm3(data).hex() != folder or set(listed) != {"format", "roots"} or listed["format"] != "authros-witnessed/1":
-                raise Refused("a countersignature is not of its form")
-            one = dict(zip(COUNTERSIGNATURE, fields(data, *COUNTERSIGNATURE.values()))) | {"bytes": data, "roots": {}}
-            for name in ("block", "earlier", "count", "number"):
-                one[name] = int.from_bytes(one[name], "big")
-            bare = not one["earlier"] and any(one["earlier_hash"]), bool(one["number"]) != any(one["head"])
-            if one["version"] != b"\1" or not one["block"] or not 1 <= one["count"] <= 16_384 or any(bare):
-                raise Refused("a countersignature is not of its form")
-            roots = [(unhex(place["root"]), place["index"], [unhex(step) for step in place["path"]]) for place in listed["roots"]]
-            if any(place[0] >= next_[0] for place, next_ in zip(roots, roots[1:])) or any(len(path) > 14 for _, _, path in roots):
-                raise Refused("roots of a countersignature are not in their order")
-            for root, index, path in roots:
-                leaf = sm3(b"\0AuthROS/stamp/1" + root)
-                one["roots"][root] = index < one["count"] and root_of(leaf, index, one["count"], path) == one["top"]
-            found.append(one)
         return found
 
     def listed_heights(self):
@@ -754,11 +720,6 @@ class Committed:
         unsealed = self.extra[:4] + ([] if self.is_ibft else [[]])
         return keccak(encode(self.header[:12] + [encode(unsealed)] + self.header[13:]))
 
-    def hash(self):
-        """The block's: without seals, and with round 0 (QBFT) or without a round (IBFT 2.0)."""
-        unsealed = self.extra[:3] + ([] if self.is_ibft else [b"", []])
-        return keccak(encode(self.header[:12] + [encode(unsealed)] + self.header[13:]))
-
     def seals(self, pinned):
         """The pinned who sealed the header, and the first who did; refused if two thirds of those it names did not."""
         hash_, all_ = self.signed(), []
@@ -772,12 +733,6 @@ class Committed:
         if len(all_) < -(-2 * len(self.named) // 3):
             raise Refused("too few of the validators that the header names have sealed it")
         return {one for one in all_ if one in pinned}, all_[0] if all_ else None
-
-
-def hash_of(raw):
-    header = rlp(raw)
-    committed = Committed.of(header) if header[8] else None
-    return committed.hash() if committed else keccak(raw)
 
 
 class Record:
@@ -960,68 +915,9 @@ class Record:
         raise Unproven("its batch is under " + " and ".join(sorted(imprint for imprint, _ in places))
                        + "; whether an authority stamped that is checked by openssl, see VERIFY.txt")
 
-    def witnessed(self):  # (g)
-        claim = json.loads(self.member("anchor.json") or b"{}")
-        anchor = claim.get("anchor", {})
-        root = unhex(anchor["root"]) if anchor.get("mode") == "batch" else None
-        places = [one for one in self.bundle.witnesses if root in one["roots"]]
-        if not places:
-            return "absent"
-        path = [unhex(one) for one in anchor["path"]]
-        if not anchor["index"] < anchor["count"] or root_of(self.leaf(), anchor["index"], anchor["count"], path) != root:
-            raise Refused("its path does not lead to the root that was countersigned")
-        for one in places:
-            if not one["roots"][root]:
-                raise Refused("the path of its batch's root does not lead to what was countersigned")
-            if one["owner"] not in (self.header["owner"], unhex(anchor["account"])):
-                raise Refused("a statement of somebody who neither owns the record nor anchored it is countersigned")
-            if claim["block"] > one["block"]:
-                raise Refused("it was anchored later than its owner stated")
-        seen = self.bundle.once("witnesses", self.seen)
-        if any(seen[one["bytes"]] == "refused" for one in places):
-            raise Refused("a countersignature does not hold, or contradicts what is here")
-        if not any(seen[one["bytes"]] == "proven" for one in places):
-            raise Unproven("countersigned by nobody who is pinned, or by its owner")
-        return "proven"
-
-    def seen(self):
-        """What each countersignature is worth; two histories by pinned witnesses are worth nothing."""
-        pins = {unhex(one["account"]): unhex(one["key"]).hex() for one in (self.trust or {}).get("witness", [])}
-        worth, known = {}, {}
-        for one in self.bundle.witnesses:
-            data, blocks = one["bytes"], [(one["block"], one["block_hash"]), (one["earlier"], one["earlier_hash"])]
-            domain = sm3(b"AuthROS/domain/1" + one["chain"] + one["genesis"] + one["contract"])
-            held = (sm2_verify(one["witness_key"], b"AuthROS/countersignature/1" + domain + data[:477], der(one["countersignature"]))
-                    and sm2_verify(one["key"], b"AuthROS/position/1" + domain + data[:321], der(one["signature"])))
-            other = any(at and at in self.bundle.headers and hash_of(self.bundle.headers[at]) != hash_ for at, hash_ in blocks)
-            pin = pins.get(one["witness"])
-            if not held or domain != self.domain or other or pin not in (None, sm3(b"\4" + one["witness_key"]).hex()):
-                worth[data] = "refused"
-            elif pin is None or one["witness"] == one["owner"] or one["witness_key"] == one["key"]:
-                worth[data] = "unproven"
-            else:
-                worth[data] = "proven"
-        proven = [one for one in self.bundle.witnesses if worth[one["bytes"]] == "proven"]
-        two = False
-        for one in proven:
-            told = [((one["key"], one["block"]), one["block_hash"])]
-            told += [((one["key"], one["earlier"]), one["earlier_hash"])] if one["earlier"] else []
-            told += [((one["key"], one["recorder"], "head", one["number"]), one["head"])] if one["number"] else []
-            two = two or any(known.setdefault(what, hash_) != hash_ for what, hash_ in told)
-        self.bundle.known["stated heads"] = {(one["owner"], one["recorder"], one["number"], one["head"]) for one in proven if one["number"]}
-        return {data: "refused" if two and how == "proven" else how for data, how in worth.items()}
-
-    def other_head(self):
-        """Whether this is a head of a recorder that stated another one of that number to a pinned witness."""
-        if not self.bundle.witnesses or (self.head["topic"], self.head["type"]) != ("authros/recorder", "authros/Heads"):
-            return False
-        self.bundle.once("witnesses", self.seen)
-        of = self.header["owner"], self.header["recorder"], int.from_bytes(self.header["seq"], "big")
-        return any(one[:3] == of and one[3] != self.digest for one in self.bundle.known["stated heads"])
-
     def report(self):
         found, notes = {"digest": self.digest.hex()}, {}
-        for name in ("bytes", "anchor", "key", "opened", "time", "witnessed"):
+        for name in ("bytes", "anchor", "key", "opened", "time"):
             if name != "bytes" and found["bytes"] != "proven":
                 found[name] = "absent" if name == "opened" else "unproven"
                 continue
@@ -1038,8 +934,6 @@ class Record:
             if found[name] == "proven":
                 found[name] = found["anchor"] if found["anchor"] in ("proven", "own_chain") else "unproven"
         if hasattr(self, "body") and found["opened"] != "refused":
-            if self.other_head():
-                found["witnessed"], notes["witnessed"] = "refused", "its recorder stated another head of this number"
             found.update(topic=self.head["topic"], type=self.head["type"], length=len(self.body))
             found["message_sm3"], found["packed"] = sm3(self.body).hex(), self.head["compression"] == 2
         return found | {"notes": notes}
@@ -1051,7 +945,7 @@ def read_trust(path):
     chain, persons = trust["chain"], trust.get("person", [])
     signers = [unhex(one) for one in chain["signers"]]
     required, optional = {"id", "genesis", "contract", "code_hash", "signers", "sealed_by_exporter"}, {"quorum"}
-    if not required <= set(chain) <= required | optional or not set(trust) <= {"chain", "person", "authority", "witness"}:
+    if not required <= set(chain) <= required | optional or not set(trust) <= {"chain", "person", "authority"}:
         raise ValueError("it has not the lines that docs/evidence.md shows")
     if not isinstance(chain["sealed_by_exporter"], bool) or isinstance(chain["id"], bool) or chain["id"] < 0:
         raise ValueError("sealed_by_exporter is true or false, and id a number")
@@ -1060,19 +954,14 @@ def read_trust(path):
     quorum = chain.get("quorum", 1)
     if type(quorum) is not int or ("quorum" in chain and not 1 <= quorum <= len(signers)):
         raise ValueError("its quorum is zero, or more than the number of signers")
-    accounts = [*chain["signers"], chain["contract"], *(one["account"] for one in [*persons, *trust.get("witness", [])])]
-    hashes = [chain["genesis"], chain["code_hash"], *(one["key"] for one in [*persons, *trust.get("witness", [])] if "key" in one)]
+    accounts = [*chain["signers"], chain["contract"], *(one["account"] for one in persons)]
+    hashes = [chain["genesis"], chain["code_hash"], *(one["key"] for one in persons if "key" in one)]
     if not all(has_form(one, ACCOUNT) for one in accounts) or not all(has_form(one, 32) for one in hashes):
         raise ValueError("an account is 0x and 40 digits with its checksum, and a hash or a key is 64 digits")
     if any(not {"account", "name"} <= set(one) <= {"account", "name", "key"} for one in persons):
         raise ValueError("a person has an account and a name, and a key or none")
     if any(len(unhex(one)) != 32 for one in [chain["genesis"], chain["code_hash"], *(p["key"] for p in persons if "key" in p)]):
         raise ValueError("a hash is no 32 bytes")
-    witnesses = trust.get("witness", [])
-    if any(set(one) != {"account", "key", "name"} or (len(unhex(one["account"])), len(unhex(one["key"]))) != (20, 32) for one in witnesses):
-        raise ValueError("a witness has an account, a key and a name")
-    if len({unhex(one["account"]) for one in witnesses}) != len(witnesses) or len(witnesses) > 16:
-        raise ValueError("a witness is named twice, or there are more than 16")
     if len({unhex(one["account"]) for one in persons}) != len(persons):
         raise ValueError("an account is given to two people")
     return trust
@@ -1166,7 +1055,7 @@ def main(arguments):
     except Exception as why:  # a stranger's file: whatever it breaks, it is no evidence
         print(json.dumps({"outcome": "refused", "why": str(why) if isinstance(why, Refused) else f"a member is not of its form ({type(why).__name__})"}))
         return 6
-    standings = [(name, record[name]) for record in records for name in ("bytes", "key", "anchor", "opened", "time", "witnessed")]
+    standings = [(name, record[name]) for record in records for name in ("bytes", "key", "anchor", "opened", "time")]
     needed = [[record[name] for name in ("bytes", "key", "anchor")] for record in records]
     # A statement of which something is merely not proven says nothing, and spoils nothing.
     spoken = [of for record, of in zip(records, needed) if not (is_statement(record) and "unproven" in of)]

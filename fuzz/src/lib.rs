@@ -3,7 +3,6 @@
 
 pub mod backup;
 pub mod bundle;
-pub mod countersignature;
 pub mod decoder;
 pub mod export_folder;
 pub mod frame;

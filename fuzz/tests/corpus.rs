@@ -5,8 +5,8 @@ use std::fs;
 use std::path::Path;
 
 use authros_fuzz::{
-    backup, bundle, countersignature, decoder, export_folder, frame, key_allocation, picture, proof, record, recording,
-    ros2_cdr, sm2, state_proof, time_stamp,
+    backup, bundle, decoder, export_folder, frame, key_allocation, picture, proof, record, recording, ros2_cdr, sm2,
+    state_proof, time_stamp,
 };
 
 /// Replays a target's files; returns how many there are, and how many were fully accepted.
@@ -43,12 +43,11 @@ replay! {
     bundle: bundle::run;
     state_proof: state_proof::run;
     time_stamp: time_stamp::run;
-    countersignature: countersignature::run;
 }
 
 #[test]
 fn every_target_is_replayed() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let targets = fs::read_dir(root.join("fuzz_targets")).expect("readable").count();
-    assert_eq!(targets, 16, "a new target belongs into the list above");
+    assert_eq!(targets, 15, "a new target belongs into the list above");
 }

@@ -132,9 +132,6 @@ pub enum Verb {
     /// Gateways of the same fleet, with which this home's gateway reconciles: add, list, remove, status
     #[command(subcommand)]
     Fleet(super::fleet::FleetVerb),
-    /// Parties that countersign what this home states about its chain: add, list, remove, status, ask
-    #[command(subcommand)]
-    Witness(super::witnesses::WitnessVerb),
     /// Alerts: list active ones, send a test
     #[command(subcommand)]
     Alerts(super::alerts::AlertsVerb),

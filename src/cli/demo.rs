@@ -2,13 +2,13 @@
 //! and pictures; CURA A shares them with CURA B, a stranger and a forger are refused, B is
 //! revoked. Every figure is counted, none is assumed; `ok` says that all of them are right.
 
+mod listener;
 mod locks;
 mod mission;
 #[cfg(test)]
 mod secrets;
 #[cfg(test)]
 mod tests;
-mod witness;
 
 use serde::Serialize;
 

@@ -246,12 +246,12 @@ fn summary(report: &Report) -> [String; 2] {
 fn is_whole(record: &RecordReport) -> bool {
     record.levels().iter().all(|(letter, level)| match level.standing {
         Standing::Proven | Standing::OwnChain | Standing::Absent => true,
-        Standing::Unproven => matches!(*letter, 'd' | 'g'),
+        Standing::Unproven => *letter == 'd',
         Standing::Refused => false,
     })
 }
 
-/// The levels of a record, without reasons: `(a) (b) (c) proven, (g) not proven`.
+/// The levels of a record, without reasons: `(a) (b) (c) proven, (d) not proven`.
 fn standings(record: &RecordReport) -> String {
     let mut groups: Vec<(Standing, String)> = Vec::new();
     for (letter, level) in record.levels().iter().filter(|(_, level)| level.standing != Standing::Absent) {
@@ -338,13 +338,11 @@ mod tests {
             block: None,
             seconds_to_anchor: None,
             existed_before: None,
-            witnessed_at: None,
             bytes: level(Standing::Proven),
             key: level(key),
             anchor: level(Standing::OwnChain),
             time: level(Standing::Absent),
             opened: level(Standing::Absent),
-            witnessed: level(Standing::Absent),
             disclosed: None,
         }
     }
@@ -363,10 +361,7 @@ mod tests {
         };
         let [verdict, levels] = summary(&report);
         assert_eq!(verdict, "3 records, 0 topics: NOT EVERYTHING IS PROVEN: the levels show what is not");
-        assert_eq!(
-            levels,
-            "(a) proven; (b) 1 own chain, 2 not proven; (c) own chain; (d) absent; (e) absent; (g) absent"
-        );
+        assert_eq!(levels, "(a) proven; (b) 1 own chain, 2 not proven; (c) own chain; (d) absent; (e) absent");
     }
 
     #[test]
@@ -378,7 +373,7 @@ mod tests {
         assert!(told[0].ends_with("owner unreadable: (a) proven, (b) (c) own chain"), "{told:?}");
         assert!(about(&whole, false).concat().contains("why"));
         let level = |standing| Level::new(standing, "why");
-        assert!(is_whole(&RecordReport { witnessed: level(Standing::Unproven), ..whole.clone() }), "nobody was pinned");
+        assert!(is_whole(&RecordReport { time: level(Standing::Unproven), ..whole.clone() }), "nobody was pinned");
         for doubtful in [
             record(2, Standing::Unproven),
             RecordReport { opened: level(Standing::Unproven), ..whole.clone() },

@@ -53,7 +53,6 @@ mod twins;
 mod unattended;
 mod verbs;
 mod viewing;
-mod witnesses;
 
 use std::process::ExitCode;
 
@@ -187,7 +186,6 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Incident(verb) => asked(runtime, global, output, |_| incidents::plan(verb)),
         Verb::Retention(verb) => runtime.block_on(retention::run(Context::new(global, output)?, verb, output)),
         Verb::Fleet(verb) => asked(runtime, global, output, |_| fleet::plan(verb)),
-        Verb::Witness(verb) => asked(runtime, global, output, |_| witnesses::plan(verb)),
         Verb::Audit(arguments) => asked(runtime, global, output, |context| plans::audit(context, &arguments)),
     }
 }

@@ -65,7 +65,6 @@ fn makes_a_home(verb: &Verb) -> bool {
         | Verb::Retention(_)
         | Verb::Unattended(_)
         | Verb::Devices(_)
-        | Verb::Witness(_)
         | Verb::Alerts(_)
         | Verb::Evidence(_)
         | Verb::Profiles
@@ -109,7 +108,6 @@ mod tests {
             "fleet status",
             "operators list",
             "operators remove bob",
-            "witness list",
             "devices list",
             "identity show",
             "identity list",

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::{
     adopt, alerts, audit, check, coverage, fleet, gateway, gateways, incidents, lists, operators, parties, policy,
-    quarantine, robots, viewing, witnesses,
+    quarantine, robots, viewing,
 };
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
@@ -16,7 +16,7 @@ use crate::service::reply::{
     DeviceTopicsView, ExportedFile, FellowView, FleetView, GatewayStatusView, GatewaysView, GrantRow, IdentityView,
     IncidentView, KeyChangeView, KeysView, OpenedView, OperatorView, PathView, PinsView, PolicyView, Provenance,
     QuarantineView, RecordAudit, RecordPage, Reply, RingPullView, RobotGatewayView, RobotRow, RobotView, TopicRow,
-    TransactionView, WitnessView, WitnessesView,
+    TransactionView,
 };
 use crate::service::{Client, Failure};
 use authros_output::Output;
@@ -122,7 +122,6 @@ documents! {
     DeviceGatewaysView => device_gateways;
     DeviceTopicsView => device_topics;
     IncidentView => incidents::incident;
-    WitnessesView => witnesses::status;
     FleetView => fleet::status;
     RingPullView => robots::pulled;
     RobotView => robots::one;
@@ -136,7 +135,6 @@ rows! {
     AuditView, "audit" => audit::lines;
     AdmittedView, "admitted" => gateway::admitted;
     IncidentView, "incidents" => incidents::all;
-    WitnessView, "witnesses" => witnesses::all;
     RobotRow, "robots" => robots::all;
     FellowView, "fleet" => fleet::all;
     OperatorView, "operators" => operators::all;
@@ -186,7 +184,10 @@ impl Printed for GatewaysView {
 
 impl Printed for CheckView {
     fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
-        output.result(&self, || format!("{}: {}", self.id, self.verdict.word()));
+        output.result(&self, || {
+            let contract = self.contract.map_or_else(String::new, |answer| format!("\n{}", answer.text()));
+            format!("{}: {}{contract}", self.id, self.verdict.word())
+        });
         Ok(lists::verdict_code(self.verdict))
     }
 }

@@ -114,7 +114,7 @@ async fn what_robots_send_is_anchored_by_the_gateway_and_read_by_a_grantee_until
     assert!(own.iter().all(|record| is_verified(record) && record["topic"] == TOPIC), "{:?}", own[0]);
     assert_eq!(own[0]["type"], "std_msgs/String");
     let shown = alice.json(&["uploads", "show", &text(&own[0], "id")]);
-    assert!(shown.to_string().contains(&site.gateway.account), "the gateway's account is the witness: {shown}");
+    assert!(shown.to_string().contains(&site.gateway.account), "the gateway's account anchors: {shown}");
 
     // A reader without a grant learns nothing, not even that there is something.
     let reader = Member::of(&site.home, "bob", site.gateway.domain);

@@ -75,4 +75,3 @@ mod unattended;
 mod units;
 mod uploads_export;
 mod vault_faults;
-mod witnesses;

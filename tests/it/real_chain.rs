@@ -126,7 +126,7 @@ fn a_development_node_pays_for_a_newcomer() {
 fn two_profiles_share_over_a_real_node() {
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let home = Home::new();
-    let [(alice, _), (bob, bob_address)] = ["alice", "bob"].map(|name| {
+    let [(alice, alice_address), (bob, bob_address)] = ["alice", "bob"].map(|name| {
         let authros = home.profile(name).with(&["--chain", &node.http(), "--robots", "1"]);
         let address = text(&authros.json(&["identity", "create"]), "address");
         node.fund(&address);
@@ -138,7 +138,14 @@ fn two_profiles_share_over_a_real_node() {
     alice.capture(&[TOPIC], 3);
     for record in bob.records(&["shared", "list"]) {
         assert_eq!(bob.json(&["shared", "open", &text(&record, "id")])["verdict"], "verified");
+        let answer = bob.json(&["shared", "check", &text(&record, "id")])["contract"].clone();
+        assert_eq!((&answer["authorised"], text(&answer, "reader")), (&true.into(), bob_address.clone()), "{answer}");
     }
+    let told = bob.run(&["shared", "check", &text(&bob.records(&["shared", "list"])[0], "id")]).expect_code(0);
+    assert!(
+        told.stdout.contains(&format!("the contract lets {bob_address} read epoch 1 of {alice_address}")),
+        "{told}"
+    );
     assert_eq!(bob.records(&["shared", "list"]).len(), 3);
     alice.json(&["revoke", &bob_address]);
     alice.capture(&[TOPIC], 2);

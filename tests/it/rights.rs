@@ -42,7 +42,7 @@ fn suspensions_under_load_lose_nothing_and_what_waited_goes_on_by_itself() {
     for topic in TOPICS {
         alice.json(&["topics", "watch", topic]);
     }
-    wait_until(60, "the witnesses anchor", || (count(&life(&alice), "verified") >= 40).then_some(()));
+    wait_until(60, "the extra accounts anchor", || (count(&life(&alice), "verified") >= 40).then_some(()));
     // A block or two each, while batches are on their way through accounts that nobody suspended.
     for _ in 0..3 {
         boss.json(&["chain", "suspend", &address]);

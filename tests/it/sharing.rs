@@ -6,7 +6,7 @@ use crate::support;
 use std::collections::BTreeSet;
 use std::fs;
 
-use serde_json::Value;
+use serde_json::{Value, json};
 use support::{Authros, at, is_verified, list, text, two_profiles};
 
 const REFUSED: i32 = 5;
@@ -19,6 +19,12 @@ fn open(authros: &Authros, id: &str) -> Value {
     let opened = authros.json(&["shared", "open", id]);
     assert_eq!(opened["verdict"], "verified", "{opened}");
     opened
+}
+
+/// The contract's word on a reader's right, where no digest was anchored by itself.
+fn answer(owner: &str, reader: &str, authorised: bool, epoch: u64) -> Value {
+    let (count, last) = (0, Value::Null);
+    json!({ "reader": reader, "owner": owner, "authorised": authorised, "epoch": epoch, "count": count, "last": last })
 }
 
 fn sequence(authros: &Authros, record: &Value) -> f64 {
@@ -43,6 +49,7 @@ fn a_grantee_checks_and_opens_until_the_revoke_and_nothing_after_it() {
         let id = text(record, "id");
         let checked = two.bob.json(&["shared", "check", &id]);
         assert_eq!((&checked["verdict"], &checked["digest"]), (&"verified".into(), &record["digest"]), "{checked}");
+        assert_eq!(checked["contract"], answer(&two.alice_address, &two.bob_address, true, 1), "{checked}");
         let opened = open(&two.bob, &id);
         assert!(at(&opened["message"], "pose.pose.position.x").is_finite(), "{opened}");
         assert_eq!(opened["message"], open(&two.alice, &id)["message"], "the owner reads the same");
@@ -114,6 +121,10 @@ fn the_current_epoch_is_granted_unless_all_are_asked_for() {
     assert_eq!(ids(&carol.records(&["shared", "list"])), all);
     for id in &all {
         open(&carol, id);
+        // One envelope carries the keys of all epochs: of the earlier one the contract knows nothing.
+        let epoch = if early.contains(id) { 1 } else { 2 };
+        let checked = carol.json(&["shared", "check", id]);
+        assert_eq!(checked["contract"], answer(&two.alice_address, &carol_address, epoch == 2, epoch), "{checked}");
     }
     // Who reads the older records is told on both sides, by what each knows.
     let earlier = |authros: &Authros, other: &str| {

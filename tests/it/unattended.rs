@@ -189,7 +189,7 @@ fn expect_two_signers(machine: &Machine, all: &[Value], unattended: usize) {
                 .and_then(|step| Some(step[1].as_str()?.to_owned()))
                 .unwrap_or_default()
         };
-        *signers.entry((step("signature"), step("witness"))).or_insert(0) += 1;
+        *signers.entry((step("signature"), step("anchored by"))).or_insert(0) += 1;
     }
     let held = UnattendedCredential::read(&machine.credential).expect("it opens");
     let alone = (format!("SM2 by signer {}", held.enrolment.device_id()), held.witness.address().to_string());

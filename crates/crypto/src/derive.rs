@@ -58,12 +58,12 @@ pub fn topic_filter_id(key: &FilterKey, kind: &str, value: &str) -> FilterId {
     FilterId(derived(key.expose(), &[], &Info::new("AuthROS/filterid/2").text(kind).text(value)))
 }
 
-/// The key of an owner's `index`-th witness account on a network, from the owner's EOA key.
+/// The key of an owner's `index`-th extra anchoring account on a network, from the owner's EOA key.
 ///
 /// # Errors
 /// [`CryptoError::SecretRange`] if the derived number is not a valid key (probability about 2^-127).
-pub fn witness_secret(owner: &EoaSecret, domain: &Domain, index: u8) -> Result<EoaSecret, CryptoError> {
-    let info = Info::new("AuthROS/witness/1").fixed(&domain.0).number(u64::from(index));
+pub fn anchoring_secret(owner: &EoaSecret, domain: &Domain, index: u8) -> Result<EoaSecret, CryptoError> {
+    let info = Info::new("AuthROS/anchoring/1").fixed(&domain.0).number(u64::from(index));
     let bytes = Zeroizing::new(derived::<32>(owner.expose(), &[], &info));
     EoaSecret::from_slice(&*bytes)
 }

@@ -57,8 +57,8 @@ pub use account::{AccountSignature, TypedStructure, keccak256, recover_account, 
 pub use agreement::Ephemeral;
 pub use der::{signature_der, signature_from_der};
 pub use derive::{
-    domain, epoch_key, filter_id, filter_key, notice_key, notice_topic, signer_id, token, topic_filter_id, topic_id,
-    topic_key, topic_key_by_name, unattended_secret, witness_secret,
+    anchoring_secret, domain, epoch_key, filter_id, filter_key, notice_key, notice_topic, signer_id, token,
+    topic_filter_id, topic_id, topic_key, topic_key_by_name, unattended_secret,
 };
 pub use enrolment::{
     Enrolment, EpochIssue, GatewayAccess, IssuedKeys, IssuedTopic, Notice, Pseudonyms, SealedEnrolment, SealingKey,

@@ -18,7 +18,6 @@ use crate::heights::{self, HEIGHTS, Height};
 use crate::manifest::{MANIFEST, Manifest, SIGNATURE};
 use crate::state::Nodes;
 use crate::time::{BundledStamp, DraftStamp};
-use crate::witness::{BundledCountersignature, DraftCountersignature};
 
 /// The trust file that a bundle may suggest, and that is never trusted.
 pub const SUGGESTED: &str = "trust.toml";
@@ -170,18 +169,15 @@ pub struct Bundle {
     pub heights: Vec<Height>,
     /// Stamps of authorities by their imprints.
     pub stamps: BTreeMap<Hash, BundledStamp>,
-    /// Countersignatures of witnesses by their SM3.
-    pub countersignatures: BTreeMap<Hash, BundledCountersignature>,
     /// The trust file that its exporter suggests.
     pub suggested: Option<String>,
 }
 
-/// Records, stamps and countersignatures, whose files are read one by one.
+/// Records and stamps, whose files are read one by one.
 #[derive(Default)]
 struct Drafts {
     records: BTreeMap<Digest, Draft>,
     stamps: BTreeMap<Hash, DraftStamp>,
-    countersignatures: BTreeMap<Hash, DraftCountersignature>,
 }
 
 impl Bundle {
@@ -214,19 +210,14 @@ impl Bundle {
         for (name, bytes) in members {
             bundle.take(name, bytes, &mut drafts, provider)?;
         }
-        let most = [drafts.records.len(), drafts.stamps.len(), drafts.countersignatures.len()];
-        if most.into_iter().any(|found| found > MOST_RECORDS) {
-            let text = format!("it has more than {MOST_RECORDS} records, time stamps, or countersignatures");
-            return Err(BundleError::whole(&text));
+        if drafts.records.len() > MOST_RECORDS || drafts.stamps.len() > MOST_RECORDS {
+            return Err(BundleError::whole(&format!("it has more than {MOST_RECORDS} records, or time stamps")));
         }
         for (digest, draft) in drafts.records {
             bundle.records.insert(digest, draft.finish(&digest)?);
         }
         for (imprint, draft) in drafts.stamps {
             bundle.stamps.insert(imprint, draft.finish(&imprint)?);
-        }
-        for (hash, draft) in drafts.countersignatures {
-            bundle.countersignatures.insert(hash, draft.finish(&hash, provider)?);
         }
         let key = bundle.keys.get(&bundle.manifest.exporter.key);
         bundle.signed =
@@ -246,7 +237,6 @@ impl Bundle {
             definitions: BTreeMap::new(),
             heights: Vec::new(),
             stamps: BTreeMap::new(),
-            countersignatures: BTreeMap::new(),
             suggested: None,
         }
     }
@@ -264,7 +254,7 @@ impl Bundle {
         let longest = match parts.as_slice() {
             ["records", _, "record.bin"]
             | ["chain", "nodes.rlp"]
-            | ["stamps" | "witnesses", _, "roots.json"]
+            | ["stamps", _, "roots.json"]
             | [MANIFEST | HEIGHTS] => usize::MAX,
             [REPORT] => LONGEST_REPORT,
             _ => LONGEST_SMALL,
@@ -286,11 +276,6 @@ impl Bundle {
                 let filed = imprint.parse().ok().filter(|filed: &Hash| filed.to_hex() == **imprint);
                 let imprint = filed.ok_or_else(|| wrong("is filed under a name that is not an imprint"))?;
                 drafts.stamps.entry(imprint).or_default().take(name, part, bytes)?;
-            }
-            ["witnesses", hash, part] => {
-                let filed = hash.parse().ok().filter(|filed: &Hash| filed.to_hex() == **hash);
-                let hash = filed.ok_or_else(|| wrong("is filed under what is no hash"))?;
-                drafts.countersignatures.entry(hash).or_default().take(name, part, bytes)?;
             }
             ["keys", file] => {
                 let pem = std::str::from_utf8(bytes).ok().and_then(|text| keyfile::sm2_public_from_pem(text).ok());

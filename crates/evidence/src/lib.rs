@@ -23,8 +23,6 @@ pub mod time;
 pub mod trie;
 mod trust;
 mod verify;
-pub mod witness;
-mod witnessing;
 
 pub use bundle::{
     AnchorClaim, Anchoring, Bundle, BundleError, BundledRecord, Disclosure, MOST_RECORDS, READ_ME, REPORT, SUGGESTED,
@@ -36,5 +34,5 @@ pub use manifest::{ClaimedChain, Exporter, FORMAT, MEDIA_TYPE, Manifest, Member}
 pub use packing::{Packing, PackingError, READ_ME_TEXT, disclose, pack};
 pub use report::{Disclosed, HeadsClaim, Level, Outcome, RecordReport, Report, Standing, Stretch};
 pub use state::{AnchorWord, KeysWord, LoanWord, Nodes, Slot, Storage, Unproven, Word};
-pub use trust::{LONGEST_TRUST, Person, PinnedAuthority, PinnedChain, PinnedWitness, Trust, TrustError};
+pub use trust::{LONGEST_TRUST, Person, PinnedAuthority, PinnedChain, Trust, TrustError};
 pub use verify::verify;

@@ -2,7 +2,7 @@
 
 use authros_crypto::record::reveal_bytes;
 use authros_crypto::{CryptoError, Provider, SmKeyPair, keyfile, signature_der, signer_id};
-use authros_model::{Address, Countersignature, Digest, Domain, Hash, Identity, PublicKey};
+use authros_model::{Address, Digest, Domain, Hash, Identity, PublicKey};
 
 use crate::archive::{self, MIMETYPE, Members};
 use crate::bundle::{BundleError, BundledRecord, NODES, READ_ME, REPORT, SUGGESTED};
@@ -11,7 +11,6 @@ use crate::manifest::{ClaimedChain, Exporter, MANIFEST, MEDIA_TYPE, Manifest, SI
 use crate::state::Nodes;
 use crate::time::{self, StampTree};
 use crate::trust::Trust;
-use crate::witness;
 
 /// The text of `VERIFY.txt`, for somebody who finds the file without the program.
 pub const READ_ME_TEXT: &str = include_str!("VERIFY.txt");
@@ -112,21 +111,6 @@ impl Packing {
         if !tokens.is_empty() {
             self.members.extend(time::members(tree, wanted, tokens)?);
         }
-        Ok(())
-    }
-
-    /// Adds a witness's countersignature over a statement about these roots; all of them are under it.
-    ///
-    /// # Errors
-    /// If it cannot be written.
-    pub fn countersignature(
-        &mut self,
-        countersignature: &Countersignature,
-        tree: &StampTree,
-        wanted: &[Hash],
-        provider: &dyn Provider,
-    ) -> Result<(), PackingError> {
-        self.members.extend(witness::members(countersignature, tree, wanted, provider)?);
         Ok(())
     }
 

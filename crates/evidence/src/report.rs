@@ -82,8 +82,6 @@ pub struct RecordReport {
     pub seconds_to_anchor: Option<i64>,
     /// It existed before this time, according to a pinned authority.
     pub existed_before: Option<Timestamp>,
-    /// A pinned witness saw the statement about its batch at this time.
-    pub witnessed_at: Option<Timestamp>,
     /// (a) The bytes are intact and signed.
     pub bytes: Level,
     /// (b) The owner was entitled to sign with the key.
@@ -94,8 +92,6 @@ pub struct RecordReport {
     pub time: Level,
     /// (e) It is opened by its owner's disclosure.
     pub opened: Level,
-    /// (g) A witness countersigned what its owner stated.
-    pub witnessed: Level,
     /// The disclosed content.
     pub disclosed: Option<Disclosed>,
 }
@@ -124,15 +120,8 @@ impl RecordReport {
     }
 
     /// Its levels by their letters.
-    pub fn levels(&self) -> [(char, &Level); 6] {
-        [
-            ('a', &self.bytes),
-            ('b', &self.key),
-            ('c', &self.anchor),
-            ('d', &self.time),
-            ('e', &self.opened),
-            ('g', &self.witnessed),
-        ]
+    pub fn levels(&self) -> [(char, &Level); 5] {
+        [('a', &self.bytes), ('b', &self.key), ('c', &self.anchor), ('d', &self.time), ('e', &self.opened)]
     }
 }
 

@@ -9,7 +9,6 @@ mod parallel;
 mod refusals;
 mod second;
 mod stamps;
-mod witnesses;
 mod world;
 
 use authros_crypto::record::RecordSecret;

@@ -11,7 +11,7 @@ use crate::time::Certificate;
 
 /// The longest file, bytes.
 pub const LONGEST_TRUST: usize = 64 * 1024;
-/// The most authorities, and the most witnesses.
+/// The most authorities.
 const MOST_AUTHORITIES: usize = 16;
 
 /// A trust file that cannot be used.
@@ -31,21 +31,6 @@ pub struct Trust {
     /// The authorities whose time stamps count.
     #[serde(default, rename = "authority", skip_serializing_if = "Vec::is_empty")]
     pub authorities: Vec<PinnedAuthority>,
-    /// The parties whose countersignatures count.
-    #[serde(default, rename = "witness", skip_serializing_if = "Vec::is_empty")]
-    pub witnesses: Vec<PinnedWitness>,
-}
-
-/// A party that countersigns what others state about their chains.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PinnedWitness {
-    /// Its account.
-    pub account: Address,
-    /// SM3 of its key: the fingerprint of its gateway.
-    pub key: SignerId,
-    /// Its name.
-    pub name: String,
 }
 
 /// A time stamp authority.
@@ -119,10 +104,6 @@ impl Trust {
         if trust.authorities.len() > MOST_AUTHORITIES {
             return Err(TrustError(format!("it names more than {MOST_AUTHORITIES} authorities")));
         }
-        let witnesses: BTreeSet<Address> = trust.witnesses.iter().map(|witness| witness.account).collect();
-        if witnesses.len() != trust.witnesses.len() || witnesses.len() > MOST_AUTHORITIES {
-            return Err(TrustError(format!("a witness is named twice, or there are more than {MOST_AUTHORITIES}")));
-        }
         if trust.chain.quorum.is_some_and(|quorum| quorum == 0 || quorum > signers.len()) {
             return Err(TrustError("its quorum is zero, or more than the number of signers".into()));
         }
@@ -150,11 +131,6 @@ impl Trust {
     /// The domain of records of this chain and contract.
     pub fn domain(&self) -> Domain {
         domain(self.chain.id, &self.chain.genesis, &self.chain.contract)
-    }
-
-    /// The witness with this account, if it is pinned.
-    pub fn witness(&self, account: Address) -> Option<&PinnedWitness> {
-        self.witnesses.iter().find(|witness| witness.account == account)
     }
 
     /// The name of an account, if it is pinned.

@@ -15,7 +15,6 @@ use crate::report::{Disclosed, Level, Outcome, RecordReport, Report, Standing};
 use crate::signing::signing_right;
 use crate::stamping::Stamps;
 use crate::trust::Trust;
-use crate::witnessing::Witnessed;
 
 /// The messages that were opened, by their records.
 pub(crate) type Messages = BTreeMap<Digest, Revealed>;
@@ -33,8 +32,6 @@ pub(crate) struct Check<'a> {
     pub contract: Address,
     /// Time stamps, by the pinned authorities.
     pub stamps: Stamps<'a>,
-    /// Countersignatures, by the pinned witnesses.
-    pub witnessed: Witnessed<'a>,
     /// Results found on the way.
     pub known: Known<'a>,
 }
@@ -47,8 +44,7 @@ pub fn verify(bundle: &Bundle, trust: Option<&Trust>, provider: &dyn Provider) -
         None => (domain(claimed.id, &claimed.genesis, &claimed.contract), claimed.contract),
     };
     let stamps = Stamps::new(bundle, trust);
-    let witnessed = Witnessed::new(bundle, trust, &bound, provider);
-    let check = Check { bundle, trust, provider, domain: bound, contract, stamps, witnessed, known: Known::default() };
+    let check = Check { bundle, trust, provider, domain: bound, contract, stamps, known: Known::default() };
     let (records, messages) = check.records();
     let complete = stretches(&bundle.heights, &records, &messages);
     let exporter = check.exporter(&records);
@@ -81,9 +77,9 @@ impl<'a> Check<'a> {
         let some: Vec<_> = all.chunks(SIDE_BY_SIDE).collect();
         let judged: Vec<Vec<_>> = pool::each(&some, pool::helpers_for(all.len(), bytes), judge);
         let (mut reports, mut messages, mut left) = (Vec::with_capacity(all.len()), Messages::new(), MOST_PLAIN);
-        for ((digest, record), (mut report, header)) in all.into_iter().zip(judged.into_iter().flatten()) {
-            if let Some(header) = header {
-                self.open((*digest, record), &header, &mut report, (&mut messages, &mut left));
+        for ((digest, record), mut report) in all.into_iter().zip(judged.into_iter().flatten()) {
+            if report.bytes.standing == Standing::Proven {
+                self.open((*digest, record), &mut report, (&mut messages, &mut left));
             }
             reports.push(report);
         }
@@ -94,7 +90,6 @@ impl<'a> Check<'a> {
     fn open(
         &self,
         (digest, record): (Digest, &BundledRecord),
-        header: &Header,
         report: &mut RecordReport,
         (messages, left): (&mut Messages, &mut u64),
     ) {
@@ -102,16 +97,12 @@ impl<'a> Check<'a> {
         let (level, revealed) = opened(self.provider, record, vouched, left);
         report.opened = capped(level, &report.anchor);
         let Some(revealed) = revealed else { return };
-        if let Some(why) = self.witnessed.other_head(digest, header, &revealed) {
-            (report.witnessed, report.witnessed_at) = (Level::new(Standing::Refused, why), None);
-        }
         report.disclosed = Some(self.disclosed(&revealed));
         messages.insert(digest, revealed);
     }
 
-    /// All but the message: (e) says so far who vouches for the disclosure. With the header, if (a) is proven. `found` is
-    /// the SM3 of the record's bytes.
-    fn record(&self, digest: Digest, found: Digest, record: &'a BundledRecord) -> (RecordReport, Option<Header>) {
+    /// All but the message: (e) says so far who vouches for the disclosure. `found` is the SM3 of the record's bytes.
+    fn record(&self, digest: Digest, found: Digest, record: &'a BundledRecord) -> RecordReport {
         let mut report = RecordReport {
             digest,
             owner: None,
@@ -126,20 +117,18 @@ impl<'a> Check<'a> {
             block: None,
             seconds_to_anchor: None,
             existed_before: None,
-            witnessed_at: None,
             bytes: Level::new(Standing::Unproven, ""),
             key: Level::new(Standing::Unproven, "the bytes do not check out"),
             anchor: Level::new(Standing::Unproven, "the bytes do not check out"),
             time: Level::new(Standing::Unproven, "the bytes do not check out"),
             opened: Level::new(Standing::Absent, "sealed: its owner did not disclose it"),
-            witnessed: Level::new(Standing::Unproven, "the bytes do not check out"),
             disclosed: None,
         };
         let header = match self.bytes(digest, found, record) {
             Ok(found) => found,
             Err(why) => {
                 report.bytes = Level::new(Standing::Refused, why);
-                return (report, None);
+                return report;
             }
         };
         report.owner = Some(header.owner);
@@ -149,7 +138,6 @@ impl<'a> Check<'a> {
         report.captured_at = Some(header.captured_at);
         report.bytes = Level::new(Standing::Proven, format!("intact, and signed by the key {}", header.signer));
         (report.time, report.existed_before) = self.stamps.level(digest, &header, record);
-        (report.witnessed, report.witnessed_at) = self.witnessed.level(digest, &header, record);
         let (level, anchored) = anchored(self, digest, &header, record);
         report.anchor = level;
         let signed = anchored.as_ref().map(|anchored| signing_right(self, &header, anchored));
@@ -169,7 +157,7 @@ impl<'a> Check<'a> {
             report.seconds_to_anchor = time.and_then(|time| seconds_between(header.captured_at.seconds(), time));
         }
         report.opened = vouched(self, digest, record, &header, owner_key);
-        (report, Some(header))
+        report
     }
 
     /// (a): the digest, the network, the signature.

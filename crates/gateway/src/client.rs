@@ -9,7 +9,7 @@ use tokio::time::timeout;
 
 use crate::crypto::record::check;
 use crate::crypto::{Anchor, SmKeyPair, TransportKey};
-use crate::model::{Countersignature, Digest, Hash, ProfileName, SignedPosition, Timestamp, Token};
+use crate::model::{Digest, Hash, ProfileName, Timestamp, Token};
 
 use super::allocation::{AllocationRequest, Applicant, apply};
 use super::command::relay::LONGEST_PARAMETERS;
@@ -200,19 +200,6 @@ impl Client {
         match self.ask(&Request::Relay(call)).await? {
             Answer::Relayed(relayed) => Ok(relayed),
             _ => Err(GatewayError::Unexpected("no answer of the chain")),
-        }
-    }
-
-    /// Asks the gateway's keeper to countersign a statement. The answer is not checked; it is over another statement if
-    /// the next one has to refer to that.
-    ///
-    /// # Errors
-    /// [`GatewayError`]; `Refused(Tampered)` if the statement contradicts an earlier one, `Refused(NotAuthorised)` if
-    /// nobody there is a witness for its key.
-    pub async fn countersign(&mut self, stated: &SignedPosition) -> Result<Countersignature, GatewayError> {
-        match self.ask(&Request::Countersign(Box::new(*stated))).await? {
-            Answer::Countersigned(countersignature) => Ok(*countersignature),
-            _ => Err(GatewayError::Unexpected("no countersignature")),
         }
     }
 

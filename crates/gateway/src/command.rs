@@ -84,8 +84,6 @@ commands! {
     DeviceNotice = 17;
     /// A JSON-RPC request, passed on to the chain.
     Relay = 18;
-    /// What an owner states about its chain, for the keeper's countersignature.
-    Countersign = 19;
     /// Which anchored records the gateway holds, or which were erased, for a gateway of the same fleet; or what an owner had
     /// erased, for a gateway that may hold it.
     Holdings = 20;
@@ -117,10 +115,7 @@ impl Command {
 
     /// Whether a session without a transport key may use it.
     pub fn is_for_allocation(self) -> bool {
-        matches!(
-            self,
-            Self::SystemKeys | Self::KeyAllocation | Self::Register | Self::Ping | Self::Relay | Self::Countersign
-        )
+        matches!(self, Self::SystemKeys | Self::KeyAllocation | Self::Register | Self::Ping | Self::Relay)
     }
 }
 

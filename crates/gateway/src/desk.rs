@@ -10,8 +10,7 @@ use tokio::sync::mpsc;
 use crate::chain::RelayError;
 use crate::crypto::{SealedRecord, TransportKey};
 use crate::model::{
-    Address, Countersignature, Digest, Hash, Header, ProfileName, PublicKey, RecordKind, Signature, SignedPosition,
-    SignerId, Timestamp, Token, TopicId,
+    Address, Digest, Hash, Header, ProfileName, PublicKey, RecordKind, Signature, SignerId, Timestamp, Token, TopicId,
 };
 
 use super::code::{Code, Refusal};
@@ -183,13 +182,6 @@ pub trait Desk: Send + Sync + 'static {
     /// both are stored durably, so that [`Self::signer`] can return the key as long as the device is lent, and the name
     /// ends with the loan. `Signature` if the chain has no such loan.
     async fn device(&self, caller: &Caller, notice: &DeviceNotice) -> Result<(), Refusal>;
-
-    /// Countersigns what an owner states, or returns the last countersignature if the statement does not refer to it:
-    /// `NotAuthorised` if nobody here is a witness for that key, `Tampered` if the statement contradicts an earlier one.
-    async fn countersign(&self, stated: &SignedPosition) -> Result<Countersignature, Refusal> {
-        let owner = stated.position.owner;
-        Err(Refusal::new(Code::NotAuthorised, format_args!("nobody here is a witness for {owner}")))
-    }
 
     /// What this gateway holds, in the order of the anchoring blocks: `NotAuthorised` unless the caller is the keeper of a
     /// gateway that this one's keeper named.

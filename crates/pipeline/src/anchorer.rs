@@ -19,7 +19,7 @@ use super::{Network, PipelineError, Plant, Sender, adoption, authority};
 const ROUND: usize = 128;
 /// Batches of one account that may wait for a block; while they do, the next one gets wider.
 const MOST_OPEN_BATCHES: usize = 2;
-/// How long a refused witness rests.
+/// How long a refused extra account rests.
 const REST: Duration = Duration::from_secs(60);
 /// How long to wait when only the chain can bring news.
 const IDLE: Duration = Duration::from_secs(1);
@@ -32,7 +32,7 @@ const MOST_ORDERS: usize = 16;
 pub struct Anchorer {
     mode: AnchorMode,
     pace: Pace,
-    /// Witnesses whose anchors the contract refused (because they are suspended, for example), and until when they
+    /// Extra accounts whose anchors the contract refused (because they are suspended, for example), and until when they
     /// rest.
     resting: HashMap<Address, Instant>,
     /// When it was looked whose right to sign has ended or begun again.
@@ -104,8 +104,8 @@ impl Anchorer {
         }
     }
 
-    /// Anchors a closed batch. A witness that the contract refuses rests; a refusal of the owner's own account is
-    /// reported.
+    /// Anchors a closed batch. An extra account that the contract refuses rests; a refusal of the owner's own account
+    /// is reported.
     async fn send(
         &mut self,
         plant: &Plant,

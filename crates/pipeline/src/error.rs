@@ -130,6 +130,17 @@ pub enum PipelineError {
         /// The reason.
         why: Box<NoRight>,
     },
+    /// The contract's answer about a reader differs from what its events say.
+    #[error(
+        "the contract {claim}, and its events up to block {block} say otherwise; a grant or revoke may have just been \
+         mined, so repeat the command; if the answer stays, do not trust this node: ask another one with `--chain URL`"
+    )]
+    Contradicted {
+        /// What the contract answers.
+        claim: String,
+        /// The newest block whose events are known here.
+        block: u64,
+    },
     /// A grant or revoke that the present state does not allow.
     #[error("{0}")]
     Refused(String),
@@ -155,7 +166,7 @@ impl PipelineError {
             Self::NoEther(_) | Self::Unregistered(_) | Self::BadIdentity(_) | Self::NotGranted { .. } => {
                 ErrorKind::Refused
             }
-            Self::Reverted { .. } | Self::Refused(_) => ErrorKind::Refused,
+            Self::Reverted { .. } | Self::Contradicted { .. } | Self::Refused(_) => ErrorKind::Refused,
             Self::NoRecord(_) => ErrorKind::Input,
             Self::Missing(_) | Self::RowDiffers { .. } | Self::NotTakenIn { .. } | Self::NoRight { .. } => {
                 ErrorKind::Tampered

@@ -18,10 +18,10 @@ use crate::store::{RecordRow, Retained};
 use super::chain_proofs::{self, Anchor, Shown as Wanted};
 use super::columns::{self, Keys as _};
 use super::evidence_heights::{self, Shown};
+use super::evidence_stamps;
 use super::reader::Reader;
 use super::retention::erasing::is_stated;
 use super::{PipelineError, authority};
-use super::{evidence_stamps, evidence_witnesses};
 
 /// The most records in a bundle.
 pub use authros_evidence::MOST_RECORDS;
@@ -51,11 +51,11 @@ struct Asked {
 }
 
 impl Asked {
-    /// The root of its batch, and who anchored that.
-    fn root(&self) -> Option<(Hash, Address)> {
+    /// The root of its batch.
+    fn root(&self) -> Option<Hash> {
         match &self.anchor {
             Anchoring::Each {} => None,
-            Anchoring::Batch { root, account, .. } => Some((*root, *account)),
+            Anchoring::Batch { root, .. } => Some(*root),
         }
     }
 }
@@ -104,10 +104,8 @@ pub async fn gather(
     if !heights.is_empty() {
         gathered.packing.heights(heights).map_err(refused)?;
     }
-    let anchored: BTreeSet<(Hash, Address)> = asked.iter().filter_map(Asked::root).collect();
-    let roots = anchored.iter().map(|(root, _)| *root).collect();
+    let roots = asked.iter().filter_map(Asked::root).collect();
     block_in_place(|| evidence_stamps::add(reader.plant, &roots, &mut gathered))?;
-    evidence_witnesses::add(reader, &anchored, &mut gathered).await?;
     show(reader, asked, &mut gathered).await?;
     suggest(reader, authorities, &mut gathered).await?;
     Ok(gathered)
@@ -295,6 +293,5 @@ async fn suggest(
     let (id, genesis, contract, code_hash) = (pin.chain_id, pin.genesis, pin.contract, pin.code_hash);
     let quorum = None;
     let pinned = PinnedChain { id, genesis, contract, code_hash, signers, quorum, sealed_by_exporter };
-    let witnesses = block_in_place(|| evidence_witnesses::suggested(reader))?;
-    gathered.packing.suggest(&Trust { chain: pinned, persons: Vec::new(), authorities, witnesses }).map_err(refused)
+    gathered.packing.suggest(&Trust { chain: pinned, persons: Vec::new(), authorities }).map_err(refused)
 }

@@ -13,13 +13,13 @@ use authros_store as store;
 
 pub mod adoption;
 pub mod anchorer;
+pub mod anchoring_accounts;
 pub mod audit_head;
 pub mod author;
 pub mod authority;
 mod block_times;
 pub mod chain_proofs;
 pub mod columns;
-pub mod countersigning;
 pub mod directory;
 pub mod disk_ring;
 pub mod epoch;
@@ -28,7 +28,6 @@ pub mod error;
 pub mod evidence;
 mod evidence_heights;
 mod evidence_stamps;
-mod evidence_witnesses;
 pub mod export_folder;
 #[cfg(test)]
 mod fixture;
@@ -65,7 +64,6 @@ pub mod storer;
 mod tests;
 pub mod verifier;
 pub mod watcher;
-pub mod witness;
 
 pub use author::Author;
 pub use block_times::BlockTimes;

@@ -1,5 +1,6 @@
 //! Anchoring as a whole: ledger, anchorer, sender, watcher and the embedded chain.
 
+mod asking;
 mod chain_proofs;
 mod erased;
 mod flipped;
@@ -11,7 +12,7 @@ use std::sync::Arc;
 
 use super::anchorer::Anchorer;
 use super::sender::Policy;
-use super::{Directory, Network, Observer, Owner, Plant, Sender, proof, watcher, witness};
+use super::{Directory, Network, Observer, Owner, Plant, Sender, anchoring_accounts, proof, watcher};
 use crate::chain::{Call, Chain, ChainOptions, Endpoint};
 use crate::crypto::sm3::sm3;
 use crate::crypto::{
@@ -239,11 +240,11 @@ async fn both_modes_anchor_what_the_other_left() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_witness_registers_itself_and_anchors_for_its_owner() {
+async fn an_extra_account_registers_itself_and_anchors_for_its_owner() {
     let line = Line::new().await;
-    let witnesses = witness::witnesses(&line.owner.eoa(), &line.network.domain, 3).expect("keys");
-    for key in &witnesses {
-        let ready = || witness::ensure_ready(&line.plant, &line.network, &line.sender, &line.owner, key);
+    let extra = anchoring_accounts::extra(&line.owner.eoa(), &line.network.domain, 3).expect("keys");
+    for key in &extra {
+        let ready = || anchoring_accounts::ensure_ready(&line.plant, &line.network, &line.sender, &line.owner, key);
         assert!(!ready().await.expect("registers"), "its registration is not seen yet");
         line.watch().await;
         line.sender.tend(&line.network.chain, key).await.expect("closed");
@@ -254,16 +255,16 @@ async fn a_witness_registers_itself_and_anchors_for_its_owner() {
     line.append(1, 1, 300);
     let mut anchorer = Anchorer::new(AnchorMode::Batch);
     while line.count(RecordState::Confirmed) < 300 {
-        let round = anchorer.round(&line.plant, &line.network, &line.sender, line.owner.address, &witnesses).await;
+        let round = anchorer.round(&line.plant, &line.network, &line.sender, line.owner.address, &extra).await;
         round.expect("a round");
         line.watch().await;
-        for key in &witnesses {
+        for key in &extra {
             line.sender.tend(&line.network.chain, key).await.expect("closed");
         }
     }
     for row in line.rows(300) {
         let place = line.plant.ledger.batch_place(row.digest).expect("read").expect("batched");
-        assert!(witnesses.iter().any(|key| place.account == Some(key.address())));
+        assert!(extra.iter().any(|key| place.account == Some(key.address())));
         assert!(line.is_anchored(&row).await, "{}", row.seq);
     }
 }

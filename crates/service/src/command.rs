@@ -20,7 +20,6 @@ mod robots;
 mod secret;
 mod unattended;
 mod viewing;
-mod witnesses;
 
 use serde::{Deserialize, Serialize};
 
@@ -47,7 +46,6 @@ pub use self::robots::{LONGEST_POLICY, ListRobots, PullRing, RobotCommand, SetRo
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::unattended::{EndUnattended, PrepareUnattended, UnattendedCommand};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
-pub use self::witnesses::{AddWitness, AskWitnesses, ListWitnesses, RemoveWitness, WitnessCommand, WitnessStatus};
 use crate::chain::Revision;
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 use crate::service::reply::{
@@ -250,7 +248,8 @@ requests! {
         /// At how many gateways each record is to be; `None` = at all.
         copies: Option<u32>,
     } => GatewaysView;
-    /// The paper's Data_Check of one record: digest against the chain, and signature.
+    /// The paper's Data_Check of one record: digest against the chain, signature, and the contract's answer about the
+    /// right to read it.
     CheckShared {
         /// Its id.
         id: String,
@@ -393,8 +392,6 @@ requests! {
         Operate(Operation),
         /// Incidents: spans of own records, kept together.
         OfIncident(IncidentCommand),
-        /// Witnesses: parties that countersign.
-        OfWitness(WitnessCommand),
         /// Robots: what is asked of them.
         OfRobot(RobotCommand),
         /// The fleet: gateways that reconcile what they hold.

@@ -21,7 +21,6 @@ mod tasks;
 mod topics;
 mod unattended;
 mod viewing;
-mod witnesses;
 
 use serde::{Deserialize, Serialize};
 
@@ -51,8 +50,8 @@ pub use self::recordings::{
     Refused,
 };
 pub use self::records::{
-    Caveat, CheckView, EvidenceView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView, ShownState,
-    StampView, StampedView,
+    Caveat, CheckView, ContractAnswer, EvidenceView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView,
+    ShownState, StampView, StampedView,
 };
 pub use self::robots::{RingPullView, RobotRow, RobotTopicRow, RobotView};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
@@ -60,7 +59,6 @@ pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, CoveragePart, CoverageView, HeldUp, TopicRow, TopicSummary};
 pub use self::unattended::{UnattendedFile, UnattendedState, UnattendedView};
 pub use self::viewing::PathView;
-pub use self::witnesses::{ContradictionView, GivenView, WitnessAnswers, WitnessView, WitnessesView};
 use super::command::SecretBytes;
 use crate::model::ErrorKind;
 
@@ -224,12 +222,6 @@ replies! {
     Incident(IncidentView);
     /// To `ListIncidents` and `RemoveIncident`.
     Incidents(Vec<IncidentView>);
-    /// To `AddWitness`, `RemoveWitness` and `ListWitnesses`.
-    Witnesses(Vec<WitnessView>);
-    /// To `WitnessStatus`.
-    WitnessStatus(WitnessesView);
-    /// To `AskWitnesses`.
-    WitnessAnswers(WitnessAnswers);
     /// To `PullRing`.
     RingPull(RingPullView);
     /// To `ListRobots`.

@@ -49,7 +49,6 @@ mod tests;
 mod trail;
 mod transactions;
 mod usage;
-mod witnesses;
 mod writer;
 
 use std::path::{Path, PathBuf};
@@ -95,7 +94,6 @@ pub use signers::SignerTopic;
 pub use stamps::{KeptStamp, StampCounts};
 pub use transactions::{NewTransaction, TransactionOutcome, TransactionRow, TransactionState};
 pub use usage::OwnerUsage;
-pub use witnesses::{KeptContradiction, KeptPosition, PositionCounts, Unwitnessed, WitnessRow};
 pub(super) use writer::Session;
 
 const SCHEMA: Schema = Schema { application: 0x4155_4c31, text: include_str!("ledger/schema.sql") };

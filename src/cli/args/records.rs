@@ -136,7 +136,7 @@ pub enum UploadsVerb {
 pub enum SharedVerb {
     /// List records shared with this profile
     List(ListArguments),
-    /// Check a record's digest against the chain, and its signature (the paper's `Data_Check`)
+    /// Check a record's digest, its signature and the right to read it (the paper's `Data_Check` and `dataQuery`)
     Check {
         /// Record id, or its first characters
         id: String,

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
+use super::listener::Listener;
 use super::locks::{self, Genuine};
-use super::witness::Witness;
 use super::{Robots, Story, Work};
 use crate::cli::connect::{Context, ProfileNeed};
 use crate::crypto::{Anchor, EpochKey, Expected, GrantedKeys, open, topic_key};
@@ -41,7 +41,7 @@ pub struct Mission {
     pub(super) stranger: Person,
     pub(super) topics: Vec<TopicName>,
     pictures: usize,
-    witness: Witness,
+    listener: Listener,
     /// Robots of ROS 2; those of ROS 1 are the site's.
     _fleet: Option<DomainFleet>,
     tags: Vec<(String, String)>,
@@ -79,14 +79,14 @@ impl Mission {
             .map_err(|error: crate::model::topic::NameError| crate::service::failure::internal(error.to_string()))?;
         let watched: Vec<String> =
             topics.iter().map(ToString::to_string).filter(|topic| topic.contains("camera")).collect();
-        let witness = match robots.domain {
-            Some(domain) => block_in_place(|| Witness::start_in(domain, program.as_deref(), &watched))?,
+        let listener = match robots.domain {
+            Some(domain) => block_in_place(|| Listener::start_in(domain, program.as_deref(), &watched))?,
             None => {
                 let uri = site.ros_uri().await?;
-                block_in_place(|| Witness::start(&uri, &watched))?
+                block_in_place(|| Listener::start(&uri, &watched))?
             }
         };
-        block_in_place(|| witness.listen());
+        block_in_place(|| listener.listen());
         let network = site.network().await?;
         let place = robots.domain.map(|domain| format!(" in ROS 2 domain {domain}")).unwrap_or_default();
         output.note(&format!("{number} SIMULATED robots{place}; CURA A {}, CURA B {}", cura_a.address, cura_b.address));
@@ -103,7 +103,7 @@ impl Mission {
             stranger,
             topics,
             pictures: 0,
-            witness,
+            listener,
             _fleet: fleet,
             tags,
             milliseconds,
@@ -244,7 +244,7 @@ impl Mission {
             .as_ref()
             .is_some_and(|bytes| bytes.starts_with(&[0xff, 0xd8]) && bytes.ends_with(&[0xff, 0xd9]));
         // Only pictures are awaited.
-        picture && opened.body.as_ref().is_some_and(|body| self.witness.saw(body))
+        picture && opened.body.as_ref().is_some_and(|body| self.listener.saw(body))
     }
 
     async fn stranger_is_refused(&self, records: &[RecordView]) -> Result<bool, Failure> {

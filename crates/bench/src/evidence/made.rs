@@ -77,7 +77,7 @@ impl Ground {
             quorum: None,
             sealed_by_exporter: true,
         };
-        let trust = Trust { chain, persons: Vec::new(), authorities: Vec::new(), witnesses: Vec::new() };
+        let trust = Trust { chain, persons: Vec::new(), authorities: Vec::new() };
         Ok(Self { network, trust, provider, claimed, _directory: directory })
     }
 

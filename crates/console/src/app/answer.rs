@@ -376,7 +376,10 @@ fn key_file(state: &State, kind: KeyKind) -> String {
 
 fn checked(state: &mut State, check: &CheckView) {
     let place = check.block.map_or_else(String::new, |block| format!(", anchored in block {block}"));
-    let text = format!("record {}: {}{place}", check.id, check.verdict.word());
+    let allowed = check.contract.filter(|answer| answer.authorised);
+    let right =
+        allowed.map_or_else(String::new, |answer| format!(", the contract lets you read epoch {}", answer.epoch));
+    let text = format!("record {}: {}{place}{right}", check.id, check.verdict.word());
     match check.verdict {
         Verdict::Verified => {
             state.log.notice(state.now, NoticeLevel::Info, &text);

@@ -61,7 +61,7 @@ pub fn agree(members: &Members, trust: &Trust, outcome: Outcome) {
     assert_eq!(found.len(), report.records.len());
     for (record, found) in report.records.iter().zip(found) {
         let own = serde_json::to_value(record).expect("JSON");
-        for level in ["bytes", "key", "anchor", "opened", "witnessed"] {
+        for level in ["bytes", "key", "anchor", "opened"] {
             assert_eq!(own[level]["standing"], found[level], "{level}: {told}\n{levels:?}");
         }
         // It leaves the tokens themselves to openssl.
@@ -97,9 +97,7 @@ fn reasons(told: &serde_json::Value) -> Vec<String> {
     let mut found: Vec<String> = told["why"].as_str().map(str::to_owned).into_iter().collect();
     for standing in ["refused", "unproven"] {
         for record in list(&told["records"]) {
-            for (letter, level) in
-                [("a", "bytes"), ("b", "key"), ("c", "anchor"), ("d", "time"), ("e", "opened"), ("g", "witnessed")]
-            {
+            for (letter, level) in [("a", "bytes"), ("b", "key"), ("c", "anchor"), ("d", "time"), ("e", "opened")] {
                 if let Some(why) = record["notes"][level].as_str().filter(|_| record[level] == standing) {
                     found.push(format!("({letter}) {why}"));
                 }
@@ -330,6 +328,7 @@ fn the_second_verifier_never_ends_in_a_traceback() {
             "{good}\n[[person]]\naccount = \"0x{0}\"\nname = \"one\"\n[[person]]\naccount = \"0x{0}\"\nname = \"two\"\n",
             "0e".repeat(20)
         ),
+        format!("{good}\n[[witness]]\naccount = \"0x{0}\"\nkey = \"{0}\"\nname = \"one\"\n", "0e".repeat(20)),
         "chain = 1".to_owned(),
     ] {
         assert!(Trust::parse(wrong.as_bytes()).is_err(), "{wrong}");

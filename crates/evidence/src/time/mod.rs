@@ -16,7 +16,7 @@ pub use check::{Stamped, check_token};
 pub use der::LARGEST_DER;
 pub use request::{LONGEST_ANSWER, REQUEST_TYPE, Request, token_of};
 pub use stamp::{BundledStamp, MOST_ROOTS, MOST_TOKENS, StampTree, StampedRoot};
-pub(crate) use stamp::{DraftStamp, in_order, members};
+pub(crate) use stamp::{DraftStamp, members};
 
 use authros_model::{Timestamp, clean};
 

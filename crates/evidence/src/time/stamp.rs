@@ -45,25 +45,8 @@ impl StampTree {
         imprint_of(&self.tree.root(), self.count())
     }
 
-    /// The root of the tree.
-    pub fn top(&self) -> Hash {
-        self.tree.root()
-    }
-
-    /// How many roots of batches are under it.
-    pub fn count(&self) -> u64 {
+    fn count(&self) -> u64 {
         self.roots.len() as u64
-    }
-
-    /// The places of these roots, each once, ascending; those that are not in the tree are left out.
-    pub(crate) fn places(&self, wanted: &[Hash]) -> Vec<StampedRoot> {
-        let places: BTreeMap<&Hash, usize> = self.roots.iter().enumerate().map(|(at, root)| (root, at)).collect();
-        let wanted: std::collections::BTreeSet<&Hash> = wanted.iter().collect();
-        let place = |root: &Hash| {
-            let index = *places.get(root)?;
-            Some(StampedRoot { root: *root, index: index as u64, path: self.tree.path(index) })
-        };
-        wanted.into_iter().filter_map(place).collect()
     }
 
     /// The member `roots.json` of these roots, and the imprint under which it is filed; roots that are not in the tree
@@ -72,8 +55,14 @@ impl StampTree {
     /// # Errors
     /// If it cannot be written.
     pub(crate) fn listed(&self, wanted: &[Hash]) -> Result<(Hash, Vec<u8>), BundleError> {
-        let (top, count, roots) = (self.top(), self.count(), self.places(wanted));
-        let listed = Listed { format: FORMAT.to_owned(), top, count, roots };
+        let places: BTreeMap<&Hash, usize> = self.roots.iter().enumerate().map(|(at, root)| (root, at)).collect();
+        let wanted: std::collections::BTreeSet<&Hash> = wanted.iter().collect();
+        let roots = wanted.into_iter().filter_map(|root| {
+            let index = *places.get(root)?;
+            Some(StampedRoot { root: *root, index: index as u64, path: self.tree.path(index) })
+        });
+        let listed =
+            Listed { format: FORMAT.to_owned(), top: self.tree.root(), count: self.count(), roots: roots.collect() };
         Ok((Hash(self.imprint()), places_text(&listed)?))
     }
 }
@@ -90,13 +79,6 @@ pub struct StampedRoot {
     pub path: Vec<Hash>,
 }
 
-impl StampedRoot {
-    /// Whether its path leads to the root of a tree over so many.
-    pub(crate) fn leads_to(&self, top: &Hash, count: u64) -> bool {
-        root_of(stamp_hash(&self.root), self.index, count, &self.path) == Some(*top)
-    }
-}
-
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Listed {
@@ -108,17 +90,6 @@ pub(crate) struct Listed {
 
 fn places_text(listed: &Listed) -> Result<Vec<u8>, BundleError> {
     serde_json::to_vec_pretty(listed).map_err(|error| BundleError::of(ROOTS, &error.to_string()))
-}
-
-/// Refuses roots that are not in their order, and paths that no tree has.
-pub(crate) fn in_order(name: &str, roots: &[StampedRoot]) -> Result<(), BundleError> {
-    if !roots.is_sorted_by(|one, next| one.root < next.root) {
-        return Err(BundleError::of(name, "its roots are not in order, each once"));
-    }
-    if roots.iter().any(|place| place.path.len() > LONGEST_PATH) {
-        return Err(BundleError::of(name, "a path is longer than in any stamp"));
-    }
-    Ok(())
 }
 
 /// The name of a token's file: half of its SHA-256, since names of members are no longer than 120 bytes.
@@ -156,7 +127,7 @@ pub struct BundledStamp {
 impl BundledStamp {
     /// Whether a root's path leads to the stamped data.
     pub(crate) fn leads(&self, place: &StampedRoot) -> bool {
-        place.leads_to(&self.top, self.count)
+        root_of(stamp_hash(&place.root), place.index, self.count, &place.path) == Some(self.top)
     }
 }
 
@@ -178,7 +149,12 @@ impl DraftStamp {
             if listed.count > MOST_ROOTS as u64 || listed.roots.len() > MOST_ROOTS {
                 return Err(wrong(&format!("it has more than {MOST_ROOTS} roots")));
             }
-            in_order(name, &listed.roots)?;
+            if !listed.roots.is_sorted_by(|one, next| one.root < next.root) {
+                return Err(wrong("its roots are not in order, each once"));
+            }
+            if listed.roots.iter().any(|place| place.path.len() > LONGEST_PATH) {
+                return Err(wrong("a path is longer than in any stamp"));
+            }
             self.listed = Some(listed);
             return Ok(());
         }

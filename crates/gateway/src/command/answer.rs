@@ -1,7 +1,7 @@
 //! The gateway's answers, by Command.
 
 use crate::model::wire::{Reader, WireError};
-use crate::model::{Countersignature, Hash, PublicKey, Signature, Timestamp};
+use crate::model::{Hash, PublicKey, Signature, Timestamp};
 
 use super::Command;
 use super::erasures::{ErasureOutcome, Erasures, OF_ERASURES, OF_OUTCOMES};
@@ -108,8 +108,6 @@ pub enum Answer {
     Time(Timestamp),
     /// The chain's answer.
     Relayed(Relayed),
-    /// The keeper's countersignature: over what was sent, or the last one, to which the next statement has to refer.
-    Countersigned(Box<Countersignature>),
     /// What the gateway holds.
     Holdings(Box<Holdings>),
     /// What was erased.
@@ -140,7 +138,6 @@ impl Answer {
             Self::Record(_) => Command::Fetch,
             Self::Time(_) => Command::Ping,
             Self::Relayed(_) => Command::Relay,
-            Self::Countersigned(_) => Command::Countersign,
             Self::Holdings(_) | Self::Erasures(_) | Self::ErasuresTaken(_) => Command::Holdings,
             Self::HandedOver(_) | Self::ManyHandedOver(_) => Command::HandOver,
             Self::Event(_) => Command::Event,
@@ -167,7 +164,6 @@ impl Answer {
             Self::Done(_) => Vec::new(),
             Self::Time(time) => time.0.to_be_bytes().to_vec(),
             Self::Relayed(relayed) => relayed.encode(),
-            Self::Countersigned(countersignature) => countersignature.encode(),
             Self::Holdings(holdings) => holdings.encode(),
             Self::Erasures(erasures) => erasures.encode(),
             Self::ErasuresTaken(outcomes) => ErasureOutcome::encode_all(outcomes),
@@ -207,7 +203,6 @@ impl Answer {
             }
             Command::Fetch => Self::Record(Box::new(Fetched::read(&mut reader)?)),
             Command::Subscribe | Command::Unsubscribe => Self::Done(command),
-            Command::Countersign => return countersigned(body),
             Command::Holdings => read_holdings(body, &mut reader)?,
             Command::HandOver => match ManyHandedOver::read(&mut reader)? {
                 (handed, None) => Self::HandedOver(Box::new(handed)),
@@ -237,10 +232,6 @@ fn read_holdings(body: &[u8], reader: &mut Reader<'_>) -> Result<Answer, WireErr
     } else {
         Answer::Holdings(Box::new(Holdings::read(reader)?))
     })
-}
-
-fn countersigned(body: &[u8]) -> Result<Answer, WireError> {
-    Ok(Answer::Countersigned(Box::new(Countersignature::parse(body)?)))
 }
 
 pub(crate) fn read_code(reader: &mut Reader<'_>) -> Result<Code, WireError> {

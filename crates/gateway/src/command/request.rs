@@ -2,7 +2,7 @@
 
 use crate::crypto::SealedRecord;
 use crate::model::wire::{Reader, WireError};
-use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, SignedPosition, Token, TopicId};
+use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, Token, TopicId};
 
 use super::Command;
 use super::erasures::{ERASED as WHAT_WAS_ERASED, ErasurePlace, TELLS, ToldErasure, encode_told, read_told};
@@ -141,8 +141,6 @@ pub enum Request {
     Ping,
     /// A request to the chain.
     Relay(RelayCall),
-    /// What an owner states, signed by it, for a countersignature.
-    Countersign(Box<SignedPosition>),
     /// What the gateway holds, after a place in its holdings.
     Holdings(HoldingPlace),
     /// What was erased, after a place: place (24) || 1. Earlier gateways answer `Malformed`.
@@ -175,7 +173,6 @@ impl Request {
             Self::DeviceNotice(_) => Command::DeviceNotice,
             Self::Ping => Command::Ping,
             Self::Relay(_) => Command::Relay,
-            Self::Countersign(_) => Command::Countersign,
             Self::Holdings(_) | Self::Erasures(_) | Self::TellErasures(_) => Command::Holdings,
             Self::HandOver(_) | Self::HandOverMany(_) => Command::HandOver,
         }
@@ -205,7 +202,6 @@ impl Request {
             Self::GrantNotice(notice) => notice.encode(),
             Self::RevokeNotice(notice) => notice.encode(),
             Self::Relay(call) => call.encode(),
-            Self::Countersign(stated) => stated.encode(),
             Self::Holdings(after) => after.encode(),
             Self::Erasures(after) => [after.encode(), vec![WHAT_WAS_ERASED]].concat(),
             Self::TellErasures(told) => [vec![0; PLACE], vec![TELLS], encode_told(told, 0)].concat(),
@@ -244,7 +240,6 @@ impl Request {
             Command::DeviceNotice => Self::DeviceNotice(DeviceNotice::read(&mut reader)?),
             Command::Ping => Self::Ping,
             Command::Relay => Self::Relay(RelayCall::read(&mut reader)?),
-            Command::Countersign => Self::Countersign(Box::new(SignedPosition::read(&mut reader)?)),
             Command::Holdings => read_holdings(&mut reader)?,
             Command::HandOver => match read_wanted(&mut reader)?.as_slice() {
                 [one] => Self::HandOver(*one),

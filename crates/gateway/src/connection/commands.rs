@@ -12,7 +12,7 @@ use crate::gateway::identity_check::{
 use crate::gateway::limits::Charge;
 use crate::gateway::parts::Message;
 use crate::gateway::standings::SignedStandings;
-use crate::model::{Digest, ProfileName, SignedPosition, Timestamp};
+use crate::model::{Digest, ProfileName, Timestamp};
 
 use super::Shared;
 use super::feeds::Feeds;
@@ -31,7 +31,6 @@ impl Shared {
             Request::SystemKeys => Ok(Answer::SystemKeys(self.list().1)),
             Request::Ping => Ok(Answer::Time(Timestamp::now())),
             Request::Relay(call) => relayed(self.desk.as_ref(), None, &call).await,
-            Request::Countersign(stated) => countersigned(self.desk.as_ref(), &stated).await,
             Request::Register(registration) => {
                 check_registration(&self.context, &registration)?;
                 self.desk.register(&registration).await.map(Answer::Registered)
@@ -57,10 +56,6 @@ async fn relayed(desk: &dyn Desk, caller: Option<&Caller>, call: &RelayCall) -> 
     Relayed::of(desk.relay(caller, &call.method, &parameters).await, most).map(Answer::Relayed)
 }
 
-async fn countersigned(desk: &dyn Desk, stated: &SignedPosition) -> Result<Answer, Refusal> {
-    desk.countersign(stated).await.map(Box::new).map(Answer::Countersigned)
-}
-
 /// What a session under a transport key may do.
 pub(super) struct Commands {
     pub agreed: Agreed,
@@ -84,8 +79,6 @@ impl Commands {
             Request::SystemKeys => return Ok(Answer::SystemKeys(shared.list().1)),
             // Also for an account that is suspended or has other keys by now: the chain itself tells it so.
             Request::Relay(call) => return relayed(desk, Some(&self.caller), &call).await,
-            // The statement proves itself, and its owner need not be registered on this chain.
-            Request::Countersign(stated) => return countersigned(desk, &stated).await,
             Request::Upload(upload) => return self.store(shared, message.command, vec![upload]).await,
             Request::UploadMany(uploads) => return self.store(shared, message.command, uploads).await,
             _ => check_account(desk, &self.binding).await?,

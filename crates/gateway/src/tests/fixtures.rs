@@ -17,8 +17,8 @@ use authros_gateway::session::Session;
 use authros_gateway::{Code, Receipt};
 use authros_model::head::Compression;
 use authros_model::{
-    Address, Countersignature, Digest, Domain, FilterId, Hash, Head, Identity, Position, ProfileName, PublicKey,
-    Ranges, RecordKind, RecorderId, Signature, SignedPosition, SignerId, Timestamp, Token, TopicId,
+    Address, Digest, Domain, FilterId, Hash, Head, Identity, ProfileName, PublicKey, Ranges, RecordKind, RecorderId,
+    Signature, SignerId, Timestamp, Token, TopicId,
 };
 
 pub(crate) fn context() -> Context {
@@ -176,7 +176,6 @@ pub(crate) fn sample_requests() -> Vec<Request> {
         Request::DeviceNotice(pair(0x66).public.into()),
         Request::Ping,
         Request::Relay(RelayCall { method: "eth_call".into(), parameters: "[{},\"latest\"]".into() }),
-        Request::Countersign(Box::new(stated())),
         Request::Holdings(HoldingPlace { block: 1, batch: 2, leaf: 3 }),
         Request::Erasures(ErasurePlace { ledger: RecorderId([1; 16]), number: 2 }),
         Request::TellErasures(vec![told(); 2]),
@@ -189,30 +188,6 @@ pub(crate) fn sample_requests() -> Vec<Request> {
 pub(crate) fn wanted(first: u64, last: u64) -> Wanted {
     let (owner, recorder) = (Address([1; 20]), RecorderId([4; 16]));
     Wanted { owner, recorder, topic_id: TopicId([8; 16]), first, last }
-}
-
-/// What an owner states; whoever countersigns it has to check it.
-pub(crate) fn stated() -> SignedPosition {
-    let position = Position {
-        chain_id: 7,
-        genesis: Hash([1; 32]),
-        contract: Address([2; 20]),
-        owner: Address([3; 20]),
-        key: PublicKey([4; 64]),
-        recorder: RecorderId([5; 16]),
-        block: 6,
-        block_hash: Hash([7; 32]),
-        earlier: Some((5, Hash([8; 32]))),
-        top: Hash([9; 32]),
-        count: 10,
-        head: Some((11, Digest([12; 32]))),
-    };
-    SignedPosition { position, signature: Signature([13; 64]) }
-}
-
-pub(crate) fn countersigned(stated: &SignedPosition) -> Countersignature {
-    let (witness, key) = (Address([14; 20]), PublicKey([15; 64]));
-    Countersignature { stated: *stated, at: Timestamp(16), witness, key, signature: Signature([17; 64]) }
 }
 
 fn holdings() -> Holdings {
@@ -254,7 +229,6 @@ pub(crate) fn sample_answers() -> Vec<Answer> {
         Answer::Time(Timestamp(5)),
         Answer::Relayed(Relayed::Result("\"0x7\"".into())),
         Answer::Relayed(Relayed::Fault { code: -32000, words: "reverted".into(), data: "\"0x08\"".into() }),
-        Answer::Countersigned(Box::new(countersigned(&stated()))),
         Answer::Holdings(Box::new(holdings())),
         Answer::Erasures(Box::new(erasures())),
         Answer::ErasuresTaken(vec![ErasureOutcome::Taken, ErasureOutcome::Left, ErasureOutcome::Refused]),

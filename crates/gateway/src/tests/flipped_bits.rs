@@ -9,7 +9,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
-use super::fixtures::{stated, told, wanted};
+use super::fixtures::{told, wanted};
 use super::hostile::text;
 use super::stage::Stage;
 use super::*;
@@ -153,8 +153,7 @@ fn accepted_without_key(stage: &Stage, member: &Member) -> Vec<Request> {
     let (domain, account, token) = (context().domain, member.account(), member.token);
     let identity = prove(context().provider, &domain, &account, &member.signing, &member.envelope.public, token);
     let registration = Registration { account, identity: identity.expect("proves"), transaction: vec![0xf8; 8] };
-    let stated = Request::Countersign(Box::new(stated()));
-    vec![allocation, Request::Register(Box::new(registration)), Request::SystemKeys, stated, Request::Ping]
+    vec![allocation, Request::Register(Box::new(registration)), Request::SystemKeys, Request::Ping]
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -8,7 +8,7 @@ use async_trait::async_trait;
 use serde_json::Value;
 use tokio::sync::mpsc;
 
-use super::fixtures::{Member, countersigned, network, stated};
+use super::fixtures::{Member, network};
 use authros_chain::merkle::{Inclusion, Leaf};
 use authros_chain::{AnchorProof, RelayError};
 use authros_crypto::{SmKeyPair, signer_id};
@@ -18,9 +18,7 @@ use authros_gateway::command::{
 };
 use authros_gateway::desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
 use authros_gateway::{Code, NetworkName, Refusal, Stood};
-use authros_model::{
-    Address, Countersignature, Digest, Hash, Header, ProfileName, PublicKey, SignedPosition, SignerId, Timestamp, Token,
-};
+use authros_model::{Address, Digest, Hash, Header, ProfileName, PublicKey, SignerId, Timestamp, Token};
 
 #[derive(Default)]
 pub(crate) struct State {
@@ -300,13 +298,6 @@ impl Desk for MemoryDesk {
         }
         state.changes += 1;
         Ok(())
-    }
-
-    async fn countersign(&self, position: &SignedPosition) -> Result<Countersignature, Refusal> {
-        match position.position.owner == stated().position.owner {
-            true => Ok(countersigned(position)),
-            false => Err(Refusal::new(Code::NotAuthorised, "nobody here is its witness")),
-        }
     }
 
     async fn holdings(&self, _: &Caller, after: &HoldingPlace) -> Result<Holdings, Refusal> {

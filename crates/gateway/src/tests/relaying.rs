@@ -154,18 +154,3 @@ async fn a_line_to_another_gateway_is_refused() {
     let nobody = KeptTrust::open(home.path().join("gateway.json"), None, false).expect("opens");
     assert!(matches!(line(&stage, nobody).meet().await, Err(GatewayError::NotPinned(_))));
 }
-
-#[tokio::test]
-async fn a_visitor_has_a_statement_countersigned_whatever_chain_it_is_about() {
-    let stage = Stage::new().await;
-    let mut visitor = visit(&stage).await.expect("visits");
-    let (own, other) = (stated(), crate::model::Address([9; 20]));
-    assert_eq!(visitor.countersign(&own).await.expect("countersigned"), countersigned(&own));
-    let mut strange = own;
-    strange.position.owner = other;
-    assert_eq!(refusal(visitor.countersign(&strange).await), Some(Code::NotAuthorised));
-    let alice = Member::new("alice", 0x11);
-    let credentials = stage.enrol(&alice).await;
-    let mut client = stage.connect(&credentials).await.expect("connects");
-    assert_eq!(client.countersign(&own).await.expect("countersigned"), countersigned(&own));
-}

@@ -42,9 +42,11 @@ impl Line {
         assert_eq!(self.count(RecordState::Confirmed), wanted);
     }
 
-    async fn witness(&self) -> EoaSecret {
-        let key = witness::witnesses(&self.owner.eoa(), &self.network.domain, 2).expect("keys").remove(0);
-        witness::ensure_ready(&self.plant, &self.network, &self.sender, &self.owner, &key).await.expect("registers");
+    async fn extra_account(&self) -> EoaSecret {
+        let key = anchoring_accounts::extra(&self.owner.eoa(), &self.network.domain, 2).expect("keys").remove(0);
+        anchoring_accounts::ensure_ready(&self.plant, &self.network, &self.sender, &self.owner, &key)
+            .await
+            .expect("registers");
         self.watch().await;
         self.tend(std::slice::from_ref(&key)).await;
         key
@@ -68,7 +70,7 @@ impl Line {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn what_was_anchored_inside_a_suspension_is_passed_over_waits_and_is_anchored_again() {
     let line = Line::new().await;
-    let (account, lanes) = (line.owner.address, [line.witness().await]);
+    let (account, lanes) = (line.owner.address, [line.extra_account().await]);
     line.append(1, 1, 20);
     line.call(Call::Suspend { account }).await;
     // The suspension is in a block that was not read yet: an account that is not suspended anchors the batch.
@@ -98,7 +100,7 @@ async fn what_was_anchored_inside_a_suspension_is_passed_over_waits_and_is_ancho
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_batch_that_was_passed_over_is_anchored_again_under_another_root() {
     let line = Line::new().await;
-    let (account, lanes) = (line.owner.address, [line.witness().await]);
+    let (account, lanes) = (line.owner.address, [line.extra_account().await]);
     line.append(1, 1, 7);
     line.call(Call::Suspend { account }).await;
     line.send_one(&lanes).await;

@@ -5,7 +5,7 @@
 
 use super::{
     Command, FleetCommand, IncidentCommand, Operation, OperatorCommand, PolicyCommand, RecordingCommand, RobotCommand,
-    StoreCommand, UnattendedCommand, Viewing, WitnessCommand,
+    StoreCommand, UnattendedCommand, Viewing,
 };
 use crate::model::OperatorRight;
 
@@ -109,7 +109,6 @@ impl Command {
             Self::OfStore(command) => of_store(command),
             Self::Operate(operation) => of_operation(operation),
             Self::OfIncident(command) => of_incident(command),
-            Self::OfWitness(command) => of_witness(command),
             Self::OfRobot(command) => of_robot(command),
             Self::OfFleet(command) => of_fleet(command),
             Self::OfOperator(command) => of_operator(command),
@@ -160,15 +159,6 @@ fn of_incident(command: &IncidentCommand) -> Needed {
         | IncidentCommand::NoteIncident { .. }
         | IncidentCommand::CloseIncident { .. }
         | IncidentCommand::RemoveIncident { .. } => Needed::Owner,
-    }
-}
-
-fn of_witness(command: &WitnessCommand) -> Needed {
-    match command {
-        WitnessCommand::ListWitnesses | WitnessCommand::WitnessStatus => LOOK,
-        WitnessCommand::AddWitness { .. } | WitnessCommand::RemoveWitness { .. } | WitnessCommand::AskWitnesses => {
-            Needed::Owner
-        }
     }
 }
 

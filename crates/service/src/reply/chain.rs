@@ -36,7 +36,7 @@ pub struct ChainView {
     /// The cost of its newest anchoring transactions.
     #[serde(default)]
     pub gas: GasView,
-    /// The state of this profile's lanes: first its own account's, then its witnesses'.
+    /// The state of this profile's lanes: first its own account's, then the extra ones'.
     #[serde(default)]
     pub lanes: Vec<LaneState>,
     /// The contract administrator's decisions.

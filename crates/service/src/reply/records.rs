@@ -179,4 +179,38 @@ pub struct CheckView {
     pub transaction: Option<Hash>,
     /// Its block.
     pub block: Option<u64>,
+    /// What the contract answers about the right to read it; `None` if the token of its epoch is not on the chain.
+    pub contract: Option<ContractAnswer>,
+}
+
+/// The contract's answer to the paper's `dataQuery`: whether an account may read what another one sealed in an epoch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ContractAnswer {
+    /// Whose right was asked about.
+    pub reader: Address,
+    /// Whose records.
+    pub owner: Address,
+    /// Whether the reader may read them.
+    pub authorised: bool,
+    /// The epoch of the record.
+    pub epoch: u64,
+    /// How many digests the owner put on the chain one by one; 0 if the reader is not authorised.
+    pub count: u64,
+    /// The last of them.
+    pub last: Option<Digest>,
+}
+
+impl ContractAnswer {
+    /// In words for people.
+    pub fn text(&self) -> String {
+        let Self { reader, owner, authorised, epoch, count, last } = self;
+        if !authorised {
+            return format!(
+                "the contract itself does not let {reader} read epoch {epoch} of {owner}: its key came in the envelope of a \
+                 later epoch"
+            );
+        }
+        let last = last.map_or_else(String::new, |digest| format!(", the last {digest}"));
+        format!("the contract lets {reader} read epoch {epoch} of {owner}; digests anchored one by one: {count}{last}")
+    }
 }

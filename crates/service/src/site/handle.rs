@@ -213,7 +213,6 @@ impl Site {
             }
             Command::OfStore(command) => self.handle_store(&profile, command).await,
             Command::Operate(operation) => self.operate(&profile, operation).await,
-            Command::OfWitness(command) => self.witnesses.answer(&profile, command).await,
             Command::OfIncident(command) => self.of_incident(&profile, command).await,
             Command::OfRobot(command) => {
                 // What robots recorded arrives without the names of its topics.

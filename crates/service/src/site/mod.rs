@@ -38,7 +38,6 @@ mod supervision_tests;
 #[cfg(test)]
 mod testing;
 mod unattended;
-mod witnesses;
 mod workers;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -90,7 +89,6 @@ use recordings::Recordings;
 use sharing::Sharing;
 use storage::Storage;
 use unattended::Unattended;
-use witnesses::Witnesses;
 
 use super::client::{Call, Client};
 use super::event::Event;
@@ -145,7 +143,6 @@ pub struct Site {
     incidents: Arc<Incidents>,
     stamps: Arc<TimeStamps>,
     chain_proofs: Arc<ChainProofs>,
-    witnesses: Arc<Witnesses>,
     bridge: Arc<Bridge>,
     capture: Arc<Capture>,
     recordings: Arc<Recordings>,
@@ -263,7 +260,6 @@ impl Site {
             incidents: Arc::new(Incidents::new(of)),
             stamps,
             chain_proofs: Arc::new(ChainProofs::new(of)),
-            witnesses: Arc::new(Witnesses::new(of)),
             bridge: Arc::new(Bridge::new(of, &contacts, &ros)),
             storage: Arc::new(Storage::new(of, &reading)),
             clock: Arc::new(Clock::new(of)),

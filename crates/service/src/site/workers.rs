@@ -19,7 +19,6 @@ use super::operators::Operators;
 use super::quarantine::Quarantine;
 use super::sharing::Sharing;
 use super::storage::Storage;
-use super::witnesses::Witnesses;
 use super::{Needs, NetworkState, Site};
 use crate::chain::ChainError;
 use crate::model::Domain;
@@ -69,7 +68,6 @@ pub(super) fn start(
             site.parts.supervisor.keep("time stamps", &site.stamps, TimeStamps::keep);
         }
         site.parts.supervisor.keep("chain proofs", &site.chain_proofs, ChainProofs::keep);
-        site.parts.supervisor.keep("witnesses", &site.witnesses, Witnesses::keep);
         site.parts.supervisor.keep("fleet", &site.gateway, Gateway::reconcile);
         site.parts.supervisor.keep("verifier", site, verify);
         site.parts.supervisor.keep("scrubber", &site.audit, Audit::keep_scrubbing);
@@ -216,8 +214,8 @@ impl Site {
         });
         if self.parts.config.lanes > 1 {
             let given = Arc::clone(owner);
-            let work = move |lanes: Arc<Lanes>| lanes.keep_witnesses(Arc::clone(&given));
-            self.parts.supervisor.keep_while(&format!("witnesses {name}"), &self.lanes, while_open(self, owner), work);
+            let work = move |lanes: Arc<Lanes>| lanes.keep_extra(Arc::clone(&given));
+            self.parts.supervisor.keep_while(&format!("lanes {name}"), &self.lanes, while_open(self, owner), work);
         }
         let given = Arc::clone(owner);
         let work = move |devices: Arc<Devices>| devices.keep_attending(Arc::clone(&given));

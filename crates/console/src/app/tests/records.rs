@@ -3,9 +3,9 @@
 use super::{Robot, fixtures, record_shown};
 use crate::app::popup::Popup;
 use crate::app::{Effect, Key, Tag};
-use crate::model::{ErrorKind, RecordState, Verdict};
+use crate::model::{Address, ErrorKind, RecordState, Verdict};
 use crate::ros::readable::{Raster, Readable};
-use crate::service::reply::CheckView;
+use crate::service::reply::{CheckView, ContractAnswer};
 use crate::service::{Command, Part, Reply, UploadQuery};
 
 fn at(screen: char) -> Robot {
@@ -148,6 +148,14 @@ fn a_check_that_finds_tampering_stays_until_seen() {
         digest: fixtures::record(1, "").digest,
         transaction: None,
         block: Some(7),
+        contract: Some(ContractAnswer {
+            reader: Address([1; 20]),
+            owner: Address([2; 20]),
+            authorised: verdict == Verdict::Verified,
+            epoch: 3,
+            count: 0,
+            last: None,
+        }),
     };
     robot.is_answered(&tag, Ok(Reply::Check(found(Verdict::Tampered))));
     robot.waits(100);
@@ -155,7 +163,7 @@ fn a_check_that_finds_tampering_stays_until_seen() {
     robot.presses(Key::Escape);
     robot.types("c");
     robot.is_answered(&tag, Ok(Reply::Check(found(Verdict::Verified))));
-    assert!(robot.message().contains("verified, anchored in block 7"));
+    assert!(robot.message().contains("verified, anchored in block 7, the contract lets you read epoch 3"));
     robot.waits(3);
     assert_eq!(robot.message(), "");
 }

@@ -64,7 +64,7 @@ fn step_role(word: &str) -> Role {
         "vault",
         "batch",
         "proof",
-        "witness",
+        "anchored by",
         "transaction",
         "block",
         "confirmations",

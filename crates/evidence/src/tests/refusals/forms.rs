@@ -155,6 +155,8 @@ fn members_that_are_not_of_their_form_are_refused_by_both_though_they_are_signed
         "unknown field `index`",
     );
     say("a member that no bundle has", &more(&world, "chain/more.txt", b"x"), "chain/more.txt");
+    let folder = format!("{}/roots.json", hex("witnesses/"));
+    say("a folder that no bundle has", &more(&world, &folder, b"{}"), "does not belong in a bundle");
     expect_published();
 }
 

@@ -1,4 +1,4 @@
-//! The accounts that anchor for each owner: the owner's own and its witnesses, maintained and kept ready.
+//! The accounts that anchor for each owner: the owner's own and extra ones, maintained and kept ready.
 
 use crate::config::Config;
 use crate::pipeline::Plant;
@@ -15,17 +15,17 @@ use std::time::Duration;
 
 use crate::crypto::{EoaSecret, unattended_secret};
 use crate::model::{Address, Domain};
+use crate::pipeline::anchoring_accounts::{self, MOST_LANES};
 use crate::pipeline::sender::LaneState;
-use crate::pipeline::witness::{self, MOST_LANES};
 use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
 
-/// How often to check whether witnesses are ready.
+/// How often to check whether the extra accounts are ready.
 const LOOK: Duration = Duration::from_secs(2);
 
-/// Witnesses derived so far, with their addresses, by owner and network.
-pub(in crate::site) type Witnesses = std::collections::HashMap<(Address, Domain), Arc<Vec<(Address, EoaSecret)>>>;
+/// Extra accounts derived so far, by owner and network.
+type Derived = std::collections::HashMap<(Address, Domain), Arc<Vec<(Address, EoaSecret)>>>;
 
 /// The accounts that anchor.
 pub(in crate::site) struct Lanes {
@@ -36,26 +36,26 @@ pub(in crate::site) struct Lanes {
     link: Arc<Link>,
     life: Arc<Lifetime>,
     sender: Arc<Sender>,
-    witnesses: Mutex<Witnesses>,
+    extra: Mutex<Derived>,
 }
 
 impl Lanes {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         let Parts { config, plant, hub, owners, link, life, sender, .. } = parts.clone();
-        Self { config, plant, hub, owners, link, life, sender, witnesses: Mutex::default() }
+        Self { config, plant, hub, owners, link, life, sender, extra: Mutex::default() }
     }
 }
 
 impl Lanes {
-    /// All witnesses that the owner can have on this network, then the accounts that anchored unattended.
-    fn witnesses(&self, owner: &Owner, network: &Network) -> Result<Arc<Vec<(Address, EoaSecret)>>, Failure> {
-        let mut known = self.witnesses.lock().unwrap_or_else(PoisonError::into_inner);
+    /// All extra accounts that the owner can have on this network, then the accounts that anchored unattended.
+    fn extra(&self, owner: &Owner, network: &Network) -> Result<Arc<Vec<(Address, EoaSecret)>>, Failure> {
+        let mut known = self.extra.lock().unwrap_or_else(PoisonError::into_inner);
         let key = (owner.address, network.domain);
         if let Some(found) = known.get(&key) {
             return Ok(Arc::clone(found));
         }
-        let mut keys = witness::witnesses(&owner.eoa(), &network.domain, MOST_LANES)?;
+        let mut keys = anchoring_accounts::extra(&owner.eoa(), &network.domain, MOST_LANES)?;
         // Behind those that may be in use: what they began while the profile was locked is finished.
         let of_devices = unattended::noted(&self.plant.ledger, owner.address)?;
         for noted in of_devices.iter().filter(|noted| noted.domain == network.domain) {
@@ -71,19 +71,18 @@ impl Lanes {
         let mut lanes = vec![owner.eoa()];
         if self.config.lanes > 1 {
             let wanted = usize::from(self.config.lanes) - 1;
-            let witnesses = self.witnesses(owner, network)?;
-            let ready =
-                witnesses.iter().take(wanted).filter(|(account, _)| network.directory.identity(*account).is_ok());
+            let extra = self.extra(owner, network)?;
+            let ready = extra.iter().take(wanted).filter(|(account, _)| network.directory.identity(*account).is_ok());
             lanes.extend(ready.map(|(_, key)| key.clone()));
         }
         Ok(lanes)
     }
 
-    /// The state of an owner's lanes: its own, and that of every witness in use or with pending transactions.
+    /// The state of an owner's lanes: its own, and that of every extra account in use or with pending transactions.
     pub(in crate::site) fn lane_states(&self, owner: &Owner, network: &Network) -> Result<Vec<LaneState>, Failure> {
         let mut states = vec![self.sender.state_of(owner.address)?];
         let wanted = usize::from(self.config.lanes).saturating_sub(1);
-        for (index, (account, _)) in self.witnesses(owner, network)?.iter().enumerate() {
+        for (index, (account, _)) in self.extra(owner, network)?.iter().enumerate() {
             let state = self.sender.state_of(*account)?;
             if index < wanted || state.open > 0 {
                 states.push(state);
@@ -111,7 +110,7 @@ impl Lanes {
 
     async fn tend_lanes_of(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         let mut keys = vec![owner.eoa()];
-        for (account, key) in self.witnesses(owner, network)?.iter() {
+        for (account, key) in self.extra(owner, network)?.iter() {
             // Also those of a setting that has been lowered since.
             let state = self.sender.state_of(*account)?;
             if state.open > 0 || state.paused.is_some() {
@@ -127,14 +126,14 @@ impl Lanes {
         Ok(())
     }
 
-    /// Keeps the witnesses of an owner registered and able to pay, until the owner is closed or the site ends.
-    pub(in crate::site) async fn keep_witnesses(self: Arc<Self>, owner: Arc<Owner>) {
+    /// Keeps the extra accounts of an owner registered and able to pay, until the owner is closed or the site ends.
+    pub(in crate::site) async fn keep_extra(self: Arc<Self>, owner: Arc<Owner>) {
         while !self.life.is_stopping() && self.owners.is_open(&owner) {
             if let Some(network) = self.link.network_now()
                 && network.directory.identity(owner.address).is_ok()
-                && let Err(failure) = self.ready_witnesses(&owner, &network).await
+                && let Err(failure) = self.ready_extra(&owner, &network).await
             {
-                let text = format!("a witness of {} is not ready to anchor: {}", owner.profile, failure.message);
+                let text = format!("an extra anchoring account of {} is not ready: {}", owner.profile, failure.message);
                 self.hub.notice(NoticeLevel::Warning, &text);
             }
             if !self.life.beat(LOOK).await {
@@ -143,10 +142,10 @@ impl Lanes {
         }
     }
 
-    async fn ready_witnesses(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
+    async fn ready_extra(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         let wanted = usize::from(self.config.lanes) - 1;
-        for (_, key) in self.witnesses(owner, network)?.iter().take(wanted) {
-            witness::ensure_ready(&self.plant, network, &self.sender, owner, key).await?;
+        for (_, key) in self.extra(owner, network)?.iter().take(wanted) {
+            anchoring_accounts::ensure_ready(&self.plant, network, &self.sender, owner, key).await?;
         }
         Ok(())
     }

@@ -160,13 +160,12 @@ fn incident(out: &mut String, about: &IncidentView) {
 fn levels(out: &mut String, report: &Report) {
     out.push_str(
         "<h2>Levels</h2>\n<p>(a) the bytes are intact and signed; (b) the key was its owner's at the anchoring block; (c) \
-         anchored in a block; (d) an outside authority's time; (e) opened by its owner's disclosure; (g) a witness \
-         countersigned what its owner stated.</p>\n",
+         anchored in a block; (d) an outside authority's time; (e) opened by its owner's disclosure.</p>\n",
     );
     let mut sorted: Vec<&RecordReport> = report.records.iter().collect();
     sorted.sort_by_key(|record| (record.captured_at, record.seq, record.digest));
     let rows: Vec<Vec<String>> = sorted.into_iter().take(MOST_ROWS).map(level_row).collect();
-    classed(out, "levels", &["record", "number", "captured", "block", "(a)", "(b)", "(c)", "(d)", "(e)", "(g)"], &rows);
+    classed(out, "levels", &["record", "number", "captured", "block", "(a)", "(b)", "(c)", "(d)", "(e)"], &rows);
     if let Some(more) = report.records.len().checked_sub(MOST_ROWS).filter(|more| *more > 0) {
         put(out, format_args!("<p>and {more} more records</p>\n"));
     }

@@ -19,11 +19,8 @@ use crate::gateway::{
     Erasures, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, ManyHandedOver, NetworkName, Page, Query,
     Received, Refusal, Registration, RevokeNotice, Selection, Standing, Stood, ToldErasure, Wanted,
 };
-use crate::model::{
-    Address, Countersignature, Digest, Hash, ProfileName, PublicKey, SignedPosition, SignerId, Timestamp, Token,
-};
+use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
 use crate::pipeline::authority::{self, SigningRight};
-use crate::pipeline::countersigning::{Unsigned, countersigned};
 use crate::pipeline::directory::kept;
 use crate::pipeline::equivocation::{self, Claim};
 use crate::service::event::NoticeLevel;
@@ -344,29 +341,6 @@ impl Desk for GatewayDesk {
             let ledger = &desk.gateway.plant.ledger;
             ledger.keep_signer(device, key).map_err(Refusal::because(Code::Internal))?;
             ledger.bind_device(&name, account, device, notices).map(drop).map_err(Refusal::because(Code::Internal))
-        })
-        .await
-    }
-
-    async fn countersign(&self, stated: &SignedPosition) -> Result<Countersignature, Refusal> {
-        let stated = *stated;
-        self.blocking(move |desk| {
-            let (keeper, gateway) = (&desk.keeper, &desk.gateway);
-            let by = (keeper.address, &keeper.gateway_identity());
-            countersigned(&gateway.plant, by, &stated).map_err(|why| {
-                let code = match why {
-                    Unsigned::Stranger(_) => Code::NotAuthorised,
-                    Unsigned::OtherAccount { .. } => Code::Account,
-                    Unsigned::Forged(_) => Code::Signature,
-                    Unsigned::Contradicts(_) => {
-                        gateway.hub.changed(crate::service::event::Part::Health);
-                        Code::Tampered
-                    }
-                    Unsigned::TooManyChains(_) => Code::Quota,
-                    Unsigned::Failed(_) => Code::Internal,
-                };
-                Refusal::new(code, why)
-            })
         })
         .await
     }

@@ -146,7 +146,7 @@ impl Reading {
             steps.push(step("proof", format!("leaf {index} of {count}, {hashes} hashes to the root")));
         }
         if let Some(account) = place.and_then(|place| place.account) {
-            steps.push(step("witness", account.to_string()));
+            steps.push(step("anchored by", account.to_string()));
         }
         if let Some(transaction) = row.transaction {
             steps.push(step("transaction", transaction.to_string()));

@@ -13,7 +13,7 @@ use crate::pipeline::reader::{Reader, is_held};
 use crate::pipeline::{Network, Owner, authority};
 use crate::service::command::UploadQuery;
 use crate::service::failure::input;
-use crate::service::reply::{CheckView, Failure, RecordPage};
+use crate::service::reply::{CheckView, ContractAnswer, Failure, RecordPage};
 use crate::site::blocking;
 use crate::store::{FilterChoice, RecordQuery, RecordRow};
 
@@ -141,7 +141,8 @@ impl Reading {
         Ok((row, network))
     }
 
-    /// The paper's `Data_Check`: digest against the chain, signature; no key needed.
+    /// The paper's `Data_Check`: digest against the chain, signature; no key needed. The contract is asked about the
+    /// right to read, too.
     pub(in crate::site) async fn check_record(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
@@ -149,8 +150,20 @@ impl Reading {
     ) -> Result<CheckView, Failure> {
         let (row, network) = self.authorised(owner, id).await?;
         let reader = Reader { plant: &self.plant, network: &network, reader: owner };
-        let checked = async { Ok(reader.check(&row).await?) };
-        let (verdict, digest) = self.log.deed(&owner.profile, "check", &row.id, checked).await?;
-        Ok(CheckView { id: row.id, verdict, digest, transaction: row.transaction, block: row.block })
+        let checked = async {
+            let (verdict, digest) = reader.check(&row).await?;
+            let asked = authority::ask_contract(&self.plant, &network, owner.address, row.owner, row.epoch);
+            Ok((verdict, digest, asked.await?))
+        };
+        let (verdict, digest, answer) = self.log.deed(&owner.profile, "check", &row.id, checked).await?;
+        let contract = answer.map(|answer| ContractAnswer {
+            reader: owner.address,
+            owner: row.owner,
+            authorised: answer.authorised,
+            epoch: answer.epoch,
+            count: answer.count,
+            last: (answer.count > 0).then_some(answer.last),
+        });
+        Ok(CheckView { id: row.id, verdict, digest, transaction: row.transaction, block: row.block, contract })
     }
 }

@@ -11,7 +11,7 @@ use crate::crypto::{
 };
 use crate::model::{Address, ErrorKind, ProfileName, SignerId, Timestamp, TopicName};
 use crate::pipeline::authority::{Moment, may_sign};
-use crate::pipeline::{Network, Owner, witness};
+use crate::pipeline::{Network, Owner, anchoring_accounts};
 use crate::service::command::{self as ask, Ask as _, SecretBytes, UnattendedCommand};
 use crate::service::failure::{input, internal, refused};
 use crate::service::reply::{Failure, Reply, TransactionView, UnattendedFile};
@@ -157,7 +157,7 @@ impl Unattended {
         account: &crate::crypto::EoaSecret,
     ) -> Result<(), Failure> {
         for _ in 0..LOOKS {
-            if witness::ensure_ready(&self.plant, network, &self.sender, owner, account).await? {
+            if anchoring_accounts::ensure_ready(&self.plant, network, &self.sender, owner, account).await? {
                 return Ok(());
             }
             self.sender.tend(&network.chain, account).await?;

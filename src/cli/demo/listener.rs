@@ -1,4 +1,4 @@
-//! An independent witness of what the robots sent: a second subscriber that keeps only hashes.
+//! What the robots sent, heard independently: a second subscriber that keeps only hashes.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -10,7 +10,7 @@ use crate::ros::ros2::Ros2Capture;
 use crate::ros::{Capture, CaptureNotice, CaptureOptions, Message, MessageSink};
 use crate::service::Failure;
 
-/// How long the witness may take to receive from a robot, or lag behind the product.
+/// How long the listener may take to receive from a robot, or lag behind the product.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 #[derive(Default)]
@@ -37,13 +37,13 @@ enum Ear {
 }
 
 /// Watches picture topics beside the product.
-pub struct Witness {
+pub struct Listener {
     hashes: Arc<Hashes>,
     topics: Vec<String>,
     _ear: Ear,
 }
 
-impl Witness {
+impl Listener {
     /// Begins to watch `topics`.
     ///
     /// # Errors
@@ -53,7 +53,7 @@ impl Witness {
         let options = CaptureOptions {
             master_uri: master_uri.to_owned(),
             own_host: None,
-            node_name: "/authros_witness".to_owned(),
+            node_name: "/authros_listener".to_owned(),
         };
         let capture = Capture::start(options, hashes.clone())?;
         for topic in topics.iter().filter_map(|topic| topic.parse().ok()) {
