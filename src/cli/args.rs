@@ -178,9 +178,6 @@ pub enum Verb {
     },
     /// Run the site without a console
     Serve(super::serve::ServeArguments),
-    /// Capture while the profile is locked, as at boot: make the credential for it, or end it
-    #[command(subcommand)]
-    Unattended(super::unattended::UnattendedVerb),
     /// Operators: people with keys and rights of their own at this profile: add, list, remove
     #[command(subcommand)]
     Operators(super::operators::OperatorsVerb),

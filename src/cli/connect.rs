@@ -10,8 +10,7 @@ use crate::config::{Config, Source};
 use crate::crypto::OperatorKey;
 use crate::model::{ErrorKind, ProfileName};
 use crate::paths::{Home, PlaceError};
-use crate::service::command::{CreateIdentity, ShowIdentity, SiteStatus, Unlock};
-use crate::service::reply::UnattendedState;
+use crate::service::command::{CreateIdentity, ShowIdentity, Unlock};
 use crate::service::socket::{self, Greeting};
 use crate::service::{Client, Failure, Needs, Site};
 use crate::store::{SiteLock, files};
@@ -245,33 +244,17 @@ impl Context {
         }
         if identity.exists && !identity.unlocked {
             let Some(passphrase) = passphrase::given(&self.global, &self.home, &self.profile)? else {
-                return Err(self.locked(client).await);
+                return Err(Failure::new(
+                    ErrorKind::Refused,
+                    format!(
+                        "the keyring of profile '{}' is locked; pass --passphrase-file or --passphrase-fd",
+                        self.profile
+                    ),
+                ));
             };
             client.ask(Unlock { passphrase }).await?;
         }
         Ok(())
-    }
-}
-
-impl Context {
-    /// Why nothing can be done for a locked profile, and until when it is captured for all the same.
-    async fn locked(&self, client: &Client) -> Failure {
-        let unattended = client.ask(SiteStatus).await.ok().and_then(|site| site.unattended);
-        let until = unattended.filter(|view| view.state == UnattendedState::Capturing).and_then(|view| view.until);
-        let text = match until {
-            Some(until) => format!(
-                "profile '{}' is locked; capture runs unattended until {until}; for anything else pass --passphrase-file or \
-                 --passphrase-fd",
-                self.profile
-            ),
-            None => {
-                format!(
-                    "the keyring of profile '{}' is locked; pass --passphrase-file or --passphrase-fd",
-                    self.profile
-                )
-            }
-        };
-        Failure::new(ErrorKind::Refused, text)
     }
 }
 

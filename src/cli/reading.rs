@@ -63,7 +63,6 @@ fn makes_a_home(verb: &Verb) -> bool {
         | Verb::Robots(_)
         | Verb::Incident(_)
         | Verb::Retention(_)
-        | Verb::Unattended(_)
         | Verb::Devices(_)
         | Verb::Alerts(_)
         | Verb::Evidence(_)

@@ -16,10 +16,6 @@ use authros_output::Output;
 /// `serve …`
 #[derive(Debug, Args)]
 pub struct ServeArguments {
-    /// Capture without unlocking the profile, with the credential of `unattended prepare` [without a file: the one named
-    /// authros in $CREDENTIALS_DIRECTORY]
-    #[arg(long, value_name = "CREDENTIAL", num_args = 0..=1, default_missing_value = "")]
-    pub unattended: Option<String>,
     /// Run in a process of its own that outlives this terminal; return when it serves
     #[arg(long)]
     pub detach: bool,
@@ -92,11 +88,8 @@ pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -
     // If it worked here before, no chain is needed to start.
     let known = context.home.pin().exists() && context.home.keyring(&context.profile).exists();
     let prepared = async {
-        if let (Some(file), Some(site)) = (&arguments.unattended, &connection.site) {
-            return super::unattended::begin(&context, site, file).await.map(Some);
-        }
         context.prepare(&connection.client, ProfileNeed::Made, output).await?;
-        connection.client.ask(Register).await.map(|_| None)
+        connection.client.ask(Register).await
     };
     // Listened to from here to the end, so that no signal is missed in between.
     let end = asked_to_end();
@@ -108,11 +101,10 @@ pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -
             return Ok(0);
         }
     };
-    let unattended = match ended {
-        Ok(unattended) => unattended,
-        Err(failure) if known && arguments.unattended.is_none() && failure.kind == ErrorKind::Unreachable => {
+    match ended {
+        Ok(_) => {}
+        Err(failure) if known && failure.kind == ErrorKind::Unreachable => {
             output.note(&format!("authros: {}; waiting for it, and for what is captured meanwhile", failure.message));
-            None
         }
         Err(failure) => {
             connection.end().await;
@@ -124,14 +116,10 @@ pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -
         _ => context.config.ros_master.clone(),
     };
     let root = context.home.root().display().to_string();
-    let mut ready = serde_json::json!({ "serving": root, "profile": context.profile, "ros_master": master });
-    if let Some(view) = &unattended {
-        ready["unattended"] = serde_json::json!(view);
-    }
+    let ready = serde_json::json!({ "serving": root, "profile": context.profile, "ros_master": master });
     output.result(&ready, || {
         let ros = master.map_or_else(String::new, |uri| format!("\nROS nodes join with ROS_MASTER_URI={uri}"));
-        let alone = unattended.as_ref().map_or_else(String::new, |view| format!("\n{}", super::unattended::line(view)));
-        format!("serving {root} for profile '{}'; stop it with Ctrl-C{ros}{alone}", context.profile)
+        format!("serving {root} for profile '{}'; stop it with Ctrl-C{ros}", context.profile)
     });
     let ready = super::systemd::ready();
     follow(events, output, end).await;

@@ -9,7 +9,7 @@ use super::verbs::NEITHER;
 use crate::model::{ErrorKind, Timestamp};
 use crate::service::command::SiteStatus;
 use crate::service::failure::input;
-use crate::service::reply::{AlertView, HealthLevel, LifeLine, PartHealth, SiteView, UnattendedState};
+use crate::service::reply::{AlertView, HealthLevel, LifeLine, PartHealth, SiteView};
 use crate::service::{Failure, doctor};
 use authros_output::Output;
 
@@ -132,8 +132,6 @@ fn row(part: &PartHealth) -> String {
 fn text(view: &SiteView) -> String {
     let mut lines: Vec<String> = view.health.iter().map(row).collect();
     lines.extend(life(&view.life));
-    let prepared = view.unattended.iter().filter(|unattended| unattended.state == UnattendedState::Prepared);
-    lines.extend(prepared.map(super::unattended::line));
     let stands = |alert: &AlertView| {
         format!("alert since {}, {}: {}: {}", alert.begun, alert.severity.word(), alert.key, alert.text)
     };
@@ -183,7 +181,6 @@ mod tests {
             verified_after: Vec::new(),
             alerts: Vec::new(),
             alerts_over: Vec::new(),
-            unattended: None,
         }
     }
 

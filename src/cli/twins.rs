@@ -39,8 +39,6 @@ pub const TWINS: &[(&str, Twin)] = &[
     ("rotate-keys", Runs("keys rotate")),
     ("export-key", Runs("keys export sm4 --out FILE")),
     ("back-up-keys", Runs("keys backup --out FILE")),
-    ("prepare-unattended", Runs("unattended prepare --out FILE")),
-    ("end-unattended", Runs("unattended end")),
     ("lock", Runs("identity lock")),
     ("deploy", Runs("chain deploy")),
     ("allow-account", Runs("chain admit ADDRESS")),

@@ -45,7 +45,6 @@ mod stall_the_chain;
 mod take_over_an_account_as_administrator;
 mod take_the_robots_only_copy;
 mod use_a_gateway_uninvited;
-mod use_a_stolen_credential;
 mod wear_a_reader_out;
 mod work_beyond_an_operators_rights;
 

@@ -71,7 +71,6 @@ mod sharing;
 mod status;
 mod succession;
 mod time_stamps;
-mod unattended;
 mod units;
 mod uploads_export;
 mod vault_faults;

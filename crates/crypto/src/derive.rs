@@ -68,17 +68,6 @@ pub fn anchoring_secret(owner: &EoaSecret, domain: &Domain, index: u8) -> Result
     EoaSecret::from_slice(&*bytes)
 }
 
-/// The key of the account that anchors what a device captures unattended, from the owner's EOA key: each device has an
-/// account of its own, and its owner needs no copy of the key to finish what that account began.
-///
-/// # Errors
-/// [`CryptoError::SecretRange`] if the derived number is not a valid key (probability about 2^-127).
-pub fn unattended_secret(owner: &EoaSecret, domain: &Domain, device: &SignerId) -> Result<EoaSecret, CryptoError> {
-    let info = Info::new("AuthROS/unattended/1").fixed(&domain.0).fixed(&device.0);
-    let bytes = Zeroizing::new(derived::<32>(owner.expose(), &[], &info));
-    EoaSecret::from_slice(&*bytes)
-}
-
 /// The key that seals a gateway's transport keys at rest, derived from its keeper's d_E.
 pub(super) fn kept_key(keeper: &SmSecret) -> Zeroizing<[u8; 16]> {
     Zeroizing::new(derived(keeper.expose(), &[], &Info::new("AuthROS/binding/1")))

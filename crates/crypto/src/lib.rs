@@ -44,7 +44,6 @@ mod sm2;
 pub mod sm3;
 mod sm4_gcm;
 pub mod transport_file;
-mod unattended;
 
 #[cfg(test)]
 mod differential_tests;
@@ -58,7 +57,7 @@ pub use agreement::Ephemeral;
 pub use der::{signature_der, signature_from_der};
 pub use derive::{
     anchoring_secret, domain, epoch_key, filter_id, filter_key, notice_key, notice_topic, signer_id, token,
-    topic_filter_id, topic_id, topic_key, topic_key_by_name, unattended_secret,
+    topic_filter_id, topic_id, topic_key, topic_key_by_name,
 };
 pub use enrolment::{
     Enrolment, EpochIssue, GatewayAccess, IssuedKeys, IssuedTopic, Notice, Pseudonyms, SealedEnrolment, SealingKey,
@@ -90,4 +89,3 @@ pub use secret::{
 };
 pub use sm2::{forget_signers, verify_as_stranger};
 pub use sm3::{Sm3Hasher, sm3_many};
-pub use unattended::UnattendedCredential;

@@ -19,10 +19,10 @@ use crate::crypto::{
 };
 use crate::gateway::{Client, Code, Entry, Fetched, GatewayError, Query, Selection};
 use crate::model::{Header, RecordKind, RecorderId, RingSpan, Signature, Timestamp, clean};
-use crate::store::{Ledger, RecordQuery, RecordRow};
+use crate::store::Ledger;
 
 use super::forwarder::{Errand, ForwardError};
-use super::{Author, Observer, PipelineError, Plant, disk_ring};
+use super::{Author, Observer, PipelineError, disk_ring};
 
 /// The time between two checks of the whole list, in case a subscription missed something.
 const LOOK: Duration = Duration::from_secs(300);
@@ -30,8 +30,6 @@ const LOOK: Duration = Duration::from_secs(300);
 const AGAIN: Duration = Duration::from_secs(2);
 /// Entries of one page.
 const PAGE: u16 = 100;
-/// The most notices looked at in the owner's own ledger, the newest.
-const MOST: usize = 10_000;
 
 /// Takes the policies that an owner sets for a robot, after their signer was checked with the record.
 pub trait PolicyTaker: Send + Sync {
@@ -319,49 +317,6 @@ pub fn open_notice(
         return Ok((opened.header, notice));
     }
     Err(PipelineError::Refused("it is not a notice to a robot".to_owned()))
-}
-
-/// Takes what an owner has told a device since its enrolment, from the ledger of the owner's own home: keys of later epochs and of
-/// more topics, and another P_C. Returns how many notices were taken; those that are not the owner's are told of and left out.
-///
-/// # Errors
-/// Errors of ledger and vault.
-pub fn catch_up(plant: &Plant, enrolment: &mut Enrolment) -> Result<usize, PipelineError> {
-    let query = RecordQuery {
-        owner: Some(enrolment.owner),
-        topic_ids: Some(vec![enrolment.notice_id]),
-        kind: Some(RecordKind::Key),
-        limit: MOST,
-        newest_first: true,
-        ..RecordQuery::default()
-    };
-    let mut rows = plant.ledger.list(&query)?.rows;
-    rows.sort_unstable_by_key(|row| (row.epoch, row.captured_at, row.seq));
-    let mut taken = 0;
-    for row in &rows {
-        let Some(blob) = plant.vault.get(row.digest)? else { continue };
-        match open_notice(plant.provider, enrolment, &blob, &row.signature) {
-            Ok((_, notice)) => taken += usize::from(apply(enrolment, row, notice)),
-            Err(error) => {
-                let text = format!("ignored a notice that is not from the owner or not for this device: {error}");
-                plant.observer.alert(true, clean(&text, 300));
-            }
-        }
-    }
-    Ok(taken)
-}
-
-fn apply(enrolment: &mut Enrolment, row: &RecordRow, notice: Notice) -> bool {
-    match notice {
-        Notice::Keys(keys) if keys.now.epoch >= enrolment.keys.now.epoch => enrolment.keys = keys,
-        Notice::OwnerKey(change) => enrolment.owner_key = change.new,
-        // It has neither gateways nor a ring, and its owner sets what it watches.
-        Notice::Keys(_) | Notice::Gateways(_) | Notice::Pull(_) | Notice::Policy(_) | Notice::Unknown(_) => {
-            return false;
-        }
-    }
-    enrolment.noticed = Some((row.recorder, row.seq));
-    true
 }
 
 /// Notes what is asked of the ring before the notice counts as taken; what was done, in words.

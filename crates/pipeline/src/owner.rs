@@ -33,16 +33,11 @@ pub struct Owner {
 impl Owner {
     /// An owner with an open keyring.
     pub fn new(profile: ProfileName, keyring: UnlockedKeyring) -> Self {
-        let author = Author::new(keyring.keyring.eoa.address());
-        Self::with_author(profile, keyring, Arc::new(author))
-    }
-
-    /// The same, going on with an author of this account: what that captures already has one author before and after.
-    pub fn with_author(profile: ProfileName, keyring: UnlockedKeyring, author: Arc<Author>) -> Self {
+        let address = keyring.keyring.eoa.address();
         Self {
             profile,
-            address: author.address,
-            author,
+            address,
+            author: Arc::new(Author::new(address)),
             keyring: Mutex::new(keyring),
             opened: Mutex::default(),
             changes: tokio::sync::Mutex::default(),

@@ -18,7 +18,6 @@ mod right;
 mod right_tests;
 mod robots;
 mod secret;
-mod unattended;
 mod viewing;
 
 use serde::{Deserialize, Serialize};
@@ -44,7 +43,6 @@ pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingC
 pub use self::right::Needed;
 pub use self::robots::{LONGEST_POLICY, ListRobots, PullRing, RobotCommand, SetRobotPolicy, ShowRobot};
 pub use self::secret::{SecretBytes, SecretText};
-pub use self::unattended::{EndUnattended, PrepareUnattended, UnattendedCommand};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
 use crate::chain::Revision;
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
@@ -396,8 +394,6 @@ requests! {
         OfRobot(RobotCommand),
         /// The fleet: gateways that reconcile what they hold.
         OfFleet(FleetCommand),
-        /// Capture while the profile is locked.
-        OfUnattended(UnattendedCommand),
         /// Operators: people who work at the profile with keys of their own.
         OfOperator(OperatorCommand),
     }

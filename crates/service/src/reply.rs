@@ -19,7 +19,6 @@ mod robots;
 mod site;
 mod tasks;
 mod topics;
-mod unattended;
 mod viewing;
 
 use serde::{Deserialize, Serialize};
@@ -57,7 +56,6 @@ pub use self::robots::{RingPullView, RobotRow, RobotTopicRow, RobotView};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};
 pub use self::tasks::{TaskState, TaskView};
 pub use self::topics::{CaptureSummary, CoveragePart, CoverageView, HeldUp, TopicRow, TopicSummary};
-pub use self::unattended::{UnattendedFile, UnattendedState, UnattendedView};
 pub use self::viewing::PathView;
 use super::command::SecretBytes;
 use crate::model::ErrorKind;
@@ -234,8 +232,6 @@ replies! {
     Fleet(FleetView);
     /// To `CompareGateways`.
     Gateways(GatewaysView);
-    /// To `PrepareUnattended`.
-    UnattendedPrepared(UnattendedFile);
     /// To `AddOperator`, `RemoveOperator` and `ListOperators`.
     Operators(Vec<OperatorView>);
     /// To `ChallengeOperator`.

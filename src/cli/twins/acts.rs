@@ -10,8 +10,8 @@ use crate::app::{Errand, Settings, State, Tag, command_line, fleet};
 use crate::cli::args::Arguments;
 use crate::model::{Address, IncidentName, Party, SignerId, Timestamp, TopicName};
 use crate::service::command::{
-    AddFellow, Administration, CloseIncident, EndUnattended, Held, NoteIncident, OpenIncident, Pace, PlayWishes,
-    PrepareUnattended, RemoveFellow, RemoveIncident, SetRobotPolicy, ShowRobot,
+    AddFellow, Administration, CloseIncident, Held, NoteIncident, OpenIncident, Pace, PlayWishes, RemoveFellow,
+    RemoveIncident, SetRobotPolicy, ShowRobot,
 };
 use crate::service::{Command, Epochs, KeyKind, Operation, SecretText};
 
@@ -39,30 +39,28 @@ fn place(tag: &Tag) -> Option<usize> {
         Tag::Rotate => 10,
         Tag::Lock => 11,
         Tag::BackUp => 12,
-        Tag::PrepareUnattended => 13,
-        Tag::EndUnattended => 14,
-        Tag::Administer(_) => 15,
-        Tag::Deploy => 16,
-        Tag::Adopt => 17,
-        Tag::Pin(_) => 18,
-        Tag::Unpin(_) => 19,
-        Tag::Release(_) => 20,
-        Tag::Discard(_) => 21,
-        Tag::Publishers(_) => 22,
-        Tag::Show(_) => 23,
-        Tag::Open(_) => 24,
-        Tag::Check(_) => 25,
-        Tag::Export(_) => 26,
-        Tag::Contact(_) => 27,
-        Tag::Incident(..) => 28,
-        Tag::Play(_) => 29,
-        Tag::Fleet(_) => 30,
-        Tag::Robot(_) => 31,
-        Tag::SetPolicy(..) => 32,
+        Tag::Administer(_) => 13,
+        Tag::Deploy => 14,
+        Tag::Adopt => 15,
+        Tag::Pin(_) => 16,
+        Tag::Unpin(_) => 17,
+        Tag::Release(_) => 18,
+        Tag::Discard(_) => 19,
+        Tag::Publishers(_) => 20,
+        Tag::Show(_) => 21,
+        Tag::Open(_) => 22,
+        Tag::Check(_) => 23,
+        Tag::Export(_) => 24,
+        Tag::Contact(_) => 25,
+        Tag::Incident(..) => 26,
+        Tag::Play(_) => 27,
+        Tag::Fleet(_) => 28,
+        Tag::Robot(_) => 29,
+        Tag::SetPolicy(..) => 30,
     })
 }
 
-const ACTS: usize = 33;
+const ACTS: usize = 31;
 
 /// An act, and the line that a person would type for it.
 type Act = (Tag, Command, String);
@@ -86,7 +84,6 @@ fn secret() -> SecretText {
 fn acts_of_keys() -> Vec<Act> {
     let keystore = Command::LoadKey { kind: KeyKind::Eoa, path: "/a key.json".into(), passphrase: Some(secret()) };
     let export = Command::ExportKey { kind: KeyKind::Sm4, passphrase: None };
-    let prepare = PrepareUnattended { topics: vec![topic()], until: END };
     vec![
         (Tag::CreateIdentity, Command::CreateIdentity { passphrase: secret() }, "identity create".into()),
         (Tag::Unlock, Command::Unlock { passphrase: secret() }, "keys list --passphrase-file FILE".into()),
@@ -96,12 +93,6 @@ fn acts_of_keys() -> Vec<Act> {
         (Tag::Rotate, Command::RotateKeys, "keys rotate".into()),
         (Tag::Lock, Command::Operate(Operation::Lock), "identity lock".into()),
         (Tag::BackUp, Command::Operate(Operation::BackUpKeys), "keys backup --out FILE".into()),
-        (
-            Tag::PrepareUnattended,
-            prepare.into(),
-            format!("unattended prepare --out FILE --topic /robot1/odom --until {END}"),
-        ),
-        (Tag::EndUnattended, EndUnattended { force: false }.into(), "unattended end".into()),
     ]
 }
 

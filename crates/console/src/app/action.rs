@@ -175,10 +175,6 @@ pub enum Tag {
     Lock,
     /// A copy of the keyring.
     BackUp,
-    /// A credential for unattended capture.
-    PrepareUnattended,
-    /// Recall of its device.
-    EndUnattended,
     /// An administrator's act, in a word.
     Administer(&'static str),
     /// Deployment of the contract.
@@ -251,8 +247,6 @@ impl Tag {
             Self::Rotate => "rotating the keys".to_owned(),
             Self::HoldCapture => "stopping capture".to_owned(),
             Self::Lock => "locking the keyring".to_owned(),
-            Self::PrepareUnattended => "preparing unattended capture".to_owned(),
-            Self::EndUnattended => "ending unattended capture".to_owned(),
             Self::BackUp => "backing up the keyring".to_owned(),
             Self::Administer(act) => format!("administrator: {act}"),
             Self::Deploy => "deploying the contract".to_owned(),

@@ -63,10 +63,6 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
             });
         }
         Tag::BackUp => return named(state, tag, ask::BackUpKeys::heard(result), "keyring", |keys| keys),
-        Tag::PrepareUnattended => {
-            return named(state, tag, ask::PrepareUnattended::heard(result), "unattended", |made| &made.file);
-        }
-        Tag::EndUnattended => told(state, tag, ask::EndUnattended::heard(result)),
         Tag::Play(_) => done(state, tag, ask::Play::heard(result), |state, view| playing::ended(state, &view)),
         Tag::StopPlay => done(state, tag, ask::StopPlay::heard(result), |_, ()| {}),
         Tag::Check(_) => done(state, tag, ask::CheckShared::heard(result), |state, check| checked(state, &check)),
@@ -354,12 +350,11 @@ fn touched_by(tag: &Tag) -> &'static [Feed] {
         Tag::Incident(..) => &[Feed::Incidents, Feed::Uploads],
         Tag::Contact(_) => &[Feed::Contacts, Feed::Grants, Feed::Shared],
         Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
-        Tag::LoadKey(_) | Tag::Rotate | Tag::EndUnattended => &[Feed::Keys, Feed::Identity],
+        Tag::LoadKey(_) | Tag::Rotate => &[Feed::Keys, Feed::Identity],
         Tag::Pin(_) | Tag::Unpin(_) | Tag::Release(_) | Tag::Discard(_) => &[Feed::Topics],
         Tag::Administer(_) | Tag::Deploy | Tag::Adopt => &[Feed::Chain],
         Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock => &[],
         Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Play(_) | Tag::StopPlay => &[],
-        Tag::PrepareUnattended => &[Feed::Site],
         Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => &[],
         Tag::Robot(_) => &[],
     }

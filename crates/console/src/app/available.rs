@@ -65,7 +65,6 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         Verb::Period | Verb::FoldAll | Verb::Columns => given(entry.works_on(state.screen), "other screen"),
         Verb::Release | Verb::Discard => held(state),
         Verb::BackUp | Verb::Incident | Verb::Incidents => identity(state),
-        Verb::PrepareUnattended | Verb::EndUnattended => identity(state),
         Verb::Lock => lock(state),
         Verb::CopyCommand => given(state.last_act.is_some(), "nothing was done yet"),
         Verb::Undo => given(state.undo.is_some(), "nothing to undo"),

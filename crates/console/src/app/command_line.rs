@@ -7,7 +7,7 @@ use super::action::{Effect, Errand, Tag};
 use super::perform;
 use super::state::State;
 use crate::model::Timestamp;
-use crate::service::command::{Administration, FleetCommand, IncidentCommand, PlayWishes, UnattendedCommand};
+use crate::service::command::{Administration, FleetCommand, IncidentCommand, PlayWishes};
 use crate::service::{Command, Epochs, KeyKind};
 
 /// The act as a command line; `None` = it is no act, or one of the console alone.
@@ -55,7 +55,6 @@ fn act(errand: &Errand) -> Option<String> {
         Tag::Rotate => "keys rotate".to_owned(),
         Tag::Lock => "identity lock".to_owned(),
         Tag::BackUp => "keys backup --out FILE".to_owned(),
-        Tag::PrepareUnattended | Tag::EndUnattended => of_unattended(command)?,
         Tag::Administer(_) => of_administrator(command)?,
         Tag::Deploy => "chain deploy".to_owned(),
         Tag::Adopt => "chain adopt".to_owned(),
@@ -120,19 +119,6 @@ fn flag(kind: KeyKind) -> &'static str {
         KeyKind::Sm2 => "sm2",
         KeyKind::Eoa => "eoa",
     }
-}
-
-fn of_unattended(command: &Command) -> Option<String> {
-    let Command::OfUnattended(command) = command else { return None };
-    Some(match command {
-        UnattendedCommand::PrepareUnattended { topics, until } => {
-            let topics = topics.iter().map(|topic| format!(" --topic {topic}")).collect::<String>();
-            format!("unattended prepare --out FILE{topics} --until {until}")
-        }
-        UnattendedCommand::EndUnattended { force } => {
-            format!("unattended end{}", if *force { " --force" } else { "" })
-        }
-    })
 }
 
 fn of_administrator(command: &Command) -> Option<String> {

@@ -56,7 +56,6 @@ pub mod table;
 pub mod themes;
 pub mod toast;
 pub mod tour;
-pub mod unattended;
 pub mod undo;
 pub mod update;
 pub mod verb;

@@ -32,7 +32,6 @@ use super::screens::grants::other_side;
 use super::screens::log::LogLine;
 use super::state::State;
 use super::themes;
-use super::unattended;
 use super::undo;
 use super::verb::Verb;
 use crate::model::TopicName;
@@ -95,8 +94,6 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Incident => incidents::begin(state),
         Verb::Incidents => incidents::open(state),
         Verb::Profile => profiles::open(state),
-        Verb::PrepareUnattended => unattended::begin(state),
-        Verb::EndUnattended => state.popups.push(Popup::Confirm(unattended::end())),
         Verb::EndTour => state.tour = None,
         Verb::Browse => state.popups.push(Popup::Browse(Browse::default())),
         Verb::LocalTime => state.local_time = !state.local_time,

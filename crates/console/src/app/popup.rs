@@ -83,8 +83,6 @@ pub enum Purpose {
     LoadKey,
     /// Which key to export.
     ExportKey,
-    /// Topics and end of unattended capture.
-    Unattended,
     /// Where records are exported to.
     Export,
     /// The account of an administrator's act.

@@ -26,7 +26,6 @@ use super::popup::{Confirm, Help, Lookup, Popup, Purpose};
 use super::profiles;
 use super::state::State;
 use super::themes;
-use super::unattended;
 use super::verb::Verb;
 use crate::service::reply::PinsView;
 
@@ -273,11 +272,10 @@ fn need_of(confirm: &Confirm) -> Option<Need> {
         Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Deploy | Tag::Adopt => Some(Need::Unlocked),
         Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
         Tag::Play(_) | Tag::SetPolicy(..) => Some(Need::Unlocked),
-        Tag::Extend(_) => Some(Need::Registered),
+        Tag::Extend(_) | Tag::Administer(_) => Some(Need::Registered),
         Tag::Register | Tag::Watch(_) | Tag::Unwatch(_) | Tag::Grant(_) | Tag::Revoke(_) | Tag::Rotate => {
             Some(Need::Registered)
         }
-        Tag::Administer(_) | Tag::PrepareUnattended | Tag::EndUnattended => Some(Need::Registered),
     }
 }
 
@@ -340,10 +338,6 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
             let errand = forms::read_export(form)?;
             exporting::goes_to(state, &errand.tag, form, 3);
             return Ok(identity_path::run(state, Need::Unlocked, vec![errand]));
-        }
-        Purpose::Unattended => {
-            let errand = unattended::read(state, form)?;
-            return Ok(identity_path::run(state, Need::Registered, vec![errand]));
         }
         Purpose::Export => return Ok(exporting::submit(state, form)),
         Purpose::Grant => {

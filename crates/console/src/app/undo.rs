@@ -38,7 +38,6 @@ pub fn note(state: &mut State, tag: &Tag) {
         Tag::Extend(_) => Some(Undo::Never("it was a transaction; e changes the end of the grant (5)")),
         Tag::Revoke(_) => Some(Undo::Never("a revoke is a transaction: to share again, make a new grant (5, then g)")),
         Tag::Rotate => Some(Undo::Never("a new epoch cannot be undone")),
-        Tag::EndUnattended => Some(Undo::Never("the device is recalled; prepare another one")),
         Tag::LoadKey(_) => Some(Undo::Never("the replaced key is no longer in the keyring; load its file again")),
         Tag::Release(_) => Some(Undo::Never("released messages are already being anchored; they keep their tag")),
         Tag::Discard(_) => Some(Undo::Never("discarded messages are deleted; their count is on the chain")),
@@ -52,7 +51,6 @@ pub fn note(state: &mut State, tag: &Tag) {
         | Tag::Register
         | Tag::Lock
         | Tag::HoldCapture => None,
-        Tag::PrepareUnattended => Some(Undo::Never("its device is on loan; :end-unattended recalls it")),
         Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Pin(_) | Tag::Unpin(_) => None,
         Tag::Incident(deed, name) => {
             Some(deed.stays().map_or_else(|| Undo::By(incidents::taken_back(name)), Undo::Never))

@@ -109,10 +109,6 @@ pub enum Verb {
     Play,
     /// A copy of the keyring.
     BackUp,
-    /// Make a credential with which a site captures while the profile is locked.
-    PrepareUnattended,
-    /// Recall its device.
-    EndUnattended,
     /// Wipe the keys from memory.
     Lock,
     /// Running commands.

@@ -6,7 +6,7 @@ use super::canvas::{Canvas, columns, right_of, row};
 use super::theme::Role;
 use crate::app::feed::Feed;
 use crate::app::standing::Standing;
-use crate::app::{Screen, State, unattended};
+use crate::app::{Screen, State};
 use crate::service::reply::{HealthLevel, PartHealth};
 
 /// Below this many columns only the screen in view is named.
@@ -48,14 +48,10 @@ fn draw_first(canvas: &mut Canvas, area: Rect, state: &State) {
 fn badges(state: &State) -> Vec<(String, Role)> {
     let frozen = state.frozen.map(|at| format!(" FROZEN {} ", at.clock()));
     let locked = state.is_locked().then(|| " LOCKED ".to_owned());
-    let unattended = unattended::badge(state, state.size.0 >= ADDRESS_FROM);
     let read_only = state.settings.read_only.then(|| " READ-ONLY ".to_owned());
     let operator = state.settings.operator.as_ref().map(|name| format!(" OPERATOR {name} "));
-    let mut badges: Vec<(String, Role)> = [operator, frozen, unattended, locked, read_only]
-        .into_iter()
-        .flatten()
-        .map(|badge| (badge, Role::Badge))
-        .collect();
+    let mut badges: Vec<(String, Role)> =
+        [operator, frozen, locked, read_only].into_iter().flatten().map(|badge| (badge, Role::Badge)).collect();
     // What is unusual takes precedence over where the site runs, and the health of its parts over both.
     let room = if badges.is_empty() { NAMED_FROM } else { ADDRESS_FROM };
     if state.size.0 >= room {

@@ -5,8 +5,8 @@ use ratatui::layout::Rect;
 use super::canvas::{Canvas, below, right_of, row};
 use super::theme::Role;
 use crate::app::feed::Feed;
-use crate::app::{State, standing, unattended};
-use crate::service::reply::{EpochView, IdentityView, KeysView, UnattendedState};
+use crate::app::{State, standing};
+use crate::service::reply::{EpochView, IdentityView, KeysView};
 
 /// Columns of the labels.
 const LABEL: u16 = 12;
@@ -50,10 +50,6 @@ fn draw_identity(canvas: &mut Canvas, area: Rect, state: &State, identity: &Iden
         "y copies it for anyone who wants to share with you; b backs up",
         Role::Dim,
     );
-    if let Some(view) = unattended::view(state) {
-        let role = if view.state == UnattendedState::Ended { Role::Warning } else { Role::Body };
-        line(canvas, row(area, 5), "Unattended", &unattended::line(view), role);
-    }
     let rest = below(area, 6);
     if let Some(keys) = &state.keys {
         draw_keys(canvas, rest, keys);

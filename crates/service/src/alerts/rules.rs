@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use crate::config::AlertLimits;
 use crate::model::Timestamp;
-use crate::service::figures::{Figures, GrantFigures, OwnerFigures, RobotFigures, UnattendedFigures};
+use crate::service::figures::{Figures, GrantFigures, OwnerFigures, RobotFigures};
 use crate::service::reply::{AlertView, Severity};
 
 /// How long after a start ages are not judged: what waited while the site was down is worked off first.
@@ -15,27 +15,12 @@ const AWAY: Duration = Duration::from_secs(86_400);
 /// How long losses count as ongoing after the last one.
 const LOSING: Duration = Duration::from_secs(300);
 
-/// How long before unattended capture ends it is an alert.
-const FAREWELL: Duration = Duration::from_secs(3 * 86_400);
-
 /// The rule for grants about to end.
 const GRANT: &str = "grant_ends";
 
 /// Every rule: the prefix of its keys.
-pub const RULES: [&str; 12] = [
-    "audit",
-    "chain",
-    "clock",
-    "disk",
-    "gap",
-    GRANT,
-    "quarantine",
-    "robot_silent",
-    "tampered",
-    "unanchored",
-    "unattended",
-    "vault",
-];
+pub const RULES: [&str; 11] =
+    ["audit", "chain", "clock", "disk", "gap", GRANT, "quarantine", "robot_silent", "tampered", "unanchored", "vault"];
 
 /// The rule that an alert's key belongs to.
 pub fn rule_of(key: &str) -> &str {
@@ -104,7 +89,6 @@ impl Judge {
         judged.push(self.gap(figures));
         judged.extend(self.clock(figures));
         judged.extend(self.ending_grants(figures));
-        judged.extend(figures.unattended.as_ref().map(|unattended| ending(figures, unattended)));
         judged.extend(self.audit(figures, settled));
         let text = "The chain is unreachable or a transaction lane is stuck: nothing is being anchored, nothing is \
                     lost. See `authros status`.";
@@ -255,24 +239,6 @@ impl Judge {
             ),
         })
     }
-}
-
-/// Capture that stops by itself, or has stopped, if nobody comes.
-fn ending(figures: &Figures, unattended: &UnattendedFigures) -> Judged {
-    let left = unattended.until.map(|until| passed(until, figures.now));
-    let severity = if left.is_some() { Severity::Warning } else { Severity::Critical };
-    let text = match unattended.until {
-        Some(until) => format!(
-            "Unattended capture for account {} ends at {until}; unlock the profile, or lend to its device for longer.",
-            unattended.owner
-        ),
-        None => format!(
-            "Unattended capture for account {} has ended, and nothing is captured. See `authros status`.",
-            unattended.owner
-        ),
-    };
-    let level = if left.is_none_or(|left| left <= nanos(FAREWELL)) { Level::Firing } else { Level::Clear };
-    Judged { key: format!("unattended/{}", unattended.owner), severity, level, text }
 }
 
 /// What is in quarantine, and what differs from the chain.

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use crate::config::AlertLimits;
 use crate::model::Timestamp;
-use crate::service::figures::{Figures, GrantFigures, OwnerFigures, PartFigures, RobotFigures, UnattendedFigures};
+use crate::service::figures::{Figures, GrantFigures, OwnerFigures, PartFigures, RobotFigures};
 use crate::service::reply::LifeLine;
 
 /// When the tests begin, seconds.
@@ -32,12 +32,6 @@ pub fn grant(second: u64) -> GrantFigures {
     GrantFigures { owner: "0a0b0c0d".to_owned(), reader: "0e0f0a0b".to_owned(), given: true, ends }
 }
 
-/// Capture without its owner until this many seconds after the beginning, or ended.
-pub fn unattended(second: Option<u64>) -> UnattendedFigures {
-    let until = second.map(|second| Timestamp::from_seconds(BEGUN + second));
-    UnattendedFigures { owner: "0a0b0c0d".to_owned(), until }
-}
-
 /// All is well at `second` after the beginning.
 pub fn well(second: u64) -> Figures {
     let now = Timestamp::from_seconds(BEGUN + second);
@@ -49,7 +43,6 @@ pub fn well(second: u64) -> Figures {
         parts: vec![part_of("chain"), part_of("vault")],
         disk: Some((2000 << 20, 64 << 20)),
         grants: Some(vec![grant(2 * 86_400)]),
-        unattended: Some(unattended(Some(30 * 86_400))),
         ..Figures::default()
     }
 }
@@ -75,7 +68,7 @@ pub fn troubles() -> Vec<(&'static str, Trouble)> {
             }
         }
     };
-    let rules: [(&'static str, Trouble); 13] = [
+    let rules: [(&'static str, Trouble); 12] = [
         ("robot_silent/12345678", Box::new(|it| it.robots[0].last_seen = before(it, 601))),
         ("unanchored/0a0b0c0d", Box::new(|it| it.owners[0].oldest_unanchored = Some(before(it, 601)))),
         ("disk", Box::new(|it| it.disk = Some((999 << 20, 64 << 20)))),
@@ -85,7 +78,6 @@ pub fn troubles() -> Vec<(&'static str, Trouble)> {
         ("tampered/0a0b0c0d", Box::new(life(|life| life.tampered = 1))),
         ("clock", Box::new(|it| it.clock_ahead = -6)),
         ("grant_ends/0a0b0c0d-0e0f0a0b", Box::new(|it| it.grants = Some(vec![grant(3600)]))),
-        ("unattended/0a0b0c0d", Box::new(|it| it.unattended = Some(unattended(None)))),
         ("vault", Box::new(failed("vault"))),
         ("chain", Box::new(failed("chain"))),
         ("audit", Box::new(|it| it.audit_unanchored = Some(before(it, 901)))),

@@ -5,7 +5,7 @@
 
 use super::{
     Command, FleetCommand, IncidentCommand, Operation, OperatorCommand, PolicyCommand, RecordingCommand, RobotCommand,
-    StoreCommand, UnattendedCommand, Viewing,
+    StoreCommand, Viewing,
 };
 use crate::model::OperatorRight;
 
@@ -100,10 +100,7 @@ impl Command {
             | Self::DeployContract { .. }
             | Self::ServeChain { .. }
             | Self::ServeGateway { .. }
-            | Self::ExportAudit { .. }
-            | Self::OfUnattended(
-                UnattendedCommand::PrepareUnattended { .. } | UnattendedCommand::EndUnattended { .. },
-            ) => Needed::Owner,
+            | Self::ExportAudit { .. } => Needed::Owner,
             Self::Policy { with } => of_policy(with),
             Self::Recording { with } => of_recording(with),
             Self::OfStore(command) => of_store(command),

@@ -27,7 +27,6 @@ const GROUPS: &[(&str, &str)] = &[
     ("of_incident", "incident"),
     ("of_robot", "robot"),
     ("of_fleet", "fleet"),
-    ("of_unattended", "unattended"),
     ("of_operator", "operator"),
 ];
 /// Groups whose members are no texts.

@@ -150,15 +150,6 @@ fn ages(text: &mut Text, figures: &Figures) {
     text.family(("authros_grant_ends_seconds", "gauge", help), grants, |text, name, row| {
         text.value(name, &[("owner", &row.owner), ("reader", &row.reader)], figures.until(row.ends));
     });
-    let help = "Time until unattended capture ends, 0 once it has; only where the profile is locked.";
-    text.family(
-        ("authros_unattended_ends_seconds", "gauge", help),
-        figures.unattended.as_slice(),
-        |text, name, row| {
-            let left = row.until.map_or(0.0, |until| figures.until(until));
-            text.value(name, &[("owner", &row.owner)], left);
-        },
-    );
     let help = "Age of the oldest audit log line not covered by an anchored head; 0 if all are covered.";
     text.single("authros_audit_unanchored_age_seconds", "gauge", help, age(figures.audit_unanchored));
     text.single("authros_audit_lines_total", "counter", "Lines of the audit log.", figures.audit_lines);

@@ -29,8 +29,6 @@ pub struct Figures {
     /// Grants with an end, given by any profile or received from contacts, in the order of their ends; `None` = the
     /// chain is unknown at present.
     pub grants: Option<Vec<GrantFigures>>,
-    /// Until when capture goes on without its owner; `None` = it has ended. Absent where this site is attended.
-    pub unattended: Option<UnattendedFigures>,
     /// Free bytes on the home's disk, and how many of them records leave.
     pub disk: Option<(u64, u64)>,
     /// Records waiting here for the vault, and their bytes.
@@ -92,15 +90,6 @@ pub struct RobotFigures {
     pub robot: String,
     /// When its newest record was captured, by its own clock.
     pub last_seen: Timestamp,
-}
-
-/// Capture while a profile is locked.
-#[derive(Debug, Clone)]
-pub struct UnattendedFigures {
-    /// The beginning of the account's address.
-    pub owner: String,
-    /// Until when it can go on; `None` = it has ended.
-    pub until: Option<Timestamp>,
 }
 
 /// A grant that will end.

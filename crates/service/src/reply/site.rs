@@ -111,9 +111,6 @@ pub struct SiteView {
     /// Those that ended recently, newest first.
     #[serde(default)]
     pub alerts_over: Vec<super::EndedAlert>,
-    /// Capture while this profile is locked, if that was prepared or goes on.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub unattended: Option<super::UnattendedView>,
 }
 
 /// The ring between capture and sealer.

@@ -11,7 +11,6 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, UnixListener};
 use tokio::sync::{Mutex, Semaphore};
 
-use super::unattended::standing::Reach;
 use super::{Site, blocking};
 use crate::config::FiguresPlace;
 use crate::crypto::signer_id;
@@ -22,7 +21,7 @@ use crate::pipeline::stages::{Milestone, Stage};
 use crate::service::event::NoticeLevel;
 use crate::service::figures::{
     BOUNDS, Figures, GrantFigures, LaneFigures, Latency, OwnerFigures, PartFigures, RobotFigures, TopicFigures,
-    UnattendedFigures, exposition, http, short,
+    exposition, http, short,
 };
 use crate::service::reply::{Failure, GrantState, HealthLevel, PartHealth};
 use crate::store::StateCounts;
@@ -136,7 +135,6 @@ impl Site {
             lanes: self.lane_figures()?,
             block: self.block_figures(),
             grants: self.grant_figures(),
-            unattended: self.unattended_figures(),
             disk: free_bytes(self.home().root()).ok().map(|free| (free, self.config().disk_reserve)),
             backlog: (ledger.sealed()?, ledger.backlog()?),
             untold_gaps: ledger.untold_gaps()?,
@@ -173,8 +171,7 @@ impl Site {
     }
 
     fn robot_figures(&self) -> Result<Vec<RobotFigures>, Failure> {
-        let mut own: Vec<_> = self.parts.owners.all().iter().map(|owner| signer_id(&owner.signing().public)).collect();
-        own.extend(self.unattended.devices()?);
+        let own: Vec<_> = self.parts.owners.all().iter().map(|owner| signer_id(&owner.signing().public)).collect();
         let seen = self.plant.ledger.last_seen(MOST_ROBOTS)?.into_iter().filter(|row| !own.contains(&row.signer));
         Ok(seen.map(|row| RobotFigures { robot: short(&row.signer.to_string()), last_seen: row.at }).collect())
     }
@@ -220,15 +217,6 @@ impl Site {
         }
         let contacts = self.contacts.names();
         Some(told_of(ending, &own, |owner| contacts.contains_key(&owner)))
-    }
-
-    fn unattended_figures(&self) -> Option<UnattendedFigures> {
-        let (account, reach) = self.unattended.reach()?;
-        let until = match reach {
-            Reach::Until(until, _) => Some(until),
-            Reach::Ended(_) => None,
-        };
-        Some(UnattendedFigures { owner: short(&account.to_string()), until })
     }
 
     fn block_figures(&self) -> Option<(u64, Timestamp)> {

@@ -220,7 +220,6 @@ impl Site {
                 self.devices.answer(&owner()?, command).await
             }
             Command::OfFleet(command) => self.gateway.of_fleet(&profile, command).await,
-            Command::OfUnattended(command) => self.unattended.answer(&owner()?, command).await,
             Command::OfOperator(command) => self.operators.answer(&profile, command, claims).await,
         }
     }

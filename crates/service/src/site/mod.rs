@@ -37,7 +37,6 @@ mod supervision;
 mod supervision_tests;
 #[cfg(test)]
 mod testing;
-mod unattended;
 mod workers;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -55,7 +54,6 @@ pub(super) use devices::enrolled::Enrolled;
 pub use devices::enrolling::EnrolWishes;
 pub(crate) use operators::Heard;
 pub use reading::view::record_page;
-pub(crate) use unattended::{NOTED, Noted};
 
 use alerts::Alerts;
 use audit::Audit;
@@ -88,7 +86,6 @@ use reading::Reading;
 use recordings::Recordings;
 use sharing::Sharing;
 use storage::Storage;
-use unattended::Unattended;
 
 use super::client::{Call, Client};
 use super::event::Event;
@@ -137,7 +134,6 @@ pub struct Site {
     contacts: Arc<Contacts>,
     sharing: Arc<Sharing>,
     devices: Arc<Devices>,
-    unattended: Arc<Unattended>,
     reading: Arc<Reading>,
     evidence: Arc<Evidence>,
     incidents: Arc<Incidents>,
@@ -238,7 +234,6 @@ impl Site {
         let (profiles, devices) =
             (Arc::new(Profiles::new(of, &asked)), Arc::new(Devices::new(of, &sharing, &enrolments)));
         let capture = Arc::new(Capture::new(of, &recorder, &losses, &ros, &watches, &profiles, &pins));
-        let unattended = Unattended::new(of, (&connection, &devices, &enrolments), (&recorder, &watches, &ros), &pins);
         let asked = recordings::Asked {
             contacts: &contacts,
             reading: &reading,
@@ -251,7 +246,6 @@ impl Site {
         Ok(Self {
             recordings: Arc::new(Recordings::new(of, &asked)),
             devices,
-            unattended: Arc::new(unattended),
             administering: Arc::new(Administering::new(of, &contacts)),
             adoption: Arc::new(Adoption::new(of, &lanes, &connection, &profiles, remote)),
             audit: Arc::new(Audit::new(of, &reserve)),

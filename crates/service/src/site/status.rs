@@ -34,20 +34,7 @@ impl Site {
         let verified_after = self.parts.hub.stages.spread(Milestone::Verified);
         let (alerts, alerts_over) = self.alerts.shown();
         let queue = self.queue_view();
-        let unattended = self.unattended.view(profile)?;
-        Ok(SiteView {
-            health,
-            life,
-            robots,
-            profiles,
-            process,
-            tasks,
-            queue,
-            verified_after,
-            alerts,
-            alerts_over,
-            unattended,
-        })
+        Ok(SiteView { health, life, robots, profiles, process, tasks, queue, verified_after, alerts, alerts_over })
     }
 
     /// What is not well now, and what is: the one place used by status, figures and alerts.
@@ -59,7 +46,6 @@ impl Site {
         health.extend(self.chain_proofs.health()?);
         health.extend(self.gateway.fleet_health()?);
         health.extend(self.account_health()?);
-        health.extend(self.unattended.health()?);
         Ok(health)
     }
 

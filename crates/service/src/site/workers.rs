@@ -131,7 +131,6 @@ async fn watch(site: Arc<Site>) {
                     site.parts.hub.confirmed.notify_one();
                 }
                 site.lanes.tend(&network).await;
-                site.unattended.tend(&network).await;
                 network.chain.next_block(head.number, watcher::PATIENCE).await.err().map(|error| error.to_string())
             }
             Err(PipelineError::Chain(error @ ChainError::Swapped { .. })) => {
@@ -265,9 +264,7 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
         if !still_open {
             return;
         }
-        // What anchored unattended ends first: one at a time closes an owner's batches.
-        let waits = site.unattended.anchors_for(owner.address);
-        let Some(network) = site.parts.link.network_now().filter(|_| !waits) else {
+        let Some(network) = site.parts.link.network_now() else {
             tokio::time::sleep(Duration::from_millis(200)).await;
             continue;
         };

@@ -43,41 +43,4 @@ impl Ledger {
             Ok(topics.collect())
         })
     }
-
-    /// How many records of all kinds that `signer` signed for an owner are sealed, but in no block yet: a recall of the
-    /// key now would leave them without an anchor. Those that wait for a right already are not counted.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn on_their_way(&self, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
-        self.signed_in(owner, signer, [RecordState::Sealed, RecordState::Submitted], None)
-    }
-
-    /// How many messages that `signer` signed for an owner are in quarantine: whichever is released needs an anchor, too.
-    /// Definitions stay there when messages are discarded, and are not counted.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn quarantined_of(&self, owner: Address, signer: SignerId) -> Result<u64, StoreError> {
-        self.signed_in(owner, signer, [RecordState::Quarantined; 2], Some(RecordKind::Data))
-    }
-
-    /// Records of one kind or of all, from the first state to the last.
-    fn signed_in(
-        &self,
-        owner: Address,
-        signer: SignerId,
-        states: [RecordState; 2],
-        kind: Option<RecordKind>,
-    ) -> Result<u64, StoreError> {
-        let [first, last] = states.map(RecordState::code);
-        self.read(|connection| {
-            let sql = "SELECT coalesce(sum(c.records), 0) FROM streams s JOIN topics t ON t.key = s.topic
-                       JOIN counters c ON c.stream = s.key
-                       WHERE t.owner = ?1 AND s.signer = ?2 AND c.state BETWEEN ?3 AND ?4
-                       AND (?5 IS NULL OR s.kind = ?5)";
-            let values = params![owner.0, signer.0, first, last, kind.map(RecordKind::code)];
-            Ok(connection.prepare_cached(sql)?.query_row(values, |row| unsigned(row, 0))?)
-        })
-    }
 }

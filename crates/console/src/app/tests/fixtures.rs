@@ -118,7 +118,6 @@ pub fn site() -> SiteView {
         verified_after: Vec::new(),
         alerts: Vec::new(),
         alerts_over: Vec::new(),
-        unattended: None,
     }
 }
 

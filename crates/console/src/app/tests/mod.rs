@@ -27,7 +27,6 @@ mod pulling;
 mod records;
 mod standing;
 mod touring;
-mod unattended;
 mod watching;
 mod wide;
 

@@ -133,12 +133,6 @@ pub static VERBS: &[Entry] = &[
         "Write the keyring, protected by its passphrase, to a file",
     )
     .on(&[Screen::Keys]),
-    entry(Verb::PrepareUnattended, "prepare-unattended", "", &[], "Write a credential for capture while locked")
-        .on(&[Screen::Keys])
-        .changing(),
-    entry(Verb::EndUnattended, "end-unattended", "", &[], "Recall the device of unattended capture")
-        .on(&[Screen::Keys])
-        .changing(),
     entry(Verb::Administer(Act::Deploy), "deploy", "deploy", &[Key::Char('d')], "Deploy the contract")
         .on(ON_CHAIN)
         .changing(),

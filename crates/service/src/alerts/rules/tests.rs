@@ -3,7 +3,7 @@
 use super::*;
 use crate::service::alerts::Standing;
 use crate::service::alerts::state::Change;
-use crate::service::alerts::troubles::{before, grant, limits, troubles, unattended, well};
+use crate::service::alerts::troubles::{before, grant, limits, troubles, well};
 
 /// A site that is well, then in trouble for three looks, then well again: the keys of the alerts that began and ended.
 fn told(trouble: &dyn Fn(&mut Figures)) -> (Vec<String>, Vec<String>) {
@@ -45,21 +45,6 @@ fn every_rule_is_named_and_every_name_is_a_rule() {
 }
 
 #[test]
-fn the_end_of_unattended_capture_is_told_three_days_before_and_is_over_when_somebody_comes() {
-    let mut judge = Judge::new(limits());
-    let mut level = |unattended| {
-        let figures = Figures { unattended, ..well(0) };
-        let judged = judge.judge(&figures).into_iter().find(|judged| judged.key == "unattended/0a0b0c0d");
-        judged.map(|judged| (judged.level, judged.severity))
-    };
-    let days = |days: u64| Some(unattended(Some(days * 86_400)));
-    assert_eq!(level(days(4)).map(|(level, _)| level), Some(Level::Clear));
-    assert_eq!(level(days(3)), Some((Level::Firing, Severity::Warning)));
-    assert_eq!(level(Some(unattended(None))), Some((Level::Firing, Severity::Critical)));
-    assert_eq!(level(None), None, "the owner is there");
-}
-
-#[test]
 fn what_hovers_at_a_limit_neither_begins_nor_ends() {
     assert_eq!(
         [601, 600, 541, 540].map(|value| over(value, 600)),
@@ -94,7 +79,7 @@ fn ages_of_a_site_that_was_just_started_are_not_judged_and_a_robot_that_is_away_
 fn rules_that_are_off_find_nothing() {
     let mut judge = Judge::new(AlertLimits::default());
     let keys: Vec<String> = judge.judge(&well(0)).into_iter().map(|judged| judged.key).collect();
-    assert_eq!(keys, ["quarantine/0a0b0c0d", "tampered/0a0b0c0d", "gap", "unattended/0a0b0c0d", "chain", "vault"]);
+    assert_eq!(keys, ["quarantine/0a0b0c0d", "tampered/0a0b0c0d", "gap", "chain", "vault"]);
 }
 
 #[test]

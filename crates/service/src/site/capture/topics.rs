@@ -53,8 +53,7 @@ impl Capture {
         let captured = self.captured_by_topic(profile)?;
         let alarms = self.pins.alarmed_topics(profile)?;
         let pins = self.pins.pinned_names(profile)?;
-        let author = self.owners.author_of(profile);
-        let keys = author.as_ref().and_then(|author| Some((author.address, author.sealing()?)));
+        let sealing = self.owners.get(profile).filter(|owner| owner.sealing().is_some());
         let full = self.plant.ledger.takes_records().is_err();
         let watched: HashSet<&str> = watches.iter().map(|(topic, _)| topic.as_str()).collect();
         for row in &mut rows {
@@ -68,13 +67,10 @@ impl Capture {
             }
             row.alarm = alarms.contains(&row.topic);
             row.watched = watched.contains(row.topic.as_str());
-            row.held_up = match &keys {
+            row.held_up = match &sealing {
                 _ if !row.watched => None,
-                // Without its owner a profile is captured only where it has a topic's key.
-                Some((account, keys)) if keys.topic(&row.topic).is_some() => {
-                    (full || !self.recorder.is_watched(&row.topic, *account)).then_some(HeldUp::Paused)
-                }
-                _ => Some(HeldUp::WaitsForKey),
+                Some(owner) => (full || !self.recorder.is_watched(&row.topic, owner.address)).then_some(HeldUp::Paused),
+                None => Some(HeldUp::WaitsForKey),
             };
         }
         rows.sort_by(|one, other| one.topic.cmp(&other.topic));

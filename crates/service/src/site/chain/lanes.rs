@@ -8,12 +8,11 @@ use crate::site::chain::link::Link;
 use crate::site::identity::owners::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
-use crate::site::unattended;
 use std::sync::Mutex;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
-use crate::crypto::{EoaSecret, unattended_secret};
+use crate::crypto::EoaSecret;
 use crate::model::{Address, Domain};
 use crate::pipeline::anchoring_accounts::{self, MOST_LANES};
 use crate::pipeline::sender::LaneState;
@@ -48,19 +47,14 @@ impl Lanes {
 }
 
 impl Lanes {
-    /// All extra accounts that the owner can have on this network, then the accounts that anchored unattended.
+    /// All extra accounts that the owner can have on this network.
     fn extra(&self, owner: &Owner, network: &Network) -> Result<Arc<Vec<(Address, EoaSecret)>>, Failure> {
         let mut known = self.extra.lock().unwrap_or_else(PoisonError::into_inner);
         let key = (owner.address, network.domain);
         if let Some(found) = known.get(&key) {
             return Ok(Arc::clone(found));
         }
-        let mut keys = anchoring_accounts::extra(&owner.eoa(), &network.domain, MOST_LANES)?;
-        // Behind those that may be in use: what they began while the profile was locked is finished.
-        let of_devices = unattended::noted(&self.plant.ledger, owner.address)?;
-        for noted in of_devices.iter().filter(|noted| noted.domain == network.domain) {
-            keys.push(unattended_secret(&owner.eoa(), &network.domain, &noted.device)?);
-        }
+        let keys = anchoring_accounts::extra(&owner.eoa(), &network.domain, MOST_LANES)?;
         let found = Arc::new(keys.into_iter().map(|key| (key.address(), key)).collect::<Vec<_>>());
         known.insert(key, Arc::clone(&found));
         Ok(found)

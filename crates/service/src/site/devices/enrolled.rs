@@ -83,12 +83,7 @@ impl Enrolments {
 
 impl Enrolments {
     /// What a device is to seal under, as the owner's own recorder does.
-    pub(in crate::site) fn issue(
-        &self,
-        owner: &Owner,
-        network: &Network,
-        to: &Enrolled,
-    ) -> Result<IssuedKeys, Failure> {
+    pub(super) fn issue(&self, owner: &Owner, network: &Network, to: &Enrolled) -> Result<IssuedKeys, Failure> {
         let sealing = owner.sealing().filter(|keys| keys.domain == network.domain);
         let sealing = sealing.ok_or_else(|| refused("no epoch has started; run `authros register` first"))?;
         let now = self.issue_of(owner, network, to, sealing.epoch)?;
@@ -120,20 +115,11 @@ impl Enrolments {
 
     /// The robots enrolled by this owner, oldest first.
     pub(in crate::site) fn of(&self, owner: &Owner) -> Result<Vec<Enrolled>, Failure> {
-        self.of_account(owner.address)
-    }
-
-    fn of_account(&self, owner: Address) -> Result<Vec<Enrolled>, Failure> {
-        block_in_place(|| of_account(&self.plant.ledger, owner))
-    }
-
-    /// Whether this home recalled a device of an account; what the chain says newer counts more.
-    pub(in crate::site) fn was_recalled(&self, owner: Address, device: SignerId) -> Result<bool, Failure> {
-        Ok(self.of_account(owner)?.iter().any(|enrolled| enrolled.device == device && enrolled.ended))
+        block_in_place(|| of_account(&self.plant.ledger, owner.address))
     }
 
     /// Notes another device.
-    pub(in crate::site) fn add(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
+    pub(super) fn add(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
         let _alone = self.noting.lock().unwrap_or_else(PoisonError::into_inner);
         let mut all = self.of(owner)?;
         all.push(enrolled);
@@ -141,7 +127,7 @@ impl Enrolments {
     }
 
     /// Notes that a device was recalled.
-    pub(in crate::site) fn note_recalled(&self, owner: &Owner, device: SignerId) -> Result<(), Failure> {
+    pub(super) fn note_recalled(&self, owner: &Owner, device: SignerId) -> Result<(), Failure> {
         self.change(owner, device, |enrolled| enrolled.ended = true)
     }
 

@@ -91,12 +91,7 @@ impl Enrolments {
     }
 
     /// The device knows these keys.
-    pub(in crate::site) fn note_told(
-        &self,
-        owner: &Owner,
-        device: &Enrolled,
-        keys: &IssuedKeys,
-    ) -> Result<(), Failure> {
+    pub(super) fn note_told(&self, owner: &Owner, device: &Enrolled, keys: &IssuedKeys) -> Result<(), Failure> {
         Ok(self.plant.ledger.put_setting(&place(owner, device), &summary(keys))?)
     }
 

@@ -181,15 +181,7 @@ impl Profiles {
 
     /// Puts an open keyring into the site, replacing the profile's previous one.
     pub(super) fn open(self: &Arc<Self>, profile: ProfileName, keyring: UnlockedKeyring) -> Arc<Owner> {
-        let standing = self.owners.unattended(&profile).cloned();
-        let standing = standing.filter(|standing| standing.author.address == keyring.keyring.eoa.address());
-        // What captured unattended stops between two looks, not in the middle of one.
-        let _held = standing.as_ref().map(|standing| standing.hold());
-        let owner = Arc::new(match &standing {
-            // The same author goes on with the owner's keys, so nothing is lost or sealed twice.
-            Some(standing) => Owner::with_author(profile, keyring, Arc::clone(&standing.author)),
-            None => Owner::new(profile, keyring),
-        });
+        let owner = Arc::new(Owner::new(profile, keyring));
         self.pins.introduce(&owner);
         self.owners.insert(&owner);
         self.seal_as_before(&owner);

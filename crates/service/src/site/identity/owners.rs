@@ -1,7 +1,7 @@
 //! The profiles of the home, and the owners behind those whose keyrings were opened here.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, OnceLock, PoisonError, RwLock};
+use std::sync::{Arc, PoisonError, RwLock};
 
 use tokio::sync::mpsc;
 use tokio::task::block_in_place;
@@ -9,10 +9,9 @@ use tokio::task::block_in_place;
 use crate::crypto::read_public;
 use crate::model::{Address, ProfileName};
 use crate::paths::Home;
-use crate::pipeline::{Author, Owner};
+use crate::pipeline::Owner;
 use crate::service::failure::{input, refused};
 use crate::service::reply::Failure;
-use crate::site::unattended::standing::Standing;
 
 /// The owners of a site.
 pub(in crate::site) struct Owners {
@@ -20,14 +19,12 @@ pub(in crate::site) struct Owners {
     open: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
     /// Receives each owner as it is opened.
     opened: mpsc::UnboundedSender<Arc<Owner>>,
-    /// Captures for a locked profile, where this site was started so.
-    unattended: OnceLock<Arc<Standing>>,
 }
 
 impl Owners {
     /// Nobody yet; `opened` receives each owner that is opened.
     pub fn new(home: Home, opened: mpsc::UnboundedSender<Arc<Owner>>) -> Self {
-        Self { home, open: RwLock::default(), opened, unattended: OnceLock::new() }
+        Self { home, open: RwLock::default(), opened }
     }
 
     /// Adds an opened owner, replacing the profile's previous one.
@@ -49,39 +46,6 @@ impl Owners {
         self.open.read().unwrap_or_else(PoisonError::into_inner).values().cloned().collect()
     }
 
-    /// From now on this captures in the place of its profile's owner.
-    ///
-    /// # Errors
-    /// If something does already, or the profile is open.
-    pub fn stand_in(&self, standing: &Arc<Standing>) -> Result<(), Failure> {
-        let is_open = self.get(&standing.profile).is_some();
-        if is_open || self.unattended.set(Arc::clone(standing)).is_err() {
-            return Err(refused(format!("profile '{}' is captured for already", standing.profile)));
-        }
-        Ok(())
-    }
-
-    /// What captures for this profile while it is locked, if anything does.
-    pub fn unattended(&self, profile: &ProfileName) -> Option<&Arc<Standing>> {
-        self.unattended.get().filter(|standing| standing.profile == *profile)
-    }
-
-    /// Whoever seals for a profile: its owner, or what captures in the owner's place.
-    pub fn author_of(&self, profile: &ProfileName) -> Option<Arc<Author>> {
-        let owner = self.get(profile).map(|owner| Arc::clone(&owner.author));
-        owner.or_else(|| self.unattended(profile).map(|standing| Arc::clone(&standing.author)))
-    }
-
-    /// Everybody who seals here, with their profiles.
-    pub fn authors(&self) -> Vec<(ProfileName, Arc<Author>)> {
-        let owners = self.all();
-        let mut authors: Vec<_> =
-            owners.iter().map(|owner| (owner.profile.clone(), Arc::clone(&owner.author))).collect();
-        let alone = self.unattended.get().filter(|standing| self.get(&standing.profile).is_none());
-        authors.extend(alone.map(|standing| (standing.profile.clone(), Arc::clone(&standing.author))));
-        authors
-    }
-
     /// Whether this is still the owner behind its profile.
     pub fn is_open(&self, owner: &Arc<Owner>) -> bool {
         self.get(&owner.profile).is_some_and(|other| Arc::ptr_eq(&other, owner))
@@ -93,15 +57,11 @@ impl Owners {
     /// It is locked or does not exist.
     pub fn unlocked(&self, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
         let owner = self.get(profile).filter(|owner| !owner.is_locked());
-        owner.ok_or_else(|| match (self.home.keyring(profile).exists(), self.unattended(profile)) {
-            (true, Some(standing)) if self.get(profile).is_none() => refused(format!(
-                "profile '{profile}' is locked; {}; unlock it with --passphrase-file or --passphrase-fd",
-                standing.text()
-            )),
-            (true, _) => refused(format!(
+        owner.ok_or_else(|| match self.home.keyring(profile).exists() {
+            true => refused(format!(
                 "the keyring of profile '{profile}' is locked; unlock it with --passphrase-file or --passphrase-fd"
             )),
-            (false, _) => without_identity(profile),
+            false => without_identity(profile),
         })
     }
 

@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
-use crate::model::{Address, ProfileName, Publisher, TopicName, clean};
+use crate::model::{ProfileName, Publisher, TopicName, clean};
 use crate::pipeline::Owner;
 use crate::service::event::Part;
 use crate::service::failure::input;
@@ -158,11 +158,6 @@ impl Pinning {
 
     /// Publishers of an owner are known by its profile's name.
     pub fn introduce(&self, owner: &Owner) {
-        self.introduce_account(owner.address, &owner.profile);
-    }
-
-    /// The same for an account that is captured for while its profile is locked.
-    pub fn introduce_account(&self, account: Address, profile: &ProfileName) {
-        self.pins.introduce(account, profile.as_str());
+        self.pins.introduce(owner.address, owner.profile.as_str());
     }
 }

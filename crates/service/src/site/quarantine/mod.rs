@@ -65,8 +65,9 @@ impl Quarantine {
             if block_in_place(|| self.plant.takes_records()).is_err() {
                 continue;
             }
-            for (profile, author) in self.owners.authors() {
-                if let Err(failure) = self.report(&author, quarantine::minute(Timestamp::now())).await {
+            for owner in self.owners.all() {
+                if let Err(failure) = self.report(&owner.author, quarantine::minute(Timestamp::now())).await {
+                    let profile = &owner.profile;
                     let text = format!("quarantined messages of {profile} are not counted yet: {}", failure.message);
                     self.hub.notice(NoticeLevel::Error, &text);
                 }

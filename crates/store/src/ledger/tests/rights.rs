@@ -38,10 +38,7 @@ fn a_signer_without_the_right_is_held_out_of_batches_and_let_go_again() {
     assert!(all.iter().all(|waiting| waiting.ready && !waiting.held && waiting.owner == OWNER), "{all:?}");
     assert_eq!(ledger.waiting_signers(Address([9; 20])), Ok(Vec::new()), "another's");
     assert_eq!(ledger.hold_signer(OWNER, Address([2; 20]), SIGNER), Ok(0), "of another owner");
-    assert_eq!(ledger.on_their_way(OWNER, SIGNER), Ok(3));
-    assert_eq!(ledger.on_their_way(OWNER, SignerId([2; 32])), Ok(1));
     assert_eq!(ledger.hold_signer(OWNER, OWNER, SIGNER), Ok(3));
-    assert_eq!(ledger.on_their_way(OWNER, SIGNER), Ok(0), "they wait for a right");
     assert_eq!(states(&ledger, &records), [RightEnded, RightEnded, Stored, RightEnded]);
     assert_eq!(ledger.waiting_batches(OWNER, 9), Ok(Vec::new()), "it fell apart");
     assert_eq!(ledger.unbatched(OWNER).map(|(count, _)| count), Ok(1));
