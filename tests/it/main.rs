@@ -16,6 +16,7 @@ mod bags;
 mod bags_altered;
 mod bench;
 mod bench_funder;
+mod boot;
 mod chain_commands;
 mod chain_faults;
 mod check;

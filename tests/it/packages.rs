@@ -45,8 +45,10 @@ fn a_package_is_the_same_twice_and_holds_what_the_manual_says() {
     for file in [
         "./usr/bin/authros",
         "./lib/systemd/system/authros-serve.service",
+        "./lib/systemd/system/authros-gateway.service",
         "./lib/systemd/system/authros-agent.service",
         "./lib/systemd/system/authros-serve.service.d/account.conf",
+        "./lib/systemd/system/authros-gateway.service.d/account.conf",
         "./lib/systemd/system/authros-backup.service.d/account.conf",
         "./usr/share/bash-completion/completions/authros",
         "./usr/share/zsh/vendor-completions/_authros",
@@ -54,6 +56,7 @@ fn a_package_is_the_same_twice_and_holds_what_the_manual_says() {
         "./usr/share/man/man1/authros.1.gz",
         "./usr/share/doc/authros/THIRD-PARTY.txt.gz",
         "./etc/authros/serve.env",
+        "./etc/authros/gateway.env",
     ] {
         let line = held.lines().find(|line| line.ends_with(&format!(" {file}")));
         let line = line.unwrap_or_else(|| panic!("no {file} in {held}"));

@@ -10,9 +10,8 @@ use std::process::Command;
 
 use support::{Home, Running, skipped, system_program, wait_until};
 
-const UNITS: [&str; 3] = ["authros-agent.service", "authros-serve.service", "authros-backup.service"];
-
-const UNATTENDED: &str = "authros-unattended.service";
+const UNITS: [&str; 4] =
+    ["authros-agent.service", "authros-serve.service", "authros-gateway.service", "authros-backup.service"];
 
 fn unit(name: &str) -> String {
     fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd").join(name)).expect("a unit")
@@ -22,7 +21,7 @@ fn unit(name: &str) -> String {
 fn systemd_accepts_the_units() {
     let Some(program) = system_program("systemd-analyze") else { skipped!("no systemd-analyze") };
     let home = Home::new();
-    for name in UNITS.into_iter().chain(["authros-backup.timer", UNATTENDED]) {
+    for name in UNITS.into_iter().chain(["authros-backup.timer"]) {
         let text = unit(name).replace("/usr/bin/authros", env!("CARGO_BIN_EXE_authros"));
         let path = home.file(name, text, 0o644);
         let mut command = Command::new(&program);
@@ -40,6 +39,7 @@ fn their_commands_are_known_and_no_secret_is_in_them() {
         let line = text.lines().find_map(|line| line.strip_prefix("ExecStart=/usr/bin/authros ")).expect("a command");
         assert!(line.contains("--passphrase-file ${CREDENTIALS_DIRECTORY}/passphrase"), "{line}");
         let home = Home::new();
+        let line = line.replace("${GATEWAY_LISTEN}", "127.0.0.1:7420");
         let arguments: Vec<&str> = line.split(' ').filter(|word| *word != "$AGENT_ARGUMENTS").collect();
         // Known to the parser: it fails later, at the missing file, or at the missing home where it would make none.
         let outcome = authros(&home).run(&arguments).expect_code(3);
@@ -49,27 +49,15 @@ fn their_commands_are_known_and_no_secret_is_in_them() {
 }
 
 #[test]
-fn the_unattended_unit_takes_a_credential_and_no_passphrase() {
-    let text = unit(UNATTENDED);
-    let line = text.lines().find_map(|line| line.strip_prefix("ExecStart=/usr/bin/authros ")).expect("a command");
-    assert!(!text.contains("passphrase:") && !line.contains("passphrase"), "{line}");
-    assert!(text.contains("LoadCredentialEncrypted=authros:"), "{text}");
-    let home = Home::new();
-    home.authros().with(&["--robots", "0"]).enrol();
-    let site = home.path().to_str().expect("UTF-8").to_owned();
-    let place =
-        |word: &str| word.replace("${STATE_DIRECTORY}", &site).replace("${CREDENTIALS_DIRECTORY}", "/not/there");
-    let words: Vec<String> = line.split(' ').map(place).collect();
-    let words: Vec<&str> = words.iter().map(String::as_str).collect();
-    let outcome = authros(&home).run(&words).expect_code(3);
-    assert!(outcome.stderr.contains("/not/there/authros"), "{outcome}");
-    // Hardened as the others.
+fn what_faces_the_network_is_hardened_alike() {
     let lines = |name: &str| {
         let text = unit(name);
         let from = text.find("NoNewPrivileges").expect("hardening");
         text[from..].to_owned()
     };
-    assert_eq!(lines(UNATTENDED), lines("authros-serve.service"));
+    for name in ["authros-gateway.service", "authros-agent.service"] {
+        assert_eq!(lines(name), lines("authros-serve.service"), "{name}");
+    }
 }
 
 #[test]

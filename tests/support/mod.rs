@@ -16,6 +16,7 @@ pub mod figures;
 pub mod gate;
 pub mod hostile;
 pub mod keyless;
+pub mod machine;
 pub mod member;
 pub mod memory;
 pub mod process;
