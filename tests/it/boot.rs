@@ -6,9 +6,10 @@ use crate::support;
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::Path;
+use std::path::PathBuf;
 
-use authros::crypto::{Keyring, Passphrase, SealedEnrolment};
+use authros::crypto::{EoaSecret, Keyring, Passphrase, SealedEnrolment};
+use authros::model::Timestamp;
 use serde_json::Value;
 use support::authros::files_below;
 use support::machine::Machine;
@@ -116,39 +117,49 @@ fn a_machine_that_rebooted_captures_anchors_and_verifies_and_holds_nothing_of_it
     let before = scene.figures().map(|figures| count(&figures, "verified")).expect("figures");
 
     // From here to the end of the wait nobody does anything at the machine.
+    let booted = Timestamp::now();
     scene.machine.boot();
     scene.proven(before + ENOUGH);
 
-    expect_nothing_of_the_owner(&scene);
     let audit = scene.machine.authros("authros-gateway", &["audit", "--deep"]).expect_code(0).document();
     assert_eq!(audit["findings"], serde_json::json!([]), "{audit}");
-    expect_readable(&scene, usize::try_from(before + ENOUGH).expect("few"));
+    expect_readable(&scene, booted);
+
+    let secrets = secrets_of_owner(&scene);
+    expect_none_in_memory(&scene, &secrets);
+    scene.machine.cut_power();
+    expect_none_on_disk(&scene, &secrets);
 }
 
-/// No secret of the owner is on the machine's disk or in a process there; the search finds what is there.
-fn expect_nothing_of_the_owner(scene: &Scene) {
+/// Passphrase and keys of the owner, as bytes and as text.
+fn secrets_of_owner(scene: &Scene) -> Vec<(String, Vec<u8>)> {
     let secrets = secrets_below(&scene.owner_home.path());
     let names: BTreeSet<&str> = secrets.iter().filter_map(|(name, _)| name.split(" of ").next()).collect();
     assert!(names.len() >= 8, "passphrase, five keys, those of an epoch: {names:?}");
     let as_text = secrets.iter().map(|(name, secret)| (format!("{name}, as text"), hex(secret).into_bytes()));
-    let secrets: Vec<(String, Vec<u8>)> = as_text.collect::<Vec<_>>().into_iter().chain(secrets).collect();
+    as_text.chain(secrets.iter().cloned()).collect()
+}
 
+fn expect_none_in_memory(scene: &Scene, secrets: &[(String, Vec<u8>)]) {
     let lent = ("lent key".to_owned(), scene.enrolment.enrolment.device.secret.expose().to_vec());
-    let own = ("account of the gateway".to_owned(), gateways_account(&scene.machine));
+    let own = ("account of the gateway".to_owned(), account_of_gateway(&scene.machine).expose().to_vec());
     let mut held = BTreeSet::new();
     let processes = scene.machine.processes();
     assert_eq!(processes.len(), 2, "{processes:?}");
     for process in processes {
         let memory = memory_of(&process).expect("of a process of ours");
-        assert_eq!(found_in(&memory, &secrets), Vec::<&str>::new(), "keys of the owner");
+        assert_eq!(found_in(&memory, secrets), Vec::<&str>::new(), "keys of the owner");
         held.extend(found_in(&memory, &[lent.clone(), own.clone()]).into_iter().map(str::to_owned));
     }
     assert_eq!(held, BTreeSet::from([lent.0, own.0]), "the search finds what is there");
+}
 
-    let (files, mut met) = (files_below(&scene.machine.disk()), false);
-    for path in files {
+fn expect_none_on_disk(scene: &Scene, secrets: &[(String, Vec<u8>)]) {
+    let mut met = false;
+    let is_file = |path: &PathBuf| fs::symlink_metadata(path).is_ok_and(|about| about.is_file());
+    for path in files_below(&scene.machine.disk()).into_iter().filter(is_file) {
         let bytes = fs::read(&path).expect("a file");
-        assert_eq!(found_in(&bytes, &secrets), Vec::<&str>::new(), "{}", path.display());
+        assert_eq!(found_in(&bytes, secrets), Vec::<&str>::new(), "{}", path.display());
         for words in [WORDS_OF_GATEWAY, &scene.words_of_robot] {
             assert!(!holds(&bytes, words.as_bytes()), "{}: credentials are encrypted", path.display());
         }
@@ -157,27 +168,35 @@ fn expect_nothing_of_the_owner(scene: &Scene) {
     assert!(met, "the search finds what is there");
 }
 
-fn gateways_account(machine: &Machine) -> Vec<u8> {
+fn account_of_gateway(machine: &Machine) -> EoaSecret {
     let keyring = machine.disk().join("var/lib/authros-gateway/profiles/default/keyring");
     let passphrase = Passphrase::new(WORDS_OF_GATEWAY.to_owned()).expect("long enough");
-    Keyring::load(Path::new(&keyring), &passphrase).expect("it opens").eoa.expose().to_vec()
+    Keyring::load(&keyring, &passphrase).expect("it opens").eoa
 }
 
-/// The owner has every record, verified, and opens what was captured before the power was cut and after it.
-fn expect_readable(scene: &Scene, least: usize) {
+/// The owner has records of before the power cut and of after it, signed by the agent and anchored by the gateway, and
+/// opens them.
+fn expect_readable(scene: &Scene, booted: Timestamp) {
     let _site = scene.owner.serve(&scene.owner_home);
-    let records = wait_until(120, "the owner has all records", || {
+    let is_after = |record: &Value| {
+        let captured: Timestamp = serde_json::from_value(record["captured_at"].clone()).expect("a time");
+        captured > booted
+    };
+    let (before, after) = wait_until(120, "the owner has the records", || {
         let records = scene.owner.records_so_far(&["uploads", "list", "--topic", TOPIC, "--kind", "data"])?;
-        (records.len() >= least && records.iter().filter(|record| is_verified(record)).count() >= least)
-            .then_some(records)
+        let (after, before): (Vec<Value>, Vec<Value>) = records.into_iter().filter(is_verified).partition(is_after);
+        let enough = [before.len(), after.len()].into_iter().all(|count| count as u64 >= ENOUGH);
+        enough.then_some((before, after))
     });
-    let mut ordered: Vec<&Value> = records.iter().filter(|record| is_verified(record)).collect();
-    ordered.sort_by_key(|record| text(record, "captured_at"));
-    let device = scene.enrolment.enrolment.device_id().to_string();
-    for record in [ordered.first(), ordered.last()].into_iter().flatten() {
-        let opened = scene.owner.json(&["shared", "open", &text(record, "id")]);
+    let signer = scene.enrolment.enrolment.device_id().to_string();
+    let account = account_of_gateway(&scene.machine).address().to_string();
+    for record in [before.first(), before.last(), after.first(), after.last()].into_iter().flatten() {
+        let id = text(record, "id");
+        let opened = scene.owner.json(&["shared", "open", &id]);
         assert_eq!((&opened["verdict"], &opened["topic"]), (&"verified".into(), &TOPIC.into()), "{opened}");
-        let shown = scene.owner.json(&["uploads", "show", &text(record, "id")]);
-        assert!(list(&shown, "steps").iter().any(|step| step.to_string().contains(&device)), "{shown}");
+        let steps = list(&scene.owner.json(&["uploads", "show", &id]), "steps");
+        for word in [&signer, &account] {
+            assert!(steps.iter().any(|step| step.to_string().contains(word)), "no {word} in {steps:?}");
+        }
     }
 }
