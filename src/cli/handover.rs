@@ -171,10 +171,10 @@ mod tests {
             "3",
             "--vault",
             "redis://host:6379",
-            "--also",
-            "a:1=00",
-            "--also",
-            "b:2=11",
+            "--site",
+            "a:1",
+            "--site",
+            "b:2",
             "--passphrase-file",
             "/secret/place",
         ];
@@ -184,7 +184,7 @@ mod tests {
         assert!(words.iter().all(|word| !word.to_string_lossy().contains("secret")), "{words:?}");
         let line = ["authros".into(), "serve".into()].into_iter().chain(words).chain(["--detach".into()]);
         let serve = Arguments::try_parse_from(line).expect("it parses").global;
-        for setting in ["robots", "ros.domain", "chain.url", "confirmations", "vault.url", "site.also", "anchor.mode"] {
+        for setting in ["robots", "ros.domain", "chain.url", "confirmations", "vault.url", "site.address", "anchor.mode"] {
             assert_eq!(serve.setting(setting), console.setting(setting), "{setting}");
         }
         assert_eq!(serve.home.as_deref(), Some(Path::new("/srv/a home")));

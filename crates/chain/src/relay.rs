@@ -44,8 +44,6 @@ const METHODS: [&str; 24] = [
     "qbft_getValidatorsByBlockNumber",
     "web3_clientVersion",
 ];
-/// What a gateway answers itself, to those who know several: its newest block, if it knows that its chain is fresh.
-pub const NEWEST: &str = "authros_newestBlock";
 /// The longest signed transaction passed on, bytes: the limit of old geth.
 pub const LONGEST_RAW: usize = 32 * 1024;
 /// The longest error text of a node passed on, characters.
@@ -132,16 +130,6 @@ pub fn weight(method: &str) -> u32 {
     }
 }
 
-/// The number of the block that a result shows; `None` for a method whose result shows none.
-pub fn block_number(method: &str, result: &Value) -> Option<u64> {
-    let number = match method {
-        "eth_blockNumber" => result,
-        "eth_getBlockByNumber" | NEWEST => result.get("number")?,
-        _ => return None,
-    };
-    u64::from_str_radix(number.as_str()?.strip_prefix("0x")?, 16).ok()
-}
-
 /// Whether a request is passed on: its method is known, its parameters are an array, and a transaction is no longer
 /// than any of ours.
 ///
@@ -170,43 +158,6 @@ impl Chain {
 mod tests {
     use super::*;
     use serde_json::json;
-
-    #[test]
-    fn only_reading_and_raw_transactions_pass() {
-        assert!(METHODS.is_sorted());
-        for method in METHODS {
-            assert_eq!(check(method, &json!([])), Ok(()), "{method}");
-            assert_eq!(check(method, &json!({})), Err(RelayError::NotAllowed), "{method} with an object");
-        }
-        for never in [
-            "",
-            "eth_accounts",
-            "eth_newFilter",
-            "eth_sendTransaction",
-            "eth_sign",
-            "eth_subscribe",
-            "personal_unlockAccount",
-            "admin_addPeer",
-            "debug_traceTransaction",
-            "anvil_setBalance",
-            "evm_mine",
-            "miner_stop",
-            "txpool_content",
-            "ETH_CALL",
-        ] {
-            assert_eq!(check(never, &json!([])), Err(RelayError::NotAllowed), "{never}");
-        }
-        let block = json!({ "number": "0x1f", "hash": "0x00" });
-        for method in ["eth_getBlockByNumber", NEWEST] {
-            assert_eq!(block_number(method, &block), Some(31), "{method}");
-        }
-        assert_eq!(block_number("eth_blockNumber", &json!("0x10")), Some(16));
-        for (method, result) in
-            [("eth_call", block), ("eth_getBlockByNumber", Value::Null), (NEWEST, json!({"number": 5}))]
-        {
-            assert_eq!(block_number(method, &result), None, "{method}");
-        }
-    }
 
     #[test]
     fn a_raw_transaction_has_a_longest() {

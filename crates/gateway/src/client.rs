@@ -9,12 +9,12 @@ use tokio::time::timeout;
 
 use crate::crypto::record::check;
 use crate::crypto::{Anchor, SmKeyPair, TransportKey};
-use crate::model::{Countersignature, Digest, Hash, ProfileName, SignedPosition, Timestamp, Token};
+use crate::model::{Countersignature, Digest, Hash, ProfileName, SignedPosition, Timestamp, Token, clean};
 
 use super::allocation::{AllocationRequest, Applicant, apply};
 use super::command::relay::LONGEST_PARAMETERS;
 use super::command::{
-    Answer, Command, DeviceNotice, Entry, ErasedRecord, Fetched, GrantNotice, Page, Query, Registration, RelayCall,
+    Answer, Command, DeviceNotice, Entry, ErasedRecord, Erasure, ErasureOutcome, Fetched, GrantNotice, Page, Query, Registration, RelayCall,
     Relayed, Request, RevokeNotice, Selection, Standing, Upload,
 };
 use super::error::GatewayError;
@@ -28,13 +28,12 @@ use super::system_keys::SystemKeyList;
 use super::trust::Trust;
 
 mod exchange;
-mod fleet;
 
-/// A gateway's address, and how to talk to it.
+/// A gateway's addresses, and how to talk to it.
 #[derive(Clone)]
 pub struct Endpoint {
-    /// Host and port.
-    pub address: String,
+    /// Host and port each; the first that answers is used.
+    pub addresses: Vec<String>,
     /// The network, and the crypto provider.
     pub context: Context,
     /// How long to wait for an answer.
@@ -55,6 +54,7 @@ pub struct Credentials {
 /// A session with a gateway.
 pub struct Client {
     line: Line,
+    address: String,
     endpoint: Endpoint,
     agreed: Agreed,
     session: Session,
@@ -102,11 +102,26 @@ impl Client {
         who: exchange::Who<'_>,
         token: Token,
     ) -> Result<Self, GatewayError> {
-        let (line, agreed, session) = timeout(endpoint.patience, exchange::hello(endpoint, trust, who))
-            .await
-            .map_err(|_| GatewayError::TimedOut)??;
-        Ok(Self {
+        let mut failed = Vec::new();
+        for address in &endpoint.addresses {
+            let hello = timeout(endpoint.patience, exchange::hello(endpoint, address, trust, who)).await;
+            match hello.unwrap_or(Err(GatewayError::TimedOut)) {
+                Ok(said) => return Ok(Self::begin(endpoint, address, said, token)),
+                Err(error) => failed.push((clean(address, 240), error)),
+            }
+        }
+        Err(GatewayError::of_addresses(failed))
+    }
+
+    fn begin(
+        endpoint: &Endpoint,
+        address: &str,
+        (line, agreed, session): (Line, Agreed, Session),
+        token: Token,
+    ) -> Self {
+        Self {
             line,
+            address: address.to_owned(),
             endpoint: endpoint.clone(),
             agreed,
             session,
@@ -114,7 +129,7 @@ impl Client {
             requests: 0,
             assembler: Assembler::new(),
             waiting: VecDeque::new(),
-        })
+        }
     }
 
     /// Allocates a transport key: binds N to the account and gives K_T to the gateway. The receipt proves it.
@@ -216,6 +231,11 @@ impl Client {
         }
     }
 
+    /// The address at which the gateway answered.
+    pub fn address(&self) -> &str {
+        &self.address
+    }
+
     /// The terms agreed with the gateway.
     pub fn agreed(&self) -> &Agreed {
         &self.agreed
@@ -299,6 +319,19 @@ impl Client {
                 Ok(*signed)
             }
             _ => Err(GatewayError::Unexpected("no signed standings")),
+        }
+    }
+
+    /// Has the gateway erase its copies of records that the session's owner had erased, at most 64; returns what becomes of
+    /// each, by its word.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn erase(&mut self, erasures: Vec<Erasure>) -> Result<Vec<ErasureOutcome>, GatewayError> {
+        let count = erasures.len();
+        match self.ask(&Request::Erase(erasures)).await? {
+            Answer::Erased(outcomes) if outcomes.len() == count => Ok(outcomes),
+            _ => Err(GatewayError::Unexpected("an outcome for each erasure is missing")),
         }
     }
 

@@ -28,7 +28,6 @@ const GROUPS: &[(&str, &str)] = &[
     ("of_incident", "incident"),
     ("of_witness", "witness"),
     ("of_robot", "robot"),
-    ("of_fleet", "fleet"),
     ("of_unattended", "unattended"),
     ("of_operator", "operator"),
 ];
@@ -49,7 +48,6 @@ const LOOK: &[&str] = &[
     "show_upload",
     "list_grants",
     "list_shared",
-    "compare_gateways",
     "check_shared",
     "list_devices",
     "compare_fingerprint",
@@ -71,8 +69,6 @@ const LOOK: &[&str] = &[
     "of_witness witness_status",
     "of_robot list_robots",
     "of_robot show_robot",
-    "of_fleet list_fellows",
-    "of_fleet fleet_status",
     "of_operator list_operators",
 ];
 const CAPTURE: &[&str] = &[

@@ -27,7 +27,6 @@ fn rows_come(robot: &mut Robot, answer: &Result<u64, Failure>) {
         let page = |seq: &u64| RecordPage {
             records: vec![fixtures::record(*seq, "verified")],
             next: None,
-            arriving: Vec::new(),
         };
         let result = answer.as_ref().map(|seq| Reply::Records(page(seq))).map_err(Clone::clone);
         robot.act(Action::Answered { tag, result: Box::new(result) });

@@ -15,7 +15,7 @@ const POLICY: &str = "[ring]\nkeep = \"5m, 64MiB\"\ntopics = [\"/camera/**\"]\n[
 
 fn at_the_robots() -> Robot {
     let mut robot = Robot::at_work(true);
-    robots::shows(&mut robot, Vec::new(), robots::robots());
+    robots::at_the_gateway(&mut robot);
     robot
 }
 
@@ -226,7 +226,7 @@ fn a_file_that_is_read_after_the_form_was_left_changes_nothing() {
 #[test]
 fn of_two_robots_of_one_name_the_device_says_which_one() {
     let mut robot = Robot::at_work(true);
-    robots::shows(&mut robot, Vec::new(), vec![robots::robot("twin", 0x21), robots::robot("twin", 0x22)]);
+    robots::shows(&mut robot, vec![robots::robot("twin", 0x21), robots::robot("twin", 0x22)]);
     robot.types("/22222222");
     robot.presses(Key::Enter);
     robot.presses(Key::Enter);

@@ -159,7 +159,7 @@ pub static VERBS: &[Entry] = &[
         "inspect",
         "details",
         &[Key::Enter],
-        "A gateway of the fleet or a robot: state, policy, drift",
+        "A robot: state, policy, drift",
     )
     .on(GATEWAY),
     entry(
@@ -171,12 +171,6 @@ pub static VERBS: &[Entry] = &[
     )
     .on(GATEWAY)
     .changing(),
-    entry(Verb::AddGateway, "fleet-add", "add gateway", &[Key::Char('a')], "Name another gateway of the fleet")
-        .on(GATEWAY)
-        .changing(),
-    entry(Verb::RemoveGateway, "fleet-remove", "remove", &[Key::Char('x')], "Remove a gateway from the fleet")
-        .on(GATEWAY)
-        .changing(),
     entry(Verb::Level, "log-level", "level", &[Key::Char('l')], "All lines, warnings and errors, or errors only")
         .on(&[Screen::Log]),
     entry(Verb::Read, "read-line", "whole line", &[Key::Enter], "The whole line, wrapped").on(&[Screen::Log]),
