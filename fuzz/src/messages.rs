@@ -4,7 +4,7 @@ use authros::crypto::{AccountSignature, ErasedStatement};
 use authros::gateway::allocation::AllocationRequest;
 use authros::gateway::command::{Inner, Part};
 use authros::gateway::{
-    Answer, Code, Command, Entry, ErasedRecord, Erasure, ErasureOutcome, Fetched, GrantNotice, Page, Query, Receipt,
+    Answer, Code, Command, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query, Receipt,
     Registration, RelayCall, Request, RevokeNotice, Selection, Standing, Upload,
 };
 use authros::model::{
@@ -12,12 +12,12 @@ use authros::model::{
     Token, TopicId,
 };
 
-fn erasure() -> Erasure {
+fn erasure() -> ErasureNotice {
     let (signer, signature) = (PublicKey([1; 64]), Signature([2; 64]));
     let record = Fetched { signer, signature, proof: vec![3; 10], blob: vec![4; 20] };
     let statement = ErasedStatement { report: Digest([5; 32]), at: Timestamp(6), signer, signature };
     let left = ErasedRecord { record, statement };
-    Erasure { digest: Digest([7; 32]), account_signature: AccountSignature([8; 65]), left }
+    ErasureNotice { digest: Digest([7; 32]), account_signature: AccountSignature([8; 65]), left }
 }
 
 fn selection() -> Selection {

@@ -160,6 +160,33 @@ mod tests {
     use serde_json::json;
 
     #[test]
+    fn only_reading_and_raw_transactions_pass() {
+        assert!(METHODS.is_sorted());
+        for method in METHODS {
+            assert_eq!(check(method, &json!([])), Ok(()), "{method}");
+            assert_eq!(check(method, &json!({})), Err(RelayError::NotAllowed), "{method} with an object");
+        }
+        for never in [
+            "",
+            "eth_accounts",
+            "eth_newFilter",
+            "eth_sendTransaction",
+            "eth_sign",
+            "eth_subscribe",
+            "personal_unlockAccount",
+            "admin_addPeer",
+            "debug_traceTransaction",
+            "anvil_setBalance",
+            "evm_mine",
+            "miner_stop",
+            "txpool_content",
+            "ETH_CALL",
+        ] {
+            assert_eq!(check(never, &json!([])), Err(RelayError::NotAllowed), "{never}");
+        }
+    }
+
+    #[test]
     fn a_raw_transaction_has_a_longest() {
         let raw = |bytes: usize| json!([format!("0x{}", "00".repeat(bytes))]);
         assert_eq!(check("eth_sendRawTransaction", &raw(LONGEST_RAW)), Ok(()));

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use directories::ProjectDirs;
 
-use crate::model::bytes::hex;
 use crate::model::{ErrorKind, ProfileName};
 
 /// The name of our folder inside each of the user's folders.

@@ -8,11 +8,12 @@ use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
 
 use crate::model::wire::{Reader, WireError, put_text};
-use crate::model::{Address, Domain, PublicKey, Timestamp, Token, TopicId};
+use crate::model::{Address, Domain, PublicKey, SignerId, Timestamp, Token, TopicId};
 
 use super::error::shown;
 use super::private_file::read_private;
 use super::sm3::sm3;
+use super::{GatewayAccess, TransportKey};
 use super::{
     CryptoError, Enrolment, EoaSecret, EpochIssue, IssuedKeys, ProviderName, SealingKey, SmKeyPair, SmSecret, TopicKey,
     provider,
@@ -101,7 +102,11 @@ impl UnattendedCredential {
         let enrolment = Enrolment {
             domain,
             chain_id,
-            gateways: Vec::new(),
+            gateway: GatewayAccess {
+                addresses: Vec::new(),
+                fingerprint: SignerId([0; 32]),
+                transport: TransportKey::new([0; 32]),
+            },
             name,
             owner,
             owner_key,
@@ -151,7 +156,11 @@ mod tests {
         let enrolment = Enrolment {
             domain: Domain([1; 32]),
             chain_id: 77,
-            gateways: Vec::new(),
+            gateway: GatewayAccess {
+                addresses: Vec::new(),
+                fingerprint: SignerId([0; 32]),
+                transport: TransportKey::new([0; 32]),
+            },
             name: "alice".parse().expect("a name"),
             owner: Address([3; 20]),
             owner_key: PublicKey([4; 64]),

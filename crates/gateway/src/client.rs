@@ -14,7 +14,7 @@ use crate::model::{Countersignature, Digest, Hash, ProfileName, SignedPosition, 
 use super::allocation::{AllocationRequest, Applicant, apply};
 use super::command::relay::LONGEST_PARAMETERS;
 use super::command::{
-    Answer, Command, DeviceNotice, Entry, ErasedRecord, Erasure, ErasureOutcome, Fetched, GrantNotice, Page, Query, Registration, RelayCall,
+    Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query, Registration, RelayCall,
     Relayed, Request, RevokeNotice, Selection, Standing, Upload,
 };
 use super::error::GatewayError;
@@ -55,6 +55,7 @@ pub struct Credentials {
 pub struct Client {
     line: Line,
     address: String,
+    passed_over: Vec<(String, GatewayError)>,
     endpoint: Endpoint,
     agreed: Agreed,
     session: Session,
@@ -106,30 +107,24 @@ impl Client {
         for address in &endpoint.addresses {
             let hello = timeout(endpoint.patience, exchange::hello(endpoint, address, trust, who)).await;
             match hello.unwrap_or(Err(GatewayError::TimedOut)) {
-                Ok(said) => return Ok(Self::begin(endpoint, address, said, token)),
+                Ok((line, agreed, session)) => {
+                    return Ok(Self {
+                        line,
+                        address: address.clone(),
+                        passed_over: failed,
+                        endpoint: endpoint.clone(),
+                        agreed,
+                        session,
+                        token,
+                        requests: 0,
+                        assembler: Assembler::new(),
+                        waiting: VecDeque::new(),
+                    });
+                }
                 Err(error) => failed.push((clean(address, 240), error)),
             }
         }
         Err(GatewayError::of_addresses(failed))
-    }
-
-    fn begin(
-        endpoint: &Endpoint,
-        address: &str,
-        (line, agreed, session): (Line, Agreed, Session),
-        token: Token,
-    ) -> Self {
-        Self {
-            line,
-            address: address.to_owned(),
-            endpoint: endpoint.clone(),
-            agreed,
-            session,
-            token,
-            requests: 0,
-            assembler: Assembler::new(),
-            waiting: VecDeque::new(),
-        }
     }
 
     /// Allocates a transport key: binds N to the account and gives K_T to the gateway. The receipt proves it.
@@ -183,12 +178,21 @@ impl Client {
         }
     }
 
-    /// Asks an address which network it is on. Nothing is proven yet; the hello on that network proves it.
+    /// Asks the first of these addresses that answers which network it is on. Nothing is proven yet; the hello on that
+    /// network proves it.
     ///
     /// # Errors
     /// [`GatewayError`].
-    pub async fn inquire(address: &str, patience: Duration) -> Result<NetworkName, GatewayError> {
-        timeout(patience, exchange::inquire(address, patience)).await.map_err(|_| GatewayError::TimedOut)?
+    pub async fn inquire(addresses: &[String], patience: Duration) -> Result<NetworkName, GatewayError> {
+        let mut failed = Vec::new();
+        for address in addresses {
+            let named = timeout(patience, exchange::inquire(address, patience)).await;
+            match named.unwrap_or(Err(GatewayError::TimedOut)) {
+                Ok(named) => return Ok(named),
+                Err(error) => failed.push((clean(address, 240), error)),
+            }
+        }
+        Err(GatewayError::of_addresses(failed))
     }
 
     /// Connects without a transport key, to read the chain through the gateway. `name` is only for the gateway's log.
@@ -234,6 +238,11 @@ impl Client {
     /// The address at which the gateway answered.
     pub fn address(&self) -> &str {
         &self.address
+    }
+
+    /// The addresses that were tried before that one, cleaned, and why they cannot be used.
+    pub fn passed_over(&self) -> &[(String, GatewayError)] {
+        &self.passed_over
     }
 
     /// The terms agreed with the gateway.
@@ -327,7 +336,7 @@ impl Client {
     ///
     /// # Errors
     /// [`GatewayError`].
-    pub async fn erase(&mut self, erasures: Vec<Erasure>) -> Result<Vec<ErasureOutcome>, GatewayError> {
+    pub async fn erase(&mut self, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, GatewayError> {
         let count = erasures.len();
         match self.ask(&Request::Erase(erasures)).await? {
             Answer::Erased(outcomes) if outcomes.len() == count => Ok(outcomes),

@@ -16,7 +16,7 @@ pub mod request;
 
 pub use answer::{Answer, Fetched, Standing};
 pub use erased::ErasedRecord;
-pub use erasure::{Erasure, ErasureOutcome};
+pub use erasure::{ErasureNotice, ErasureOutcome};
 pub use query::{Entry, Page, Query, Selection};
 pub use relay::{RelayCall, Relayed};
 pub use request::{DeviceNotice, GrantNotice, Registration, Request, RevokeNotice, Upload};

@@ -16,7 +16,7 @@ use crate::model::{
 
 use super::code::{Code, Refusal};
 use super::command::{
-    DeviceNotice, Entry, ErasedRecord, Erasure, ErasureOutcome, Fetched, GrantNotice, Page, Query, Registration,
+    DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query, Registration,
     RevokeNotice, Selection, Standing,
 };
 use super::hello::NetworkName;
@@ -192,7 +192,7 @@ pub trait Desk: Send + Sync + 'static {
 
     /// Erases here what the caller had erased at home; returns what becomes of each record, in order. `NotAuthorised` if one
     /// of them is somebody else's.
-    async fn erase(&self, caller: &Caller, erasures: Vec<Erasure>) -> Result<Vec<ErasureOutcome>, Refusal> {
+    async fn erase(&self, caller: &Caller, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, Refusal> {
         let _ = erasures;
         Err(Refusal::new(Code::NotHere, format_args!("nothing of {} is kept here", caller.account)))
     }

@@ -119,10 +119,10 @@ impl GatewayError {
     }
 
     /// Why each address of a gateway failed.
-    pub(super) fn of_addresses(mut failed: Vec<(String, Self)>) -> Self {
-        match failed.pop() {
-            Some((_, only)) if failed.is_empty() => only,
-            last => Self::Nowhere(failed.into_iter().chain(last).collect()),
+    pub(super) fn of_addresses(failed: Vec<(String, Self)>) -> Self {
+        match <[_; 1]>::try_from(failed) {
+            Ok([(_, only)]) => only,
+            Err(failed) => Self::Nowhere(failed),
         }
     }
 

@@ -37,7 +37,7 @@ pub use chain_line::ChainLine;
 pub use client::{Client, Credentials, Endpoint};
 pub use code::{Code, Refusal};
 pub use command::{
-    Answer, Command, DeviceNotice, Entry, ErasedRecord, Erasure, ErasureOutcome, Fetched, GrantNotice, Page, Query,
+    Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query,
     Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, Upload,
 };
 pub use desk::{Account, Binding, BoundDevice, Caller, Desk, Received};

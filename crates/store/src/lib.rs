@@ -26,10 +26,10 @@ pub use files::{ConsoleLock, SiteLock, atomic_write};
 pub use ledger::{
     AlarmRow, Anchors, AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, BatchPlace, Coverage, CoveragePart,
     CoverageQuery, EarlierAnchor, Erasure, ErasurePage, FilterChoice, Foreign, GapRow, Glance, HashedNode, HeldMinute,
-    HeldNumbers, HeldQuery, HeldRecord, HeldRow, Hold, HoldingPage, HoldingRow, IncidentNote, IncidentRow,
+    HeldQuery, HeldRow, Hold, IncidentNote, IncidentRow,
     IncidentSpan, KeptBinding, KeptContradiction, KeptEnvelope, KeptErasure, KeptPosition, KeptProof, KeptReceipt,
-    KeptRight, KeptStamp, KeptStanding, KeptTopic, Lacking, LaneCount, LastSeen, Ledger, Left, Loss, NewBatch,
-    NewRecord, NewTransaction, OldRecord, OpenTransaction, OverduePlace, PinRow, PlacedPage, PositionCounts,
+    KeptRight, KeptStamp, KeptStanding, KeptTopic, LaneCount, LastSeen, Ledger, Left, Loss, NewBatch,
+    NewRecord, NewTransaction, OldRecord, OpenTransaction, PinRow, PositionCounts,
     ProofCounts, RecordPage, RecordQuery, RecordRow, RecordsHeld, Reissue, Retained, RightEvent, RightKind,
     RootSighting, Sequence, Sighting, SignerTopic, SpanCoverage, StampCounts, StandingRights, StateCounts,
     StatedErasure, TakenErased, ToldErased, TopicCounts, TransactionOutcome, TransactionRow, TransactionState,

@@ -16,7 +16,7 @@ const LONGEST_ERASURE: usize = 4096;
 /// A record that its owner had erased: digest (32) || account's signature (65) || what is left of it, as an answer to
 /// Fetch.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Erasure {
+pub struct ErasureNotice {
     /// D, which nobody can compute any more.
     pub digest: Digest,
     /// The owner's EOA signature over the same as the statement.
@@ -25,7 +25,7 @@ pub struct Erasure {
     pub left: ErasedRecord,
 }
 
-impl Erasure {
+impl ErasureNotice {
     /// Whether its header names this owner.
     pub fn is_of(&self, owner: Address) -> bool {
         Header::parse(&self.left.record.blob).is_ok_and(|(header, _)| header.owner == owner)
@@ -45,7 +45,7 @@ impl Erasure {
 }
 
 /// Count (2) || length (4) and erasure each; what is too much is cut.
-pub(super) fn encode_erasures(erasures: &[Erasure]) -> Vec<u8> {
+pub(super) fn encode_erasures(erasures: &[ErasureNotice]) -> Vec<u8> {
     let erasures = &erasures[..erasures.len().min(MOST_ERASURES)];
     let mut out = u16::try_from(erasures.len()).unwrap_or(0).to_be_bytes().to_vec();
     for one in erasures {
@@ -56,7 +56,7 @@ pub(super) fn encode_erasures(erasures: &[Erasure]) -> Vec<u8> {
     out
 }
 
-pub(super) fn read_erasures(reader: &mut Reader<'_>) -> Result<Vec<Erasure>, WireError> {
+pub(super) fn read_erasures(reader: &mut Reader<'_>) -> Result<Vec<ErasureNotice>, WireError> {
     let count = usize::from(reader.u16("erasure count")?);
     if !(1..=MOST_ERASURES).contains(&count) {
         return Err(WireError::Value("erasure count"));
@@ -68,7 +68,7 @@ pub(super) fn read_erasures(reader: &mut Reader<'_>) -> Result<Vec<Erasure>, Wir
             return Err(WireError::Value("erasure length"));
         }
         let mut one = Reader::new(reader.take(length, "erasure")?);
-        erasures.push(Erasure::read(&mut one)?);
+        erasures.push(ErasureNotice::read(&mut one)?);
         one.end()?;
     }
     Ok(erasures)
@@ -115,12 +115,12 @@ mod tests {
     use crate::gateway::{Answer, Command, Request};
     use crate::model::{PublicKey, Signature, Timestamp};
 
-    fn erasure() -> Erasure {
+    fn erasure() -> ErasureNotice {
         let (signer, signature) = (PublicKey([1; 64]), Signature([2; 64]));
         let record = Fetched { signer, signature, proof: vec![3; 9], blob: vec![4; 300] };
         let statement = ErasedStatement { report: Digest([5; 32]), at: Timestamp(6), signer, signature };
         let account_signature = AccountSignature([7; 65]);
-        Erasure { digest: Digest([8; 32]), account_signature, left: ErasedRecord { record, statement } }
+        ErasureNotice { digest: Digest([8; 32]), account_signature, left: ErasedRecord { record, statement } }
     }
 
     fn parse(body: &[u8]) -> Result<Request, WireError> {

@@ -5,7 +5,7 @@ use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, SignedPosition, Token, TopicId};
 
 use super::Command;
-use super::erasure::{Erasure, encode_erasures, read_erasures};
+use super::erasure::{ErasureNotice, encode_erasures, read_erasures};
 use super::query::{Query, Selection};
 use super::relay::RelayCall;
 use crate::gateway::allocation::AllocationRequest;
@@ -141,7 +141,7 @@ pub enum Request {
     /// What an owner states, signed by it, for a countersignature.
     Countersign(Box<SignedPosition>),
     /// Records that the session's owner had erased: count (2), then length (4) and erasure each.
-    Erase(Vec<Erasure>),
+    Erase(Vec<ErasureNotice>),
 }
 
 impl Request {

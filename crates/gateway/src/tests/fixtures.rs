@@ -8,7 +8,7 @@ use authros_crypto::{
 };
 use authros_gateway::allocation::{AllocationRequest, Applicant};
 use authros_gateway::command::{
-    Answer, Command, Entry, ErasedRecord, Erasure, ErasureOutcome, Fetched, GrantNotice, Page, Query, Registration,
+    Answer, Command, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query, Registration,
     RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, Upload,
 };
 use authros_gateway::hello::{ClientHello, Context, GatewayHello, ListSummary, NetworkName};
@@ -17,7 +17,7 @@ use authros_gateway::{Code, Receipt};
 use authros_model::head::Compression;
 use authros_model::{
     Address, Countersignature, Digest, Domain, FilterId, Hash, Head, Identity, Position, ProfileName, PublicKey,
-    Ranges, RecordKind, RecorderId, Signature, SignedPosition, SignerId, Timestamp, Token, TopicId,
+    RecordKind, RecorderId, Signature, SignedPosition, SignerId, Timestamp, Token, TopicId,
 };
 
 pub(crate) fn context() -> Context {
@@ -205,12 +205,12 @@ pub(crate) fn countersigned(stated: &SignedPosition) -> Countersignature {
 }
 
 /// A record that was erased.
-pub(crate) fn erasure() -> Erasure {
+pub(crate) fn erasure() -> ErasureNotice {
     let (signer, signature) = (PublicKey([1; 64]), Signature([2; 64]));
     let record = Fetched { signer, signature, proof: vec![3; 40], blob: vec![4; 99] };
     let statement = ErasedStatement { report: Digest([5; 32]), at: Timestamp(6), signer, signature };
     let left = ErasedRecord { record, statement };
-    Erasure { digest: Digest([7; 32]), account_signature: AccountSignature([8; 65]), left }
+    ErasureNotice { digest: Digest([7; 32]), account_signature: AccountSignature([8; 65]), left }
 }
 
 /// One answer of each shape.

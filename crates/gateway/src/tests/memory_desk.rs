@@ -13,7 +13,7 @@ use authros_chain::merkle::{Inclusion, Leaf};
 use authros_chain::{AnchorProof, RelayError};
 use authros_crypto::{SmKeyPair, signer_id};
 use authros_gateway::command::{
-    DeviceNotice, Entry, Erasure, ErasureOutcome, Fetched, GrantNotice, Page, Query, Registration, RevokeNotice,
+    DeviceNotice, Entry, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query, Registration, RevokeNotice,
     Selection, Standing,
 };
 use authros_gateway::desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
@@ -309,7 +309,7 @@ impl Desk for MemoryDesk {
         }
     }
 
-    async fn erase(&self, _: &Caller, erasures: Vec<Erasure>) -> Result<Vec<ErasureOutcome>, Refusal> {
+    async fn erase(&self, _: &Caller, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, Refusal> {
         self.state().changes += 1;
         Ok(vec![ErasureOutcome::Taken; erasures.len()])
     }

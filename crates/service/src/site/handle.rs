@@ -150,9 +150,9 @@ impl Site {
             Command::AddDeviceTopics { device, topics } => {
                 self.devices.add_topics(&owner()?, &device, &topics).await.map(ask::AddDeviceTopics::told)
             }
-            Command::AddDeviceGateway { device, address, key } => {
-                let added = self.devices.add_gateway(&owner()?, &device, (address, key)).await;
-                added.map(ask::AddDeviceGateway::told)
+            Command::AddDeviceAddress { device, address } => {
+                let added = self.devices.add_address(&owner()?, &device, address).await;
+                added.map(ask::AddDeviceAddress::told)
             }
             Command::EnrolDevice(wishes) => self.devices.enrol(&owner()?, wishes).await.map(ask::EnrolDevice::told),
             Command::ListDevices => self.devices.rows(&owner()?).await.map(ask::ListDevices::told),

@@ -58,7 +58,6 @@ impl Site {
         health.extend(self.stamps.health()?);
         health.extend(self.chain_proofs.health()?);
         health.extend(self.witnesses.health()?);
-        health.extend(self.gateway.fleet_health()?);
         health.extend(self.account_health()?);
         health.extend(self.unattended.health()?);
         Ok(health)

@@ -7,6 +7,7 @@ use tokio::task::block_in_place;
 
 use super::{Noted, Unattended, settling};
 use crate::crypto::{
+    GatewayAccess, TransportKey,
     Enrolment, SmKeyPair, UnattendedCredential, notice_key, notice_topic, signer_id, unattended_secret,
 };
 use crate::model::{Address, ErrorKind, ProfileName, SignerId, Timestamp, TopicName};
@@ -97,13 +98,17 @@ impl Unattended {
             version: Enrolment::NEWEST,
             ended: false,
             key: Some(device.public),
-            gateways: Vec::new(),
+            gateway: None,
         };
         let keys = self.enrolments.issue(owner, network, &enrolled)?;
         let enrolment = Enrolment {
             domain,
             chain_id: network.chain.chain_id(),
-            gateways: Vec::new(),
+            gateway: GatewayAccess {
+                addresses: Vec::new(),
+                fingerprint: SignerId([0; 32]),
+                transport: TransportKey::new([0; 32]),
+            },
             name: owner.profile.clone(),
             owner: owner.address,
             owner_key: owner.public_keys().0,

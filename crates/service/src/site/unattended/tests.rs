@@ -60,7 +60,7 @@ async fn a_credential_covers_watched_topics_and_there_is_one_at_a_time() {
     let credential = prepare(&site, &alice, &["/odom"]).await.expect("made");
     let enrolment = &credential.enrolment;
     assert_eq!((enrolment.owner, enrolment.owner_key), (alice.address, alice.public_keys().0));
-    assert!(enrolment.index.is_none() && enrolment.gateways.is_empty());
+    assert!(enrolment.index.is_none() && enrolment.gateway.addresses.is_empty());
     let rows = site.devices.rows(&alice).await.expect("rows");
     assert_eq!(rows.iter().map(|row| (row.device, &*row.state)).collect::<Vec<_>>(), [(enrolment.device_id(), "lent")]);
     assert_eq!(until(&site, UnattendedState::Prepared).await.account, credential.witness.address());

@@ -116,9 +116,9 @@ impl Witnesses {
     /// A visit at the witness's gateway, on whichever network that is.
     async fn connect(&self, row: &WitnessRow) -> Result<Client, GatewayError> {
         let address = row.address.clone().unwrap_or_default();
-        let named = Client::inquire(&address, PATIENCE).await?;
+        let named = Client::inquire(std::slice::from_ref(&address), PATIENCE).await?;
         let context = Context { provider: self.plant.provider, domain: named.domain() };
-        let endpoint = Endpoint { address, context, patience: PATIENCE };
+        let endpoint = Endpoint { addresses: vec![address], context, patience: PATIENCE };
         let visitor = "witnessed".parse().map_err(|_| GatewayError::Unexpected("no name of a visitor"))?;
         Client::visit(&endpoint, &mut Trust::pinned(row.key), &visitor).await
     }
