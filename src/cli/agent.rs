@@ -9,7 +9,7 @@ use super::args::{AgentVerb, EnrolArguments, Global, RunArguments};
 use super::connect::{Context, ProfileNeed};
 use super::{parse, passphrase};
 use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, private_file};
-use crate::model::{ByteSize, ErrorKind, SignerId};
+use crate::model::{ByteSize, ErrorKind};
 use crate::service::command::EnrolDevice;
 use crate::service::{Agent, AgentEnd, AgentFigures, AgentWishes, EnrolWishes, Failure, Needs, SecretText, Site};
 use crate::store::TopicCounts;

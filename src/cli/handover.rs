@@ -121,7 +121,6 @@ fn words(global: &Global, home: &Home, profile: &ProfileName) -> Vec<OsString> {
         site,
         gateway_key,
         trust_first,
-        also,
         anchor_mode,
     } = global;
     let log = log.to_possible_value().map(|value| value.get_name().to_owned());
@@ -140,14 +139,13 @@ fn words(global: &Global, home: &Home, profile: &ProfileName) -> Vec<OsString> {
         ("--robots-by", robots_by),
         ("--confirmations", confirmations),
         ("--crypto-provider", crypto_provider),
-        ("--site", site),
         ("--gateway-key", gateway_key),
         ("--anchor-mode", anchor_mode),
     ];
     for (flag, value) in valued {
         words.extend(value.as_ref().map(|value| OsString::from(format!("{flag}={value}"))));
     }
-    words.extend(also.iter().map(|value| OsString::from(format!("--also={value}"))));
+    words.extend(site.iter().map(|value| OsString::from(format!("--site={value}"))));
     words
 }
 

@@ -8,7 +8,7 @@ use clap::Parser as _;
 use crate::app::incidents::Deed;
 use crate::app::{Errand, Settings, State, Tag, command_line};
 use crate::cli::args::Arguments;
-use crate::model::{Address, IncidentName, Party, SignerId, Timestamp, TopicName};
+use crate::model::{Address, IncidentName, Party, Timestamp, TopicName};
 use crate::service::command::{
     Administration, CloseIncident, EndUnattended, Held, NoteIncident, OpenIncident, Pace, PlayWishes,
     PrepareUnattended, RemoveIncident, SetRobotPolicy, ShowRobot,

@@ -117,11 +117,10 @@ fn draw_hints(canvas: &mut Canvas, area: Rect, hints: &[(&str, &str)]) {
 }
 
 /// The verbs of the bar, most used first.
-const BY_USE: [Verb; 18] = [
+const BY_USE: [Verb; 16] = [
     Verb::Watch,
     Verb::Details,
     Verb::Inspect,
-    Verb::RemoveGateway,
     Verb::SetPolicy,
     Verb::Open,
     Verb::Grant,

@@ -9,7 +9,6 @@ use super::topics::watched;
 use super::words::{count, kilobytes, moment, rate, size, wrap};
 use super::{bottom, graph, policies};
 use crate::app::popup::Lookup;
-use crate::app::screens::gateway::Row;
 use crate::app::screens::grants::{end, is_active, is_given, scope, soon};
 use crate::app::screens::log::level_word;
 use crate::app::screens::records::Records;

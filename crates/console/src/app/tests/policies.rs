@@ -79,17 +79,17 @@ fn the_list_is_filtered_and_sorted_by_policy() {
     let mut robot = at_the_robots();
     robot.types("/drift");
     robot.presses(Key::Enter);
-    let names: Vec<String> = robot.state.gateway.shown().1.iter().map(|row| row.name()).collect();
+    let names: Vec<String> = robot.state.gateway.shown().iter().map(|row| row.name()).collect();
     assert_eq!(names, ["rover", "scout", "tug"]);
     robot.types("/refused");
     robot.presses(Key::Enter);
     assert_eq!(robot.state.row_keys(), ["scout 03030303"], "it has no session here: its device tells it apart");
     robot.presses(Key::Escape);
     robot.types("sss");
-    let names: Vec<String> = robot.state.gateway.shown().1.iter().map(|row| row.name()).collect();
+    let names: Vec<String> = robot.state.gateway.shown().iter().map(|row| row.name()).collect();
     assert_eq!(names, ["scout", "tug", "rover", "robot1", "whale", "robot2"], "the worst first");
     robot.types("S");
-    assert_eq!(robot.state.gateway.shown().1[0].name(), "robot2");
+    assert_eq!(robot.state.gateway.shown()[0].name(), "robot2");
 }
 
 #[test]

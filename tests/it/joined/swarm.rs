@@ -1,5 +1,5 @@
 //! Light clients: each a session of the gateway's protocol with a name, a topic and a network address of its own, all in
-//! the test's process. Each goes on with a record until some gateway has signed for it.
+//! the test's process. Each goes on with a record until the gateway has signed for it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::{IpAddr, Ipv4Addr};
@@ -19,9 +19,9 @@ use super::Gateway;
 use super::support::member::Member as Keys;
 use super::support::wait_until;
 
-/// How long a gateway may take to answer a client that knows others.
+/// How long the gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Before the next gateway is tried; it doubles up to the longest, as robots' pauses do.
+/// Before it is tried again; the pause doubles up to the longest, as robots' pauses do.
 const PAUSES: [Duration; 2] = [Duration::from_millis(50), Duration::from_secs(2)];
 /// How many clients are enrolled at once.
 const ENROLLING: usize = 16;
@@ -38,7 +38,7 @@ struct Place {
 /// What is shared by all clients.
 struct Scene {
     keys: Keys,
-    places: Vec<Place>,
+    place: Place,
     ending: AtomicBool,
     acknowledged: AtomicU64,
     /// Turns for those that are enrolled at once.
@@ -50,8 +50,8 @@ struct Scene {
 pub(super) struct Brought {
     /// Records with a receipt.
     pub acknowledged: BTreeSet<Digest>,
-    /// From the request that failed to the receipt of another gateway.
-    pub failovers: Vec<Duration>,
+    /// From a request that failed to the receipt.
+    pub outages: Vec<Duration>,
 }
 
 /// How much each client brings at a time, and the time between.
@@ -64,13 +64,7 @@ pub(super) struct Load {
 }
 
 /// A gateway's list.
-pub(super) type Lists = BTreeMap<Digest, Standing>;
-
-/// Whether each gateway has verified all of these.
-pub(super) fn all_verified(lists: &[Lists], acknowledged: &BTreeSet<Digest>) -> bool {
-    let verified = |digest| lists.iter().all(|list| list.get(digest) == Some(&Standing::Verified));
-    acknowledged.iter().all(verified)
-}
+pub(super) type List = BTreeMap<Digest, Standing>;
 
 /// Clients of one owner that bring records until they are told to end.
 pub(super) struct Swarm {
@@ -83,7 +77,7 @@ pub(super) struct Swarm {
 impl Place {
     fn of(gateway: &Gateway, keys: &Keys) -> Self {
         let context = Context { provider: keys.provider(), domain: keys.domain };
-        let endpoint = Endpoint { address: gateway.address(), context, patience: PATIENCE };
+        let endpoint = Endpoint { addresses: vec![gateway.address()], context, patience: PATIENCE };
         Self { endpoint, key: gateway.key.parse().expect("a key") }
     }
 
@@ -108,14 +102,14 @@ fn source(number: u16) -> IpAddr {
 }
 
 impl Swarm {
-    /// Each client is known to all gateways, and at home at one of them, in turn.
-    pub fn start(keys: Keys, gateways: &[&Gateway], load: Load) -> Self {
+    /// Clients that the gateway knows.
+    pub fn start(keys: Keys, gateway: &Gateway, load: Load) -> Self {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
         let runtime = runtime.expect("a runtime");
-        let places = gateways.iter().map(|gateway| Place::of(gateway, &keys)).collect();
+        let place = Place::of(gateway, &keys);
         let (ending, acknowledged) = (AtomicBool::new(false), AtomicU64::new(0));
         let enrolling = Semaphore::new(ENROLLING);
-        let scene = Arc::new(Scene { keys, places, ending, acknowledged, enrolling });
+        let scene = Arc::new(Scene { keys, place, ending, acknowledged, enrolling });
         let clients = (1..=load.clients).map(|number| runtime.spawn(client(Arc::clone(&scene), number, load)));
         let clients = clients.collect();
         Self { scene, clients, runtime }
@@ -133,38 +127,31 @@ impl Swarm {
         for client in self.clients.drain(..) {
             let brought = self.runtime.block_on(client).expect("the client went on");
             all.acknowledged.extend(brought.acknowledged);
-            all.failovers.extend(brought.failovers);
+            all.outages.extend(brought.outages);
         }
-        all.failovers.sort();
+        all.outages.sort();
         all
     }
 
-    /// What each gateway lists to the owner, with its standing, once that passes the test. The same record twice, or two with
-    /// one number, fail it at once.
-    pub fn listed(&self, seconds: u64, what: &str, test: impl Fn(&[Lists]) -> bool) -> Vec<Lists> {
+    /// What the gateway lists to the owner, with its standing, once that passes the test. The same record twice, or two with
+    /// one number, fail it immediately.
+    pub fn listed(&self, seconds: u64, what: &str, test: impl Fn(&List) -> bool) -> List {
         wait_until(seconds, what, || {
-            let list = |place: &Place| self.runtime.block_on(list(place, &self.scene.keys)).ok();
-            let lists: Option<Vec<Lists>> = self.scene.places.iter().map(list).collect();
-            let lists = lists.filter(|lists| test(lists));
-            if lists.is_none() {
+            let listed = self.runtime.block_on(list(&self.scene.place, &self.scene.keys)).ok().filter(|list| test(list));
+            if listed.is_none() {
                 // Each look is two handshakes, of which a gateway allows ten a second.
                 std::thread::sleep(Duration::from_secs(1));
             }
-            lists
+            listed
         })
     }
 }
 
-/// One client: number `n` is at home at the n-th gateway, counted round.
 async fn client(scene: Arc<Scene>, number: u16, load: Load) -> Brought {
     let (name, topic) = (format!("light-{number}"), format!("/robot{number}/odom"));
     let from = source(number);
-    let mut known = Vec::new();
-    for place in &scene.places {
-        known.push(enrolled(&scene, place, &name, from).await);
-    }
-    let (mut brought, mut next) = (Brought::default(), 1);
-    let (mut at, mut session) = (usize::from(number) % known.len(), None);
+    let known = enrolled(&scene, &name, from).await;
+    let (mut brought, mut next, mut session) = (Brought::default(), 1, None);
     // Not all of them at once.
     tokio::time::sleep(load.every * u32::from(number) / u32::from(load.clients)).await;
     let mut due = Instant::now();
@@ -178,16 +165,16 @@ async fn client(scene: Arc<Scene>, number: u16, load: Load) -> Brought {
         let mut pause = PAUSES[0];
         loop {
             let tried = Instant::now();
-            let done = attempt(&scene.places[at], &known[at], from, &mut session, &uploads).await;
+            let done = attempt(&scene.place, &known, from, &mut session, &uploads).await;
             let Err(error) = done else { break };
-            assert!(begun.elapsed() < REST, "{name}: no gateway takes its records: {error}");
-            (session, at) = (None, (at + 1) % known.len());
+            assert!(begun.elapsed() < REST, "{name}: the gateway does not take its records: {error}");
+            session = None;
             broken.get_or_insert(tried);
             // Not together with all others.
             tokio::time::sleep(pause / 2 + pause / 2 * u32::from(number % 8) / 8).await;
             pause = (pause * 2).min(PAUSES[1]);
         }
-        brought.failovers.extend(broken.map(|broken: Instant| broken.elapsed()));
+        brought.outages.extend(broken.map(|broken: Instant| broken.elapsed()));
         brought.acknowledged.extend(digests);
         scene.acknowledged.fetch_add(load.records, Ordering::Relaxed);
         // One that is behind does not wait, and does not try to make up for more than one.
@@ -198,11 +185,11 @@ async fn client(scene: Arc<Scene>, number: u16, load: Load) -> Brought {
 }
 
 /// Robots are not enrolled all at the same moment, and a gateway may have no room for a handshake just then.
-async fn enrolled(scene: &Scene, place: &Place, name: &str, from: IpAddr) -> Credentials {
+async fn enrolled(scene: &Scene, name: &str, from: IpAddr) -> Credentials {
     let _turn = scene.enrolling.acquire().await.expect("never closed");
     let begun = Instant::now();
     loop {
-        match place.allocate(&scene.keys, name, from).await {
+        match scene.place.allocate(&scene.keys, name, from).await {
             Ok(credentials) => return credentials,
             Err(error) => assert!(begun.elapsed() < REST, "{name}: {error}"),
         }
@@ -224,7 +211,7 @@ async fn attempt(
     client.upload(uploads.to_vec()).await.map(drop)
 }
 
-async fn list(place: &Place, keys: &Keys) -> Result<Lists, GatewayError> {
+async fn list(place: &Place, keys: &Keys) -> Result<List, GatewayError> {
     let credentials = place.allocate(keys, "lister", source(u16::MAX)).await?;
     let mut client = place.connect(&credentials, source(u16::MAX)).await?;
     let (selection, limit) = (Selection::all(keys.address()), 500);
