@@ -255,11 +255,8 @@ pub fn samples() -> Vec<Sample> {
         "revoke_notice",
         "device_notice",
         "relay",
-        "holdings",
-        "hand_over",
-        "hand_over_many",
         "fetch_erased",
-        "erasures",
+        "erase",
     ];
     samples.extend(names.iter().zip(requests()).map(|(name, request)| sample(name, 1, &client_text(&request))));
     let names = [
@@ -271,10 +268,7 @@ pub fn samples() -> Vec<Sample> {
         "record",
         "done",
         "time",
-        "told_holdings",
-        "handed_over",
-        "many_handed_over",
-        "told_erasures",
+        "erased",
         "event",
         "end",
         "refused",

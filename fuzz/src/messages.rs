@@ -4,34 +4,20 @@ use authros::crypto::{AccountSignature, ErasedStatement};
 use authros::gateway::allocation::AllocationRequest;
 use authros::gateway::command::{Inner, Part};
 use authros::gateway::{
-    Answer, Code, Command, Entry, ErasedRecord, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver, Held,
-    HoldingPlace, Holdings, ManyHandedOver, Page, Query, Receipt, Registration, RelayCall, Request, RevokeNotice,
-    Selection, Standing, ToldErasure, Upload, Wanted,
+    Answer, Code, Command, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query,
+    Receipt, Registration, RelayCall, Request, RevokeNotice, Selection, Standing, Upload,
 };
 use authros::model::{
-    Address, Digest, FilterId, Hash, Identity, PublicKey, Ranges, RecordKind, RecorderId, Signature, SignerId,
-    Timestamp, Token, TopicId,
+    Address, Digest, FilterId, Hash, Identity, PublicKey, RecordKind, RecorderId, Signature, SignerId, Timestamp,
+    Token, TopicId,
 };
 
-const PLACE: HoldingPlace = HoldingPlace { block: 1, batch: 2, leaf: 3 };
-const WANTED: Wanted =
-    Wanted { owner: Address([1; 20]), recorder: RecorderId([2; 16]), topic_id: TopicId([3; 16]), first: 4, last: 9 };
-
-const ERASED_AFTER: ErasurePlace = ErasurePlace { ledger: RecorderId([6; 16]), number: 7 };
-
-fn erasures() -> Erasures {
+fn erasure() -> ErasureNotice {
     let (signer, signature) = (PublicKey([1; 64]), Signature([2; 64]));
     let record = Fetched { signer, signature, proof: vec![3; 10], blob: vec![4; 20] };
     let statement = ErasedStatement { report: Digest([5; 32]), at: Timestamp(6), signer, signature };
     let left = ErasedRecord { record, statement };
-    let told = ToldErasure { digest: Digest([7; 32]), account_signature: AccountSignature([8; 65]), left };
-    Erasures { told: vec![told; 2], next: ERASED_AFTER, more: true }
-}
-
-fn holdings() -> Holdings {
-    let Wanted { owner, recorder, topic_id, .. } = WANTED;
-    let held = Held { owner, recorder, topic_id, ranges: Ranges::of(vec![1, 2, 3, 7]) };
-    Holdings { held: vec![held; 2], next: PLACE, more: true }
+    ErasureNotice { digest: Digest([7; 32]), account_signature: AccountSignature([8; 65]), left }
 }
 
 fn selection() -> Selection {
@@ -80,11 +66,8 @@ pub fn requests() -> Vec<Request> {
         Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([7; 32]), transaction }),
         Request::DeviceNotice(PublicKey([6; 64]).into()),
         Request::Relay(RelayCall { method: "eth_call".to_owned(), parameters: "[{},\"latest\"]".to_owned() }),
-        Request::Holdings(PLACE),
-        Request::HandOver(WANTED),
-        Request::HandOverMany(vec![WANTED; 2]),
         Request::FetchErased(Digest([3; 32])),
-        Request::Erasures(ERASED_AFTER),
+        Request::Erase(vec![erasure(); 2]),
     ]
 }
 
@@ -117,13 +100,7 @@ pub fn answers() -> Vec<Answer> {
         Answer::Record(Box::new(record.clone())),
         Answer::Done(Command::Subscribe),
         Answer::Time(Timestamp(5)),
-        Answer::Holdings(Box::new(holdings())),
-        Answer::HandedOver(Box::new(HandedOver { records: vec![record.clone(); 2], next: Some(7) })),
-        Answer::ManyHandedOver(Box::new(ManyHandedOver {
-            handed: HandedOver { records: vec![record.clone()], next: Some(7) },
-            range: 1,
-        })),
-        Answer::Erasures(Box::new(erasures())),
+        Answer::Erased(vec![ErasureOutcome::Taken, ErasureOutcome::Left, ErasureOutcome::Refused]),
         Answer::Event(Box::new((entry(), record))),
         Answer::End(Code::NotAuthorised),
         Answer::Refused(Code::Token),

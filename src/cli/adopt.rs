@@ -10,7 +10,7 @@ use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
 use crate::crypto::{ProviderName, SmKeyPair, provider, signer_id};
 use crate::model::{ErrorKind, PublicKey, SignerId, Timestamp, bytes::unhex};
 use crate::service::Failure;
-use crate::service::command::{AddDeviceGateway, AddDeviceTopics, LendDevice, ListDevices, RecallDevice};
+use crate::service::command::{AddDeviceAddress, AddDeviceTopics, LendDevice, ListDevices, RecallDevice};
 use crate::service::reply::DeviceRow;
 use authros_output::table;
 
@@ -38,9 +38,9 @@ pub enum DevicesVerb {
     /// The topics an enrolled robot may record
     #[command(subcommand)]
     Topics(TopicsVerb),
-    /// Which gateways an enrolled robot may use
+    /// Where an enrolled robot finds its gateway
     #[command(subcommand)]
-    Gateways(GatewaysVerb),
+    Addresses(AddressesVerb),
     /// List devices on loan and recalled ones
     List,
 }
@@ -59,20 +59,17 @@ pub enum TopicsVerb {
     },
 }
 
-/// `devices gateways …`
+/// `devices addresses …`
 #[derive(Debug, Subcommand)]
-pub enum GatewaysVerb {
-    /// Give a robot a further gateway; it takes it up by itself
+pub enum AddressesVerb {
+    /// Give a robot a further address of its gateway; it learns it with its next contact
     Add {
-        /// Name of the robot, or the device's id, its beginning, or its fingerprint
+        /// Name of the robot, or the device's id, its first characters, or its fingerprint
         #[arg(value_name = "DEVICE")]
         device: String,
-        /// The gateway
+        /// The address
         #[arg(value_name = "HOST:PORT")]
         address: String,
-        /// The gateway's fingerprint (64 hex), as its operator shows it
-        #[arg(value_name = "FINGERPRINT")]
-        key: String,
     },
 }
 
@@ -89,9 +86,8 @@ pub fn question(verb: &DevicesVerb) -> Result<Question, Failure> {
         DevicesVerb::Topics(TopicsVerb::Add { device, topics }) => {
             AddDeviceTopics { device: device.clone(), topics: parse::values(topics)? }.into()
         }
-        DevicesVerb::Gateways(GatewaysVerb::Add { device, address, key }) => {
-            let (device, address) = (device.clone(), address.clone());
-            AddDeviceGateway { device, address, key: parse::fingerprint(key)? }.into()
+        DevicesVerb::Addresses(AddressesVerb::Add { device, address }) => {
+            AddDeviceAddress { device: device.clone(), address: address.clone() }.into()
         }
         DevicesVerb::List => ListDevices.into(),
     })

@@ -9,7 +9,7 @@ use super::args::{AgentVerb, EnrolArguments, Global, RunArguments};
 use super::connect::{Context, ProfileNeed};
 use super::{parse, passphrase};
 use crate::crypto::{Fingerprint, Passphrase, SealedEnrolment, private_file};
-use crate::model::{ByteSize, ErrorKind, SignerId};
+use crate::model::{ByteSize, ErrorKind};
 use crate::service::command::EnrolDevice;
 use crate::service::{Agent, AgentEnd, AgentFigures, AgentWishes, EnrolWishes, Failure, Needs, SecretText, Site};
 use crate::store::TopicCounts;
@@ -44,11 +44,9 @@ async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> 
         Some(file) => passphrase::from_file(file)?,
         None => SecretText::new(Passphrase::random()?.expose().to_owned()),
     };
-    let (gateway, fingerprint, further) = gateways(&arguments.gateways, &arguments.gateway_keys)?;
     let wishes = EnrolWishes {
-        gateway,
-        fingerprint,
-        further,
+        addresses: arguments.addresses,
+        fingerprint: arguments.gateway_key.as_deref().map(parse::fingerprint).transpose()?,
         name: parse::value(&arguments.name)?,
         topics: parse::values(&arguments.topics)?,
         all_topics: arguments.all_topics,
@@ -70,46 +68,20 @@ async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> 
         output.note(&format!("its passphrase was written to {}; bring it to the robot separately", beside.display()));
     }
     let document = serde_json::json!({
-        "name": view.name, "device": view.device, "gateway": view.gateway, "gateway_key": view.gateway_key,
-        "gateways": view.gateways,
-        "file": out.display().to_string(),
+        "name": view.name, "device": view.device, "gateway": view.gateway, "file": out.display().to_string(),
     });
-    for away in view.gateways.iter().filter(|gateway| !gateway.known) {
-        output.note(&format!(
-            "the gateway {} does not know the robot yet (it is away, or refused: the site's log says which); it and the \
-             robot are told when it serves",
-            away.address
-        ));
-    }
     output.result(&document, || {
         format!(
             "robot '{}' enrolled: device {}, gateway {} with fingerprint {}\nits enrolment file is {}; start it with \
              `authros agent run`",
             view.name,
             view.device,
-            view.gateway,
-            Fingerprint::of_signer(&view.gateway_key),
+            view.gateway.addresses.join(", "),
+            Fingerprint::of_signer(&view.gateway.key),
             out.display()
         )
     });
     Ok(0)
-}
-
-type Gateways = (String, Option<SignerId>, Vec<(String, SignerId)>);
-
-/// The first gateway, with its key if one is given, and the further ones with theirs.
-fn gateways(addresses: &[String], keys: &[String]) -> Result<Gateways, Failure> {
-    let keys = keys.iter().map(|key| parse::fingerprint(key)).collect::<Result<Vec<_>, _>>()?;
-    let (Some((first, further)), true) = (addresses.split_first(), keys.is_empty() || keys.len() == addresses.len())
-    else {
-        return Err(Failure::new(ErrorKind::Usage, "give one --gateway-key for each --gateway, in the same order"));
-    };
-    if keys.is_empty() && !further.is_empty() {
-        let why = "with several gateways, give a --gateway-key for each --gateway";
-        return Err(Failure::new(ErrorKind::Usage, why));
-    }
-    let further = further.iter().cloned().zip(keys.iter().skip(1).copied()).collect();
-    Ok((first.clone(), keys.first().copied(), further))
 }
 
 fn beside(enrolment: &Path) -> PathBuf {

@@ -106,7 +106,7 @@ pub enum Verb {
     /// Records shared with this profile: list, check, open, export, play
     #[command(subcommand)]
     Shared(SharedVerb),
-    /// Devices that may sign for this profile: lend, recall, topics, gateways, list
+    /// Devices that may sign for this profile: lend, recall, topics, addresses, list
     #[command(subcommand)]
     Devices(super::adopt::DevicesVerb),
     /// Robots without a chain: enrol one, or run the agent on it
@@ -129,9 +129,6 @@ pub enum Verb {
     /// Erase chosen records for good, with their proofs kept
     #[command(subcommand)]
     Retention(super::retention::RetentionVerb),
-    /// Gateways of the same fleet, with which this home's gateway reconciles: add, list, remove, status
-    #[command(subcommand)]
-    Fleet(super::fleet::FleetVerb),
     /// Alerts: list active ones, send a test
     #[command(subcommand)]
     Alerts(super::alerts::AlertsVerb),

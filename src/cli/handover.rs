@@ -121,7 +121,6 @@ fn words(global: &Global, home: &Home, profile: &ProfileName) -> Vec<OsString> {
         site,
         gateway_key,
         trust_first,
-        also,
         anchor_mode,
     } = global;
     let log = log.to_possible_value().map(|value| value.get_name().to_owned());
@@ -140,14 +139,13 @@ fn words(global: &Global, home: &Home, profile: &ProfileName) -> Vec<OsString> {
         ("--robots-by", robots_by),
         ("--confirmations", confirmations),
         ("--crypto-provider", crypto_provider),
-        ("--site", site),
         ("--gateway-key", gateway_key),
         ("--anchor-mode", anchor_mode),
     ];
     for (flag, value) in valued {
         words.extend(value.as_ref().map(|value| OsString::from(format!("{flag}={value}"))));
     }
-    words.extend(also.iter().map(|value| OsString::from(format!("--also={value}"))));
+    words.extend(site.iter().map(|value| OsString::from(format!("--site={value}"))));
     words
 }
 
@@ -171,10 +169,10 @@ mod tests {
             "3",
             "--vault",
             "redis://host:6379",
-            "--also",
-            "a:1=00",
-            "--also",
-            "b:2=11",
+            "--site",
+            "a:1",
+            "--site",
+            "b:2",
             "--passphrase-file",
             "/secret/place",
         ];
@@ -184,7 +182,9 @@ mod tests {
         assert!(words.iter().all(|word| !word.to_string_lossy().contains("secret")), "{words:?}");
         let line = ["authros".into(), "serve".into()].into_iter().chain(words).chain(["--detach".into()]);
         let serve = Arguments::try_parse_from(line).expect("it parses").global;
-        for setting in ["robots", "ros.domain", "chain.url", "confirmations", "vault.url", "site.also", "anchor.mode"] {
+        for setting in
+            ["robots", "ros.domain", "chain.url", "confirmations", "vault.url", "site.address", "anchor.mode"]
+        {
             assert_eq!(serve.setting(setting), console.setting(setting), "{setting}");
         }
         assert_eq!(serve.home.as_deref(), Some(Path::new("/srv/a home")));

@@ -175,11 +175,6 @@ pub fn records(page: &RecordPage) -> String {
     let mut lines = vec![list];
     lines.extend(doubts(page));
     lines.extend(page.records.iter().filter_map(|record| Some(format!("{} {}", record.id, record.erased.as_ref()?))));
-    lines.extend(
-        page.arriving
-            .iter()
-            .map(|address| format!("not all that the gateway {address} has is here: its records are still arriving")),
-    );
     lines.extend(page.next.as_ref().map(|next| format!("more: --after {next}")));
     lines.join("\n")
 }

@@ -19,10 +19,8 @@ mod coverage;
 mod demo;
 mod detach;
 mod evidence;
-mod fleet;
 mod follow;
 mod gateway;
-mod gateways;
 mod handover;
 mod incidents;
 mod lists;
@@ -183,7 +181,6 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Robots(verb) => asked(runtime, global, output, |_| robots::plan(verb)),
         Verb::Incident(verb) => asked(runtime, global, output, |_| incidents::plan(verb)),
         Verb::Retention(verb) => runtime.block_on(retention::run(Context::new(global, output)?, verb, output)),
-        Verb::Fleet(verb) => asked(runtime, global, output, |_| fleet::plan(verb)),
         Verb::Audit(arguments) => asked(runtime, global, output, |context| plans::audit(context, &arguments)),
     }
 }

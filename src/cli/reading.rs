@@ -2,7 +2,6 @@
 //! restore.
 
 use super::args::{AgentVerb, ChainVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, TopicsVerb, Verb};
-use super::fleet::FleetVerb;
 use super::operators::OperatorsVerb;
 use super::parties::ContactsVerb;
 use crate::model::ErrorKind;
@@ -72,7 +71,6 @@ fn makes_a_home(verb: &Verb) -> bool {
         Verb::Keys(verb) => matches!(verb, KeysVerb::Load { dry_run: false, .. }),
         Verb::Topics(verb) => matches!(verb, TopicsVerb::Watch { .. } | TopicsVerb::Pin(_)),
         Verb::Contacts(verb) => matches!(verb, ContactsVerb::Add { .. }),
-        Verb::Fleet(verb) => matches!(verb, FleetVerb::Add { .. }),
         Verb::Agent(verb) => matches!(verb, AgentVerb::Run(_)),
         Verb::Gateway(verb) => matches!(verb, GatewayVerb::Serve { .. } | GatewayVerb::Admit { .. }),
         Verb::Chain(verb) => matches!(verb, ChainVerb::Deploy { .. } | ChainVerb::Serve { .. } | ChainVerb::Genesis(_)),
@@ -104,7 +102,6 @@ mod tests {
             "shared list",
             "grants list",
             "revoke bob",
-            "fleet status",
             "operators list",
             "operators remove bob",
             "devices list",
@@ -145,7 +142,6 @@ mod tests {
             "chain genesis --guide",
             "config show",
             "doctor",
-            "fleet add b:7420 --gateway-key HEX",
         ] {
             assert!(refusal(words).is_none(), "{words}");
         }

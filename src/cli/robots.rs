@@ -39,7 +39,7 @@ pub enum RobotsVerb {
     },
     /// List the enrolled robots: last seen, what waits, which policy they work by
     List,
-    /// Show one robot: policy, gateways, topics, losses
+    /// Show one robot: policy, gateway, topics, losses
     Show {
         /// Its name, or the beginning of its device's id
         robot: String,
@@ -141,9 +141,8 @@ pub fn one(view: &RobotView) -> String {
     lines.extend(row.drift_since.map(|since| format!("drift since {since}")));
     lines.extend(view.refused.iter().map(|why| format!("it refused: {why}")));
     lines.extend(view.overruled.iter().map(|what| format!("overruled on the robot: {what}")));
-    for gateway in &view.gateways {
-        lines.push(format!("gateway {}{}", gateway.address, if gateway.known { "" } else { " (not told yet)" }));
-    }
+    lines
+        .extend(view.gateway.iter().flat_map(|gateway| &gateway.addresses).map(|address| format!("gateway {address}")));
     let counts = |topic: &RobotTopicRow| {
         let [records, verified, waiting, lost] =
             [topic.records, topic.verified, topic.waiting, topic.lost].map(|count| count.to_string());

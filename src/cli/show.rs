@@ -4,19 +4,18 @@ use std::io::Write as _;
 use std::path::Path;
 
 use super::{
-    adopt, alerts, audit, check, coverage, fleet, gateway, gateways, incidents, lists, operators, parties, policy,
-    quarantine, robots, viewing,
+    adopt, alerts, audit, check, coverage, gateway, incidents, lists, operators, parties, policy, quarantine, robots,
+    viewing,
 };
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
 use crate::service::command::{Ask, Command, SecretBytes};
 use crate::service::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, Answer, AuditCheck, AuditView, BackupView, ChainView,
-    CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceGatewaysView, DeviceRow,
-    DeviceTopicsView, ExportedFile, FellowView, FleetView, GatewayStatusView, GatewaysView, GrantRow, IdentityView,
-    IncidentView, KeyChangeView, KeysView, OpenedView, OperatorView, PathView, PinsView, PolicyView, Provenance,
-    QuarantineView, RecordAudit, RecordPage, Reply, RingPullView, RobotGatewayView, RobotRow, RobotView, TopicRow,
-    TransactionView,
+    CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceAddressesView, DeviceRow,
+    DeviceTopicsView, ExportedFile, GatewayStatusView, GrantRow, IdentityView, IncidentView, KeyChangeView, KeysView,
+    OpenedView, OperatorView, PathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage,
+    Reply, RingPullView, RobotRow, RobotView, TopicRow, TransactionView,
 };
 use crate::service::{Client, Failure};
 use authros_output::Output;
@@ -105,6 +104,7 @@ documents! {
     IdentityView => lists::identity;
     KeyChangeView => key_change;
     KeysView => lists::keys;
+    RecordPage => lists::records;
     Provenance => lists::provenance;
     TransactionView => transaction;
     Box<ChainView> => lists::chain;
@@ -119,10 +119,9 @@ documents! {
     DecidedView => decided;
     PathView => viewing::path;
     CoverageView => coverage::strip;
-    DeviceGatewaysView => device_gateways;
+    DeviceAddressesView => device_addresses;
     DeviceTopicsView => device_topics;
     IncidentView => incidents::incident;
-    FleetView => fleet::status;
     RingPullView => robots::pulled;
     RobotView => robots::one;
 }
@@ -136,7 +135,6 @@ rows! {
     AdmittedView, "admitted" => gateway::admitted;
     IncidentView, "incidents" => incidents::all;
     RobotRow, "robots" => robots::all;
-    FellowView, "fleet" => fleet::all;
     OperatorView, "operators" => operators::all;
 }
 
@@ -165,20 +163,6 @@ impl Printed for Box<RecordAudit> {
     fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         output.result(&self, || check::audit(&self));
         Ok(check::audit_code(&self))
-    }
-}
-
-impl Printed for RecordPage {
-    fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
-        output.result(&self, || lists::records(&self));
-        Ok(if self.arriving.is_empty() { 0 } else { ErrorKind::Incomplete.exit_code() })
-    }
-}
-
-impl Printed for GatewaysView {
-    fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
-        output.result(&self, || gateways::text(&self));
-        Ok(gateways::code(&self))
     }
 }
 
@@ -262,13 +246,8 @@ fn device_topics(view: &DeviceTopicsView) -> String {
     format!("'{}' is being sent the keys of {added}; it covers {topics}", view.name)
 }
 
-fn device_gateways(view: &DeviceGatewaysView) -> String {
-    let gateway = |gateway: &RobotGatewayView| match gateway.known {
-        true => gateway.address.clone(),
-        false => format!("{} (away; told when it is back)", gateway.address),
-    };
-    let gateways: Vec<String> = view.gateways.iter().map(gateway).collect();
-    format!("'{}' uses the first that answers of {}", view.name, gateways.join(", "))
+fn device_addresses(view: &DeviceAddressesView) -> String {
+    format!("'{}' uses the first address that answers of {}", view.name, view.gateway.addresses.join(", "))
 }
 
 fn not_written(path: &Path, error: &std::io::Error) -> Failure {

@@ -62,8 +62,6 @@ pub const TWINS: &[(&str, Twin)] = &[
     ("incidents", Runs("incident list")),
     ("inspect", Runs("robots show ROBOT")),
     ("robot-policy", Runs("robots policy ROBOT --set FILE")),
-    ("fleet-add", Runs("fleet add HOST:PORT --gateway-key KEY")),
-    ("fleet-remove", Runs("fleet remove HOST:PORT")),
     ("contacts", Runs("contacts list")),
     ("profile", Runs("profiles")),
     ("end-tour", OnlyLooks),

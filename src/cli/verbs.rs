@@ -193,7 +193,6 @@ pub async fn shared(context: Context, verb: SharedVerb, output: &Output) -> Resu
             return follow::run(context, follow::Which::Shared, parse::query(&list)?, output).await;
         }
         SharedVerb::List(list) => viewing::plan(ListShared(parse::query(&list)?)),
-        SharedVerb::Gateways(gateways) => viewing::plan(gateways.question()?),
         SharedVerb::Check { id } => viewing::plan(CheckShared { id }),
         SharedVerb::Open { id, out } => viewing::open(id, out),
         SharedVerb::Path { id, records } => viewing::plan(ViewPath { id, records }),

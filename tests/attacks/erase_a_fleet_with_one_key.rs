@@ -9,7 +9,7 @@ use authros::chain::AnchorProof;
 use authros::chain::merkle::{Inclusion, Leaf};
 use authros::crypto::{AccountSignature, EoaSecret, ErasedStatement, Provider, SmKeyPair};
 use authros::gateway::{
-    Client, ErasedRecord, ErasurePlace, Erasures, Fetched, GatewayError, Standing, ToldErasure, Upload,
+    Client, ErasedRecord, ErasureNotice, ErasurePlace, Erasures, Fetched, GatewayError, Standing, Upload,
 };
 use authros::model::{Digest, Domain, Hash, Header, RecorderId, Timestamp};
 use serde_json::Value;
@@ -27,12 +27,12 @@ fn told(
     provider: &dyn Provider,
     (digest, record): (Digest, &Fetched),
     (signing, account): (&SmKeyPair, &EoaSecret),
-) -> ToldErasure {
+) -> ErasureNotice {
     let about = (&digest, record.blob.as_slice());
     let when = (Digest([0x77; 32]), Timestamp::now());
     let statement = ErasedStatement::sign(provider, signing, about, when).expect("signs");
     let account_signature = statement.sign_by_account(provider, account, about).expect("signs");
-    ToldErasure { digest, account_signature, left: ErasedRecord { record: record.clone(), statement } }
+    ErasureNotice { digest, account_signature, left: ErasedRecord { record: record.clone(), statement } }
 }
 
 /// A record with its public header in place of its bytes.
@@ -60,7 +60,7 @@ pub async fn stored(client: &mut Client, uploads: Vec<Upload>, provider: &dyn Pr
 }
 
 /// Everything that a thief of one key can say, and what is nobody's word.
-pub fn lies(carol: &Member, mallory: &Member, records: &[(Digest, Fetched)]) -> Vec<ToldErasure> {
+pub fn lies(carol: &Member, mallory: &Member, records: &[(Digest, Fetched)]) -> Vec<ErasureNotice> {
     let provider = carol.provider();
     let (hers, his) = (&carol.keyring, &mallory.keyring);
     let [(first, one), (second, other)] = records else { panic!("two records") };
@@ -70,7 +70,7 @@ pub fn lies(carol: &Member, mallory: &Member, records: &[(Digest, Fetched)]) -> 
     let of_other = told(provider, (*second, &other), (&hers.signing, &hers.eoa));
     let with = |record: Fetched| {
         let left = ErasedRecord { record, ..genuine.left.clone() };
-        ToldErasure { left, ..genuine.clone() }
+        ErasureNotice { left, ..genuine.clone() }
     };
     // Another chain's: everything in it is signed by carol, for that one.
     let (mut header, _) = Header::parse(&one.blob).expect("a header");
@@ -89,12 +89,12 @@ pub fn lies(carol: &Member, mallory: &Member, records: &[(Digest, Fetched)]) -> 
     let unsent = Fetched { signer: hers.signing.public, signature: unsent.signature, proof, blob };
     vec![
         by(&hers.signing, &his.eoa),
-        ToldErasure { account_signature: AccountSignature([0; 65]), ..genuine.clone() },
+        ErasureNotice { account_signature: AccountSignature([0; 65]), ..genuine.clone() },
         by(&his.signing, &hers.eoa),
         by(&his.signing, &his.eoa),
-        ToldErasure { digest: *first, ..of_other.clone() },
-        ToldErasure { account_signature: of_other.account_signature, ..genuine.clone() },
-        ToldErasure { left: of_other.left.clone(), ..genuine.clone() },
+        ErasureNotice { digest: *first, ..of_other.clone() },
+        ErasureNotice { account_signature: of_other.account_signature, ..genuine.clone() },
+        ErasureNotice { left: of_other.left.clone(), ..genuine.clone() },
         with(Fetched { proof: Vec::new(), ..one.clone() }),
         with(Fetched { proof: other.proof.clone(), ..one.clone() }),
         told(provider, (*first, &elsewhere), (&hers.signing, &hers.eoa)),
@@ -103,7 +103,7 @@ pub fn lies(carol: &Member, mallory: &Member, records: &[(Digest, Fetched)]) -> 
 }
 
 /// Again and again the same lies, on ever further pages.
-fn without_end(lies: Vec<ToldErasure>) -> impl Fn(&ErasurePlace) -> Erasures {
+fn without_end(lies: Vec<ErasureNotice>) -> impl Fn(&ErasurePlace) -> Erasures {
     move |after| {
         let next = ErasurePlace { ledger: LEDGER, number: after.number + 1 };
         Erasures { told: lies.clone(), next, more: true }
@@ -203,11 +203,11 @@ async fn erase_a_fleet_with_one_key() {
     judge("erase_a_fleet_with_one_key", outcome);
 }
 
-pub fn told_of(carol: &Member, (digest, record): &(Digest, Fetched), keys: (&SmKeyPair, &EoaSecret)) -> ToldErasure {
+pub fn told_of(carol: &Member, (digest, record): &(Digest, Fetched), keys: (&SmKeyPair, &EoaSecret)) -> ErasureNotice {
     told(carol.provider(), (*digest, &without_bytes(record)), keys)
 }
 
-fn told_once(erasure: ToldErasure) -> impl Fn(&ErasurePlace) -> Erasures {
+fn told_once(erasure: ErasureNotice) -> impl Fn(&ErasurePlace) -> Erasures {
     let left = Mutex::new(vec![erasure]);
     move |_| {
         let told = std::mem::take(&mut *left.lock().expect("not poisoned"));

@@ -60,9 +60,6 @@ pub enum Bench {
     Pictures,
     /// What a record, a page of a list and a frame of the console cost while the ledger grows
     Growth(GrowthArguments),
-    /// Robots (--robots, else 1,000) and gateways of a fleet in this process, gateways stopped and begun again: processor per record at one gateway
-    /// and at several, bytes between gateways, losses, fail-over; not part of all
-    Fleet(FleetArguments),
     /// Bundles of evidence: bytes per record, proof bytes per batch, and verification beside SM2 and SM3 alone
     Evidence(EvidenceArguments),
     /// Messages to 8 ROS 1 subscribers, by our own publisher and by rosrust: losses, latency, processor; not part of all
@@ -304,34 +301,4 @@ pub struct GatewayArguments {
     /// Idle connections; as many as open files allow
     #[arg(long, value_name = "N", default_value_t = 5000, value_parser = clap::value_parser!(u32).range(0..=50_000))]
     pub idle: u32,
-}
-
-/// `bench fleet …`
-#[derive(Debug, Clone, Args)]
-pub struct FleetArguments {
-    /// Gateways on one chain; their figures are set beside those of one
-    #[arg(long, value_name = "G", default_value_t = 5, value_parser = clap::value_parser!(u16).range(2..=64))]
-    pub gateways: u16,
-    /// How many of them keep each record once they reconcile, as in `fleet.copies`; all if not told
-    #[arg(long, value_name = "C", value_parser = clap::value_parser!(u16).range(1..=32))]
-    pub copies: Option<u16>,
-    /// Records that all robots together bring in each part, at least one each
-    #[arg(long, value_name = "N", default_value_t = 10_000,
-          value_parser = clap::value_parser!(u64).range(1..=10_000_000))]
-    pub records: u64,
-    /// Bytes of a message
-    #[arg(long, value_name = "B", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(64..=1_048_576))]
-    pub size: u32,
-    /// How often a gateway is stopped and begun again
-    #[arg(long, value_name = "K", default_value_t = 3, value_parser = clap::value_parser!(u32).range(0..=1000))]
-    pub failures: u32,
-    /// Which gateways are stopped, and when: the same for the same seed
-    #[arg(long, value_name = "S", default_value_t = 1)]
-    pub seed: u64,
-    /// What is not brought and verified by then is counted and left
-    #[arg(long, value_name = "MAX", default_value_t = 900, value_parser = clap::value_parser!(u64).range(10..=86_400))]
-    pub seconds: u64,
-    /// Robots connected at once; they take turns
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub connected: u32,
 }

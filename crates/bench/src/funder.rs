@@ -81,7 +81,6 @@ impl Funder {
                 | Bench::Memory(_)
                 | Bench::Pictures
                 | Bench::Growth(_)
-                | Bench::Fleet(_)
                 | Bench::Evidence(_)
                 | Bench::Ros(_),
             ) => (None, 0),

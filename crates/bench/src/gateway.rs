@@ -257,7 +257,12 @@ impl Stage {
         let server = Server::start("127.0.0.1:0", shared, context, cabinet, limits).await;
         let server = server.map_err(|error| internal(format!("the gateway cannot listen: {error}")))?;
         let address = server.address().to_string();
-        Ok(Self { desk, server, endpoint: Endpoint { address, context, patience: PATIENCE }, credentials })
+        Ok(Self {
+            desk,
+            server,
+            endpoint: Endpoint { addresses: vec![address], context, patience: PATIENCE },
+            credentials,
+        })
     }
 
     async fn connect(&self) -> Result<Client, Failure> {

@@ -9,7 +9,6 @@ mod all;
 mod batcher;
 mod consensus;
 mod evidence;
-mod fleet;
 mod funder;
 mod gas;
 mod gateway;
@@ -137,7 +136,6 @@ async fn measure(
         Bench::Pictures => tokio::task::block_in_place(|| pictures::run(provider, outlet)),
         Bench::Gas => gas::run(provider, outlet).await,
         Bench::Growth(growth) => growth::run(growth, outlet).await,
-        Bench::Fleet(fleet) => fleet::run(global, &fleet, provider, outlet).await,
         Bench::Ros(ros) => tokio::task::block_in_place(|| ros::run(&ros, outlet)),
         Bench::Pipeline(pipeline) => pipeline::run(global, pipeline, outlet).await,
         Bench::Memory(memory) => memory::run(global, memory, provider, outlet).await,

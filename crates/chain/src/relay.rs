@@ -44,8 +44,6 @@ const METHODS: [&str; 24] = [
     "qbft_getValidatorsByBlockNumber",
     "web3_clientVersion",
 ];
-/// What a gateway answers itself, to those who know several: its newest block, if it knows that its chain is fresh.
-pub const NEWEST: &str = "authros_newestBlock";
 /// The longest signed transaction passed on, bytes: the limit of old geth.
 pub const LONGEST_RAW: usize = 32 * 1024;
 /// The longest error text of a node passed on, characters.
@@ -132,16 +130,6 @@ pub fn weight(method: &str) -> u32 {
     }
 }
 
-/// The number of the block that a result shows; `None` for a method whose result shows none.
-pub fn block_number(method: &str, result: &Value) -> Option<u64> {
-    let number = match method {
-        "eth_blockNumber" => result,
-        "eth_getBlockByNumber" | NEWEST => result.get("number")?,
-        _ => return None,
-    };
-    u64::from_str_radix(number.as_str()?.strip_prefix("0x")?, 16).ok()
-}
-
 /// Whether a request is passed on: its method is known, its parameters are an array, and a transaction is no longer
 /// than any of ours.
 ///
@@ -195,16 +183,6 @@ mod tests {
             "ETH_CALL",
         ] {
             assert_eq!(check(never, &json!([])), Err(RelayError::NotAllowed), "{never}");
-        }
-        let block = json!({ "number": "0x1f", "hash": "0x00" });
-        for method in ["eth_getBlockByNumber", NEWEST] {
-            assert_eq!(block_number(method, &block), Some(31), "{method}");
-        }
-        assert_eq!(block_number("eth_blockNumber", &json!("0x10")), Some(16));
-        for (method, result) in
-            [("eth_call", block), ("eth_getBlockByNumber", Value::Null), (NEWEST, json!({"number": 5}))]
-        {
-            assert_eq!(block_number(method, &result), None, "{method}");
         }
     }
 

@@ -148,13 +148,6 @@ pub const DEFINITIONS: &[Definition] = &[
                disk.reserve is free",
     },
     Definition {
-        name: "resend.after",
-        variable: "AUTHROS_RESEND_AFTER",
-        default: "10m",
-        text: "a record that a gateway signed for and has not proven for so long goes from the robot to its next gateway \
-               too: a time as 30s, 10m, 1h",
-    },
-    Definition {
         name: "ring.keep",
         variable: "AUTHROS_RING_KEEP",
         default: "",
@@ -367,23 +360,11 @@ pub const DEFINITIONS: &[Definition] = &[
         text: "streams that such an owner may have there; each topic, type and signer of a recorder is one stream",
     },
     Definition {
-        name: "fleet.copies",
-        variable: "AUTHROS_FLEET_COPIES",
-        default: "all",
-        text: "how many gateways of a fleet keep each record, all or 1 to 32; the one that it was brought to keeps it anyway; set \
-               the same at every gateway of the fleet",
-    },
-    Definition {
-        name: "fleet.away_after",
-        variable: "AUTHROS_FLEET_AWAY_AFTER",
-        default: "10m",
-        text: "a gateway of the fleet that told nothing for so long is counted as away: another one keeps what falls to it",
-    },
-    Definition {
         name: "site.address",
         variable: "AUTHROS_SITE",
         default: "",
-        text: "gateway of a remote site to join, as HOST:PORT; it supplies chain and records; empty = no gateway",
+        text: "gateway of a remote site to join, as HOST:PORT; it supplies chain and records; further addresses of the same \
+               gateway follow after commas; empty = no gateway",
     },
     Definition {
         name: "site.gateway_key",
@@ -396,13 +377,6 @@ pub const DEFINITIONS: &[Definition] = &[
         variable: "AUTHROS_TRUST_FIRST",
         default: "no",
         text: "yes = trust on first use: pin the first gateway that answers",
-    },
-    Definition {
-        name: "site.also",
-        variable: "AUTHROS_SITE_ALSO",
-        default: "",
-        text: "further gateways of the fleet joined, in order: HOST:PORT=KEY, separated by commas; the chain comes through the \
-               one that knows its newest block, records from all",
     },
     Definition {
         name: "console.theme",

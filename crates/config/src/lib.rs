@@ -28,7 +28,7 @@ pub use self::definitions::{DEFINITIONS, Definition};
 pub use self::error::ConfigError;
 pub use self::metrics::{FiguresPlace, MetricsSettings};
 pub use self::read::{SettingView, Source, without_password};
-use self::read::{Values, bytes, copies, find, number, parsed, period, read_file, span, switch, url, value, wrong};
+use self::read::{Values, bytes, find, number, parsed, read_file, span, switch, url, value, wrong};
 pub use self::robot_policy::{RingWish, RobotPolicy};
 pub use self::time::TimeAuthority;
 use crate::crypto::{Kernel, ProviderName};
@@ -106,8 +106,6 @@ pub struct Config {
     pub vault_local: Option<Duration>,
     /// How long a robot keeps ciphertext that its gateway has proven to hold; `None` = always.
     pub outbox_keep: Option<Duration>,
-    /// After how long without a proof a record also goes to the robot's next gateway.
-    pub resend_after: Duration,
     /// What a robot keeps of topics that nobody watches.
     pub ring: Option<RingSettings>,
     /// The retention setting; see [`Config::keeping`].
@@ -138,10 +136,6 @@ pub struct Config {
     pub confirmations: u64,
     /// Who may use this home's gateway.
     pub gateway: GatewayRules,
-    /// How many gateways of the fleet keep each record; `None` = all.
-    pub fleet_copies: Option<u16>,
-    /// After how long without a word a gateway of the fleet counts as away.
-    pub fleet_away_after: Duration,
     /// The gateway of the remote site that this one joins.
     pub site: Option<RemoteSite>,
     /// Rules for topics (`[[topic]]` tables of the file).
@@ -175,23 +169,12 @@ pub struct GatewayRules {
 /// A remote site as named in the settings.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RemoteSite {
-    /// HOST:PORT of its gateway.
-    pub address: String,
+    /// HOST:PORT of its gateway each, in the order in which they are tried; at least one.
+    pub addresses: Vec<String>,
     /// SM3 of its gateway's identity key.
     pub gateway_key: Option<SignerId>,
     /// Whether to pin whichever gateway answers first.
     pub trust_first: bool,
-    /// Further gateways of the same fleet, in order.
-    pub also: Vec<FurtherGateway>,
-}
-
-/// A further gateway of the fleet that is joined.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct FurtherGateway {
-    /// HOST:PORT.
-    pub address: String,
-    /// SM3 of its identity key.
-    pub key: SignerId,
 }
 
 impl Config {
@@ -257,7 +240,6 @@ impl Config {
             vault_backlog: bytes(&values, "vault.backlog", 0)?,
             vault_local: span(&values, "vault.local", "always")?,
             outbox_keep: span(&values, "outbox.keep", "always")?,
-            resend_after: period(&values, "resend.after")?,
             ring: ring(&values)?,
             retention: parsed(&values, "retention")?.unwrap_or_default(),
             disk_reserve: bytes(&values, "disk.reserve", 0)?,
@@ -278,8 +260,6 @@ impl Config {
                 names: number(&values, "gateway.quota_names", 1, 10_000)?,
                 streams: number(&values, "gateway.quota_streams", 1, 1_000_000)?,
             },
-            fleet_copies: copies(&values)?,
-            fleet_away_after: period(&values, "fleet.away_after")?,
             site: remote_site(&values)?,
             topic_rules: TopicRules::default(),
             console: ConsoleSettings::read(&values)?,
@@ -316,6 +296,9 @@ fn published_by(values: &Values, name: &'static str) -> Result<PublishedBy, Conf
     Ok(if switch(values, name, ("own", "rosrust"))? { PublishedBy::Own } else { PublishedBy::Rosrust })
 }
 
+/// The most addresses of the gateway that is joined.
+const MOST_ADDRESSES: usize = 8;
+
 /// Hex digits of a key's fingerprint: half of the key's.
 const FINGERPRINT_DIGITS: usize = 32;
 
@@ -343,13 +326,15 @@ fn remote_site(values: &Values) -> Result<Option<RemoteSite>, ConfigError> {
         Some("no") | None => false,
         Some(_) => return Err(wrong(values, "site.trust_first", "choose yes or no")),
     };
-    let also = further_gateways(values)?;
-    let Some(address) = value(values, "site.address") else {
-        let missing = || wrong(values, "site.also", "it is beside site.address, which is empty");
-        return if also.is_empty() { Ok(None) } else { Err(missing()) };
-    };
-    if !is_place(address) {
-        return Err(wrong(values, "site.address", "use HOST:PORT"));
+    let Some(text) = value(values, "site.address") else { return Ok(None) };
+    if text.contains('=') {
+        let advice = "a site has one gateway: list only its addresses, HOST:PORT separated by commas, and give its key in \
+                      site.gateway_key";
+        return Err(wrong(values, "site.address", advice));
+    }
+    let addresses: Vec<String> = text.split(',').map(|part| part.trim().to_owned()).collect();
+    if addresses.len() > MOST_ADDRESSES || !addresses.iter().all(|address| is_place(address)) {
+        return Err(wrong(values, "site.address", "use HOST:PORT, or up to eight of them separated by commas"));
     }
     if value(values, "chain.url").is_some() {
         return Err(wrong(
@@ -358,26 +343,7 @@ fn remote_site(values: &Values) -> Result<Option<RemoteSite>, ConfigError> {
             "leave it empty while site.address is set: that site supplies the chain",
         ));
     }
-    let twice = |key: SignerId| gateway_key == Some(key) || also.iter().filter(|other| other.key == key).count() > 1;
-    if also.iter().any(|other| twice(other.key)) {
-        return Err(wrong(values, "site.also", "two gateways have one key; name each gateway once"));
-    }
-    Ok(Some(RemoteSite { address: address.to_owned(), gateway_key, trust_first, also }))
-}
-
-/// The most gateways beside the first.
-const MOST_FURTHER: usize = 7;
-
-fn further_gateways(values: &Values) -> Result<Vec<FurtherGateway>, ConfigError> {
-    let Some(text) = value(values, "site.also") else { return Ok(Vec::new()) };
-    let wrong = || wrong(values, "site.also", "write HOST:PORT=KEY, separated by commas, KEY of 64 hex, at most seven");
-    let read = |part: &str| {
-        let (address, key) = part.trim().split_once('=')?;
-        let key = key.parse().ok()?;
-        is_place(address).then(|| FurtherGateway { address: address.to_owned(), key })
-    };
-    let found: Option<Vec<FurtherGateway>> = text.split(',').map(read).collect();
-    found.filter(|found| found.len() <= MOST_FURTHER).ok_or_else(wrong)
+    Ok(Some(RemoteSite { addresses, gateway_key, trust_first }))
 }
 
 /// Whether this is HOST:PORT.

@@ -5,8 +5,7 @@ use std::path::{Path, PathBuf};
 
 use directories::ProjectDirs;
 
-use crate::model::bytes::hex;
-use crate::model::{ErrorKind, ProfileName, SignerId};
+use crate::model::{ErrorKind, ProfileName};
 
 /// The name of our folder inside each of the user's folders.
 const FOLDER: &str = "authros";
@@ -203,17 +202,7 @@ impl Home {
         self.root.join("gateway-trust.json")
     }
 
-    /// What was seen of a further gateway of the fleet that is joined.
-    pub fn gateway_trust_of(&self, gateway: &SignerId) -> PathBuf {
-        self.root.join(format!("gateway-trust-{}.json", short(gateway)))
-    }
-
-    /// The transport key of a profile at such a gateway, sealed under its keyring.
-    pub fn transport_key_at(&self, profile: &ProfileName, gateway: &SignerId) -> PathBuf {
-        self.profile(profile).join(format!("transport-key-{}", short(gateway)))
-    }
-
-    /// The transport key of a profile at the first gateway, sealed under its keyring.
+    /// The transport key of a profile at that gateway, sealed under its keyring.
     pub fn transport_key(&self, profile: &ProfileName) -> PathBuf {
         self.profile(profile).join("transport-key")
     }
@@ -246,9 +235,6 @@ impl Home {
 }
 
 /// The beginning of a gateway's fingerprint, for the name of a file.
-fn short(gateway: &SignerId) -> String {
-    hex(gateway.0.get(..8).unwrap_or_default())
-}
 
 #[cfg(test)]
 mod tests {

@@ -163,18 +163,6 @@ pub(super) fn switch(values: &Values, name: &'static str, words: (&str, &str)) -
     }
 }
 
-/// How many gateways of a fleet keep each record; `None` = all.
-pub(super) fn copies(values: &Values) -> Result<Option<u16>, ConfigError> {
-    const NAME: &str = "fleet.copies";
-    match value(values, NAME) {
-        Some("all") => Ok(None),
-        text => {
-            let found = text.and_then(|text| text.parse().ok()).filter(|copies| (1..=32).contains(copies));
-            found.map(Some).ok_or_else(|| wrong(values, NAME, "write all, or a whole number from 1 to 32"))
-        }
-    }
-}
-
 /// A time span, or `None` for the word that means no limit.
 pub(super) fn span(values: &Values, name: &'static str, endless: &str) -> Result<Option<Duration>, ConfigError> {
     match value(values, name) {
@@ -184,12 +172,6 @@ pub(super) fn span(values: &Values, name: &'static str, endless: &str) -> Result
             text.and_then(|text| time_span(text).ok()).map(Some).ok_or_else(wrong)
         }
     }
-}
-
-/// A time that is not without end, above zero.
-pub(super) fn period(values: &Values, name: &'static str) -> Result<Duration, ConfigError> {
-    let found = value(values, name).and_then(|text| time_span(text).ok()).filter(|time| !time.is_zero());
-    found.ok_or_else(|| wrong(values, name, "write a time as 30s, 10m, 1h"))
 }
 
 pub(super) fn parsed<T: FromStr<Err: fmt::Display>>(

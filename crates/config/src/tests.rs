@@ -57,18 +57,16 @@ fn a_remote_site_is_an_address_and_whom_to_trust() {
     let key = "ab".repeat(32);
     let text = format!("[site]\naddress = \"gate.example:4222\"\ngateway_key = \"{key}\"\n");
     let named = site(&text).expect("file").expect("a site");
-    assert_eq!((named.address.as_str(), named.trust_first), ("gate.example:4222", false));
+    assert_eq!((named.addresses, named.trust_first), (vec!["gate.example:4222".to_owned()], false));
     assert_eq!(named.gateway_key, Some(SignerId([0xab; 32])));
-    let also =
-        |text: &str| site(&format!("[site]\naddress = \"gate:1\"\ngateway_key = \"{key}\"\nalso = \"{text}\"\n"));
-    let (one, two) = ("01".repeat(32), "02".repeat(32));
-    let named = also(&format!("b.example:1={one}, [::1]:2={two}")).expect("file").expect("a site");
-    let keys: Vec<_> = named.also.iter().map(|other| (other.address.as_str(), other.key.0[0])).collect();
-    assert_eq!(keys, [("b.example:1", 1), ("[::1]:2", 2)]);
-    for bad in ["b:1", &format!("b={one}"), &format!("b:1={one},c:1={one}"), &format!("b:1={key}"), "b:1=ab"] {
-        assert!(also(bad).is_err(), "{bad}");
+    let at = |text: &str| site(&format!("[site]\naddress = \"{text}\"\ngateway_key = \"{key}\"\n"));
+    let named = at("gate:1, b.example:1,[::1]:2").expect("file").expect("a site");
+    assert_eq!(named.addresses, ["gate:1", "b.example:1", "[::1]:2"]);
+    for bad in ["gate:1,", "gate:1,b", "gate:1 b:1", &["gate:1"; 9].join(",")] {
+        assert!(at(bad).is_err(), "{bad}");
     }
-    assert!(site(&format!("[site]\nalso = \"b:1={one}\"\n")).is_err(), "beside nothing");
+    let error = at(&format!("gate:1,b:1={}", "01".repeat(32))).expect_err("another gateway").to_string();
+    assert!(error.contains("a site has one gateway"), "{error}");
     assert!(site("[site]\naddress = \"[::1]:4222\"\ntrust_first = \"yes\"").expect("file").is_some());
     for bad in ["host", ":1", "host:", "host:70000", "ho st:1", "http://host:1"] {
         assert!(site(&format!("[site]\naddress = \"{bad}\"")).is_err(), "{bad}");

@@ -7,6 +7,7 @@ use zeroize::Zeroizing;
 use crate::model::wire::{Reader, WireError, put_text};
 use crate::model::{Address, Domain, ProfileName, PublicKey, RecorderId, SignerId, Token, TopicId};
 
+use super::gateway_addresses::{encoded, read_addresses};
 use super::{
     IndexKey, ProviderName, SmKeyPair, SmSecret, TopicKey, TransportKey, notice_topic, provider, signer_id, topic_id,
 };
@@ -21,16 +22,16 @@ pub use notice::Notice;
 
 /// The most topics whose keys are issued at once, including those for statements.
 pub const MOST_TOPICS: usize = 1024;
-/// The longest gateway address, bytes.
-pub const LONGEST_GATEWAY: usize = 255;
-/// The most gateways in an enrolment.
-pub const MOST_GATEWAYS: usize = 8;
+/// The longest address of a gateway, bytes.
+pub const LONGEST_ADDRESS: usize = 255;
+/// The most addresses of a gateway.
+pub const MOST_ADDRESSES: usize = 8;
 
-/// A gateway that knows the robot.
+/// The gateway that knows the robot.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GatewayAccess {
-    /// Host:port.
-    pub address: String,
+    /// Host:port each, at least one, in the order in which they are tried.
+    pub addresses: Vec<String>,
     /// SM3 of its identity key.
     pub fingerprint: SignerId,
     /// K_T there.
@@ -44,9 +45,9 @@ pub struct Enrolment {
     pub domain: Domain,
     /// Its chain id, shown to people.
     pub chain_id: u64,
-    /// The gateways, at least one, in the order in which they are used.
-    pub gateways: Vec<GatewayAccess>,
-    /// N: the name by which the gateways know the robot.
+    /// The gateway.
+    pub gateway: GatewayAccess,
+    /// N: the name by which the gateway knows the robot.
     pub name: ProfileName,
     /// The owner of the records.
     pub owner: Address,
@@ -79,18 +80,10 @@ impl Enrolment {
         signer_id(&self.device.public)
     }
 
-    /// The first gateway.
-    ///
-    /// # Errors
-    /// [`WireError`] if there is none; an enrolment that was parsed always has one.
-    pub fn gateway(&self) -> Result<&GatewayAccess, WireError> {
-        self.gateways.first().ok_or(WireError::Value("gateway"))
-    }
-
     /// Its encoding, in its own version's format.
     fn encode(&self) -> Result<Zeroizing<Vec<u8>>, WireError> {
         let keys = self.keys.encode();
-        let places: usize = self.gateways.iter().map(|gateway| gateway.address.len() + 66).sum();
+        let places: usize = self.gateway.addresses.iter().map(|address| address.len() + 2).sum();
         let mut out = Zeroizing::new(Vec::with_capacity(512 + places + keys.len()));
         out.extend_from_slice(&self.domain.0);
         out.extend_from_slice(&self.chain_id.to_be_bytes());
@@ -113,8 +106,8 @@ impl Enrolment {
     /// Version 1: gateway || fingerprint (32) || N || owner (20) || P_C (64) || K_T (32) || device secret (32) ||
     /// IK (32) || notice key (32) || token (32); texts with their length (2) before them.
     fn put_secrets_1(&self, out: &mut Vec<u8>) -> Result<(), WireError> {
-        let gateway = self.gateway()?;
-        put_text(out, &gateway.address);
+        let gateway = &self.gateway;
+        put_text(out, gateway.addresses.first().map_or("", String::as_str));
         out.extend_from_slice(&gateway.fingerprint.0);
         put_text(out, self.name.as_str());
         out.extend_from_slice(&self.owner.0);
@@ -127,16 +120,11 @@ impl Enrolment {
         Ok(())
     }
 
-    /// Version 2: count of gateways (1), each address || fingerprint (32) || K_T (32), || N || owner (20) || P_C (64)
-    /// || device secret (32) || 0, or 1 || IK (32), || topic id of the notices (16) || notice key (32) || token (32).
+    /// Version 2: addresses || fingerprint (32) || K_T (32) || N || owner (20) || P_C (64) || device secret (32) || 0, or 1 || IK (32), || topic id of the notices (16) || notice key (32) || token (32).
     fn put_secrets_2(&self, out: &mut Vec<u8>) {
-        let gateways = &self.gateways[..self.gateways.len().min(MOST_GATEWAYS)];
-        out.push(u8::try_from(gateways.len()).unwrap_or(0));
-        for gateway in gateways {
-            put_text(out, &gateway.address);
-            out.extend_from_slice(&gateway.fingerprint.0);
-            out.extend_from_slice(gateway.transport.expose());
-        }
+        out.extend_from_slice(&encoded(&self.gateway.addresses));
+        out.extend_from_slice(&self.gateway.fingerprint.0);
+        out.extend_from_slice(self.gateway.transport.expose());
         put_text(out, self.name.as_str());
         out.extend_from_slice(&self.owner.0);
         out.extend_from_slice(&self.owner_key.0);
@@ -168,10 +156,6 @@ impl Enrolment {
         };
         enrolment.keys = IssuedKeys::read(&mut reader)?;
         reader.end()?;
-        let long = |gateway: &GatewayAccess| gateway.address.len() > LONGEST_GATEWAY;
-        if enrolment.gateways.iter().any(long) {
-            return Err(WireError::Value("gateway"));
-        }
         // Without IK, the only pseudonyms are those that were issued.
         let issues = std::iter::once(&enrolment.keys.now).chain(enrolment.keys.next.as_ref().map(|(_, next)| next));
         if enrolment.index.is_none() && !issues.into_iter().all(EpochIssue::stands_alone) {
@@ -190,7 +174,7 @@ impl Enrolment {
         Ok(Self {
             domain,
             chain_id,
-            gateways: vec![GatewayAccess { address, fingerprint, transport }],
+            gateway: GatewayAccess { addresses: vec![address], fingerprint, transport },
             name,
             owner,
             owner_key,
@@ -206,18 +190,11 @@ impl Enrolment {
     }
 
     fn read_2(reader: &mut Reader<'_>, domain: Domain, chain_id: u64) -> Result<Self, WireError> {
-        let count = usize::from(reader.u8("gateway count")?);
-        if !(1..=MOST_GATEWAYS).contains(&count) {
-            return Err(WireError::Value("gateway count"));
-        }
-        let mut gateways = Vec::with_capacity(count);
-        for _ in 0..count {
-            gateways.push(GatewayAccess {
-                address: reader.text("gateway")?,
-                fingerprint: SignerId(reader.array("fingerprint")?),
-                transport: TransportKey::new(reader.array("transport key")?),
-            });
-        }
+        let gateway = GatewayAccess {
+            addresses: read_addresses(reader)?,
+            fingerprint: SignerId(reader.array("fingerprint")?),
+            transport: TransportKey::new(reader.array("transport key")?),
+        };
         let (name, owner, owner_key) = read_owner(reader)?;
         let device = read_device(reader)?;
         let index = match reader.u8("index key")? {
@@ -228,7 +205,7 @@ impl Enrolment {
         Ok(Self {
             domain,
             chain_id,
-            gateways,
+            gateway,
             name,
             owner,
             owner_key,

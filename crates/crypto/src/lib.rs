@@ -17,7 +17,7 @@ pub mod envelope;
 mod erased;
 pub mod error;
 mod file_key;
-mod gateway_list;
+mod gateway_addresses;
 mod gcm;
 pub mod identity;
 pub mod kdf;
@@ -65,7 +65,7 @@ pub use enrolment::{
 pub use envelope::{GrantedKeys, WrappedKeys, unwrap, wrap};
 pub use erased::ErasedStatement;
 pub use error::CryptoError;
-pub use gateway_list::{GatewayList, ListedGateway};
+pub use gateway_addresses::GatewayAddresses;
 pub use identity::{check_identity, prove};
 pub use kdf::{hkdf_sm3, hmac_sm3};
 pub use kept_key::{open_transport_key, seal_transport_key};

@@ -139,6 +139,6 @@ impl Relay for ChainLine {
     }
 
     fn place(&self) -> String {
-        format!("the gateway {}", crate::model::clean(&self.endpoint.address, 120))
+        format!("the gateway {}", crate::model::clean(&self.endpoint.addresses.join(", "), 300))
     }
 }

@@ -9,13 +9,13 @@ use tokio::time::timeout;
 
 use crate::crypto::record::check;
 use crate::crypto::{Anchor, SmKeyPair, TransportKey};
-use crate::model::{Digest, Hash, ProfileName, Timestamp, Token};
+use crate::model::{Digest, Hash, ProfileName, Timestamp, Token, clean};
 
 use super::allocation::{AllocationRequest, Applicant, apply};
 use super::command::relay::LONGEST_PARAMETERS;
 use super::command::{
-    Answer, Command, DeviceNotice, Entry, ErasedRecord, Fetched, GrantNotice, Page, Query, Registration, RelayCall,
-    Relayed, Request, RevokeNotice, Selection, Standing, Upload,
+    Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page,
+    Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, Upload,
 };
 use super::error::GatewayError;
 use super::hello::{Agreed, Context, NetworkName};
@@ -28,13 +28,12 @@ use super::system_keys::SystemKeyList;
 use super::trust::Trust;
 
 mod exchange;
-mod fleet;
 
-/// A gateway's address, and how to talk to it.
+/// A gateway's addresses, and how to talk to it.
 #[derive(Clone)]
 pub struct Endpoint {
-    /// Host and port.
-    pub address: String,
+    /// Host and port each; the first that answers is used.
+    pub addresses: Vec<String>,
     /// The network, and the crypto provider.
     pub context: Context,
     /// How long to wait for an answer.
@@ -55,6 +54,8 @@ pub struct Credentials {
 /// A session with a gateway.
 pub struct Client {
     line: Line,
+    address: String,
+    passed_over: Vec<(String, GatewayError)>,
     endpoint: Endpoint,
     agreed: Agreed,
     session: Session,
@@ -102,19 +103,28 @@ impl Client {
         who: exchange::Who<'_>,
         token: Token,
     ) -> Result<Self, GatewayError> {
-        let (line, agreed, session) = timeout(endpoint.patience, exchange::hello(endpoint, trust, who))
-            .await
-            .map_err(|_| GatewayError::TimedOut)??;
-        Ok(Self {
-            line,
-            endpoint: endpoint.clone(),
-            agreed,
-            session,
-            token,
-            requests: 0,
-            assembler: Assembler::new(),
-            waiting: VecDeque::new(),
-        })
+        let mut failed = Vec::new();
+        for address in &endpoint.addresses {
+            let hello = timeout(endpoint.patience, exchange::hello(endpoint, address, trust, who)).await;
+            match hello.unwrap_or(Err(GatewayError::TimedOut)) {
+                Ok((line, agreed, session)) => {
+                    return Ok(Self {
+                        line,
+                        address: address.clone(),
+                        passed_over: failed,
+                        endpoint: endpoint.clone(),
+                        agreed,
+                        session,
+                        token,
+                        requests: 0,
+                        assembler: Assembler::new(),
+                        waiting: VecDeque::new(),
+                    });
+                }
+                Err(error) => failed.push((clean(address, 240), error)),
+            }
+        }
+        Err(GatewayError::of_addresses(failed))
     }
 
     /// Allocates a transport key: binds N to the account and gives K_T to the gateway. The receipt proves it.
@@ -168,12 +178,21 @@ impl Client {
         }
     }
 
-    /// Asks an address which network it is on. Nothing is proven yet; the hello on that network proves it.
+    /// Asks the first of these addresses that answers which network it is on. Nothing is proven yet; the hello on that
+    /// network proves it.
     ///
     /// # Errors
     /// [`GatewayError`].
-    pub async fn inquire(address: &str, patience: Duration) -> Result<NetworkName, GatewayError> {
-        timeout(patience, exchange::inquire(address, patience)).await.map_err(|_| GatewayError::TimedOut)?
+    pub async fn inquire(addresses: &[String], patience: Duration) -> Result<NetworkName, GatewayError> {
+        let mut failed = Vec::new();
+        for address in addresses {
+            let named = timeout(patience, exchange::inquire(address, patience)).await;
+            match named.unwrap_or(Err(GatewayError::TimedOut)) {
+                Ok(named) => return Ok(named),
+                Err(error) => failed.push((clean(address, 240), error)),
+            }
+        }
+        Err(GatewayError::of_addresses(failed))
     }
 
     /// Connects without a transport key, to read the chain through the gateway. `name` is only for the gateway's log.
@@ -201,6 +220,16 @@ impl Client {
             Answer::Relayed(relayed) => Ok(relayed),
             _ => Err(GatewayError::Unexpected("no answer of the chain")),
         }
+    }
+
+    /// The address at which the gateway answered.
+    pub fn address(&self) -> &str {
+        &self.address
+    }
+
+    /// The addresses that were tried before that one, cleaned, and why they cannot be used.
+    pub fn passed_over(&self) -> &[(String, GatewayError)] {
+        &self.passed_over
     }
 
     /// The terms agreed with the gateway.
@@ -286,6 +315,19 @@ impl Client {
                 Ok(*signed)
             }
             _ => Err(GatewayError::Unexpected("no signed standings")),
+        }
+    }
+
+    /// Has the gateway erase its copies of records that the session's owner had erased, at most 64; returns what becomes of
+    /// each, by its word.
+    ///
+    /// # Errors
+    /// [`GatewayError`].
+    pub async fn erase(&mut self, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, GatewayError> {
+        let count = erasures.len();
+        match self.ask(&Request::Erase(erasures)).await? {
+            Answer::Erased(outcomes) if outcomes.len() == count => Ok(outcomes),
+            _ => Err(GatewayError::Unexpected("an outcome for each erasure is missing")),
         }
     }
 

@@ -9,16 +9,14 @@ use super::session::{LONGEST_TEXT, SessionId};
 
 pub mod answer;
 pub mod erased;
-pub mod erasures;
-pub mod holdings;
+pub mod erasure;
 pub mod query;
 pub mod relay;
 pub mod request;
 
 pub use answer::{Answer, Fetched, Standing};
 pub use erased::ErasedRecord;
-pub use erasures::{ErasureOutcome, ErasurePlace, Erasures, ToldErasure};
-pub use holdings::{HandedOver, Held, HoldingPlace, Holdings, ManyHandedOver, Wanted};
+pub use erasure::{ErasureNotice, ErasureOutcome};
 pub use query::{Entry, Page, Query, Selection};
 pub use relay::{RelayCall, Relayed};
 pub use request::{DeviceNotice, GrantNotice, Registration, Request, RevokeNotice, Upload};
@@ -84,11 +82,8 @@ commands! {
     DeviceNotice = 17;
     /// A JSON-RPC request, passed on to the chain.
     Relay = 18;
-    /// Which anchored records the gateway holds, or which were erased, for a gateway of the same fleet; or what an owner had
-    /// erased, for a gateway that may hold it.
-    Holdings = 20;
-    /// The records of a range, for a gateway of the same fleet.
-    HandOver = 21;
+    /// Records that the session's owner had erased at home, for the gateway to erase its copies.
+    Erase = 20;
 }
 
 impl Command {

@@ -15,9 +15,8 @@ use crate::model::{
 
 use super::code::{Code, Refusal};
 use super::command::{
-    DeviceNotice, Entry, ErasedRecord, ErasureOutcome, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver,
-    HoldingPlace, Holdings, ManyHandedOver, Page, Query, Registration, RevokeNotice, Selection, Standing, ToldErasure,
-    Wanted,
+    DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query, Registration,
+    RevokeNotice, Selection, Standing,
 };
 use super::hello::NetworkName;
 use super::standings::Stood;
@@ -183,36 +182,11 @@ pub trait Desk: Send + Sync + 'static {
     /// ends with the loan. `Signature` if the chain has no such loan.
     async fn device(&self, caller: &Caller, notice: &DeviceNotice) -> Result<(), Refusal>;
 
-    /// What this gateway holds, in the order of the anchoring blocks: `NotAuthorised` unless the caller is the keeper of a
-    /// gateway that this one's keeper named.
-    async fn holdings(&self, caller: &Caller, after: &HoldingPlace) -> Result<Holdings, Refusal> {
-        let _ = after;
-        Err(Refusal::new(Code::NotAuthorised, format_args!("{} keeps no gateway of this fleet", caller.account)))
-    }
-
-    /// What was erased here at its owner's word, under the same condition.
-    async fn erasures(&self, caller: &Caller, after: &ErasurePlace) -> Result<Erasures, Refusal> {
-        let _ = after;
-        Err(Refusal::new(Code::NotAuthorised, format_args!("{} keeps no gateway of this fleet", caller.account)))
-    }
-
-    /// Erases here what the caller had erased at home, as far as all of it holds; what becomes of each, in order. `NotAuthorised`
-    /// if one of them is somebody else's.
-    async fn erase(&self, caller: &Caller, told: Vec<ToldErasure>) -> Result<Vec<ErasureOutcome>, Refusal> {
-        let _ = told;
+    /// Erases here what the caller had erased at home; returns what becomes of each record, in order. `NotAuthorised` if one
+    /// of them is somebody else's.
+    async fn erase(&self, caller: &Caller, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, Refusal> {
+        let _ = erasures;
         Err(Refusal::new(Code::NotHere, format_args!("nothing of {} is kept here", caller.account)))
-    }
-
-    /// The records of a range with their proofs, under the same condition.
-    async fn hand_over(&self, caller: &Caller, wanted: &Wanted) -> Result<HandedOver, Refusal> {
-        let _ = wanted;
-        Err(Refusal::new(Code::NotAuthorised, format_args!("{} keeps no gateway of this fleet", caller.account)))
-    }
-
-    /// The same of several ranges, in their order.
-    async fn hand_over_many(&self, caller: &Caller, wanted: &[Wanted]) -> Result<ManyHandedOver, Refusal> {
-        let _ = wanted;
-        Err(Refusal::new(Code::NotAuthorised, format_args!("{} keeps no gateway of this fleet", caller.account)))
     }
 
     /// Reports a refusal: for the log, counted by (peer, code, minute).

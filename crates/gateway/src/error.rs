@@ -17,6 +17,9 @@ pub enum GatewayError {
         /// The system's reason.
         source: std::io::Error,
     },
+    /// None of its addresses leads to the gateway.
+    #[error("none of the gateway's addresses can be used: {}", each(.0))]
+    Nowhere(Vec<(String, GatewayError)>),
     /// The gateway closed the connection.
     #[error("the gateway closed the connection; connect again, and see its log for the reason")]
     Closed,
@@ -96,6 +99,12 @@ impl GatewayError {
             Self::Unreachable { .. } | Self::Closed | Self::RefusedInClear(_) | Self::TimedOut => {
                 ErrorKind::Unreachable
             }
+            Self::Nowhere(failed) => match failed.first() {
+                Some((_, first)) if failed.iter().all(|(_, error)| error.kind() != ErrorKind::Unreachable) => {
+                    first.kind()
+                }
+                _ => ErrorKind::Unreachable,
+            },
             Self::Refused(code) => code.kind(),
             Self::NotPinned(_)
             | Self::NotTheGateway { .. }
@@ -111,9 +120,21 @@ impl GatewayError {
         }
     }
 
+    /// Why each address of a gateway failed.
+    pub(super) fn of_addresses(failed: Vec<(String, Self)>) -> Self {
+        match <[_; 1]>::try_from(failed) {
+            Ok([(_, only)]) => only,
+            Err(failed) => Self::Nowhere(failed),
+        }
+    }
+
     pub(super) fn malformed(what: &'static str) -> impl Fn(WireError) -> Self {
         move |why| Self::Malformed { what, why }
     }
+}
+
+fn each(failed: &[(String, GatewayError)]) -> String {
+    failed.iter().map(|(address, error)| format!("{address}: {error}")).collect::<Vec<_>>().join("; ")
 }
 
 impl From<Refusal> for GatewayError {

@@ -55,9 +55,7 @@ pub fn check_reach(caller: &Caller, request: &Request) -> Result<(), Refusal> {
         Request::Subscribe(selection) => device.hears(&caller.account, selection),
         Request::GrantNotice(_) | Request::RevokeNotice(_) | Request::Relay(_) => false,
         // Notices are not erased, and its owner alone has anything erased.
-        Request::FetchErased(_) | Request::TellErasures(_) => false,
-        // A robot is nobody's gateway.
-        Request::Holdings(_) | Request::Erasures(_) | Request::HandOver(_) | Request::HandOverMany(_) => false,
+        Request::FetchErased(_) | Request::Erase(_) => false,
         _ => true,
     };
     if may {
@@ -133,11 +131,6 @@ pub async fn check_records(
 /// # Errors
 /// [`Refusal`] with `Signature`; one bad record refuses all.
 pub fn verify_all(context: Context, uploads: Vec<Upload>, signers: &[PublicKey]) -> Result<Vec<Received>, Refusal> {
-    verify_each(context, uploads, signers).into_iter().collect()
-}
-
-/// The same, each record judged by itself, in their order.
-pub fn verify_each(context: Context, uploads: Vec<Upload>, signers: &[PublicKey]) -> Vec<Result<Received, Refusal>> {
     let mut records = Vec::with_capacity(uploads.len());
     for (upload, signer) in uploads.iter().zip(signers) {
         let Upload { blob, signature, .. } = upload;

@@ -12,7 +12,6 @@ extern crate self as authros_gateway;
 
 pub mod allocation;
 pub mod chain_line;
-pub mod chain_lines;
 pub mod client;
 pub mod code;
 pub mod command;
@@ -35,13 +34,11 @@ pub mod trust;
 
 pub use allocation::Applicant;
 pub use chain_line::ChainLine;
-pub use chain_lines::ChainLines;
 pub use client::{Client, Credentials, Endpoint};
 pub use code::{Code, Refusal};
 pub use command::{
-    Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasureOutcome, ErasurePlace, Erasures, Fetched, GrantNotice,
-    HandedOver, Held, HoldingPlace, Holdings, ManyHandedOver, Page, Query, Registration, RelayCall, Relayed, Request,
-    RevokeNotice, Selection, Standing, ToldErasure, Upload, Wanted,
+    Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page,
+    Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, Upload,
 };
 pub use desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
 pub use error::GatewayError;

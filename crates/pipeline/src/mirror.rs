@@ -4,9 +4,6 @@
 #[cfg(test)]
 mod block_tests;
 mod erased;
-pub mod lacking;
-#[cfg(test)]
-mod lacking_tests;
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};

@@ -1,4 +1,4 @@
-//! Notices of an owner to its robots: keys of a new epoch or of more topics, other gateways, sealed for one device,
+//! Notices of an owner to its robots: keys of a new epoch or of more topics, other addresses of their gateway, sealed for one device,
 //! signed by d_C and numbered. This is the robot's side: it subscribes at its gateway, takes notices newer than those it has, saves them
 //! and applies them.
 
@@ -48,8 +48,8 @@ pub struct Notices {
     sealed: SealedEnrolment,
     /// Where the enrolment is stored with later changes.
     kept: PathBuf,
-    /// Told when the owner has named other gateways.
-    gateways: watch::Sender<Vec<GatewayAccess>>,
+    /// Changes when the owner has named other addresses of the gateway.
+    gateway: watch::Sender<GatewayAccess>,
     /// Notes what is asked of the ring, where this robot has one.
     ring: Option<Ledger>,
     /// Whether it has one now.
@@ -73,14 +73,14 @@ impl Notices {
         sealed: SealedEnrolment,
         kept: PathBuf,
     ) -> Self {
-        let gateways = watch::channel(sealed.enrolment.gateways.clone()).0;
+        let gateway = watch::channel(sealed.enrolment.gateway.clone()).0;
         Self {
             provider,
             observer,
             author,
             sealed,
             kept,
-            gateways,
+            gateway,
             ring: None,
             has_ring: Arc::new(AtomicBool::new(true)),
             policies: None,
@@ -91,9 +91,9 @@ impl Notices {
         }
     }
 
-    /// The gateways to use, as the owner names them from now on.
-    pub fn gateways(&self) -> watch::Receiver<Vec<GatewayAccess>> {
-        self.gateways.subscribe()
+    /// The gateway, with the addresses that the owner names from now on.
+    pub fn gateway(&self) -> watch::Receiver<GatewayAccess> {
+        self.gateway.subscribe()
     }
 
     /// The same for a robot with a ring: what is asked of it is noted in the ledger.
@@ -235,14 +235,12 @@ impl Notices {
                 let fingerprint = Fingerprint::of(&change.new);
                 format!("the owner's SM2 key is now {fingerprint}; the old key and the account signed the change")
             }
-            Notice::Gateways(list) => {
-                let gateways = list.applied(&enrolment.gateways);
-                if gateways.is_empty() {
-                    return Err(PipelineError::Refused("it names no gateway that this robot has a key for".to_owned()));
+            Notice::Addresses(list) => {
+                if list.gateway != enrolment.gateway.fingerprint {
+                    return Err(PipelineError::Refused("it is about another gateway than this robot's".to_owned()));
                 }
-                let places: Vec<&str> = gateways.iter().map(|gateway| gateway.address.as_str()).collect();
-                let told = format!("the owner names the gateways {} from now on", clean(&places.join(", "), 300));
-                enrolment.gateways.clone_from(&gateways);
+                let told = format!("the gateway's addresses are now {}", clean(&list.addresses.join(", "), 300));
+                enrolment.gateway.addresses = list.addresses;
                 told
             }
             Notice::Pull(span) => {
@@ -270,10 +268,10 @@ impl Notices {
         }
         block_in_place(|| self.sealed.save(&self.kept))?;
         self.observer.alert(false, told);
-        let gateways = &self.sealed.enrolment.gateways;
-        self.gateways.send_if_modified(|known| {
-            let changed = known != gateways;
-            known.clone_from(gateways);
+        let gateway = &self.sealed.enrolment.gateway;
+        self.gateway.send_if_modified(|known| {
+            let changed = known != gateway;
+            known.clone_from(gateway);
             changed
         });
         Ok(())
@@ -306,7 +304,7 @@ pub fn open_notice(
             change.check(provider, &enrolment.domain, &enrolment.owner, &enrolment.owner_key)?;
             true
         }
-        Notice::Gateways(list) => {
+        Notice::Addresses(list) => {
             list.check(&enrolment.domain, &enrolment.owner, &enrolment.device_id())?;
             true
         }
@@ -319,6 +317,8 @@ pub fn open_notice(
     Err(PipelineError::Refused("it is not a notice to a robot".to_owned()))
 }
 
+        // It has neither a gateway nor a ring, and its owner sets what it watches.
+        Notice::Keys(_) | Notice::Addresses(_) | Notice::Pull(_) | Notice::Policy(_) | Notice::Unknown(_) => {
 /// Notes what is asked of the ring before the notice counts as taken; what was done, in words.
 fn asked(ring: Option<&Ledger>, number: u64, span: &RingSpan) -> Result<String, PipelineError> {
     let RingSpan { since, until, .. } = span;

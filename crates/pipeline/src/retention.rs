@@ -212,8 +212,8 @@ fn report(
     Ok(true)
 }
 
-/// Overwrites records that other gateways of the fleet said their owners had erased, and that are still here; returns how
-/// many. One caller at a time.
+/// Overwrites records that their owners told this gateway to erase, and that are still here; returns how many. One caller at
+/// a time.
 ///
 /// # Errors
 /// Errors of vault and ledger; called again, it does what is left.

@@ -7,7 +7,6 @@ mod check;
 mod choices;
 mod evidence;
 pub mod filter;
-mod fleet;
 mod incidents;
 mod operate;
 mod operators;
@@ -28,7 +27,6 @@ pub use self::check::{AuditRecords, BackUp, EraseRecords, ErasureWishes, ListAll
 pub use self::choices::{Epochs, Held, KeyKind, PairKind, UploadQuery};
 pub use self::evidence::EvidenceWishes;
 pub use self::filter::Term;
-pub use self::fleet::{AddFellow, FleetCommand, FleetStatus, ListFellows, RemoveFellow};
 pub use self::incidents::{
     CloseIncident, IncidentCommand, ListIncidents, NoteIncident, OpenIncident, RemoveIncident, ShowIncident,
 };
@@ -48,10 +46,10 @@ use crate::chain::Revision;
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 use crate::service::reply::{
     AdministrationView, AuditCheck, AuditView, CaptureSummary, ChainView, CheckView, CompareView, ContactRow,
-    CoverageView, DecidedView, DeployedView, DeviceGatewaysView, DeviceRow, DeviceTopicsView, EnrolledView,
-    EvidenceView, ExportedFile, GatewayView, GatewaysView, GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView,
-    PinsView, PlayedView, PolicyView, Provenance, QuarantineView, RecordPage, ServedView, SiteView, StampView,
-    TopicRow, TransactionView,
+    CoverageView, DecidedView, DeployedView, DeviceAddressesView, DeviceRow, DeviceTopicsView, EnrolledView,
+    EvidenceView, ExportedFile, GatewayView, GrantRow, IdentityView, KeyChangeView, KeysView, OpenedView, PinsView,
+    PlayedView, PolicyView, Provenance, QuarantineView, RecordPage, ServedView, SiteView, StampView, TopicRow,
+    TransactionView,
 };
 pub use crate::store::AuditQuery;
 
@@ -237,15 +235,6 @@ requests! {
     ListGrants => Vec<GrantRow>;
     /// Records others share with this profile.
     ListShared(query: UploadQuery) => RecordPage;
-    /// Which of the records shared with this profile, and of its own, each gateway lacks that this home joins.
-    CompareGateways {
-        /// Only of this owner.
-        owner: Option<Party>,
-        /// Only of this topic.
-        topic: Option<TopicName>,
-        /// At how many gateways each record is to be; `None` = at all.
-        copies: Option<u32>,
-    } => GatewaysView;
     /// The paper's Data_Check of one record: digest against the chain, signature, and the contract's answer about the
     /// right to read it.
     CheckShared {
@@ -281,16 +270,14 @@ requests! {
         /// The topics.
         topics: Vec<TopicName>,
     } => DeviceTopicsView;
-    /// Give an enrolled robot a further gateway; the notice goes out at once, or when the gateway is there.
-    AddDeviceGateway {
+    /// Give an enrolled robot a further address of its gateway.
+    AddDeviceAddress {
         /// Its name, the device's id, or the beginning of it.
         device: String,
-        /// The gateway, host:port.
+        /// Host:port.
         address: String,
-        /// SM3 of its identity key.
-        key: SignerId,
-    } => DeviceGatewaysView;
-    /// Make a robot a device of the profile, known to its gateways.
+    } => DeviceAddressesView;
+    /// Make a robot a device of the profile, known to its gateway.
     EnrolDevice(wishes: super::site::EnrolWishes) => EnrolledView;
     /// Devices lent and recalled.
     ListDevices => Vec<DeviceRow>;
@@ -392,8 +379,6 @@ requests! {
         OfIncident(IncidentCommand),
         /// Robots: what is asked of them.
         OfRobot(RobotCommand),
-        /// The fleet: gateways that reconcile what they hold.
-        OfFleet(FleetCommand),
         /// Operators: people who work at the profile with keys of their own.
         OfOperator(OperatorCommand),
     }

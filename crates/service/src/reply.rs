@@ -4,9 +4,7 @@ mod alerts;
 mod audit;
 mod chain;
 mod check;
-mod fleet;
 mod forging;
-mod gateways;
 mod identity;
 mod incidents;
 mod operate;
@@ -29,11 +27,9 @@ pub use self::chain::{ChainView, DeployedView, GasView, GatewayView, ServedView}
 pub use self::check::{
     BackupView, CheckStatus, DoctorCheck, DoctorView, ErasureView, FindingKind, RecordAudit, RecordFinding,
 };
-pub use self::fleet::{FellowView, FleetView};
 pub use self::forging::{AlarmView, DecidedView, HeldView, PinView, PinsView, QuarantineView};
-pub use self::gateways::{GatewayHoldings, GatewaysView, HoleView, LackView, UntoldView};
 pub use self::identity::{
-    DeviceGatewaysView, DeviceTopicsView, EnrolledView, EpochView, IdentityView, KeyChangeView, KeysView,
+    DeviceAddressesView, DeviceTopicsView, EnrolledView, EpochView, IdentityView, KeyChangeView, KeysView,
     RobotGatewayView, TransactionView,
 };
 pub use self::incidents::{IncidentNoteView, IncidentView, SpanCoverageView};
@@ -166,8 +162,8 @@ replies! {
     Devices(Vec<DeviceRow>);
     /// To `AddDeviceTopics`.
     DeviceTopics(DeviceTopicsView);
-    /// To `AddDeviceGateway`.
-    DeviceGateways(DeviceGatewaysView);
+    /// To `AddDeviceAddress`.
+    DeviceAddresses(DeviceAddressesView);
     /// To `EnrolDevice`.
     Enrolled(EnrolledView);
     /// To `CompareFingerprint`.
@@ -226,12 +222,6 @@ replies! {
     Robots(Vec<RobotRow>);
     /// To `ShowRobot` and `SetRobotPolicy`.
     Robot(RobotView);
-    /// To `AddFellow`, `RemoveFellow` and `ListFellows`.
-    Fellows(Vec<FellowView>);
-    /// To `FleetStatus`.
-    Fleet(FleetView);
-    /// To `CompareGateways`.
-    Gateways(GatewaysView);
     /// To `AddOperator`, `RemoveOperator` and `ListOperators`.
     Operators(Vec<OperatorView>);
     /// To `ChallengeOperator`.

@@ -165,7 +165,6 @@ pub fn greeting(site: &Site) -> Greeting {
         "crypto.provider",
         "site.address",
         "site.gateway_key",
-        "site.also",
     ];
     let settings = site.config().show().into_iter().filter(|setting| binding.contains(&setting.name));
     Greeting {

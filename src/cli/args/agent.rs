@@ -17,12 +17,12 @@ pub enum AgentVerb {
 #[derive(Debug, Args)]
 #[command(group(clap::ArgGroup::new("trust").required(true)))]
 pub struct EnrolArguments {
-    /// The gateway; may be repeated: the robot uses the first that answers
+    /// The gateway; repeat it for further addresses of the same gateway: the robot uses the first that answers
     #[arg(long = "gateway", value_name = "HOST:PORT", required = true)]
-    pub gateways: Vec<String>,
-    /// The gateway's fingerprint (64 hex), as its operator shows it; one for each gateway, in the same order
-    #[arg(id = "gateway_key", long = "gateway-key", value_name = "FINGERPRINT", group = "trust")]
-    pub gateway_keys: Vec<String>,
+    pub addresses: Vec<String>,
+    /// The gateway's fingerprint (64 hex), as its operator shows it
+    #[arg(long, value_name = "FINGERPRINT", group = "trust")]
+    pub gateway_key: Option<String>,
     /// Pin whatever gateway answers; compare the fingerprint afterwards
     #[arg(long, group = "trust")]
     pub trust_first: bool,

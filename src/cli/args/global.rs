@@ -61,9 +61,10 @@ pub struct Global {
     /// authros (its own kernels), rustcrypto or libsm
     #[arg(long, global = true, value_name = "NAME")]
     pub crypto_provider: Option<String>,
-    /// Join a remote site through its gateway, which supplies records and chain
+    /// Join a remote site through its gateway, which supplies records and chain; further addresses of the same gateway
+    /// may follow, each after another --site
     #[arg(long, global = true, value_name = "HOST:PORT")]
-    pub site: Option<String>,
+    pub site: Vec<String>,
     /// That gateway's identity key, 64 hex digits, from its operator (not the eight-group fingerprint printed beside
     /// it)
     #[arg(long, global = true, value_name = "KEY", conflicts_with = "trust_first")]
@@ -71,9 +72,6 @@ pub struct Global {
     /// Pin the first gateway that answers
     #[arg(long, global = true)]
     pub trust_first: bool,
-    /// A further gateway of the fleet that is joined; may be repeated
-    #[arg(long, global = true, value_name = "HOST:PORT=KEY")]
-    pub also: Vec<String>,
     /// batch (Merkle roots) or each (one transaction per record)
     #[arg(long, global = true, value_name = "MODE")]
     pub anchor_mode: Option<String>,
@@ -94,10 +92,9 @@ impl Global {
             "confirmations" => self.confirmations.clone(),
             "crypto.provider" => self.crypto_provider.clone(),
             "anchor.mode" => self.anchor_mode.clone(),
-            "site.address" => self.site.clone(),
+            "site.address" => (!self.site.is_empty()).then(|| self.site.join(",")),
             "site.gateway_key" => self.gateway_key.clone(),
             "site.trust_first" => self.trust_first.then(|| "yes".to_owned()),
-            "site.also" => (!self.also.is_empty()).then(|| self.also.join(",")),
             _ => None,
         }
     }

@@ -141,8 +141,6 @@ pub enum SharedVerb {
         /// Record id, or its first characters
         id: String,
     },
-    /// Compare what each gateway lists that this home joins: which records it lacks, who has them, which nobody has
-    Gateways(crate::cli::gateways::GatewaysArguments),
     /// Export all readable records as a bag or MCAP file, each one verified first
     Export(crate::cli::recordings::ExportArguments),
     /// Publish shared records in a ROS graph, each one verified first

@@ -6,12 +6,12 @@ use std::process::Command as Program;
 use clap::Parser as _;
 
 use crate::app::incidents::Deed;
-use crate::app::{Errand, Settings, State, Tag, command_line, fleet};
+use crate::app::{Errand, Settings, State, Tag, command_line};
 use crate::cli::args::Arguments;
-use crate::model::{Address, IncidentName, Party, SignerId, Timestamp, TopicName};
+use crate::model::{Address, IncidentName, Party, Timestamp, TopicName};
 use crate::service::command::{
-    AddFellow, Administration, CloseIncident, Held, NoteIncident, OpenIncident, Pace, PlayWishes, RemoveFellow,
-    RemoveIncident, SetRobotPolicy, ShowRobot,
+    Administration, CloseIncident, Held, NoteIncident, OpenIncident, Pace, PlayWishes, RemoveIncident, SetRobotPolicy,
+    ShowRobot,
 };
 use crate::service::{Command, Epochs, KeyKind, Operation, SecretText};
 
@@ -54,13 +54,12 @@ fn place(tag: &Tag) -> Option<usize> {
         Tag::Contact(_) => 25,
         Tag::Incident(..) => 26,
         Tag::Play(_) => 27,
-        Tag::Fleet(_) => 28,
-        Tag::Robot(_) => 29,
-        Tag::SetPolicy(..) => 30,
+        Tag::Robot(_) => 28,
+        Tag::SetPolicy(..) => 29,
     })
 }
 
-const ACTS: usize = 31;
+const ACTS: usize = 30;
 
 /// An act, and the line that a person would type for it.
 type Act = (Tag, Command, String);
@@ -181,23 +180,11 @@ fn acts_of_incidents() -> Vec<Act> {
     ]
 }
 
-fn acts_of_the_fleet() -> Vec<Act> {
-    let (key, address) = (SignerId([0x6a; 32]), || "192.0.2.7:7420".to_owned());
-    let add = || AddFellow { address: address(), key }.into();
-    let remove = RemoveFellow { gateway: address() };
+fn acts_of_robots() -> Vec<Act> {
     let set = |text: &str| SetRobotPolicy { name: "scout".to_owned(), text: text.to_owned() }.into();
     let show = ShowRobot { name: "scout".to_owned() };
-    let named = |before: Option<String>| Tag::Fleet(fleet::Deed::Add { address: address(), key, before });
-    let line = format!("fleet add 192.0.2.7:7420 --gateway-key {}", "6a".repeat(32));
     let file = Some("/home/op/scout's.toml".into());
     vec![
-        (named(None), add(), line.clone()),
-        (named(Some("192.0.2.6:7420".to_owned())), add(), line),
-        (
-            Tag::Fleet(fleet::Deed::Remove { address: address(), key }),
-            remove.into(),
-            "fleet remove 192.0.2.7:7420".to_owned(),
-        ),
         (Tag::Robot("scout".to_owned()), show.into(), "robots show scout".to_owned()),
         (
             Tag::SetPolicy("scout".to_owned(), file),
@@ -220,7 +207,7 @@ fn every_act_of_the_console_has_the_line_that_a_person_would_type() {
     let state = State::new(Settings::default());
     let mut walked = [false; ACTS];
     let all = [acts_of_keys(), acts_of_topics(), acts_of_rights(), acts_of_records()];
-    for (tag, command, expected) in [all.concat(), acts_of_incidents(), acts_of_the_fleet()].concat() {
+    for (tag, command, expected) in [all.concat(), acts_of_incidents(), acts_of_robots()].concat() {
         walked[place(&tag).expect("an act")] = true;
         let line = command_line::twin(&state, &Errand { command, tag: tag.clone() });
         let line = line.unwrap_or_else(|| panic!("{tag:?} has no command line"));

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use zeroize::Zeroizing;
 
 use super::feed::Feed;
-use super::fleet;
 use super::incidents::Deed;
 use super::key::Key;
 use super::paths::{Found, Sought};
@@ -207,8 +206,6 @@ pub enum Tag {
     Contact(String),
     /// Something done to an incident.
     Incident(Deed, IncidentName),
-    /// Something done to the fleet.
-    Fleet(fleet::Deed),
     /// A robot in full.
     Robot(String),
     /// The policy of a robot, from this file; `None` = cleared.
@@ -264,7 +261,6 @@ impl Tag {
             Self::Export(id) => format!("exporting {id}"),
             Self::Incident(deed, name) => deed.words(name),
             Self::Contact(name) => format!("changing contact {name}"),
-            Self::Fleet(deed) => deed.words(),
             Self::Robot(name) => format!("looking up robot {name}"),
             Self::SetPolicy(robot, Some(_)) => format!("setting the policy of {robot}"),
             Self::SetPolicy(robot, None) => format!("clearing the policy of {robot}"),

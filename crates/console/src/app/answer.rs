@@ -10,7 +10,6 @@ use super::action::{Contents, Effect, Tag};
 use super::detail;
 use super::exporting;
 use super::feed::Feed;
-use super::fleet;
 use super::identity_path;
 use super::incidents::{self, Deed};
 use super::opening;
@@ -74,7 +73,6 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Incident(deed, _) => done(state, tag, ask::OpenIncident::heard(result), |state, view| {
             incidents::changed(state, *deed, view);
         }),
-        Tag::Fleet(deed) => fleet_changed(state, tag, deed, result),
         Tag::Robot(name) => policies::shown(state, name, ask::ShowRobot::heard(result)),
         Tag::SetPolicy(robot, _) => policy_set(state, tag, robot, result),
         Tag::Watch(topic) => done(state, tag, ask::WatchTopic::heard(result), |state, ()| {
@@ -107,10 +105,6 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         }
     }
     follow_up(state, tag)
-}
-
-fn fleet_changed(state: &mut State, tag: &Tag, deed: &fleet::Deed, result: Answer) {
-    done(state, tag, ask::ListFellows::heard(result), |state, rows| fleet::changed(state, deed, rows));
 }
 
 fn policy_set(state: &mut State, tag: &Tag, robot: &str, result: Answer) {
@@ -183,10 +177,6 @@ fn take(state: &mut State, feed: Feed, result: Answer) -> Result<Vec<Effect>, Fa
             state.progress_at = state.now;
         }
         Feed::Gateway => state.gateway.set(ask::GatewayStatus::heard(result)?),
-        Feed::Fleet => {
-            let (view, now) = (ask::FleetStatus::heard(result)?, state.now);
-            state.gateway.set_fleet(view, now);
-        }
         Feed::Robots => return Ok(policies::listed(state, ask::ListRobots::heard(result)?)),
     }
     Ok(Vec::new())
@@ -345,7 +335,6 @@ fn secret(base: Option<PathBuf>, name: String, secret: &SecretBytes) -> Effect {
 fn touched_by(tag: &Tag) -> &'static [Feed] {
     match tag {
         Tag::Watch(_) | Tag::Unwatch(_) | Tag::HoldCapture => &[Feed::Topics],
-        Tag::Fleet(_) => &[Feed::Fleet, Feed::Site],
         Tag::SetPolicy(..) => &[Feed::Robots],
         Tag::Incident(..) => &[Feed::Incidents, Feed::Uploads],
         Tag::Contact(_) => &[Feed::Contacts, Feed::Grants, Feed::Shared],

@@ -6,7 +6,6 @@ use super::action::Tag;
 use super::administration::Act;
 use super::feed::Feed;
 use super::screen::Screen;
-use super::screens::gateway::Row;
 use super::screens::grants::{is_active, is_given};
 use super::screens::robots::robot_of;
 use super::state::State;
@@ -56,11 +55,6 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
         }
         Verb::Inspect => inspect(state),
         Verb::SetPolicy => policy(state),
-        Verb::AddGateway => add_gateway(state),
-        Verb::RemoveGateway => {
-            let here = state.screen == Screen::Gateway && matches!(state.gateway.selected(), Some(Row::Fellow(_)));
-            given(here, "select a gateway of the fleet (8)")
-        }
         Verb::EndTour => given(state.tour.is_some(), "no tour: authros tour begins one"),
         Verb::Period | Verb::FoldAll | Verb::Columns => given(entry.works_on(state.screen), "other screen"),
         Verb::Release | Verb::Discard => held(state),
@@ -118,27 +112,21 @@ fn register(state: &State) -> Result<(), &'static str> {
     given(!state.work.contains(&Tag::Register), "under way")
 }
 
-/// Gateways of the fleet and the profile's own robots have a window.
+/// The profile's own robots have a window.
 fn inspect(state: &State) -> Result<(), &'static str> {
     given(state.screen == Screen::Gateway, "other screen")?;
-    match state.gateway.selected().ok_or("nothing selected")? {
-        Row::Member(member) if member.robot.is_none() => {
-            given(!state.is_locked(), "locked: u unlocks")?;
-            Err("not a robot of this profile")
-        }
-        Row::Member(_) | Row::Fellow(_) => Ok(()),
+    let member = state.gateway.selected().ok_or("nothing selected")?;
+    if member.robot.is_some() {
+        return Ok(());
     }
+    given(!state.is_locked(), "locked: u unlocks")?;
+    Err("not a robot of this profile")
 }
 
 fn policy(state: &State) -> Result<(), &'static str> {
     identity(state)?;
     let none = state.feeds.slot(Feed::Robots).loaded && state.gateway.robots.is_empty();
     given(!none, "no robot is enrolled")
-}
-
-fn add_gateway(state: &State) -> Result<(), &'static str> {
-    let view = state.gateway.view.as_ref().ok_or("open the Gateway screen first (8)")?;
-    given(view.served.is_some() || !state.gateway.all_fellows().is_empty(), "no gateway runs here")
 }
 
 /// What applies to one topic does not apply to a robot's row.

@@ -7,7 +7,7 @@ use super::action::{Effect, Errand, Tag};
 use super::perform;
 use super::state::State;
 use crate::model::Timestamp;
-use crate::service::command::{Administration, FleetCommand, IncidentCommand, PlayWishes};
+use crate::service::command::{Administration, IncidentCommand, PlayWishes};
 use crate::service::{Command, Epochs, KeyKind};
 
 /// The act as a command line; `None` = it is no act, or one of the console alone.
@@ -72,7 +72,6 @@ fn act(errand: &Errand) -> Option<String> {
         Tag::Export(id) => format!("uploads export {id} --dir DIR"),
         Tag::Contact(_) => of_contact(command)?,
         Tag::Incident(..) => of_incident(command)?,
-        Tag::Fleet(_) => of_fleet(command)?,
         Tag::Robot(name) => format!("robots show {}", quoted(name)),
         Tag::SetPolicy(robot, Some(file)) => {
             format!("robots policy {} --set {}", quoted(robot), quoted(&file.to_string_lossy()))
@@ -173,16 +172,6 @@ fn of_incident(command: &Command) -> Option<String> {
         IncidentCommand::RemoveIncident { name } => format!("incident remove {name} --yes"),
         IncidentCommand::ListIncidents => "incident list".to_owned(),
         IncidentCommand::ShowIncident { name } => format!("incident show {name}"),
-    })
-}
-
-fn of_fleet(command: &Command) -> Option<String> {
-    let Command::OfFleet(command) = command else { return None };
-    Some(match command {
-        FleetCommand::AddFellow { address, key } => format!("fleet add {} --gateway-key {key}", quoted(address)),
-        FleetCommand::RemoveFellow { gateway } => format!("fleet remove {}", quoted(gateway)),
-        FleetCommand::ListFellows => "fleet list".to_owned(),
-        FleetCommand::FleetStatus => "fleet status".to_owned(),
     })
 }
 

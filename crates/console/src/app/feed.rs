@@ -36,15 +36,13 @@ pub enum Feed {
     Progress,
     /// `ListIncidents`.
     Incidents,
-    /// `FleetStatus`.
-    Fleet,
     /// `ListRobots`.
     Robots,
 }
 
 impl Feed {
     /// All feeds.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 14] = [
         Self::Site,
         Self::Identity,
         Self::Keys,
@@ -58,7 +56,6 @@ impl Feed {
         Self::Contacts,
         Self::Progress,
         Self::Incidents,
-        Self::Fleet,
         Self::Robots,
     ];
 
@@ -69,7 +66,7 @@ impl Feed {
             Part::Uploads => &[Self::Uploads, Self::Site, Self::Gateway],
             Part::Grants => &[Self::Grants, Self::Shared, Self::Audit],
             Part::Chain => &[Self::Chain, Self::Shared, Self::Gateway],
-            Part::Health => &[Self::Site, Self::Gateway, Self::Fleet],
+            Part::Health => &[Self::Site, Self::Gateway],
             Part::Identity => &[Self::Identity, Self::Keys, Self::Audit, Self::Robots],
         }
     }

@@ -23,7 +23,6 @@ pub mod exporting;
 pub mod feed;
 pub mod field;
 pub mod first_run;
-pub mod fleet;
 pub mod form;
 pub mod forms;
 pub mod fuzzy;

@@ -14,7 +14,6 @@ use super::cursor;
 use super::detail;
 use super::exporting;
 use super::feed::Feed;
-use super::fleet::{self, FellowWindow};
 use super::forms;
 use super::granting;
 use super::identity_path::{self, Need};
@@ -27,7 +26,6 @@ use super::policies;
 use super::popup::{Confirm, Lookup, Palette, Popup, Purpose};
 use super::profiles;
 use super::screen::Screen;
-use super::screens::gateway::Row;
 use super::screens::grants::other_side;
 use super::screens::log::LogLine;
 use super::state::State;
@@ -58,7 +56,7 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Quit => return quit(state),
         Verb::Play => return playing::toggle(state),
         Verb::Publishers => return publishers(state),
-        Verb::Inspect => return inspect(state),
+        Verb::Inspect => return policies::open(state),
         Verb::Lock => return lock::lock(state),
         Verb::Undo => return undo::undo(state),
         Verb::BackUp => return back_up(state),
@@ -89,8 +87,6 @@ pub fn perform(state: &mut State, verb: Verb) -> Vec<Effect> {
         Verb::Readers => readers(state),
         Verb::Contacts => contacts::open(state),
         Verb::SetPolicy => policies::begin(state),
-        Verb::AddGateway => fleet::begin(state),
-        Verb::RemoveGateway => fleet::begin_removal(state),
         Verb::Incident => incidents::begin(state),
         Verb::Incidents => incidents::open(state),
         Verb::Profile => profiles::open(state),
@@ -276,16 +272,6 @@ fn unpin(state: &mut State) {
 fn read_line(state: &mut State) {
     let line = state.log.selected().cloned();
     state.popups.extend(line.map(Popup::Line));
-}
-
-/// The gateway or robot under the cursor, in full.
-fn inspect(state: &mut State) -> Vec<Effect> {
-    if let Some(Row::Fellow(one)) = state.gateway.selected() {
-        let window = FellowWindow { key: one.key, scroll: 0 };
-        state.popups.push(Popup::Fellow(window));
-        return Vec::new();
-    }
-    policies::open(state)
 }
 
 /// Who can read the topics, the record's topic, or what the grant covers.

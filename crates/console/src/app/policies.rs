@@ -15,7 +15,6 @@ use super::perform::copy;
 use super::popup::{Confirm, Lookup, Popup, Purpose};
 use super::popup_keys::scrolled;
 use super::screen::Screen;
-use super::screens::gateway::{Member, Row};
 use super::state::State;
 use crate::config::{RingWish, RobotPolicy};
 use crate::model::{Timestamp, clean};
@@ -158,10 +157,7 @@ pub fn drift(state: &State) -> Option<(Timestamp, String)> {
 
 /// The robot under the cursor of the Gateway screen.
 pub fn under_cursor(state: &State) -> Option<&RobotRow> {
-    match state.gateway.selected()? {
-        Row::Member(Member { robot, .. }) if state.screen == Screen::Gateway => robot,
-        _ => None,
-    }
+    state.gateway.selected().filter(|_| state.screen == Screen::Gateway)?.robot
 }
 
 /// What a robot is called in a request: its name, unless another robot has it, too.
@@ -203,7 +199,10 @@ pub fn hints(state: &State) -> Vec<(&'static str, &'static str)> {
 pub fn key(state: &mut State, mut lookup: Lookup<RobotView>, key: Key) -> Vec<Effect> {
     let Some(scroll) = scrolled(lookup.scroll, key, state.page_rows()) else { return Vec::new() };
     let length = |view: &RobotView| {
-        12 + view.gateways.len() + view.topics.len() + view.overruled.len() * 3 + view.policy.lines().count()
+        12 + view.gateway.iter().map(|gateway| gateway.addresses.len()).sum::<usize>()
+            + view.topics.len()
+            + view.overruled.len() * 3
+            + view.policy.lines().count()
     };
     lookup.scroll = scroll.min(lookup.found().map_or(0, length));
     let name = lookup.id.clone();

@@ -8,7 +8,6 @@ use super::columns::ColumnChoice;
 use super::confirm::Typed;
 use super::contacts::Book;
 use super::field::Field;
-use super::fleet::FellowWindow;
 use super::form::Form;
 use super::fuzzy;
 use super::incidents::IncidentList;
@@ -60,8 +59,6 @@ pub enum Popup {
     Contacts(Book),
     /// The incidents.
     Incidents(IncidentList),
-    /// A gateway of the fleet.
-    Fellow(FellowWindow),
     /// A robot: its policy, topics, losses.
     Robot(Lookup<RobotView>),
     /// Leaving while something would stop, or is not done.
@@ -93,8 +90,6 @@ pub enum Purpose {
     OpenIncident,
     /// Words about an incident.
     NoteIncident,
-    /// A gateway of the fleet.
-    AddGateway,
     /// A robot and the file of its policy.
     SetPolicy,
     /// Which profile to speak for.

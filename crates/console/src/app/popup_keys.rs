@@ -8,7 +8,6 @@ use super::command_line;
 use super::confirm;
 use super::contacts;
 use super::exporting;
-use super::fleet;
 use super::form::{Form, FormStep};
 use super::forms;
 use super::granting::{self, Extension};
@@ -36,7 +35,6 @@ pub fn hints(state: &State, popup: &Popup) -> Vec<(&'static str, &'static str)> 
         Popup::Browse(_) => vec![("enter", "show these"), ("up down", "choose"), ("q", "close")],
         Popup::Contacts(_) => contacts::hints(state),
         Popup::Incidents(list) => incidents::hints(state, list),
-        Popup::Fellow(_) => fleet::hints(state),
         Popup::Robot(_) => policies::hints(state),
         Popup::Publishers(_) => vec![("up down", "scroll"), ("p", "pin"), ("P", "unpin"), ("q", "close")],
         Popup::Tasks | Popup::Readers(_) => vec![("q", "close")],
@@ -96,7 +94,6 @@ pub fn popup_key(state: &mut State, key: Key) -> Vec<Effect> {
         Popup::Contacts(book) => contacts::key(state, book, key),
         Popup::Incidents(list) => incidents::key(state, list, key),
         Popup::Publishers(lookup) => publishers_key(state, lookup, key),
-        Popup::Fellow(window) => fleet::key(state, window, key),
         Popup::Robot(lookup) => policies::key(state, lookup, key),
         Popup::Tasks | Popup::Readers(_) => {
             if !matches!(key, Key::Escape | Key::Enter | Key::Char('q' | 't' | 'i')) {
@@ -243,8 +240,8 @@ fn confirm_key(state: &mut State, mut confirm: Confirm, key: Key) -> Vec<Effect>
     }
     // The form that led here has done its work.
     let led_here = |purpose: &Purpose| {
-        matches!(purpose, Purpose::Grant | Purpose::Extend | Purpose::LoadKey | Purpose::Administer(_))
-            || matches!(purpose, Purpose::AddGateway | Purpose::SetPolicy)
+        use Purpose::{Administer, Extend, Grant, LoadKey, SetPolicy};
+        matches!(purpose, Grant | Extend | LoadKey | Administer(_) | SetPolicy)
     };
     let form = state.popups.iter().position(|popup| matches!(popup, Popup::Form(purpose, _) if led_here(purpose)));
     if let Some(Popup::Form(purpose, form)) = form.map(|place| state.popups.remove(place)) {
@@ -267,7 +264,7 @@ fn unasked(state: &mut State) -> Vec<Effect> {
 fn need_of(confirm: &Confirm) -> Option<Need> {
     match confirm.errand.tag {
         Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Lock | Tag::BackUp => None,
-        Tag::HoldCapture | Tag::StopPlay | Tag::Contact(_) | Tag::Incident(..) | Tag::Fleet(_) => None,
+        Tag::HoldCapture | Tag::StopPlay | Tag::Contact(_) | Tag::Incident(..) => None,
         Tag::Robot(_) | Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Pin(_) | Tag::Unpin(_) => None,
         Tag::LoadKey(_) | Tag::Release(_) | Tag::Discard(_) | Tag::Deploy | Tag::Adopt => Some(Need::Unlocked),
         Tag::Open(_) | Tag::Path(_) | Tag::Check(_) | Tag::Export(_) | Tag::ExportKey(_) => Some(Need::Unlocked),
@@ -359,11 +356,6 @@ fn submit(state: &mut State, purpose: Purpose, form: &Form) -> Result<Vec<Effect
         Purpose::AddContact => contacts::read(form)?,
         Purpose::OpenIncident => incidents::read(state, form)?,
         Purpose::NoteIncident => incidents::read_note(form)?,
-        Purpose::AddGateway => {
-            let question = fleet::read(state, form)?;
-            state.popups.push(Popup::Confirm(question));
-            return Ok(Vec::new());
-        }
         Purpose::SetPolicy => return policies::submit(state, form),
         Purpose::Profile => {
             let profile = profiles::read(form)?;

@@ -76,7 +76,7 @@ impl Screen {
             Self::Grants => &[Feed::Grants],
             Self::Keys => &[Feed::Keys],
             Self::Chain => &[Feed::Chain],
-            Self::Gateway => &[Feed::Gateway, Feed::Fleet],
+            Self::Gateway => &[Feed::Gateway],
             Self::Log => &[Feed::Audit],
         }
     }

@@ -8,7 +8,6 @@ use super::alerts::AlertBook;
 use super::detail::Detail;
 use super::exporting::Exports;
 use super::feed::{Feed, Feeds};
-use super::fleet;
 use super::form::Form;
 use super::history::{History, Period};
 use super::identity_path::IdentityPath;
@@ -257,7 +256,6 @@ impl State {
             super::countdown::moves_at(self),
             self.progress_asked_at(),
             incidents::asked_at(self),
-            fleet::asked_at(self),
             policies::asked_at(self),
             self.graphs_move_at(),
             self.grants.nearer_at(self.now).filter(|_| self.screen == Screen::Grants && !self.is_frozen()),

@@ -8,7 +8,6 @@ use super::countdown;
 use super::cursor;
 use super::detail;
 use super::feed::Feed;
-use super::fleet;
 use super::incidents;
 use super::key::{Key, chord_label};
 use super::keymap::Meaning;
@@ -26,7 +25,7 @@ use super::state::State;
 use super::tour;
 use super::verb::Verb;
 use crate::model::{RecordState, Timestamp};
-use crate::service::command::{AuditQuery, FleetStatus, ListIncidents, ListRobots, RecordingProgress};
+use crate::service::command::{AuditQuery, ListIncidents, ListRobots, RecordingProgress};
 use crate::service::reply::{Caveat, ShownState};
 use crate::service::{Command, Event, NoticeLevel, Operation, Part};
 
@@ -201,7 +200,6 @@ fn tick(state: &mut State, now: Timestamp) -> Vec<Effect> {
     countdown::tick(state);
     state.ask_for_progress();
     incidents::tick(state);
-    fleet::tick(state);
     policies::tick(state);
     lock::tick(state)
 }
@@ -281,7 +279,6 @@ fn question(state: &State, feed: Feed) -> Option<Command> {
         Feed::Incidents => exists.then(|| ListIncidents.into()),
         Feed::Progress => Some(RecordingProgress.into()),
         Feed::Gateway => Some(Command::Operate(Operation::GatewayStatus)),
-        Feed::Fleet => Some(FleetStatus.into()),
         Feed::Robots => policies::is_open(state).then(|| ListRobots.into()),
     }
 }

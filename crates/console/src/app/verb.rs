@@ -87,14 +87,10 @@ pub enum Verb {
     Readers,
     /// The address book.
     Contacts,
-    /// The gateway or robot under the cursor, in full.
+    /// The robot under the cursor, in full.
     Inspect,
     /// Set a robot's policy, or clear it.
     SetPolicy,
-    /// Name a gateway of the fleet.
-    AddGateway,
-    /// Name it no more.
-    RemoveGateway,
     /// A new incident.
     Incident,
     /// The incidents.

@@ -117,11 +117,10 @@ fn draw_hints(canvas: &mut Canvas, area: Rect, hints: &[(&str, &str)]) {
 }
 
 /// The verbs of the bar, most used first.
-const BY_USE: [Verb; 18] = [
+const BY_USE: [Verb; 16] = [
     Verb::Watch,
     Verb::Details,
     Verb::Inspect,
-    Verb::RemoveGateway,
     Verb::SetPolicy,
     Verb::Open,
     Verb::Grant,
@@ -134,7 +133,6 @@ const BY_USE: [Verb; 18] = [
     Verb::Publishers,
     Verb::Check,
     Verb::Sort,
-    Verb::AddGateway,
     Verb::Mark,
 ];
 
@@ -152,8 +150,7 @@ fn entries(state: &State) -> impl Iterator<Item = &'static Entry> + use<'_> {
     };
     // What works everywhere, or is done once, is named only if it is available.
     let rare = |verb| matches!(verb, Verb::CreateIdentity | Verb::Register | Verb::Inspect | Verb::SetPolicy);
-    let of_fleet = |verb| matches!(verb, Verb::AddGateway | Verb::RemoveGateway);
-    let once = move |entry: &Entry| entry.on.is_empty() || rare(entry.verb) || of_fleet(entry.verb);
+    let once = move |entry: &Entry| entry.on.is_empty() || rare(entry.verb);
     let named = move |entry: &&Entry| !once(entry) || available(state, entry.verb).is_ok();
     VERBS.iter().filter(shown).filter(named)
 }

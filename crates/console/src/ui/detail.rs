@@ -3,14 +3,12 @@
 use ratatui::layout::Rect;
 
 use super::canvas::{Canvas, below, right_of, row};
-use super::fleet::Fact;
 use super::popups::{Piece, coverage_lines, inside, provenance_lines, put_lines, record_facts};
 use super::theme::Role;
 use super::topics::watched;
 use super::words::{count, kilobytes, moment, rate, size, wrap};
-use super::{bottom, fleet, graph, policies};
+use super::{bottom, graph, policies};
 use crate::app::popup::Lookup;
-use crate::app::screens::gateway::Row;
 use crate::app::screens::grants::{end, is_active, is_given, scope, soon};
 use crate::app::screens::log::level_word;
 use crate::app::screens::records::Records;
@@ -168,13 +166,12 @@ fn ends(row: &GrantRow, now: Timestamp) -> String {
     format!("{}{}", end(row.expires), left.unwrap_or_default())
 }
 
-/// The gateway, robot or sender under the cursor.
+/// The robot or sender under the cursor.
 fn draw_gateway(canvas: &mut Canvas, area: Rect, state: &State) {
-    let plain = |facts: Vec<Fact>| facts.into_iter().map(|(name, text, _)| (name, text)).collect::<Vec<_>>();
+    let plain = |facts: Vec<policies::Fact>| facts.into_iter().map(|(name, text, _)| (name, text)).collect::<Vec<_>>();
     let (title, told) = match state.gateway.selected() {
         None => ("Sender", Vec::new()),
-        Some(Row::Fellow(one)) => ("Gateway of the fleet", plain(fleet::facts(state, one))),
-        Some(Row::Member(member)) => {
+        Some(member) => {
             let robot = member.robot.map(|robot| plain(policies::row_facts(robot, state.shown_at())));
             let title = if robot.is_some() { "Robot" } else { "Sender" };
             let told = robot.into_iter().chain(member.sender.map(sender)).flatten();

@@ -1,11 +1,10 @@
-//! The Gateway screen: what is served, system keys and their dates, refusals, the fleet, robots and senders.
+//! The Gateway screen: what is served, system keys and their dates, refusals, robots and senders.
 
 use ratatui::layout::Rect;
 
 use super::canvas::{Canvas, below, row};
-use super::fleet::{around, draw as draw_fleet};
 use super::keys::line;
-use super::table::{Column, Sheet, draw_part, order};
+use super::table::{Column, Sheet, draw as draw_table, order};
 use super::theme::Role;
 use super::topics::empty;
 use super::{policies, words};
@@ -15,17 +14,13 @@ use crate::app::screens::gateway::{Member, SORTS};
 use crate::app::screens::grants::day;
 use crate::app::words::counted;
 use crate::model::{Timestamp, clean};
-use crate::service::reply::{FellowView, GatewayStatusView, SenderView, SystemKeyView};
+use crate::service::reply::{GatewayStatusView, SenderView, SystemKeyView};
 
 /// The most reasons of refusals shown.
 const MOST_REASONS: usize = 4;
-/// The fewest rows left to the list below a fleet, if it has them.
-const LEAST_MEMBERS: u16 = 3;
 
 /// Nanoseconds of a day.
 const DAY: u64 = 86_400_000_000_000;
-/// Below this many rows what is served is told in fewer lines if there is a fleet.
-const ROOMY_FROM: u16 = 30;
 
 const COLUMNS: &[Column] = &[
     Column::text("State", 9),
@@ -67,32 +62,14 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State) {
         return;
     };
     let gateway = &state.gateway;
-    let (fellows, members) = gateway.shown();
-    let any_fellow = !gateway.all_fellows().is_empty();
-    let taken = draw_about(canvas, area, view, any_fellow && area.height < ROOMY_FROM);
-    let mut rest = below(area, taken);
-    let here = gateway.table.position(&gateway.keys());
-    if any_fellow {
-        let height = rows_of_fleet(rest.height, &fellows, members.len());
-        draw_fleet(canvas, Rect { height, ..rest }, state, &fellows, Some(here).filter(|here| *here < fellows.len()));
-        rest = below(rest, height + 1);
+    let taken = draw_about(canvas, area, view);
+    if view.served.is_some() || !gateway.all_members().is_empty() {
+        draw_members(canvas, below(area, taken), state, &gateway.shown());
     }
-    if any_fellow || view.served.is_some() || !gateway.all_members().is_empty() {
-        draw_members(canvas, rest, state, &members, here.checked_sub(fellows.len()));
-    }
-}
-
-/// The rows of the fleet, without the gap below: all of its gateways, if that leaves some to the list below.
-fn rows_of_fleet(room: u16, fellows: &[&FellowView], members: usize) -> u16 {
-    let number = |count: usize| u16::try_from(count).unwrap_or(u16::MAX);
-    let around = around(fellows);
-    let least = 2 + number(members).clamp(1, LEAST_MEMBERS);
-    let rows = number(fellows.len()).min(room.saturating_sub(around + least)).max(1);
-    (rows + around).saturating_sub(1).min(room)
 }
 
 /// What is served, its keys, its refusals; returns the rows that took.
-fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView, brief: bool) -> u16 {
+fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 {
     canvas.put(area, "Gateway", Role::Title);
     let Some(served) = &view.served else {
         let (first, second) = match &view.through {
@@ -116,7 +93,7 @@ fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView, brief: 
     line(canvas, row(area, 2), "Fingerprint", &format!("{} (to be pinned)", served.fingerprint), Role::Body);
     line(canvas, row(area, 3), "Anchors as", &served.account.to_string(), Role::Body);
     let mut place = 4;
-    for key in view.keys.iter().filter(|key| key.current || !brief) {
+    for key in &view.keys {
         line(
             canvas,
             row(area, place),
@@ -126,12 +103,12 @@ fn draw_about(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView, brief: 
         );
         place += 1;
     }
-    if let Some(expires) = view.list_expires.filter(|_| !brief) {
+    if let Some(expires) = view.list_expires {
         let text = format!("version {}, not valid after {} UTC", view.list_version, day(expires));
         line(canvas, row(area, place), "Key list", &text, Role::Dim);
         place += 1;
     }
-    place + draw_refused(canvas, below(area, place), view, if brief { 1 } else { MOST_REASONS }) + 1
+    place + draw_refused(canvas, below(area, place), view) + 1
 }
 
 fn system_key(key: &SystemKeyView) -> String {
@@ -140,22 +117,21 @@ fn system_key(key: &SystemKeyView) -> String {
     format!("{id}…  {word}, {} to {} UTC", day(key.not_before), day(key.not_after))
 }
 
-fn draw_refused(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView, most: usize) -> u16 {
+fn draw_refused(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView) -> u16 {
     if view.refused.is_empty() {
         line(canvas, area, "Refused", "none since start", Role::Dim);
         return 1;
     }
     let mut place = 0;
-    let more: u64 = view.refused.iter().skip(most).map(|refused| refused.count).sum();
-    for refused in view.refused.iter().take(most) {
+    let more: u64 = view.refused.iter().skip(MOST_REASONS).map(|refused| refused.count).sum();
+    for refused in view.refused.iter().take(MOST_REASONS) {
         let reason = refused.text.split(';').next().unwrap_or_default();
         let label = if place == 0 { "Refused" } else { "" };
-        let others = if most == 1 && more > 0 { format!(", {} others", words::count(more)) } else { String::new() };
-        let text = format!("{:>7}  {reason}{others}", words::count(refused.count));
+        let text = format!("{:>7}  {reason}", words::count(refused.count));
         line(canvas, row(area, place), label, &text, Role::Warning);
         place += 1;
     }
-    if most > 1 && more > 0 {
+    if more > 0 {
         line(
             canvas,
             row(area, place),
@@ -169,7 +145,7 @@ fn draw_refused(canvas: &mut Canvas, area: Rect, view: &GatewayStatusView, most:
 }
 
 /// Names at the gateway and robots of the profile, in one list.
-fn draw_members(canvas: &mut Canvas, area: Rect, state: &State, rows: &[Member], here: Option<usize>) {
+fn draw_members(canvas: &mut Canvas, area: Rect, state: &State, rows: &[Member]) {
     let gateway = &state.gateway;
     let keys: Vec<String> = rows.iter().map(Member::key).collect();
     let senders = gateway.view.as_ref().is_some_and(|view| !view.senders.is_empty());
@@ -200,7 +176,7 @@ fn draw_members(canvas: &mut Canvas, area: Rect, state: &State, rows: &[Member],
         _ => "Nobody matches the filter.",
     };
     let sheet = Sheet { title, note, columns, keys: &keys, cells: &cells, table: &gateway.table, empty, old: false };
-    draw_part(canvas, area, &sheet, here);
+    draw_table(canvas, area, &sheet);
 }
 
 fn cells(state: &State, row: &Member, policy: bool) -> Vec<(String, Role)> {

@@ -19,7 +19,6 @@ pub mod canvas;
 pub mod chain;
 pub mod detail;
 pub mod first_run;
-pub mod fleet;
 pub mod flow;
 pub mod gateway;
 pub mod grants;

@@ -1,12 +1,14 @@
 //! How robots stand to their policies: a cell of a list, and what there is to say of a robot in full.
 
-use super::fleet::Fact;
 use super::theme::Role;
 use super::words;
 use crate::app::policies::{Standing, words as stands};
 use crate::app::words::counted;
 use crate::model::{Timestamp, clean};
 use crate::service::reply::{RobotRow, RobotView};
+
+/// A name of what is known, the words, and their role.
+pub type Fact = (&'static str, String, Role);
 
 /// Mark, words and role of how a robot stands to its policy.
 pub fn standing(row: &RobotRow) -> (String, Role) {
@@ -68,9 +70,8 @@ pub fn facts(view: &RobotView, now: Timestamp) -> Vec<Fact> {
     facts.extend(overruled.map(|what| ("overruled", format!("on the robot: {}", clean(what, 300)), Role::Body)));
     facts.push(("last seen", seen, Role::Body));
     facts.push(("device", row.device.to_hex(), Role::Dim));
-    for gateway in &view.gateways {
-        let told = if gateway.known { "" } else { " (not told yet)" };
-        facts.push(("gateway", format!("{}{told}", clean(&gateway.address, 255)), Role::Body));
+    for address in view.gateway.iter().flat_map(|gateway| &gateway.addresses) {
+        facts.push(("gateway", clean(address, 255), Role::Body));
     }
     let enrolled = if view.enrolled.is_empty() { "all topics".to_owned() } else { view.enrolled.join(" ") };
     facts.push(("enrolled", enrolled, Role::Body));

@@ -118,9 +118,7 @@ fn note(records: &Records, wanted: &Wanted) -> String {
     let order = if records.table.sort == 0 { "newest first" } else { "oldest first" };
     let marked = records.table.marks.len();
     let marked = if marked > 0 { format!("{marked} marked, ") } else { String::new() };
-    // First: what is at the end is cut off where there is no room.
-    let arriving: String = records.arriving.iter().map(|address| format!("not all of {address} is here, ")).collect();
-    let mut note = format!("{arriving}{marked}{order}, page {}", records.path.len() + 1);
+    let mut note = format!("{marked}{order}, page {}", records.path.len() + 1);
     if let Some(at) = records.anchor {
         note.push_str(&format!(" as of {} (home: newest)", at.clock()));
     }

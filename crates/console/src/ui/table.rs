@@ -169,11 +169,6 @@ pub struct Sheet<'a> {
 
 /// Draws a table.
 pub fn draw(canvas: &mut Canvas, area: Rect, sheet: &Sheet) {
-    draw_part(canvas, area, sheet, Some(sheet.table.position(sheet.keys)));
-}
-
-/// Draws a table that is a part of a longer list; `here` = the row under the cursor, if that is in this part.
-pub fn draw_part(canvas: &mut Canvas, area: Rect, sheet: &Sheet, here: Option<usize>) {
     draw_title(canvas, row(area, 0), sheet);
     let widths = widths(sheet.columns, area.width);
     draw_cells(canvas, row(area, 1), sheet.columns, &widths, |column| (column.title.to_owned(), Role::Title));
@@ -183,10 +178,10 @@ pub fn draw_part(canvas: &mut Canvas, area: Rect, sheet: &Sheet, here: Option<us
         return;
     }
     let height = usize::from(body.height.max(1));
-    let position = here.unwrap_or(0);
+    let position = sheet.table.position(sheet.keys);
     let first = position - position % height;
     for (line, index) in (0u16..).zip((first..sheet.keys.len()).take(height)) {
-        draw_row(canvas, row(body, line), sheet, &widths, index, here == Some(index));
+        draw_row(canvas, row(body, line), sheet, &widths, index, index == position);
     }
 }
 

@@ -1,11 +1,11 @@
 //! The content of an owner's notice to a device. The first byte is the kind: 0 for keys (whose first field, an epoch,
-//! is far below 2^56), 1 for another P_C of the owner, 2 for its gateways, 3 for a span of the device's ring, 4 for its
+//! is far below 2^56), 1 for another P_C of the owner, 2 for its gateway's addresses, 3 for a span of the device's ring, 4 for its
 //! policy; further kinds take the next numbers.
 
 use zeroize::Zeroizing;
 
 use super::IssuedKeys;
-use crate::crypto::{GatewayList, OwnerKeyChange, SignedPolicy};
+use crate::crypto::{GatewayAddresses, OwnerKeyChange, SignedPolicy};
 use crate::model::RingSpan;
 use crate::model::wire::WireError;
 
@@ -16,8 +16,8 @@ pub enum Notice {
     Keys(IssuedKeys),
     /// The key the owner signs with from now on.
     OwnerKey(OwnerKeyChange),
-    /// The gateways to use from now on, in order.
-    Gateways(GatewayList),
+    /// The addresses of its gateway from now on.
+    Addresses(GatewayAddresses),
     /// A span of its ring is to be sent like other records.
     Pull(RingSpan),
     /// The policy to work by from now on.
@@ -31,8 +31,8 @@ impl Notice {
     const KEYS: u8 = 0;
     /// The kind of [`Self::OwnerKey`].
     const OWNER_KEY: u8 = 1;
-    /// The kind of [`Self::Gateways`].
-    const GATEWAYS: u8 = 2;
+    /// The kind of [`Self::Addresses`].
+    const ADDRESSES: u8 = 2;
     /// The kind of [`Self::Pull`].
     const PULL: u8 = 3;
     /// The kind of [`Self::Policy`].
@@ -43,13 +43,7 @@ impl Notice {
         match self {
             Self::Keys(keys) => keys.encode(),
             Self::OwnerKey(change) => Zeroizing::new([&[Self::OWNER_KEY], &change.encode()[..]].concat()),
-            Self::Gateways(list) => {
-                let list = list.encode();
-                let mut out = Zeroizing::new(Vec::with_capacity(1 + list.len() + 16));
-                out.push(Self::GATEWAYS);
-                out.extend_from_slice(&list);
-                out
-            }
+            Self::Addresses(list) => Zeroizing::new([&[Self::ADDRESSES], &list.encode()[..]].concat()),
             Self::Pull(span) => Zeroizing::new([&[Self::PULL], &span.encode()[..]].concat()),
             Self::Policy(policy) => Zeroizing::new([&[Self::POLICY], &policy.encode()[..]].concat()),
             Self::Unknown(kind) => Zeroizing::new(vec![*kind]),
@@ -64,7 +58,7 @@ impl Notice {
         match body.split_first() {
             Some((&Self::KEYS, _)) | None => IssuedKeys::parse(body).map(Self::Keys),
             Some((&Self::OWNER_KEY, change)) => OwnerKeyChange::parse(change).map(Self::OwnerKey),
-            Some((&Self::GATEWAYS, list)) => GatewayList::parse(list).map(Self::Gateways),
+            Some((&Self::ADDRESSES, list)) => GatewayAddresses::parse(list).map(Self::Addresses),
             Some((&Self::PULL, span)) => RingSpan::parse(span).map(Self::Pull),
             Some((&Self::POLICY, policy)) => SignedPolicy::parse(policy).map(Self::Policy),
             Some((kind, _)) => Ok(Self::Unknown(*kind)),

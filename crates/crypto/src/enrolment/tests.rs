@@ -20,13 +20,11 @@ fn sample(topics: usize, version: u8) -> Enrolment {
     Enrolment {
         domain: Domain([1; 32]),
         chain_id: 77,
-        gateways: (0..version.max(1))
-            .map(|number| GatewayAccess {
-                address: format!("gateway{number}.example:7000"),
-                fingerprint: SignerId([2; 32]),
-                transport: TransportKey::new([5; 32]),
-            })
-            .collect(),
+        gateway: GatewayAccess {
+            addresses: (0..version.max(1)).map(|number| format!("gateway{number}.example:7000")).collect(),
+            fingerprint: SignerId([2; 32]),
+            transport: TransportKey::new([5; 32]),
+        },
         name: "robot-1".parse().expect("a name"),
         owner: Address([3; 20]),
         owner_key: PublicKey([4; 64]),
@@ -113,7 +111,7 @@ fn a_file_opens_with_its_passphrase_alone() {
         crate::crypto::private_file::write_private(&path, &altered).expect("writes");
         assert!(SealedEnrolment::open(&path, &passphrase("correct horse")).is_err(), "byte {at}");
     }
-    let secret = sealed.enrolment.gateways[0].transport.expose();
+    let secret = sealed.enrolment.gateway.transport.expose();
     assert!(!whole.windows(8).any(|window| window == &secret[..8]));
     assert!(!format!("{:?}", sealed.enrolment).contains("05, 05"), "no secret is shown");
 }

@@ -47,10 +47,10 @@ async fn dial(source: Option<IpAddr>, address: &str) -> io::Result<TcpStream> {
 /// Connects and agrees on a session.
 pub(super) async fn hello(
     endpoint: &Endpoint,
+    address: &str,
     trust: &mut Trust,
     (source, name, key): Who<'_>,
 ) -> Result<(Line, Agreed, Session), GatewayError> {
-    let address = &endpoint.address;
     let stream = dial(source, address).await.map_err(|source| unreachable(address, source))?;
     let mut line = Line::new(stream);
     let hello = ClientHello::begin(endpoint.context)?;
@@ -132,7 +132,7 @@ impl Client {
         // The gateway may have given a reason before it closed.
         match timeout(self.endpoint.patience, self.line.frame()).await {
             Ok(Ok((kind @ FrameKind::Refusal, payload))) => expected(kind, payload, FrameKind::Transfer).map(|_| ()),
-            _ => Err(line_error(&self.endpoint.address, error)),
+            _ => Err(line_error(&self.address, error)),
         }
     }
 
@@ -148,7 +148,7 @@ impl Client {
 
     async fn message(&mut self) -> Result<Message<()>, GatewayError> {
         loop {
-            let (kind, payload) = self.line.frame().await.map_err(|error| line_error(&self.endpoint.address, error))?;
+            let (kind, payload) = self.line.frame().await.map_err(|error| line_error(&self.address, error))?;
             let payload = expected(kind, payload, FrameKind::Transfer)?;
             let (counter, text) = self.session.open(&payload)?;
             let inner = Inner::from_gateway(&text).map_err(GatewayError::malformed("answer"))?;

@@ -4,8 +4,7 @@ use crate::model::wire::{Reader, WireError};
 use crate::model::{Hash, PublicKey, Signature, Timestamp};
 
 use super::Command;
-use super::erasures::{ErasureOutcome, Erasures, OF_ERASURES, OF_OUTCOMES};
-use super::holdings::{HandedOver, Holdings, ManyHandedOver};
+use super::erasure::ErasureOutcome;
 use super::query::{Entry, Page};
 use super::relay::Relayed;
 use super::request::{MOST_CHECKED, SIGNED};
@@ -108,16 +107,8 @@ pub enum Answer {
     Time(Timestamp),
     /// The chain's answer.
     Relayed(Relayed),
-    /// What the gateway holds.
-    Holdings(Box<Holdings>),
-    /// What was erased.
-    Erasures(Box<Erasures>),
-    /// What becomes of what was told, in order.
-    ErasuresTaken(Vec<ErasureOutcome>),
-    /// The records of a range.
-    HandedOver(Box<HandedOver>),
-    /// The records of several ranges.
-    ManyHandedOver(Box<ManyHandedOver>),
+    /// What becomes of each erasure in the request, in order: count (2), a byte each.
+    Erased(Vec<ErasureOutcome>),
     /// A record of a subscription: entry || record.
     Event(Box<(Entry, Fetched)>),
     /// A subscription has ended: code (2).
@@ -138,8 +129,7 @@ impl Answer {
             Self::Record(_) => Command::Fetch,
             Self::Time(_) => Command::Ping,
             Self::Relayed(_) => Command::Relay,
-            Self::Holdings(_) | Self::Erasures(_) | Self::ErasuresTaken(_) => Command::Holdings,
-            Self::HandedOver(_) | Self::ManyHandedOver(_) => Command::HandOver,
+            Self::Erased(_) => Command::Erase,
             Self::Event(_) => Command::Event,
             Self::End(_) => Command::End,
             Self::Refused(_) => Command::Refuse,
@@ -164,11 +154,7 @@ impl Answer {
             Self::Done(_) => Vec::new(),
             Self::Time(time) => time.0.to_be_bytes().to_vec(),
             Self::Relayed(relayed) => relayed.encode(),
-            Self::Holdings(holdings) => holdings.encode(),
-            Self::Erasures(erasures) => erasures.encode(),
-            Self::ErasuresTaken(outcomes) => ErasureOutcome::encode_all(outcomes),
-            Self::HandedOver(handed) => handed.encode(),
-            Self::ManyHandedOver(many) => many.encode(),
+            Self::Erased(outcomes) => ErasureOutcome::encode_all(outcomes),
             Self::Event(event) => [event.0.encode(), event.1.encode()].concat(),
             Self::End(code) | Self::Refused(code) => code.number().to_be_bytes().to_vec(),
         }
@@ -203,11 +189,7 @@ impl Answer {
             }
             Command::Fetch => Self::Record(Box::new(Fetched::read(&mut reader)?)),
             Command::Subscribe | Command::Unsubscribe => Self::Done(command),
-            Command::Holdings => read_holdings(body, &mut reader)?,
-            Command::HandOver => match ManyHandedOver::read(&mut reader)? {
-                (handed, None) => Self::HandedOver(Box::new(handed)),
-                (handed, Some(range)) => Self::ManyHandedOver(Box::new(ManyHandedOver { handed, range })),
-            },
+            Command::Erase => Self::Erased(ErasureOutcome::read_all(&mut reader)?),
             Command::Ping => Self::Time(Timestamp(reader.u64("time")?)),
             Command::Relay => Self::Relayed(Relayed::read(&mut reader)?),
             Command::Event => Self::Event(Box::new((Entry::read(&mut reader)?, Fetched::read(&mut reader)?))),
@@ -217,21 +199,6 @@ impl Answer {
         reader.end()?;
         Ok(answer)
     }
-}
-
-/// What of the three it is stands in the highest bits of the count.
-fn read_holdings(body: &[u8], reader: &mut Reader<'_>) -> Result<Answer, WireError> {
-    let has = |bits: u16| {
-        let [bits, _] = bits.to_be_bytes();
-        body.first().is_some_and(|first| first & bits == bits)
-    };
-    Ok(if has(OF_OUTCOMES) {
-        Answer::ErasuresTaken(ErasureOutcome::read_all(reader)?)
-    } else if has(OF_ERASURES) {
-        Answer::Erasures(Box::new(Erasures::read(reader)?))
-    } else {
-        Answer::Holdings(Box::new(Holdings::read(reader)?))
-    })
 }
 
 pub(crate) fn read_code(reader: &mut Reader<'_>) -> Result<Code, WireError> {

@@ -5,8 +5,7 @@ use crate::model::wire::{Reader, WireError};
 use crate::model::{Address, Digest, Hash, Identity, PublicKey, Signature, Token, TopicId};
 
 use super::Command;
-use super::erasures::{ERASED as WHAT_WAS_ERASED, ErasurePlace, TELLS, ToldErasure, encode_told, read_told};
-use super::holdings::{HoldingPlace, Wanted, encode_wanted, read_wanted};
+use super::erasure::{ErasureNotice, encode_erasures, read_erasures};
 use super::query::{Query, Selection};
 use super::relay::RelayCall;
 use crate::gateway::allocation::AllocationRequest;
@@ -19,8 +18,6 @@ pub const MOST_CHECKED: usize = 1024;
 pub const SIGNED: u16 = 1 << 15;
 /// Behind the digest of a fetch: what is left of an erased record is asked for.
 const ERASED: u8 = 1;
-/// Bytes of a place in holdings, or among what was erased.
-const PLACE: usize = 24;
 /// The longest signed transaction passed on, bytes.
 pub const LONGEST_TRANSACTION: usize = 3 * 1024;
 
@@ -141,17 +138,8 @@ pub enum Request {
     Ping,
     /// A request to the chain.
     Relay(RelayCall),
-    /// What the gateway holds, after a place in its holdings.
-    Holdings(HoldingPlace),
-    /// What was erased, after a place: place (24) || 1. Earlier gateways answer `Malformed`.
-    Erasures(ErasurePlace),
-    /// What the session's owner had erased: zeros (24) || 2 || count (2), then length (4) and record each, as in an answer to
-    /// [`Self::Erasures`]. Earlier gateways answer `Malformed`.
-    TellErasures(Vec<ToldErasure>),
-    /// The records of a range.
-    HandOver(Wanted),
-    /// The records of 2 to 64 ranges, one after the other. Earlier gateways answer `Malformed`.
-    HandOverMany(Vec<Wanted>),
+    /// Records that the session's owner had erased: count (2), then length (4) and erasure each.
+    Erase(Vec<ErasureNotice>),
 }
 
 impl Request {
@@ -173,8 +161,7 @@ impl Request {
             Self::DeviceNotice(_) => Command::DeviceNotice,
             Self::Ping => Command::Ping,
             Self::Relay(_) => Command::Relay,
-            Self::Holdings(_) | Self::Erasures(_) | Self::TellErasures(_) => Command::Holdings,
-            Self::HandOver(_) | Self::HandOverMany(_) => Command::HandOver,
+            Self::Erase(_) => Command::Erase,
         }
     }
 
@@ -202,11 +189,7 @@ impl Request {
             Self::GrantNotice(notice) => notice.encode(),
             Self::RevokeNotice(notice) => notice.encode(),
             Self::Relay(call) => call.encode(),
-            Self::Holdings(after) => after.encode(),
-            Self::Erasures(after) => [after.encode(), vec![WHAT_WAS_ERASED]].concat(),
-            Self::TellErasures(told) => [vec![0; PLACE], vec![TELLS], encode_told(told, 0)].concat(),
-            Self::HandOver(wanted) => wanted.encode(),
-            Self::HandOverMany(wanted) => encode_wanted(wanted),
+            Self::Erase(erasures) => encode_erasures(erasures),
             Self::DeviceNotice(notice) => notice.encode(),
         }
     }
@@ -240,11 +223,7 @@ impl Request {
             Command::DeviceNotice => Self::DeviceNotice(DeviceNotice::read(&mut reader)?),
             Command::Ping => Self::Ping,
             Command::Relay => Self::Relay(RelayCall::read(&mut reader)?),
-            Command::Holdings => read_holdings(&mut reader)?,
-            Command::HandOver => match read_wanted(&mut reader)?.as_slice() {
-                [one] => Self::HandOver(*one),
-                several => Self::HandOverMany(several.to_vec()),
-            },
+            Command::Erase => Self::Erase(read_erasures(&mut reader)?),
             Command::Event | Command::End | Command::Refuse => return Err(WireError::Value("command")),
         };
         reader.end()?;
@@ -293,22 +272,6 @@ fn read_fetch(reader: &mut Reader<'_>) -> Result<Request, WireError> {
     match reader.u8("what is fetched")? {
         ERASED => Ok(Request::FetchErased(digest)),
         _ => Err(WireError::Value("what is fetched")),
-    }
-}
-
-fn read_holdings(reader: &mut Reader<'_>) -> Result<Request, WireError> {
-    let bytes: [u8; PLACE] = reader.array("place")?;
-    let mut place = Reader::new(&bytes);
-    if reader.rest().is_empty() {
-        return HoldingPlace::read(&mut place).map(Request::Holdings);
-    }
-    match reader.u8("what is told")? {
-        WHAT_WAS_ERASED => ErasurePlace::read(&mut place).map(Request::Erasures),
-        TELLS if bytes == [0; PLACE] => {
-            let told = read_told(reader, 0)?;
-            if told.is_empty() { Err(WireError::Value("erasure count")) } else { Ok(Request::TellErasures(told)) }
-        }
-        _ => Err(WireError::Value("what is told")),
     }
 }
 

@@ -125,19 +125,7 @@ impl Commands {
                 (self.caller.device, self.binding.device) = (Some(device), Some(device));
                 self.noted(shared, message)
             }
-            Request::Holdings(after) => {
-                desk.holdings(&self.caller, &after).await.map(|held| Answer::Holdings(Box::new(held)))
-            }
-            Request::Erasures(after) => {
-                desk.erasures(&self.caller, &after).await.map(|told| Answer::Erasures(Box::new(told)))
-            }
-            Request::TellErasures(told) => desk.erase(&self.caller, told).await.map(Answer::ErasuresTaken),
-            Request::HandOver(wanted) => {
-                desk.hand_over(&self.caller, &wanted).await.map(|handed| Answer::HandedOver(Box::new(handed)))
-            }
-            Request::HandOverMany(wanted) => {
-                desk.hand_over_many(&self.caller, &wanted).await.map(|many| Answer::ManyHandedOver(Box::new(many)))
-            }
+            Request::Erase(erasures) => desk.erase(&self.caller, erasures).await.map(Answer::Erased),
             _ => Err(Refusal::new(Code::NotHere, "a command for a session without a transport key")),
         }
     }

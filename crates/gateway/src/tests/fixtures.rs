@@ -8,17 +8,16 @@ use authros_crypto::{
 };
 use authros_gateway::allocation::{AllocationRequest, Applicant};
 use authros_gateway::command::{
-    Answer, Command, Entry, ErasedRecord, ErasureOutcome, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver,
-    Held, HoldingPlace, Holdings, ManyHandedOver, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice,
-    Selection, Standing, ToldErasure, Upload, Wanted,
+    Answer, Command, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query,
+    Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, Upload,
 };
 use authros_gateway::hello::{ClientHello, Context, GatewayHello, ListSummary, NetworkName};
 use authros_gateway::session::Session;
 use authros_gateway::{Code, Receipt};
 use authros_model::head::Compression;
 use authros_model::{
-    Address, Digest, Domain, FilterId, Hash, Head, Identity, ProfileName, PublicKey, Ranges, RecordKind, RecorderId,
-    Signature, SignerId, Timestamp, Token, TopicId,
+    Address, Digest, Domain, FilterId, Hash, Head, Identity, ProfileName, PublicKey, RecordKind, RecorderId, Signature,
+    SignerId, Timestamp, Token, TopicId,
 };
 
 pub(crate) fn context() -> Context {
@@ -176,38 +175,17 @@ pub(crate) fn sample_requests() -> Vec<Request> {
         Request::DeviceNotice(pair(0x66).public.into()),
         Request::Ping,
         Request::Relay(RelayCall { method: "eth_call".into(), parameters: "[{},\"latest\"]".into() }),
-        Request::Holdings(HoldingPlace { block: 1, batch: 2, leaf: 3 }),
-        Request::Erasures(ErasurePlace { ledger: RecorderId([1; 16]), number: 2 }),
-        Request::TellErasures(vec![told(); 2]),
-        Request::HandOver(wanted(4, 9)),
-        Request::HandOverMany(vec![wanted(4, 9), wanted(11, 11)]),
+        Request::Erase(vec![erasure(); 2]),
     ]
 }
 
-/// A range of one topic's numbers.
-pub(crate) fn wanted(first: u64, last: u64) -> Wanted {
-    let (owner, recorder) = (Address([1; 20]), RecorderId([4; 16]));
-    Wanted { owner, recorder, topic_id: TopicId([8; 16]), first, last }
-}
-
-fn holdings() -> Holdings {
-    let (Wanted { owner, recorder, topic_id, .. }, ranges) = (wanted(1, 1), Ranges::of(vec![1, 2, 3, 7]));
-    let next = HoldingPlace { block: 5, batch: 6, leaf: 7 };
-    Holdings { held: vec![Held { owner, recorder, topic_id, ranges }; 2], next, more: true }
-}
-
 /// A record that was erased.
-pub(crate) fn told() -> ToldErasure {
+pub(crate) fn erasure() -> ErasureNotice {
     let (signer, signature) = (PublicKey([1; 64]), Signature([2; 64]));
     let record = Fetched { signer, signature, proof: vec![3; 40], blob: vec![4; 99] };
     let statement = ErasedStatement { report: Digest([5; 32]), at: Timestamp(6), signer, signature };
     let left = ErasedRecord { record, statement };
-    ToldErasure { digest: Digest([7; 32]), account_signature: AccountSignature([8; 65]), left }
-}
-
-fn erasures() -> Erasures {
-    let next = ErasurePlace { ledger: RecorderId([9; 16]), number: 10 };
-    Erasures { told: vec![told(); 2], next, more: true }
+    ErasureNotice { digest: Digest([7; 32]), account_signature: AccountSignature([8; 65]), left }
 }
 
 /// One answer of each shape.
@@ -229,15 +207,7 @@ pub(crate) fn sample_answers() -> Vec<Answer> {
         Answer::Time(Timestamp(5)),
         Answer::Relayed(Relayed::Result("\"0x7\"".into())),
         Answer::Relayed(Relayed::Fault { code: -32000, words: "reverted".into(), data: "\"0x08\"".into() }),
-        Answer::Holdings(Box::new(holdings())),
-        Answer::Erasures(Box::new(erasures())),
-        Answer::ErasuresTaken(vec![ErasureOutcome::Taken, ErasureOutcome::Left, ErasureOutcome::Refused]),
-        Answer::HandedOver(Box::new(HandedOver { records: vec![record.clone(); 2], next: Some(7) })),
-        Answer::HandedOver(Box::default()),
-        Answer::ManyHandedOver(Box::new(ManyHandedOver {
-            handed: HandedOver { records: vec![record.clone(); 2], next: Some(7) },
-            range: 1,
-        })),
+        Answer::Erased(vec![ErasureOutcome::Taken, ErasureOutcome::Left, ErasureOutcome::Refused]),
         Answer::Event(Box::new((entry(), record))),
         Answer::End(Code::NotAuthorised),
         Answer::Refused(Code::Token),

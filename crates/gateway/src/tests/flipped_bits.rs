@@ -9,13 +9,13 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
-use super::fixtures::{told, wanted};
+use super::fixtures::erasurestated;
 use super::hostile::text;
 use super::stage::Stage;
 use super::*;
 use crate::crypto::prove;
 use crate::gateway::allocation::apply;
-use crate::gateway::command::{ErasurePlace, Inner, RelayCall};
+use crate::gateway::command::{Inner, RelayCall};
 use crate::gateway::connection::{Shared, serve_agreed};
 use crate::gateway::frame::{FrameDecoder, FrameKind, encode};
 use crate::gateway::hello::Agreed;
@@ -130,11 +130,7 @@ fn accepted_requests(stage: &Stage, member: &Member) -> Vec<Request> {
         Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([2; 32]), transaction }),
         Request::Ping,
         Request::Relay(RelayCall { method: "eth_blockNumber".to_owned(), parameters: "[]".to_owned() }),
-        Request::Holdings(HoldingPlace::default()),
-        Request::Erasures(ErasurePlace::default()),
-        Request::TellErasures(vec![told()]),
-        Request::HandOver(wanted(1, 3)),
-        Request::HandOverMany(vec![wanted(1, 3), wanted(5, 5)]),
+        Request::Erase(vec![erasure()]),
         // The last one: afterwards the name is the device's.
         Request::DeviceNotice(device.public.into()),
     ]

@@ -231,7 +231,7 @@ async fn a_recorded_session_is_worth_nothing_and_shows_nothing() {
     let alice = alice();
     let credentials = stage.enrol(&alice).await;
     let (address, recorded) = recording(stage.server.address()).await;
-    let endpoint = Endpoint { address, ..stage.endpoint.clone() };
+    let endpoint = Endpoint { addresses: vec![address], ..stage.endpoint.clone() };
     let mut client = Client::connect(&endpoint, &mut stage.trust(), &credentials).await.expect("connects");
     for seq in 1..20 {
         client.upload(vec![alice.record(&alice.signing, seq, b"plaintext of a message")]).await.expect("receipt");

@@ -13,8 +13,8 @@ use authros_chain::merkle::{Inclusion, Leaf};
 use authros_chain::{AnchorProof, RelayError};
 use authros_crypto::{SmKeyPair, signer_id};
 use authros_gateway::command::{
-    DeviceNotice, Entry, ErasureOutcome, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver, HoldingPlace,
-    Holdings, ManyHandedOver, Page, Query, Registration, RevokeNotice, Selection, Standing, ToldErasure, Wanted,
+    DeviceNotice, Entry, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query, Registration, RevokeNotice,
+    Selection, Standing,
 };
 use authros_gateway::desk::{Account, Binding, BoundDevice, Caller, Desk, Received};
 use authros_gateway::{Code, NetworkName, Refusal, Stood};
@@ -300,25 +300,9 @@ impl Desk for MemoryDesk {
         Ok(())
     }
 
-    async fn holdings(&self, _: &Caller, after: &HoldingPlace) -> Result<Holdings, Refusal> {
-        Ok(Holdings { next: *after, ..Holdings::default() })
-    }
-
-    async fn erasures(&self, _: &Caller, after: &ErasurePlace) -> Result<Erasures, Refusal> {
-        Ok(Erasures { next: *after, ..Erasures::default() })
-    }
-
-    async fn erase(&self, _: &Caller, told: Vec<ToldErasure>) -> Result<Vec<ErasureOutcome>, Refusal> {
+    async fn erase(&self, _: &Caller, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, Refusal> {
         self.state().changes += 1;
-        Ok(vec![ErasureOutcome::Taken; told.len()])
-    }
-
-    async fn hand_over(&self, _: &Caller, _: &Wanted) -> Result<HandedOver, Refusal> {
-        Ok(HandedOver::default())
-    }
-
-    async fn hand_over_many(&self, _: &Caller, _: &[Wanted]) -> Result<ManyHandedOver, Refusal> {
-        Ok(ManyHandedOver::default())
+        Ok(vec![ErasureOutcome::Taken; erasures.len()])
     }
 
     fn refused(&self, _: SocketAddr, refusal: &Refusal) {

@@ -18,7 +18,7 @@ async fn visit(stage: &Stage) -> Result<Client, GatewayError> {
 #[tokio::test]
 async fn whoever_asks_learns_the_network_and_nothing_else() {
     let stage = Stage::new().await;
-    let told = Client::inquire(&stage.endpoint.address, PATIENCE).await.expect("tells");
+    let told = Client::inquire(&stage.endpoint.addresses, PATIENCE).await.expect("tells");
     assert_eq!(told, network());
     assert_eq!(told.domain(), crate::crypto::domain(7, &told.genesis, &told.contract));
     // The hello proves it: on a network that was only claimed the gateway signs nothing.

@@ -32,7 +32,7 @@ impl Stage {
         let desk = Arc::new(MemoryDesk::default());
         let server = serve(home.path(), &desk, limits, identity).await;
         let address = server.address().to_string();
-        let endpoint = Endpoint { address, context: context(), patience: Duration::from_secs(30) };
+        let endpoint = Endpoint { addresses: vec![address], context: context(), patience: Duration::from_secs(30) };
         Self { desk, server, endpoint, limits, identity, home }
     }
 
@@ -40,7 +40,7 @@ impl Stage {
     pub async fn restart(&mut self) {
         let server = serve(self.home.path(), &self.desk, self.limits, self.identity).await;
         std::mem::replace(&mut self.server, server).stop(Duration::from_secs(5)).await;
-        self.endpoint.address = self.server.address().to_string();
+        self.endpoint.addresses = vec![self.server.address().to_string()];
     }
 
     pub async fn new() -> Self {

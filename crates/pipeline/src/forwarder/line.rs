@@ -1,35 +1,32 @@
-//! The line to one gateway: connects when this gateway is wanted, sends while it is on duty, and asks how the records
-//! stand that it signed for. Another gateway is wanted when those before it do not answer, while it has records that
-//! are not proven yet, and for records that another one does not prove.
+//! The line to the gateway: connects at the first address that answers, sends, and asks how the records stand that the
+//! gateway signed for. At another address than the first it goes back as soon as the gateway answers there again.
 
-use std::collections::HashSet;
-use std::sync::Arc;
+use std::convert::Infallible;
 use std::time::{Duration, Instant};
 
-use tokio::sync::Notify;
-use tokio::task::block_in_place;
+use tokio::sync::{Notify, watch};
+use tokio::task::{JoinSet, block_in_place};
 use tokio::time::sleep;
 
 use crate::crypto::random_bytes;
-use crate::gateway::{Client, GatewayError, Upload};
-use crate::model::{Digest, Timestamp, clean};
+use crate::gateway::{Client, Upload};
+use crate::model::{Digest, clean};
 use crate::pipeline::PipelineError;
 use crate::store::KeptReceipt;
 
 use super::outbox::Outbox;
-use super::roster::{Condition, Roster};
-use super::{ForwardError, Gate, Link, Pace, is_about_a_record};
+use super::{Errand, ForwardError, Gate, Link, Pace, is_about_a_record};
 
-/// How long one of several gateways may be silent before it is asked whether it is there.
+/// How long a gateway with several addresses may be silent before it is asked whether it is there.
 const SILENCE: Duration = Duration::from_secs(3);
+/// The longest pause between two looks at an earlier address.
+const LONGEST_LOOK: Duration = Duration::from_secs(300);
 
-pub(super) struct Line {
-    pub outbox: Arc<Outbox>,
-    pub roster: Arc<Roster>,
-    pub place: usize,
-    pub gate: Gate,
-    /// Rings when records wait.
-    ring: Arc<Notify>,
+pub(super) struct Line<'a> {
+    pub outbox: Outbox,
+    gate: Gate,
+    link: watch::Sender<Link>,
+    errand: &'a mut Option<Box<dyn Errand>>,
     /// Whether the gateway signs standings; earlier versions do not.
     pub signs: bool,
     /// Where the next check of standings begins.
@@ -37,45 +34,39 @@ pub(super) struct Line {
     checked: Option<Instant>,
     /// Whether the present session achieved anything.
     pub moved: bool,
-    /// Whether the present session has begun its errand.
-    on_duty: bool,
     /// When the gateway last answered.
     heard: Instant,
-    /// When it was last looked whether records of other gateways wait for this one, and whether any did.
-    pub overdue: Option<(Instant, bool)>,
-    /// How many of them are sent one by one, because one is refused.
-    pub singly: usize,
-    /// Records of which this gateway says that it holds other bytes, told once.
-    pub disputed: HashSet<Digest>,
+    /// The pause before an earlier address is looked at. It doubles while that answers and does not lead to the gateway.
+    look_after: Duration,
 }
 
-impl Line {
-    pub fn new(outbox: Arc<Outbox>, roster: Arc<Roster>, ring: Arc<Notify>, place: usize, gate: Gate) -> Self {
+impl<'a> Line<'a> {
+    pub fn new(
+        outbox: Outbox,
+        gate: Gate,
+        link: watch::Sender<Link>,
+        errand: &'a mut Option<Box<dyn Errand>>,
+    ) -> Self {
         Self {
+            look_after: outbox.pace.longest_pause,
             outbox,
-            roster,
-            place,
             gate,
-            ring,
+            link,
+            errand,
             signs: true,
             cursor: None,
             checked: None,
             moved: false,
-            on_duty: false,
             heard: Instant::now(),
-            overdue: None,
-            singly: 0,
-            disputed: HashSet::new(),
         }
     }
 
-    /// Works until it is dropped. Can be cancelled at any point.
-    pub async fn run(mut self) {
+    /// Works until it is dropped; `stored` signals when records wait. Can be cancelled at any point.
+    pub async fn run(&mut self, stored: &Notify) -> Infallible {
         let mut pauses = Pauses::of(self.outbox.pace);
         loop {
-            self.rest().await;
             self.moved = false;
-            match self.session().await {
+            match self.session(stored).await {
                 Ok(()) => pauses.begin_again(),
                 Err(error) => self.tell(&error),
             }
@@ -88,75 +79,45 @@ impl Line {
         }
     }
 
-    /// Waits until this gateway is wanted. One that was away counts as there again after a while: nobody knows better.
-    async fn rest(&mut self) {
-        let (mut conditions, begun) = (self.roster.follow(), Instant::now());
-        while !self.is_wanted() {
-            if !self.roster.is_away(self.place) || begun.elapsed() >= self.outbox.pace.longest_pause * 2 {
-                self.roster.set(self.place, Condition::Resting);
-            }
-            tokio::select! {
-                // An error cannot be: the sender is in the roster.
-                _ = conditions.changed() => {}
-                () = sleep(self.outbox.pace.check) => {}
-            }
-        }
-    }
-
-    fn is_wanted(&mut self) -> bool {
-        if self.roster.is_next_in_line(self.place) {
-            return true;
-        }
-        let (ledger, gateway) = (&self.outbox.plant.ledger, self.gate.fingerprint);
-        // If the ledger cannot be read, whoever writes to it says so.
-        block_in_place(|| ledger.is_placed_at(gateway)).unwrap_or(false) || self.has_overdue()
-    }
-
     fn tell(&self, error: &ForwardError) {
         let link = error.link();
-        let condition = match &link {
-            Link::Refused(text) => Condition::Refused(text.clone()),
-            Link::Connecting | Link::Up | Link::InPlace(_) | Link::Away(_) => Condition::Away(error.to_string()),
-        };
-        self.roster.set(self.place, condition);
-        let urgent = matches!(link, Link::Refused(_));
-        let address = clean(&self.gate.endpoint.address, 255);
-        let text = match (&link, self.roster.down()) {
-            (_, None) => format!("the gateway {address} accepts no records; another one does: {error}"),
-            (Link::Refused(text), _) => format!(
-                "records wait in the outbox: {text}; if the owner recalled this robot or its loan has ended, the owner must enrol it again"
+        let (urgent, text) = match &link {
+            Link::Refused(text) => (
+                true,
+                format!(
+                    "records wait in the outbox: {text}; if the owner recalled this robot or its loan has ended, the owner must \
+                     enrol it again"
+                ),
             ),
-            _ => format!("records wait in the outbox until the gateway is back: {error}"),
+            Link::Connecting | Link::Up | Link::InPlace(_) | Link::Away(_) => {
+                (false, format!("records wait in the outbox until the gateway is back: {error}"))
+            }
         };
-        if let Some(link) = self.roster.down() {
-            self.outbox.link.send_replace(link);
-        }
+        self.link.send_replace(link);
         self.outbox.plant.observer.alert(urgent, text);
     }
 
-    /// One session: connects, then sends and checks until the connection breaks, the session is used up or this gateway
-    /// is no longer wanted.
-    async fn session(&mut self) -> Result<(), ForwardError> {
+    /// One session: connects, then sends and checks until the connection breaks, the session is used up or the gateway
+    /// answers at an earlier address.
+    async fn session(&mut self, stored: &Notify) -> Result<(), ForwardError> {
         let mut client = Client::connect(&self.gate.endpoint, &mut self.gate.trust, &self.gate.credentials).await?;
         // It may have been upgraded meanwhile.
         self.signs = true;
         block_in_place(|| self.gate.trust.save(&self.gate.trust_file)).map_err(PipelineError::from)?;
-        (self.on_duty, self.heard) = (false, Instant::now());
-        self.roster.set(self.place, Condition::Up);
-        let (ring, mut conditions) = (Arc::clone(&self.ring), self.roster.follow());
-        while !client.is_spent() {
-            let ringing = ring.notified();
-            tokio::pin!(ringing);
-            ringing.as_mut().enable();
-            let sent = self.work(&mut client).await?;
-            if sent == 0 {
-                if !self.is_wanted() {
-                    return Ok(());
-                }
-                // All outcomes mean: look again.
+        self.heard = Instant::now();
+        let up = self.up(&client);
+        let mut earlier = self.earlier(client.address());
+        if let Some(errand) = self.errand {
+            errand.begin(&mut client).await?;
+        }
+        while !client.is_spent() && earlier.try_join_next().is_none() {
+            let waiting = stored.notified();
+            tokio::pin!(waiting);
+            waiting.as_mut().enable();
+            if self.work(&mut client, &up).await? == 0 {
+                // Both outcomes mean: look again.
                 tokio::select! {
-                    () = ringing => {}
-                    _ = conditions.changed() => {}
+                    () = waiting => {}
                     () = sleep(self.outbox.pace.check) => {}
                 }
             }
@@ -164,50 +125,62 @@ impl Line {
         Ok(())
     }
 
-    /// Does what is due; returns how many records were sent.
-    async fn work(&mut self, client: &mut Client) -> Result<usize, ForwardError> {
-        let mut sent = 0;
-        if self.roster.is_on_duty(self.place) {
-            sent += self.serve(client).await?;
-        } else {
-            self.on_duty = false;
+    /// The state of the connection; says why the addresses before this one are not used.
+    fn up(&self, client: &Client) -> Link {
+        let Some((first, _)) = client.passed_over().first() else { return Link::Up };
+        let address = clean(client.address(), 255);
+        for (other, error) in client.passed_over() {
+            let text = format!("the gateway cannot be used at {other}, records go to {address}: {error}");
+            self.outbox.plant.observer.alert(false, text);
         }
-        let pace = self.outbox.pace;
-        if self.checked.is_none_or(|at| at.elapsed() >= pace.check) {
-            if self.check(client).await? {
-                self.heard = Instant::now();
-            }
-            self.checked = Some(Instant::now());
-        }
-        sent += self.resend(client).await?;
-        if sent > 0 {
-            self.heard = Instant::now();
-        }
-        if self.roster.len() > 1 && self.heard.elapsed() >= SILENCE {
-            client.ping().await?;
-            self.heard = Instant::now();
-        }
-        Ok(sent)
+        Link::InPlace(format!("connected to {address}, in place of {first}"))
     }
 
-    /// On duty: the errand, then the oldest waiting records.
-    async fn serve(&mut self, client: &mut Client) -> Result<usize, ForwardError> {
-        if let Some(errand) = self.outbox.errand.lock().await.as_mut() {
-            if !self.on_duty {
-                errand.begin(client).await?;
+    /// A task that ends as soon as the gateway answers at an address before this one; none at the first.
+    fn earlier(&mut self, address: &str) -> JoinSet<()> {
+        let before = self.gate.endpoint.addresses.iter().take_while(|other| *other != address).cloned();
+        let (before, patience, pause) = (before.collect::<Vec<_>>(), self.gate.endpoint.patience, self.look_after);
+        let mut earlier = JoinSet::new();
+        if before.is_empty() {
+            self.look_after = self.outbox.pace.longest_pause;
+            return earlier;
+        }
+        self.look_after = (pause * 2).min(LONGEST_LOOK);
+        let every = self.outbox.pace.longest_pause;
+        earlier.spawn(async move {
+            sleep(pause).await;
+            while Client::inquire(&before, patience).await.is_err() {
+                sleep(every).await;
             }
+        });
+        earlier
+    }
+
+    /// Does what is due; returns how many records were sent.
+    async fn work(&mut self, client: &mut Client, up: &Link) -> Result<usize, ForwardError> {
+        if let Some(errand) = self.errand {
             errand.run(client).await?;
         }
-        self.on_duty = true;
         self.outbox.retry_refused();
         let sent = self.upload(client).await?;
-        let up = self.roster.up(self.place);
-        self.outbox.link.send_if_modified(|link| {
-            let changed = *link != up;
-            *link = up;
+        self.link.send_if_modified(|link| {
+            let changed = *link != *up;
+            link.clone_from(up);
             changed
         });
         self.outbox.keep_tidy()?;
+        let mut heard = sent > 0;
+        if self.checked.is_none_or(|at| at.elapsed() >= self.outbox.pace.check) {
+            heard |= self.check(client).await?;
+            self.checked = Some(Instant::now());
+        }
+        let is_silent = self.heard.elapsed() >= SILENCE && self.gate.endpoint.addresses.len() > 1;
+        if !heard && is_silent {
+            client.ping().await?;
+        }
+        if heard || is_silent {
+            self.heard = Instant::now();
+        }
         Ok(sent)
     }
 
@@ -218,30 +191,17 @@ impl Line {
         if uploads.is_empty() {
             return Ok(0);
         }
-        if let Some(refused) = self.send(client, uploads).await? {
-            self.outbox.set_aside(&digests, &refused);
-        }
-        Ok(digests.len())
-    }
-
-    /// Sends records and keeps the receipt; returns why, if they are refused for the sake of one of them.
-    pub async fn send(
-        &mut self,
-        client: &mut Client,
-        uploads: Vec<Upload>,
-    ) -> Result<Option<GatewayError>, ForwardError> {
         match client.upload(uploads).await {
             Ok(receipt) => {
                 let kept = KeptReceipt { time: receipt.time, digests: receipt.digests, signature: receipt.signature };
-                let (ledger, gateway) = (&self.outbox.plant.ledger, self.gate.fingerprint);
-                block_in_place(|| ledger.accept(gateway, Timestamp::now(), kept))?;
+                block_in_place(|| self.outbox.plant.ledger.accept(kept))?;
                 self.moved = true;
                 self.outbox.plant.observer.records_changed();
-                Ok(None)
             }
-            Err(error) if is_about_a_record(&error) => Ok(Some(error)),
-            Err(error) => Err(error.into()),
+            Err(error) if is_about_a_record(&error) => self.outbox.set_aside(&digests, &error),
+            Err(error) => return Err(error.into()),
         }
+        Ok(digests.len())
     }
 }
 
@@ -267,8 +227,8 @@ impl Pauses {
     }
 }
 
-/// A pause between half of this and all of it, by a random `share` of 255: robots that lost a gateway together do not come back
-/// together.
+/// A pause between half of this and all of it, by a random `share` of 255: robots that lost their gateway together do not
+/// come back together.
 fn shortened(pause: Duration, share: u8) -> Duration {
     let half = pause / 2;
     half + half.mul_f64(f64::from(share) / 255.0)
@@ -298,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn a_silent_gateway_is_left_within_ten_seconds() {
+    fn a_silent_address_is_left_within_ten_seconds() {
         // It is asked whether it is there, and then waited for; nothing else comes before the next one's turn.
         assert!(SILENCE + PATIENCE_OF_SEVERAL < Duration::from_secs(10));
     }

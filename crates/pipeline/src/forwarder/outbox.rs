@@ -1,130 +1,103 @@
-//! What all lines to the gateways of a robot share: its ledger and vault, what is set aside, what else there is to do.
+//! What waits to be sent and what is set aside, and how long copies are kept that the gateway has too.
 
 use std::collections::HashSet;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use tokio::sync::watch;
 use tokio::task::block_in_place;
 
-use super::{CopyKeeping, Errand, LONGEST_RETRY, Link, Pace};
+use super::{CopyKeeping, LONGEST_RETRY, Pace};
 use crate::gateway::{GatewayError, Upload};
-use crate::model::{Digest, RecordState, Signature, Timestamp};
+use crate::model::{Digest, RecordState, Timestamp};
 use crate::pipeline::{PipelineError, Plant};
 use crate::store::RecordQuery;
 use crate::store::files::free_bytes;
 
 /// The most records in one upload.
-pub(super) const WINDOW: usize = 256;
+const WINDOW: usize = 256;
 /// The most bytes in one upload, unless a single record is larger.
 const WINDOW_BYTES: usize = 4 * 1024 * 1024;
 /// Copies given up at once.
 const PAGE: usize = 256;
 
-/// Records that wait for another attempt on their own.
-pub(super) struct Aside {
-    /// Since when the first of them has been waiting.
-    since: Option<Instant>,
+/// The outbox of a robot.
+pub(super) struct Outbox {
+    pub plant: Plant,
+    home: PathBuf,
+    keeping: CopyKeeping,
+    /// Records refused for their own sake.
+    refused: Arc<Mutex<HashSet<Digest>>>,
+    pub pace: Pace,
+    /// Since when the first of them has been waiting for another attempt.
+    aside_since: Option<Instant>,
     /// How many of the next uploads are sent one by one, because one of them is refused.
     singly: usize,
     /// Before they are sent again; it doubles.
     retry: Duration,
-}
-
-impl Aside {
-    pub fn new(retry: Duration) -> Self {
-        Self { since: None, singly: 0, retry }
-    }
-}
-
-/// The outbox of a robot.
-pub(super) struct Outbox {
-    pub plant: Plant,
-    pub home: PathBuf,
-    pub pace: Pace,
-    pub link: watch::Sender<Link>,
-    pub errand: Arc<tokio::sync::Mutex<Option<Box<dyn Errand>>>>,
-    pub refused: Arc<Mutex<HashSet<Digest>>>,
-    pub aside: Mutex<Aside>,
-    pub tidied: Mutex<Option<Instant>>,
-    pub keeping: CopyKeeping,
-    pub resend_after: Duration,
+    tidied: Option<Instant>,
 }
 
 impl Outbox {
-    pub fn refused(&self) -> MutexGuard<'_, HashSet<Digest>> {
+    pub fn new(
+        plant: Plant,
+        home: PathBuf,
+        keeping: CopyKeeping,
+        refused: Arc<Mutex<HashSet<Digest>>>,
+        pace: Pace,
+    ) -> Self {
+        let retry = pace.retry;
+        Self { plant, home, keeping, refused, pace, aside_since: None, singly: 0, retry, tidied: None }
+    }
+
+    fn refused(&self) -> MutexGuard<'_, HashSet<Digest>> {
         self.refused.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn aside(&self) -> MutexGuard<'_, Aside> {
-        self.aside.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// One of these records is refused: if it is the only one it is set aside, otherwise it is searched for.
-    pub fn set_aside(&self, digests: &[Digest], error: &GatewayError) {
+    pub fn set_aside(&mut self, digests: &[Digest], error: &GatewayError) {
         let [digest] = digests else {
-            self.aside().singly = digests.len();
+            self.singly = digests.len();
             return;
         };
-        self.set_one_aside(*digest, error);
-    }
-
-    /// A record is refused for its own sake.
-    pub fn set_one_aside(&self, digest: Digest, error: &GatewayError) {
-        self.refused().insert(digest);
-        self.aside().since.get_or_insert_with(Instant::now);
+        self.refused().insert(*digest);
+        self.aside_since.get_or_insert_with(Instant::now);
         self.plant.observer.alert(true, format!("record {digest} stays in the outbox: {error}"));
     }
 
     /// Records refused for their own sake are sent again when their pause is over: gateways get repaired, and settings
     /// change.
-    pub fn retry_refused(&self) {
-        let mut aside = self.aside();
-        if aside.since.is_some_and(|since| since.elapsed() >= aside.retry) {
+    pub fn retry_refused(&mut self) {
+        if self.aside_since.is_some_and(|since| since.elapsed() >= self.retry) {
             self.refused().clear();
-            aside.since = None;
-            aside.retry = (aside.retry * 2).min(LONGEST_RETRY);
+            self.aside_since = None;
+            self.retry = (self.retry * 2).min(LONGEST_RETRY);
         }
     }
 
     /// The next records to send, their bytes compared with their digests.
-    pub fn window(&self) -> Result<Vec<(Digest, Upload)>, PipelineError> {
+    pub fn window(&mut self) -> Result<Vec<(Digest, Upload)>, PipelineError> {
         let refused = self.refused().clone();
-        let most = {
-            let mut aside = self.aside();
-            let singly = aside.singly > 0;
-            aside.singly = aside.singly.saturating_sub(1);
-            if singly { 1 } else { WINDOW }
-        };
+        let most = if self.singly > 0 { 1 } else { WINDOW };
+        self.singly = self.singly.saturating_sub(1);
         let limit = most + refused.len();
         let query = RecordQuery { state: Some(RecordState::Stored), limit, ..RecordQuery::default() };
         let rows = self.plant.ledger.list(&query)?.rows;
-        let waiting = rows.into_iter().filter(|row| !refused.contains(&row.digest)).take(most);
-        self.packed(waiting.map(|row| (row.digest, row.signature)), RecordState::Stored)
-    }
-
-    /// As many of these, in this state, as fit into one upload, their bytes compared with their digests.
-    pub fn packed(
-        &self,
-        records: impl Iterator<Item = (Digest, Signature)>,
-        state: RecordState,
-    ) -> Result<Vec<(Digest, Upload)>, PipelineError> {
         let (mut window, mut bytes, mut spoilt) = (Vec::new(), 0, Vec::new());
-        for (digest, signature) in records {
-            let blob = self.plant.vault.get(digest)?;
-            let Some(blob) = blob.filter(|blob| self.plant.provider.sm3(&[blob]) == digest.0) else {
-                spoilt.push(digest);
+        for row in rows.into_iter().filter(|row| !refused.contains(&row.digest)).take(most) {
+            let blob = self.plant.vault.get(row.digest)?;
+            let Some(blob) = blob.filter(|blob| self.plant.provider.sm3(&[blob]) == row.digest.0) else {
+                spoilt.push(row.digest);
                 continue;
             };
             if !window.is_empty() && bytes + blob.len() > WINDOW_BYTES {
                 break;
             }
             bytes += blob.len();
-            window.push((digest, Upload { signature, blob }));
+            window.push((row.digest, Upload { signature: row.signature, blob }));
         }
         if !spoilt.is_empty() {
-            self.plant.ledger.advance(&spoilt, state, RecordState::Tampered)?;
+            self.plant.ledger.advance(&spoilt, RecordState::Stored, RecordState::Tampered)?;
             self.plant.observer.tampered(&spoilt);
             let count = spoilt.len();
             self.plant
@@ -135,11 +108,10 @@ impl Outbox {
     }
 
     /// Tidies now and then.
-    pub fn keep_tidy(&self) -> Result<(), PipelineError> {
-        let mut tidied = self.tidied.lock().unwrap_or_else(PoisonError::into_inner);
-        if tidied.is_none_or(|at| at.elapsed() >= self.pace.tidy) {
+    pub fn keep_tidy(&mut self) -> Result<(), PipelineError> {
+        if self.tidied.is_none_or(|at| at.elapsed() >= self.pace.tidy) {
             block_in_place(|| self.tidy())?;
-            *tidied = Some(Instant::now());
+            self.tidied = Some(Instant::now());
         }
         Ok(())
     }

@@ -1,14 +1,12 @@
 //! What happens to records that a gateway took over.
 
-use std::sync::Arc;
-
 use tokio::task::block_in_place;
 
 use crate::chain::AnchorProof;
 use crate::chain::merkle::Leaf;
 use crate::gateway::standings::statement;
 use crate::gateway::{Client, Code, GatewayError, SignedStandings, Standing};
-use crate::model::{Digest, Header, RecordState, clean};
+use crate::model::{Digest, Header, RecordState};
 use crate::pipeline::PipelineError;
 use crate::store::{KeptStanding, RecordRow};
 
@@ -18,13 +16,12 @@ use super::line::Line;
 /// Records asked about at once; with their proofs they fit into one message.
 const PAGE: usize = 256;
 
-impl Line {
-    /// Asks for the standings of the next page of records that this gateway signed for, and moves those that it has
+impl Line<'_> {
+    /// Asks for the standings of the next page of records that the gateway signed for, and moves those that it has
     /// decided. Returns whether there were any.
     pub(super) async fn check(&mut self, client: &mut Client) -> Result<bool, ForwardError> {
         let after = self.cursor.take();
-        let (ledger, gateway) = (&self.outbox.plant.ledger, self.gate.fingerprint);
-        let page = block_in_place(|| ledger.placed_at(gateway, after, PAGE))?;
+        let page = block_in_place(|| self.outbox.plant.ledger.forwarded(after, PAGE))?;
         if page.rows.is_empty() {
             return Ok(false);
         }
@@ -64,13 +61,7 @@ impl Line {
                 Err(error) => return Err(error.into()),
             }
         }
-        let mut each = client.check(&digests).await?;
-        if self.roster.len() > 1 {
-            // One of several is not believed without a proof: another one may give it.
-            let unproven = each.iter_mut().filter(|standing| **standing == Standing::Verified);
-            unproven.for_each(|standing| *standing = Standing::Anchored);
-        }
-        Ok(Standings { each, proven: None })
+        Ok(Standings { each: client.check(&digests).await?, proven: None })
     }
 
     fn proven(&self, rows: &[RecordRow], digests: &[Digest], signed: SignedStandings) -> Standings {
@@ -109,14 +100,13 @@ impl Line {
         digest == row.digest && inclusion.proves(&Leaf { owner, recorder, topic_id, seq, digest })
     }
 
-    fn decide(&mut self, verified: &[Digest], unknown: &[Digest], tampered: &[Digest]) -> Result<(), PipelineError> {
-        let outbox = Arc::clone(&self.outbox);
-        let (ledger, observer) = (&outbox.plant.ledger, &outbox.plant.observer);
+    fn decide(&self, verified: &[Digest], unknown: &[Digest], tampered: &[Digest]) -> Result<(), PipelineError> {
+        let (ledger, observer) = (&self.outbox.plant.ledger, &self.outbox.plant.observer);
         if !verified.is_empty() {
             ledger.settle_forwarded(verified, RecordState::Verified)?;
             observer.verified(verified);
         }
-        if !unknown.is_empty() && ledger.unplace(self.gate.fingerprint, unknown)? > 0 {
+        if !unknown.is_empty() && ledger.settle_forwarded(unknown, RecordState::Stored)? > 0 {
             let count = unknown.len();
             observer.alert(
                 true,
@@ -126,9 +116,7 @@ impl Line {
                 ),
             );
         }
-        if self.roster.len() > 1 {
-            self.dispute(tampered);
-        } else if !tampered.is_empty() && ledger.settle_forwarded(tampered, RecordState::Tampered)? > 0 {
+        if !tampered.is_empty() && ledger.settle_forwarded(tampered, RecordState::Tampered)? > 0 {
             observer.tampered(tampered);
             let count = tampered.len();
             observer.alert(
@@ -142,22 +130,6 @@ impl Line {
             observer.records_changed();
         }
         Ok(())
-    }
-}
-
-impl Line {
-    /// One of several gateways says that it holds other bytes than it signed for. The originals are here, and its word
-    /// alone does not keep them from the next one.
-    fn dispute(&mut self, tampered: &[Digest]) {
-        let new = tampered.iter().filter(|digest| self.disputed.insert(**digest)).count();
-        if new > 0 {
-            let address = clean(&self.gate.endpoint.address, 255);
-            let text = format!(
-                "{new} records were altered at the gateway {address} after it signed for them; the originals are kept here \
-                 and go to the next gateway"
-            );
-            self.outbox.plant.observer.alert(true, text);
-        }
     }
 }
 

@@ -12,9 +12,9 @@ use crate::pipeline::fixture::Notes;
 use crate::store::{Ledger, NewRecord, StateCounts, open_vault};
 use relay::Relay;
 
+mod addresses;
 mod notices;
 mod relay;
-mod several;
 
 const QUICK: Pace = Pace {
     first_pause: Duration::from_millis(10),
@@ -90,17 +90,17 @@ impl Scene {
     }
 
     fn access(&self) -> GatewayAccess {
-        let (address, fingerprint) = (self.relay.address.to_string(), self.stage.server.id());
-        GatewayAccess { address, fingerprint, transport: self.credentials.key.clone() }
+        let (addresses, fingerprint) = (vec![self.relay.address.to_string()], self.stage.server.id());
+        GatewayAccess { addresses, fingerprint, transport: self.credentials.key.clone() }
     }
 
     fn forwarder(&self) -> Forwarder {
-        self.forwarder_to(&[self.access()])
+        self.forwarder_to(&self.access())
     }
 
-    fn forwarder_to(&self, list: &[GatewayAccess]) -> Forwarder {
+    fn forwarder_to(&self, access: &GatewayAccess) -> Forwarder {
         let keeping = CopyKeeping { time: self.keep, reserve: 0 };
-        let forwarder = Forwarder::new(self.plant.clone(), self.robot(), list).expect("trusts");
+        let forwarder = Forwarder::new(self.plant.clone(), self.robot(), access).expect("trusts");
         forwarder.paced(QUICK).keeping(keeping)
     }
 

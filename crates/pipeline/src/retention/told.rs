@@ -1,8 +1,8 @@
-//! What others are told of records that their owners had erased: gateways of the fleet, those that the owner's home joins, and
-//! readers. What is left of each, and only what somebody would take now.
+//! What readers, and the gateway that the owner's home joins, learn of a record that its owner had erased: what is left of
+//! it, and only what they would accept now.
 
 use crate::crypto::{AccountSignature, ErasedStatement, signer_id};
-use crate::gateway::{ErasedRecord, Fetched, ToldErasure};
+use crate::gateway::{ErasedRecord, Fetched, ErasureNotice};
 use crate::model::{Address, Digest, Header, PublicKey};
 use crate::pipeline::authority::{Moment, SigningRight, key_of, may_sign};
 use crate::pipeline::proof::anchor_proof;
@@ -25,16 +25,16 @@ pub fn left_of(
     Ok(Some(Fetched { signer, signature: row.signature, proof, blob: header }))
 }
 
-/// What is told of an erased record, by the statement and the account's signature that the ledger has. `None` if nobody would
-/// take it now: its owner has another key, its anchor is in no batch of a block, or its signer is unknown.
+/// The notice of an erased record, with the statement and the account's signature that the ledger has. `None` if nobody would
+/// accept it now: its owner has another key, its anchor is in no batch of a block, or its signer is unknown.
 ///
 /// # Errors
 /// Errors of the ledger.
-pub fn told_of(
+pub fn notice_of(
     plant: &Plant,
     network: &Network,
     (digest, statement, account): (Digest, &[u8], &[u8]),
-) -> Result<Option<ToldErasure>, PipelineError> {
+) -> Result<Option<ErasureNotice>, PipelineError> {
     let ledger = &plant.ledger;
     let (Ok(statement), Ok(account)) = (ErasedStatement::parse(statement), account.try_into()) else {
         return Ok(None);
@@ -48,7 +48,7 @@ pub fn told_of(
         |retained: &Retained| Header::parse(&retained.header).is_ok_and(|(header, _)| header.domain == network.domain);
     let Some(retained) = ledger.retained(digest)?.filter(is_of_here) else { return Ok(None) };
     let left = left_of(plant, network, &row, retained.header)?.map(|record| ErasedRecord { record, statement });
-    Ok(left.map(|left| ToldErasure { digest, account_signature: AccountSignature(account), left }))
+    Ok(left.map(|left| ErasureNotice { digest, account_signature: AccountSignature(account), left }))
 }
 
 /// Whether this is the key that an owner has now.

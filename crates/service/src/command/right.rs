@@ -4,8 +4,8 @@
 #![deny(clippy::wildcard_enum_match_arm)]
 
 use super::{
-    Command, FleetCommand, IncidentCommand, Operation, OperatorCommand, PolicyCommand, RecordingCommand, RobotCommand,
-    StoreCommand, Viewing,
+    Command, IncidentCommand, Operation, OperatorCommand, PolicyCommand, RecordingCommand, RobotCommand, StoreCommand,
+    Viewing,
 };
 use crate::model::OperatorRight;
 
@@ -51,7 +51,6 @@ impl Command {
             | Self::ShowUpload { .. }
             | Self::ListGrants
             | Self::ListShared(_)
-            | Self::CompareGateways { .. }
             | Self::CheckShared { .. }
             | Self::ListDevices
             | Self::CompareFingerprint { .. }
@@ -89,7 +88,7 @@ impl Command {
             | Self::LendDevice { .. }
             | Self::RecallDevice { .. }
             | Self::AddDeviceTopics { .. }
-            | Self::AddDeviceGateway { .. }
+            | Self::AddDeviceAddress { .. }
             | Self::EnrolDevice(_)
             | Self::AddContact { .. }
             | Self::RemoveContact { .. }
@@ -107,7 +106,6 @@ impl Command {
             Self::Operate(operation) => of_operation(operation),
             Self::OfIncident(command) => of_incident(command),
             Self::OfRobot(command) => of_robot(command),
-            Self::OfFleet(command) => of_fleet(command),
             Self::OfOperator(command) => of_operator(command),
         }
     }
@@ -164,13 +162,6 @@ fn of_robot(command: &RobotCommand) -> Needed {
         RobotCommand::ListRobots | RobotCommand::ShowRobot { .. } => LOOK,
         // The account signs what a robot obeys.
         RobotCommand::PullRing { .. } | RobotCommand::SetRobotPolicy { .. } => Needed::Owner,
-    }
-}
-
-fn of_fleet(command: &FleetCommand) -> Needed {
-    match command {
-        FleetCommand::ListFellows | FleetCommand::FleetStatus => LOOK,
-        FleetCommand::AddFellow { .. } | FleetCommand::RemoveFellow { .. } => Needed::Owner,
     }
 }
 

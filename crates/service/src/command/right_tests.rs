@@ -26,7 +26,6 @@ const GROUPS: &[(&str, &str)] = &[
     ("operate", "operation"),
     ("of_incident", "incident"),
     ("of_robot", "robot"),
-    ("of_fleet", "fleet"),
     ("of_operator", "operator"),
 ];
 /// Groups whose members are no texts.
@@ -46,7 +45,6 @@ const LOOK: &[&str] = &[
     "show_upload",
     "list_grants",
     "list_shared",
-    "compare_gateways",
     "check_shared",
     "list_devices",
     "compare_fingerprint",
@@ -65,8 +63,6 @@ const LOOK: &[&str] = &[
     "of_incident show_incident",
     "of_robot list_robots",
     "of_robot show_robot",
-    "of_fleet list_fellows",
-    "of_fleet fleet_status",
     "of_operator list_operators",
 ];
 const CAPTURE: &[&str] = &[

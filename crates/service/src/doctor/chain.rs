@@ -18,7 +18,7 @@ pub(super) async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &
         Err(reason) => return sheet.fail("chain", &reason, "restore chain-pin.json from a backup"),
     };
     if let Some(site) = &config.site {
-        return remote(&site.address, sheet).await;
+        return remote(&site.addresses, sheet).await;
     }
     let (endpoint, name) = match &config.chain_url {
         Some(url) => (Endpoint::Node { url: url.clone() }, without_password(url)),
@@ -101,18 +101,30 @@ fn who_seals(sealed_by: &SealedBy, sheet: &mut Sheet) {
     }
 }
 
-async fn remote(address: &str, sheet: &mut Sheet) {
+/// The first address that answers will do; the others are told in a warning.
+async fn remote(addresses: &[String], sheet: &mut Sheet) {
     let patience = std::time::Duration::from_secs(3);
-    match tokio::time::timeout(patience, tokio::net::TcpStream::connect(address)).await {
-        Ok(Ok(_)) => sheet.ok("chain", &format!("through the gateway at {address}, which answers")),
-        Ok(Err(error)) => {
-            sheet.fail("chain", &format!("the gateway at {address}: {error}"), "start it or correct site.address");
-        }
-        Err(_) => {
-            let text = format!("the gateway at {address} does not answer within {} s", patience.as_secs());
-            sheet.fail("chain", &text, "start it or correct site.address");
+    let mut silent = Vec::new();
+    for address in addresses {
+        match tokio::time::timeout(patience, tokio::net::TcpStream::connect(address)).await {
+            Ok(Ok(_)) => {
+                let text = format!("through the gateway at {address}, which answers");
+                return match silent.as_slice() {
+                    [] => sheet.ok("chain", &text),
+                    _ => sheet.warn(
+                        "chain",
+                        &format!("{text}; {}", silent.join("; ")),
+                        "check that line, or site.address",
+                    ),
+                };
+            }
+            Ok(Err(error)) => silent.push(format!("the gateway at {address}: {error}")),
+            Err(_) => {
+                silent.push(format!("the gateway at {address} does not answer within {} s", patience.as_secs()));
+            }
         }
     }
+    sheet.fail("chain", &silent.join("; "), "start it or correct site.address");
 }
 
 fn pin(home: &Home) -> Result<Option<Pin>, String> {

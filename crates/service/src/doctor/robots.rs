@@ -50,7 +50,7 @@ mod tests {
 
     fn robot(name: &str, version: u8, ended: bool) -> Enrolled {
         let (name, device) = (name.parse().expect("a name"), SignerId([version; 32]));
-        Enrolled { name, device, topics: Vec::new(), version, ended, key: None, gateways: Vec::new() }
+        Enrolled { name, device, topics: Vec::new(), version, ended, key: None, gateway: None }
     }
 
     #[test]

@@ -63,7 +63,6 @@ pub fn text(figures: &Figures) -> String {
     line(&mut text, figures);
     chain(&mut text, figures);
     health(&mut text, figures);
-    fleet(&mut text, figures);
     figures.latencies.first().inspect(|_| {
         text.begin(
             "authros_latency_seconds",
@@ -238,37 +237,6 @@ fn health(text: &mut Text, figures: &Figures) {
     text.single("authros_alert_deliveries_waiting", "gauge", "Alert deliveries that are queued.", waiting);
     let help = "Alert deliveries dropped because the queue was full, and not yet reported by another delivery.";
     text.single("authros_alert_deliveries_dropped", "gauge", help, dropped);
-}
-
-fn fleet(text: &mut Text, figures: &Figures) {
-    let rows = &figures.fleet;
-    let help = "Records that another gateway of the fleet holds and this one does not, as last heard.";
-    text.family(("authros_fleet_lacking_records", "gauge", help), rows, |text, name, row| {
-        text.value(name, &[("gateway", &row.fellow)], row.lacking);
-    });
-    let heard: Vec<_> = rows.iter().filter_map(|row| Some((&row.fellow, row.heard?))).collect();
-    let help = "Time since another gateway of the fleet told what it holds; left out until it first did.";
-    text.family(("authros_fleet_heard_age_seconds", "gauge", help), &heard, |text, name, (fellow, heard)| {
-        text.value(name, &[("gateway", fellow)], figures.age(*heard));
-    });
-    let help = "Records taken over from another gateway of the fleet.";
-    text.family(("authros_fleet_taken_total", "counter", help), rows, |text, name, row| {
-        text.value(name, &[("gateway", &row.fellow)], row.taken);
-    });
-    let help = "Records erased here because another gateway of the fleet told that their owners had them erased.";
-    text.family(("authros_fleet_erased_total", "counter", help), rows, |text, name, row| {
-        text.value(name, &[("gateway", &row.fellow)], row.erased);
-    });
-    let help = "Records that this gateway and another one of the fleet anchored, both.";
-    text.family(("authros_fleet_anchored_twice_total", "counter", help), rows, |text, name, row| {
-        text.value(name, &[("gateway", &row.fellow)], row.twice);
-    });
-    let refused: Vec<_> =
-        rows.iter().flat_map(|row| row.refused.iter().map(move |(code, count)| (&row.fellow, *code, *count))).collect();
-    let help = "Records of another gateway of the fleet that were refused, by the protocol's code.";
-    text.family(("authros_fleet_refused_total", "counter", help), &refused, |text, name, (fellow, code, count)| {
-        text.value(name, &[("gateway", fellow), ("code", &code.to_string())], count);
-    });
 }
 
 fn histogram(text: &mut Text, latency: &Latency) {

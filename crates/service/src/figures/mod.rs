@@ -45,8 +45,6 @@ pub struct Figures {
     pub clock_ahead: i64,
     /// The gateway served here.
     pub gateway: Option<GatewayFigures>,
-    /// The other gateways of the fleet, by key.
-    pub fleet: Vec<FellowFigures>,
     /// How many alerts of each rule are active.
     pub alerts: Vec<(&'static str, u64)>,
     /// Deliveries of alerts that wait, and those dropped for want of room and not reported yet.
@@ -111,25 +109,6 @@ pub struct GatewayFigures {
     /// Open connections.
     pub connections: u64,
     /// Refusals since it was started, by the protocol's code.
-    pub refused: Vec<(u16, u64)>,
-}
-
-/// Another gateway of the fleet.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct FellowFigures {
-    /// The beginning of its key.
-    pub fellow: String,
-    /// When it last told what it holds; `None` = not since this site runs.
-    pub heard: Option<Timestamp>,
-    /// Records that it told of and that are lacking here.
-    pub lacking: u64,
-    /// Records taken over from it.
-    pub taken: u64,
-    /// Records erased here at its word.
-    pub erased: u64,
-    /// Records that this gateway and another one anchored.
-    pub twice: u64,
-    /// Of what it sent, what was refused, by the protocol's code.
     pub refused: Vec<(u16, u64)>,
 }
 

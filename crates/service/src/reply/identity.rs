@@ -80,37 +80,30 @@ pub struct EnrolledView {
     pub name: ProfileName,
     /// SM3 of its public key.
     pub device: SignerId,
-    /// The first gateway that knows it.
-    pub gateway: String,
-    /// SM3 of that gateway's identity key.
-    pub gateway_key: SignerId,
-    /// All its gateways, in order.
-    #[serde(default)]
-    pub gateways: Vec<RobotGatewayView>,
+    /// Its gateway.
+    pub gateway: RobotGatewayView,
     /// The enrolment file, sealed.
     pub file: SecretBytes,
 }
 
-/// A gateway of an enrolled robot.
+/// The gateway of an enrolled robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RobotGatewayView {
-    /// Host:port.
-    pub address: String,
+    /// Host:port each, in the order in which the robot tries them. Cleaned.
+    pub addresses: Vec<String>,
     /// SM3 of its identity key.
     pub key: SignerId,
-    /// Whether it knows the robot; one that was away is told when it is back.
-    pub known: bool,
 }
 
-/// The current gateways of an enrolled robot.
+/// Where an enrolled robot finds its gateway from now on.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct DeviceGatewaysView {
-    /// N, its name at the gateways.
+pub struct DeviceAddressesView {
+    /// N, its name at the gateway.
     pub name: ProfileName,
     /// SM3 of its public key.
     pub device: SignerId,
-    /// All its gateways, in order.
-    pub gateways: Vec<RobotGatewayView>,
+    /// Its gateway.
+    pub gateway: RobotGatewayView,
 }
 
 /// The current topics of an enrolled robot.

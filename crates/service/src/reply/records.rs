@@ -61,9 +61,6 @@ pub struct RecordPage {
     pub records: Vec<RecordView>,
     /// Cursor of the next page.
     pub next: Option<String>,
-    /// Gateways whose records are still arriving, although they were waited for: not all of theirs is in the list.
-    #[serde(skip_serializing_if = "Vec::is_empty", default)]
-    pub arriving: Vec<String>,
 }
 
 /// One record with its provenance and its state.

@@ -66,8 +66,8 @@ pub struct RobotView {
     /// As in the list.
     #[serde(flatten)]
     pub row: RobotRow,
-    /// Its gateways, in order.
-    pub gateways: Vec<RobotGatewayView>,
+    /// Its gateway.
+    pub gateway: Option<RobotGatewayView>,
     /// The topics it has keys for; empty = all.
     pub enrolled: Vec<String>,
     /// What it recorded, by topic.

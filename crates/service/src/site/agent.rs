@@ -1,5 +1,5 @@
 //! The agent: a site without a chain, on a robot or its host. It captures in its owner's name, within its enrolment,
-//! and forwards everything to one of its gateways.
+//! and forwards everything to its gateway.
 
 mod kept_policy;
 mod policy;
@@ -29,7 +29,7 @@ use crate::service::failure::{input, internal, refused};
 use crate::service::reply::Failure;
 use crate::store::{RingFigures, StateCounts, TopicCounts};
 
-/// How long the only gateway may take to answer.
+/// How long the gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Interval between looks at the figures.
 const LOOK: Duration = Duration::from_millis(200);
@@ -68,7 +68,7 @@ pub struct AgentFigures {
     /// Verified only by the gateway's word, which an earlier version does not sign: their ciphertext stays here. Looked
     /// up every few seconds.
     pub unproven: u64,
-    /// Whether a gateway answers, in words.
+    /// Whether the gateway answers, in words.
     pub gateway: String,
     /// What it keeps of topics that nobody watches, if it keeps a ring.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -144,8 +144,8 @@ impl Agent {
         let notices = notices.with_memory(site.plant.ledger.clone());
         let notices = notices.with_ring_while(site.plant.ledger.clone(), &policy.has_ring);
         let notices = notices.with_policies(Arc::clone(&policy.keeper) as _);
-        let told = notices.gateways();
-        let forwarder = forwarder.with_errand(Box::new(notices)).following(told);
+        let named = notices.gateway();
+        let forwarder = forwarder.with_errand(Box::new(notices)).following(named);
         let before = block_in_place(|| site.plant.ledger.counts(None))?.acknowledged;
         let session = Arc::new(CaptureSession::unfollowed(&topics, wishes.count, wishes.tags.clone()));
         for topic in &topics {
@@ -358,8 +358,6 @@ async fn forward(site: Arc<Site>, forwarder: Arc<tokio::sync::Mutex<Forwarder>>)
 }
 
 fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {
-    let damaged = |_| internal("the enrolment names no gateway; ask its owner to enrol the robot again");
-    enrolment.gateway().map_err(damaged)?;
     let robot = Robot {
         context: Context { provider: site.plant.provider, domain: enrolment.domain },
         name: enrolment.name.clone(),
@@ -367,11 +365,10 @@ fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {
         patience: PATIENCE,
         home: site.parts.home.root().to_owned(),
     };
-    let forwarder = Forwarder::new(site.plant.clone(), robot, &enrolment.gateways)?;
+    let forwarder = Forwarder::new(site.plant.clone(), robot, &enrolment.gateway)?;
     let config = &site.parts.config;
     let time = config.outbox_keep.unwrap_or(Duration::MAX);
     let forwarder = forwarder.keeping(CopyKeeping { time, reserve: config.disk_reserve });
-    let forwarder = forwarder.resending_after(config.resend_after);
     forwarder.tidy()?;
     Ok(forwarder)
 }

@@ -143,7 +143,6 @@ impl Site {
             audit_locked: self.parts.owners.all().is_empty(),
             clock_ahead: look().ahead(),
             gateway: self.gateway.figures(),
-            fleet: self.gateway.fleet_figures()?,
             alerts: self.alerts.by_rule(),
             deliveries: self.alerts.deliveries(),
             latencies: Milestone::ALL.map(|milestone| self.latency(milestone)).into(),

@@ -7,15 +7,13 @@ use std::sync::Arc;
 use super::Site;
 use super::audit::acting::is_operator;
 use super::consoles::{Claims, opened_by, until_released};
-use crate::model::{ErrorKind, ProfileName};
+use crate::model::ProfileName;
 use crate::pipeline::Owner;
 use crate::service::command::{
-    self as ask, Ask, Command, IncidentCommand, Operation, Pace, RecordingCommand, RecordingProgress, Request,
-    StoreCommand,
+    self as ask, Ask, Command, IncidentCommand, Operation, RecordingCommand, RecordingProgress, Request, StoreCommand,
 };
-use crate::service::reply::{Failure, GatewaysView, RecordPage, Reply};
+use crate::service::reply::{Failure, Reply};
 use crate::site::devices::pulling::span;
-use crate::site::mirror::comparing::Wishes;
 
 impl Site {
     /// Answers one request. Each variant has its arm here, so a request that nothing answers does not compile.
@@ -106,36 +104,24 @@ impl Site {
             }
             Command::StampEvidence => self.stamps.stamp().await.map(ask::StampEvidence::told),
             Command::ListShared(query) => {
-                let (owner, arriving) = self.caught_up_owner(&profile).await?;
-                let page = self.reading.list_shared(&owner, query).await?;
-                Ok(ask::ListShared::told(RecordPage { arriving, ..page }))
-            }
-            Command::CompareGateways { owner: of, topic, copies } => {
-                let wishes = Wishes { owner: of, topic, copies };
-                self.compare_gateways(&owner()?, wishes).await.map(ask::CompareGateways::told)
+                let owner = self.caught_up_owner(&profile).await?;
+                self.reading.list_shared(&owner, query).await.map(ask::ListShared::told)
             }
             Command::CheckShared { id } => {
-                let (owner, arriving) = self.caught_up_owner(&profile).await?;
-                let view = self.reading.check_record(&owner, &id).await;
-                view.map_err(|failure| or_arriving(failure, &arriving)).map(ask::CheckShared::told)
+                let owner = self.caught_up_owner(&profile).await?;
+                self.reading.check_record(&owner, &id).await.map(ask::CheckShared::told)
             }
             Command::OpenShared { id } => {
-                let (owner, arriving) = self.caught_up_owner(&profile).await?;
-                let view = self.reading.open_record(&owner, &id).await;
-                view.map_err(|failure| or_arriving(failure, &arriving)).map(Box::new).map(ask::OpenShared::told)
+                let owner = self.caught_up_owner(&profile).await?;
+                self.reading.open_record(&owner, &id).await.map(Box::new).map(ask::OpenShared::told)
             }
             Command::View(viewing) => {
-                let (owner, arriving) = self.caught_up_owner(&profile).await?;
-                let told = self.reading.handle_viewing(&owner, viewing).await;
-                told.map_err(|failure| or_arriving(failure, &arriving))
+                let owner = self.caught_up_owner(&profile).await?;
+                self.reading.handle_viewing(&owner, viewing).await
             }
             Command::Play(wishes) => {
                 let owner = owner()?;
-                // What comes later is played then; of the past all is played, or nothing.
-                match wishes.pace {
-                    Pace::Follow => drop(self.joined.caught_up(&profile).await?),
-                    Pace::AtOnce | Pace::Rated { .. } => self.joined.all_caught_up(&profile).await?,
-                }
+                self.joined.caught_up(&profile).await?;
                 self.bridge.play(&owner, wishes, until_released(claims)).await.map(ask::Play::told)
             }
             Command::StopPlay => {
@@ -161,9 +147,9 @@ impl Site {
             Command::AddDeviceTopics { device, topics } => {
                 self.devices.add_topics(&owner()?, &device, &topics).await.map(ask::AddDeviceTopics::told)
             }
-            Command::AddDeviceGateway { device, address, key } => {
-                let added = self.devices.add_gateway(&owner()?, &device, (address, key)).await;
-                added.map(ask::AddDeviceGateway::told)
+            Command::AddDeviceAddress { device, address } => {
+                let added = self.devices.add_address(&owner()?, &device, address).await;
+                added.map(ask::AddDeviceAddress::told)
             }
             Command::EnrolDevice(wishes) => self.devices.enrol(&owner()?, wishes).await.map(ask::EnrolDevice::told),
             Command::ListDevices => self.devices.rows(&owner()?).await.map(ask::ListDevices::told),
@@ -219,7 +205,6 @@ impl Site {
                 self.reading.learn_own_names(&profile).await?;
                 self.devices.answer(&owner()?, command).await
             }
-            Command::OfFleet(command) => self.gateway.of_fleet(&profile, command).await,
             Command::OfOperator(command) => self.operators.answer(&profile, command, claims).await,
         }
     }
@@ -287,25 +272,10 @@ impl Site {
         }
     }
 
-    /// What each gateway that is joined lacks; they are asked in the profile's name, which the log tells.
-    async fn compare_gateways(self: &Arc<Self>, owner: &Arc<Owner>, wishes: Wishes) -> Result<GatewaysView, Failure> {
-        let whose = wishes.owner.as_ref().map_or_else(|| "everybody".to_owned(), |owner| owner.to_string());
-        let compared = self.joined.compared(owner, (&self.reading, &self.contacts), wishes);
-        self.parts.log.deed(&owner.profile, "compare gateways", &format!("records of {whose}"), compared).await
-    }
-
-    /// The profile's owner, once the records shared with it are known up to now, and the gateways whose records are still
-    /// arriving.
-    async fn caught_up_owner(self: &Arc<Self>, profile: &ProfileName) -> Result<(Arc<Owner>, Vec<String>), Failure> {
+    /// The profile's owner, once the records shared with it are known up to now.
+    async fn caught_up_owner(self: &Arc<Self>, profile: &ProfileName) -> Result<Arc<Owner>, Failure> {
         let owner = self.parts.owners.unlocked(profile)?;
-        Ok((owner, self.joined.caught_up(profile).await?))
+        self.joined.caught_up(profile).await?;
+        Ok(owner)
     }
-}
-
-/// A record that is not here may be among those that are still arriving.
-fn or_arriving(mut failure: Failure, arriving: &[String]) -> Failure {
-    for address in arriving.iter().filter(|_| failure.kind == ErrorKind::Input) {
-        failure.message.push_str(&format!("; not all that the gateway {address} has is here yet"));
-    }
-    failure
 }

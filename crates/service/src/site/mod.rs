@@ -77,7 +77,7 @@ use gateway::admissions::Admissions;
 use identity::Profiles;
 use incidents::Incidents;
 use mirror::Joined;
-use mirror::remotes::Remotes;
+use mirror::remote::Remote;
 use operators::Operators;
 use parts::Parts;
 use pins::Pinning;
@@ -209,7 +209,7 @@ impl Site {
         let (of, config, plant) = (&parts, Arc::clone(&parts.config), parts.plant.clone());
         let (rings, losses) = (Arc::new(rings(&config)), Arc::new(Losses::default()));
         let (recorder, judges) = recorder(&parts, &rings, &losses);
-        let remote = config.site.as_ref().map(|site| Remotes::new(site, &parts.home, plant.provider)).transpose()?;
+        let remote = config.site.as_ref().map(|site| Remote::new(site, &parts.home, plant.provider)).transpose()?;
         let remote = remote.map(Arc::new);
         let (lanes, connection) = (Arc::new(Lanes::new(of)), Arc::new(Connection::new(of, remote.clone())));
         let (contacts, sealer) = (Arc::new(Contacts::new(of)), Arc::new(SealerThread::new(of, &rings, &losses)));

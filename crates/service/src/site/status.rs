@@ -44,7 +44,6 @@ impl Site {
         health.extend(self.clock.health());
         health.extend(self.stamps.health()?);
         health.extend(self.chain_proofs.health()?);
-        health.extend(self.gateway.fleet_health()?);
         health.extend(self.account_health()?);
         Ok(health)
     }

@@ -13,7 +13,6 @@ use super::chain::lanes::Lanes;
 use super::clock::Clock;
 use super::devices::Devices;
 use super::evidence::{ChainProofs, TimeStamps};
-use super::gateway::Gateway;
 use super::mirror::Joined;
 use super::operators::Operators;
 use super::quarantine::Quarantine;
@@ -68,7 +67,6 @@ pub(super) fn start(
             site.parts.supervisor.keep("time stamps", &site.stamps, TimeStamps::keep);
         }
         site.parts.supervisor.keep("chain proofs", &site.chain_proofs, ChainProofs::keep);
-        site.parts.supervisor.keep("fleet", &site.gateway, Gateway::reconcile);
         site.parts.supervisor.keep("verifier", site, verify);
         site.parts.supervisor.keep("scrubber", &site.audit, Audit::keep_scrubbing);
         site.parts.supervisor.keep("expiry", &site.sharing, Sharing::keep_settled);
@@ -219,11 +217,10 @@ impl Site {
         let given = Arc::clone(owner);
         let work = move |devices: Arc<Devices>| devices.keep_attending(Arc::clone(&given));
         self.parts.supervisor.keep_while(&format!("courier {name}"), &self.devices, while_open(self, owner), work);
-        for place in 0..self.joined.gateways() {
+        if self.joined.joins() {
             let given = Arc::clone(owner);
-            let work = move |joined: Arc<Joined>| joined.mirror(Arc::clone(&given), place);
-            let task = if place == 0 { format!("mirror {name}") } else { format!("mirror {name} {}", place + 1) };
-            self.parts.supervisor.keep_while(&task, &self.joined, while_open(self, owner), work);
+            let work = move |joined: Arc<Joined>| joined.mirror(Arc::clone(&given));
+            self.parts.supervisor.keep_while(&format!("mirror {name}"), &self.joined, while_open(self, owner), work);
         }
     }
 }

@@ -1,21 +1,14 @@
-//! Anchors made elsewhere: records that come with one are acknowledged together with it, others get it later.
-
-use std::collections::{BTreeMap, HashMap, HashSet};
+//! Anchors made elsewhere: a record that is here gets the one that another ledger made.
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 
-use super::append::{self, Born, Placed};
 use super::batches::{self, RootSighting};
 use super::edges::{By, may};
-use super::kept::add_signer;
-use super::{Ledger, NewRecord, Session, rows, trail};
+use super::{Ledger, rows, trail};
 use crate::chain::merkle::Inclusion;
-use crate::model::{Digest, Hash, PublicKey, RecordState, SignerId, Timestamp};
+use crate::model::{Digest, Hash, RecordState, Timestamp};
 use crate::store::StoreError;
 use crate::store::database::whole;
-
-/// A record's place in a batch, and the block of the root on the chain.
-type Anchor = (Digest, Inclusion, RootSighting);
 
 impl Ledger {
     /// Notes where a stored record was anchored by another ledger: its place in the batch, and the block of the root
@@ -27,95 +20,6 @@ impl Ledger {
     pub fn take_in(&self, digest: Digest, inclusion: Inclusion, anchor: RootSighting) -> Result<bool, StoreError> {
         self.write(move |session| take_in(session.connection, digest, &inclusion, &anchor))
     }
-
-    /// Acknowledges records with the anchors that another gateway made of them, in one commit, so that nobody here anchors
-    /// them again; a record that was here without an anchor gets it. The keys of the devices that signed them are stored in
-    /// the same commit. Returns how many are anchored by this.
-    ///
-    /// # Errors
-    /// See [`Ledger::append`] and [`Ledger::take_in`], that of the first record that has one; then nothing is acknowledged.
-    pub fn append_anchored(
-        &self,
-        records: Vec<NewRecord>,
-        anchors: Vec<Anchor>,
-        devices: BTreeMap<SignerId, PublicKey>,
-    ) -> Result<u64, StoreError> {
-        self.takes_records()?;
-        self.write_many(records.len(), move |session| {
-            devices.iter().try_for_each(|(id, key)| add_signer(session.connection, *id, *key))?;
-            let now = whole("time", Timestamp::now().0)?;
-            let of_digest: HashMap<Digest, &Anchor> = anchors.iter().map(|anchor| (anchor.0, anchor)).collect();
-            let (mut batches, mut born) = (Batches::default(), HashSet::new());
-            for record in &records {
-                let anchor = of_digest.get(&record.digest).filter(|_| may_be_batched(record.state));
-                match (append::free_place(session, record)?, anchor) {
-                    (None, _) => {}
-                    (Some(place), None) => {
-                        append::insert(session, record, place, &Born::waiting(record), now).map(drop)?
-                    }
-                    (Some(place), Some(anchor)) => {
-                        add_anchored(session, (record, place), anchor, &mut batches, now)?;
-                        born.insert(record.digest);
-                    }
-                }
-            }
-            let known = anchors.iter().filter(|anchor| !born.contains(&anchor.0));
-            known.into_iter().try_fold(born.len() as u64, |taken, (digest, inclusion, anchor)| {
-                Ok(taken + u64::from(take_in(session.connection, *digest, inclusion, anchor)?))
-            })
-        })
-    }
-}
-
-fn may_be_batched(state: RecordState) -> bool {
-    may(By::Batch, state, RecordState::Batched)
-}
-
-/// Batches that records of one commit are in: each is looked up once.
-type Batches = HashMap<(Hash, u64, RootSighting), Batch>;
-
-/// A batch's key, and where on the chain its root is: transaction, block, the block's hash.
-#[derive(Clone, Copy)]
-struct Batch {
-    key: i64,
-    block: Option<(Hash, i64, Hash)>,
-}
-
-/// A record that is not known here is added as mined, in its batch.
-fn add_anchored(
-    session: &mut Session<'_>,
-    (record, place): (&NewRecord, Placed),
-    (digest, inclusion, anchor): &Anchor,
-    batches: &mut Batches,
-    now: i64,
-) -> Result<(), StoreError> {
-    let which = (inclusion.root, inclusion.count, *anchor);
-    let batch = match batches.get(&which) {
-        Some(batch) => *batch,
-        None => {
-            let batch = note_batch(session.connection, *digest, inclusion, anchor)?;
-            batches.insert(which, batch);
-            batch
-        }
-    };
-    let row = append::insert(session, record, place, &Born::anchored(batch.block), now)?;
-    keep_leaf(session.connection, row, batch.key, inclusion)
-}
-
-/// Notes the batch of an anchor, and the block in which its root is: this one, or an earlier one.
-fn note_batch(
-    connection: &Connection,
-    digest: Digest,
-    inclusion: &Inclusion,
-    anchor: &RootSighting,
-) -> Result<Batch, StoreError> {
-    let key = batch_of(connection, digest, inclusion, anchor)?;
-    batches::see(connection, anchor)?;
-    let block = connection
-        .prepare_cached("SELECT tx, block, block_hash FROM batches WHERE key = ?1 AND block IS NOT NULL")?
-        .query_row([key], |row| Ok((Hash(row.get(0)?), row.get(1)?, Hash(row.get(2)?))))
-        .optional()?;
-    Ok(Batch { key, block })
 }
 
 pub(super) fn take_in(
@@ -129,7 +33,7 @@ pub(super) fn take_in(
         .query_row([digest.0], |row| Ok((row.get::<_, i64>(0)?, rows::state(row, 1)?)))
         .optional()?;
     let (record, state) = found.ok_or(StoreError::NotReady { digest, found: "unknown" })?;
-    if !may_be_batched(state) {
+    if !may(By::Batch, state, RecordState::Batched) {
         return Ok(false);
     }
     let batch = batch_of(connection, digest, inclusion, anchor)?;

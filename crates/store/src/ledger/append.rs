@@ -7,7 +7,7 @@ use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::edges::{By, may};
 use super::{Foreign, Ledger, NewRecord, Session};
-use crate::model::{Address, Digest, FilterId, Hash, RecordState, SignerId, Timestamp, TopicId};
+use crate::model::{Address, Digest, FilterId, RecordState, SignerId, Timestamp, TopicId};
 use crate::store::StoreError;
 use crate::store::database::whole;
 
@@ -184,62 +184,20 @@ fn move_sql(from: RecordState, to: RecordState) -> &'static str {
 
 /// Adds a record, unless it is known.
 pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Result<(), StoreError> {
-    if let Some(place) = free_place(session, record)? {
-        insert(session, record, place, &Born::waiting(record), now)?;
-    }
-    Ok(())
-}
-
-/// The key of a record's topic, and its number there.
-pub(super) type Placed = (i64, i64);
-
-/// The place of a record that is not known yet, `None` for one that is; its topic and recorder are noted.
-pub(super) fn free_place(session: &mut Session<'_>, record: &NewRecord) -> Result<Option<Placed>, StoreError> {
     if !matches!(record.state, RecordState::Sealed | RecordState::Stored | RecordState::Quarantined) {
         return Err(StoreError::IllegalEdge { from: RecordState::Captured, to: record.state });
     }
     let topic = topic_key(session, record)?;
     let seq = whole("sequence number", record.seq)?;
-    Ok((!is_known(session.connection, record, topic, seq)?).then_some((topic, seq)))
-}
-
-/// The state in which a row begins, and where on the chain the record is.
-pub(super) struct Born {
-    state: RecordState,
-    /// Transaction, block, the block's hash.
-    block: Option<(Hash, i64, Hash)>,
-}
-
-impl Born {
-    /// In no batch yet.
-    pub fn waiting(record: &NewRecord) -> Self {
-        Self { state: record.state, block: None }
+    if is_known(session.connection, record, topic, seq)? {
+        return Ok(());
     }
-
-    /// In a batch, and where the chain has its root, if it does.
-    pub fn anchored(block: Option<(Hash, i64, Hash)>) -> Self {
-        Self { state: if block.is_some() { RecordState::Mined } else { RecordState::Batched }, block }
-    }
-}
-
-/// Adds a record at its [`free_place`]; returns its row.
-pub(super) fn insert(
-    session: &mut Session<'_>,
-    record: &NewRecord,
-    (topic, seq): Placed,
-    born: &Born,
-    now: i64,
-) -> Result<i64, StoreError> {
     let stream = stream_key(session, record, topic)?;
-    let (transaction, block, block_hash) = born
-        .block
-        .map_or((None, None, None), |(transaction, block, hash)| (Some(transaction.0), Some(block), Some(hash.0)));
     session
         .connection
         .prepare_cached(
             "INSERT INTO records (digest, topic, stream, seq, epoch, signature, bytes, captured_at,
-             acknowledged_at, simulated, state, tx, block, block_hash)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14)",
+             acknowledged_at, simulated, state) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)",
         )?
         .execute(params![
             record.digest.0,
@@ -252,15 +210,11 @@ pub(super) fn insert(
             whole("capture time", record.captured_at.0)?,
             now,
             record.simulated,
-            born.state.code(),
-            transaction,
-            block,
-            block_hash,
+            record.state.code(),
         ])?;
     let row = session.connection.last_insert_rowid();
     keep_filters(session, record, row, stream)?;
-    keep_copy(session.connection, record, row)?;
-    Ok(row)
+    keep_copy(session.connection, record, row)
 }
 
 fn keep_filters(session: &mut Session<'_>, record: &NewRecord, row: i64, stream: i64) -> Result<(), StoreError> {

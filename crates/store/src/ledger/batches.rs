@@ -208,18 +208,6 @@ impl Ledger {
     }
 }
 
-/// The place of a record in its batch, by its row.
-pub(super) fn place_in(connection: &Connection, record: i64) -> Result<Option<BatchPlace>, StoreError> {
-    let place = connection
-        .prepare_cached(
-            "SELECT leaf, count, path, root, closed_at, account, block, block_hash, tx
-             FROM leaves JOIN batches ON key = batch WHERE record = ?1",
-        )?
-        .query_row([record], place)
-        .optional()?;
-    Ok(place)
-}
-
 fn place(row: &Row<'_>) -> rusqlite::Result<BatchPlace> {
     let path: Vec<u8> = row.get(2)?;
     Ok(BatchPlace {

@@ -6,8 +6,9 @@ use rusqlite::{OptionalExtension as _, params};
 
 use super::append::count;
 use super::edges::{By, may};
-use super::{Ledger, Session, placed};
-use crate::model::{Digest, RecordState, Signature, SignerId, Timestamp};
+use super::rows::{self, RecordRow};
+use super::{Ledger, Session};
+use crate::model::{Digest, RecordState, Signature, Timestamp};
 use crate::store::StoreError;
 use crate::store::database::whole;
 
@@ -22,16 +23,25 @@ pub struct KeptReceipt {
     pub signature: Signature,
 }
 
+/// A page of the records that a gateway signed for and that are not decided yet.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct ForwardedPage {
+    /// The records, in the order of this ledger.
+    pub rows: Vec<RecordRow>,
+    /// Where the next page begins; none if this is the last.
+    pub next: Option<i64>,
+}
+
 /// Records of no transaction and no block of this ledger.
 const MOVE: &str = "UPDATE records SET state = ?3 WHERE digest = ?1 AND state = ?2 AND tx IS NULL AND block IS NULL";
 
 impl Ledger {
-    /// A gateway took records over at a time of this machine: the receipt is stored, and those in state stored become
-    /// submitted. Returns how many changed.
+    /// The gateway took records over: its receipt is stored, and those in state stored become submitted. Returns how many
+    /// changed.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then nothing changes, and they are passed on again.
-    pub fn accept(&self, gateway: SignerId, at: Timestamp, receipt: KeptReceipt) -> Result<u64, StoreError> {
+    pub fn accept(&self, receipt: KeptReceipt) -> Result<u64, StoreError> {
         self.write(move |session| {
             let digests: Vec<u8> = receipt.digests.iter().flat_map(|digest| digest.0).collect();
             session
@@ -49,8 +59,33 @@ impl Ledger {
                 bind.execute(params![digest.0, key])?;
             }
             sweep(session, before)?;
-            placed::put(session, gateway, at, &receipt.digests)?;
             Ok(moved)
+        })
+    }
+
+    /// The submitted records that the gateway signed for, after a page whose `next` was this.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn forwarded(&self, after: Option<i64>, limit: usize) -> Result<ForwardedPage, StoreError> {
+        let limit = limit.max(1);
+        self.read(|connection| {
+            let sql = format!(
+                "SELECT {}, n FROM receipted JOIN records ON n = record WHERE record > ?1 AND state = ?2
+                 ORDER BY record LIMIT ?3",
+                rows::COLUMNS
+            );
+            let most = i64::try_from(limit).unwrap_or(i64::MAX);
+            let values = params![after.unwrap_or(0), RecordState::Submitted.code(), most];
+            let mut statement = connection.prepare_cached(&sql)?;
+            let streams: Vec<i64> =
+                statement.query_map(values, |row| row.get(0))?.collect::<Result<_, rusqlite::Error>>()?;
+            let streams = rows::keyed_streams(connection, streams)?;
+            let found =
+                statement.query_map(values, |row| Ok((rows::record(row, &streams)?, row.get::<_, i64>(14)?)))?;
+            let found: Vec<(RecordRow, i64)> = found.collect::<Result<_, _>>()?;
+            let next = found.last().map(|(_, key)| *key).filter(|_| found.len() >= limit);
+            Ok(ForwardedPage { rows: found.into_iter().map(|(row, _)| row).collect(), next })
         })
     }
 
@@ -67,7 +102,6 @@ impl Ledger {
         let digests = digests.to_vec();
         self.write_many(digests.len(), move |session| {
             let moved = shift(session, &digests, from, to)?;
-            placed::clear(session, &digests)?;
             if to == RecordState::Verified {
                 let before = held(session, &digests)?;
                 let mut release = session
@@ -104,12 +138,7 @@ impl Ledger {
     }
 }
 
-pub(super) fn shift(
-    session: &Session<'_>,
-    digests: &[Digest],
-    from: RecordState,
-    to: RecordState,
-) -> Result<u64, StoreError> {
+fn shift(session: &Session<'_>, digests: &[Digest], from: RecordState, to: RecordState) -> Result<u64, StoreError> {
     let mut statement = session.connection.prepare_cached(MOVE)?;
     digests
         .iter()
@@ -146,8 +175,6 @@ mod tests {
         KeptReceipt { time: Timestamp(7), digests, signature: Signature([number_of(numbers); 64]) }
     }
 
-    const GATEWAY: SignerId = SignerId([5; 32]);
-
     fn number_of(numbers: &[u8]) -> u8 {
         numbers.iter().sum()
     }
@@ -157,8 +184,8 @@ mod tests {
         let home = tempfile::tempdir().expect("folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
         ledger.append((1..=4).map(record).collect()).expect("acknowledged");
-        assert_eq!(ledger.accept(GATEWAY, Timestamp(1), receipt(&[1, 2, 9])), Ok(2), "one is not of this ledger");
-        assert_eq!(ledger.accept(GATEWAY, Timestamp(1), receipt(&[2, 3])), Ok(1), "acknowledged again");
+        assert_eq!(ledger.accept(receipt(&[1, 2, 9])), Ok(2), "one is not of this ledger");
+        assert_eq!(ledger.accept(receipt(&[2, 3])), Ok(1), "acknowledged again");
         let state = |number: u8| ledger.record(Digest([number; 32])).expect("reads").map(|row| row.state);
         assert_eq!(
             [1, 2, 3, 4].map(state),
@@ -170,11 +197,29 @@ mod tests {
         assert_eq!(ledger.settle_forwarded(&[Digest([2; 32])], RecordState::Stored), Ok(1));
         assert_eq!(ledger.receipt_of(Digest([2; 32])), Ok(Some(receipt(&[2, 3]))), "evidence");
         assert!(ledger.settle_forwarded(&[Digest([2; 32])], RecordState::Mined).is_err());
-        assert_eq!(ledger.accept(GATEWAY, Timestamp(1), receipt(&[2])), Ok(1));
+        assert_eq!(ledger.accept(receipt(&[2])), Ok(1));
         assert_eq!(ledger.settle_forwarded(&[Digest([2; 32]), Digest([3; 32])], RecordState::Verified), Ok(2));
         let left: i64 = ledger
             .read(|connection| Ok(connection.query_row("SELECT count(*) FROM receipts", [], |row| row.get(0))?))
             .expect("reads");
         assert_eq!(left, 0);
+    }
+
+    #[test]
+    fn what_is_signed_for_and_not_decided_is_listed_page_by_page() {
+        let home = tempfile::tempdir().expect("folder");
+        let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
+        ledger.append((1..=5).map(record).collect()).expect("acknowledged");
+        assert_eq!(ledger.forwarded(None, 9), Ok(ForwardedPage::default()));
+        ledger.accept(receipt(&[1, 2, 3, 4])).expect("accepted");
+        let numbers = |page: &ForwardedPage| page.rows.iter().map(|row| row.digest.0[0]).collect::<Vec<_>>();
+        let first = ledger.forwarded(None, 3).expect("reads");
+        let second = ledger.forwarded(first.next, 3).expect("reads");
+        assert_eq!((numbers(&first), numbers(&second), second.next), (vec![1, 2, 3], vec![4], None));
+        ledger.settle_forwarded(&[Digest([2; 32])], RecordState::Verified).expect("settles");
+        ledger.settle_forwarded(&[Digest([3; 32])], RecordState::Stored).expect("sent again");
+        // Damaged here: nobody is asked about it any more.
+        ledger.advance(&[Digest([4; 32])], RecordState::Submitted, RecordState::Tampered).expect("moves");
+        assert_eq!(numbers(&ledger.forwarded(None, 9).expect("reads")), [1]);
     }
 }

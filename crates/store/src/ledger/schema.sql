@@ -182,13 +182,6 @@ CREATE TABLE proven (
 );
 CREATE INDEX proven_by_age ON proven (gone, at);
 
--- Which gateways signed for a record that is not verified yet. `at` is when the newest receipt of that gateway came.
-CREATE TABLE gateways (key INTEGER PRIMARY KEY, id BLOB NOT NULL UNIQUE);
-CREATE TABLE placed (
-    record INTEGER NOT NULL, gateway INTEGER NOT NULL, at INTEGER NOT NULL, PRIMARY KEY (record, gateway)
-) WITHOUT ROWID;
-CREATE INDEX placed_by_gateway ON placed (gateway, record);
-
 -- Pinned publishers; `source` is how one came to be pinned: first, operator. A topic that had pins once gets no
 -- second first use.
 CREATE TABLE pins (

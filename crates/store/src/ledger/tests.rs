@@ -8,7 +8,6 @@ mod erasures;
 mod gaps;
 mod glance;
 mod groups;
-mod holdings;
 mod incidents;
 mod model;
 mod numbered;

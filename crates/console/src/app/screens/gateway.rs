@@ -1,12 +1,10 @@
-//! The Gateway screen: the other gateways of the fleet, and below them names with a transport key and the enrolled
-//! robots of the profile, in one list with one cursor.
+//! The Gateway screen: names with a transport key and the enrolled robots of the profile, in one list.
 
-use crate::app::fleet::Standing;
 use crate::app::fuzzy;
 use crate::app::policies;
 use crate::app::table::Table;
 use crate::model::{Address, Timestamp};
-use crate::service::reply::{FellowView, FleetView, GatewayStatusView, RobotRow, SenderView};
+use crate::service::reply::{GatewayStatusView, RobotRow, SenderView};
 
 /// The sort columns, in the order of `s`.
 pub const SORTS: [&str; 4] = ["connected", "name", "frames", "policy"];
@@ -14,15 +12,11 @@ pub const SORTS: [&str; 4] = ["connected", "name", "frames", "policy"];
 /// Characters of a robot's device id that tell it apart from another one of its name.
 const DEVICE: usize = 8;
 
-/// The gateway of this site, its fleet, and the robots of the profile.
+/// The gateway of this site, and the robots of the profile.
 #[derive(Debug, Default)]
 pub struct Gateway {
     /// The site's report.
     pub view: Option<GatewayStatusView>,
-    /// The other gateways.
-    pub fleet: Option<FleetView>,
-    /// When they were reported.
-    pub fleet_at: Timestamp,
     /// The enrolled robots of the profile; none while the keyring is locked.
     pub robots: Vec<RobotRow>,
     /// When they were reported.
@@ -42,28 +36,6 @@ pub struct Member<'a> {
     pub sender: Option<&'a SenderView>,
     /// What its owner's site knows of it.
     pub robot: Option<&'a RobotRow>,
-}
-
-/// The row under the cursor.
-#[derive(Debug, Clone, Copy)]
-pub enum Row<'a> {
-    /// Another gateway.
-    Fellow(&'a FellowView),
-    /// A name at this gateway, or a robot.
-    Member(Member<'a>),
-}
-
-impl Row<'_> {
-    /// What the filter looks at.
-    fn text(&self) -> String {
-        match self {
-            Self::Fellow(one) => {
-                let problem = one.problem.as_deref().unwrap_or_default();
-                format!("{} {} {problem}", fellow_key(one), Standing::of(one).words())
-            }
-            Self::Member(member) => member.text(),
-        }
-    }
 }
 
 impl Member<'_> {
@@ -105,11 +77,6 @@ impl Member<'_> {
     }
 }
 
-/// The key of a gateway's row: what was typed for it, and what it is named by.
-pub fn fellow_key(fellow: &FellowView) -> String {
-    format!("{} {}", fellow.address, fellow.key.to_hex())
-}
-
 /// The first characters of an id.
 pub fn beginning(hex: &str, characters: usize) -> String {
     hex.trim_start_matches("0x").chars().take(characters).collect()
@@ -119,12 +86,6 @@ impl Gateway {
     /// Takes over the site's report.
     pub fn set(&mut self, view: GatewayStatusView) {
         self.view = Some(view);
-        self.settle();
-    }
-
-    /// Takes over what is known of the fleet.
-    pub fn set_fleet(&mut self, view: FleetView, now: Timestamp) {
-        (self.fleet, self.fleet_at) = (Some(view), now);
         self.settle();
     }
 
@@ -140,11 +101,6 @@ impl Gateway {
         self.table.settle(&keys);
     }
 
-    /// All other gateways, as they were named.
-    pub fn all_fellows(&self) -> &[FellowView] {
-        self.fleet.as_ref().map_or(&[], |fleet| &fleet.fellows)
-    }
-
     /// All names and robots.
     pub fn all_members(&self) -> Vec<Member<'_>> {
         let mut alone: Vec<&RobotRow> = self.robots.iter().collect();
@@ -158,18 +114,9 @@ impl Gateway {
         members
     }
 
-    /// The gateways to show, the worst first, and the names and robots, filtered and in order.
-    pub fn shown(&self) -> (Vec<&FellowView>, Vec<Member<'_>>) {
-        let all = self.all_fellows().iter().map(Row::Fellow);
-        let rows: Vec<Row<'_>> = all.chain(self.all_members().into_iter().map(Row::Member)).collect();
-        let (mut fellows, mut members) = (Vec::new(), Vec::new());
-        for row in fuzzy::narrow(self.table.filter.text(), rows, Row::text) {
-            match row {
-                Row::Fellow(fellow) => fellows.push(fellow),
-                Row::Member(member) => members.push(member),
-            }
-        }
-        fellows.sort_by_key(|one| Standing::of(one));
+    /// The names and robots to show, filtered and in order.
+    pub fn shown(&self) -> Vec<Member<'_>> {
+        let mut members = fuzzy::narrow(self.table.filter.text(), self.all_members(), Member::text);
         match self.table.sort {
             1 => members.sort_by_key(Member::name),
             2 => members.sort_by_key(|row| std::cmp::Reverse(row.frames())),
@@ -179,24 +126,18 @@ impl Gateway {
         if self.table.reversed {
             members.reverse();
         }
-        (fellows, members)
+        members
     }
 
-    /// The keys of all rows shown, gateways first.
+    /// The keys of all rows shown.
     pub fn keys(&self) -> Vec<String> {
-        let (fellows, members) = self.shown();
-        fellows.into_iter().map(fellow_key).chain(members.iter().map(Member::key)).collect()
+        self.shown().iter().map(Member::key).collect()
     }
 
     /// The row under the cursor.
-    pub fn selected(&self) -> Option<Row<'_>> {
-        let (fellows, members) = self.shown();
-        let keys: Vec<String> =
-            fellows.iter().map(|one| fellow_key(one)).chain(members.iter().map(Member::key)).collect();
-        let place = self.table.position(&keys);
-        match place.checked_sub(fellows.len()) {
-            None => fellows.get(place).copied().map(Row::Fellow),
-            Some(place) => members.get(place).copied().map(Row::Member),
-        }
+    pub fn selected(&self) -> Option<Member<'_>> {
+        let members = self.shown();
+        let keys: Vec<String> = members.iter().map(Member::key).collect();
+        members.get(self.table.position(&keys)).copied()
     }
 }

@@ -14,8 +14,6 @@ pub struct Records {
     pub rows: Vec<RecordView>,
     /// Cursor of the page after this one.
     pub next: Option<String>,
-    /// Gateways of which not all is in the list.
-    pub arriving: Vec<String>,
     /// Cursors that led here; empty = first page.
     pub path: Vec<String>,
     /// Cursor in the table, filter; sort 0 = newest first, 1 = oldest first.
@@ -26,8 +24,7 @@ pub struct Records {
 
 impl Default for Records {
     fn default() -> Self {
-        let (rows, arriving, path) = (Vec::new(), Vec::new(), Vec::new());
-        Self { rows, next: None, arriving, path, table: Table::following(), anchor: None }
+        Self { rows: Vec::new(), next: None, path: Vec::new(), table: Table::following(), anchor: None }
     }
 }
 
@@ -114,7 +111,6 @@ impl Records {
 
     /// Takes over a page.
     pub fn set(&mut self, page: RecordPage, limit: usize) {
-        self.arriving = page.arriving;
         self.rows = page.records;
         self.rows.truncate(limit.max(1));
         self.next = page.next;

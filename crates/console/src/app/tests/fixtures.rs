@@ -45,7 +45,7 @@ pub fn reply(command: &Command, exists: bool) -> Reply {
         Command::OfIncident(IncidentCommand::ListIncidents) => {
             Reply::Incidents(vec![incident("crash-1114", true), incident("bump", false)])
         }
-        Command::OfFleet(_) | Command::OfRobot(_) => robots::reply(command),
+        Command::OfRobot(_) => robots::reply(command),
         Command::Operate(Operation::GatewayStatus) => Reply::GatewayStatus(gateway()),
         Command::Operate(Operation::Lock) => Reply::Identity(identity(exists, false, exists)),
         _ => Reply::Done,
@@ -206,7 +206,6 @@ pub fn page(query: &UploadQuery, owner: Option<Address>) -> RecordPage {
     RecordPage {
         records: records.collect(),
         next: from.checked_sub(limit).filter(|left| *left > 0).map(|left| left.to_string()),
-        arriving: Vec::new(),
     }
 }
 

@@ -25,13 +25,9 @@ const DESCRIBED: &[(&str, &[&str])] = &[
     ("only for a V3 keystore", &["", "a passphrase"]),
     ("EOA: protects the V3 keystore", &["eight ch"]),
     ("at least 8 characters", &["eight ch"]),
-    ("64 hex characters", &[FELLOW, "7e7e 7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e"]),
     ("name of a robot", &["scout"]),
     ("path to a TOML file", &["policies/scout.toml", "/policies/scout.toml", "~/scout.toml"]),
 ];
-
-/// A key of a gateway that is in no fleet yet.
-const FELLOW: &str = "7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e7e";
 
 /// Lines without a placeholder.
 const UNTOLD: &str = "eight ch";
@@ -65,8 +61,7 @@ fn purposes() -> Vec<Purpose> {
         P::Unpin => Some(P::AddContact),
         P::AddContact => Some(P::OpenIncident),
         P::OpenIncident => Some(P::NoteIncident),
-        P::NoteIncident => Some(P::AddGateway),
-        P::AddGateway => Some(P::SetPolicy),
+        P::NoteIncident => Some(P::SetPolicy),
         P::SetPolicy => Some(P::Profile),
         P::Profile => Some(P::Administer(Act::Admit)),
         P::Administer(Act::Admit) => Some(P::Administer(Act::Suspend)),
@@ -107,7 +102,6 @@ fn asked(purpose: Purpose) -> Robot {
         Purpose::AddContact => opens(Verb::Contacts, "5"),
         Purpose::OpenIncident => opens(Verb::Incident, "2"),
         Purpose::NoteIncident => opens(Verb::Incidents, "3"),
-        Purpose::AddGateway => opens(Verb::AddGateway, "8"),
         Purpose::SetPolicy => {
             fixtures::robots::at_the_gateway(&mut robot);
             opens(Verb::SetPolicy, "8")

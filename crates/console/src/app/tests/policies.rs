@@ -15,7 +15,7 @@ const POLICY: &str = "[ring]\nkeep = \"5m, 64MiB\"\ntopics = [\"/camera/**\"]\n[
 
 fn at_the_robots() -> Robot {
     let mut robot = Robot::at_work(true);
-    robots::shows(&mut robot, Vec::new(), robots::robots());
+    robots::at_the_gateway(&mut robot);
     robot
 }
 
@@ -79,17 +79,17 @@ fn the_list_is_filtered_and_sorted_by_policy() {
     let mut robot = at_the_robots();
     robot.types("/drift");
     robot.presses(Key::Enter);
-    let names: Vec<String> = robot.state.gateway.shown().1.iter().map(|row| row.name()).collect();
+    let names: Vec<String> = robot.state.gateway.shown().iter().map(|row| row.name()).collect();
     assert_eq!(names, ["rover", "scout", "tug"]);
     robot.types("/refused");
     robot.presses(Key::Enter);
     assert_eq!(robot.state.row_keys(), ["scout 03030303"], "it has no session here: its device tells it apart");
     robot.presses(Key::Escape);
     robot.types("sss");
-    let names: Vec<String> = robot.state.gateway.shown().1.iter().map(|row| row.name()).collect();
+    let names: Vec<String> = robot.state.gateway.shown().iter().map(|row| row.name()).collect();
     assert_eq!(names, ["scout", "tug", "rover", "robot1", "whale", "robot2"], "the worst first");
     robot.types("S");
-    assert_eq!(robot.state.gateway.shown().1[0].name(), "robot2");
+    assert_eq!(robot.state.gateway.shown()[0].name(), "robot2");
 }
 
 #[test]
@@ -226,7 +226,7 @@ fn a_file_that_is_read_after_the_form_was_left_changes_nothing() {
 #[test]
 fn of_two_robots_of_one_name_the_device_says_which_one() {
     let mut robot = Robot::at_work(true);
-    robots::shows(&mut robot, Vec::new(), vec![robots::robot("twin", 0x21), robots::robot("twin", 0x22)]);
+    robots::shows(&mut robot, vec![robots::robot("twin", 0x21), robots::robot("twin", 0x22)]);
     robot.types("/22222222");
     robot.presses(Key::Enter);
     robot.presses(Key::Enter);

@@ -148,14 +148,7 @@ pub static VERBS: &[Entry] = &[
     administers(Act::HandOver, "hand-over", "Administrator: nominate the next administrator"),
     administers(Act::Accept, "accept-administration", "Take over as administrator, if nominated"),
     administers(Act::Adopt, "adopt-chain", "Adopt the current chain, abandon the pinned one"),
-    entry(
-        Verb::Inspect,
-        "inspect",
-        "details",
-        &[Key::Enter],
-        "A gateway of the fleet or a robot: state, policy, drift",
-    )
-    .on(GATEWAY),
+    entry(Verb::Inspect, "inspect", "details", &[Key::Enter], "A robot: state, policy, drift").on(GATEWAY),
     entry(
         Verb::SetPolicy,
         "robot-policy",
@@ -165,12 +158,6 @@ pub static VERBS: &[Entry] = &[
     )
     .on(GATEWAY)
     .changing(),
-    entry(Verb::AddGateway, "fleet-add", "add gateway", &[Key::Char('a')], "Name another gateway of the fleet")
-        .on(GATEWAY)
-        .changing(),
-    entry(Verb::RemoveGateway, "fleet-remove", "remove", &[Key::Char('x')], "Remove a gateway from the fleet")
-        .on(GATEWAY)
-        .changing(),
     entry(Verb::Level, "log-level", "level", &[Key::Char('l')], "All lines, warnings and errors, or errors only")
         .on(&[Screen::Log]),
     entry(Verb::Read, "read-line", "whole line", &[Key::Enter], "The whole line, wrapped").on(&[Screen::Log]),

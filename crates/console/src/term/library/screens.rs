@@ -37,11 +37,10 @@ const SCREENS: &[Situation] = &[
     ("keys", |size| at(Screen::Keys, size)),
     ("chain", |size| at(Screen::Chain, size)),
     ("gateway", |size| at(Screen::Gateway, size)),
-    ("gateway-with-a-fleet", |size| with_fleet(size, true)),
-    ("gateway-with-a-small-fleet", |size| with_fleet(size, false)),
+    ("gateway-with-robots", with_robots),
     ("gateway-of-an-owner", of_an_owner),
     ("overview-with-drift", |size| {
-        let mut robot = with_fleet(size, true);
+        let mut robot = with_robots(size);
         robot.types("1");
         robot
     }),
@@ -147,20 +146,6 @@ const WINDOWS: &[Situation] = &[
     }),
     ("incident-opened", |size| pressed(at(Screen::Uploads, size), "jI")),
     ("incidents", |size| pressed(at(Screen::Uploads, size), "zi")),
-    ("fleet-add", |size| pressed(with_fleet(size, false), "a")),
-    ("fleet-add-asked", |size| {
-        let mut robot = pressed(with_fleet(size, false), "a192.0.2.9:7420");
-        robot.presses(Key::Enter);
-        robot.pastes(&"9f".repeat(32));
-        robot.presses(Key::Enter);
-        robot
-    }),
-    ("fleet-remove-asked", |size| pressed(with_fleet(size, true), "x")),
-    ("fleet-details", |size| {
-        let mut robot = with_fleet(size, true);
-        robot.presses(Key::Enter);
-        robot
-    }),
     ("robot-details", robot_in_full),
     ("robot-policy", |size| pressed(at_the_scout(size), "p")),
     ("robot-policy-refused", |size| policy_read(size, "[[watch]]\ntopic = \"odom odom\"\n")),
@@ -240,22 +225,17 @@ fn coverage(topic: &str) -> CoverageView {
     CoverageView { topic, robot: None, robots: Vec::new(), since, until: fixtures::NOW, first, last, parts }
 }
 
-/// The gateway of a fleet of four, whose profile has robots; or of one other gateway that is well, without any.
-fn with_fleet(size: Size, troubled: bool) -> Robot {
+/// The gateway of a profile that has robots of all kinds.
+fn with_robots(size: Size) -> Robot {
     let mut robot = sized(Robot::at_work(true), size);
-    if troubled {
-        fixtures::robots::at_the_gateway(&mut robot);
-    } else {
-        let well = fixtures::robots::fellows().into_iter().take(1).collect();
-        fixtures::robots::shows(&mut robot, well, Vec::new());
-    }
+    fixtures::robots::at_the_gateway(&mut robot);
     robot
 }
 
 /// The robots of an owner whose site has joined another one.
 fn of_an_owner(size: Size) -> Robot {
     let mut robot = sized(Robot::at_work(true), size);
-    fixtures::robots::shows(&mut robot, Vec::new(), fixtures::robots::robots());
+    fixtures::robots::at_the_gateway(&mut robot);
     let through = Some("as reported by the gateway 192.0.2.1:7420".to_owned());
     robot.state.gateway.set(GatewayStatusView { through, ..GatewayStatusView::default() });
     robot
@@ -263,7 +243,7 @@ fn of_an_owner(size: Size) -> Robot {
 
 /// With the cursor on the robot that refused its policy.
 fn at_the_scout(size: Size) -> Robot {
-    let mut robot = with_fleet(size, true);
+    let mut robot = with_robots(size);
     robot.types("/scout");
     robot.presses(Key::Enter);
     robot

@@ -1,4 +1,4 @@
-//! A gateway of the fleet in full, and a robot with its topics and the text of its policy.
+//! A robot with its topics and the text of its policy.
 
 use ratatui::layout::Rect;
 
@@ -6,13 +6,11 @@ use super::framed;
 use super::incidents::draw_told;
 use super::lookup::pad;
 use crate::app::State;
-use crate::app::fleet::FellowWindow;
 use crate::app::popup::Lookup;
 use crate::model::clean;
 use crate::service::reply::RobotView;
 use crate::ui::canvas::{Canvas, columns};
-use crate::ui::fleet::{Fact, facts};
-use crate::ui::policies;
+use crate::ui::policies::{self, Fact};
 use crate::ui::theme::Role;
 use crate::ui::words::{count, wrap};
 
@@ -24,16 +22,6 @@ const LABEL: u16 = 10;
 const WIDEST: u16 = 110;
 /// Columns of the numbers of a topic.
 const NUMBER: usize = 9;
-
-/// Draws a gateway of the fleet.
-pub fn draw_fellow(canvas: &mut Canvas, area: Rect, state: &State, window: &FellowWindow) {
-    let width = width(area);
-    let (title, lines) = match window.found(state) {
-        Some(one) => (format!("Gateway {}", clean(&one.address, 60)), told(&facts(state, one), width)),
-        None => ("Gateway".to_owned(), vec![("It is no longer in the fleet.".to_owned(), Role::Dim)]),
-    };
-    draw(canvas, area, &title, &lines, window.scroll);
-}
 
 /// Draws a robot.
 pub fn draw_robot(canvas: &mut Canvas, area: Rect, state: &State, lookup: &Lookup<RobotView>) {

@@ -40,7 +40,6 @@ pub fn draw(canvas: &mut Canvas, area: Rect, state: &State, popup: &Popup) {
         Popup::Chord(pressed) => chord::draw(canvas, area, state, pressed),
         Popup::Themes(choice) => themes::draw(canvas, area, state, choice),
         Popup::Columns(choice) => columns::draw(canvas, area, state, choice),
-        Popup::Fellow(window) => gateway::draw_fellow(canvas, area, state, window),
         Popup::Robot(lookup) => gateway::draw_robot(canvas, area, state, lookup),
         Popup::Publishers(lookup) => situation::draw_publishers(canvas, area, state, lookup),
         Popup::Readers(topics) => situation::draw_readers(canvas, area, state, topics),

@@ -8,9 +8,7 @@ use crate::app::popup::{Lookup, Popup};
 use crate::app::tests::{Robot, fixtures};
 use crate::app::{Action, Key, Tag};
 use crate::model::{ErrorKind, Verdict};
-use crate::service::reply::{
-    AlertView, FellowView, GrantRow, PartHealth, RecordView, RefusedView, RobotRow, SiteView, TopicRow,
-};
+use crate::service::reply::{AlertView, GrantRow, PartHealth, RecordView, RobotRow, SiteView, TopicRow};
 use crate::service::{Event, NoticeLevel, Part, Reply};
 use crate::ui::{Theme, draw};
 
@@ -57,10 +55,6 @@ fn infect(robot: &mut Robot, text: &str) {
     robot.state.incidents.set(vec![incident], fixtures::NOW);
     let grant = fixtures::grant("given", fixtures::OTHER, "active", 1);
     robot.state.grants.rows = vec![GrantRow { topics: vec![text.to_owned()], ..grant }];
-    let refused = vec![RefusedView { code: 4, text: text.to_owned(), count: 1 }];
-    let well = fixtures::robots::fellow(text, fixtures::robots::LACKING);
-    let fellow = FellowView { problem: Some(text.to_owned()), refused, ..well };
-    robot.state.gateway.set_fleet(fixtures::robots::fleet(vec![fellow]), fixtures::NOW);
     let row = fixtures::robots::drifting("scout", 3, text, Some(2));
     robot.state.gateway.set_robots(vec![RobotRow { gateway: Some(text.to_owned()), ..row }], None, fixtures::NOW);
     robot.state.log.notice(fixtures::NOW, NoticeLevel::Error, text);
@@ -94,19 +88,13 @@ fn open_everything(robot: &mut Robot, text: &str) {
         robot.presses(Key::Escape);
     }
     robot.types("8");
-    robot.presses(Key::Home);
-    robot.presses(Key::Enter);
     assert_harmless(robot);
-    robot.types("x");
-    assert_harmless(robot);
-    robot.presses(Key::Escape);
-    robot.types("q");
     let row = fixtures::robots::drifting("scout", 3, text, Some(2));
     let mut view = fixtures::robots::view(row);
     (view.policy, view.refused, view.overruled) = (text.to_owned(), Some(text.to_owned()), vec![text.to_owned()]);
     view.enrolled = vec![text.to_owned()];
     view.topics.iter_mut().for_each(|topic| text.clone_into(&mut topic.topic));
-    view.gateways.iter_mut().for_each(|gateway| text.clone_into(&mut gateway.address));
+    view.gateway.iter_mut().flat_map(|gateway| &mut gateway.addresses).for_each(|address| text.clone_into(address));
     robot.state.popups.push(Popup::Robot(Lookup { answer: Some(Ok(Box::new(view))), ..Lookup::new("scout") }));
     assert_harmless(robot);
     robot.types("q");

@@ -4,10 +4,8 @@ use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
 
-use super::{at, draw, fixtures, night, shown};
-use crate::app::{Action, Screen, State};
-use crate::service::reply::RecordPage;
-use crate::service::{Command, Part, Reply};
+use super::{at, draw, night};
+use crate::app::{Screen, State};
 use crate::ui::theme::Role;
 
 fn drawn(state: &State) -> Buffer {
@@ -62,26 +60,5 @@ fn amber_is_for_what_is_wrong_and_not_for_what_is_simulated() {
                 assert_ne!(buffer[(column, row)].style().fg, warning, "{screen:?}, {size:?}, row {row}");
             }
         }
-    }
-}
-
-#[test]
-fn a_list_says_of_which_gateway_not_all_is_here() {
-    for size in [(80, 24), (120, 40)] {
-        let mut robot = at(Screen::Shared, size);
-        let mut told = |arriving: &[&str]| {
-            robot.hears_of(Part::Grants);
-            let place = robot.sent.iter().position(|(command, _)| matches!(command, Command::ListShared(_)));
-            let (command, tag) = robot.sent.remove(place.expect("asked"));
-            let Command::ListShared(query) = command else { unreachable!("as found") };
-            let page = fixtures::page(&query, None);
-            let page = RecordPage { arriving: arriving.iter().map(ToString::to_string).collect(), ..page };
-            robot.act(Action::Answered { tag, result: Box::new(Ok(Reply::Records(page))) });
-            shown(&robot.state, &night())
-        };
-        let text = told(&["10.1.2.3:7420"]);
-        assert!(text.contains("not all of 10.1.2.3:7420 is here"), "{size:?}: {text}");
-        let text = told(&[]);
-        assert!(!text.contains("not all of"), "{size:?}, it is, now: {text}");
     }
 }

@@ -1,7 +1,7 @@
 //! Key notices as received by a robot: only the owner's, only its own, only newer ones.
 
 use super::*;
-use crate::crypto::{
+use crate::crypto::{TransportKey, 
     Enrolment, EoaSecret, EpochIssue, EpochKey, IndexKey, IssuedKeys, Notice, OwnerKeyChange, Passphrase, SealRequest,
     SealedEnrolment, SealingKey, SignedPolicy, TopicKey, notice_topic, seal, signer_id, topic_id,
 };
@@ -20,7 +20,7 @@ pub(super) fn enrolment(scene: &Scene) -> Enrolment {
     Enrolment {
         domain: context().domain,
         chain_id: 1,
-        gateways: vec![scene.access()],
+        gateway: scene.access(),
         name: scene.credentials.name.clone(),
         owner: scene.alice.account(),
         owner_key: scene.alice.signing.public,
@@ -360,7 +360,11 @@ fn nothing_is_sealed_under_an_epoch_that_has_ended() {
         let enrolment = Enrolment {
             domain: context().domain,
             chain_id: 1,
-            gateways: Vec::new(),
+            gateway: GatewayAccess {
+                addresses: Vec::new(),
+                fingerprint: SignerId([0; 32]),
+                transport: TransportKey::new([0; 32]),
+            },
             name: "robot".parse().expect("a name"),
             owner: crate::model::Address([1; 20]),
             owner_key: device.public,

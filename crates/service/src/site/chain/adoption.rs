@@ -11,7 +11,7 @@ use crate::site::chain::lanes::Lanes;
 use crate::site::chain::link::Link;
 use crate::site::identity::Profiles;
 use crate::site::identity::owners::Owners;
-use crate::site::mirror::remotes::Remotes;
+use crate::site::mirror::remote::Remote;
 use crate::site::parts::Parts;
 use crate::site::progress::{Run, Runs};
 use std::sync::Arc;
@@ -55,7 +55,7 @@ pub(in crate::site) struct Adoption {
     lanes: Arc<Lanes>,
     connection: Arc<Connection>,
     profiles: Arc<Profiles>,
-    remote: Option<Arc<Remotes>>,
+    remote: Option<Arc<Remote>>,
     runs: Runs,
 }
 
@@ -66,7 +66,7 @@ impl Adoption {
         lanes: &Arc<Lanes>,
         connection: &Arc<Connection>,
         profiles: &Arc<Profiles>,
-        remote: Option<Arc<Remotes>>,
+        remote: Option<Arc<Remote>>,
     ) -> Self {
         let Parts { home, config, plant, hub, log, owners, link, runs, .. } = parts.clone();
         Self {

@@ -7,7 +7,7 @@ use crate::service::hub::Hub;
 use crate::site::audit::Log;
 use crate::site::chain::link::Link;
 use crate::site::lifetime::Lifetime;
-use crate::site::mirror::remotes::Remotes;
+use crate::site::mirror::remote::Remote;
 use crate::site::parts::Parts;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -35,13 +35,13 @@ pub(in crate::site) struct Connection {
     pub(super) log: Arc<Log>,
     pub(super) link: Arc<Link>,
     pub(super) life: Arc<Lifetime>,
-    pub(super) remote: Option<Arc<Remotes>>,
+    pub(super) remote: Option<Arc<Remote>>,
     pub(super) deploying: tokio::sync::Mutex<()>,
 }
 
 impl Connection {
     /// From the shared parts.
-    pub fn new(parts: &Parts, remote: Option<Arc<Remotes>>) -> Self {
+    pub fn new(parts: &Parts, remote: Option<Arc<Remote>>) -> Self {
         let Parts { home, config, plant, hub, log, link, life, .. } = parts.clone();
         Self { home, config, plant, hub, log, link, life, remote, deploying: tokio::sync::Mutex::default() }
     }

@@ -1,8 +1,6 @@
-//! What robots of several gateways need from their owner: a place at each gateway of their list, also at one that was
-//! away or was added later, and their notices at every gateway where they may ask for them. A function of the ledger:
-//! run again, it does what is left.
+//! What robots need from their owner where the gateway is not this home's: their notices, brought to the gateway where they
+//! ask for them. A function of the ledger: run again, it does what is left.
 
-use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -11,15 +9,15 @@ use tokio::task::block_in_place;
 use super::Devices;
 use super::enrolled::{Enrolled, EnrolledGateway};
 use super::seat::Seat;
-use crate::crypto::enrolment::{LONGEST_GATEWAY, MOST_GATEWAYS};
-use crate::crypto::{GatewayList, ListedGateway, Notice, notice_topic};
-use crate::gateway::{Cabinet, Client, Context, Credentials, DeviceNotice, Upload};
-use crate::model::{ProfileName, RecordKind, SignerId, clean};
+use crate::crypto::enrolment::MOST_ADDRESSES;
+use crate::crypto::{GatewayAddresses, Notice, notice_topic};
+use crate::gateway::{Cabinet, Context, Upload};
+use crate::model::{ProfileName, RecordKind, clean};
 use crate::pipeline::authority::{Moment, may_sign};
 use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, internal, refused};
-use crate::service::reply::{DeviceGatewaysView, Failure};
+use crate::service::reply::{DeviceAddressesView, Failure};
 use crate::site::gateway::reserved::courier_of;
 use crate::store::{RecordQuery, RecordRow};
 
@@ -31,40 +29,43 @@ const MOST_NOTICES: usize = 10_000;
 const WINDOW: usize = 64;
 
 impl Devices {
-    /// Gives an enrolled robot a further gateway. If that is away, the robot is told when it is back.
-    pub(in crate::site) async fn add_gateway(
+    /// Gives an enrolled robot a further address of its gateway; its next notice tells it.
+    pub(in crate::site) async fn add_address(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         device: &str,
-        (address, key): (String, SignerId),
-    ) -> Result<DeviceGatewaysView, Failure> {
+        address: String,
+    ) -> Result<DeviceAddressesView, Failure> {
         let network = self.link.network().await?;
-        let device = self.lent_device(&network, owner, device)?;
-        if address.is_empty() || address.len() > LONGEST_GATEWAY {
-            return Err(input("a gateway's address has 1 to 255 characters"));
+        super::enrolling::check_addresses(std::slice::from_ref(&address))?;
+        let _one_at_a_time = owner.changes.lock().await;
+        let enrolled = self.robot(&network, owner, device)?;
+        let device = enrolled.device;
+        let unknown = || refused(format!("the gateway of '{}' is not known here; enrol it again", enrolled.name));
+        let mut gateway = enrolled.gateway.clone().ok_or_else(unknown)?;
+        if gateway.addresses.contains(&address) {
+            return Err(refused(format!("'{}' has this address already", enrolled.name)));
         }
-        let found = self.enrolments.of(owner)?.into_iter().rfind(|enrolled| enrolled.device == device);
-        let enrolled = found.filter(|enrolled| enrolled.version > 1 && enrolled.key.is_some());
-        let enrolled = enrolled.ok_or_else(|| {
-            refused(format!("device {device} was not enrolled from this home by this version; enrol the robot again"))
-        })?;
-        if enrolled.gateways.iter().any(|gateway| gateway.key == key) {
-            return Err(refused(format!("'{}' has this gateway already", enrolled.name)));
+        if gateway.addresses.len() >= MOST_ADDRESSES {
+            return Err(input("a robot has at most eight addresses of its gateway"));
         }
-        if enrolled.gateways.len() >= MOST_GATEWAYS {
-            return Err(input("a robot has at most eight gateways"));
+        // Until a new key is in place there is nobody whom robots would believe.
+        if owner.keyring().keyring.further.next_signing.is_some() {
+            return Err(refused("the owner's key is being changed; try again when that is done"));
         }
         let subject = format!("{device}: {}", clean(&address, 255));
-        let added = EnrolledGateway { address, key, known: false };
-        let change = |enrolled: &mut Enrolled| enrolled.gateways.push(added.clone());
-        let changed = async { self.enrolments.change(owner, device, change) };
-        self.log.deed(&owner.profile, "device gateways", &subject, changed).await?;
-        if let Err(failure) = self.attend(owner, &network).await {
-            self.hub.notice(NoticeLevel::Warning, &failure.message);
-        }
-        let known = self.enrolments.of(owner)?.into_iter().rfind(|enrolled| enrolled.device == device);
-        let Enrolled { name, gateways, .. } = known.ok_or_else(|| internal("the device was not stored"))?;
-        Ok(DeviceGatewaysView { name, device, gateways: gateways.into_iter().map(Into::into).collect() })
+        gateway.addresses.push(address);
+        let told = async {
+            let listed = (gateway.key, gateway.addresses.clone());
+            let list = GatewayAddresses::sign(&network.domain, &owner.eoa(), device, listed)?;
+            let (epoch, notice) = (network.directory.epoch(owner.address), Notice::Addresses(list));
+            block_in_place(|| self.enrolments.seal_notice(owner, &network, &enrolled, epoch, &notice))?;
+            // After the notice: if this is interrupted in between, another one replaces it.
+            self.enrolments.change(owner, device, |known| known.gateway = Some(gateway.clone()))
+        };
+        self.log.deed(&owner.profile, "device addresses", &subject, told).await?;
+        self.hub.stored.notify_waiters();
+        Ok(DeviceAddressesView { name: enrolled.name, device, gateway: gateway.into() })
     }
 
     /// Attends to an owner's robots until the owner is closed or the site ends.
@@ -74,13 +75,10 @@ impl Devices {
             sealed.mark_unchanged();
             let mut left = true;
             if let Some(network) = self.link.network_now().filter(|_| !owner.is_locked()) {
-                left = match self.attend(&owner, &network).await {
-                    Ok(left) => left,
-                    Err(failure) => {
-                        self.hub.notice(NoticeLevel::Warning, &failure.message);
-                        true
-                    }
-                };
+                left = self.attend(&owner, &network).await.unwrap_or_else(|failure| {
+                    self.hub.notice(NoticeLevel::Warning, &failure.message);
+                    true
+                });
             }
             let pause = if left { PAUSES.0 } else { PAUSES.1 };
             tokio::select! {
@@ -94,86 +92,22 @@ impl Devices {
 
     /// One round; returns whether anything is left because a gateway is away.
     async fn attend(&self, owner: &Arc<Owner>, network: &Network) -> Result<bool, Failure> {
-        let _one_at_a_time = self.attending.lock().await;
         let now = Moment::newest(network.directory.now());
         let is_lent = |enrolled: &&Enrolled| {
             !enrolled.ended && may_sign(&network.directory, owner.address, enrolled.device, now).is_ok()
         };
-        let (mut left, mut away) = (false, BTreeSet::new());
-        for enrolled in self.enrolments.of(owner)?.iter().filter(is_lent) {
-            for gateway in enrolled.gateways.iter().filter(|gateway| !gateway.known) {
-                let placed = !away.contains(&gateway.key) && self.place(owner, network, enrolled, gateway).await?;
-                if !placed {
-                    away.insert(gateway.key);
-                    left = true;
-                }
-            }
-        }
         let here = block_in_place(|| Cabinet::founded_in(&self.home.gateway()));
+        let mut away = Vec::new();
         for enrolled in self.enrolments.of(owner)?.iter().filter(is_lent) {
-            for gateway in enrolled.gateways.iter().filter(|gateway| gateway.known && Some(gateway.key) != here) {
-                let carried = !away.contains(&gateway.key) && self.carry(owner, network, enrolled, gateway).await?;
-                if !carried {
-                    away.insert(gateway.key);
-                    left = true;
-                }
+            let Some(gateway) = enrolled.gateway.as_ref().filter(|gateway| Some(gateway.key) != here) else { continue };
+            if away.contains(&gateway.key) || !self.carry(owner, network, enrolled, gateway).await? {
+                away.push(gateway.key);
             }
         }
-        Ok(left)
+        Ok(!away.is_empty())
     }
 
-    /// Gives a robot its place at a gateway, and seals the notice that tells it. Returns whether the gateway was there.
-    async fn place(
-        &self,
-        owner: &Arc<Owner>,
-        network: &Network,
-        enrolled: &Enrolled,
-        gateway: &EnrolledGateway,
-    ) -> Result<bool, Failure> {
-        let Some(key) = enrolled.key else { return Ok(true) };
-        // Until a new key is in place there is nobody whom robots would believe.
-        if owner.keyring().keyring.further.next_signing.is_some() {
-            return Ok(false);
-        }
-        let context = Context { provider: self.plant.provider, domain: network.domain };
-        let at = (gateway.address.as_str(), Some(gateway.key));
-        let placed = async {
-            let mut seat = Seat::allocate(owner, context, at, &enrolled.name).await?;
-            let notices = Some(owner.topic_id(&notice_topic(&enrolled.device)));
-            let token = self.known_token(owner, network)?;
-            seat.tell(owner, (&enrolled.name, token), DeviceNotice { key, notices }).await?;
-            Ok::<_, Failure>(seat)
-        };
-        let seat = match placed.await {
-            Ok(seat) => seat,
-            Err(failure) => {
-                self.tell_of_absence(enrolled, gateway, &failure);
-                return Ok(false);
-            }
-        };
-        let listed = |other: &EnrolledGateway| ListedGateway {
-            address: other.address.clone(),
-            fingerprint: other.key,
-            transport: seat.transport.clone().filter(|_| other.key == gateway.key),
-        };
-        let is_listed = |other: &&EnrolledGateway| other.known || other.key == gateway.key;
-        let known = self.enrolments.of(owner)?.into_iter().rfind(|known| known.device == enrolled.device);
-        let gateways = known.map_or_else(Vec::new, |known| known.gateways);
-        let list: Vec<ListedGateway> = gateways.iter().filter(is_listed).map(listed).collect();
-        let list = GatewayList::sign(&network.domain, &owner.eoa(), enrolled.device, list)?;
-        let epoch = network.directory.epoch(owner.address);
-        block_in_place(|| self.enrolments.seal_notice(owner, network, enrolled, epoch, &Notice::Gateways(list)))?;
-        // After the notice: if this is interrupted in between, another one replaces it.
-        self.enrolments.change(owner, enrolled.device, |known| {
-            known.gateways.iter_mut().filter(|other| other.key == gateway.key).for_each(|other| other.known = true);
-        })?;
-        self.hub.stored.notify_waiters();
-        let text = format!("'{}' is told of the gateway {}", enrolled.name, clean(&gateway.address, 255));
-        self.hub.notice(NoticeLevel::Info, &text);
-        Ok(true)
-    }
-
-    /// Brings a robot's notices to a gateway, oldest first. Returns whether it has all of them.
+    /// Brings a robot's notices to its gateway, oldest first. Returns whether it has all of them.
     async fn carry(
         &self,
         owner: &Arc<Owner>,
@@ -192,11 +126,9 @@ impl Devices {
         }
         let context = Context { provider: self.plant.provider, domain: network.domain };
         let brought = async {
-            let name = courier(owner)?;
-            let mut seat = Seat::allocate(owner, context, (&gateway.address, Some(gateway.key)), &name).await?;
-            let key = seat.transport.clone().ok_or_else(|| internal("no transport key was allocated"))?;
-            let credentials = Credentials { name, key, token: self.known_token(owner, network)? };
-            let mut client = Client::connect(&seat.endpoint, &mut seat.trust, &credentials).await?;
+            let (name, token) = (courier(owner)?, self.known_token(owner, network)?);
+            let at = (gateway.addresses.clone(), Some(gateway.key));
+            let mut client = Seat::allocate(owner, context, at, &name).await?.connect(&name, token).await?;
             for window in waiting.chunks(WINDOW) {
                 let uploads = block_in_place(|| self.uploads(window))?;
                 client.upload(uploads).await?;
@@ -205,13 +137,14 @@ impl Devices {
             }
             Ok::<_, Failure>(())
         };
-        match brought.await {
-            Ok(()) => Ok(true),
-            Err(failure) => {
-                self.tell_of_absence(enrolled, gateway, &failure);
-                Ok(false)
-            }
+        if let Err(failure) = brought.await {
+            let addresses = clean(&gateway.addresses.join(", "), 600);
+            let text =
+                format!("'{}' cannot be served at the gateway {addresses} now: {}", enrolled.name, failure.message);
+            self.hub.notice(NoticeLevel::Warning, &text);
+            return Ok(false);
         }
+        Ok(true)
     }
 
     /// The owner's notices to a robot with a higher number, in order.
@@ -240,12 +173,6 @@ impl Devices {
             uploads.push(Upload { signature: row.signature, blob: blob.ok_or_else(gone)? });
         }
         Ok(uploads)
-    }
-
-    fn tell_of_absence(&self, enrolled: &Enrolled, gateway: &EnrolledGateway, failure: &Failure) {
-        let address = clean(&gateway.address, 255);
-        let text = format!("'{}' cannot be served at the gateway {address} now: {}", enrolled.name, failure.message);
-        self.hub.notice(NoticeLevel::Warning, &text);
     }
 }
 

@@ -34,26 +34,24 @@ pub(crate) struct Enrolled {
     /// Its public key; none where an earlier version of this program enrolled it.
     #[serde(default)]
     pub key: Option<PublicKey>,
-    /// Its gateways, in order; none where an earlier version of this program enrolled it.
+    /// Its gateway; none where an earlier version of this program enrolled it.
     #[serde(default)]
-    pub gateways: Vec<EnrolledGateway>,
+    pub gateway: Option<EnrolledGateway>,
 }
 
-/// A gateway of an enrolled robot.
+/// The gateway of an enrolled robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct EnrolledGateway {
-    /// Host:port.
-    pub address: String,
+    /// Host:port each, in the order in which the robot tries them.
+    pub addresses: Vec<String>,
     /// SM3 of its identity key.
     pub key: SignerId,
-    /// Whether it knows the robot, and the robot it.
-    pub known: bool,
 }
 
 impl From<EnrolledGateway> for RobotGatewayView {
     fn from(gateway: EnrolledGateway) -> Self {
-        let EnrolledGateway { address, key, known } = gateway;
-        Self { address: clean(&address, 255), key, known }
+        let EnrolledGateway { addresses, key } = gateway;
+        Self { addresses: addresses.iter().map(|address| clean(address, 255)).collect(), key }
     }
 }
 

@@ -1,5 +1,5 @@
-//! Making a robot a device of its owner: its own key pair, K_T for its name at each gateway, the loan on the chain, its
-//! public key sent to the gateways, and the file with everything the robot needs.
+//! Making a robot a device of its owner: its own key pair, K_T for its name at the gateway, the loan on the chain, its
+//! public key sent to the gateway, and the file with everything the robot needs.
 
 use super::Devices;
 use std::sync::Arc;
@@ -7,12 +7,12 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use tokio::task::block_in_place;
 
-use super::enrolled::{Enrolled, EnrolledGateway};
-use super::seat::{self, Seat};
-use crate::crypto::enrolment::{LONGEST_GATEWAY, MOST_GATEWAYS};
+use super::enrolled::Enrolled;
+use super::seat::Seat;
+use crate::crypto::enrolment::{LONGEST_ADDRESS, MOST_ADDRESSES};
 use crate::crypto::{Enrolment, Passphrase, SealedEnrolment, SmKeyPair, notice_key, notice_topic, signer_id};
 use crate::gateway::{Context, DeviceNotice};
-use crate::model::{ErrorKind, ProfileName, SignerId, Timestamp, TopicName, clean};
+use crate::model::{ErrorKind, ProfileName, SignerId, Timestamp, TopicName};
 use crate::pipeline::{Network, Owner};
 use crate::service::command::{SecretBytes, SecretText};
 use crate::service::failure::{input, refused};
@@ -26,13 +26,10 @@ const TOO_MANY: &str = "a robot can be limited to at most 1,023 topics; use --al
 /// An owner's request to enrol a robot.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct EnrolWishes {
-    /// The first gateway, host:port.
-    pub gateway: String,
+    /// The gateway's addresses, host:port each, in the order in which the robot tries them.
+    pub addresses: Vec<String>,
     /// SM3 of its identity key; `None` to trust whatever answers.
     pub fingerprint: Option<SignerId>,
-    /// Further gateways, in order, with the fingerprints of their identity keys.
-    #[serde(default)]
-    pub further: Vec<(String, SignerId)>,
     /// N.
     pub name: ProfileName,
     /// Only these topics.
@@ -63,7 +60,7 @@ impl Devices {
         network.directory.identity(owner.address)?;
         let passphrase = Passphrase::new(wishes.passphrase.expose().to_owned())?;
         let topics = covered(&wishes)?;
-        check_gateways(&wishes)?;
+        check_addresses(&wishes.addresses)?;
         self.check_name(&network, owner, &wishes.name)?;
         let device = SmKeyPair::generate(self.plant.provider)?;
         let id = signer_id(&device.public);
@@ -83,25 +80,25 @@ impl Devices {
     ) -> Result<EnrolledView, Failure> {
         let id = signer_id(&device.public);
         let context = Context { provider: self.plant.provider, domain: network.domain };
-        let mut seats = Seat::allocate_all(owner, context, &wishes).await?;
+        let at = (wishes.addresses, wishes.fingerprint);
+        let mut seat = Seat::allocate(owner, context, at, &wishes.name).await?;
         self.lend(owner, id, wishes.until).await?;
         let notice_id = owner.topic_id(&notice_topic(&id));
         let notice = DeviceNotice { key: device.public, notices: Some(notice_id) };
         let token = self.known_token(owner, network)?;
-        if let Err(failure) = seat::tell_all(&mut seats, owner, (&wishes.name, token), notice).await {
+        if let Err(failure) = seat.tell(owner, (&wishes.name, token), notice).await {
             // A device that nobody will ever use should not stay lent; if this fails too, `devices list` shows it.
             drop(self.unlend_device(owner, id).await);
             return Err(failure);
         }
         let version = Enrolment::NEWEST;
-        let gateways: Vec<EnrolledGateway> = seats.iter().map(Seat::noted).collect();
         let (key, name, ended) = (Some(device.public), wishes.name.clone(), false);
-        let enrolled = Enrolled { name, device: id, topics, version, ended, key, gateways };
+        let enrolled = Enrolled { name, device: id, topics, version, ended, key, gateway: Some(seat.noted()) };
         let keys = self.enrolments.issue(owner, network, &enrolled)?;
         let enrolment = Enrolment {
             domain: network.domain,
             chain_id: network.chain.chain_id(),
-            gateways: seats.iter().filter_map(Seat::access).collect(),
+            gateway: seat.access(),
             name: wishes.name,
             owner: owner.address,
             owner_key: owner.public_keys().0,
@@ -118,15 +115,13 @@ impl Devices {
         block_in_place(|| self.enrolments.note_told(owner, &enrolled, &enrolment.keys))?;
         self.enrolments.add(owner, enrolled.clone())?;
         let file = block_in_place(|| SealedEnrolment::new(enrolment, &passphrase).and_then(|sealed| sealed.seal()))?;
-        enrolled_view(enrolled, SecretBytes::new(file))
+        Ok(EnrolledView { name: enrolled.name, device: id, gateway: seat.noted().into(), file: SecretBytes::new(file) })
     }
 
     /// One name is one robot: whoever recalls it by its name must not leave another one able to read.
     fn check_name(&self, network: &Network, owner: &Owner, name: &ProfileName) -> Result<(), Failure> {
         if is_reserved(name) {
-            return Err(input(format!(
-                "'{name}' is a name that sites and gateways give themselves; give the robot another one"
-            )));
+            return Err(input(format!("'{name}' is a name that sites give themselves; give the robot another one")));
         }
         match self.called(network, owner, name.as_str())?.into_iter().find(|(_, lent)| *lent) {
             Some((device, _)) => Err(refused(format!(
@@ -182,22 +177,15 @@ impl Devices {
     }
 }
 
-fn check_gateways(wishes: &EnrolWishes) -> Result<(), Failure> {
-    let mut addresses = wishes.further.iter().map(|(address, _)| address).chain([&wishes.gateway]);
-    if addresses.any(|address| address.len() > LONGEST_GATEWAY) {
-        return Err(input("a gateway's address can have at most 255 characters"));
+/// Whether a robot can be given these addresses.
+pub(super) fn check_addresses(addresses: &[String]) -> Result<(), Failure> {
+    if addresses.iter().any(|address| address.is_empty() || address.len() > LONGEST_ADDRESS) {
+        return Err(input("an address of a gateway has 1 to 255 characters"));
     }
-    if wishes.further.len() >= MOST_GATEWAYS {
-        return Err(input("a robot has at most eight gateways"));
+    if !(1..=MOST_ADDRESSES).contains(&addresses.len()) {
+        return Err(input("give a robot one to eight addresses of its gateway"));
     }
-    if !wishes.further.is_empty() && wishes.fingerprint.is_none() {
-        return Err(input("with several gateways, give a --gateway-key for each --gateway"));
-    }
-    let mut keys: Vec<SignerId> = wishes.further.iter().map(|(_, key)| *key).chain(wishes.fingerprint).collect();
-    let all = keys.len();
-    keys.sort();
-    keys.dedup();
-    if keys.len() < all { Err(input("two gateways have one key; name each gateway once")) } else { Ok(()) }
+    Ok(())
 }
 
 /// The requested topics, in order; none for all.
@@ -213,19 +201,4 @@ fn covered(wishes: &EnrolWishes) -> Result<Vec<String>, Failure> {
     topics.sort();
     topics.dedup();
     if topics.len() > MOST_NAMED { Err(input(TOO_MANY)) } else { Ok(topics) }
-}
-
-fn enrolled_view(enrolled: Enrolled, file: SecretBytes) -> Result<EnrolledView, Failure> {
-    let Enrolled { name, device, gateways, .. } = enrolled;
-    let used = gateways.iter().find(|gateway| gateway.known);
-    let used = used.ok_or_else(|| refused("no gateway was told of the device"))?;
-    let (gateway, gateway_key) = (clean(&used.address, 255), used.key);
-    Ok(EnrolledView {
-        name,
-        device,
-        gateway,
-        gateway_key,
-        gateways: gateways.into_iter().map(Into::into).collect(),
-        file,
-    })
 }

@@ -40,7 +40,7 @@ async fn enrolled_robots_survive_a_restart_and_one_that_was_recalled_stays_ended
         version: 2,
         ended: false,
         key: None,
-        gateways: Vec::new(),
+        gateway: None,
     };
     enrolments.add(&alice, robot("scout-1", ROBOT)).expect("noted");
     enrolments.add(&alice, robot("scout-2", SignerId([8; 32]))).expect("noted");

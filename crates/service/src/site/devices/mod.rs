@@ -47,8 +47,6 @@ pub(in crate::site) struct Devices {
     home: Home,
     owners: Arc<Owners>,
     life: Arc<Lifetime>,
-    /// Robots are attended to one round at a time.
-    attending: tokio::sync::Mutex<()>,
     /// Whether the chain is known only from a gateway's word.
     is_joined: bool,
 }
@@ -68,7 +66,6 @@ impl Devices {
             home,
             owners,
             life,
-            attending: tokio::sync::Mutex::default(),
             is_joined: parts.config.site.is_some(),
         }
     }

@@ -72,7 +72,7 @@ impl Devices {
         let report = known.reports.get(&robot.device).map(|(report, _)| report.clone()).unwrap_or_default();
         Ok(RobotView {
             row: row(&robot, &wanted, &known),
-            gateways: robot.gateways.iter().cloned().map(Into::into).collect(),
+            gateway: robot.gateway.clone().map(Into::into),
             enrolled: robot.topics.iter().map(|topic| clean(topic, 255)).collect(),
             topics: topic_rows(robot.device, &known.topics, lost),
             refused: report.refused.map(|text| clean(&text, 300)),
@@ -236,7 +236,11 @@ fn row(robot: &Enrolled, wanted: &Wanted, known: &Known) -> RobotRow {
         name: robot.name.clone(),
         device: robot.device,
         last_seen,
-        gateway: robot.gateways.iter().find(|gateway| gateway.known).map(|gateway| clean(&gateway.address, 255)),
+        gateway: robot
+            .gateway
+            .as_ref()
+            .and_then(|gateway| gateway.addresses.first())
+            .map(|address| clean(address, 255)),
         waiting: waiting.map(|(_, count)| count).sum(),
         wanted: wanted.version,
         running,

@@ -4,7 +4,6 @@
 use std::collections::BTreeSet;
 
 use super::{GatewayDesk, reserved};
-use crate::crypto::signer_id;
 use crate::gateway::{Code, Received, Refusal};
 use crate::model::bytes::hex;
 use crate::model::{Address, ProfileName};
@@ -20,8 +19,6 @@ pub(super) enum Standing {
     Admitted,
     /// Nobody admitted it; the gateway is open.
     Guest,
-    /// It keeps another gateway of the fleet: it may ask what is held here and send nothing of its own.
-    Fellow,
 }
 
 impl GatewayDesk {
@@ -39,9 +36,6 @@ impl GatewayDesk {
         if gateway.admissions.listed().iter().any(|lost| network.directory.successor(*lost) == Some(*account)) {
             return Ok(Standing::Admitted);
         }
-        if self.gateway.fellows.is_keeper(network, account) {
-            return Ok(Standing::Fellow);
-        }
         if self.open {
             return Ok(Standing::Guest);
         }
@@ -49,28 +43,12 @@ impl GatewayDesk {
         Err(Refusal::new(Code::NotAuthorised, detail))
     }
 
-    /// Whether a name is not that of another account's own program.
-    ///
-    /// # Errors
-    /// [`Refusal`] with `NameBound`.
-    pub(super) fn check_reserved(
-        &self,
-        network: &Network,
-        account: &Address,
-        name: &ProfileName,
-    ) -> Result<(), Refusal> {
-        reserved::check(name, account, || {
-            let known = network.directory.account(*account).map(|account| account.identities).unwrap_or_default();
-            known.iter().filter(|identity| identity.proven).map(|identity| signer_id(&identity.signing)).collect()
-        })
-    }
-
     /// Whether an account may have one more name here.
     ///
     /// # Errors
     /// [`Refusal`] with `NameBound`, `NotAuthorised` or `Quota`.
     pub(super) fn check_name(&self, network: &Network, account: &Address, name: &ProfileName) -> Result<(), Refusal> {
-        self.check_reserved(network, account, name)?;
+        reserved::check(name, account)?;
         if self.standing_of(network, account)? == Standing::Admitted {
             return Ok(());
         }

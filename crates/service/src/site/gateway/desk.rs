@@ -15,9 +15,9 @@ use crate::chain::{Call, RelayError};
 use crate::crypto::{SmKeyPair, open_transport_key, seal_transport_key, signer_id};
 use crate::gateway::desk::Account;
 use crate::gateway::{
-    Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, Entry, ErasedRecord, ErasureOutcome, ErasurePlace,
-    Erasures, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, ManyHandedOver, NetworkName, Page, Query,
-    Received, Refusal, Registration, RevokeNotice, Selection, Standing, Stood, ToldErasure, Wanted,
+    Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome,
+    Fetched, GrantNotice, NetworkName, Page, Query, Received, Refusal, Registration, RevokeNotice, Selection, Standing,
+    Stood,
 };
 use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
 use crate::pipeline::authority::{self, SigningRight};
@@ -77,57 +77,22 @@ impl GatewayDesk {
         self.blocking(move |desk| desk.reach(&desk.fresh_network()?, &reader, &owner).map(drop)).await
     }
 
-    fn keep(&self, account: &Address, records: Vec<Received>) -> Result<Timestamp, Refusal> {
-        self.keep_by(account, records, |rows| self.gateway.plant.ledger.append(rows))
-    }
-
-    /// Stores records of an owner, whoever brought them; `acknowledge` writes their rows.
+    /// Stores records of an owner.
     ///
     /// # Errors
     /// [`Refusal`]; nothing is acknowledged then.
-    pub(super) fn keep_by<Done>(
-        &self,
-        owner: &Address,
-        records: Vec<Received>,
-        acknowledge: impl FnOnce(Vec<NewRecord>) -> Result<Done, StoreError>,
-    ) -> Result<Timestamp, Refusal> {
-        let network = self.known_network()?;
-        let guest = match self.standing_of(&network, owner)? {
-            Access::Admitted => false,
-            Access::Guest => true,
-            Access::Fellow => {
-                let text =
-                    format_args!("{owner} keeps a gateway of the fleet and was not admitted with records of its own");
-                return Err(Refusal::new(Code::NotAuthorised, text));
-            }
-        };
+    fn keep(&self, owner: &Address, records: Vec<Received>) -> Result<Timestamp, Refusal> {
+        let guest = self.standing_of(&self.known_network()?, owner)? == Access::Guest;
         // What is counted must not grow before it is stored.
         let _counting = guest.then(|| self.guests.lock().unwrap_or_else(PoisonError::into_inner));
         if guest {
             self.check_quota(owner, &records)?;
         }
-        self.put_down(records, acknowledge)
-    }
-
-    /// Whether an owner's records are taken without a quota.
-    pub(super) fn is_admitted(&self, owner: &Address) -> Result<bool, Refusal> {
-        Ok(matches!(self.standing_of(&self.known_network()?, owner)?, Access::Admitted))
-    }
-
-    /// Stores records of owners who are admitted, see [`Self::is_admitted`].
-    ///
-    /// # Errors
-    /// [`Refusal`]; nothing is acknowledged then.
-    pub(super) fn put_down<Done>(
-        &self,
-        records: Vec<Received>,
-        acknowledge: impl FnOnce(Vec<NewRecord>) -> Result<Done, StoreError>,
-    ) -> Result<Timestamp, Refusal> {
         let plant = &self.gateway.plant;
         let row = |record: Received| NewRecord::foreign(record.into(), self.keeper.address);
         let rows: Vec<_> = records.into_iter().map(row).collect();
         let claims: Vec<_> = rows.iter().filter_map(Claim::of).collect();
-        plant.keep(rows, acknowledge).map_err(|error| match error {
+        plant.keep(rows, |rows| plant.ledger.append(rows)).map_err(|error| match error {
             StoreError::Conflict { .. } => {
                 self.tell_conflict(&claims, &error);
                 Refusal::new(Code::Malformed, error)
@@ -196,10 +161,6 @@ impl Desk for GatewayDesk {
             let key = key.ok_or_else(|| Refusal::new(Code::Internal, "the transport key at rest does not open"))?;
             drop(under);
             let KeptBinding { account, signing, envelope, device, .. } = kept;
-            if desk.known_network().is_ok_and(|network| desk.check_reserved(&network, &account, &name).is_err()) {
-                // Taken before such names were reserved: whose it is may have it now.
-                return Ok(None);
-            }
             let device = device.map(|(id, notices)| BoundDevice { id, notices });
             if let Some(device) = &device
                 && desk.is_recalled(&account, &device.id)?
@@ -345,33 +306,9 @@ impl Desk for GatewayDesk {
         .await
     }
 
-    async fn holdings(&self, caller: &Caller, after: &HoldingPlace) -> Result<Holdings, Refusal> {
+    async fn erase(&self, caller: &Caller, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, Refusal> {
         self.freshen().await?;
-        let (caller, after) = (caller.clone(), *after);
-        self.blocking(move |desk| desk.told_holdings(&caller, after)).await
-    }
-
-    async fn erasures(&self, caller: &Caller, after: &ErasurePlace) -> Result<Erasures, Refusal> {
-        self.freshen().await?;
-        let (caller, after) = (caller.clone(), *after);
-        self.blocking(move |desk| desk.told_erasures(&caller, after)).await
-    }
-
-    async fn erase(&self, caller: &Caller, told: Vec<ToldErasure>) -> Result<Vec<ErasureOutcome>, Refusal> {
-        self.freshen().await?;
-        self.erase_for(caller, told).await
-    }
-
-    async fn hand_over(&self, caller: &Caller, wanted: &Wanted) -> Result<HandedOver, Refusal> {
-        self.freshen().await?;
-        let (caller, wanted) = (caller.clone(), *wanted);
-        self.blocking(move |desk| desk.handed_over(&caller, &[wanted])).await.map(|many| many.handed)
-    }
-
-    async fn hand_over_many(&self, caller: &Caller, wanted: &[Wanted]) -> Result<ManyHandedOver, Refusal> {
-        self.freshen().await?;
-        let (caller, wanted) = (caller.clone(), wanted.to_vec());
-        self.blocking(move |desk| desk.handed_over(&caller, &wanted)).await
+        self.erase_for(caller, erasures).await
     }
 
     fn refused(&self, peer: SocketAddr, refusal: &Refusal) {

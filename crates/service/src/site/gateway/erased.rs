@@ -1,17 +1,12 @@
-//! What is left of a record that its owner had erased: for a reader who never had it, and for the other gateways of the fleet,
-//! which erase their copies.
-
-use std::sync::PoisonError;
+//! What is left of a record that its owner had erased, for a reader who never had it.
 
 use super::GatewayDesk;
 use crate::crypto::ErasedStatement;
-use crate::gateway::command::erasures::MOST_ERASURES;
-use crate::gateway::{Caller, Code, ErasedRecord, ErasurePlace, Erasures, Refusal};
+use crate::gateway::{Caller, Code, ErasedRecord, Refusal};
 use crate::model::Digest;
+use crate::pipeline::Network;
 use crate::pipeline::retention::erasing;
-use crate::pipeline::retention::told::{is_owners, left_of, told_of};
-use crate::pipeline::{Network, Owner};
-use crate::service::event::NoticeLevel;
+use crate::pipeline::retention::told::{is_owners, left_of};
 use crate::store::{RecordRow, Retained};
 
 impl GatewayDesk {
@@ -62,43 +57,6 @@ impl GatewayDesk {
         let statement = ErasedStatement::parse(&stated.statement).map_err(Refusal::because(Code::Internal))?;
         plant.ledger.keep_erasures(vec![stated]).map_err(&internal)?;
         Ok(Some(statement))
-    }
-
-    /// What was erased here behind a place, as far as its owners have stated it with both keys.
-    pub(super) fn told_erasures(&self, caller: &Caller, after: ErasurePlace) -> Result<Erasures, Refusal> {
-        let network = self.among_fellows(caller)?;
-        for owner in self.gateway.owners.all() {
-            self.restate(&network, &owner);
-        }
-        let ledger = &self.gateway.plant.ledger;
-        let here = ledger.recorder();
-        let after = if after.ledger == here { after.number } else { 0 };
-        let page = ledger.erasures(after, MOST_ERASURES).map_err(Refusal::because(Code::Internal))?;
-        let mut told = Vec::with_capacity(page.erasures.len());
-        for (digest, statement, account) in page.erasures {
-            let one = told_of(&self.gateway.plant, &network, (digest, &statement, &account));
-            told.extend(one.map_err(Refusal::because(Code::Internal))?);
-        }
-        Ok(Erasures { told, next: ErasurePlace { ledger: here, number: page.last.unwrap_or(after) }, more: page.more })
-    }
-
-    /// Once for each key of an owner: what was erased under an earlier one, or before accounts signed, is stated anew.
-    fn restate(&self, network: &Network, owner: &Owner) {
-        let keys = owner.sealing().filter(|keys| is_owners(network, owner.address, &keys.signing.public));
-        let Some(keys) = keys else { return };
-        let mut under = self.gateway.stated_under.lock().unwrap_or_else(PoisonError::into_inner);
-        if under.get(&owner.address) == Some(&keys.signing.public) {
-            return;
-        }
-        let done = erasing::restate(&self.gateway.plant, owner, &keys.signing).unwrap_or_else(|error| {
-            let text =
-                format!("what {} had erased is not stated anew, so other gateways may keep it: {error}", owner.profile);
-            self.gateway.hub.notice(NoticeLevel::Warning, &text);
-            true
-        });
-        if done {
-            under.insert(owner.address, keys.signing.public);
-        }
     }
 }
 

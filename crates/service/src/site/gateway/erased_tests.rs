@@ -1,12 +1,11 @@
 //! What is left of records that a rule of retention deleted, for readers who never had them.
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
-use super::super::erasing::tests::{Ground, until};
-use super::super::taking::tests::TOPIC;
+use super::super::erasing::tests::{Ground, TOPIC, until};
 use crate::model::bytes::hex;
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn what_a_rule_deleted_is_stated_to_readers_and_to_no_other_gateway() {
+async fn what_a_rule_deleted_is_stated_to_readers_when_they_ask() {
     let ground = Ground::with(&[("retention", "/odom=1s")]).await;
     let (plant, ledger) = (&ground.site.plant, &ground.site.plant.ledger);
     let (sealed, _) = ground.here(1).await;
@@ -23,6 +22,6 @@ async fn what_a_rule_deleted_is_stated_to_readers_and_to_no_other_gateway() {
     assert_eq!((stated.signer, Some(stated.at)), (ground.alice.signing().public, retained.deleted_at));
     assert_eq!(stated.report, retained.report);
     assert_eq!(ledger.kept_erasure(sealed.digest), Ok(None), "signed when it is asked for, and not kept");
-    assert_eq!(ledger.erasures(0, 9).map(|page| page.erasures), Ok(Vec::new()), "retention is each site's own");
+    assert_eq!(ledger.erasures(0, 9).map(|page| page.erasures), Ok(Vec::new()), "no gateway learns of it");
     ground.site.stop().await;
 }

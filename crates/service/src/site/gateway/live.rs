@@ -7,7 +7,7 @@ use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::mpsc;
 
 use super::GatewayDesk;
-use super::standing::entry;
+use super::reading::entry;
 use crate::gateway::{Caller, Code, Entry, Refusal, Selection};
 use crate::model::{Digest, PublicKey, RecordState};
 use crate::pipeline::authority::ReadingRight;

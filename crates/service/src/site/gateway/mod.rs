@@ -5,27 +5,17 @@ mod admission;
 #[cfg(test)]
 mod admission_tests;
 pub(super) mod admissions;
-mod copies;
 #[cfg(test)]
 mod cut_off_tests;
 mod desk;
 mod devices;
 mod erased;
 mod erasing;
-mod fellows;
-mod fetching;
-mod handing;
 mod live;
 mod passing;
 mod reading;
-mod reconciling;
 pub(super) mod reserved;
-mod round;
-mod round_erased;
-mod standing;
 pub(super) mod status;
-mod taking;
-mod visit;
 
 use crate::config::Config;
 use crate::paths::Home;
@@ -34,16 +24,13 @@ use crate::service::hub::Hub;
 use crate::site::audit::Log;
 use crate::site::chain::link::Link;
 use crate::site::gateway::admissions::Admissions;
-use crate::site::gateway::fellows::Fellows;
-use crate::site::gateway::fetching::Fetching;
-use crate::site::gateway::handing::Told;
 use crate::site::identity::owners::Owners;
 use crate::site::lifetime::Lifetime;
-use crate::site::mirror::remotes::Remotes;
+use crate::site::mirror::remote::Remote;
 use crate::site::parts::Parts;
 use crate::site::sharing::Sharing;
 use crate::site::supervision::Supervisor;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::time::Duration;
@@ -53,7 +40,7 @@ use tokio::task::block_in_place;
 
 use crate::crypto::{Fingerprint, SmKeyPair};
 use crate::gateway::{Cabinet, Context, Limits, Schedule, Server};
-use crate::model::{Address, AnchorMode, Domain, PublicKey, Timestamp};
+use crate::model::{Address, AnchorMode, Domain, Timestamp};
 use crate::pipeline::Owner;
 use crate::pipeline::forwarder::Link as Line;
 use crate::pipeline::mirror::Anchors;
@@ -132,16 +119,11 @@ pub(in crate::site) struct Gateway {
     supervisor: Arc<Supervisor>,
     sharing: Arc<Sharing>,
     admissions: Arc<Admissions>,
-    fellows: Fellows,
-    told: Told,
-    fetching: Arc<Fetching>,
-    /// Anchors of what the others of the fleet hand over, as far as the chain confirmed them.
+    /// Anchors of records that their owners had erased, as far as the chain confirmed them.
     anchors: Anchors,
-    /// The keys under which all erasures of an owner of this home are stated.
-    stated_under: Mutex<BTreeMap<Address, PublicKey>>,
     /// The running one, if there is one.
     serving: Mutex<Option<Serving>>,
-    remote: Option<Arc<Remotes>>,
+    remote: Option<Arc<Remote>>,
     /// The connection of the agent that works here, if there is one.
     passed_on: OnceLock<watch::Receiver<Line>>,
 }
@@ -152,7 +134,7 @@ impl Gateway {
         parts: &Parts,
         sharing: &Arc<Sharing>,
         admissions: &Arc<Admissions>,
-        remote: Option<Arc<Remotes>>,
+        remote: Option<Arc<Remote>>,
     ) -> Self {
         let Parts { home, config, plant, hub, log, owners, link, life, supervisor, .. } = parts.clone();
         Self {
@@ -167,11 +149,7 @@ impl Gateway {
             supervisor,
             sharing: Arc::clone(sharing),
             admissions: Arc::clone(admissions),
-            fellows: Fellows::new(parts),
-            told: Told::default(),
-            fetching: Arc::default(),
             anchors: Anchors::default(),
-            stated_under: Mutex::default(),
             serving: Mutex::default(),
             remote,
             passed_on: OnceLock::new(),
@@ -232,7 +210,6 @@ impl Gateway {
             )));
         }
         self.admissions.open()?;
-        block_in_place(|| self.fellows.all())?;
         let open = open || self.config.gateway.open;
         let under = Arc::new(RwLock::new(keeper.envelopes()));
         let (keeper_of, kept) = (Arc::clone(keeper), Arc::clone(&under));
@@ -250,12 +227,8 @@ impl Gateway {
         };
         self.log.write(&keeper.profile, "gateway", &view.address, "serving").await?;
         self.hub.notice(NoticeLevel::Info, &format!("the gateway is listening at {}", view.address));
-        *self.serving.lock().unwrap_or_else(PoisonError::into_inner) = Some(Serving {
-            view: view.clone(),
-            watch: server.watch(),
-            under: Arc::clone(&under),
-            place: place.clone(),
-        });
+        *self.serving.lock().unwrap_or_else(PoisonError::into_inner) =
+            Some(Serving { view: view.clone(), watch: server.watch(), under: Arc::clone(&under) });
         self.hub.changed(Part::Health);
         self.keep_gateway(place, server, ended);
         Ok(view)
@@ -288,6 +261,14 @@ impl Gateway {
     fn desk(self: &Arc<Self>, place: &Place) -> GatewayDesk {
         let Place { keeper, under, domain, open, home_accounts, guests, .. } = place.clone();
         GatewayDesk { gateway: Arc::clone(self), keeper, under, domain, open, home_accounts, guests }
+    }
+
+    /// The desk of a gateway that this profile keeps.
+    #[cfg(test)]
+    fn desk_of(self: &Arc<Self>, keeper: &Arc<Owner>, domain: Domain) -> GatewayDesk {
+        let (under, address) = (Arc::new(RwLock::new(keeper.envelopes())), SocketAddr::from(([127, 0, 0, 1], 0)));
+        let (home_accounts, guests, keeper) = (Arc::default(), Arc::default(), Arc::clone(keeper));
+        self.desk(&Place { keeper, under, domain, address, open: false, home_accounts, guests })
     }
 
     async fn listen(self: &Arc<Self>, place: &Place) -> Result<Server, Failure> {

@@ -6,15 +6,11 @@ use serde_json::{Value, json};
 use super::GatewayDesk;
 use super::reading::LONGEST_SILENCE;
 use crate::chain::RelayError;
-use crate::chain::relay::{Asker, Ground, NEWEST, Passed, examine};
+use crate::chain::relay::{Asker, Ground, Passed, examine};
 use crate::gateway::identity_check::check_registration;
-use crate::gateway::{Caller, Code, Context, Refusal, Registration};
+use crate::gateway::{Caller, Context, Registration};
 use crate::model::{Address, Identity};
 use crate::pipeline::{Network, authority};
-
-fn silent(refusal: &Refusal) -> RelayError {
-    RelayError::Silent(refusal.to_string())
-}
 
 fn rejected(words: &str) -> RelayError {
     RelayError::Answered { code: -32003, message: words.to_owned(), data: None }
@@ -28,10 +24,7 @@ impl GatewayDesk {
         method: &str,
         parameters: &Value,
     ) -> Result<Value, RelayError> {
-        if method == NEWEST {
-            return self.newest_block().await.map_err(|refusal| silent(&refusal));
-        }
-        let network = self.known_network().map_err(|refusal| silent(&refusal))?;
+        let network = self.known_network().map_err(|refusal| RelayError::Silent(refusal.to_string()))?;
         let (Some(pin), Some(head)) = (network.chain.pin(), self.gateway.link.fresh_head(LONGEST_SILENCE)) else {
             return Err(RelayError::Silent("no recent block from the chain".to_owned()));
         };
@@ -53,15 +46,6 @@ impl GatewayDesk {
                 network.chain.relay(method, parameters).await
             }
         }
-    }
-
-    /// The newest block, if it is known that it is: who has other gateways follows one that knows. Everything else is
-    /// passed on all the same, because who has no other one would have no chain.
-    async fn newest_block(&self) -> Result<Value, Refusal> {
-        self.freshen().await?;
-        self.fresh_network()?;
-        let head = self.gateway.link.view().map_err(Refusal::because(Code::Stale))?;
-        Ok(json!({ "number": format!("{:#x}", head.number), "hash": head.hash.to_string() }))
     }
 
     /// A transaction proves its sender by itself: without a transport key, accounts that may use this gateway may still

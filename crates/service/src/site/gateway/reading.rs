@@ -3,15 +3,14 @@
 use std::time::{Duration, Instant};
 
 use super::GatewayDesk;
-use super::standing::{entry, standing};
-use crate::gateway::{Caller, Code, Fetched, Page, Query, Refusal, Selection, Standing, Stood};
-use crate::model::{Address, Digest, Scope, SignerId, Timestamp};
+use crate::gateway::{Caller, Code, Entry, Fetched, Page, Query, Refusal, Selection, Standing, Stood};
+use crate::model::{Address, Digest, RecordState, Scope, SignerId, Timestamp};
 use crate::pipeline::Network;
-use crate::pipeline::authority::{Moment, NoRight, Policy, ReadRefused, ReadingRight, Signers, SigningRight};
-use crate::pipeline::authority::{may_read, may_sign};
+use crate::pipeline::authority::{Moment, NoRight, Policy, ReadRefused, ReadingRight, SigningRight};
+use crate::pipeline::authority::{key_of, may_read, may_sign};
 use crate::pipeline::proof::anchor_proof;
 use crate::site::chain::freshness::GRACE;
-use crate::store::{BatchPlace, HeldRecord, RecordQuery, RecordRow};
+use crate::store::{RecordQuery, RecordRow};
 use tokio::time::timeout;
 
 /// How long the chain may be silent before nothing is stored or passed on any more. Reading ends sooner, see
@@ -165,9 +164,26 @@ impl GatewayDesk {
 
     /// A record's bytes, compared with its digest before any of them leave.
     pub(super) fn record(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal> {
+        let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
         let network = self.fresh_network()?;
         let row = self.readable(&network, caller, digest)?;
-        self.bytes_of(&network, &row)
+        let place = plant.ledger.batch_place(row.digest).map_err(&internal)?;
+        let blob = match row.deleted_at {
+            // Deleted is deleted, even where an earlier version took the bytes in again.
+            Some(_) => None,
+            None => match plant.vault.get(row.digest).map_err(&internal)? {
+                Some(blob) => Some(blob),
+                None => plant.ledger.local_copy(row.digest).map_err(&internal)?,
+            },
+        };
+        let blob = blob.ok_or_else(|| Refusal::new(Code::NotFound, format_args!("record {} is missing", row.id)))?;
+        if Digest(plant.provider.sm3(&[&blob])) != row.digest {
+            return Err(Refusal::new(Code::Tampered, format_args!("record {} was altered", row.id)));
+        }
+        let signer = key_of(plant, &network, &row).map_err(Refusal::because(Code::Internal))?;
+        let unknown = || Refusal::new(Code::Tampered, format_args!("the signer of record {} is unknown", row.id));
+        let proof = anchor_proof(&row, place).map(|proof| proof.encode()).unwrap_or_default();
+        Ok(Fetched { signer: signer.ok_or_else(unknown)?, signature: row.signature, proof, blob })
     }
 
     /// A record that the caller may read now.
@@ -181,50 +197,6 @@ impl GatewayDesk {
             return Err(not_authorised(&row.owner, &caller.account));
         }
         Ok(row)
-    }
-
-    /// A record with its proof, whoever is to have it.
-    pub(super) fn bytes_of(&self, network: &Network, row: &RecordRow) -> Result<Fetched, Refusal> {
-        let missing = || Err(Refusal::new(Code::NotFound, format_args!("record {} is missing", row.id)));
-        let place = self.gateway.plant.ledger.batch_place(row.digest).map_err(Refusal::because(Code::Internal))?;
-        self.all_bytes_of(network, &[HeldRecord { range: 0, row: row.clone(), place }])?.pop().unwrap_or_else(missing)
-    }
-
-    /// The same for several, in their order; what is wrong with one is said in its place.
-    pub(super) fn all_bytes_of(
-        &self,
-        network: &Network,
-        held: &[HeldRecord],
-    ) -> Result<Vec<Result<Fetched, Refusal>>, Refusal> {
-        let digests: Vec<Digest> = held.iter().map(|held| held.row.digest).collect();
-        let stored = self.gateway.plant.vault.get_many(&digests).map_err(Refusal::because(Code::Internal))?;
-        let mut signers = Signers::new(&self.gateway.plant, network);
-        let parts = held.iter().zip(stored);
-        Ok(parts.map(|(held, stored)| self.fetched(&mut signers, &held.row, stored, held.place.clone())).collect())
-    }
-
-    fn fetched(
-        &self,
-        signers: &mut Signers<'_>,
-        row: &RecordRow,
-        stored: Option<Vec<u8>>,
-        place: Option<BatchPlace>,
-    ) -> Result<Fetched, Refusal> {
-        let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
-        let blob = match stored {
-            // Deleted is deleted, even where an earlier version took the bytes in again.
-            _ if row.deleted_at.is_some() => None,
-            Some(blob) => Some(blob),
-            None => plant.ledger.local_copy(row.digest).map_err(&internal)?,
-        };
-        let blob = blob.ok_or_else(|| Refusal::new(Code::NotFound, format_args!("record {} is missing", row.id)))?;
-        if Digest(plant.provider.sm3(&[&blob])) != row.digest {
-            return Err(Refusal::new(Code::Tampered, format_args!("record {} was altered", row.id)));
-        }
-        let signer = signers.of(row).map_err(Refusal::because(Code::Internal))?.ok();
-        let unknown = || Refusal::new(Code::Tampered, format_args!("the signer of record {} is unknown", row.id));
-        let proof = anchor_proof(row, place).map(|proof| proof.encode()).unwrap_or_default();
-        Ok(Fetched { signer: signer.ok_or_else(unknown)?, signature: row.signature, proof, blob })
     }
 }
 
@@ -259,4 +231,36 @@ fn record_query(query: &Query, reach: &ReadingRight, reader: &Address) -> Result
         limit: usize::from(query.limit),
         ..RecordQuery::default()
     })
+}
+
+/// The standing of a record in this state.
+fn standing(state: RecordState) -> Standing {
+    match state {
+        RecordState::Captured | RecordState::Dropped => Standing::Unknown,
+        RecordState::Sealed
+        | RecordState::Stored
+        | RecordState::Batched
+        | RecordState::Submitted
+        | RecordState::RightEnded => Standing::Acknowledged,
+        RecordState::Mined | RecordState::Confirmed => Standing::Anchored,
+        RecordState::Verified => Standing::Verified,
+        RecordState::Tampered => Standing::Tampered,
+        RecordState::Quarantined => Standing::Quarantined,
+    }
+}
+
+/// A record's entry in a list.
+pub(super) fn entry(row: &RecordRow) -> Entry {
+    Entry {
+        digest: row.digest,
+        owner: row.owner,
+        recorder: row.recorder,
+        seq: row.seq,
+        topic_id: row.topic_id,
+        epoch: row.epoch,
+        captured_at: row.captured_at,
+        length: row.bytes,
+        kind: row.kind,
+        standing: standing(row.state),
+    }
 }

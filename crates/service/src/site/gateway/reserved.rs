@@ -1,14 +1,12 @@
-//! Names at a gateway that programs choose for themselves: whoever else took one would keep a site from bringing its owner's
-//! notices, or a gateway from reconciling.
+//! The name that an owner's site gives itself at a gateway: anyone else who took it would keep the site from bringing its
+//! owner's notices.
 
 use crate::gateway::{Code, Refusal};
-use crate::model::{Address, ProfileName, SignerId};
+use crate::model::{Address, ProfileName};
 
 /// How an owner's site calls itself that brings notices to robots.
 const COURIER: &str = "courier-";
-/// How a gateway of a fleet calls itself at the others.
-const GATEWAY: &str = "gateway-";
-/// Digits of the account or key in such a name.
+/// Digits of the account in such a name.
 const DIGITS: usize = 16;
 
 /// The name of an owner's courier.
@@ -17,36 +15,21 @@ pub(in crate::site) fn courier_of(account: &Address) -> String {
     format!("{COURIER}{}", digits.to_lowercase())
 }
 
-/// The name of a gateway, by SM3 of its identity key.
-pub(in crate::site) fn gateway_of(key: &SignerId) -> String {
-    format!("{GATEWAY}{}", key.to_hex().get(..DIGITS).unwrap_or_default())
-}
-
-/// Whether no robot may be called so.
+/// Whether no robot may be called so: `courier-0123456789abcdef`. Other names that begin like it are nobody's.
 pub(in crate::site) fn is_reserved(name: &ProfileName) -> bool {
-    is_of_a_program(name, COURIER) || is_of_a_program(name, GATEWAY)
-}
-
-/// `courier-0123456789abcdef`: other names that begin like it are nobody's.
-fn is_of_a_program(name: &ProfileName, prefix: &str) -> bool {
-    let digits = name.as_str().strip_prefix(prefix);
+    let digits = name.as_str().strip_prefix(COURIER);
     digits.is_some_and(|digits| digits.len() == DIGITS && digits.bytes().all(|byte| byte.is_ascii_hexdigit()))
 }
 
-/// Whether an account with these identity keys may have this name.
+/// Whether an account may have this name.
 ///
 /// # Errors
 /// [`Refusal`] with `NameBound`.
-pub(super) fn check(name: &ProfileName, account: &Address, keys: impl Fn() -> Vec<SignerId>) -> Result<(), Refusal> {
-    let own = match name.as_str() {
-        _ if !is_reserved(name) => true,
-        courier if courier.starts_with(COURIER) => courier == courier_of(account),
-        gateway => keys().iter().any(|key| gateway_of(key) == gateway),
-    };
-    if own {
+pub(super) fn check(name: &ProfileName, account: &Address) -> Result<(), Refusal> {
+    if !is_reserved(name) || name.as_str() == courier_of(account) {
         return Ok(());
     }
-    Err(Refusal::new(Code::NameBound, format_args!("{name} is the name of another account's own program")))
+    Err(Refusal::new(Code::NameBound, format_args!("{name} is the name of another account's own site")))
 }
 
 #[cfg(test)]
@@ -54,20 +37,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_names_of_programs_are_their_accounts_and_gateways_own() {
+    fn the_name_of_a_courier_is_its_accounts_own() {
         let (alice, eve) = (Address([0xab; 20]), Address([0xcd; 20]));
-        let (key, other) = (SignerId([0x12; 32]), SignerId([0x34; 32]));
-        let may = |name: &str, account, key| {
+        let may = |name: &str, account| {
             let name: ProfileName = name.parse().expect("a name");
-            check(&name, account, || vec![key]).map_err(|refusal| refusal.code)
+            check(&name, account).map_err(|refusal| refusal.code)
         };
         assert_eq!(courier_of(&alice), "courier-abababababababab");
-        assert_eq!(may("courier-abababababababab", &alice, other), Ok(()));
-        assert_eq!(may("courier-abababababababab", &eve, other), Err(Code::NameBound));
-        assert_eq!(may("gateway-1212121212121212", &alice, key), Ok(()));
-        assert_eq!(may("gateway-1212121212121212", &alice, other), Err(Code::NameBound));
-        for free in ["courier-1", "gateway-harbour", "scout-1", "courier-abababababababax", "gateway-12121212121212"] {
-            assert_eq!(may(free, &eve, other), Ok(()), "{free}");
+        assert_eq!(may("courier-abababababababab", &alice), Ok(()));
+        assert_eq!(may("courier-abababababababab", &eve), Err(Code::NameBound));
+        for free in ["courier-1", "scout-1", "courier-abababababababax"] {
+            assert_eq!(may(free, &eve), Ok(()), "{free}");
         }
     }
 }

@@ -20,8 +20,6 @@ pub(in crate::site) struct Serving {
     pub watch: ServerWatch,
     /// The keys that encrypt the transport keys.
     pub under: super::KeptUnder,
-    /// Where and for whom it serves.
-    pub(super) place: super::Place,
 }
 
 impl Gateway {

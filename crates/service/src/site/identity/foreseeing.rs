@@ -34,7 +34,7 @@ impl Profiles {
             sharers: parties(&authority::shared_with(&network.directory, me), |grant| grant.terms.owner),
             robots: self.lent_robots(owner, &network)?,
             keeps_gateway: founded == Some(signer_id(&identity)),
-            joined: self.config.site.as_ref().map(|profiles| clean(&profiles.address, 255)),
+            joined: self.config.site.as_ref().map(|site| clean(&site.addresses.join(", "), 600)),
             lines: Vec::new(),
         };
         view.lines = match kind {

@@ -163,9 +163,6 @@ impl Profiles {
         block_in_place(|| self.reseal_kept(owner))?;
         // A joined gateway knows this site by its old keys only; another transport key is allocated.
         drop(std::fs::remove_file(self.home.transport_key(&owner.profile)));
-        for gateway in self.config.site.iter().flat_map(|site| &site.also) {
-            drop(std::fs::remove_file(self.home.transport_key_at(&owner.profile, &gateway.key)));
-        }
         let epoch = network.directory.epoch(owner.address);
         let newest = owner.epochs(network.domain).last().copied().unwrap_or(epoch);
         owner.seal_under(network.domain, newest)?;

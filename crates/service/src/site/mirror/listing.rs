@@ -1,203 +1,245 @@
-//! Asks one gateway for all that it lists of some owners, page by page and within bounds: a list may be as long as a
-//! gateway likes, and take as long.
+//! Reads a gateway's list of an owner's records from where it was read before, and fetches what is missing here.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use async_trait::async_trait;
 use tokio::task::block_in_place;
 
-use super::remote::Remote;
-use super::{Joined, PAGE, QUIET, TICK};
-use crate::gateway::{Client, Code, GatewayError, Page, Query, Selection};
-use crate::model::{Address, ErrorKind, Scope, Timestamp, TopicId, clean};
-use crate::pipeline::mirror::lacking::{Gathering, Listing};
-use crate::pipeline::reader::Reader;
-use crate::pipeline::{Network, Owner};
-use crate::service::failure::refused;
+use super::pacing::{Missed, Patience};
+use super::{Broken, Joined};
+use crate::gateway::{Client, Code, Entry, GatewayError, Query, Selection, Standing};
+use crate::model::{Address, Hash, RecordKind, Timestamp};
+use crate::pipeline::PipelineError;
+use crate::pipeline::mirror::Mirror;
+use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::Failure;
+use crate::store::Ledger;
 
-/// How long one gateway may take for its lists.
-const LONGEST: Duration = Duration::from_secs(10 * 60);
-/// The most pages of one owner: ten million records.
-const MOST_PAGES: usize = 20_000;
+/// Entries per page.
+const PAGE: u16 = 500;
+/// Digests checked at a time.
+const CHECKED: usize = 500;
+/// How far before the newest record seen a listing begins: outboxes of robots may be hours old.
+const LATE: u64 = 24 * 3600;
+/// How often a listing starts from the very beginning.
+const WHOLE: u64 = 24 * 3600;
 
-/// An owner whose records are asked for.
-#[derive(Clone)]
-pub(super) struct Wanted {
-    pub owner: Address,
-    /// What the reader may read of it.
-    pub scope: Scope,
-    /// Only these topics; `None` = all.
-    pub topics: Option<BTreeSet<TopicId>>,
+/// The position of an owner's mirror: capture times in seconds.
+struct Place {
+    name: String,
+    /// Of the newest record that was listed.
+    newest: u64,
+    /// When a listing that began at the very beginning was done.
+    whole: u64,
+    /// The beginning of the hash of the grant's transaction.
+    grant: u64,
 }
 
-impl Wanted {
-    /// Whether a topic was asked for, and may be read.
-    pub fn covers(&self, topic: TopicId) -> bool {
-        self.scope.covers(topic) && self.topics.as_ref().is_none_or(|topics| topics.contains(&topic))
+impl Place {
+    /// The one of this grant, zero for the reader's own records.
+    ///
+    /// # Errors
+    /// Errors of the ledger.
+    fn load(ledger: &Ledger, mirror: &Mirror<'_>, (source, grant): (Address, &Hash)) -> Result<Self, Failure> {
+        let (domain, me, keeper) = (mirror.network.domain, mirror.reader.address, mirror.keeper);
+        let name = format!("mirror:{domain}:{keeper}:{me}:{source}");
+        let text = block_in_place(|| ledger.setting(&name))?.unwrap_or_default();
+        let grant = grant.0.first_chunk().map_or(0, |first| u64::from_be_bytes(*first));
+        Ok(Self::read(name, &text, grant))
     }
 
-    /// What is sent: one for each topic, or one for all.
-    fn selections(&self) -> Vec<Selection> {
-        let all = Selection::all(self.owner);
-        match &self.topics {
-            None => vec![all],
-            Some(topics) => {
-                let of = |topic: &TopicId| Selection { topic_id: Some(*topic), ..all.clone() };
-                topics.iter().filter(|topic| self.scope.covers(**topic)).map(of).collect()
-            }
+    /// Another grant than the one that was listed for begins anew: it may cover more topics and earlier epochs.
+    fn read(name: String, text: &str, grant: u64) -> Self {
+        let mut numbers = text.split(' ').map(|text| text.parse().unwrap_or(0));
+        let mut next = || numbers.next().unwrap_or(0);
+        let (newest, whole, listed) = (next(), next(), next());
+        let (newest, whole) = if listed == grant { (newest, whole) } else { (0, 0) };
+        Self { name, newest, whole, grant }
+    }
+
+    fn text(&self) -> String {
+        format!("{} {} {}", self.newest, self.whole, self.grant)
+    }
+
+    /// Where the next listing begins: a day before the newest record seen, and now and then at the beginning.
+    fn begin(&self, now: Timestamp) -> u64 {
+        let due = now.seconds().saturating_sub(self.whole) >= WHOLE;
+        if due { 0 } else { self.newest.saturating_sub(LATE) }
+    }
+
+    /// A listing from there was done; a record from the future does not move the place beyond now.
+    fn listed(mut self, begin: u64, now: Timestamp) -> Self {
+        self.newest = self.newest.min(now.seconds());
+        if begin == 0 {
+            self.whole = now.seconds();
         }
-    }
-}
-
-/// Who asks, and for what.
-#[derive(Clone)]
-pub(super) struct Asking {
-    pub owner: Arc<Owner>,
-    pub network: Network,
-    pub wanted: Vec<Wanted>,
-}
-
-/// What a gateway told.
-#[derive(Default)]
-pub(super) struct Listed {
-    pub listing: Listing,
-    /// Owners that it tells this reader nothing of, and why.
-    pub untold: Vec<(Address, Failure)>,
-}
-
-/// A gateway that is asked for lists.
-#[async_trait]
-pub(super) trait Lister: Send {
-    /// Its address, for people.
-    fn address(&self) -> &str;
-
-    /// A page of what it lists.
-    async fn page(&mut self, query: &Query) -> Result<Page, GatewayError>;
-}
-
-/// A session with one.
-struct Session<'a> {
-    remote: &'a Remote,
-    client: Client,
-}
-
-#[async_trait]
-impl Lister for Session<'_> {
-    fn address(&self) -> &str {
-        self.remote.address()
+        self
     }
 
-    async fn page(&mut self, query: &Query) -> Result<Page, GatewayError> {
-        self.client.query(query).await
-    }
-}
-
-/// From which epoch on the reader was granted a topic of an owner.
-pub(super) type Granted<'a> = dyn Fn(Address, TopicId) -> Option<u64> + Sync + 'a;
-
-/// Why a list was not read to its end.
-enum Unread {
-    Gateway(GatewayError),
-    TooMuch,
-}
-
-impl From<GatewayError> for Unread {
-    fn from(error: GatewayError) -> Self {
-        Self::Gateway(error)
+    /// Stores it.
+    ///
+    /// # Errors
+    /// Errors of the ledger.
+    fn save(&self, ledger: &Ledger) -> Result<(), Failure> {
+        Ok(block_in_place(|| ledger.put_setting(&self.name, &self.text()))?)
     }
 }
 
 impl Joined {
-    /// Everything that a gateway lists of the owners asked for.
-    ///
-    /// # Errors
-    /// Why it does not tell: it does not answer, refuses, or does not come to an end.
-    pub(super) async fn listed(&self, remote: &Remote, asking: &Asking) -> Result<Listed, Failure> {
-        let Asking { owner, network, wanted } = asking;
-        let listing = async {
-            let client = remote.connect(&self.home, owner, network).await?;
-            let reader = Reader { plant: &self.plant, network, reader: owner };
-            // What cannot be read here says nothing about holes.
-            let granted = |owner, topic| block_in_place(|| reader.first_epoch(owner, topic)).unwrap_or_default();
-            list(&mut Session { remote, client }, wanted, &granted).await
-        };
-        tokio::time::timeout(LONGEST, listing).await.unwrap_or_else(|_| {
-            let (address, minutes) = (clean(remote.address(), 255), LONGEST.as_secs() / 60);
-            let text = format!(
-                "the gateway {address} did not list its records within {minutes} minutes; ask for less with --owner and \
-                 --topic"
-            );
-            Err(Failure::new(ErrorKind::Unreachable, text))
-        })
-    }
-}
-
-/// All lists of a gateway.
-///
-/// # Errors
-/// Why one of them was not read to its end.
-pub(super) async fn list(
-    gateway: &mut dyn Lister,
-    wanted: &[Wanted],
-    granted: &Granted<'_>,
-) -> Result<Listed, Failure> {
-    let mut listed = Listed::default();
-    for one in wanted {
-        match list_one(gateway, one, granted).await {
-            Ok(gathering) => listed.listing.add(gathering.listing([one.owner].into())),
-            // Its chain knows no grant of this owner, or not yet.
-            Err(Unread::Gateway(error @ GatewayError::Refused(Code::NotAuthorised))) => {
-                listed.untold.push((one.owner, error.into()));
-            }
-            Err(Unread::Gateway(error)) => return Err(error.into()),
-            Err(Unread::TooMuch) => {
-                return Err(refused(format!(
-                    "the gateway {} lists more of {} than can be compared here; ask for one topic with --topic",
-                    clean(gateway.address(), 255),
-                    one.owner
-                )));
-            }
-        }
-    }
-    Ok(listed)
-}
-
-/// The list of one owner's records, to its end.
-async fn list_one(gateway: &mut dyn Lister, wanted: &Wanted, granted: &Granted<'_>) -> Result<Gathering, Unread> {
-    let (mut gathering, mut pages) = (Gathering::default(), 0);
-    for selection in wanted.selections() {
-        let mut query = Query { selection, from: Timestamp(0), until: Timestamp(u64::MAX), cursor: 0, limit: PAGE };
+    /// Lists the gateway's records of an owner, and fetches what is missing here.
+    pub(super) async fn catch_up(
+        self: &Arc<Self>,
+        client: &mut Client,
+        mirror: &Mirror<'_>,
+        (source, grant): (&Address, &Hash),
+        missed: &mut Missed,
+    ) -> Result<(), Broken> {
+        let source = *source;
+        let mut place = Place::load(&self.plant.ledger, mirror, (source, grant))?;
+        let begin = place.begin(Timestamp::now());
+        let from = Timestamp::from_seconds(begin);
+        let selection = Selection::all(source);
+        let mut query = Query { selection, from, until: Timestamp(u64::MAX), cursor: 0, limit: PAGE };
+        let mut patience = Patience::default();
         loop {
-            let page = page(gateway, &query).await?;
-            pages += 1;
+            let page = match client.query(&query).await {
+                // A grant ended meanwhile and the chain is going to say so, or it is asked for again.
+                Err(GatewayError::Refused(Code::NotAuthorised)) => return Ok(()),
+                page => page?,
+            };
+            let mut new = false;
             for entry in &page.entries {
-                if entry.owner != wanted.owner || !wanted.covers(entry.topic_id) {
-                    return Err(GatewayError::Unexpected("a record in a list that was not asked for").into());
-                }
-                if !gathering.add(entry, || granted(entry.owner, entry.topic_id)) {
-                    return Err(Unread::TooMuch);
+                place.newest = place.newest.max(entry.captured_at.seconds());
+                if mirror.wants(entry)? {
+                    // What cannot be taken in is nothing new, however often it is handed over.
+                    let was_here = self.has(entry)?;
+                    self.fetch(client, mirror, (source, entry), missed).await?;
+                    new |= !was_here && self.has(entry)?;
                 }
             }
             let Some(next) = page.next else { break };
-            if pages >= MOST_PAGES {
-                return Err(Unread::TooMuch);
-            }
             query.cursor = next;
+            if let Some(pause) = patience.after(page.entries.len(), new)? {
+                tokio::time::sleep(pause).await;
+            }
+        }
+        Ok(place.listed(begin, Timestamp::now()).save(&self.plant.ledger)?)
+    }
+
+    pub(super) async fn fetch(
+        &self,
+        client: &mut Client,
+        mirror: &Mirror<'_>,
+        (source, entry): (Address, &Entry),
+        missed: &mut Missed,
+    ) -> Result<(), Broken> {
+        match client.fetch(&entry.digest).await {
+            Ok(record) => {
+                if !self.take(mirror, source, entry, record).await? {
+                    missed.add(source, entry, Instant::now());
+                }
+                Ok(())
+            }
+            Err(GatewayError::Refused(Code::NotFound)) => self.learn_erased(client, mirror, source, entry).await,
+            Err(GatewayError::Refused(Code::NotAuthorised | Code::Tampered)) => Ok(()),
+            Err(GatewayError::Crypto(error)) => {
+                self.hub.notice(NoticeLevel::Error, &PipelineError::from(error).to_string());
+                Ok(())
+            }
+            Err(error) => Err(error.into()),
         }
     }
-    Ok(gathering)
+
+    /// Fetches again the records that have a proof by now. Returns whether the gateway was asked anything.
+    pub(super) async fn settle_proofs(
+        &self,
+        client: &mut Client,
+        mirror: &Mirror<'_>,
+        sources: &BTreeMap<Address, Hash>,
+    ) -> Result<bool, Broken> {
+        let mut asked = false;
+        for source in sources.keys() {
+            let waiting = mirror.unproven(*source, CHECKED)?;
+            if waiting.is_empty() {
+                continue;
+            }
+            asked = true;
+            let standings = client.check(&waiting).await?;
+            let anchored = |standing: &Standing| matches!(standing, Standing::Anchored | Standing::Verified);
+            for (digest, _) in waiting.iter().zip(&standings).filter(|(_, standing)| anchored(standing)) {
+                match client.fetch(digest).await {
+                    Ok(record) => {
+                        if mirror.take(*source, *digest, record).await? {
+                            self.hub.confirmed.notify_one();
+                            self.hub.changed(Part::Uploads);
+                        }
+                    }
+                    Err(GatewayError::Refused(Code::NotFound | Code::NotAuthorised | Code::Tampered)) => {}
+                    Err(error) => return Err(error.into()),
+                }
+            }
+        }
+        Ok(asked)
+    }
+
+    /// Takes in what the owner states of a record that the gateway does not have: that it was erased.
+    async fn learn_erased(
+        &self,
+        client: &mut Client,
+        mirror: &Mirror<'_>,
+        source: Address,
+        entry: &Entry,
+    ) -> Result<(), Broken> {
+        let anchored = matches!(entry.standing, Standing::Anchored | Standing::Verified);
+        if !anchored || entry.kind != RecordKind::Data {
+            return Ok(());
+        }
+        let erased = match client.fetch_erased(&entry.digest).await {
+            Ok(erased) => erased,
+            // Not erased, or a gateway of an earlier version, which says no more than that it has no such record.
+            Err(GatewayError::Refused(Code::NotFound | Code::NotAuthorised | Code::Tampered | Code::Malformed)) => {
+                return Ok(());
+            }
+            Err(error) => return Err(error.into()),
+        };
+        match mirror.take_erased(source, entry.digest, erased).await {
+            Ok(true) => {
+                self.hub.changed(Part::Grants);
+                self.hub.changed(Part::Uploads);
+                self.hub.confirmed.notify_one();
+                Ok(())
+            }
+            Ok(false) => Ok(()),
+            // One bad record must not keep the others away.
+            Err(error @ (PipelineError::NotTakenIn { .. } | PipelineError::Crypto(_))) => {
+                self.hub.notice(NoticeLevel::Error, &error.to_string());
+                Ok(())
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
 }
 
-/// A page; a gateway that does not know its chain at the moment is asked again for a while.
-async fn page(gateway: &mut dyn Lister, query: &Query) -> Result<Page, GatewayError> {
-    let begun = Instant::now();
-    loop {
-        match gateway.page(query).await {
-            Err(GatewayError::Refused(Code::Stale)) if begun.elapsed() < QUIET => tokio::time::sleep(TICK).await,
-            page => return page,
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NOW: u64 = 2_000_000_000;
+
+    fn begin(text: &str, grant: u64) -> u64 {
+        Place::read("mirror".to_owned(), text, grant).begin(Timestamp::from_seconds(NOW))
+    }
+
+    #[test]
+    fn a_listing_goes_on_a_day_before_its_end_and_begins_anew_each_day_and_for_another_grant() {
+        let place = Place { name: "mirror".to_owned(), newest: NOW + 60, whole: 0, grant: 7 };
+        let listed = place.listed(0, Timestamp::from_seconds(NOW - 60)).text();
+        assert_eq!(begin(&listed, 7), NOW - 60 - LATE);
+        assert_eq!(begin(&listed, 8), 0, "it may cover what the earlier one did not");
+        assert_eq!(begin(&format!("{} {} 7", NOW - 60, NOW - WHOLE), 7), 0);
+        for unknown in ["", "x", "1 2 3 4", "-1 99999999999999999999 7"] {
+            assert_eq!(begin(unknown, 7), 0);
         }
     }
 }

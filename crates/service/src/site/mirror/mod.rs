@@ -1,20 +1,11 @@
-//! Mirrors each gateway's records of a profile here: lists and fetches what is missing, then takes records as they come. A
-//! lost connection is opened again, with pauses that grow to five seconds.
+//! Mirrors a profile's records of the joined gateway here: lists and fetches what is missing, then takes records as they
+//! come. A lost connection is opened again, with pauses that grow to five seconds.
 
-pub(super) mod comparing;
-mod erased;
 mod listing;
-#[cfg(test)]
-mod listing_tests;
-mod missed;
 mod own_erasures;
-mod pace;
-mod patience;
-mod place;
-mod remote;
-pub(super) mod remotes;
+mod pacing;
+pub(super) mod remote;
 mod subscribing;
-mod telling;
 
 use crate::paths::Home;
 use crate::pipeline::Plant;
@@ -24,7 +15,7 @@ use crate::site::chain::link::Link;
 use crate::site::identity::owners::Owners;
 use crate::site::lifetime::Lifetime;
 use crate::site::parts::Parts;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -32,29 +23,21 @@ use tokio::sync::mpsc;
 use tokio::task::block_in_place;
 
 use super::supervision::Aborted;
-use crate::gateway::{Client, Code, Entry, Fetched, GatewayError, Query, Selection, Standing};
-use crate::model::{Address, Hash, Timestamp};
+use crate::gateway::{Code, Entry, Fetched, GatewayError};
+use crate::model::Address;
 use crate::pipeline::mirror::{Anchors, Mirror, sources};
 use crate::pipeline::{Network, Owner, PipelineError};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::reply::Failure;
-use missed::Missed;
 use own_erasures::OwnErasures;
-use pace::Pace;
-use patience::Patience;
-use place::Place;
+use pacing::{Missed, Pace};
 use remote::{Mirrored, Remote};
-use remotes::Remotes;
 use subscribing::{Refused, follow, subscribe};
 
 /// The first pause after a failure, and the longest.
 const PAUSES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(5));
 /// How often missing proofs are requested, and grants are looked at.
 const TICK: Duration = Duration::from_millis(500);
-/// Entries per page.
-const PAGE: u16 = 500;
-/// Digests checked at a time.
-const CHECKED: usize = 500;
 /// Subscriptions of one connection; owners beyond that are listed now and then.
 const SUBSCRIPTIONS: usize = 16;
 /// How often owners without a subscription are listed.
@@ -106,31 +89,31 @@ pub(in crate::site) struct Joined {
     owners: Arc<Owners>,
     link: Arc<Link>,
     life: Arc<Lifetime>,
-    remotes: Option<Arc<Remotes>>,
+    remote: Option<Arc<Remote>>,
 }
 
 impl Joined {
     /// From the shared parts.
-    pub fn new(parts: &Parts, remotes: Option<Arc<Remotes>>) -> Self {
+    pub fn new(parts: &Parts, remote: Option<Arc<Remote>>) -> Self {
         let Parts { home, plant, hub, log, owners, link, life, .. } = parts.clone();
-        Self { home, plant, hub, log, owners, link, life, remotes }
+        Self { home, plant, hub, log, owners, link, life, remote }
     }
 }
 
 impl Joined {
-    /// How many gateways this site joins.
-    pub fn gateways(&self) -> usize {
-        self.remotes.as_ref().map_or(0, |remotes| remotes.all().len())
+    /// Whether this site joins a gateway.
+    pub fn joins(&self) -> bool {
+        self.remote.is_some()
     }
 
     /// Where the chain comes from, in words, if that is the other site.
     pub fn chain_text(&self) -> Option<String> {
-        self.remotes.as_ref().map(|remotes| remotes.chain_text())
+        self.remote.as_ref().map(|remote| remote.chain_text())
     }
 
-    /// Mirrors a profile's records of the gateway at a place of the list until its owner is closed or the site ends.
-    pub(super) async fn mirror(self: Arc<Self>, owner: Arc<Owner>, place: usize) {
-        let Some(remote) = self.remotes.as_ref().and_then(|remotes| remotes.all().get(place)) else { return };
+    /// Mirrors a profile's records of the gateway until its owner is closed or the site ends.
+    pub(super) async fn mirror(self: Arc<Self>, owner: Arc<Owner>) {
+        let Some(remote) = &self.remote else { return };
         let (mut pause, mut stale, mut pace) = (PAUSES.0, None, Pace::default());
         let mut told = OwnErasures::default();
         remote.not_asked(&owner.profile);
@@ -184,7 +167,7 @@ impl Joined {
             Broken::Gateway(error) => {
                 // The chain has other keys by now than those the transport key was allocated under: allocate again.
                 if matches!(error, GatewayError::Refused(Code::NotRegistered)) {
-                    drop(std::fs::remove_file(remote.transport_key(&self.home, &owner.profile)));
+                    drop(std::fs::remove_file(self.home.transport_key(&owner.profile)));
                 }
                 error.into()
             }
@@ -194,7 +177,7 @@ impl Joined {
         let text = format!(
             "records of '{}' are not arriving from the gateway {}, retry in {seconds} s: {}",
             owner.profile,
-            crate::model::clean(remote.address(), 255),
+            remote.address(),
             failure.message
         );
         self.hub.notice(NoticeLevel::Error, &text);
@@ -286,8 +269,8 @@ impl Joined {
         let owners: Vec<String> = owners.iter().map(ToString::to_string).collect();
         let text = format!(
             "the gateway {} does not give '{}' the records of {} yet: its keeper may want their grant some blocks deeper in the \
-             chain; it is asked again, every ten seconds at the latest",
-            crate::model::clean(remote.address(), 255),
+             chain; retrying at least every ten seconds",
+            remote.address(),
             owner.profile,
             owners.join(", ")
         );
@@ -321,101 +304,5 @@ impl Joined {
 
     fn has(&self, entry: &Entry) -> Result<bool, PipelineError> {
         Ok(block_in_place(|| self.plant.ledger.record(entry.digest))?.is_some())
-    }
-
-    /// Lists the gateway's records of an owner, and fetches what is missing here.
-    async fn catch_up(
-        self: &Arc<Self>,
-        client: &mut Client,
-        mirror: &Mirror<'_>,
-        (source, grant): (&Address, &Hash),
-        missed: &mut Missed,
-    ) -> Result<(), Broken> {
-        let source = *source;
-        let mut place = Place::load(&self.plant.ledger, mirror, (source, grant))?;
-        let begin = place.begin(Timestamp::now());
-        let from = Timestamp::from_seconds(begin);
-        let selection = Selection::all(source);
-        let mut query = Query { selection, from, until: Timestamp(u64::MAX), cursor: 0, limit: PAGE };
-        let mut patience = Patience::default();
-        loop {
-            let page = match client.query(&query).await {
-                // A grant ended meanwhile and the chain is going to say so, or it is asked for again.
-                Err(GatewayError::Refused(Code::NotAuthorised)) => return Ok(()),
-                page => page?,
-            };
-            let mut new = false;
-            for entry in &page.entries {
-                place.newest = place.newest.max(entry.captured_at.seconds());
-                if mirror.wants(entry)? {
-                    // What cannot be taken in is nothing new, however often it is handed over.
-                    let was_here = self.has(entry)?;
-                    self.fetch(client, mirror, (source, entry), missed).await?;
-                    new |= !was_here && self.has(entry)?;
-                }
-            }
-            let Some(next) = page.next else { break };
-            query.cursor = next;
-            if let Some(pause) = patience.after(page.entries.len(), new)? {
-                tokio::time::sleep(pause).await;
-            }
-        }
-        Ok(place.listed(begin, Timestamp::now()).save(&self.plant.ledger)?)
-    }
-
-    async fn fetch(
-        &self,
-        client: &mut Client,
-        mirror: &Mirror<'_>,
-        (source, entry): (Address, &Entry),
-        missed: &mut Missed,
-    ) -> Result<(), Broken> {
-        match client.fetch(&entry.digest).await {
-            Ok(record) => {
-                if !self.take(mirror, source, entry, record).await? {
-                    missed.add(source, entry, Instant::now());
-                }
-                Ok(())
-            }
-            Err(GatewayError::Refused(Code::NotFound)) => self.learn_erased(client, mirror, source, entry).await,
-            Err(GatewayError::Refused(Code::NotAuthorised | Code::Tampered)) => Ok(()),
-            Err(GatewayError::Crypto(error)) => {
-                self.hub.notice(NoticeLevel::Error, &PipelineError::from(error).to_string());
-                Ok(())
-            }
-            Err(error) => Err(error.into()),
-        }
-    }
-
-    /// Fetches again the records that have a proof by now. Returns whether the gateway was asked anything.
-    async fn settle_proofs(
-        &self,
-        client: &mut Client,
-        mirror: &Mirror<'_>,
-        sources: &BTreeMap<Address, Hash>,
-    ) -> Result<bool, Broken> {
-        let mut asked = false;
-        for source in sources.keys() {
-            let waiting = mirror.unproven(*source, CHECKED)?;
-            if waiting.is_empty() {
-                continue;
-            }
-            asked = true;
-            let standings = client.check(&waiting).await?;
-            let anchored = |standing: &Standing| matches!(standing, Standing::Anchored | Standing::Verified);
-            for (digest, _) in waiting.iter().zip(&standings).filter(|(_, standing)| anchored(standing)) {
-                match client.fetch(digest).await {
-                    Ok(record) => {
-                        if mirror.take(*source, *digest, record).await? {
-                            self.hub.confirmed.notify_one();
-                            self.hub.changed(Part::Uploads);
-                        }
-                    }
-                    Err(GatewayError::Refused(Code::NotFound | Code::NotAuthorised | Code::Tampered)) => {}
-                    Err(error) => return Err(error.into()),
-                }
-            }
-        }
-        Ok(asked)
     }
 }

@@ -1,5 +1,5 @@
-//! What the owner of this home had erased is told to each gateway that it joins, which overwrites its copies and tells the others
-//! of its fleet. Told is what is gone here, by the owner's statement under both keys.
+//! What the owner of this home had erased is told to the gateway that it joins, which overwrites its copies: what is gone
+//! here, by the owner's statement under both keys.
 
 use std::time::{Duration, Instant};
 
@@ -7,11 +7,11 @@ use tokio::task::block_in_place;
 
 use super::remote::Remote;
 use super::{Broken, Joined};
-use crate::gateway::command::erasures::MOST_ERASURES;
-use crate::gateway::{Client, Code, ErasureOutcome, GatewayError, ToldErasure};
+use crate::gateway::command::erasure::MOST_ERASURES;
+use crate::gateway::{Client, Code, ErasureNotice, ErasureOutcome, GatewayError};
 use crate::model::{Address, Digest, PublicKey, clean};
 use crate::pipeline::retention::erasing;
-use crate::pipeline::retention::told::{is_owners, told_of};
+use crate::pipeline::retention::told::{is_owners, notice_of};
 use crate::pipeline::{Network, Owner, PipelineError};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::{ErasureView, Failure};
@@ -23,11 +23,11 @@ const SOON: Duration = Duration::from_secs(60);
 /// The most pages told without looking at anything else.
 const MOST_PAGES: usize = 8;
 
-/// How far a gateway was told, over all sessions with it.
+/// How far the gateway was told, over all sessions with it.
 #[derive(Debug, Default)]
 pub(super) struct OwnErasures {
     after: u64,
-    /// What was noted after this number was told to nobody there before.
+    /// What was noted after this number was never told before.
     known: Option<u64>,
     begun: Option<Instant>,
     at_end: bool,
@@ -37,7 +37,7 @@ pub(super) struct OwnErasures {
     will: Will,
 }
 
-/// Whether a gateway takes any of it: one of an earlier version does not, nor one that serves the owner no more.
+/// Whether the gateway takes any of it: one that no longer serves the owner does not.
 #[derive(Debug, Default, PartialEq, Eq)]
 enum Will {
     #[default]
@@ -68,7 +68,7 @@ impl Told {
 }
 
 impl OwnErasures {
-    /// Another session: perhaps with a later version.
+    /// Another session: it may serve the owner again.
     pub fn connected(&mut self) {
         if self.will == Will::Refuses {
             self.will = Will::Refused;
@@ -85,7 +85,7 @@ impl OwnErasures {
         }
     }
 
-    /// The place behind which nothing was told to this gateway, as of the last run of this home.
+    /// The place behind which nothing was told, as of the last run of this home.
     fn load(&mut self, joined: &Joined, name: &str) -> Result<u64, Failure> {
         if let Some(known) = self.known {
             return Ok(known);
@@ -145,14 +145,14 @@ impl Joined {
         &self,
         client: &mut Client,
         remote: &Remote,
-        records: Vec<ToldErasure>,
+        records: Vec<ErasureNotice>,
         will: &mut Will,
     ) -> Result<Option<Told>, Broken> {
         if records.is_empty() {
             return Ok(Some(Told::default()));
         }
         let count = records.len();
-        match client.tell_erasures(records).await {
+        match client.erase(records).await {
             Ok(outcomes) => Ok(Some(Told::of(&outcomes))),
             Err(GatewayError::Refused(code)) if code != Code::Stale => {
                 if std::mem::replace(will, Will::Refuses) == Will::Unknown {
@@ -183,17 +183,17 @@ impl Joined {
         owner: Address,
         network: &Network,
         erasures: &[(Digest, Vec<u8>, Vec<u8>)],
-    ) -> Result<Vec<ToldErasure>, PipelineError> {
+    ) -> Result<Vec<ErasureNotice>, PipelineError> {
         let mut own = Vec::with_capacity(erasures.len());
         for (digest, statement, account) in erasures {
-            let one = told_of(&self.plant, network, (*digest, statement, account))?;
+            let one = notice_of(&self.plant, network, (*digest, statement, account))?;
             own.extend(one.filter(|one| one.is_of(owner)));
         }
         Ok(own)
     }
 
     async fn note(&self, remote: &Remote, owner: &Owner, outcome: &Told) {
-        let address = clean(remote.address(), 255);
+        let address = remote.address();
         let Told { taken, left, refused } = outcome;
         if *taken > 0 {
             let (subject, heard) = (format!("{taken} records"), format!("the gateway {address} erases its copies"));
@@ -213,23 +213,15 @@ impl Joined {
     }
 
     fn warn_of_copies(&self, remote: &Remote, code: Code, count: usize) {
-        let why = match code {
-            Code::Malformed => "it is of an earlier version; ask its operator to update it".to_owned(),
-            code => clean(&GatewayError::Refused(code).to_string(), 300),
-        };
-        let address = clean(remote.address(), 255);
+        let (address, why) = (remote.address(), clean(&GatewayError::Refused(code).to_string(), 300));
         let text = format!("the gateway {address} was told what was erased and keeps its copies ({count}): {why}");
         self.hub.notice(NoticeLevel::Warning, &text);
     }
 
-    /// What an erasure does not reach, where this site joins gateways.
+    /// What an erasure does not reach, where this site joins a gateway.
     pub(in crate::site) fn names_who_is_told(&self, mut view: ErasureView) -> ErasureView {
-        if let (Some(remotes), Some(copies)) = (&self.remotes, view.stays.first_mut()) {
-            *copies = format!(
-                "copies that readers have fetched, and those at gateways of an earlier version or outside the fleet of {}, which this \
-                 home tells",
-                clean(&remotes.addresses(), 600)
-            );
+        if let (Some(remote), Some(copies)) = (&self.remote, view.stays.first_mut()) {
+            *copies = format!("copies that readers have fetched; the gateway {} erases its own", remote.address());
         }
         view
     }

@@ -1,28 +1,35 @@
-//! One gateway of the site that this one joins: records come from there, and the chain may, for which that operator's
-//! word has to be trusted. What follows from signatures and digests is still checked here.
+//! The gateway of the site that this one joins: records come from there, and the chain, for which that operator's word has
+//! to be trusted. What follows from signatures and digests is still checked here.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 use tokio::task::block_in_place;
 
+use super::Joined;
+use crate::chain::{Chain, ChainOptions, Endpoint, Pin, Relay, RelayLine};
+use crate::config::RemoteSite;
 use crate::crypto::transport_file::{TransportUse, load_transport_key, save_transport_key};
 use crate::crypto::{Provider, TransportKey};
 use crate::gateway::{
-    Applicant, ChainLine, Client, Context, Credentials, Endpoint as GatewayEndpoint, GatewayError, KeptTrust,
-    NetworkName,
+    Applicant, ChainLine, Client, Code, Context, Credentials, Endpoint as GatewayEndpoint, GatewayError, GrantNotice,
+    KeptTrust, NetworkName, RevokeNotice,
 };
-use crate::model::{Address, Domain, ErrorKind, ProfileName, SignerId};
+use crate::model::{Address, Domain, ErrorKind, ProfileName, SignerId, clean};
 use crate::paths::Home;
 use crate::pipeline::{Network, Owner};
+use crate::service::event::NoticeLevel;
 use crate::service::failure::{internal, refused};
 use crate::service::reply::Failure;
+use crate::site::chain::connection::Lost;
 
-/// How long a gateway may take to answer.
+/// How long the gateway may take to answer.
 const PATIENCE: Duration = Duration::from_secs(20);
+/// How long a command waits until the gateway's records are here.
+const FIRST_ROUND: Duration = Duration::from_secs(90);
+
 /// What a profile's mirror has come to.
 #[derive(Debug, Clone)]
 pub(in crate::site) enum Mirrored {
@@ -36,13 +43,13 @@ pub(in crate::site) enum Mirrored {
 
 /// The progress of a profile's mirror.
 #[derive(Debug, Clone, Default)]
-pub(in crate::site) struct Progress {
+struct Progress {
     /// Since when it has neither caught up nor failed; nothing if that is how it stands.
-    pub behind_since: Option<Instant>,
+    behind_since: Option<Instant>,
     /// How often it has caught up or failed. A gateway that ends each subscription at once lets it catch up for moments.
-    pub settled: u64,
+    settled: u64,
     /// The end of the last attempt.
-    pub last: Option<Result<(), Failure>>,
+    last: Option<Result<(), Failure>>,
 }
 
 impl Progress {
@@ -61,9 +68,7 @@ impl Progress {
 
 /// The link to the gateway.
 pub(crate) struct Remote {
-    address: String,
-    /// Its key, if it is not the first gateway: what is kept of it has a name of its own.
-    named: Option<SignerId>,
+    addresses: Vec<String>,
     provider: &'static dyn Provider,
     trust: Arc<KeptTrust>,
     line: Mutex<Option<Arc<ChainLine>>>,
@@ -71,51 +76,37 @@ pub(crate) struct Remote {
 }
 
 impl Remote {
-    /// The gateway at `address`, trusted according to the note in a file; nothing is sent yet.
-    pub fn new(address: &str, named: Option<SignerId>, trust: KeptTrust, provider: &'static dyn Provider) -> Self {
-        Self {
-            address: address.to_owned(),
-            named,
-            provider,
-            trust: Arc::new(trust),
-            line: Mutex::default(),
-            mirrored: watch::channel(BTreeMap::new()).0,
-        }
-    }
-
-    /// Host and port.
-    pub fn address(&self) -> &str {
-        &self.address
-    }
-
-    /// Where a profile's transport key for this gateway is kept.
-    pub fn transport_key(&self, home: &Home, profile: &ProfileName) -> PathBuf {
-        match &self.named {
-            None => home.transport_key(profile),
-            Some(gateway) => home.transport_key_at(profile, gateway),
-        }
-    }
-
-    /// The progress of each profile's mirror, from now on.
-    pub fn follow(&self) -> watch::Receiver<BTreeMap<ProfileName, Progress>> {
-        self.mirrored.subscribe()
-    }
-
-    /// The network that the gateway says it is on; nothing is proven yet.
+    /// As named in the settings; nothing is sent yet.
     ///
     /// # Errors
-    /// If it does not answer.
-    pub async fn inquire(&self) -> Result<NetworkName, GatewayError> {
-        Client::inquire(&self.address, PATIENCE).await
+    /// Another gateway was pinned, or the note about it cannot be read.
+    pub fn new(site: &RemoteSite, home: &Home, provider: &'static dyn Provider) -> Result<Self, Failure> {
+        let trust = KeptTrust::open(home.gateway_trust(), site.gateway_key, site.trust_first)?;
+        Ok(Self::trusting(site.addresses.clone(), trust, provider))
+    }
+
+    fn trusting(addresses: Vec<String>, trust: KeptTrust, provider: &'static dyn Provider) -> Self {
+        let (trust, mirrored) = (Arc::new(trust), watch::channel(BTreeMap::new()).0);
+        Self { addresses, provider, trust, line: Mutex::default(), mirrored }
+    }
+
+    /// Its addresses, for people.
+    pub fn address(&self) -> String {
+        clean(&self.addresses.join(", "), 600)
+    }
+
+    /// Where the chain comes from, in words.
+    pub fn chain_text(&self) -> String {
+        format!("as reported by the gateway {}, not by your own node", self.address())
     }
 
     fn endpoint(&self, domain: Domain) -> GatewayEndpoint {
         let context = Context { provider: self.provider, domain };
-        GatewayEndpoint { address: self.address.clone(), context, patience: PATIENCE }
+        GatewayEndpoint { addresses: self.addresses.clone(), context, patience: PATIENCE }
     }
 
     /// The line to the chain behind it.
-    pub fn line(&self, domain: Domain) -> Result<Arc<ChainLine>, Failure> {
+    fn line(&self, domain: Domain) -> Result<Arc<ChainLine>, Failure> {
         let mut slot = self.line.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(line) = slot.as_ref().filter(|line| line.endpoint().context.domain == domain) {
             return Ok(Arc::clone(line));
@@ -126,6 +117,32 @@ impl Remote {
         Ok(line)
     }
 
+    /// The chain behind the gateway; it must be the pinned one if there is a pin.
+    ///
+    /// # Errors
+    /// If the gateway does not answer, or its chain does not, or is a different one.
+    pub async fn chain(
+        &self,
+        pinned: Option<Pin>,
+        contract: Option<Address>,
+        confirmations: u64,
+    ) -> Result<Chain, Lost> {
+        let named = match &pinned {
+            Some(pin) => NetworkName { chain_id: pin.chain_id, genesis: pin.genesis, contract: pin.contract },
+            None => Client::inquire(&self.addresses, PATIENCE).await.map_err(Failure::from)?,
+        };
+        let line = self.line(named.domain())?;
+        line.meet().await.map_err(Failure::from)?;
+        let contract = Some(contract.unwrap_or(named.contract));
+        let endpoint = Endpoint::Relay(RelayLine(line as Arc<dyn Relay>));
+        let chain = Chain::connect(ChainOptions { endpoint, contract, pinned, confirmations }).await?;
+        if (chain.chain_id(), chain.genesis()) != (named.chain_id, named.genesis) {
+            let what = "forwards a different chain than its own; do not continue, ask its operator to explain";
+            return Err(refused(format!("the gateway {} {what}", self.address())).into());
+        }
+        Ok(chain)
+    }
+
     /// The account that registered the gateway's identity key.
     pub fn keeper(&self, network: &Network) -> Result<Address, Failure> {
         let gateway = self.gateway()?;
@@ -133,14 +150,9 @@ impl Remote {
             refused(format!(
                 "the gateway {} is not registered on the chain it presents: no account has its key {gateway}; ask its \
                  operator, and compare the fingerprint",
-                self.address
+                self.address()
             ))
         })
-    }
-
-    /// Its key, once it is pinned.
-    pub fn key(&self) -> Option<SignerId> {
-        self.trust.current().pinned
     }
 
     fn gateway(&self) -> Result<SignerId, Failure> {
@@ -155,7 +167,7 @@ impl Remote {
 
     /// A session in the owner's name; allocates the transport key if there is none, or none that is accepted.
     pub async fn connect(&self, home: &Home, owner: &Owner, network: &Network) -> Result<Client, GatewayError> {
-        let (path, gateway) = (self.transport_key(home, &owner.profile), self.trust.current().pinned);
+        let (path, gateway) = (home.transport_key(&owner.profile), self.trust.current().pinned);
         let endpoint = self.endpoint(network.domain);
         let unmet = GatewayError::Unexpected("no gateway has been contacted yet");
         let usage = TransportUse { domain: &network.domain, gateway: &gateway.ok_or(unmet)?, name: &owner.profile };
@@ -166,7 +178,7 @@ impl Remote {
         if let Some(key) = known {
             match self.open(&endpoint, credentials(key)).await {
                 // Sent in clear: without a common key there is no other way. The allocation proves itself.
-                Err(GatewayError::RefusedInClear(crate::gateway::Code::Tag)) => {}
+                Err(GatewayError::RefusedInClear(Code::Tag)) => {}
                 opened => return opened,
             }
         }
@@ -205,16 +217,111 @@ impl Remote {
         });
     }
 
-    /// As if it had been behind since then.
-    #[cfg(test)]
-    pub(super) fn set_behind_since(&self, profile: &ProfileName, since: Instant) {
-        self.mirrored.send_modify(|all| all.entry(profile.clone()).or_default().behind_since = Some(since));
-    }
-
     /// Notes the progress of a profile's mirror.
     pub fn note(&self, profile: &ProfileName, mirrored: Mirrored) {
         self.mirrored.send_modify(|all| {
             all.entry(profile.clone()).or_default().note(mirrored);
         });
+    }
+
+    /// Waits until the mirror has caught up for a profile, or failed; nothing if it has been behind for too long.
+    async fn settled(&self, profile: &ProfileName) -> Option<Result<(), Failure>> {
+        let mut progress = self.mirrored.subscribe();
+        let begun = progress.borrow().get(profile).cloned().unwrap_or_default();
+        let patience = FIRST_ROUND.saturating_sub(begun.behind_since.map_or(Duration::ZERO, |since| since.elapsed()));
+        let is_settled =
+            |one: &Progress| one.settled > begun.settled || (one.settled > 0 && one.behind_since.is_none());
+        let settled = progress.wait_for(|all| all.get(profile).is_some_and(is_settled));
+        let all = tokio::time::timeout(patience, settled).await.ok()?.ok()?;
+        all.get(profile)?.last.clone()
+    }
+}
+
+impl Joined {
+    /// Waits until the gateway's records for a profile are here; returns at once if this site joins none.
+    ///
+    /// # Errors
+    /// Why the last attempt failed, or that not all are here yet.
+    pub(in crate::site) async fn caught_up(&self, profile: &ProfileName) -> Result<(), Failure> {
+        let Some(remote) = &self.remote else { return Ok(()) };
+        self.link.network().await?;
+        remote.settled(profile).await.unwrap_or_else(|| {
+            let text =
+                format!("the records of the gateway {} are still arriving; try again in a moment", remote.address());
+            Err(Failure::new(ErrorKind::Incomplete, text))
+        })
+    }
+
+    /// Tells the gateway of a grant, so that it need not wait for the chain.
+    pub(in crate::site) async fn tell_of_grant(&self, owner: &Owner, network: &Network, notice: GrantNotice) {
+        if let Some(remote) = &self.remote {
+            let told =
+                async { remote.connect(&self.home, owner, network).await?.grant(&owner.signing(), notice).await };
+            self.warn_untold(told.await.err());
+        }
+    }
+
+    /// Tells the gateway of a revoke, so that it obeys at once.
+    pub(in crate::site) async fn tell_of_revoke(&self, owner: &Owner, network: &Network, notice: RevokeNotice) {
+        if let Some(remote) = &self.remote {
+            let told =
+                async { remote.connect(&self.home, owner, network).await?.revoke(&owner.signing(), notice).await };
+            self.warn_untold(told.await.err());
+        }
+    }
+
+    fn warn_untold(&self, error: Option<GatewayError>) {
+        if let Some(error) = error {
+            let text = format!("the gateway could not be told and will learn of it from the chain: {error}");
+            self.hub.notice(NoticeLevel::Warning, &text);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::expect_used, reason = "a test fails by panicking")]
+
+    use super::*;
+    use crate::crypto::{ProviderName, provider};
+
+    fn remote(folder: &tempfile::TempDir) -> Remote {
+        let trust = KeptTrust::open(folder.path().join("trust"), None, true).expect("a note");
+        Remote::trusting(vec!["127.0.0.1:1".to_owned()], trust, provider(ProviderName::RustCrypto))
+    }
+
+    #[tokio::test]
+    async fn a_gateway_that_lets_a_mirror_catch_up_for_moments_only_keeps_nobody_waiting() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (remote, profile) = (Arc::new(remote(&folder)), "bob".parse::<ProfileName>().expect("a name"));
+        remote.note(&profile, Mirrored::Behind);
+        let waiting = {
+            let (remote, profile) = (Arc::clone(&remote), profile.clone());
+            tokio::spawn(async move { remote.settled(&profile).await })
+        };
+        tokio::task::yield_now().await;
+        // The one who waits is on one thread with this, and sees only what is last.
+        remote.note(&profile, Mirrored::Caught);
+        remote.note(&profile, Mirrored::Behind);
+        assert_eq!(waiting.await.expect("no panic"), Some(Ok(())));
+
+        remote.note(&profile, Mirrored::Failed(refused("no")));
+        let failed = remote.settled(&profile).await;
+        assert!(matches!(failed, Some(Err(failure)) if failure.message == "no"), "as it stands");
+    }
+
+    #[tokio::test]
+    async fn a_gateway_that_never_comes_to_an_end_is_waited_for_once() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (remote, profile) = (remote(&folder), "bob".parse::<ProfileName>().expect("a name"));
+        remote.note(&profile, Mirrored::Caught);
+        remote.note(&profile, Mirrored::Behind);
+        remote.note(&profile, Mirrored::Behind);
+        let begun = Instant::now();
+        let short = tokio::time::timeout(Duration::from_millis(50), remote.settled(&profile)).await;
+        assert!(short.is_err(), "it may come to its end yet");
+        let long_ago = begun.checked_sub(FIRST_ROUND).expect("a machine up for longer");
+        remote.mirrored.send_modify(|all| all.entry(profile.clone()).or_default().behind_since = Some(long_ago));
+        assert_eq!(remote.settled(&profile).await, None);
     }
 }

@@ -97,7 +97,7 @@ impl Recordings {
         match command {
             RecordingCommand::Import(wishes) => self.import_recording(owner, wishes).await.map(ImportWishes::told),
             RecordingCommand::Export(wishes) => {
-                self.joined.all_caught_up(&owner.profile).await?;
+                self.joined.caught_up(&owner.profile).await?;
                 self.export_recording(owner, wishes).await.map(ExportWishes::told)
             }
             RecordingCommand::Progress => Ok(RecordingProgress::told(self.runs.of(&owner.profile))),

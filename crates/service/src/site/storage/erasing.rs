@@ -27,7 +27,7 @@ const LOOK: (Duration, u32) = (Duration::from_millis(500), 240);
 
 /// What erasing does not reach, said each time.
 const STAYS: [&str; 4] = [
-    "copies that readers have fetched, and those at gateways that are not of this fleet or of an earlier version",
+    "copies that readers have fetched",
     "backups, exports and evidence bundles made before",
     "a robot's own disk, until its copies leave by outbox.keep or fall out of its ring",
     "the files of a Redis vault, until its server rewrites them, and what a disk keeps of overwritten blocks",

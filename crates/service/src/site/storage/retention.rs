@@ -88,7 +88,7 @@ impl Storage {
         self.tell(owner, &Round { deleted, ..Round::default() }).await
     }
 
-    /// What other gateways of the fleet said was erased, whoever's profile is open here.
+    /// What owners whose homes join this gateway had erased, whichever profile is open here.
     async fn sweep_told(self: &Arc<Self>) -> Result<(), Failure> {
         let named = self.plant.ledger.named_elsewhere();
         if self.seen.0.swap(named, Ordering::AcqRel) != named {

@@ -1,0 +1,145 @@
+//! The notice of where a robot finds its gateway. The notice is signed by d_C, and its content by the owner's account: a
+//! thief who has only one of them cannot cut a robot off from its gateway.
+
+use crate::model::wire::{Reader, WireError, put_text};
+use crate::model::{Address, Domain, SignerId};
+
+use super::enrolment::{LONGEST_ADDRESS, MOST_ADDRESSES};
+use super::{AccountSignature, CryptoError, EoaSecret, TypedStructure, recover_account, sign_hash};
+
+/// The EIP-712 type that the account signs.
+const TYPE: &str = "Addresses(address owner,bytes32 device,bytes32 gateway,bytes addresses)";
+const WHAT: &str = "list of a gateway's addresses";
+
+/// All addresses of a robot's gateway.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct GatewayAddresses {
+    /// SM3 of the gateway's identity key.
+    pub gateway: SignerId,
+    /// Host:port each, in the order in which they are tried; at least one, at most [`MOST_ADDRESSES`].
+    pub addresses: Vec<String>,
+    /// The owner's EOA signature over them, the gateway and the device.
+    pub account_signature: AccountSignature,
+}
+
+impl GatewayAddresses {
+    /// The owner's list for a device, signed by the account.
+    ///
+    /// # Errors
+    /// [`CryptoError::Length`] for too many or none, [`CryptoError::Internal`].
+    pub fn sign(
+        domain: &Domain,
+        account: &EoaSecret,
+        device: SignerId,
+        (gateway, addresses): (SignerId, Vec<String>),
+    ) -> Result<Self, CryptoError> {
+        if !(1..=MOST_ADDRESSES).contains(&addresses.len()) {
+            return Err(CryptoError::Length { what: WHAT, found: addresses.len(), allowed: "1 to 8 addresses" });
+        }
+        let hash = signed_hash(domain, (&account.address(), &device), &gateway, &addresses);
+        Ok(Self { gateway, addresses, account_signature: sign_hash(account, &hash)? })
+    }
+
+    /// Whether the owner's account signed this list for this device. The signer of the notice was checked with the
+    /// record.
+    ///
+    /// # Errors
+    /// [`CryptoError::NotAccepted`].
+    pub fn check(&self, domain: &Domain, owner: &Address, device: &SignerId) -> Result<(), CryptoError> {
+        let hash = signed_hash(domain, (owner, device), &self.gateway, &self.addresses);
+        if recover_account(&hash, &self.account_signature).is_ok_and(|account| account == *owner) {
+            return Ok(());
+        }
+        Err(CryptoError::NotAccepted { what: WHAT, field: "account's signature" })
+    }
+
+    /// Fingerprint (32), count (1, 1 to 8), each address with its length (2), the account's signature (65).
+    pub fn encode(&self) -> Vec<u8> {
+        [&self.gateway.0[..], &encoded(&self.addresses), &self.account_signature.0].concat()
+    }
+
+    /// From its encoding; only the form is checked.
+    ///
+    /// # Errors
+    /// [`WireError`] if it is malformed.
+    pub fn parse(bytes: &[u8]) -> Result<Self, WireError> {
+        let mut reader = Reader::new(bytes);
+        let gateway = SignerId(reader.array("fingerprint")?);
+        let addresses = read_addresses(&mut reader)?;
+        let account_signature = AccountSignature(reader.array("account's signature")?);
+        reader.end()?;
+        Ok(Self { gateway, addresses, account_signature })
+    }
+}
+
+/// Count (1), each address with its length (2).
+pub(super) fn encoded(addresses: &[String]) -> Vec<u8> {
+    let addresses = &addresses[..addresses.len().min(MOST_ADDRESSES)];
+    let mut out = vec![u8::try_from(addresses.len()).unwrap_or(0)];
+    addresses.iter().for_each(|address| put_text(&mut out, address));
+    out
+}
+
+/// At least one, at most [`MOST_ADDRESSES`], each of at most [`LONGEST_ADDRESS`] bytes.
+pub(super) fn read_addresses(reader: &mut Reader<'_>) -> Result<Vec<String>, WireError> {
+    let count = usize::from(reader.u8("address count")?);
+    if !(1..=MOST_ADDRESSES).contains(&count) {
+        return Err(WireError::Value("address count"));
+    }
+    let mut addresses = Vec::with_capacity(count);
+    for _ in 0..count {
+        let address = reader.text("address")?;
+        if address.is_empty() || address.len() > LONGEST_ADDRESS {
+            return Err(WireError::Value("address"));
+        }
+        addresses.push(address);
+    }
+    Ok(addresses)
+}
+
+fn signed_hash(
+    domain: &Domain,
+    (owner, device): (&Address, &SignerId),
+    gateway: &SignerId,
+    addresses: &[String],
+) -> [u8; 32] {
+    let structure = TypedStructure::new(TYPE).address(owner).word(&device.0).word(&gateway.0);
+    structure.bytes(&encoded(addresses)).signing_hash(domain)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_owners_account_names_the_addresses_of_a_robots_gateway() {
+        let (account, thief) = (EoaSecret::generate().expect("generates"), EoaSecret::generate().expect("generates"));
+        let (domain, owner, device) = (Domain([1; 32]), account.address(), SignerId([9; 32]));
+        let listed = |count: u8| {
+            let addresses = (0..count).map(|number| format!("gate{number}:7420")).collect();
+            (SignerId([3; 32]), addresses)
+        };
+        let list = GatewayAddresses::sign(&domain, &account, device, listed(2)).expect("signs");
+        assert!(list.check(&domain, &owner, &device).is_ok());
+        assert!(list.check(&Domain([2; 32]), &owner, &device).is_err(), "of another network");
+        assert!(list.check(&domain, &owner, &SignerId([8; 32])).is_err(), "for another robot");
+        let forged = GatewayAddresses::sign(&domain, &thief, device, listed(2)).expect("signs");
+        assert!(forged.check(&domain, &owner, &device).is_err(), "by another account");
+        for count in [0, 9] {
+            assert!(GatewayAddresses::sign(&domain, &account, device, listed(count)).is_err(), "{count}");
+        }
+
+        let bytes = list.encode();
+        assert_eq!(GatewayAddresses::parse(&bytes), Ok(list));
+        for cut in 0..bytes.len() {
+            assert!(GatewayAddresses::parse(&bytes[..cut]).is_err(), "{cut}");
+        }
+        for at in 0..bytes.len() {
+            let mut altered = bytes.clone();
+            altered[at] ^= 1;
+            if let Ok(altered) = GatewayAddresses::parse(&altered) {
+                assert!(altered.check(&domain, &owner, &device).is_err(), "byte {at}");
+            }
+        }
+    }
+}
