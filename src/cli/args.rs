@@ -184,9 +184,6 @@ pub enum Verb {
     /// Capture while the profile is locked, as at boot: make the credential for it, or end it
     #[command(subcommand)]
     Unattended(super::unattended::UnattendedVerb),
-    /// Operators: people with keys and rights of their own at this profile: add, list, remove
-    #[command(subcommand)]
-    Operators(super::operators::OperatorsVerb),
     /// Gateway: serve robots and operators that have no chain client
     #[command(subcommand)]
     Gateway(GatewayVerb),

@@ -3,7 +3,6 @@
 
 use super::args::{AgentVerb, ChainVerb, ConfigVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, TopicsVerb, Verb};
 use super::fleet::FleetVerb;
-use super::operators::OperatorsVerb;
 use super::parties::ContactsVerb;
 use crate::model::ErrorKind;
 use crate::paths::Home;
@@ -14,7 +13,8 @@ use crate::service::Failure;
 /// # Errors
 /// If there is no home, or the standard places cannot be used.
 pub fn needs_a_home(global: &Global, verb: Option<&Verb>) -> Result<(), Failure> {
-    if verb.is_none_or(makes_a_home) {
+    // An operator works at the home of somebody else.
+    if global.site_socket.is_some() || verb.is_none_or(makes_a_home) {
         return Ok(());
     }
     let home = match &global.home {
@@ -80,8 +80,6 @@ fn makes_a_home(verb: &Verb) -> bool {
         Verb::Config(verb) => {
             matches!(verb, ConfigVerb::Show | ConfigVerb::Check | ConfigVerb::Apply { check: false, .. })
         }
-        // Whoever is to be an operator has no home here.
-        Verb::Operators(verb) => matches!(verb, OperatorsVerb::Key { .. }),
     }
 }
 
@@ -109,8 +107,6 @@ mod tests {
             "grants list",
             "revoke bob",
             "fleet status",
-            "operators list",
-            "operators remove bob",
             "witness list",
             "devices list",
             "identity show",
@@ -142,7 +138,6 @@ mod tests {
             assert!(failure.message.contains("identity create"), "{words}: {failure:?}");
         }
         for words in [
-            "operators key bob",
             "serve",
             "identity create",
             "keys load --sm2 FILE",

@@ -56,7 +56,7 @@ pub use header::{Header, RecordKind};
 pub use identity::Identity;
 pub use incident::{IncidentName, IncidentNameError};
 pub use instant::Timestamp;
-pub use operator::{OperatorError, OperatorName, OperatorRight, OperatorRights};
+pub use operator::{OperatorName, OperatorNameError, OperatorRight, OperatorRights};
 pub use party::{ContactName, Party};
 pub use position::{Contradiction, Countersignature, Position, SignedPosition};
 pub use profile::ProfileName;

@@ -10,7 +10,6 @@ pub mod filter;
 mod fleet;
 mod incidents;
 mod operate;
-mod operators;
 mod playing;
 mod recordings;
 mod right;
@@ -38,12 +37,9 @@ pub use self::operate::{
     Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, ListAlerts, ListWatches, Lock, Operation,
     TestAlert,
 };
-pub use self::operators::{
-    ActAsOperator, AddOperator, ChallengeOperator, ListOperators, OperatorCommand, RemoveOperator,
-};
 pub use self::playing::{Pace, PlayWishes, Remap};
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
-pub use self::right::Needed;
+pub use self::right::{Kind, Needed};
 pub use self::robots::{LONGEST_POLICY, ListRobots, PullRing, RobotCommand, SetRobotPolicy, ShowRobot};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::unattended::{EndUnattended, PrepareUnattended, UnattendedCommand};
@@ -409,8 +405,6 @@ requests! {
         OfFleet(FleetCommand),
         /// Capture while the profile is locked.
         OfUnattended(UnattendedCommand),
-        /// Operators: people who work at the profile with keys of their own.
-        OfOperator(OperatorCommand),
     }
 }
 

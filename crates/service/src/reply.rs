@@ -10,7 +10,6 @@ mod gateways;
 mod identity;
 mod incidents;
 mod operate;
-mod operators;
 mod parties;
 mod playing;
 mod recordings;
@@ -40,7 +39,6 @@ pub use self::identity::{
 };
 pub use self::incidents::{IncidentNoteView, IncidentView, SpanCoverageView};
 pub use self::operate::{AdmittedView, GatewayStatusView, RefusedView, SenderView, SystemKeyView};
-pub use self::operators::{OperatorChallenge, OperatorState, OperatorView};
 pub use self::parties::{
     AdministrationView, CompareView, ContactRow, DeviceRow, Direction, GrantRow, GrantState, ProposalView,
     RecoveryView, SuccessionView,
@@ -246,10 +244,4 @@ replies! {
     Gateways(GatewaysView);
     /// To `PrepareUnattended`.
     UnattendedPrepared(UnattendedFile);
-    /// To `AddOperator`, `RemoveOperator` and `ListOperators`.
-    Operators(Vec<OperatorView>);
-    /// To `ChallengeOperator`.
-    OperatorChallenged(OperatorChallenge);
-    /// To `ActAsOperator`.
-    ActingOperator(OperatorView);
 }

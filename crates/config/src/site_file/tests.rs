@@ -49,8 +49,9 @@ fn examples() -> Vec<(&'static str, String)> {
             "audit.anchor_every" => "30",
             "audit.scrub" => "3",
             "metrics.listen" => "0.0.0.0:9464",
-            "metrics.open" | "metrics.topics" | "console.ascii" | "console.mouse" | "site.trust_first"
-            | "operators.required" => "yes",
+            "metrics.open" | "metrics.topics" | "console.ascii" | "console.mouse" | "site.trust_first" => "yes",
+            "operators.socket" => "/run/authros/operators.sock",
+            "operators.rights" => "{ bob = [\"look\"] }",
             "alerts.webhook" => "http://h:1/api/v2/alerts",
             "alerts.form" => "alertmanager",
             "alerts.secret" | "alerts.roots" => return secret.display().to_string(),

@@ -225,7 +225,6 @@ impl Site {
             }
             Command::OfFleet(command) => self.gateway.of_fleet(&profile, command).await,
             Command::OfUnattended(command) => self.unattended.answer(&owner()?, command).await,
-            Command::OfOperator(command) => self.operators.answer(&profile, command, claims).await,
         }
     }
 
@@ -253,7 +252,7 @@ impl Site {
         Ok(told)
     }
 
-    /// Answers one of an operator's requests; none needs the keyring open.
+    /// Answers a request about the site itself; none needs the keyring open.
     async fn operate(self: &Arc<Self>, profile: &ProfileName, operation: Operation) -> Result<Reply, Failure> {
         match operation {
             Operation::Lock => self.profiles.lock(profile).await.map(ask::Lock::told),

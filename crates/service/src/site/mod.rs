@@ -54,7 +54,7 @@ pub(crate) use consoles::{Claims, joiner};
 pub(crate) use contacts::BOOK;
 pub(super) use devices::enrolled::Enrolled;
 pub use devices::enrolling::EnrolWishes;
-pub(crate) use operators::Heard;
+pub(crate) use operators::{Asker, Heard};
 pub use reading::view::record_page;
 pub(crate) use unattended::{NOTED, Noted};
 
