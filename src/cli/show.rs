@@ -4,8 +4,8 @@ use std::io::Write as _;
 use std::path::Path;
 
 use super::{
-    adopt, alerts, audit, check, coverage, gateway, incidents, lists, operators, parties, policy, quarantine, robots,
-    viewing,
+    adopt, alerts, audit, check, coverage, fleet, gateway, gateways, incidents, lists, operators, parties, policy,
+    quarantine, robots, viewing,
 };
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
@@ -135,7 +135,6 @@ rows! {
     AdmittedView, "admitted" => gateway::admitted;
     IncidentView, "incidents" => incidents::all;
     RobotRow, "robots" => robots::all;
-    OperatorView, "operators" => operators::all;
 }
 
 impl Printed for () {

@@ -231,7 +231,13 @@ impl Forwarder {
     }
 
     fn outbox(&self) -> Outbox {
-        Outbox::new(self.plant.clone(), self.robot.home.clone(), self.keeping.clone(), Arc::clone(&self.refused), self.pace)
+        Outbox::new(
+            self.plant.clone(),
+            self.robot.home.clone(),
+            self.keeping.clone(),
+            Arc::clone(&self.refused),
+            self.pace,
+        )
     }
 
     /// Deletes ciphertext whose proof was checked and signed long enough ago; on a full disk the oldest of it early.

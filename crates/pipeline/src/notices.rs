@@ -317,8 +317,6 @@ pub fn open_notice(
     Err(PipelineError::Refused("it is not a notice to a robot".to_owned()))
 }
 
-        // It has neither a gateway nor a ring, and its owner sets what it watches.
-        Notice::Keys(_) | Notice::Addresses(_) | Notice::Pull(_) | Notice::Policy(_) | Notice::Unknown(_) => {
 /// Notes what is asked of the ring before the notice counts as taken; what was done, in words.
 fn asked(ring: Option<&Ledger>, number: u64, span: &RingSpan) -> Result<String, PipelineError> {
     let RingSpan { since, until, .. } = span;

@@ -8,7 +8,6 @@ mod forging;
 mod identity;
 mod incidents;
 mod operate;
-mod operators;
 mod parties;
 mod playing;
 mod recordings;
@@ -34,7 +33,6 @@ pub use self::identity::{
 };
 pub use self::incidents::{IncidentNoteView, IncidentView, SpanCoverageView};
 pub use self::operate::{AdmittedView, GatewayStatusView, RefusedView, SenderView, SystemKeyView};
-pub use self::operators::{OperatorChallenge, OperatorState, OperatorView};
 pub use self::parties::{
     AdministrationView, CompareView, ContactRow, DeviceRow, Direction, GrantRow, GrantState, ProposalView,
     RecoveryView, SuccessionView,
@@ -222,10 +220,4 @@ replies! {
     Robots(Vec<RobotRow>);
     /// To `ShowRobot` and `SetRobotPolicy`.
     Robot(RobotView);
-    /// To `AddOperator`, `RemoveOperator` and `ListOperators`.
-    Operators(Vec<OperatorView>);
-    /// To `ChallengeOperator`.
-    OperatorChallenged(OperatorChallenge);
-    /// To `ActAsOperator`.
-    ActingOperator(OperatorView);
 }

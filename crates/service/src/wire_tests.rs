@@ -92,11 +92,6 @@ pub(crate) const REQUESTS: &[&str] = &[
     r#"{"command":"of_incident","incident":"note_incident","name":"crash","text":"n"}"#,
     r#"{"command":"of_incident","incident":"close_incident","name":"crash"}"#,
     r#"{"command":"of_incident","incident":"remove_incident","name":"crash"}"#,
-    r#"{"command":"of_operator","operator":"add_operator","name":"bob","key":"07070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707","rights":"look,capture","until":null}"#,
-    r#"{"command":"of_operator","operator":"remove_operator","name":"bob"}"#,
-    r#"{"command":"of_operator","operator":"list_operators"}"#,
-    r#"{"command":"of_operator","operator":"challenge_operator"}"#,
-    r#"{"command":"of_operator","operator":"act_as_operator","name":"bob","proof":"08080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808"}"#,
     r#"{"command":"open_console"}"#,
 ];
 
@@ -136,9 +131,6 @@ const REPLIES: &[&str] = &[
     r#"{"reply":"incidents","with":[]}"#,
     r#"{"reply":"ring_pull","with":{"robot":"scout","device":"0707070707070707070707070707070707070707070707070707070707070707","since":"2026-01-01T00:00:00Z","until":"2026-01-01T00:05:00Z","topics":["/camera/**"]}}"#,
     r#"{"reply":"audit","with":[{"line":1,"at":"2026-01-01T00:00:00Z","profile":"default","operator":"bob","action":"watch","subject":"/odom","outcome":"done"}]}"#,
-    r#"{"reply":"operators","with":[{"name":"bob","key":"0707070707070707070707070707070707070707070707070707070707070707","rights":"look,grant","from":"2026-01-01T00:00:00Z","until":null,"state":"not_signed"}]}"#,
-    r#"{"reply":"operator_challenged","with":{"challenge":"0707070707070707070707070707070707070707070707070707070707070707","account":"0x0707070707070707070707070707070707070707"}}"#,
-    r#"{"reply":"acting_operator","with":{"name":"bob","key":"0707070707070707070707070707070707070707070707070707070707070707","rights":"look","from":"2026-01-01T00:00:00Z","until":"2026-01-02T00:00:00Z","state":"stands"}}"#,
 ];
 
 fn changed<T: Serialize + DeserializeOwned>(lines: &[&str]) -> Vec<String> {

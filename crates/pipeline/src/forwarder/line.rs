@@ -41,12 +41,7 @@ pub(super) struct Line<'a> {
 }
 
 impl<'a> Line<'a> {
-    pub fn new(
-        outbox: Outbox,
-        gate: Gate,
-        link: watch::Sender<Link>,
-        errand: &'a mut Option<Box<dyn Errand>>,
-    ) -> Self {
+    pub fn new(outbox: Outbox, gate: Gate, link: watch::Sender<Link>, errand: &'a mut Option<Box<dyn Errand>>) -> Self {
         Self {
             look_after: outbox.pace.longest_pause,
             outbox,

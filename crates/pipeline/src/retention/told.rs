@@ -2,7 +2,7 @@
 //! it, and only what they would accept now.
 
 use crate::crypto::{AccountSignature, ErasedStatement, signer_id};
-use crate::gateway::{ErasedRecord, Fetched, ErasureNotice};
+use crate::gateway::{ErasedRecord, ErasureNotice, Fetched};
 use crate::model::{Address, Digest, Header, PublicKey};
 use crate::pipeline::authority::{Moment, SigningRight, key_of, may_sign};
 use crate::pipeline::proof::anchor_proof;

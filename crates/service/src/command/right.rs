@@ -3,8 +3,11 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
+use serde::Deserialize;
+
 use super::{
-    Command, IncidentCommand, Operation, OperatorCommand, PolicyCommand, RecordingCommand, RobotCommand, StoreCommand,
+    Command, IncidentCommand, Operation, PolicyCommand, RecordingCommand, RobotCommand, StoreCommand,
+    
     Viewing,
 };
 use crate::model::OperatorRight;
@@ -12,12 +15,12 @@ use crate::model::OperatorRight;
 /// Who may make a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Needed {
-    /// Anybody who reaches the socket: it shows only who asks.
-    Nothing,
     /// An operator with this right, and the owner.
     Right(OperatorRight),
     /// The owner alone.
     Owner,
+    /// The owner alone, for it carries a passphrase.
+    Passphrase,
 }
 
 const LOOK: Needed = Needed::Right(OperatorRight::Look);
@@ -28,10 +31,25 @@ impl Needed {
     /// Its word, a constant: what is counted where it is refused.
     pub fn word(self) -> &'static str {
         match self {
-            Self::Nothing => "nothing",
             Self::Right(right) => right.word(),
             Self::Owner => "owner",
+            Self::Passphrase => "passphrase",
         }
+    }
+}
+
+/// A request by its tags, read without the rest of it.
+#[derive(Debug, Deserialize)]
+pub struct Kind {
+    command: String,
+    of_store: Option<String>,
+}
+
+impl Kind {
+    /// Whether such requests need [`Needed::Passphrase`].
+    pub fn carries_passphrase(&self) -> bool {
+        let with = ["create_identity", "unlock", "load_key", "change_passphrase", "export_key", "enrol_device"];
+        with.contains(&self.command.as_str()) || self.of_store.as_deref() == Some("back_up")
     }
 }
 
@@ -70,12 +88,13 @@ impl Command {
             Self::Grant { .. } | Self::ExtendGrant { .. } | Self::Revoke { .. } => GRANT,
             Self::CreateIdentity { .. }
             | Self::Unlock { .. }
-            | Self::Register
             | Self::LoadKey { .. }
-            | Self::RotateKeys
-            | Self::RotateEnvelope
             | Self::ChangePassphrase { .. }
             | Self::ExportKey { .. }
+            | Self::EnrolDevice(_) => Needed::Passphrase,
+            Self::Register
+            | Self::RotateKeys
+            | Self::RotateEnvelope
             | Self::ReleaseHeld { .. }
             | Self::DiscardHeld { .. }
             | Self::ExportUpload { .. }
@@ -89,7 +108,6 @@ impl Command {
             | Self::RecallDevice { .. }
             | Self::AddDeviceTopics { .. }
             | Self::AddDeviceAddress { .. }
-            | Self::EnrolDevice(_)
             | Self::AddContact { .. }
             | Self::RemoveContact { .. }
             | Self::ConfirmContact { .. }
@@ -106,7 +124,6 @@ impl Command {
             Self::Operate(operation) => of_operation(operation),
             Self::OfIncident(command) => of_incident(command),
             Self::OfRobot(command) => of_robot(command),
-            Self::OfOperator(command) => of_operator(command),
         }
     }
 }
@@ -131,7 +148,8 @@ fn of_store(command: &StoreCommand) -> Needed {
     match command {
         StoreCommand::AuditRecords { .. } => LOOK,
         // Records of other profiles are not this owner's to show.
-        StoreCommand::ListAllUploads(_) | StoreCommand::BackUp { .. } | StoreCommand::EraseRecords(_) => Needed::Owner,
+        StoreCommand::ListAllUploads(_) | StoreCommand::EraseRecords(_) => Needed::Owner,
+        StoreCommand::BackUp { .. } => Needed::Passphrase,
     }
 }
 
@@ -165,10 +183,3 @@ fn of_robot(command: &RobotCommand) -> Needed {
     }
 }
 
-fn of_operator(command: &OperatorCommand) -> Needed {
-    match command {
-        OperatorCommand::ChallengeOperator | OperatorCommand::ActAsOperator { .. } => Needed::Nothing,
-        OperatorCommand::ListOperators => LOOK,
-        OperatorCommand::AddOperator { .. } | OperatorCommand::RemoveOperator { .. } => Needed::Owner,
-    }
-}

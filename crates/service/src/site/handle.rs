@@ -205,7 +205,6 @@ impl Site {
                 self.reading.learn_own_names(&profile).await?;
                 self.devices.answer(&owner()?, command).await
             }
-            Command::OfOperator(command) => self.operators.answer(&profile, command, claims).await,
         }
     }
 
@@ -233,7 +232,7 @@ impl Site {
         Ok(told)
     }
 
-    /// Answers one of an operator's requests; none needs the keyring open.
+    /// Answers a request about the site itself; none needs the keyring open.
     async fn operate(self: &Arc<Self>, profile: &ProfileName, operation: Operation) -> Result<Reply, Failure> {
         match operation {
             Operation::Lock => self.profiles.lock(profile).await.map(ask::Lock::told),

@@ -1,9 +1,9 @@
 //! Key notices as received by a robot: only the owner's, only its own, only newer ones.
 
 use super::*;
-use crate::crypto::{TransportKey, 
+use crate::crypto::{
     Enrolment, EoaSecret, EpochIssue, EpochKey, IndexKey, IssuedKeys, Notice, OwnerKeyChange, Passphrase, SealRequest,
-    SealedEnrolment, SealingKey, SignedPolicy, TopicKey, notice_topic, seal, signer_id, topic_id,
+    SealedEnrolment, SealingKey, SignedPolicy, TopicKey, TransportKey, notice_topic, seal, signer_id, topic_id,
 };
 use crate::gateway::{Entry, Fetched};
 use crate::model::head::Compression;
