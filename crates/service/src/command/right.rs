@@ -6,9 +6,7 @@
 use serde::Deserialize;
 
 use super::{
-    Command, IncidentCommand, Operation, PolicyCommand, RecordingCommand, RobotCommand, StoreCommand,
-    
-    Viewing,
+    Command, IncidentCommand, Operation, PolicyCommand, RecordingCommand, RobotCommand, StoreCommand, Viewing,
 };
 use crate::model::OperatorRight;
 
@@ -182,4 +180,3 @@ fn of_robot(command: &RobotCommand) -> Needed {
         RobotCommand::PullRing { .. } | RobotCommand::SetRobotPolicy { .. } => Needed::Owner,
     }
 }
-
