@@ -9,7 +9,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
-use super::fixtures::erasurestated;
+use super::fixtures::erasure;
 use super::hostile::text;
 use super::stage::Stage;
 use super::*;

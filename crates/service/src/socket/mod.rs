@@ -30,7 +30,7 @@ const LONGEST_LINE: usize = 512 * 1024 * 1024;
 const QUEUE: usize = 1024;
 
 /// Settings that must be the same for a joiner.
-pub const BINDING: [&str; 10] = [
+pub const BINDING: [&str; 9] = [
     "ros.master",
     "chain.url",
     "chain.contract",

@@ -12,7 +12,7 @@ use super::{Asker, Heard, Operator};
 use crate::model::{ErrorKind, OperatorName, OperatorRight, OperatorRights};
 use crate::service::accounts::Account;
 use crate::service::command::{
-    Ask, CreateIdentity, ListWatches, RotateKeys, SecretText, Unlock, UnwatchTopic, WatchTopic,
+    Ask, CreateIdentity, ListAlerts, RotateKeys, SecretText, Unlock, UnwatchTopic, WatchTopic,
 };
 use crate::service::{Client, Event, NoticeLevel, socket};
 use crate::site::testing::{PASSPHRASE, profile, site_of};
@@ -80,14 +80,14 @@ async fn each_does_what_its_rights_say_and_the_log_names_it() {
     let (site, _folder) = site_of(&[], NONE);
     let owner = made(&site, "alice").await;
     let looks = joined(&site, operator("bob", OperatorRight::Look, later()));
-    looks.ask(ListWatches).await.expect("looking");
+    looks.ask(ListAlerts).await.expect("looking");
     refused(&looks, watch(), "needs the right 'capture'").await;
     refused(&looks, RotateKeys, "only the owner").await;
     refused(&looks, unlock(), "only the owner").await;
-    refused(&looks.for_profile(profile("carol")), ListWatches, "no profile 'carol'").await;
+    refused(&looks.for_profile(profile("carol")), ListAlerts, "no profile 'carol'").await;
 
     let captures = joined(&site, operator("eve", OperatorRight::Capture, later()));
-    refused(&captures, ListWatches, "needs the right 'look'").await;
+    refused(&captures, ListAlerts, "needs the right 'look'").await;
     captures.ask(watch()).await.expect("capturing");
     owner.ask(UnwatchTopic { topic: "/odom".parse().expect("a topic") }).await.expect("the owner's own");
     let own = |action: &str, subject: &str| ("alice/eve".to_owned(), action.to_owned(), subject.to_owned());
@@ -111,7 +111,7 @@ async fn who_is_nobody_any_more_may_nothing_and_hears_no_more_although_it_asks_n
     let asks = joined(&site, hears.clone());
     let (heard, mut told) = mpsc::unbounded_channel();
     tokio::spawn(Arc::clone(&site).tell_events(joiner(hears), move |what| heard.send(what).is_ok()));
-    asks.ask(ListWatches).await.expect("looking");
+    asks.ask(ListAlerts).await.expect("looking");
     site.parts.hub.notice(NoticeLevel::Info, "for those who may look");
     let first = told.recv().await.expect("an event");
     assert!(matches!(first, Heard::Event(Event::Notice { text, .. }) if text == "for those who may look"));
@@ -124,7 +124,7 @@ async fn who_is_nobody_any_more_may_nothing_and_hears_no_more_although_it_asks_n
     assert!(ended.message.contains("no name for user 4000000000"), "{ended:?}");
     site.parts.hub.notice(NoticeLevel::Info, "a secret of those who stay");
     assert!(told.recv().await.is_none(), "the last was the last");
-    refused(&asks, ListWatches, "no name for user").await;
+    refused(&asks, ListAlerts, "no name for user").await;
 
     let captures = joiner(operator("eve", OperatorRight::Capture, later()));
     let (heard, mut told) = mpsc::unbounded_channel();
@@ -185,7 +185,7 @@ async fn this_user_is_an_operator_at_the_other_socket_and_no_passphrase_passes_i
     }
     let looks = socket::join_as_operator(&path, profile("alice")).await.expect("joins");
     let mut heard = looks.events();
-    looks.ask(ListWatches).await.expect("looking");
+    looks.ask(ListAlerts).await.expect("looking");
     refused(&looks, watch(), "needs the right 'capture'").await;
     refused(&looks, unlock(), "sends no passphrase").await;
     site.parts.hub.notice(NoticeLevel::Info, "for those who may look");
