@@ -4,8 +4,7 @@ use std::io::Write as _;
 use std::path::Path;
 
 use super::{
-    adopt, alerts, audit, check, coverage, fleet, gateway, gateways, incidents, lists, operators, parties, policy,
-    quarantine, robots, viewing,
+    adopt, alerts, audit, check, coverage, gateway, incidents, lists, parties, policy, quarantine, robots, viewing,
 };
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
@@ -14,8 +13,8 @@ use crate::service::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, Answer, AuditCheck, AuditView, BackupView, ChainView,
     CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceAddressesView, DeviceRow,
     DeviceTopicsView, ExportedFile, GatewayStatusView, GrantRow, IdentityView, IncidentView, KeyChangeView, KeysView,
-    OpenedView, OperatorView, PathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage,
-    Reply, RingPullView, RobotRow, RobotView, TopicRow, TransactionView,
+    OpenedView, PathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, Reply,
+    RingPullView, RobotRow, RobotView, TopicRow, TransactionView,
 };
 use crate::service::{Client, Failure};
 use authros_output::Output;
