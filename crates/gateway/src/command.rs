@@ -83,7 +83,7 @@ commands! {
     /// A JSON-RPC request, passed on to the chain.
     Relay = 18;
     /// Records that the session's owner had erased at home, for the gateway to erase its copies.
-    Erase = 20;
+    Erase = 19;
 }
 
 impl Command {
