@@ -258,7 +258,6 @@ pub fn samples() -> Vec<Sample> {
         "holdings",
         "hand_over",
         "hand_over_many",
-        "fetch_erased",
         "erasures",
     ];
     samples.extend(names.iter().zip(requests()).map(|(name, request)| sample(name, 1, &client_text(&request))));
@@ -269,6 +268,7 @@ pub fn samples() -> Vec<Sample> {
         "page",
         "standings",
         "record",
+        "erased",
         "done",
         "time",
         "told_holdings",

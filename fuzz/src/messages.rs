@@ -4,9 +4,9 @@ use authros::crypto::{AccountSignature, ErasedStatement};
 use authros::gateway::allocation::AllocationRequest;
 use authros::gateway::command::{Inner, Part};
 use authros::gateway::{
-    Answer, Code, Command, Entry, ErasedRecord, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver, Held,
+    Answer, Code, Command, DeviceNotice, Entry, ErasedRecord, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver, Held,
     HoldingPlace, Holdings, ManyHandedOver, Page, Query, Receipt, Registration, RelayCall, Request, RevokeNotice,
-    Selection, Standing, ToldErasure, Upload, Wanted,
+    Selection, SignedStandings, Standing, Stood, ToldErasure, Upload, Wanted,
 };
 use authros::model::{
     Address, Digest, FilterId, Hash, Identity, PublicKey, Ranges, RecordKind, RecorderId, Signature, SignerId,
@@ -78,12 +78,11 @@ pub fn requests() -> Vec<Request> {
         Request::Unsubscribe(5),
         Request::GrantNotice(GrantNotice { grantee, epoch: 2, expiry: 3, transaction }),
         Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([7; 32]), transaction }),
-        Request::DeviceNotice(PublicKey([6; 64]).into()),
+        Request::DeviceNotice(DeviceNotice { key: PublicKey([6; 64]), notices: TopicId([7; 16]) }),
         Request::Relay(RelayCall { method: "eth_call".to_owned(), parameters: "[{},\"latest\"]".to_owned() }),
         Request::Holdings(PLACE),
         Request::HandOver(WANTED),
         Request::HandOverMany(vec![WANTED; 2]),
-        Request::FetchErased(Digest([3; 32])),
         Request::Erasures(ERASED_AFTER),
     ]
 }
@@ -103,6 +102,11 @@ fn entry() -> Entry {
     }
 }
 
+fn standings() -> SignedStandings {
+    let stood = vec![Stood { standing: Standing::Verified, proof: vec![3; 10] }];
+    SignedStandings { time: Timestamp(5), stood, signature: Signature([6; 64]) }
+}
+
 /// The gateway's answer.
 pub fn answers() -> Vec<Answer> {
     let (signer, signature) = (PublicKey([1; 64]), Signature([2; 64]));
@@ -113,8 +117,9 @@ pub fn answers() -> Vec<Answer> {
         Answer::Receipt(Command::UploadMany, receipt),
         Answer::Registered(Hash([1; 32])),
         Answer::Page(Page { entries: vec![entry(); 2], next: Some(4) }),
-        Answer::Standings(vec![Standing::Unknown, Standing::Tampered]),
+        Answer::Standings(Box::new(standings())),
         Answer::Record(Box::new(record.clone())),
+        Answer::Erased(Box::new(erasures().told.remove(0).left)),
         Answer::Done(Command::Subscribe),
         Answer::Time(Timestamp(5)),
         Answer::Holdings(Box::new(holdings())),

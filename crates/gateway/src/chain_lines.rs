@@ -25,27 +25,22 @@ const AGAIN: Duration = Duration::from_millis(200);
 /// One that takes longer does not answer.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// What a gateway says of its chain.
+/// The newest block of a gateway's chain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Word {
-    /// It is fresh.
-    Fresh,
-    /// Nothing: an earlier version.
-    Unsaid,
-    /// It answers, and does not know that its chain is fresh.
-    Stale,
+struct Tip {
+    number: u64,
+    /// Whether the gateway knows that its chain is fresh.
+    is_fresh: bool,
 }
-
-/// Its newest block with that; none if it does not answer.
-type Told = Option<(Word, u64)>;
 
 /// What all gateways said.
 #[derive(Debug, Default)]
 struct Looks {
     /// Those that are being asked.
     asked: BTreeSet<usize>,
-    answers: JoinSet<(usize, Told)>,
-    told: BTreeMap<usize, Told>,
+    answers: JoinSet<(usize, Option<Tip>)>,
+    /// The last answer of each; `None` if it does not answer.
+    tips: BTreeMap<usize, Option<Tip>>,
     /// When it was decided whom to follow.
     decided: Option<Instant>,
 }
@@ -84,15 +79,15 @@ impl ChainLines {
         loop {
             self.look(&mut looks).await;
             let seen = self.seen.load(Ordering::Acquire);
-            let open = looks.told.iter().filter_map(|(place, told)| Some((*place, (*told)?)));
-            let best = open.filter(|(place, _)| !failed.contains(place)).max_by_key(|(place, (word, number))| {
-                (*number >= seen, *word == Word::Fresh, *number, *place == used, usize::MAX - place)
+            let open = looks.tips.iter().filter_map(|(place, tip)| Some((*place, (*tip)?)));
+            let best = open.filter(|(place, _)| !failed.contains(place)).max_by_key(|(place, tip)| {
+                (tip.number >= seen, tip.is_fresh, tip.number, *place == used, usize::MAX - place)
             });
-            let Some((place, (word, number))) = best else {
+            let Some((place, Tip { number, is_fresh })) = best else {
                 return Err(RelayError::Silent("none of the gateways answers".to_owned()));
             };
             // Whoever is away may know more, and so may the chain of a gateway that is not fresh.
-            let all_say_so = word != Word::Stale && failed.is_empty() && looks.told.values().all(Option::is_some);
+            let all_say_so = is_fresh && failed.is_empty() && looks.tips.values().all(Option::is_some);
             if number >= seen || all_say_so {
                 self.seen.store(number, Ordering::Release);
                 self.used.store(place, Ordering::Release);
@@ -110,9 +105,9 @@ impl ChainLines {
 
     /// Asks everybody for their newest block. One that did not answer the time before is not waited for. May be cancelled.
     async fn look(&self, looks: &mut Looks) {
-        let Looks { asked, answers, told, .. } = looks;
-        let somebody = told.values().any(Option::is_some);
-        let is_awaited = |place: &usize| !somebody || told.get(place).is_none_or(Option::is_some);
+        let Looks { asked, answers, tips, .. } = looks;
+        let somebody = tips.values().any(Option::is_some);
+        let is_awaited = |place: &usize| !somebody || tips.get(place).is_none_or(Option::is_some);
         let mut awaited: BTreeSet<usize> = (0..self.lines.len()).filter(is_awaited).collect();
         for (place, line) in self.lines.iter().enumerate().filter(|(place, _)| !asked.contains(place)) {
             let line = Arc::clone(line);
@@ -127,14 +122,14 @@ impl ChainLines {
                     asked.remove(&place);
                     awaited.remove(&place);
                     answered |= answer.is_some();
-                    told.insert(place, answer);
+                    tips.insert(place, answer);
                 }
                 // It cannot be told whose it was.
                 Ok(Some(Err(_))) => asked.clear(),
                 Ok(None) | Err(_) => break,
             }
         }
-        told.extend(awaited.into_iter().map(|place| (place, None)));
+        tips.extend(awaited.into_iter().map(|place| (place, None)));
     }
 
     /// Notes the newest block that an answer showed.
@@ -145,16 +140,17 @@ impl ChainLines {
     }
 }
 
-/// What a gateway says of its newest block.
-async fn newest(line: &dyn Relay) -> Told {
-    let word = match line.ask(NEWEST, json!([])).await {
-        Ok(block) => return Some((Word::Fresh, block_number(NEWEST, &block)?)),
-        Err(RelayError::Silent(_)) => Word::Stale,
-        Err(RelayError::NotAllowed | RelayError::Answered { .. }) => Word::Unsaid,
-    };
-    let method = "eth_getBlockByNumber";
-    let block = line.ask(method, json!(["latest", false])).await.ok()?;
-    Some((word, block_number(method, &block)?))
+/// The newest block of a gateway's chain.
+async fn newest(line: &dyn Relay) -> Option<Tip> {
+    match line.ask(NEWEST, json!([])).await {
+        Ok(block) => Some(Tip { number: block_number(NEWEST, &block)?, is_fresh: true }),
+        Err(RelayError::Silent(_)) => {
+            let method = "eth_getBlockByNumber";
+            let block = line.ask(method, json!(["latest", false])).await.ok()?;
+            Some(Tip { number: block_number(method, &block)?, is_fresh: false })
+        }
+        Err(RelayError::NotAllowed | RelayError::Answered { .. }) => None,
+    }
 }
 
 #[async_trait]

@@ -9,8 +9,8 @@ use super::*;
 /// A gateway that shows a chain up to a block.
 struct Gate {
     number: AtomicU64,
-    /// What it says of that; nothing if it is of an earlier version.
-    word: Word,
+    /// Whether it knows that its chain is fresh.
+    is_fresh: bool,
     /// It does not answer.
     away: AtomicBool,
     /// It does not even refuse.
@@ -19,9 +19,9 @@ struct Gate {
 }
 
 impl Gate {
-    fn at(number: u64, word: Word) -> Arc<Self> {
+    fn at(number: u64, is_fresh: bool) -> Arc<Self> {
         let (away, mute) = (AtomicBool::new(false), AtomicBool::new(false));
-        Arc::new(Self { number: AtomicU64::new(number), word, away, mute, asked: std::sync::Mutex::default() })
+        Arc::new(Self { number: AtomicU64::new(number), is_fresh, away, mute, asked: std::sync::Mutex::default() })
     }
 
     fn reaches(&self, number: u64) {
@@ -49,9 +49,8 @@ impl Relay for Gate {
             return Err(RelayError::Silent("connection refused".to_owned()));
         }
         let number = format!("{:#x}", self.number.load(Ordering::SeqCst));
-        match (method, self.word) {
-            (NEWEST, Word::Unsaid) => Err(RelayError::NotAllowed),
-            (NEWEST, Word::Stale) => Err(RelayError::Silent("the chain is not fresh".to_owned())),
+        match (method, self.is_fresh) {
+            (NEWEST, false) => Err(RelayError::Silent("the chain is not fresh".to_owned())),
             ("eth_blockNumber", _) => Ok(json!(number)),
             _ => Ok(json!({ "number": number })),
         }
@@ -77,9 +76,9 @@ async fn head(lines: &ChainLines) -> Result<u64, String> {
 
 #[tokio::test]
 async fn an_old_chain_is_never_followed_beside_a_new_one_nor_after_it() {
-    // Cut off behind a node that answers: it does not know it, or is of an earlier version, or says so.
-    for word in [Word::Fresh, Word::Unsaid, Word::Stale] {
-        let (stale, fresh) = (Gate::at(5, word), Gate::at(9, Word::Fresh));
+    // Cut off behind a node that answers: it does not know it, or says so.
+    for word in [true, false] {
+        let (stale, fresh) = (Gate::at(5, word), Gate::at(9, true));
         let lines = over(&[&stale, &fresh]);
         assert_eq!(head(&lines).await, Ok(9), "{word:?}");
         assert_eq!(stale.asked("eth_blockNumber"), 0, "{word:?}: it was only asked for its newest block");
@@ -98,7 +97,7 @@ async fn an_old_chain_is_never_followed_beside_a_new_one_nor_after_it() {
 
 #[tokio::test]
 async fn what_one_answer_showed_is_not_taken_back_by_another_gateway() {
-    let (first, second) = (Gate::at(9, Word::Fresh), Gate::at(9, Word::Fresh));
+    let (first, second) = (Gate::at(9, true), Gate::at(9, true));
     let mut lines = over(&[&first, &second]);
     lines.period = Duration::from_secs(3600);
     assert_eq!(head(&lines).await, Ok(9));
@@ -114,14 +113,14 @@ async fn what_one_answer_showed_is_not_taken_back_by_another_gateway() {
 
 #[tokio::test]
 async fn all_gateways_together_may_go_back() {
-    let (first, second) = (Gate::at(9, Word::Fresh), Gate::at(9, Word::Unsaid));
+    let (first, second) = (Gate::at(9, true), Gate::at(9, true));
     let lines = over(&[&first, &second]);
     assert_eq!(head(&lines).await, Ok(9));
     first.reaches(7);
     assert_eq!(head(&lines).await, Ok(9), "one of them alone is behind");
     second.reaches(6);
     assert_eq!(head(&lines).await, Ok(7), "a reorganisation");
-    let (behind, both) = (Gate::at(2, Word::Stale), Gate::at(8, Word::Stale));
+    let (behind, both) = (Gate::at(2, false), Gate::at(8, false));
     let lines = over(&[&behind, &both]);
     assert_eq!(head(&lines).await, Ok(8), "nobody else is there");
     both.reaches(3);
@@ -130,7 +129,7 @@ async fn all_gateways_together_may_go_back() {
 
 #[tokio::test]
 async fn one_that_says_that_it_is_not_fresh_serves_where_nobody_else_does() {
-    let (stale, fresh) = (Gate::at(9, Word::Stale), Gate::at(9, Word::Fresh));
+    let (stale, fresh) = (Gate::at(9, false), Gate::at(9, true));
     let both = over(&[&stale, &fresh]);
     assert_eq!(head(&both).await, Ok(9));
     assert_eq!((stale.asked("eth_blockNumber"), fresh.asked("eth_blockNumber")), (0, 1), "at the same height");
@@ -149,7 +148,7 @@ async fn one_that_says_that_it_is_not_fresh_serves_where_nobody_else_does() {
 
 #[tokio::test]
 async fn one_that_swallows_requests_is_waited_for_once() {
-    let (mute, fresh) = (Gate::at(9, Word::Fresh), Gate::at(9, Word::Fresh));
+    let (mute, fresh) = (Gate::at(9, true), Gate::at(9, true));
     let lines = over(&[&mute, &fresh]);
     mute.mute.store(true, Ordering::SeqCst);
     let begun = Instant::now();
@@ -164,7 +163,7 @@ async fn one_that_swallows_requests_is_waited_for_once() {
 
 #[tokio::test]
 async fn looks_are_far_apart_and_requests_are_not() {
-    let (first, second) = (Gate::at(9, Word::Fresh), Gate::at(9, Word::Fresh));
+    let (first, second) = (Gate::at(9, true), Gate::at(9, true));
     let mut lines = over(&[&first, &second]);
     lines.period = Duration::from_secs(3600);
     for _ in 0..20 {

@@ -54,8 +54,8 @@ pub fn check_reach(caller: &Caller, request: &Request) -> Result<(), Refusal> {
         Request::Query(query) => device.hears(&caller.account, &query.selection),
         Request::Subscribe(selection) => device.hears(&caller.account, selection),
         Request::GrantNotice(_) | Request::RevokeNotice(_) | Request::Relay(_) => false,
-        // Notices are not erased, and its owner alone has anything erased.
-        Request::FetchErased(_) | Request::TellErasures(_) => false,
+        // Its owner alone has anything erased.
+        Request::TellErasures(_) => false,
         // A robot is nobody's gateway.
         Request::Holdings(_) | Request::Erasures(_) | Request::HandOver(_) | Request::HandOverMany(_) => false,
         _ => true,

@@ -147,7 +147,7 @@ fn a_reader_at_one_gateway_has_what_is_verified_at_another_within_five_seconds()
             let digest = Digest(keys.provider().sm3(&[&record.blob]));
             robot.upload(vec![record]).await.expect("taken");
             let verified = async {
-                while owner.check(&[digest]).await.expect("answers") != [Standing::Verified] {
+                while owner.check(&[digest]).await.expect("answers").standings() != [Standing::Verified] {
                     tokio::time::sleep(Duration::from_millis(10)).await;
                 }
                 Instant::now()

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use super::owner::Owner;
 use crate::account::{head, message};
 use authros_crypto::{SealRequest, SmKeyPair, TopicKey, random_bytes, seal, signer_id, topic_key};
-use authros_gateway::{Applicant, Client, Context, Credentials, Endpoint, GatewayError, Trust, Upload};
+use authros_gateway::{Applicant, Client, Context, Credentials, DeviceNotice, Endpoint, GatewayError, Trust, Upload};
 use authros_model::{Digest, ProfileName, RecordKind, RecorderId, SignerId, Timestamp, TopicId};
 use authros_service::Failure;
 use authros_service::failure::internal;
@@ -203,7 +203,8 @@ impl Robot {
         let who = (self.source, &self.name);
         let mut access = Access::allocate(endpoint, Trust::pinned(key), who, &self.owner).await?;
         let mut client = access.connect(endpoint, self.source).await?;
-        client.device(&self.owner.signing, self.device.public).await?;
+        let notices = TopicId([0; 16]);
+        client.device(&self.owner.signing, DeviceNotice { key: self.device.public, notices }).await?;
         Ok(access)
     }
 

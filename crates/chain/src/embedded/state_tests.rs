@@ -10,7 +10,7 @@ use rusqlite::{Connection, params};
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
-use super::block::{Header, created_address};
+use super::block::created_address;
 use super::node::Node;
 use super::rpc::answer;
 use super::state_file::KEPT;
@@ -84,10 +84,6 @@ impl Site {
 
     pub fn ask(&mut self, method: &str, parameters: Value) -> Result<Value, super::Fault> {
         answer(&mut self.node, method, parameters)
-    }
-
-    fn header(&self, number: u64) -> Header {
-        self.node.header(number).expect("reads").expect("a block")
     }
 
     /// A whole audit.

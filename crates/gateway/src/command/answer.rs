@@ -4,11 +4,11 @@ use crate::model::wire::{Reader, WireError};
 use crate::model::{Hash, PublicKey, Signature, Timestamp};
 
 use super::Command;
+use super::erased::ErasedRecord;
 use super::erasures::{ErasureOutcome, Erasures, OF_ERASURES, OF_OUTCOMES};
 use super::holdings::{HandedOver, Holdings, ManyHandedOver};
 use super::query::{Entry, Page};
 use super::relay::Relayed;
-use super::request::{MOST_CHECKED, SIGNED};
 use crate::gateway::code::Code;
 use crate::gateway::receipt::Receipt;
 use crate::gateway::standings::SignedStandings;
@@ -17,6 +17,10 @@ use crate::gateway::standings::SignedStandings;
 pub const LONGEST_PROOF: usize = 64 * 1024;
 /// The longest system-key list, bytes.
 const LONGEST_LIST: usize = 1024;
+/// What was fetched: a record,
+const WHOLE: u8 = 0;
+/// or what is left of one.
+const ERASED: u8 = 1;
 
 /// A record's standing at the gateway.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -96,12 +100,12 @@ pub enum Answer {
     Registered(Hash),
     /// A page.
     Page(Page),
-    /// The standings of the digests in the request, in order: count (2), a byte each.
-    Standings(Vec<Standing>),
-    /// The same, signed, with proofs.
-    Proven(Box<SignedStandings>),
-    /// A record.
+    /// The standings of the digests in the request, in order.
+    Standings(Box<SignedStandings>),
+    /// A record: 0 || record.
     Record(Box<Fetched>),
+    /// What is left of a record that its owner had erased: 1 || record, whose blob is header and statement.
+    Erased(Box<ErasedRecord>),
     /// The subscription, or its end, is confirmed.
     Done(Command),
     /// The gateway's time (8).
@@ -134,8 +138,8 @@ impl Answer {
             Self::Receipt(command, _) | Self::Done(command) => *command,
             Self::Registered(_) => Command::Register,
             Self::Page(_) => Command::Query,
-            Self::Standings(_) | Self::Proven(_) => Command::Check,
-            Self::Record(_) => Command::Fetch,
+            Self::Standings(_) => Command::Check,
+            Self::Record(_) | Self::Erased(_) => Command::Fetch,
             Self::Time(_) => Command::Ping,
             Self::Relayed(_) => Command::Relay,
             Self::Holdings(_) | Self::Erasures(_) | Self::ErasuresTaken(_) => Command::Holdings,
@@ -158,9 +162,9 @@ impl Answer {
             Self::Receipt(_, receipt) => receipt.encode(),
             Self::Registered(transaction) => transaction.0.to_vec(),
             Self::Page(page) => page.encode(),
-            Self::Standings(standings) => encode_standings(standings),
-            Self::Proven(signed) => signed.encode(),
-            Self::Record(record) => record.encode(),
+            Self::Standings(signed) => signed.encode(),
+            Self::Record(record) => [vec![WHOLE], record.encode()].concat(),
+            Self::Erased(erased) => [vec![ERASED], erased.clone().into_fetched().encode()].concat(),
             Self::Done(_) => Vec::new(),
             Self::Time(time) => time.0.to_be_bytes().to_vec(),
             Self::Relayed(relayed) => relayed.encode(),
@@ -193,15 +197,8 @@ impl Answer {
             | Command::DeviceNotice => Self::Receipt(command, Receipt::read(&mut reader)?),
             Command::Register => Self::Registered(Hash(reader.array("transaction")?)),
             Command::Query => Self::Page(Page::read(&mut reader)?),
-            Command::Check => {
-                let signed = body.first().is_some_and(|first| first & SIGNED.to_be_bytes()[0] != 0);
-                let standings = read_standings(&mut reader)?;
-                match signed {
-                    true => Self::Proven(Box::new(SignedStandings::read(&mut reader, standings)?)),
-                    false => Self::Standings(standings),
-                }
-            }
-            Command::Fetch => Self::Record(Box::new(Fetched::read(&mut reader)?)),
+            Command::Check => Self::Standings(Box::new(SignedStandings::read(&mut reader)?)),
+            Command::Fetch => read_fetched(&mut reader)?,
             Command::Subscribe | Command::Unsubscribe => Self::Done(command),
             Command::Holdings => read_holdings(body, &mut reader)?,
             Command::HandOver => match ManyHandedOver::read(&mut reader)? {
@@ -234,19 +231,15 @@ fn read_holdings(body: &[u8], reader: &mut Reader<'_>) -> Result<Answer, WireErr
     })
 }
 
+fn read_fetched(reader: &mut Reader<'_>) -> Result<Answer, WireError> {
+    let (what, record) = (reader.u8("what was fetched")?, Fetched::read(reader)?);
+    match what {
+        WHOLE => Ok(Answer::Record(Box::new(record))),
+        ERASED => Ok(Answer::Erased(Box::new(ErasedRecord::from_fetched(record)?))),
+        _ => Err(WireError::Value("what was fetched")),
+    }
+}
+
 pub(crate) fn read_code(reader: &mut Reader<'_>) -> Result<Code, WireError> {
     Code::from_number(reader.u16("code")?).ok_or(WireError::Value("code"))
-}
-
-fn encode_standings(standings: &[Standing]) -> Vec<u8> {
-    let standings = &standings[..standings.len().min(MOST_CHECKED)];
-    let mut out = u16::try_from(standings.len()).unwrap_or(u16::MAX).to_be_bytes().to_vec();
-    out.extend(standings.iter().map(|standing| standing.code()));
-    out
-}
-
-fn read_standings(reader: &mut Reader<'_>) -> Result<Vec<Standing>, WireError> {
-    let count = usize::from(reader.u16("count")? & !SIGNED);
-    let codes = reader.take(count, "standing")?;
-    codes.iter().map(|code| Standing::from_code(*code).ok_or(WireError::Value("standing"))).collect()
 }

@@ -9,7 +9,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
-use super::fixtures::{told, wanted};
+use super::fixtures::{notice_of, told, wanted};
 use super::hostile::text;
 use super::stage::Stage;
 use super::*;
@@ -136,7 +136,7 @@ fn accepted_requests(stage: &Stage, member: &Member) -> Vec<Request> {
         Request::HandOver(wanted(1, 3)),
         Request::HandOverMany(vec![wanted(1, 3), wanted(5, 5)]),
         // The last one: afterwards the name is the device's.
-        Request::DeviceNotice(device.public.into()),
+        Request::DeviceNotice(notice_of(&device)),
     ]
 }
 

@@ -30,8 +30,6 @@ pub(super) struct Line {
     pub gate: Gate,
     /// Rings when records wait.
     ring: Arc<Notify>,
-    /// Whether the gateway signs standings; earlier versions do not.
-    pub signs: bool,
     /// Where the next check of standings begins.
     pub cursor: Option<i64>,
     checked: Option<Instant>,
@@ -57,7 +55,6 @@ impl Line {
             place,
             gate,
             ring,
-            signs: true,
             cursor: None,
             checked: None,
             moved: false,
@@ -138,8 +135,6 @@ impl Line {
     /// is no longer wanted.
     async fn session(&mut self) -> Result<(), ForwardError> {
         let mut client = Client::connect(&self.gate.endpoint, &mut self.gate.trust, &self.gate.credentials).await?;
-        // It may have been upgraded meanwhile.
-        self.signs = true;
         block_in_place(|| self.gate.trust.save(&self.gate.trust_file)).map_err(PipelineError::from)?;
         (self.on_duty, self.heard) = (false, Instant::now());
         self.roster.set(self.place, Condition::Up);

@@ -65,9 +65,6 @@ pub struct AgentFigures {
     pub pending: u64,
     /// Damaged here, or altered at the gateway after it signed for them.
     pub tampered: u64,
-    /// Verified only by the gateway's word, which an earlier version does not sign: their ciphertext stays here. Looked
-    /// up every few seconds.
-    pub unproven: u64,
     /// Whether a gateway answers, in words.
     pub gateway: String,
     /// What it keeps of topics that nobody watches, if it keeps a ring.
@@ -106,7 +103,6 @@ pub struct Agent {
     refused: Arc<Mutex<HashSet<Digest>>>,
     /// Messages in the outbox when this run began.
     before: u64,
-    unproven: u64,
     /// When the topics' numbers were last looked at.
     seen: Option<std::time::Instant>,
     forwarder: JoinHandle<()>,
@@ -161,7 +157,6 @@ impl Agent {
         let forwarder = Arc::new(tokio::sync::Mutex::new(forwarder));
         let forwarder = site.supervise("forwarder", move |site| forward(site, Arc::clone(&forwarder)));
         let (site, length, sessions) = (Arc::clone(site), wishes.length, vec![session]);
-        let (unproven, seen) = (0, None);
         Ok(Self {
             site,
             name,
@@ -176,8 +171,7 @@ impl Agent {
             link,
             refused,
             before,
-            unproven,
-            seen,
+            seen: None,
             forwarder,
         })
     }
@@ -211,9 +205,6 @@ impl Agent {
                 () = tokio::time::sleep(LOOK) => {}
             }
             let counts = block_in_place(|| self.site.plant.ledger.counts(None))?;
-            if looks.is_multiple_of(25) {
-                self.unproven = block_in_place(|| self.site.plant.ledger.unproven())?;
-            }
             let figures = self.figures_of(&counts);
             if looks.is_multiple_of(5) && shown.as_ref() != Some(&figures) {
                 progress(&figures);
@@ -308,7 +299,6 @@ impl Agent {
             lost,
             pending: counts.pending(),
             tampered: counts.data_in(RecordState::Tampered),
-            unproven: self.unproven,
             gateway: match &*self.link.borrow() {
                 Link::Connecting => "connecting".to_owned(),
                 Link::Up => "connected".to_owned(),
@@ -333,8 +323,6 @@ impl Agent {
 
     /// Ends: capture stops, everything captured is fsynced. Its figures can still be read.
     pub async fn stop(&mut self) {
-        // Included in the last figures; if it cannot be read, the last look counts.
-        self.unproven = block_in_place(|| self.site.plant.ledger.unproven()).unwrap_or(self.unproven);
         for session in &self.sessions {
             session.close();
             for topic in &self.topics {
@@ -358,8 +346,6 @@ async fn forward(site: Arc<Site>, forwarder: Arc<tokio::sync::Mutex<Forwarder>>)
 }
 
 fn forwarder(site: &Site, enrolment: &Enrolment) -> Result<Forwarder, Failure> {
-    let damaged = |_| internal("the enrolment names no gateway; ask its owner to enrol the robot again");
-    enrolment.gateway().map_err(damaged)?;
     let robot = Robot {
         context: Context { provider: site.plant.provider, domain: enrolment.domain },
         name: enrolment.name.clone(),

@@ -31,7 +31,6 @@ pub(super) fn enrolment(scene: &Scene) -> Enrolment {
         token: scene.credentials.token,
         noticed: None,
         keys: issued(1),
-        version: 2,
     }
 }
 
@@ -155,7 +154,7 @@ async fn another_key_of_the_owner_needs_the_old_one_and_the_account() {
     let (new, thief) = (pair(0x77), pair(0x78));
     for other in [&new, &thief] {
         scene.stage.desk.lend(&scene.alice, other);
-        owner.device(&old, other.public).await.expect("told");
+        owner.device(&old, notice_of(other)).await.expect("told");
     }
     let change = |account: &EoaSecret, to: &SmKeyPair| {
         let domain = context().domain;
@@ -371,7 +370,6 @@ fn nothing_is_sealed_under_an_epoch_that_has_ended() {
             token: Token([0; 32]),
             noticed: None,
             keys: IssuedKeys { next, ..keys },
-            version: 2,
         };
         let author = Author::new(enrolment.owner);
         author.obey(&enrolment);

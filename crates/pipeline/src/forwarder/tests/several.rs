@@ -20,7 +20,7 @@ impl Second {
         let credentials = stage.enrol(&scene.alice).await;
         let mut owner = stage.connect(&credentials).await.expect("connects");
         stage.desk.lend(&scene.alice, &scene.device);
-        owner.device(&scene.alice.signing, scene.device.public).await.expect("told");
+        owner.device(&scene.alice.signing, notice_of(&scene.device)).await.expect("told");
         let relay = Relay::to(stage.server.address()).await;
         Self { stage, relay, credentials }
     }
@@ -182,10 +182,10 @@ async fn one_gateways_word_alone_keeps_no_record_from_the_next() {
     scene.until("told", |scene| scene.notes.with("go to the next gateway") > 0).await;
     scene.until("the next one has them", |_| second.holds() == 10).await;
     assert_eq!(scene.counts().data_in(RecordState::Tampered), 0);
-    // and that all is verified, as one of an earlier version would: without a signature or a proof.
+    // and that all is verified, without a proof.
     {
         let mut state = scene.stage.desk.state();
-        (state.earlier, state.standing) = (true, Some(Standing::Verified));
+        (state.proofless, state.standing) = (true, Some(Standing::Verified));
     }
     scene.capture(5, 100);
     scene.until("the next one has these too", |_| second.holds() == 15).await;

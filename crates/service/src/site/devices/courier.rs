@@ -44,10 +44,8 @@ impl Devices {
             return Err(input("a gateway's address has 1 to 255 characters"));
         }
         let found = self.enrolments.of(owner)?.into_iter().rfind(|enrolled| enrolled.device == device);
-        let enrolled = found.filter(|enrolled| enrolled.version > 1 && enrolled.key.is_some());
-        let enrolled = enrolled.ok_or_else(|| {
-            refused(format!("device {device} was not enrolled from this home by this version; enrol the robot again"))
-        })?;
+        let unknown = || refused(format!("device {device} was not enrolled from this home; enrol the robot again"));
+        let enrolled = found.ok_or_else(unknown)?;
         if enrolled.gateways.iter().any(|gateway| gateway.key == key) {
             return Err(refused(format!("'{}' has this gateway already", enrolled.name)));
         }
@@ -130,7 +128,6 @@ impl Devices {
         enrolled: &Enrolled,
         gateway: &EnrolledGateway,
     ) -> Result<bool, Failure> {
-        let Some(key) = enrolled.key else { return Ok(true) };
         // Until a new key is in place there is nobody whom robots would believe.
         if owner.keyring().keyring.further.next_signing.is_some() {
             return Ok(false);
@@ -139,9 +136,9 @@ impl Devices {
         let at = (gateway.address.as_str(), Some(gateway.key));
         let placed = async {
             let mut seat = Seat::allocate(owner, context, at, &enrolled.name).await?;
-            let notices = Some(owner.topic_id(&notice_topic(&enrolled.device)));
+            let notices = owner.topic_id(&notice_topic(&enrolled.device));
             let token = self.known_token(owner, network)?;
-            seat.tell(owner, (&enrolled.name, token), DeviceNotice { key, notices }).await?;
+            seat.tell(owner, (&enrolled.name, token), DeviceNotice { key: enrolled.key, notices }).await?;
             Ok::<_, Failure>(seat)
         };
         let seat = match placed.await {

@@ -86,17 +86,16 @@ impl Devices {
         let mut seats = Seat::allocate_all(owner, context, &wishes).await?;
         self.lend(owner, id, wishes.until).await?;
         let notice_id = owner.topic_id(&notice_topic(&id));
-        let notice = DeviceNotice { key: device.public, notices: Some(notice_id) };
+        let notice = DeviceNotice { key: device.public, notices: notice_id };
         let token = self.known_token(owner, network)?;
         if let Err(failure) = seat::tell_all(&mut seats, owner, (&wishes.name, token), notice).await {
             // A device that nobody will ever use should not stay lent; if this fails too, `devices list` shows it.
             drop(self.unlend_device(owner, id).await);
             return Err(failure);
         }
-        let version = Enrolment::NEWEST;
         let gateways: Vec<EnrolledGateway> = seats.iter().map(Seat::noted).collect();
-        let (key, name, ended) = (Some(device.public), wishes.name.clone(), false);
-        let enrolled = Enrolled { name, device: id, topics, version, ended, key, gateways };
+        let (key, name, ended) = (device.public, wishes.name.clone(), false);
+        let enrolled = Enrolled { name, device: id, topics, ended, key, gateways };
         let keys = self.enrolments.issue(owner, network, &enrolled)?;
         let enrolment = Enrolment {
             domain: network.domain,
@@ -113,7 +112,6 @@ impl Devices {
             token,
             noticed: None,
             keys,
-            version,
         };
         block_in_place(|| self.enrolments.note_told(owner, &enrolled, &enrolment.keys))?;
         self.enrolments.add(owner, enrolled.clone())?;

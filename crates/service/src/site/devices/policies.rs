@@ -189,7 +189,7 @@ impl Devices {
 
     /// A record that a robot signed, if its bytes are here and whole.
     fn opened(&self, owner: &Owner, network: &Network, robot: &Enrolled, row: &RecordRow) -> Option<OpenedRecord> {
-        let (signer, blob) = (robot.key?, self.plant.vault.get(row.digest).ok()??);
+        let (signer, blob) = (robot.key, self.plant.vault.get(row.digest).ok()??);
         let key = topic_key(&owner.epoch_key(network.domain, row.epoch)?, &row.topic_id);
         let topic_id: Option<TopicId> = Some(row.topic_id);
         let expected = Expected { topic_id, ..Expected::any_of(network.domain, owner.address) };

@@ -74,15 +74,13 @@ impl Seat {
         &mut self,
         owner: &Owner,
         (name, token): (&ProfileName, Token),
-        mut notice: DeviceNotice,
+        notice: DeviceNotice,
     ) -> Result<(), Failure> {
         let key = self.transport.clone().ok_or_else(|| refused("no transport key was allocated"))?;
         let credentials = Credentials { name: name.clone(), key, token };
         let mut client = Client::connect(&self.endpoint, &mut self.trust, &credentials).await?;
         for attempt in 1.. {
             match client.device(&owner.signing(), notice).await {
-                // A gateway of an earlier version is told only the key.
-                Err(GatewayError::Refused(Code::Malformed)) if notice.notices.is_some() => notice.notices = None,
                 // Its node may be behind ours.
                 Err(GatewayError::Refused(Code::Signature | Code::NotRegistered | Code::Stale))
                     if attempt < ATTEMPTS =>

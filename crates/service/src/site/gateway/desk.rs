@@ -17,7 +17,7 @@ use crate::gateway::desk::Account;
 use crate::gateway::{
     Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, Entry, ErasedRecord, ErasureOutcome, ErasurePlace,
     Erasures, Fetched, GrantNotice, HandedOver, HoldingPlace, Holdings, ManyHandedOver, NetworkName, Page, Query,
-    Received, Refusal, Registration, RevokeNotice, Selection, Standing, Stood, ToldErasure, Wanted,
+    Received, Refusal, Registration, RevokeNotice, Selection, Stood, ToldErasure, Wanted,
 };
 use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
 use crate::pipeline::authority::{self, SigningRight};
@@ -196,10 +196,6 @@ impl Desk for GatewayDesk {
             let key = key.ok_or_else(|| Refusal::new(Code::Internal, "the transport key at rest does not open"))?;
             drop(under);
             let KeptBinding { account, signing, envelope, device, .. } = kept;
-            if desk.known_network().is_ok_and(|network| desk.check_reserved(&network, &account, &name).is_err()) {
-                // Taken before such names were reserved: whose it is may have it now.
-                return Ok(None);
-            }
             let device = device.map(|(id, notices)| BoundDevice { id, notices });
             if let Some(device) = &device
                 && desk.is_recalled(&account, &device.id)?
@@ -269,15 +265,7 @@ impl Desk for GatewayDesk {
         self.blocking(move |desk| desk.page(&caller, &query)).await
     }
 
-    async fn check(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Standing>, Refusal> {
-        if caller.device.is_none() {
-            self.freshen().await?;
-        }
-        let (caller, digests) = (caller.clone(), digests.to_vec());
-        self.blocking(move |desk| desk.standings(&caller, &digests)).await
-    }
-
-    async fn prove(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal> {
+    async fn check(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal> {
         if caller.device.is_none() {
             self.freshen().await?;
         }

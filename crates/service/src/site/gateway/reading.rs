@@ -212,7 +212,6 @@ impl GatewayDesk {
     ) -> Result<Fetched, Refusal> {
         let (plant, internal) = (&self.gateway.plant, Refusal::because(Code::Internal));
         let blob = match stored {
-            // Deleted is deleted, even where an earlier version took the bytes in again.
             _ if row.deleted_at.is_some() => None,
             Some(blob) => Some(blob),
             None => plant.ledger.local_copy(row.digest).map_err(&internal)?,

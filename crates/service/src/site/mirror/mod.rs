@@ -32,7 +32,7 @@ use tokio::sync::mpsc;
 use tokio::task::block_in_place;
 
 use super::supervision::Aborted;
-use crate::gateway::{Client, Code, Entry, Fetched, GatewayError, Query, Selection, Standing};
+use crate::gateway::{Client, Code, Entry, Fetched, GatewayError, Query, Selection, Standing, Stood};
 use crate::model::{Address, Hash, Timestamp};
 use crate::pipeline::mirror::{Anchors, Mirror, sources};
 use crate::pipeline::{Network, Owner, PipelineError};
@@ -377,8 +377,8 @@ impl Joined {
                 }
                 Ok(())
             }
-            Err(GatewayError::Refused(Code::NotFound)) => self.learn_erased(client, mirror, source, entry).await,
-            Err(GatewayError::Refused(Code::NotAuthorised | Code::Tampered)) => Ok(()),
+            Err(GatewayError::Erased(erased)) => self.take_erased(mirror, source, entry, *erased).await,
+            Err(GatewayError::Refused(Code::NotFound | Code::NotAuthorised | Code::Tampered)) => Ok(()),
             Err(GatewayError::Crypto(error)) => {
                 self.hub.notice(NoticeLevel::Error, &PipelineError::from(error).to_string());
                 Ok(())
@@ -402,8 +402,8 @@ impl Joined {
             }
             asked = true;
             let standings = client.check(&waiting).await?;
-            let anchored = |standing: &Standing| matches!(standing, Standing::Anchored | Standing::Verified);
-            for (digest, _) in waiting.iter().zip(&standings).filter(|(_, standing)| anchored(standing)) {
+            let anchored = |stood: &Stood| matches!(stood.standing, Standing::Anchored | Standing::Verified);
+            for (digest, _) in waiting.iter().zip(&standings.stood).filter(|(_, stood)| anchored(stood)) {
                 match client.fetch(digest).await {
                     Ok(record) => {
                         if mirror.take(*source, *digest, record).await? {
@@ -411,7 +411,10 @@ impl Joined {
                             self.hub.changed(Part::Uploads);
                         }
                     }
-                    Err(GatewayError::Refused(Code::NotFound | Code::NotAuthorised | Code::Tampered)) => {}
+                    Err(
+                        GatewayError::Erased(_)
+                        | GatewayError::Refused(Code::NotFound | Code::NotAuthorised | Code::Tampered),
+                    ) => {}
                     Err(error) => return Err(error.into()),
                 }
             }
