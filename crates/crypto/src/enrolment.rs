@@ -5,7 +5,7 @@
 use zeroize::Zeroizing;
 
 use crate::model::wire::{Reader, WireError, put_text};
-use crate::model::{Address, Domain, ProfileName, PublicKey, RecorderId, SignerId, Token, TopicId};
+use crate::model::{Address, Domain, ProfileName, PublicKey, RecorderId, SignerId, Timestamp, Token, TopicId};
 
 use super::{
     IndexKey, ProviderName, SmKeyPair, SmSecret, TopicKey, TransportKey, provider, signer_id,
@@ -37,6 +37,17 @@ pub struct GatewayAccess {
     pub transport: TransportKey,
 }
 
+/// Where an owner's notice stands among all of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LastNotice {
+    /// The owner's recorder.
+    pub recorder: RecorderId,
+    /// Its number there.
+    pub number: u64,
+    /// When it was sealed.
+    pub at: Timestamp,
+}
+
 /// Everything a robot works with.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Enrolment {
@@ -62,8 +73,8 @@ pub struct Enrolment {
     pub notice_key: TopicKey,
     /// A token registered on the chain, which the robot shows to the gateway.
     pub token: Token,
-    /// The owner's recorder and the number of the newest notice applied.
-    pub noticed: Option<(RecorderId, u64)>,
+    /// The newest notice applied.
+    pub last_notice: Option<LastNotice>,
     /// The keys to seal with.
     pub keys: IssuedKeys,
 }
@@ -76,7 +87,7 @@ impl Enrolment {
 
     /// domain (32) || chain id (8) || count of gateways (1), each address || fingerprint (32) || K_T (32), || N || owner
     /// (20) || P_C (64) || device secret (32) || 0, or 1 || IK (32), || topic id of the notices (16) || notice key (32)
-    /// || token (32) || 0, or 1 || recorder (16) || number (8), || keys; texts with their length (2) before them.
+    /// || token (32) || 0, or 1 || recorder (16) || number (8) || time (8), || keys; texts with their length (2) before them.
     fn encode(&self) -> Zeroizing<Vec<u8>> {
         let keys = self.keys.encode();
         let places: usize = self.gateways.iter().map(|gateway| gateway.address.len() + 66).sum();
@@ -104,12 +115,13 @@ impl Enrolment {
         out.extend_from_slice(&self.notice_id.0);
         out.extend_from_slice(self.notice_key.expose());
         out.extend_from_slice(&self.token.0);
-        match self.noticed {
+        match self.last_notice {
             None => out.push(0),
-            Some((recorder, number)) => {
+            Some(LastNotice { recorder, number, at }) => {
                 out.push(1);
                 out.extend_from_slice(&recorder.0);
                 out.extend_from_slice(&number.to_be_bytes());
+                out.extend_from_slice(&at.0.to_be_bytes());
             }
         }
         out.extend_from_slice(&keys);
@@ -150,9 +162,13 @@ impl Enrolment {
             notice_id: TopicId(reader.array("notice id")?),
             notice_key: TopicKey::new(reader.array("notice key")?),
             token: Token(reader.array("token")?),
-            noticed: match reader.u8("notice")? {
+            last_notice: match reader.u8("notice")? {
                 0 => None,
-                1 => Some((RecorderId(reader.array("recorder")?), reader.u64("number")?)),
+                1 => Some(LastNotice {
+                    recorder: RecorderId(reader.array("recorder")?),
+                    number: reader.u64("number")?,
+                    at: Timestamp(reader.u64("time")?),
+                }),
                 _ => return Err(WireError::Value("notice")),
             },
             keys: IssuedKeys::read(reader)?,

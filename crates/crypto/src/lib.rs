@@ -60,7 +60,7 @@ pub use derive::{
     topic_filter_id, topic_id, topic_key,
 };
 pub use enrolment::{
-    Enrolment, EpochIssue, GatewayAccess, IssuedKeys, IssuedTopic, Notice, SealedEnrolment, SealingKey,
+    Enrolment, EpochIssue, GatewayAccess, IssuedKeys, IssuedTopic, LastNotice, Notice, SealedEnrolment, SealingKey,
 };
 pub use envelope::{GrantedKeys, WrappedKeys, unwrap, wrap};
 pub use erased::ErasedStatement;

@@ -2,7 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::crypto::{CryptoError, EpochKey, Passphrase};
-use crate::model::{ErrorKind, Timestamp};
+use crate::model::ErrorKind;
 
 fn issue(epoch: u64, key: SealingKey) -> EpochIssue {
     EpochIssue { epoch, token: Token([7; 32]), ends: (epoch == 3).then_some(Timestamp(9)), key }
@@ -32,7 +32,11 @@ fn sample(topics: usize) -> Enrolment {
         index: (topics == 0).then(|| IndexKey::new([6; 32])),
         notice_key: TopicKey::new([7; 32]),
         token: Token([8; 32]),
-        noticed: (topics > 1).then_some((RecorderId([9; 16]), 12)),
+        last_notice: (topics > 1).then_some(LastNotice {
+            recorder: RecorderId([9; 16]),
+            number: 12,
+            at: Timestamp(13),
+        }),
         keys: IssuedKeys { now: issue(3, key), next },
     }
 }

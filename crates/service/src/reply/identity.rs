@@ -85,7 +85,6 @@ pub struct EnrolledView {
     /// SM3 of that gateway's identity key.
     pub gateway_key: SignerId,
     /// All its gateways, in order.
-    #[serde(default)]
     pub gateways: Vec<RobotGatewayView>,
     /// The enrolment file, sealed.
     pub file: SecretBytes,

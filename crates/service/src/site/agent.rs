@@ -134,12 +134,11 @@ impl Agent {
         author.obey(enrolment);
         let (name, forwarder) = (enrolment.name.clone(), block_in_place(|| forwarder(site, enrolment))?);
         let (provider, observer) = (site.plant.provider, Arc::clone(&site.plant.observer));
-        let notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept);
+        let keeper = Arc::clone(&policy.keeper) as _;
+        let notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept, keeper);
         let mut ring = ring.map(|ring| AgentRing::begin(site, &author, ring)).transpose()?;
         policy.has_ring.store(ring.is_some(), Ordering::Release);
-        let notices = notices.with_memory(site.plant.ledger.clone());
         let notices = notices.with_ring_while(site.plant.ledger.clone(), &policy.has_ring);
-        let notices = notices.with_policies(Arc::clone(&policy.keeper) as _);
         let told = notices.gateways();
         let forwarder = forwarder.with_errand(Box::new(notices)).following(told);
         let before = block_in_place(|| site.plant.ledger.counts(None))?.acknowledged;

@@ -1,6 +1,6 @@
 //! A robot of two gateways: one takes over when the other is gone, and nothing rests on one gateway's word alone.
 
-use super::notices::{enrolment, record};
+use super::notices::{Noting, enrolment, record};
 use super::*;
 use crate::crypto::{EoaSecret, GatewayList, ListedGateway, Notice, Passphrase, SealedEnrolment, signer_id};
 use crate::gateway::Limits;
@@ -211,7 +211,7 @@ async fn a_gateway_added_by_the_owner_is_used_and_one_added_by_a_thief_is_not() 
     sealed.create(&given).expect("writes");
     let author = Arc::new(Author::new(scene.alice.account()));
     let observer = Arc::clone(&scene.plant.observer);
-    let notices = Notices::new(context().provider, observer, author, sealed, kept.clone());
+    let notices = Notices::new(context().provider, observer, author, sealed, kept.clone(), Arc::new(Noting::default()));
     let told = notices.gateways();
     let forwarder = scene.forwarder().with_errand(Box::new(notices)).following(told);
     let work = start(&scene, forwarder);

@@ -31,14 +31,12 @@ pub struct EnrolWishes {
     /// SM3 of its identity key; `None` to trust whatever answers.
     pub fingerprint: Option<SignerId>,
     /// Further gateways, in order, with the fingerprints of their identity keys.
-    #[serde(default)]
     pub further: Vec<(String, SignerId)>,
     /// N.
     pub name: ProfileName,
     /// Only these topics.
     pub topics: Vec<TopicName>,
     /// All topics, including future ones: then no topic is named.
-    #[serde(default)]
     pub all_topics: bool,
     /// When the loan ends.
     pub until: Option<Timestamp>,
@@ -110,7 +108,7 @@ impl Devices {
             notice_id,
             notice_key: notice_key(&owner.eoa(), &network.domain, &id),
             token,
-            noticed: None,
+            last_notice: None,
             keys,
         };
         block_in_place(|| self.enrolments.note_told(owner, &enrolled, &enrolment.keys))?;
