@@ -4,8 +4,8 @@ use authros::crypto::{AccountSignature, ErasedStatement};
 use authros::gateway::allocation::AllocationRequest;
 use authros::gateway::command::{Inner, Part};
 use authros::gateway::{
-    Answer, Code, Command, DeviceNotice, Entry, ErasedRecord, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver, Held,
-    HoldingPlace, Holdings, ManyHandedOver, Page, Query, Receipt, Registration, RelayCall, Request, RevokeNotice,
+    Answer, Code, Command, DeviceNotice, Entry, ErasedRecord, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver,
+    Held, HoldingPlace, Holdings, ManyHandedOver, Page, Query, Receipt, Registration, RelayCall, Request, RevokeNotice,
     Selection, SignedStandings, Standing, Stood, ToldErasure, Upload, Wanted,
 };
 use authros::model::{

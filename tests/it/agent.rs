@@ -170,8 +170,9 @@ fn nothing_shows(bytes: &[u8], robots: &[Robot]) {
         );
         match &enrolment.keys.now.key {
             SealingKey::Epoch(key) => secrets.push(key.expose()),
-            SealingKey::Topics(topics) => secrets
-                .extend(topics.values().flat_map(|topic| [&topic.filters.expose()[..], &topic.key.expose()[..]])),
+            SealingKey::Topics(topics) => {
+                secrets.extend(topics.values().flat_map(|topic| [&topic.filters.expose()[..], &topic.key.expose()[..]]))
+            }
         }
         assert!(secrets.iter().all(|secret| !holds(bytes, secret)), "a key on the wire");
     }

@@ -10,7 +10,9 @@ use std::time::{Duration, Instant};
 
 use authros::chain::AnchorProof;
 use authros::crypto::{Anchor, Expected, SmKeyPair, notice_topic, open, signer_id, topic_id};
-use authros::gateway::{Client, Code, Credentials, DeviceNotice, GatewayError, Query, Request, Selection, Standing, Upload};
+use authros::gateway::{
+    Client, Code, Credentials, DeviceNotice, GatewayError, Query, Request, Selection, Standing, Upload,
+};
 use authros::model::{Digest, Header, RecordKind, Timestamp};
 use support::client_stream::Recorder;
 use support::member::{Gateway, Member, connect};

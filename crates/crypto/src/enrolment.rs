@@ -7,9 +7,7 @@ use zeroize::Zeroizing;
 use crate::model::wire::{Reader, WireError, put_text};
 use crate::model::{Address, Domain, ProfileName, PublicKey, RecorderId, SignerId, Timestamp, Token, TopicId};
 
-use super::{
-    IndexKey, ProviderName, SmKeyPair, SmSecret, TopicKey, TransportKey, provider, signer_id,
-};
+use super::{IndexKey, ProviderName, SmKeyPair, SmSecret, TopicKey, TransportKey, provider, signer_id};
 
 mod file;
 mod issue;

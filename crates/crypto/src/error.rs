@@ -104,7 +104,9 @@ pub enum CryptoError {
         found: String,
     },
     /// A file of another version of its form.
-    #[error("{path} is {what} of version {found}, but this program reads only version 1; use the authros that wrote it")]
+    #[error(
+        "{path} is {what} of version {found}, but this program reads only version 1; use the authros that wrote it"
+    )]
     Version {
         /// The file.
         path: String,

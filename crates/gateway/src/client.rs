@@ -14,8 +14,8 @@ use crate::model::{Digest, Hash, ProfileName, Timestamp, Token};
 use super::allocation::{AllocationRequest, Applicant, apply};
 use super::command::relay::LONGEST_PARAMETERS;
 use super::command::{
-    Answer, Command, DeviceNotice, Entry, Fetched, GrantNotice, Page, Query, Registration, RelayCall,
-    Relayed, Request, RevokeNotice, Selection, Upload,
+    Answer, Command, DeviceNotice, Entry, Fetched, GrantNotice, Page, Query, Registration, RelayCall, Relayed, Request,
+    RevokeNotice, Selection, Upload,
 };
 use super::error::GatewayError;
 use super::hello::{Agreed, Context, NetworkName};
@@ -360,11 +360,7 @@ impl Client {
     ///
     /// # Errors
     /// [`GatewayError`].
-    pub async fn device(
-        &mut self,
-        signing: &SmKeyPair,
-        notice: DeviceNotice,
-    ) -> Result<Receipt, GatewayError> {
+    pub async fn device(&mut self, signing: &SmKeyPair, notice: DeviceNotice) -> Result<Receipt, GatewayError> {
         self.signed(signing, &Request::DeviceNotice(notice)).await
     }
 }

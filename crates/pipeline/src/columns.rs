@@ -8,9 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use serde::{Deserialize, Serialize};
 
 use crate::crypto::record::open_front;
-use crate::crypto::{
-    CryptoError, IndexKey, OpenedRecord, TopicKey, filter_id, filter_key, topic_filter_id, topic_id,
-};
+use crate::crypto::{CryptoError, IndexKey, OpenedRecord, TopicKey, filter_id, filter_key, topic_filter_id, topic_id};
 use crate::model::bytes::hex;
 use crate::model::head::SIMULATED;
 use crate::model::header::TAG_LENGTH;

@@ -2,7 +2,6 @@
 //! signed by d_C and numbered. This is the robot's side: it subscribes at its gateway, takes notices newer than those it has, saves them
 //! and applies them.
 
-
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

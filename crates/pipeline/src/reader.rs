@@ -9,8 +9,8 @@ use std::sync::{Arc, PoisonError};
 use tokio::task::block_in_place;
 
 use crate::crypto::{
-    Anchor, CryptoError, Expected, GrantedKeys, IndexKey, OpenedRecord, TopicKey, WrappedKeys, check,
-    check_deleted, open, topic_key, unwrap,
+    Anchor, CryptoError, Expected, GrantedKeys, IndexKey, OpenedRecord, TopicKey, WrappedKeys, check, check_deleted,
+    open, topic_key, unwrap,
 };
 use crate::model::{Address, Digest, Domain, GrantTerms, Header, RecordKind, RecordState, TopicId, Verdict};
 use crate::store::{KeptEnvelope, RecordQuery, RecordRow, Retained};
@@ -187,13 +187,7 @@ impl Reader<'_> {
         self.key_for(self.network.domain, row.owner, row.epoch, row.topic_id)
     }
 
-    fn key_for(
-        &self,
-        domain: Domain,
-        owner: Address,
-        epoch: u64,
-        topic: TopicId,
-    ) -> Result<TopicKey, PipelineError> {
+    fn key_for(&self, domain: Domain, owner: Address, epoch: u64, topic: TopicId) -> Result<TopicKey, PipelineError> {
         if owner == self.reader.address {
             let epoch_key = self.reader.epoch_key(domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))?;
             return Ok(topic_key(&epoch_key, &topic));

@@ -79,7 +79,9 @@ pub(super) fn check_version(path: &Path, schema: &Schema) -> Result<(), StoreErr
             let file = path.to_owned();
             Err(match found > VERSION {
                 true => StoreError::Newer { file, found, known: VERSION },
-                false => StoreError::Corrupt { file, detail: format!("its version is {found}, which no authros writes") },
+                false => {
+                    StoreError::Corrupt { file, detail: format!("its version is {found}, which no authros writes") }
+                }
             })
         }
         _ => Ok(()),

@@ -244,8 +244,7 @@ mod tests {
         let mut authority = authority(3);
         let block = |number, signer, difficulty| {
             let zero = Address([0; 20]);
-            let mut header =
-                Header { number, ..Header::genesis(&[zero], zero, difficulty, Hash([2; 32]), 100) };
+            let mut header = Header { number, ..Header::genesis(&[zero], zero, difficulty, Hash([2; 32]), 100) };
             authority.seal(&mut header, signer).expect("seals");
             header
         };

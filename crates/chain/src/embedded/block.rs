@@ -60,13 +60,7 @@ pub struct Header {
 impl Header {
     /// The first header of a chain, before its seal: `unique` makes it unlike any other. Without `signers` it is for
     /// proof of work with this `beneficiary`.
-    pub fn genesis(
-        signers: &[Address],
-        beneficiary: Address,
-        difficulty: u64,
-        unique: Hash,
-        timestamp: u64,
-    ) -> Self {
+    pub fn genesis(signers: &[Address], beneficiary: Address, difficulty: u64, unique: Hash, timestamp: u64) -> Self {
         let mut extra = unique.0.to_vec();
         if !signers.is_empty() {
             signers.iter().for_each(|signer| extra.extend(signer.as_bytes()));

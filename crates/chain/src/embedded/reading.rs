@@ -100,8 +100,8 @@ impl Node {
         let done = mined.iter().map(|one| self.decoded(header, one)).collect::<Result<Vec<_>, _>>()?;
         let sent = done.iter().map(|done| &done.transaction.raw[..]);
         let receipts: Vec<Receipt> = done.iter().map(|done| done.receipt.clone()).collect();
-        let same = transactions_root(sent)? == header.transactions_root
-            && receipts_root(&receipts)? == header.receipts_root;
+        let same =
+            transactions_root(sent)? == header.transactions_root && receipts_root(&receipts)? == header.receipts_root;
         if !same {
             return Err(self.file.tampered(number, "its transactions or receipts were changed"));
         }

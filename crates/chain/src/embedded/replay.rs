@@ -150,12 +150,7 @@ fn rerun(
 ///
 /// # Errors
 /// Only for a fault of this program.
-pub fn assemble(
-    sealing: &Sealing,
-    parent: Hash,
-    place: &Environment,
-    outcome: &Outcome,
-) -> Result<Header, ChainError> {
+pub fn assemble(sealing: &Sealing, parent: Hash, place: &Environment, outcome: &Outcome) -> Result<Header, ChainError> {
     let mut bloom = Bloom::zero();
     for receipt in &outcome.receipts {
         receipt.accrue(&mut bloom);

@@ -224,10 +224,7 @@ fn work_is_done_shown_and_checked_again() {
     for number in 1..=6 {
         let header = site.block();
         assert!(proof::seals(header.work_hash(), header.nonce, 300));
-        assert_eq!(
-            (header.difficulty, header.beneficiary, &header.extra[..]),
-            (300, miner, &proof::EXTRA[..])
-        );
+        assert_eq!((header.difficulty, header.beneficiary, &header.extra[..]), (300, miner, &proof::EXTRA[..]));
         nonces.push(header.nonce);
         if number == 3 {
             site = reopen(site, home.path());

@@ -8,9 +8,9 @@ use authros_crypto::{
 };
 use authros_gateway::allocation::{AllocationRequest, Applicant};
 use authros_gateway::command::{
-    Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasureOutcome, ErasurePlace, Erasures, Fetched, GrantNotice, HandedOver,
-    Held, HoldingPlace, Holdings, ManyHandedOver, Page, Query, Registration, RelayCall, Relayed, Request, RevokeNotice,
-    Selection, Standing, ToldErasure, Upload, Wanted,
+    Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasureOutcome, ErasurePlace, Erasures, Fetched, GrantNotice,
+    HandedOver, Held, HoldingPlace, Holdings, ManyHandedOver, Page, Query, Registration, RelayCall, Relayed, Request,
+    RevokeNotice, Selection, Standing, ToldErasure, Upload, Wanted,
 };
 use authros_gateway::hello::{ClientHello, Context, GatewayHello, ListSummary, NetworkName};
 use authros_gateway::session::Session;

@@ -137,7 +137,11 @@ async fn records_of_others_and_of_recalled_devices_are_refused() {
     assert_eq!(refused(sealed(5)).await, Some(Code::Signature), "not lent yet");
     stage.desk.lend(&alice, &device);
     assert_eq!(refused(sealed(5)).await, Some(Code::Signature), "lent, but its key was not told");
-    assert_eq!(refusal(client.device(&bob.signing, notice_of(&device)).await), Some(Code::Signature), "not told by alice");
+    assert_eq!(
+        refusal(client.device(&bob.signing, notice_of(&device)).await),
+        Some(Code::Signature),
+        "not told by alice"
+    );
     assert_eq!(refusal(client.device(&alice.signing, notice_of(&pair(0x67))).await), Some(Code::Signature), "not lent");
     let no_point = DeviceNotice { key: crate::model::PublicKey([1; 64]), ..notice_of(&device) };
     let nothing = client.device(&alice.signing, no_point).await;

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::crypto::{
-    Enrolment, EoaSecret, EpochIssue, EpochKey, IndexKey, IssuedKeys, LastNotice, Notice, OwnerKeyChange, Passphrase, SealRequest,
-    SealedEnrolment, SealingKey, SignedPolicy, TopicKey, notice_topic, seal, signer_id, topic_id,
+    Enrolment, EoaSecret, EpochIssue, EpochKey, IndexKey, IssuedKeys, LastNotice, Notice, OwnerKeyChange, Passphrase,
+    SealRequest, SealedEnrolment, SealingKey, SignedPolicy, TopicKey, notice_topic, seal, signer_id, topic_id,
 };
 use crate::gateway::{Entry, Fetched};
 use crate::model::head::Compression;

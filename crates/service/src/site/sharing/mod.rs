@@ -199,11 +199,7 @@ impl Sharing {
 
     /// The names of the topics that a scoped grant of this owner covers, in the order of its event; `None` if no name
     /// known here matches the pseudonym on the chain.
-    pub(super) fn granted_topics(
-        &self,
-        owner: &Owner,
-        ids: &[TopicId],
-    ) -> Result<Vec<Option<String>>, Failure> {
+    pub(super) fn granted_topics(&self, owner: &Owner, ids: &[TopicId]) -> Result<Vec<Option<String>>, Failure> {
         tokio::task::block_in_place(|| {
             let ledger = &self.plant.ledger;
             let name_of = |id: &TopicId| {
