@@ -255,7 +255,6 @@ pub fn samples() -> Vec<Sample> {
         "revoke_notice",
         "device_notice",
         "relay",
-        "fetch_erased",
         "erase",
     ];
     samples.extend(names.iter().zip(requests()).map(|(name, request)| sample(name, 1, &client_text(&request))));
@@ -266,6 +265,7 @@ pub fn samples() -> Vec<Sample> {
         "page",
         "standings",
         "record",
+        "erased",
         "done",
         "time",
         "erased",

@@ -4,8 +4,9 @@ use authros::crypto::{AccountSignature, ErasedStatement};
 use authros::gateway::allocation::AllocationRequest;
 use authros::gateway::command::{Inner, Part};
 use authros::gateway::{
-    Answer, Code, Command, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query,
-    Receipt, Registration, RelayCall, Request, RevokeNotice, Selection, Standing, Upload,
+    Answer, Code, Command, DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice,
+    Page, Query, Receipt, Registration, RelayCall, Request, RevokeNotice, Selection, SignedStandings, Standing, Stood,
+    Upload,
 };
 use authros::model::{
     Address, Digest, FilterId, Hash, Identity, PublicKey, RecordKind, RecorderId, Signature, SignerId, Timestamp,
@@ -64,9 +65,8 @@ pub fn requests() -> Vec<Request> {
         Request::Unsubscribe(5),
         Request::GrantNotice(GrantNotice { grantee, epoch: 2, expiry: 3, transaction }),
         Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([7; 32]), transaction }),
-        Request::DeviceNotice(PublicKey([6; 64]).into()),
+        Request::DeviceNotice(DeviceNotice { key: PublicKey([6; 64]), notices: TopicId([7; 16]) }),
         Request::Relay(RelayCall { method: "eth_call".to_owned(), parameters: "[{},\"latest\"]".to_owned() }),
-        Request::FetchErased(Digest([3; 32])),
         Request::Erase(vec![erasure(); 2]),
     ]
 }
@@ -86,6 +86,11 @@ fn entry() -> Entry {
     }
 }
 
+fn standings() -> SignedStandings {
+    let stood = vec![Stood { standing: Standing::Verified, proof: vec![3; 10] }];
+    SignedStandings { time: Timestamp(5), stood, signature: Signature([6; 64]) }
+}
+
 /// The gateway's answer.
 pub fn answers() -> Vec<Answer> {
     let (signer, signature) = (PublicKey([1; 64]), Signature([2; 64]));
@@ -96,11 +101,12 @@ pub fn answers() -> Vec<Answer> {
         Answer::Receipt(Command::UploadMany, receipt),
         Answer::Registered(Hash([1; 32])),
         Answer::Page(Page { entries: vec![entry(); 2], next: Some(4) }),
-        Answer::Standings(vec![Standing::Unknown, Standing::Tampered]),
+        Answer::Standings(Box::new(standings())),
         Answer::Record(Box::new(record.clone())),
+        Answer::Erased(Box::new(erasure().left)),
         Answer::Done(Command::Subscribe),
         Answer::Time(Timestamp(5)),
-        Answer::Erased(vec![ErasureOutcome::Taken, ErasureOutcome::Left, ErasureOutcome::Refused]),
+        Answer::Erasures(vec![ErasureOutcome::Taken, ErasureOutcome::Left, ErasureOutcome::Refused]),
         Answer::Event(Box::new((entry(), record))),
         Answer::End(Code::NotAuthorised),
         Answer::Refused(Code::Token),

@@ -169,15 +169,11 @@ async fn follow(mut events: tokio::sync::broadcast::Receiver<crate::service::Eve
 }
 
 fn text(figures: &AgentFigures) -> String {
-    let kept = match figures.unproven {
-        0 => String::new(),
-        count => format!(", {count} of these kept here until the gateway signs for them"),
-    };
     let ring = figures.ring.map_or_else(String::new, |ring| {
         format!("; ring: {} messages, {}, {} fell out", ring.messages, ByteSize(ring.bytes), ring.fallen)
     });
     format!(
-        "{}: captured {}, accepted {}, verified {}{kept}, pending {}, lost {}{ring}; gateway: {}",
+        "{}: captured {}, accepted {}, verified {}, pending {}, lost {}{ring}; gateway: {}",
         figures.name,
         figures.captured,
         figures.accepted,

@@ -93,7 +93,7 @@ impl Robot {
 /// # Errors
 /// The gateway's refusal.
 pub async fn session(enrolment: &Enrolment) -> Result<Client, GatewayError> {
-    let gateway = enrolment.gateway().expect("a gateway");
+    let gateway = &enrolment.gateways[0];
     let context = Context { provider: provider(ProviderName::RustCrypto), domain: enrolment.domain };
     let endpoint = Endpoint { address: gateway.address.clone(), context, patience: Duration::from_secs(10) };
     let mut trust = Trust::pinned(gateway.fingerprint);

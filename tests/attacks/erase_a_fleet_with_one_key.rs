@@ -46,7 +46,7 @@ pub async fn stored(client: &mut Client, uploads: Vec<Upload>, provider: &dyn Pr
     let digests: Vec<Digest> = uploads.iter().map(|upload| Digest(provider.sm3(&[&upload.blob]))).collect();
     client.upload(uploads).await.expect("taken");
     for _ in 0..600 {
-        let standings = client.check(&digests).await.expect("answered");
+        let standings = client.check(&digests).await.expect("answered").standings();
         if standings.iter().all(|standing| *standing == Standing::Verified) {
             break;
         }
@@ -182,7 +182,7 @@ async fn erase_a_fleet_with_one_key() {
     });
     let mut gone = false;
     for _ in 0..100 {
-        gone = matches!(client.fetch(&records[0].0).await, Err(GatewayError::Refused(_)));
+        gone = matches!(client.fetch(&records[0].0).await, Err(GatewayError::Erased(_)));
         if gone {
             break;
         }

@@ -20,7 +20,7 @@ pub async fn send(owner: &Member, robot: &mut Client, seq: u64) -> Digest {
     let digest = Digest(owner.provider().sm3(&[&record.blob]));
     robot.upload(vec![record]).await.expect("accepted");
     for _ in 0..300 {
-        if robot.check(&[digest]).await.expect("answers") == [Standing::Verified] {
+        if robot.check(&[digest]).await.expect("answers").standings() == [Standing::Verified] {
             return digest;
         }
         tokio::time::sleep(Duration::from_millis(100)).await;

@@ -1,6 +1,5 @@
 //! A thief of the owner's SM2 key tells her robots that her key is now another one, his own; so does a thief of her
-//! account. Each also has what a stolen robot holds. The earlier program did not support changing keys at all, so it
-//! obeys neither: it refuses too.
+//! account. Each also has what a stolen robot holds.
 
 use std::path::Path;
 

@@ -9,8 +9,10 @@ use std::net::{TcpListener, TcpStream};
 use std::time::{Duration, Instant};
 
 use authros::chain::AnchorProof;
-use authros::crypto::{Anchor, Expected, SmKeyPair, open, signer_id};
-use authros::gateway::{Client, Code, Credentials, GatewayError, Query, Request, Selection, Standing, Upload};
+use authros::crypto::{Anchor, Expected, SmKeyPair, notice_topic, open, signer_id, topic_id};
+use authros::gateway::{
+    Client, Code, Credentials, DeviceNotice, GatewayError, Query, Request, Selection, Standing, Upload,
+};
 use authros::model::{Digest, Header, RecordKind, Timestamp};
 use support::client_stream::Recorder;
 use support::member::{Gateway, Member, connect};
@@ -59,7 +61,7 @@ fn all_of(owner: &Member) -> Query {
 async fn until_verified(client: &mut Client, digests: &[Digest]) {
     let end = Instant::now() + Duration::from_secs(60);
     loop {
-        let standings = client.check(digests).await.expect("answers");
+        let standings = client.check(digests).await.expect("answers").standings();
         if standings.iter().all(|standing| *standing == Standing::Verified) {
             return;
         }
@@ -122,7 +124,7 @@ async fn what_robots_send_is_anchored_by_the_gateway_and_read_by_a_grantee_until
     let mut session = connect(&site.gateway, &reader_credentials).await;
     assert_eq!(refused(session.query(&all_of(&owner)).await), Code::NotAuthorised);
     assert_eq!(refused(session.fetch(&digests[0]).await), Code::NotAuthorised);
-    assert_eq!(session.check(&digests[..2]).await.expect("answers"), [Standing::Unknown; 2]);
+    assert_eq!(session.check(&digests[..2]).await.expect("answers").standings(), [Standing::Unknown; 2]);
     expect_status(&site);
 
     alice.json(&["grant", &bob_address]);
@@ -228,13 +230,14 @@ async fn devices_sign_while_they_are_lent_and_names_belong_to_one_account() {
     assert_eq!(refused(other.allocate(&site.gateway, "robot-1").await.map(|_| ())), Code::NameBound);
     let device = SmKeyPair::generate(owner.provider()).expect("a pair");
     let id = signer_id(&device.public);
+    let notice = DeviceNotice { key: device.public, notices: topic_id(owner.index(), &notice_topic(&id)) };
     let mut robot = connect(&site.gateway, &credentials).await;
     let upload = owner.record(&device, TOPIC, 1, b"signed by a device");
     assert_eq!(refused(robot.upload(vec![upload.clone()]).await), Code::Signature, "not lent");
-    assert_eq!(refused(robot.device(&owner.keyring.signing, device.public).await), Code::Signature, "not lent");
+    assert_eq!(refused(robot.device(&owner.keyring.signing, notice).await), Code::Signature, "not lent");
     alice.json(&["devices", "lend", &id.to_string()]);
     assert_eq!(refused(robot.upload(vec![upload.clone()]).await), Code::Signature, "lent, but its key is not known");
-    robot.device(&owner.keyring.signing, device.public).await.expect("noted");
+    robot.device(&owner.keyring.signing, notice).await.expect("noted");
     robot.upload(vec![upload.clone()]).await.expect("accepted");
     until_verified(&mut robot, &[digest(&owner, &upload)]).await;
     let opened = alice.json(&["shared", "open", &digest(&owner, &upload).to_string()]);

@@ -8,23 +8,15 @@ use serde_json::Value;
 
 use super::{Home, holds, text};
 
-/// Each record's ciphertext, as it is in the home's vault.
-pub fn ciphertext_of(home: &Home, records: &[Value]) -> Vec<(Digest, Vec<u8>)> {
-    let vault = open_vault(None, &home.path().join("vault")).expect("the site's own file");
-    let blob = |record| {
-        let digest: Digest = text(record, "digest").parse().expect("a digest");
-        (digest, vault.get(digest).expect("read").expect("stored"))
-    };
-    records.iter().map(blob).collect()
-}
-
 /// Pieces from the beginning, the middle and the end of each record's ciphertext: it lies on many pages.
 pub fn pieces_of(home: &Home, records: &[Value]) -> Vec<Vec<u8>> {
-    let parts = |(_, blob): (Digest, Vec<u8>)| {
-        let length = blob.len();
-        [300, length / 2, length - 40].map(|at| blob[at..at + 32].to_vec())
+    let vault = open_vault(None, &home.path().join("vault")).expect("the site's own file");
+    let parts = |record| {
+        let digest: Digest = text(record, "digest").parse().expect("a digest");
+        let blob = vault.get(digest).expect("read").expect("stored");
+        [300, blob.len() / 2, blob.len() - 40].map(|at| blob[at..at + 32].to_vec())
     };
-    ciphertext_of(home, records).into_iter().flat_map(parts).collect()
+    records.iter().flat_map(parts).collect()
 }
 
 /// The files of a folder, and of those below it, in which one of these pieces is.

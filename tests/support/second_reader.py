@@ -161,7 +161,7 @@ def main(folder, ek, ik):
     signed = b"AuthROS/signature/1" + header["domain"] + digest
     assert sm2_verify(signer, signed, *der_numbers((folder / "signature.bin").read_bytes())), "signature"
 
-    topic_key = hkdf(unhex(ek), b"", b"AuthROS/topic/2" + header["topic_id"], 32)
+    topic_key = hkdf(unhex(ek), b"", b"AuthROS/topic/1" + header["topic_id"], 32)
     info = b"AuthROS/record/1" + b"".join(header[name] for name in ("domain", "owner", "recorder", "epoch", "seq"))
     keys = hkdf(topic_key, header["salt"], info, 88)
     body_key, body_nonce, head_key, head_nonce, commit = fields(keys, 16, 12, 16, 12, 32)

@@ -130,11 +130,7 @@ impl Desk for StubDesk {
         self.tells.listed(query).map_or_else(not_here, Ok)
     }
 
-    async fn check(&self, _: &Caller, _: &[Digest]) -> Result<Vec<Standing>, Refusal> {
-        not_here()
-    }
-
-    async fn prove(&self, _: &Caller, _: &[Digest]) -> Result<Vec<Stood>, Refusal> {
+    async fn check(&self, _: &Caller, _: &[Digest]) -> Result<Vec<Stood>, Refusal> {
         not_here()
     }
 

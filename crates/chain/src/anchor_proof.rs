@@ -102,6 +102,15 @@ mod tests {
     }
 
     #[test]
+    fn another_version_is_refused() {
+        for version in [0, 2, 255] {
+            let mut bytes = proof(Some(2)).encode();
+            bytes[0] = version;
+            assert_eq!(AnchorProof::parse(&bytes), Err(WireError::Value("version")), "{version}");
+        }
+    }
+
+    #[test]
     fn proofs_round_trip_and_every_cut_is_refused() {
         for steps in [None, Some(0), Some(1), Some(LONGEST_PATH)] {
             let bytes = proof(steps).encode();

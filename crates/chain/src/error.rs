@@ -115,14 +115,14 @@ pub enum ChainError {
         reason: String,
     },
     /// The embedded chain was written by a later version of this program.
-    #[error("the embedded chain {} has version {found}, but this program supports up to {known}; use a newer \
+    #[error("the embedded chain {} has version {found}, but this program supports only {known}; use a newer \
              authros", path.display())]
     Newer {
         /// The file.
         path: PathBuf,
         /// The version found.
         found: i64,
-        /// The newest version known.
+        /// The version known.
         known: i64,
     },
     /// The embedded chain was founded with another consensus.

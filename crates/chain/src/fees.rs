@@ -168,7 +168,7 @@ fn decode(raw: &[u8]) -> Result<TransactionRequest, ChainError> {
 }
 
 fn no_transaction() -> ChainError {
-    ChainError::Input("the stored bytes are not a legacy transaction; another version created this ledger".into())
+    ChainError::Input("the stored bytes are not a legacy transaction; check the ledger with `authros audit`".into())
 }
 
 #[cfg(test)]

@@ -78,7 +78,7 @@ impl Chain {
     /// # Errors
     /// [`ChainError::Input`] saying what differs.
     pub fn expect_call(&self, raw: &[u8], account: Address, call: &Call) -> Result<Hash, ChainError> {
-        let transaction = Transaction::decode(raw, self.chain_id(), None).map_err(ChainError::Input)?;
+        let transaction = Transaction::decode(raw, self.chain_id()).map_err(ChainError::Input)?;
         let contract = self.pin().map(|pin| pin.contract);
         let other = |what: &str| Err(ChainError::Input(format!("the transaction is not the one described: {what}")));
         if transaction.sender != account {

@@ -231,7 +231,7 @@ async fn a_cut_write_ahead_log_gives_an_earlier_block() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_changed_file_is_tampered() {
     for change in [
-        "UPDATE sent SET sender = randomblob(20) WHERE block = 3",
+        "UPDATE chain SET consensus = 'pow:1'",
         "UPDATE sent SET raw = (SELECT raw FROM sent WHERE block = 2) WHERE block = 3",
         "UPDATE sent SET receipt = (SELECT receipt FROM sent WHERE block = 2) WHERE block = 3",
         "DELETE FROM sent WHERE block = 3",

@@ -30,12 +30,7 @@ pub fn token(domain: &Domain, owner: &Address, epoch: u64, key: &EpochKey) -> To
 /// The key of a topic in an epoch, derived from its pseudonym, which every header carries: anyone who has EK can open a
 /// record without knowing the topic's name.
 pub fn topic_key(key: &EpochKey, topic: &TopicId) -> TopicKey {
-    TopicKey::new(derived(key.expose(), &[], &Info::new("AuthROS/topic/2").fixed(&topic.0)))
-}
-
-/// The key of a topic as derived before pseudonyms were used, for records sealed then.
-pub fn topic_key_by_name(key: &EpochKey, topic: &str) -> TopicKey {
-    TopicKey::new(derived(key.expose(), &[], &Info::new("AuthROS/topic/1").text(topic)))
+    TopicKey::new(derived(key.expose(), &[], &Info::new("AuthROS/topic/1").fixed(&topic.0)))
 }
 
 /// The pseudonym of a topic, the same in every epoch.
@@ -55,7 +50,7 @@ pub fn filter_key(key: &IndexKey, topic: &TopicId) -> FilterKey {
 
 /// The pseudonym of a type or tag under the filter key of its topic: `kind` is `type` or `tag`.
 pub fn topic_filter_id(key: &FilterKey, kind: &str, value: &str) -> FilterId {
-    FilterId(derived(key.expose(), &[], &Info::new("AuthROS/filterid/2").text(kind).text(value)))
+    FilterId(derived(key.expose(), &[], &Info::new("AuthROS/topicfilterid/1").text(kind).text(value)))
 }
 
 /// The key of an owner's `index`-th extra anchoring account on a network, from the owner's EOA key.
@@ -120,15 +115,12 @@ mod tests {
     }
 
     #[test]
-    fn derivations_are_stable_across_versions() {
+    fn derivations_are_as_documented() {
         let home = domain(1, &Hash([0; 32]), &Address([0; 20]));
         let expected = sm3(&[b"AuthROS/domain/1", &[0, 0, 0, 0, 0, 0, 0, 1], &[0; 32], &[0; 20]]);
         assert_eq!(home, Domain(expected));
-        let key = topic_key_by_name(&EpochKey::new([1; 32]), "/odom");
         let mut out = [0; 32];
-        hkdf_sm3(&[1; 32], &[], b"AuthROS/topic/1\0\x05/odom", &mut out).expect("derives");
-        assert_eq!(key.expose(), &out);
-        let info = [&b"AuthROS/topic/2"[..], &[7; 16]].concat();
+        let info = [&b"AuthROS/topic/1"[..], &[7; 16]].concat();
         hkdf_sm3(&[1; 32], &[], &info, &mut out).expect("derives");
         assert_eq!(topic_key(&EpochKey::new([1; 32]), &TopicId([7; 16])).expose(), &out);
         let info = [&b"AuthROS/filterkey/1"[..], &[7; 16]].concat();
@@ -136,7 +128,7 @@ mod tests {
         let key = filter_key(&IndexKey::new([2; 32]), &TopicId([7; 16]));
         assert_eq!(key.expose(), &out);
         let mut id = [0; 8];
-        hkdf_sm3(&out, &[], b"AuthROS/filterid/2\0\x03tag\0\x03a=1", &mut id).expect("derives");
+        hkdf_sm3(&out, &[], b"AuthROS/topicfilterid/1\0\x03tag\0\x03a=1", &mut id).expect("derives");
         assert_eq!(topic_filter_id(&key, "tag", "a=1"), FilterId(id));
     }
 }

@@ -1,23 +1,21 @@
 //! What a robot gets from its owner: its own signing pair, its name and K_T at a gateway, and the keys to seal its
 //! records with, for some topics or for all. It never holds d_C, K_C or the EOA key, so a stolen robot is not a stolen
-//! identity; it holds IK only if it covers all topics or was enrolled by version 1. The file format is in `file`.
+//! identity; it holds IK only if it covers all topics. The file format is in `file`.
 
 use zeroize::Zeroizing;
 
 use crate::model::wire::{Reader, WireError, put_text};
-use crate::model::{Address, Domain, ProfileName, PublicKey, RecorderId, SignerId, Token, TopicId};
+use crate::model::{Address, Domain, ProfileName, PublicKey, RecorderId, SignerId, Timestamp, Token, TopicId};
 
 use super::gateway_addresses::{encoded, read_addresses};
-use super::{
-    IndexKey, ProviderName, SmKeyPair, SmSecret, TopicKey, TransportKey, notice_topic, provider, signer_id, topic_id,
-};
+use super::{IndexKey, ProviderName, SmKeyPair, SmSecret, TopicKey, TransportKey, provider, signer_id};
 
 mod file;
 mod issue;
 mod notice;
 
-pub use file::{SealedEnrolment, version_of};
-pub use issue::{EpochIssue, IssuedKeys, IssuedTopic, Pseudonyms, SealingKey};
+pub use file::SealedEnrolment;
+pub use issue::{EpochIssue, IssuedKeys, IssuedTopic, SealingKey};
 pub use notice::Notice;
 
 /// The most topics whose keys are issued at once, including those for statements.
@@ -38,6 +36,17 @@ pub struct GatewayAccess {
     pub transport: TransportKey,
 }
 
+/// Where an owner's notice stands among all of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LastNotice {
+    /// The owner's recorder.
+    pub recorder: RecorderId,
+    /// Its number there.
+    pub number: u64,
+    /// When it was sealed.
+    pub at: Timestamp,
+}
+
 /// Everything a robot works with.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Enrolment {
@@ -55,7 +64,7 @@ pub struct Enrolment {
     pub owner_key: PublicKey,
     /// The device's own pair, lent to it on chain: signs the records.
     pub device: SmKeyPair,
-    /// IK, if the device covers all topics or was enrolled by version 1.
+    /// IK, if the device covers all topics.
     pub index: Option<IndexKey>,
     /// The topic under which the owner's notices to it are filed.
     pub notice_id: TopicId,
@@ -63,69 +72,31 @@ pub struct Enrolment {
     pub notice_key: TopicKey,
     /// A token registered on the chain, which the robot shows to the gateway.
     pub token: Token,
-    /// The owner's recorder and the number of the newest notice applied.
-    pub noticed: Option<(RecorderId, u64)>,
+    /// The newest notice applied.
+    pub last_notice: Option<LastNotice>,
     /// The keys to seal with.
     pub keys: IssuedKeys,
-    /// Format version: 1 (earlier versions) or 2.
-    pub version: u8,
 }
 
 impl Enrolment {
-    /// The version written for new robots.
-    pub const NEWEST: u8 = 2;
-
     /// SM3 of the device's public key.
     pub fn device_id(&self) -> SignerId {
         signer_id(&self.device.public)
     }
 
-    /// Its encoding, in its own version's format.
-    fn encode(&self) -> Result<Zeroizing<Vec<u8>>, WireError> {
+    /// domain (32) || chain id (8) || addresses of the gateway || its fingerprint (32) || K_T (32) || N || owner (20) ||
+    /// P_C (64) || device secret (32) || 0, or 1 || IK (32), || topic id of the notices (16) || notice key (32) || token
+    /// (32) || 0, or 1 || recorder (16) || number (8) || time (8), || keys; texts with their length (2) before them.
+    fn encode(&self) -> Zeroizing<Vec<u8>> {
         let keys = self.keys.encode();
         let places: usize = self.gateway.addresses.iter().map(|address| address.len() + 2).sum();
         let mut out = Zeroizing::new(Vec::with_capacity(512 + places + keys.len()));
         out.extend_from_slice(&self.domain.0);
         out.extend_from_slice(&self.chain_id.to_be_bytes());
-        match self.version {
-            1 => self.put_secrets_1(&mut out)?,
-            _ => self.put_secrets_2(&mut out),
-        }
-        match self.noticed {
-            None => out.push(0),
-            Some((recorder, number)) => {
-                out.push(1);
-                out.extend_from_slice(&recorder.0);
-                out.extend_from_slice(&number.to_be_bytes());
-            }
-        }
-        out.extend_from_slice(&keys);
-        Ok(out)
-    }
-
-    /// Version 1: gateway || fingerprint (32) || N || owner (20) || P_C (64) || K_T (32) || device secret (32) ||
-    /// IK (32) || notice key (32) || token (32); texts with their length (2) before them.
-    fn put_secrets_1(&self, out: &mut Vec<u8>) -> Result<(), WireError> {
-        let gateway = &self.gateway;
-        put_text(out, gateway.addresses.first().map_or("", String::as_str));
-        out.extend_from_slice(&gateway.fingerprint.0);
-        put_text(out, self.name.as_str());
-        out.extend_from_slice(&self.owner.0);
-        out.extend_from_slice(&self.owner_key.0);
-        out.extend_from_slice(gateway.transport.expose());
-        out.extend_from_slice(self.device.secret.expose());
-        out.extend_from_slice(self.index.as_ref().ok_or(WireError::Value("index key"))?.expose());
-        out.extend_from_slice(self.notice_key.expose());
-        out.extend_from_slice(&self.token.0);
-        Ok(())
-    }
-
-    /// Version 2: addresses || fingerprint (32) || K_T (32) || N || owner (20) || P_C (64) || device secret (32) || 0, or 1 || IK (32), || topic id of the notices (16) || notice key (32) || token (32).
-    fn put_secrets_2(&self, out: &mut Vec<u8>) {
         out.extend_from_slice(&encoded(&self.gateway.addresses));
         out.extend_from_slice(&self.gateway.fingerprint.0);
         out.extend_from_slice(self.gateway.transport.expose());
-        put_text(out, self.name.as_str());
+        put_text(&mut out, self.name.as_str());
         out.extend_from_slice(&self.owner.0);
         out.extend_from_slice(&self.owner_key.0);
         out.extend_from_slice(self.device.secret.expose());
@@ -139,91 +110,65 @@ impl Enrolment {
         out.extend_from_slice(&self.notice_id.0);
         out.extend_from_slice(self.notice_key.expose());
         out.extend_from_slice(&self.token.0);
+        match self.last_notice {
+            None => out.push(0),
+            Some(LastNotice { recorder, number, at }) => {
+                out.push(1);
+                out.extend_from_slice(&recorder.0);
+                out.extend_from_slice(&number.to_be_bytes());
+                out.extend_from_slice(&at.0.to_be_bytes());
+            }
+        }
+        out.extend_from_slice(&keys);
+        out
     }
 
-    fn parse(plain: &[u8], version: u8) -> Result<Self, WireError> {
+    fn parse(plain: &[u8]) -> Result<Self, WireError> {
         let mut reader = Reader::new(plain);
-        let (domain, chain_id) = (Domain(reader.array("domain")?), reader.u64("chain id")?);
-        let mut enrolment = match version {
-            1 => Self::read_1(&mut reader, domain, chain_id)?,
-            2 => Self::read_2(&mut reader, domain, chain_id)?,
-            _ => return Err(WireError::Value("version")),
-        };
-        enrolment.noticed = match reader.u8("notice")? {
-            0 => None,
-            1 => Some((RecorderId(reader.array("recorder")?), reader.u64("number")?)),
-            _ => return Err(WireError::Value("notice")),
-        };
-        enrolment.keys = IssuedKeys::read(&mut reader)?;
+        let enrolment = Self::read(&mut reader)?;
         reader.end()?;
         // Without IK, the only pseudonyms are those that were issued.
-        let issues = std::iter::once(&enrolment.keys.now).chain(enrolment.keys.next.as_ref().map(|(_, next)| next));
-        if enrolment.index.is_none() && !issues.into_iter().all(EpochIssue::stands_alone) {
+        let IssuedKeys { now, next } = &enrolment.keys;
+        let mut issues = std::iter::once(now).chain(next.as_ref().map(|(_, next)| next));
+        if enrolment.index.is_none() && issues.any(|issue| matches!(issue.key, SealingKey::Epoch(_))) {
             return Err(WireError::Value("index key"));
         }
         Ok(enrolment)
     }
 
-    fn read_1(reader: &mut Reader<'_>, domain: Domain, chain_id: u64) -> Result<Self, WireError> {
-        let (address, fingerprint) = (reader.text("gateway")?, SignerId(reader.array("fingerprint")?));
-        let (name, owner, owner_key) = read_owner(reader)?;
-        let transport = TransportKey::new(reader.array("transport key")?);
-        let device = read_device(reader)?;
-        let index = IndexKey::new(reader.array("index key")?);
-        let notice_id = topic_id(&index, &notice_topic(&signer_id(&device.public)));
+    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
         Ok(Self {
-            domain,
-            chain_id,
-            gateway: GatewayAccess { addresses: vec![address], fingerprint, transport },
-            name,
-            owner,
-            owner_key,
-            device,
-            index: Some(index),
-            notice_id,
-            notice_key: TopicKey::new(reader.array("notice key")?),
-            token: Token(reader.array("token")?),
-            noticed: None,
-            keys: IssuedKeys::none(),
-            version: 1,
-        })
-    }
-
-    fn read_2(reader: &mut Reader<'_>, domain: Domain, chain_id: u64) -> Result<Self, WireError> {
-        let gateway = GatewayAccess {
-            addresses: read_addresses(reader)?,
-            fingerprint: SignerId(reader.array("fingerprint")?),
-            transport: TransportKey::new(reader.array("transport key")?),
-        };
-        let (name, owner, owner_key) = read_owner(reader)?;
-        let device = read_device(reader)?;
-        let index = match reader.u8("index key")? {
-            0 => None,
-            1 => Some(IndexKey::new(reader.array("index key")?)),
-            _ => return Err(WireError::Value("index key")),
-        };
-        Ok(Self {
-            domain,
-            chain_id,
-            gateway,
-            name,
-            owner,
-            owner_key,
-            device,
-            index,
+            domain: Domain(reader.array("domain")?),
+            chain_id: reader.u64("chain id")?,
+            gateway: GatewayAccess {
+                addresses: read_addresses(reader)?,
+                fingerprint: SignerId(reader.array("fingerprint")?),
+                transport: TransportKey::new(reader.array("transport key")?),
+            },
+            name: reader.text("name")?.parse().map_err(|_| WireError::Value("name"))?,
+            owner: Address(reader.array("owner")?),
+            owner_key: PublicKey(reader.array("owner key")?),
+            device: read_device(reader)?,
+            index: match reader.u8("index key")? {
+                0 => None,
+                1 => Some(IndexKey::new(reader.array("index key")?)),
+                _ => return Err(WireError::Value("index key")),
+            },
             notice_id: TopicId(reader.array("notice id")?),
             notice_key: TopicKey::new(reader.array("notice key")?),
             token: Token(reader.array("token")?),
-            noticed: None,
-            keys: IssuedKeys::none(),
-            version: 2,
+            last_notice: match reader.u8("notice")? {
+                0 => None,
+                1 => Some(LastNotice {
+                    recorder: RecorderId(reader.array("recorder")?),
+                    number: reader.u64("number")?,
+                    at: Timestamp(reader.u64("time")?),
+                }),
+                _ => return Err(WireError::Value("notice")),
+            },
+            keys: IssuedKeys::read(reader)?,
         })
     }
-}
-
-fn read_owner(reader: &mut Reader<'_>) -> Result<(ProfileName, Address, PublicKey), WireError> {
-    let name = reader.text("name")?.parse().map_err(|_| WireError::Value("name"))?;
-    Ok((name, Address(reader.array("owner")?), PublicKey(reader.array("owner key")?)))
 }
 
 fn read_device(reader: &mut Reader<'_>) -> Result<SmKeyPair, WireError> {

@@ -103,6 +103,18 @@ pub enum CryptoError {
         /// What was found, and what to do.
         found: String,
     },
+    /// A file of another version of its form.
+    #[error(
+        "{path} is {what} of version {found}, but this program reads only version 1; use the authros that wrote it"
+    )]
+    Version {
+        /// The file.
+        path: String,
+        /// What it is, with its article.
+        what: &'static str,
+        /// Its version.
+        found: u8,
+    },
     /// A file that cannot be read.
     #[error("{path} cannot be read ({source}); check the path and its permissions")]
     Read {
@@ -144,6 +156,7 @@ impl CryptoError {
             | Self::PassphraseNeeded(_)
             | Self::OpenToOthers { .. }
             | Self::NotAKey { .. }
+            | Self::Version { .. }
             | Self::Read { .. }
             | Self::NoEpoch(_) => ErrorKind::Input,
             Self::BadSignature

@@ -65,13 +65,6 @@ pub struct FurtherPairs {
     pub gateway: Option<SmKeyPair>,
 }
 
-impl FurtherPairs {
-    /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
-        *self == Self::default()
-    }
-}
-
 /// All secrets of one profile.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Keyring {

@@ -56,10 +56,10 @@ pub use agreement::Ephemeral;
 pub use der::{signature_der, signature_from_der};
 pub use derive::{
     anchoring_secret, domain, epoch_key, filter_id, filter_key, notice_key, notice_topic, signer_id, token,
-    topic_filter_id, topic_id, topic_key, topic_key_by_name,
+    topic_filter_id, topic_id, topic_key,
 };
 pub use enrolment::{
-    Enrolment, EpochIssue, GatewayAccess, IssuedKeys, IssuedTopic, Notice, Pseudonyms, SealedEnrolment, SealingKey,
+    Enrolment, EpochIssue, GatewayAccess, IssuedKeys, IssuedTopic, LastNotice, Notice, SealedEnrolment, SealingKey,
 };
 pub use envelope::{GrantedKeys, WrappedKeys, unwrap, wrap};
 pub use erased::ErasedStatement;

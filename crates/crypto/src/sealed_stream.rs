@@ -174,8 +174,8 @@ impl<R: Read> SealedReader<R> {
     /// Reads the header; derives the passphrase's key (about 0.3 s).
     ///
     /// # Errors
-    /// [`io::ErrorKind::InvalidData`] if this is not such a stream, [`io::ErrorKind::PermissionDenied`] if the
-    /// passphrase is wrong, or errors from reading.
+    /// [`io::ErrorKind::InvalidData`] if this is not such a stream, [`io::ErrorKind::Unsupported`] if it is one of another
+    /// version, [`io::ErrorKind::PermissionDenied`] if the passphrase is wrong, or errors from reading.
     pub fn open(inner: R, passphrase: &Passphrase) -> io::Result<Self> {
         Self::with(inner, |header| FileKey::with(passphrase, header.work, header.salt))
     }
@@ -186,7 +186,10 @@ impl<R: Read> SealedReader<R> {
             io::ErrorKind::UnexpectedEof => damaged("it is shorter than a header"),
             _ => error,
         })?;
-        let parsed = StreamHeader::parse(&header).map_err(|_| damaged("it does not start like a backup"))?;
+        let parsed = StreamHeader::parse(&header).map_err(|error| match (error, header.get(MAGIC.len())) {
+            (WireError::Value("version"), Some(found)) => another_version(*found),
+            _ => damaged("it does not start like a backup"),
+        })?;
         let key = key(&parsed).map_err(other)?;
         let keys = SaveKeys::derive(&key, &parsed.save_salt, LABEL);
         if !bool::from(keys.commit.ct_eq(&parsed.commit)) {
@@ -222,6 +225,13 @@ impl<R: Read> SealedReader<R> {
         }
         Ok(())
     }
+}
+
+fn another_version(found: u8) -> io::Error {
+    let text = format!(
+        "it is a backup of version {found}, but this program reads only version 1; use the authros that wrote it"
+    );
+    io::Error::new(io::ErrorKind::Unsupported, text)
 }
 
 fn cut(error: io::Error) -> io::Error {
@@ -274,6 +284,17 @@ mod tests {
         let other = |header: &StreamHeader| key("another horse", header.salt);
         let refused = SealedReader::with(&sealed(b"x")[..], other).err().expect("refused");
         assert_eq!(refused.kind(), io::ErrorKind::PermissionDenied);
+    }
+
+    #[test]
+    fn another_version_is_refused_by_its_number() {
+        for version in [0, 2, 255] {
+            let mut other = sealed(b"x");
+            other[8] = version;
+            let error = opened(&other).expect_err("another version");
+            assert_eq!(error.kind(), io::ErrorKind::Unsupported, "{error}");
+            assert!(error.to_string().contains(&format!("of version {version}, but")), "{error}");
+        }
     }
 
     #[test]

@@ -97,7 +97,7 @@ fn seals_that_are_not_enough_are_counted() {
 #[test]
 fn the_exporters_own_chain_proves_nothing_against_him() {
     let mut vanity = [0; 32];
-    vanity[..28].copy_from_slice(b"AuthROS chain file version 3");
+    vanity[..28].copy_from_slice(b"AuthROS chain file version 1");
     let ours = World { vanity, ..World::new() };
     ours.expect('c', OwnChain, "proves nothing against the exporter");
     let told = "your trust file says that others seal this chain, but its headers say that a single program does";

@@ -14,8 +14,8 @@ use crate::model::{Digest, Hash, ProfileName, Timestamp, Token, clean};
 use super::allocation::{AllocationRequest, Applicant, apply};
 use super::command::relay::LONGEST_PARAMETERS;
 use super::command::{
-    Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page,
-    Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, Upload,
+    Answer, Command, DeviceNotice, Entry, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query,
+    Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Upload,
 };
 use super::error::GatewayError;
 use super::hello::{Agreed, Context, NetworkName};
@@ -291,26 +291,15 @@ impl Client {
         }
     }
 
-    /// The standings of digests, in order.
-    ///
-    /// # Errors
-    /// [`GatewayError`].
-    pub async fn check(&mut self, digests: &[Digest]) -> Result<Vec<Standing>, GatewayError> {
-        match self.ask(&Request::Check(digests.to_vec())).await? {
-            Answer::Standings(standings) if standings.len() == digests.len() => Ok(standings),
-            _ => Err(GatewayError::Unexpected("the number of standings differs from the number of digests")),
-        }
-    }
-
     /// The standings of digests, in order, signed by the gateway, with the proofs of their anchors. The signature is
     /// checked here; checking the proofs is up to the caller.
     ///
     /// # Errors
-    /// [`GatewayError`]; `Refused(Malformed)` if the gateway is of a version that signs none.
-    pub async fn prove(&mut self, digests: &[Digest]) -> Result<SignedStandings, GatewayError> {
+    /// [`GatewayError`].
+    pub async fn check(&mut self, digests: &[Digest]) -> Result<SignedStandings, GatewayError> {
         let context = self.endpoint.context;
-        match self.ask(&Request::Prove(digests.to_vec())).await? {
-            Answer::Proven(signed) => {
+        match self.ask(&Request::Check(digests.to_vec())).await? {
+            Answer::Standings(signed) => {
                 signed.verify(context.provider, &context.domain, &self.agreed.gateway_key, digests)?;
                 Ok(*signed)
             }
@@ -326,7 +315,7 @@ impl Client {
     pub async fn erase(&mut self, erasures: Vec<ErasureNotice>) -> Result<Vec<ErasureOutcome>, GatewayError> {
         let count = erasures.len();
         match self.ask(&Request::Erase(erasures)).await? {
-            Answer::Erased(outcomes) if outcomes.len() == count => Ok(outcomes),
+            Answer::Erasures(outcomes) if outcomes.len() == count => Ok(outcomes),
             _ => Err(GatewayError::Unexpected("an outcome for each erasure is missing")),
         }
     }
@@ -335,23 +324,11 @@ impl Client {
     /// on the chain whether that key may sign for the owner and whether the anchor holds.
     ///
     /// # Errors
-    /// [`GatewayError`].
+    /// [`GatewayError`]; `Erased`, with nothing of it checked, if its owner had it erased.
     pub async fn fetch(&mut self, digest: &Digest) -> Result<Fetched, GatewayError> {
         match self.ask(&Request::Fetch(*digest)).await? {
             Answer::Record(record) => self.checked(*record, digest),
-            _ => Err(GatewayError::Unexpected("no record")),
-        }
-    }
-
-    /// What is left of a record that its owner had erased. Nothing of it is checked here.
-    ///
-    /// # Errors
-    /// [`GatewayError`]; `Refused(NotFound)` if it was not erased, `Refused(Malformed)` by a gateway of an earlier version.
-    pub async fn fetch_erased(&mut self, digest: &Digest) -> Result<ErasedRecord, GatewayError> {
-        match self.ask(&Request::FetchErased(*digest)).await? {
-            Answer::Record(record) => {
-                ErasedRecord::from_fetched(*record).map_err(GatewayError::malformed("erased record"))
-            }
+            Answer::Erased(erased) => Err(GatewayError::Erased(erased)),
             _ => Err(GatewayError::Unexpected("no record")),
         }
     }
@@ -424,12 +401,8 @@ impl Client {
     /// Tells the gateway, signed by d_C, that this session's name belongs to a device that is lent on the chain.
     ///
     /// # Errors
-    /// [`GatewayError`]; `Refused(Malformed)` if an older gateway does not accept the topic id of its notices.
-    pub async fn device(
-        &mut self,
-        signing: &SmKeyPair,
-        notice: impl Into<DeviceNotice>,
-    ) -> Result<Receipt, GatewayError> {
-        self.signed(signing, &Request::DeviceNotice(notice.into())).await
+    /// [`GatewayError`].
+    pub async fn device(&mut self, signing: &SmKeyPair, notice: DeviceNotice) -> Result<Receipt, GatewayError> {
+        self.signed(signing, &Request::DeviceNotice(notice)).await
     }
 }

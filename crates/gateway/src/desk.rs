@@ -16,7 +16,7 @@ use crate::model::{
 use super::code::{Code, Refusal};
 use super::command::{
     DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query, Registration,
-    RevokeNotice, Selection, Standing,
+    RevokeNotice, Selection,
 };
 use super::hello::NetworkName;
 use super::standings::Stood;
@@ -35,24 +35,20 @@ pub struct Account {
 pub struct BoundDevice {
     /// SM3 of its public key.
     pub id: SignerId,
-    /// Where its owner's notices to it are filed; `None` if the owner did not say.
-    pub notices: Option<TopicId>,
+    /// Where its owner's notices to it are filed.
+    pub notices: TopicId,
 }
 
 impl BoundDevice {
     /// Whether a selection covers nothing but `owner`'s notices to this device.
     pub fn hears(&self, owner: &Address, selection: &Selection) -> bool {
-        let of_this = match (selection.topic_id, self.notices) {
-            (Some(asked), Some(told)) => asked == told,
-            (asked, None) => asked.is_some(),
-            (None, Some(_)) => false,
-        };
-        of_this && selection.owner == *owner && selection.kind == Some(RecordKind::Key)
+        let Selection { owner: asked, topic_id, kind, .. } = selection;
+        asked == owner && *topic_id == Some(self.notices) && *kind == Some(RecordKind::Key)
     }
 
     /// Whether a record is one of its owner's notices to this device.
     pub fn is_for(&self, kind: RecordKind, topic: TopicId) -> bool {
-        kind == RecordKind::Key && self.notices.is_none_or(|told| told == topic)
+        kind == RecordKind::Key && topic == self.notices
     }
 }
 
@@ -146,11 +142,9 @@ pub trait Desk: Send + Sync + 'static {
     /// A page of what the caller may see now.
     async fn query(&self, caller: &Caller, query: &Query) -> Result<Page, Refusal>;
 
-    /// The standings of digests; `Unknown` for those the caller may not see.
-    async fn check(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Standing>, Refusal>;
-
-    /// The same, each with the proof of its anchor if there is one.
-    async fn prove(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal>;
+    /// The standings of digests, each with the proof of its anchor if there is one; `Unknown` for those the caller may not
+    /// see.
+    async fn check(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal>;
 
     /// A record that the caller may read now, its bytes compared with the chain.
     async fn fetch(&self, caller: &Caller, digest: &Digest) -> Result<Fetched, Refusal>;

@@ -5,6 +5,7 @@ use crate::model::wire::WireError;
 use crate::model::{ErrorKind, SignerId};
 
 use super::code::{Code, Refusal};
+use super::command::ErasedRecord;
 
 /// Why a client gave up.
 #[derive(Debug, thiserror::Error)]
@@ -67,6 +68,9 @@ pub enum GatewayError {
     /// A system-key list that is not the gateway's, or no longer valid.
     #[error("the list of system keys was rejected: {0}; fetch it again, or ask the gateway's operator")]
     List(&'static str),
+    /// A record that its owner had erased: its proof and the owner's statement remain.
+    #[error("the record was erased by its owner; its proof remains")]
+    Erased(Box<ErasedRecord>),
     /// Malformed bytes.
     #[error("the gateway's {what} is malformed ({why}); use the same version on both sides")]
     Malformed {
@@ -106,6 +110,7 @@ impl GatewayError {
                 _ => ErrorKind::Unreachable,
             },
             Self::Refused(code) => code.kind(),
+            Self::Erased(_) => Code::NotFound.kind(),
             Self::NotPinned(_)
             | Self::NotTheGateway { .. }
             | Self::RolledBack { .. }

@@ -54,8 +54,8 @@ pub fn check_reach(caller: &Caller, request: &Request) -> Result<(), Refusal> {
         Request::Query(query) => device.hears(&caller.account, &query.selection),
         Request::Subscribe(selection) => device.hears(&caller.account, selection),
         Request::GrantNotice(_) | Request::RevokeNotice(_) | Request::Relay(_) => false,
-        // Notices are not erased, and its owner alone has anything erased.
-        Request::FetchErased(_) | Request::Erase(_) => false,
+        // Its owner alone has anything erased.
+        Request::Erase(_) => false,
         _ => true,
     };
     if may {

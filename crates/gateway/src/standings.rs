@@ -1,6 +1,5 @@
 //! The standings of records, signed by the gateway like a receipt: a robot keeps them and may then discard its only
-//! copy. In an answer: count (2, its highest bit set) || standings (1 each) || time (8) || signature (64) || for each:
-//! length (4) || proof.
+//! copy. In an answer: count (2) || standings (1 each) || time (8) || signature (64) || for each: length (4) || proof.
 
 use crate::crypto::{CryptoError, Provider, SmKeyPair};
 use crate::model::wire::{Reader, WireError};
@@ -8,7 +7,7 @@ use crate::model::{Digest, Domain, PublicKey, Signature, Timestamp};
 
 use super::command::Standing;
 use super::command::answer::LONGEST_PROOF;
-use super::command::request::{MOST_CHECKED, SIGNED};
+use super::command::request::MOST_CHECKED;
 
 /// The standing of one record, and where the chain has it.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -87,10 +86,15 @@ impl SignedStandings {
         provider.verify(gateway, &signed, &self.signature)
     }
 
+    /// The standings alone.
+    pub fn standings(&self) -> Vec<Standing> {
+        self.stood.iter().map(|one| one.standing).collect()
+    }
+
     pub(super) fn encode(&self) -> Vec<u8> {
         let stood = &self.stood[..self.stood.len().min(MOST_CHECKED)];
         let count = u16::try_from(stood.len()).unwrap_or(u16::MAX);
-        let mut out = (count | SIGNED).to_be_bytes().to_vec();
+        let mut out = count.to_be_bytes().to_vec();
         out.extend(stood.iter().map(|one| one.standing.code()));
         out.extend_from_slice(&self.time.0.to_be_bytes());
         out.extend_from_slice(&self.signature.0);
@@ -102,8 +106,14 @@ impl SignedStandings {
         out
     }
 
-    /// What follows the standings themselves.
-    pub(super) fn read(reader: &mut Reader<'_>, standings: Vec<Standing>) -> Result<Self, WireError> {
+    pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
+        let count = usize::from(reader.u16("count")?);
+        if count > MOST_CHECKED {
+            return Err(WireError::Value("count"));
+        }
+        let codes = reader.take(count, "standing")?;
+        let standings = codes.iter().map(|code| Standing::from_code(*code).ok_or(WireError::Value("standing")));
+        let standings = standings.collect::<Result<Vec<_>, _>>()?;
         let (time, signature) = (Timestamp(reader.u64("time")?), Signature(reader.array("signature")?));
         let mut stood = Vec::with_capacity(standings.len());
         for standing in standings {

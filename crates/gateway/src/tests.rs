@@ -12,4 +12,4 @@ mod stage;
 mod vectors;
 
 pub(crate) use fixtures::{Member, context, pair};
-pub(super) use fixtures::{greet, network, sample_answers, sample_requests, sessions};
+pub(super) use fixtures::{greet, network, notice_of, sample_answers, sample_requests, sessions};

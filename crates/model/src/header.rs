@@ -234,6 +234,15 @@ mod tests {
     }
 
     #[test]
+    fn another_version_is_refused() {
+        for version in [0, 2, 255] {
+            let mut bytes = sample(1).encode();
+            bytes[8] = version;
+            assert_eq!(Header::parse(&bytes), Err(WireError::Value("version")), "{version}");
+        }
+    }
+
+    #[test]
     fn kinds_have_distinct_codes() {
         for kind in RecordKind::ALL {
             assert_eq!(RecordKind::from_code(kind.code()), Some(kind));

@@ -88,8 +88,7 @@ pub enum Report {
         version: u32,
         /// The domain; 0 in a graph of ROS 1.
         domain: u16,
-        /// Whether it can open no file and no local socket; earlier versions did not say.
-        #[serde(default)]
+        /// Whether it can open no file and no local socket.
         confined: bool,
     },
     /// A topic is announced.

@@ -32,7 +32,6 @@ pub struct Step {
     /// When the operator decided.
     pub at: Timestamp,
     /// On the same chain: the last block in which the old contract was in use. `None` = another chain.
-    #[serde(default)]
     pub until: Option<u64>,
 }
 

@@ -8,10 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use serde::{Deserialize, Serialize};
 
 use crate::crypto::record::open_front;
-use crate::crypto::{
-    CryptoError, EpochKey, IndexKey, OpenedRecord, TopicKey, filter_id, filter_key, topic_filter_id, topic_id,
-    topic_key, topic_key_by_name,
-};
+use crate::crypto::{CryptoError, IndexKey, OpenedRecord, TopicKey, filter_id, filter_key, topic_filter_id, topic_id};
 use crate::model::bytes::hex;
 use crate::model::head::SIMULATED;
 use crate::model::header::TAG_LENGTH;
@@ -114,8 +111,8 @@ impl Shown {
 
 /// What may open the sealed head of a row's record.
 pub trait Keys {
-    /// Every key that may have sealed it, the most likely first.
-    fn topic_keys(&self, row: &RecordRow, header: &Header) -> Vec<TopicKey>;
+    /// The key of the topic and epoch that a header names, if it is here.
+    fn topic_key(&self, header: &Header) -> Option<TopicKey>;
     /// IK of the record's owner, if it is here.
     fn index_key(&self, row: &RecordRow) -> Option<IndexKey>;
 }
@@ -210,19 +207,14 @@ impl Comparison<'_> {
     fn look(&self, row: &RecordRow, front: &[u8], whole: bool) -> Sight {
         let Ok((header, length)) = Header::parse(front) else { return Sight::Broken("stored bytes") };
         let end = length.saturating_add(usize::try_from(header.head_length).unwrap_or(usize::MAX));
-        let keys = if whole { self.keys.topic_keys(row, &header) } else { Vec::new() };
-        if keys.is_empty() {
-            return Sight::Header(Box::new(header));
-        }
+        let key = if whole { self.keys.topic_key(&header) } else { None };
+        let Some(key) = key else { return Sight::Header(Box::new(header)) };
         let longer = if front.len() < end { self.fronts_of(row.digest, end) } else { None };
-        for key in &keys {
-            match open_front(self.plant.provider, longer.as_deref().unwrap_or(front), key) {
-                Ok((header, head)) => return Sight::Head(self.heads.keep(row.digest, header, head)),
-                Err(CryptoError::WrongKey) => {}
-                Err(_) => return Sight::Broken("stored bytes"),
-            }
+        match open_front(self.plant.provider, longer.as_deref().unwrap_or(front), &key) {
+            Ok((header, head)) => Sight::Head(self.heads.keep(row.digest, header, head)),
+            Err(CryptoError::WrongKey) => Sight::Header(Box::new(header)),
+            Err(_) => Sight::Broken("stored bytes"),
         }
-        Sight::Header(Box::new(header))
     }
 
     fn fronts_of(&self, digest: Digest, length: usize) -> Option<Vec<u8>> {
@@ -377,11 +369,4 @@ pub(super) fn anchor_difference(plant: &Plant, row: &RecordRow) -> Result<Option
         (true, true) if row.block_hash != place.block_hash => Some("block's hash"),
         _ => None,
     })
-}
-
-/// Both keys that an epoch has for a record: derived from its topic's pseudonym, and, as in earlier versions, from its
-/// name.
-pub fn of_epoch(key: &EpochKey, row: &RecordRow, header: &Header) -> Vec<TopicKey> {
-    let named = row.is_named().then(|| topic_key_by_name(key, &row.topic));
-    [topic_key(key, &header.topic_id)].into_iter().chain(named).collect()
 }

@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use super::importer::MCAP;
 use crate::crypto::{
-    Enrolment, EpochIssue, FilterKey, IndexKey, IssuedTopic, Pseudonyms, SealingKey, SmKeyPair, TopicKey, filter_id,
-    filter_key, signer_id, topic_filter_id, topic_id, topic_key,
+    Enrolment, EpochIssue, FilterKey, IndexKey, IssuedTopic, SealingKey, SmKeyPair, TopicKey, filter_id, filter_key,
+    signer_id, topic_filter_id, topic_id, topic_key,
 };
 use crate::model::head::SIMULATED;
 use crate::model::header::MOST_FILTERS;
@@ -59,8 +59,8 @@ pub struct EpochKeys {
 }
 
 impl EpochKeys {
-    /// The keys of an epoch; `signing` is the owner's pair or that of a lent device, `index` is IK, which a device that
-    /// was given pseudonyms of its topics does not hold.
+    /// The keys of an epoch; `signing` is the owner's pair or that of a lent device, `index` is IK, which a device for
+    /// some topics does not hold.
     pub fn new(
         domain: Domain,
         (epoch, token): (u64, Token),
@@ -106,23 +106,17 @@ impl EpochKeys {
     }
 
     fn derive(&self, topic: &str) -> Option<TopicKeys> {
-        let issued = match &self.key {
+        match &self.key {
             SealingKey::Epoch(epoch) => {
                 let index = self.index.clone()?;
                 let id = topic_id(&index, topic);
-                return Some(TopicKeys { id, key: topic_key(epoch, &id), filters: Filters::Index(index) });
+                Some(TopicKeys { id, key: topic_key(epoch, &id), filters: Filters::Index(index) })
             }
-            SealingKey::Topics(topics) => topics.get(topic)?,
-        };
-        let IssuedTopic { key, pseudonyms } = issued.clone();
-        let (id, filters) = match pseudonyms {
-            Some(Pseudonyms { id, filters }) => (id, Filters::Topic(filters)),
-            None => {
-                let index = self.index.clone()?;
-                (topic_id(&index, topic), Filters::Index(index))
+            SealingKey::Topics(topics) => {
+                let IssuedTopic { id, filters, key } = topics.get(topic)?.clone();
+                Some(TopicKeys { id, key, filters: Filters::Topic(filters) })
             }
-        };
-        Some(TopicKeys { id, key, filters })
+        }
     }
 }
 
@@ -176,22 +170,16 @@ mod tests {
         let all = keys(SealingKey::Epoch(epoch.clone()));
         let index = IndexKey::new([3; 32]);
         let id = topic_id(&index, "/a");
-        let given = Pseudonyms { id, filters: filter_key(&index, &id) };
         let one = all.topic("/a").expect("covered");
-        for pseudonyms in [None, Some(given)] {
-            let new = pseudonyms.is_some();
-            let issued = IssuedTopic { key: topic_key(&epoch, &id), pseudonyms };
-            let some = EpochKeys {
-                index: (!new).then(|| index.clone()),
-                ..keys(SealingKey::Topics([("/a".to_owned(), issued)].into()))
-            };
-            let other = some.topic("/a").expect("covered");
-            assert_eq!((one.id, &one.key), (other.id, &other.key));
-            assert!(all.topic("/b").is_some() && some.topic("/b").is_none());
-            let tags: BTreeMap<String, String> = [("mission".to_owned(), "harbour".to_owned())].into();
-            let choice = tag_choice(&index, "mission", "harbour", &[id]);
-            let found = if new { choice.by_topic[&id] } else { choice.id };
-            assert_eq!(other.filters("x/Y", &tags)[1], found, "what readers look for");
+        let issued = IssuedTopic { id, filters: filter_key(&index, &id), key: topic_key(&epoch, &id) };
+        let some = EpochKeys { index: None, ..keys(SealingKey::Topics([("/a".to_owned(), issued)].into())) };
+        let other = some.topic("/a").expect("covered");
+        assert_eq!((one.id, &one.key), (other.id, &other.key));
+        assert!(all.topic("/b").is_some() && some.topic("/b").is_none());
+        let tags: BTreeMap<String, String> = [("mission".to_owned(), "harbour".to_owned())].into();
+        let choice = tag_choice(&index, "mission", "harbour", &[id]);
+        for (keys, found) in [(&one, choice.id), (&other, choice.by_topic[&id])] {
+            assert_eq!(keys.filters("x/Y", &tags)[1], found, "what readers look for");
         }
         let bare = EpochKeys { index: None, ..keys(SealingKey::Epoch(epoch)) };
         assert!(bare.topic("/a").is_none(), "no name without IK");

@@ -16,7 +16,7 @@ use crate::model::{Address, Digest, ErrorKind, Hash, Header, Identity, PublicKey
 use crate::store::{RecordRow, Retained};
 
 use super::chain_proofs::{self, Anchor, Shown as Wanted};
-use super::columns::{self, Keys as _};
+use super::columns::{self, Keys};
 use super::evidence_heights::{self, Shown};
 use super::evidence_stamps;
 use super::reader::Reader;
@@ -173,9 +173,9 @@ async fn disclosed(
     if let Some(definition) = reader.definition_text(row, &opened).await? {
         gathered.packing.definition(&definition, plant.provider);
     }
-    let secrets = reader.topic_keys(row, header).into_iter().map(|key| RecordSecret::of(&key, header));
-    let secret = { secrets }.find(|secret| open_revealed(plant.provider, record, secret).is_ok());
-    let secret = secret.ok_or(crate::crypto::CryptoError::WrongKey)?;
+    let key = Keys::topic_key(reader, header).ok_or(crate::crypto::CryptoError::WrongKey)?;
+    let secret = RecordSecret::of(&key, header);
+    open_revealed(plant.provider, record, &secret)?;
     disclose(secret, (&network.domain, &row.digest), &reader.reader.signing(), plant.provider).map_err(refused)
 }
 

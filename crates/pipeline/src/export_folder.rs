@@ -53,31 +53,22 @@ pub struct ClaimedAnchor {
     /// The kind of anchor.
     pub mode: AnchorWord,
     /// Its leaf's hash.
-    #[serde(default)]
     pub leaf: Option<Hash>,
     /// Its index.
-    #[serde(default)]
     pub index: Option<u64>,
     /// Leaves of the batch.
-    #[serde(default)]
     pub count: Option<u64>,
     /// Hashes from the leaf up.
-    #[serde(default)]
     pub path: Option<Vec<Hash>>,
     /// The batch's root.
-    #[serde(default)]
     pub root: Option<Hash>,
     /// The transaction.
-    #[serde(default)]
     pub transaction: Option<Hash>,
     /// Its block.
-    #[serde(default)]
     pub block: Option<u64>,
     /// That block's hash.
-    #[serde(default)]
     pub block_hash: Option<Hash>,
     /// That block's time, if the exporter's chain gave it.
-    #[serde(default)]
     pub block_time: Option<Timestamp>,
 }
 
@@ -105,7 +96,6 @@ pub struct ClaimedProof {
     /// Hash of block 0.
     pub genesis: Hash,
     /// The contract.
-    #[serde(default)]
     pub contract: Option<Address>,
     /// Where it is anchored.
     pub anchor: ClaimedAnchor,

@@ -8,5 +8,5 @@ mod memory_desk;
 #[path = "../../gateway/src/tests/stage.rs"]
 mod stage;
 
-pub(crate) use fixtures::{Member, context, pair};
+pub(crate) use fixtures::{Member, context, notice_of, pair};
 pub(crate) use stage::Stage;

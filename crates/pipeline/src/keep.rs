@@ -49,7 +49,7 @@ impl Plant {
         Ok(done)
     }
 
-    /// The bytes that the vault has of a record. Deleted ones are gone, even where an earlier version took them in again.
+    /// The bytes that the vault has of a record. Deleted ones are gone.
     ///
     /// # Errors
     /// Errors of the vault.

@@ -2,8 +2,6 @@
 //! signed by d_C and numbered. This is the robot's side: it subscribes at its gateway, takes notices newer than those it has, saves them
 //! and applies them.
 
-mod newest;
-
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,7 +12,7 @@ use tokio::sync::watch;
 use tokio::task::block_in_place;
 
 use crate::crypto::{
-    Anchor, Enrolment, Expected, Fingerprint, GatewayAccess, IssuedKeys, Notice, Provider, SealedEnrolment,
+    Anchor, Enrolment, Expected, Fingerprint, GatewayAccess, IssuedKeys, LastNotice, Notice, Provider, SealedEnrolment,
     SignedPolicy, notice_topic, open,
 };
 use crate::gateway::{Client, Code, Entry, Fetched, GatewayError, Query, Selection};
@@ -54,9 +52,7 @@ pub struct Notices {
     ring: Option<Ledger>,
     /// Whether it has one now.
     has_ring: Arc<AtomicBool>,
-    policies: Option<Arc<dyn PolicyTaker>>,
-    /// Remembers when the newest notice taken was sealed.
-    memory: Option<Ledger>,
+    policies: Arc<dyn PolicyTaker>,
     subscribed: bool,
     /// When the list was read. Until it is, what a subscription brings is left to it: notices are taken in order.
     looked: Option<Instant>,
@@ -72,6 +68,7 @@ impl Notices {
         author: Arc<Author>,
         sealed: SealedEnrolment,
         kept: PathBuf,
+        policies: Arc<dyn PolicyTaker>,
     ) -> Self {
         let gateway = watch::channel(sealed.enrolment.gateway.clone()).0;
         Self {
@@ -83,8 +80,7 @@ impl Notices {
             gateway,
             ring: None,
             has_ring: Arc::new(AtomicBool::new(true)),
-            policies: None,
-            memory: None,
+            policies,
             subscribed: false,
             looked: None,
             rests_until: None,
@@ -106,19 +102,6 @@ impl Notices {
     #[must_use]
     pub fn with_ring_while(self, ledger: Ledger, has_ring: &Arc<AtomicBool>) -> Self {
         Self { has_ring: Arc::clone(has_ring), ..self.with_ring(ledger) }
-    }
-
-    /// The same for a robot that remembers in its ledger when the newest notice was sealed: it then obeys an owner whose home
-    /// was restored, and whose notices are numbered anew.
-    #[must_use]
-    pub fn with_memory(self, ledger: Ledger) -> Self {
-        Self { memory: Some(ledger), ..self }
-    }
-
-    /// The same for a robot that takes policies; to another one they are of an unknown kind.
-    #[must_use]
-    pub fn with_policies(self, taker: Arc<dyn PolicyTaker>) -> Self {
-        Self { policies: Some(taker), ..self }
     }
 
     fn selection(&self) -> Selection {
@@ -143,16 +126,11 @@ impl Notices {
     fn is_newer(&self, (recorder, seq, epoch): (RecorderId, u64, u64), at: Timestamp) -> bool {
         let enrolment = &self.sealed.enrolment;
         let known = enrolment.keys.now.epoch;
-        match enrolment.noticed {
-            Some((last, number)) if last == recorder => seq > number && epoch >= known,
-            Some(last) => epoch > known || epoch == known && self.sealed_at(last).is_some_and(|last| at > last),
+        match enrolment.last_notice {
+            Some(last) if last.recorder == recorder => seq > last.number && epoch >= known,
+            Some(last) => epoch > known || epoch == known && at > last.at,
             None => epoch >= known,
         }
-    }
-
-    /// When the newest notice taken was sealed, if this robot remembers it.
-    fn sealed_at(&self, newest: (RecorderId, u64)) -> Option<Timestamp> {
-        self.memory.as_ref().and_then(|ledger| block_in_place(|| newest::sealed_at(ledger, newest)))
     }
 
     /// Searches the list for newer notices, and takes them in order: they may be of several kinds.
@@ -166,7 +144,7 @@ impl Notices {
             let Some(next) = page.next else { break };
             query.cursor = next;
         }
-        let last = self.sealed.enrolment.noticed.map(|(recorder, _)| recorder);
+        let last = self.sealed.enrolment.last_notice.map(|last| last.recorder);
         newer.sort_unstable_by_key(|entry| {
             let is_other = last.is_some_and(|last| last != entry.recorder);
             (entry.epoch, is_other, if is_other { entry.captured_at.0 } else { 0 }, entry.seq)
@@ -247,13 +225,7 @@ impl Notices {
                 let ring = self.ring.as_ref().filter(|_| self.has_ring.load(Ordering::Acquire));
                 asked(ring, header.seq, &span)?
             }
-            Notice::Policy(policy) => {
-                let Some(taker) = &self.policies else {
-                    self.observer.alert(true, "the owner sets a policy, which this robot does not take".to_owned());
-                    return Ok(());
-                };
-                block_in_place(|| taker.take(&policy))?
-            }
+            Notice::Policy(policy) => block_in_place(|| self.policies.take(&policy))?,
             Notice::Unknown(kind) => {
                 let text = format!("the owner sent a notice of unknown kind {kind}; update this program");
                 self.observer.alert(true, text);
@@ -261,11 +233,8 @@ impl Notices {
                 return Ok(());
             }
         };
-        let newest = (header.recorder, header.seq);
-        enrolment.noticed = Some(newest);
-        if let Some(ledger) = &self.memory {
-            block_in_place(|| newest::remember(ledger, newest, header.captured_at))?;
-        }
+        let Header { recorder, seq: number, captured_at: at, .. } = *header;
+        enrolment.last_notice = Some(LastNotice { recorder, number, at });
         block_in_place(|| self.sealed.save(&self.kept))?;
         self.observer.alert(false, told);
         let gateway = &self.sealed.enrolment.gateway;

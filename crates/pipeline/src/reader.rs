@@ -9,8 +9,8 @@ use std::sync::{Arc, PoisonError};
 use tokio::task::block_in_place;
 
 use crate::crypto::{
-    Anchor, CryptoError, EpochKey, Expected, GrantedKeys, IndexKey, OpenedRecord, TopicKey, WrappedKeys, check,
-    check_deleted, open, topic_key, topic_key_by_name, unwrap,
+    Anchor, CryptoError, Expected, GrantedKeys, IndexKey, OpenedRecord, TopicKey, WrappedKeys, check, check_deleted,
+    open, topic_key, unwrap,
 };
 use crate::model::{Address, Digest, Domain, GrantTerms, Header, RecordKind, RecordState, TopicId, Verdict};
 use crate::store::{KeptEnvelope, RecordQuery, RecordRow, Retained};
@@ -102,8 +102,7 @@ impl Reader<'_> {
         Ok(retained.filter(|retained| retained.anchored || stated(retained)))
     }
 
-    /// The stored bytes; those of a quarantined record may not be in the vault yet. Deleted ones are gone, even where an
-    /// earlier version took them in again.
+    /// The stored bytes; those of a quarantined record may not be in the vault yet.
     fn blob(&self, row: &RecordRow) -> Result<Option<Vec<u8>>, PipelineError> {
         if row.deleted_at.is_some() {
             return Ok(None);
@@ -150,7 +149,7 @@ impl Reader<'_> {
         // The owner's records of a former chain are bound to its domain, and sealed under its epochs.
         let sealed_for = Header::parse(blob).map_or(self.network.domain, |(header, _)| header.domain);
         let domain = if self.network.accepts(&sealed_for) { sealed_for } else { self.network.domain };
-        let keys = block_in_place(|| self.topic_keys_in(domain, row))?;
+        let key = block_in_place(|| self.key_for(domain, row.owner, row.epoch, row.topic_id))?;
         let expected = Expected {
             domain,
             owner: row.owner,
@@ -160,14 +159,7 @@ impl Reader<'_> {
             topic_id: Some(row.topic_id),
             topic: row.is_named().then(|| row.topic.clone()),
         };
-        let mut opened = Err(CryptoError::WrongKey);
-        for key in &keys {
-            opened = open(self.plant.provider, blob, &row.signature, &signer, anchor, key, &expected);
-            if !matches!(opened, Err(CryptoError::WrongKey)) {
-                break;
-            }
-        }
-        let opened = opened?;
+        let opened = open(self.plant.provider, blob, &row.signature, &signer, anchor, &key, &expected)?;
         let differs = |field| PipelineError::RowDiffers { id: row.id.clone(), field };
         let found = match columns::difference(row, &opened, self.plant.ledger.recorder()) {
             None => block_in_place(|| columns::anchor_difference(self.plant, row))?,
@@ -192,22 +184,18 @@ impl Reader<'_> {
     /// # Errors
     /// `CryptoError::WrongKey` if no grant of this reader carries it.
     pub fn topic_key(&self, row: &RecordRow) -> Result<TopicKey, PipelineError> {
-        let keys = self.topic_keys_in(self.network.domain, row)?;
-        keys.into_iter().next().ok_or_else(|| CryptoError::WrongKey.into())
+        self.key_for(self.network.domain, row.owner, row.epoch, row.topic_id)
     }
 
-    /// Every key that may have sealed the record, the most likely first.
-    fn topic_keys_in(&self, domain: Domain, row: &RecordRow) -> Result<Vec<TopicKey>, PipelineError> {
-        if row.owner == self.reader.address {
-            let epoch_key = self.reader.epoch_key(domain, row.epoch).ok_or(PipelineError::UnknownEpoch(row.epoch))?;
-            return Ok(keys_of(&epoch_key, row));
+    fn key_for(&self, domain: Domain, owner: Address, epoch: u64, topic: TopicId) -> Result<TopicKey, PipelineError> {
+        if owner == self.reader.address {
+            let epoch_key = self.reader.epoch_key(domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))?;
+            return Ok(topic_key(&epoch_key, &topic));
         }
-        if let Ok(ReadingRight::Granted(grant)) = self.right(row.owner, None) {
-            for wrapped in self.envelopes(&grant)? {
-                let keys = find_keys(&wrapped.keys, row);
-                if !keys.is_empty() {
-                    return Ok(keys);
-                }
+        if let Ok(ReadingRight::Granted(grant)) = self.right(owner, None) {
+            let envelopes = self.envelopes(&grant)?;
+            if let Some(key) = envelopes.iter().find_map(|wrapped| find_key(&wrapped.keys, epoch, topic)) {
+                return Ok(key);
             }
         }
         Err(CryptoError::WrongKey.into())
@@ -290,10 +278,8 @@ fn first_good<T>(mut results: impl Iterator<Item = Result<T, PipelineError>>) ->
 }
 
 impl columns::Keys for Reader<'_> {
-    fn topic_keys(&self, row: &RecordRow, header: &Header) -> Vec<TopicKey> {
-        let (owner, epoch, topic_id) = (header.owner, header.epoch, header.topic_id);
-        let asked = RecordRow { owner, topic_id, epoch, ..row.clone() };
-        self.topic_keys_in(header.domain, &asked).unwrap_or_default()
+    fn topic_key(&self, header: &Header) -> Option<TopicKey> {
+        self.key_for(header.domain, header.owner, header.epoch, header.topic_id).ok()
     }
 
     fn index_key(&self, row: &RecordRow) -> Option<IndexKey> {
@@ -314,21 +300,15 @@ pub fn is_held(row: &RecordRow) -> bool {
     matches!(row.state, RecordState::Quarantined | RecordState::Dropped)
 }
 
-/// By the topic's pseudonym, and as in earlier versions by its name if that is known.
-fn keys_of(key: &EpochKey, row: &RecordRow) -> Vec<TopicKey> {
-    let named = row.is_named().then(|| topic_key_by_name(key, &row.topic));
-    [topic_key(key, &row.topic_id)].into_iter().chain(named).collect()
-}
-
-fn find_keys(keys: &GrantedKeys, row: &RecordRow) -> Vec<TopicKey> {
+fn find_key(keys: &GrantedKeys, epoch: u64, topic: TopicId) -> Option<TopicKey> {
     match keys {
         GrantedKeys::All { epochs, .. } => {
-            let found = epochs.iter().find(|(epoch, _)| *epoch == row.epoch);
-            found.map(|(_, key)| keys_of(key, row)).unwrap_or_default()
+            let found = epochs.iter().find(|(number, _)| *number == epoch);
+            found.map(|(_, key)| topic_key(key, &topic))
         }
         GrantedKeys::Topics { keys } => {
-            let found = keys.iter().find(|(epoch, _, id, _)| *epoch == row.epoch && *id == row.topic_id);
-            found.map(|(_, _, _, key)| key.clone()).into_iter().collect()
+            let found = keys.iter().find(|(number, _, id, _)| (*number, *id) == (epoch, topic));
+            found.map(|(_, _, _, key)| key.clone())
         }
     }
 }

@@ -3,7 +3,6 @@
 
 pub mod erasing;
 mod held;
-mod returned;
 pub mod told;
 
 use std::collections::HashMap;
@@ -14,7 +13,6 @@ use crate::model::{
 use crate::store::{KeptTopic, OldRecord};
 
 use held::Held;
-pub use returned::overwrite_returned;
 
 use super::statement::{self, Speaker, Statement};
 use super::{Owner, PipelineError, Plant};

@@ -197,7 +197,6 @@ requests! {
         /// Its id.
         id: String,
         /// With full addresses.
-        #[serde(default)]
         addresses: bool,
     } => Vec<ExportedFile>;
     /// Own records with all their proofs, in one file.
@@ -323,10 +322,8 @@ requests! {
     /// Deploy the contract and pin it; refused if one is pinned already.
     DeployContract {
         /// The delay before a succession, seconds [default: a week].
-        #[serde(default)]
         delay: Option<u64>,
         /// The revision [default: the newest].
-        #[serde(default)]
         revision: Option<Revision>,
     } => DeployedView;
     /// Answer other tools' JSON-RPC for the embedded chain, until the connection that requested it ends.
@@ -340,7 +337,6 @@ requests! {
         /// The address.
         address: std::net::SocketAddr,
         /// Also for owners who were not admitted, whatever the settings say.
-        #[serde(default)]
         open: bool,
     } => GatewayView;
     /// Health, counts and alerts of the whole site.

@@ -4,7 +4,6 @@
 mod chain;
 mod files;
 mod peers;
-mod robots;
 
 use crate::config::Config;
 use crate::model::clean;
@@ -24,7 +23,6 @@ pub async fn examine(home: &Home, config: &Config, site: Option<Result<SiteView,
         files::keys(home, &mut sheet);
         files::ledger(home, &mut sheet);
         files::disk(home, &mut sheet);
-        robots::look(home, &mut sheet);
         peers::vault(home, config, &mut sheet);
         peers::ros(config, &mut sheet);
         // A running site of this home is in the domain already, and says below what it sees.

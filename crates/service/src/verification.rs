@@ -28,13 +28,10 @@ pub struct FolderCheck {
     pub captured_at: Timestamp,
     /// The anchor that counts, according to the chain: the earliest at which its signer had the right. If there is
     /// none, the one named in proof.json; `None` if the chain does not have that either.
-    #[serde(default)]
     pub anchored: Option<AnchoredAt>,
     /// Who seals that chain, according to its node.
-    #[serde(default)]
     pub sealed_by: Option<SealedBy>,
     /// What the reader of the verdict has to know besides.
-    #[serde(default)]
     pub warnings: Vec<String>,
     /// Step by step.
     pub steps: Vec<VerifyStep>,

@@ -46,19 +46,15 @@ pub struct AuditLine {
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditQuery {
     /// Written at or after.
-    #[serde(default)]
     pub since: Option<Timestamp>,
     /// Only this action: `grant`, `decrypt`, ….
-    #[serde(default)]
     pub action: Option<String>,
     /// Only those by this profile and its operators, or by `profile/operator` (for refusals: by this peer).
-    #[serde(default)]
     pub profile: Option<String>,
     /// Only those by an operator of this name, of whichever profile.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub operator: Option<String>,
     /// Only lines before this one, for paging back.
-    #[serde(default)]
     pub before: Option<u64>,
     /// At most this many, the newest.
     pub limit: usize,

@@ -55,11 +55,11 @@ pub(super) fn open_writer(path: &Path, schema: &Schema) -> Result<Connection, St
     Ok(connection)
 }
 
-/// Refuses a file written by a later version of this program, and leaves file and log as they are: closing must not
+/// Refuses a file written by another version of this program, and leaves file and log as they are: closing must not
 /// merge the log. Other problems are reported when it is opened.
 ///
 /// # Errors
-/// [`StoreError::Newer`].
+/// [`StoreError::Newer`], [`StoreError::Corrupt`].
 pub(super) fn check_version(path: &Path, schema: &Schema) -> Result<(), StoreError> {
     if !path.exists() {
         return Ok(());
@@ -75,8 +75,14 @@ pub(super) fn check_version(path: &Path, schema: &Schema) -> Result<(), StoreErr
         identity(&connection)
     };
     match look() {
-        Ok((application, found)) if application == schema.application && found > VERSION => {
-            Err(StoreError::Newer { file: path.to_owned(), found, known: VERSION })
+        Ok((application, found)) if application == schema.application && found != VERSION => {
+            let file = path.to_owned();
+            Err(match found > VERSION {
+                true => StoreError::Newer { file, found, known: VERSION },
+                false => {
+                    StoreError::Corrupt { file, detail: format!("its version is {found}, which no authros writes") }
+                }
+            })
         }
         _ => Ok(()),
     }
@@ -285,6 +291,23 @@ mod tests {
             let connection = connect(&path).expect("as it was");
             let rows: i64 = connection.query_row("SELECT count(*) FROM a", [], |row| row.get(0)).expect("rows");
             assert_eq!(rows, 1);
+        }
+    }
+
+    #[test]
+    fn each_number_but_the_own_version_is_refused_in_words() {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let path = home.path().join("x.db");
+        drop(open_writer(&path, &FIRST).expect("new"));
+        for (version, kind, words) in [
+            (0, ErrorKind::Tampered, "its version is 0, which no authros writes"),
+            (2, ErrorKind::Input, "has schema 2, but this program supports only 1"),
+            (255, ErrorKind::Input, "has schema 255, but this program supports only 1"),
+        ] {
+            connect(&path).expect("opens").pragma_update(None, "user_version", version).expect("another version's");
+            let error = open_writer(&path, &FIRST).expect_err("another version");
+            assert_eq!(error.kind(), kind, "{error}");
+            assert!(error.to_string().contains(words), "{error}");
         }
     }
 

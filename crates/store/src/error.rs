@@ -54,13 +54,13 @@ pub enum StoreError {
         detail: String,
     },
     /// A database was written by a later version of this program.
-    #[error("{} has schema {found}, but this program supports up to {known}; use a newer authros", file.display())]
+    #[error("{} has schema {found}, but this program supports only {known}; use a newer authros", file.display())]
     Newer {
         /// The database file.
         file: PathBuf,
         /// Schema version found.
         found: i64,
-        /// Newest schema version known.
+        /// The schema version known.
         known: i64,
     },
     /// Any other failure of SQLite.

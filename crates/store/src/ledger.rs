@@ -34,7 +34,6 @@ mod quarantine;
 mod query;
 mod recent;
 mod retention;
-mod returned;
 mod rights;
 mod rows;
 mod settings;

@@ -37,21 +37,6 @@ impl Snapshot {
     }
 }
 
-/// The settings of a ledger whose names begin with this, read without writing anything and without upgrading the file.
-///
-/// # Errors
-/// [`StoreError::Home`], [`StoreError::Corrupt`] and the like.
-pub fn settings_beginning(path: &Path, begin: &str) -> Result<Vec<String>, StoreError> {
-    let connection = database::open_reader(path)?;
-    let read = || {
-        let sql = "SELECT value FROM settings WHERE substr(key, 1, length(?1)) = ?1 ORDER BY key";
-        let mut statement = connection.prepare(sql)?;
-        let rows = statement.query_map([begin], |row| row.get(0))?;
-        Ok::<_, StoreError>(rows.collect::<Result<_, _>>()?)
-    };
-    read().map_err(|error| error.in_file(path))
-}
-
 /// Copies what a connection sees to a new private file.
 ///
 /// # Errors

@@ -87,11 +87,11 @@ fn a_revocation_a_recall_and_a_suspension_hold_at_a_gateway_and_at_one_that_is_c
             let (mut owner, _) = session(&keys, &gateway, "owner").await;
             owner.upload(vec![hers.clone()]).await.expect("taken");
             let (mut robot, credentials) = session(&keys, &gateway, "scout").await;
-            let notice = DeviceNotice { key: device.public, notices: Some(notices) };
+            let notice = DeviceNotice { key: device.public, notices };
             while robot.device(&keys.keyring.signing, notice).await.is_err() {
                 tokio::time::sleep(Duration::from_millis(100)).await;
             }
-            while owner.check(&[digest]).await.expect("answers") != [Standing::Verified] {
+            while owner.check(&[digest]).await.expect("answers").standings() != [Standing::Verified] {
                 tokio::time::sleep(Duration::from_millis(100)).await;
             }
             let of_robot =

@@ -15,7 +15,7 @@ use authros_crypto::{TransportKey, signer_id};
 use authros_gateway::desk::Account;
 use authros_gateway::{
     Binding, Caller, Code, Credentials, Desk, DeviceNotice, Entry, Fetched, GrantNotice, NetworkName, Page, Query,
-    Received, Refusal, Registration, RevokeNotice, Selection, Standing, Stood,
+    Received, Refusal, Registration, RevokeNotice, Selection, Stood,
 };
 use authros_model::header::TAG_LENGTH;
 use authros_model::{Address, Digest, Hash, ProfileName, PublicKey, RecordState, SignerId, Timestamp, Token};
@@ -140,11 +140,7 @@ impl Desk for BenchDesk {
         not_measured()
     }
 
-    async fn check(&self, _: &Caller, _: &[Digest]) -> Result<Vec<Standing>, Refusal> {
-        not_measured()
-    }
-
-    async fn prove(&self, _: &Caller, _: &[Digest]) -> Result<Vec<Stood>, Refusal> {
+    async fn check(&self, _: &Caller, _: &[Digest]) -> Result<Vec<Stood>, Refusal> {
         not_measured()
     }
 

@@ -1,13 +1,14 @@
 //! What anyone may send, and how long a block of the worst of it takes.
 
+use std::rc::Rc;
 use std::time::Instant;
 
 use super::admission::{BLOCK_GAS, TOO_MUCH_WORK, TRANSACTION_GAS};
-use super::contract_tests::{World, grant, identity};
-use super::machine::{Environment, Machine};
+use super::contract_tests::{Shelf, World, grant, identity};
+use super::machine::Environment;
 use super::payloads::Payload;
 use crate::chain::{Call, Revision};
-use crate::model::{Address, Hash, Token};
+use crate::model::{Address, Token};
 
 fn place() -> Environment {
     Environment { number: 1, timestamp: 1_000, difficulty: 2, beneficiary: Address([0xee; 20]) }
@@ -15,7 +16,7 @@ fn place() -> Environment {
 
 #[test]
 fn work_that_its_gas_does_not_pay_is_refused_and_run_again_where_it_is_in_the_file() {
-    let machine = Machine::chained(5, Hash([0; 32]));
+    let machine = Rc::new(Shelf::default()).machine();
     let transactions = || vec![Payload::long_exponent().transaction(Address([1; 20]), 0, 1_000_000)];
     let outcome = machine.run(&place(), transactions(), true).expect("runs");
     assert!(outcome.included.is_empty());
@@ -55,7 +56,7 @@ fn worst_block() {
     if std::env::var_os("AUTHROS_LONG").is_none() {
         return; // It measures for minutes: `tests/run --long`.
     }
-    let machine = Machine::chained(5, Hash([0; 32]));
+    let machine = Rc::new(Shelf::default()).machine();
     for payload in Payload::all() {
         let senders = 0..u8::try_from(BLOCK_GAS / TRANSACTION_GAS).expect("few");
         let block = senders.map(|sender| payload.transaction(Address([sender + 1; 20]), 0, TRANSACTION_GAS)).collect();

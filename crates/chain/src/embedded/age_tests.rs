@@ -91,14 +91,14 @@ fn medians(directories: &[&Path]) -> Vec<Duration> {
     times.iter_mut().map(median).collect()
 }
 
-/// `cargo test --lib old_chain -- --ignored --nocapture`; `AUTHROS_OLD_CHAIN` sets the number of blocks.
+/// `cargo test --lib old_chain -- --ignored --nocapture`; `AUTHROS_CHAIN_BLOCKS` sets the number of blocks.
 #[test]
 #[allow(clippy::print_stdout, reason = "a measurement")]
 fn an_old_chain_opens_as_fast_as_a_young_one() {
     if std::env::var_os("AUTHROS_LONG").is_none() {
         return; // It writes 200,000 blocks: `tests/run --long`.
     }
-    let asked = std::env::var("AUTHROS_OLD_CHAIN").ok().and_then(|blocks| blocks.parse().ok());
+    let asked = std::env::var("AUTHROS_CHAIN_BLOCKS").ok().and_then(|blocks| blocks.parse().ok());
     let ages: [u64; 2] = [200, asked.unwrap_or(200_000)];
     let homes = ages.map(|blocks| {
         let home = tempfile::tempdir().expect("folder");

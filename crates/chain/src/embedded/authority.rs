@@ -166,11 +166,6 @@ impl Authority {
         self.signers.len() as u64 / 2
     }
 
-    /// The blocks that were sealed out of turn.
-    pub fn out_of_turn(&self) -> &[u64] {
-        &self.out_of_turn
-    }
-
     /// The sum of the difficulties of blocks 0 to `number`.
     pub fn total_difficulty(&self, number: u64) -> u64 {
         1 + IN_TURN * number - self.out_of_turn.partition_point(|block| *block <= number) as u64
@@ -187,7 +182,6 @@ pub fn address_of(key: &SigningKey) -> Address {
 
 #[cfg(test)]
 mod tests {
-    use super::super::block::Rules;
     use super::*;
 
     fn authority(signers: u8) -> Authority {
@@ -250,8 +244,7 @@ mod tests {
         let mut authority = authority(3);
         let block = |number, signer, difficulty| {
             let zero = Address([0; 20]);
-            let mut header =
-                Header { number, ..Header::genesis(Rules::Tries, &[zero], zero, difficulty, Hash([2; 32]), 100) };
+            let mut header = Header { number, ..Header::genesis(&[zero], zero, difficulty, Hash([2; 32]), 100) };
             authority.seal(&mut header, signer).expect("seals");
             header
         };

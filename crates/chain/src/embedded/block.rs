@@ -1,7 +1,7 @@
 //! Block headers, receipts and logs of the embedded chain, their encoding and seal.
 //!
-//! The header has the fields and the RLP of Ethereum's before London, and its hash is the Keccak-256 of that. The
-//! meaning of its three roots depends on the rules, which the gas limit identifies.
+//! The header has the fields and the RLP of Ethereum's before London, and its hash is the Keccak-256 of that. Its three
+//! roots are those of Merkle-Patricia tries, like Ethereum's.
 
 use ethers::abi::ethereum_types::BloomInput;
 use ethers::types::{Bloom, U256};
@@ -14,42 +14,10 @@ use super::transaction::recover;
 use super::trie::EMPTY_ROOT;
 use crate::model::{Address, Hash};
 
-/// The rules by which a block was made.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Rules {
-    /// Files before version 3: the roots are plain commitments, and the gas limit is not enforced.
-    Chained,
-    /// Files of version 3: the roots are those of Merkle-Patricia tries, like Ethereum's.
-    Tries,
-}
-
-impl Rules {
-    /// The block gas limit.
-    pub fn gas_limit(self) -> u64 {
-        match self {
-            Self::Chained => 0xffff_ffff,
-            Self::Tries => BLOCK_GAS,
-        }
-    }
-
-    /// The first bytes of the extra data of every block after the first, under proof of authority.
-    fn vanity(self) -> [u8; VANITY] {
-        match self {
-            Self::Chained => [0; VANITY],
-            Self::Tries => *b"AuthROS chain file version 3\0\0\0\0",
-        }
-    }
-
-    /// The root of no transactions and of no receipts.
-    fn nothing(self) -> Hash {
-        match self {
-            Self::Chained => Hash(NO_UNCLES),
-            Self::Tries => EMPTY_ROOT,
-        }
-    }
-}
-/// Zero bytes in front of the seal in the extra data (Clique's vanity).
+/// Length of what precedes the seal in the extra data (Clique's vanity), bytes.
 const VANITY: usize = 32;
+/// The vanity of every block after the first, under proof of authority.
+const MARK: [u8; VANITY] = *b"AuthROS chain file version 1\0\0\0\0";
 /// Length of the seal, bytes: r, s, parity.
 const SEAL: usize = 65;
 /// Keccak-256 of the RLP of an empty list: there are no uncles.
@@ -63,11 +31,11 @@ const NO_UNCLES: [u8; 32] = [
 pub struct Header {
     /// Hash of the parent.
     pub parent: Hash,
-    /// Commitment to the state after the block.
+    /// Root of the state after the block.
     pub state_root: Hash,
-    /// Commitment to the transactions and their senders.
+    /// Root of the transactions.
     pub transactions_root: Hash,
-    /// Commitment to the receipts.
+    /// Root of the receipts.
     pub receipts_root: Hash,
     /// Bloom filter of the addresses and topics of the logs.
     pub bloom: Bloom,
@@ -92,14 +60,7 @@ pub struct Header {
 impl Header {
     /// The first header of a chain, before its seal: `unique` makes it unlike any other. Without `signers` it is for
     /// proof of work with this `beneficiary`.
-    pub fn genesis(
-        rules: Rules,
-        signers: &[Address],
-        beneficiary: Address,
-        difficulty: u64,
-        unique: Hash,
-        timestamp: u64,
-    ) -> Self {
+    pub fn genesis(signers: &[Address], beneficiary: Address, difficulty: u64, unique: Hash, timestamp: u64) -> Self {
         let mut extra = unique.0.to_vec();
         if !signers.is_empty() {
             signers.iter().for_each(|signer| extra.extend(signer.as_bytes()));
@@ -107,17 +68,14 @@ impl Header {
         }
         Self {
             parent: Hash([0; 32]),
-            state_root: match rules {
-                Rules::Chained => Hash(keccak256([])),
-                Rules::Tries => EMPTY_ROOT,
-            },
-            transactions_root: rules.nothing(),
-            receipts_root: rules.nothing(),
+            state_root: EMPTY_ROOT,
+            transactions_root: EMPTY_ROOT,
+            receipts_root: EMPTY_ROOT,
             bloom: Bloom::zero(),
             beneficiary,
             difficulty,
             number: 0,
-            gas_limit: rules.gas_limit(),
+            gas_limit: BLOCK_GAS,
             gas_used: 0,
             timestamp,
             extra,
@@ -171,11 +129,6 @@ impl Header {
         Ok(header)
     }
 
-    /// The rules by which it was made.
-    pub fn rules(&self) -> Rules {
-        if self.gas_limit == Rules::Chained.gas_limit() { Rules::Chained } else { Rules::Tries }
-    }
-
     /// The block hash.
     pub fn hash(&self) -> Hash {
         Hash(keccak256(self.encode()))
@@ -210,8 +163,8 @@ impl Header {
 }
 
 /// Extra data of a proof-of-authority block before it is sealed.
-pub fn unsealed_extra(rules: Rules) -> Vec<u8> {
-    [&rules.vanity()[..], &[0; SEAL]].concat()
+pub fn unsealed_extra() -> Vec<u8> {
+    [&MARK[..], &[0; SEAL]].concat()
 }
 
 /// One log of a transaction.
@@ -334,14 +287,14 @@ mod tests {
             let point = key().verifying_key().to_encoded_point(false);
             Address::from_public_key(point.as_bytes()[1..].try_into().expect("64 bytes"))
         };
-        let mut header = Header::genesis(Rules::Chained, &[signer], Address([0; 20]), 1, Hash([3; 32]), 5);
+        let mut header = Header::genesis(&[signer], Address([0; 20]), 1, Hash([3; 32]), 5);
         header.seal(&key()).expect("seals");
         assert_eq!(header.sealer(), Some(signer));
         let bytes = header.encode();
         assert_eq!(Header::decode(&bytes), Ok(header.clone()));
         header.timestamp += 1;
         assert_ne!(header.sealer(), Some(signer));
-        let worked = Header { nonce: 7, ..Header::genesis(Rules::Tries, &[], signer, 9, Hash([3; 32]), 5) };
+        let worked = Header { nonce: 7, ..Header::genesis(&[], signer, 9, Hash([3; 32]), 5) };
         assert_eq!(Header::decode(&worked.encode()), Ok(worked.clone()));
         assert_eq!(worked.sealer(), None);
         let other = Header { nonce: 8, ..worked.clone() };

@@ -1,7 +1,10 @@
 //! The contract in the embedded EVM, with a simulated clock and no network: both revisions, called as this program
 //! calls them. The contract's whole behaviour is tested in `contracts/test`.
 
+use std::cell::RefCell;
 use std::collections::HashMap;
+use std::rc::Rc;
+use std::sync::Arc;
 
 use ethers::abi::Token as AbiToken;
 use ethers::types::U256;
@@ -10,10 +13,12 @@ use super::admission::TRANSACTION_GAS;
 use super::block::created_address;
 use super::machine::{Answer, Environment, Machine, Message};
 use super::transaction::Transaction;
+use super::trie::{EMPTY_ROOT, Nodes};
+use super::world::{Ground, Tries};
 use crate::chain::artefact::{Revision, artefact};
 use crate::chain::call::{address, word};
 use crate::chain::error::decode_revert;
-use crate::chain::{Call, Event};
+use crate::chain::{Call, ChainError, Event};
 use crate::model::{Address, Digest, Hash, Identity, PublicKey, Scope, Signature, SignerId, Timestamp, Token};
 
 const ADMIN: Address = Address([0xad; 20]);
@@ -23,9 +28,37 @@ const A: Address = Address([0xa; 20]);
 const B: Address = Address([0xb; 20]);
 const C: Address = Address([0xc; 20]);
 
+/// The nodes of every state, in memory.
+#[derive(Default)]
+pub(super) struct Shelf(RefCell<HashMap<Hash, Arc<[u8]>>>);
+
+impl Shelf {
+    /// A machine whose state is empty.
+    pub(super) fn machine(self: Rc<Self>) -> Machine {
+        Machine::new(Tries { ground: self, root: EMPTY_ROOT }, 5)
+    }
+}
+
+impl Nodes for Shelf {
+    fn node(&self, hash: Hash) -> Result<Arc<[u8]>, ChainError> {
+        self.0.borrow().get(&hash).cloned().ok_or_else(|| self.malformed(hash))
+    }
+
+    fn malformed(&self, hash: Hash) -> ChainError {
+        ChainError::Internal(format!("{hash} is not here"))
+    }
+}
+
+impl Ground for Shelf {
+    fn block_hash(&self, _number: u64) -> Result<Hash, ChainError> {
+        Ok(Hash([0; 32]))
+    }
+}
+
 /// A chain with the contract on it.
 pub(super) struct World {
     revision: Revision,
+    shelf: Rc<Shelf>,
     machine: Machine,
     contract: Address,
     nonces: HashMap<Address, u64>,
@@ -71,9 +104,10 @@ fn anchor(root: u8, previous: u8) -> Call {
 impl World {
     pub(super) fn new(revision: Revision, open: bool) -> Self {
         let place = Environment { number: 1, timestamp: 1_000, difficulty: 2, beneficiary: Address([0xee; 20]) };
-        let machine = Machine::chained(5, Hash([0; 32]));
+        let shelf = Rc::new(Shelf::default());
+        let machine = Rc::clone(&shelf).machine();
         let contract = created_address(ADMIN, 0);
-        let mut world = Self { revision, machine, contract, nonces: HashMap::new(), place, gas: 0 };
+        let mut world = Self { revision, shelf, machine, contract, nonces: HashMap::new(), place, gas: 0 };
         let code = artefact(revision).expect("artefact").creation(open, DELAY).expect("code");
         world.run(ADMIN, None, 0, code).expect("deploys");
         assert!(world.gas < 6_000_000, "{}", world.gas);
@@ -116,7 +150,8 @@ impl World {
         }
         *nonce += 1;
         let receipt = outcome.receipts[0].clone();
-        self.machine.apply(outcome);
+        self.shelf.0.borrow_mut().extend(outcome.written.made.into_iter().map(|(hash, body)| (hash, body.into())));
+        self.machine.tries.root = outcome.state_root;
         self.place.number += 1;
         self.gas = receipt.gas_used;
         if !receipt.success {

@@ -17,21 +17,26 @@ use zeroize::Zeroizing;
 use super::block::{Header, Receipt};
 use super::state_file::{self, Cache};
 use super::transaction::Transaction;
-use super::trie::EMPTY_ROOT;
-use super::version::{self, CHOSEN, PLAIN, TRIES};
 use super::world::Written;
 use crate::chain::{ChainError, Consensus};
-use crate::model::{Address, Hash};
+use crate::model::Hash;
 
+/// The version of the file, kept in it.
+const VERSION: i64 = 1;
 const SCHEMA: &str = "
     CREATE TABLE IF NOT EXISTS chain (
-        id INTEGER PRIMARY KEY CHECK (id = 1), version INTEGER NOT NULL, chain_id INTEGER NOT NULL, signer BLOB NOT NULL
+        id INTEGER PRIMARY KEY CHECK (id = 1), version INTEGER NOT NULL, chain_id INTEGER NOT NULL,
+        consensus TEXT NOT NULL, signer BLOB NOT NULL
     );
     CREATE TABLE IF NOT EXISTS block (number INTEGER PRIMARY KEY, hash BLOB NOT NULL UNIQUE, header BLOB NOT NULL);
+    CREATE TABLE IF NOT EXISTS out_of_turn (number INTEGER PRIMARY KEY);
     CREATE TABLE IF NOT EXISTS sent (
-        block INTEGER NOT NULL, position INTEGER NOT NULL, hash BLOB NOT NULL UNIQUE, sender BLOB NOT NULL,
-        raw BLOB NOT NULL, receipt BLOB NOT NULL, logs INTEGER NOT NULL, PRIMARY KEY (block, position)
-    );";
+        block INTEGER NOT NULL, position INTEGER NOT NULL, hash BLOB NOT NULL UNIQUE, raw BLOB NOT NULL,
+        receipt BLOB NOT NULL, logs INTEGER NOT NULL, PRIMARY KEY (block, position)
+    );
+    CREATE TABLE IF NOT EXISTS node (hash BLOB PRIMARY KEY, body BLOB NOT NULL, places INTEGER NOT NULL);
+    CREATE TABLE IF NOT EXISTS retired (block INTEGER PRIMARY KEY, nodes BLOB NOT NULL, felled BLOB NOT NULL);
+    CREATE TABLE IF NOT EXISTS doomed (id INTEGER PRIMARY KEY, hash BLOB NOT NULL);";
 const KEY_LENGTH: usize = 32;
 
 /// Drawn when a chain is founded.
@@ -42,17 +47,6 @@ pub struct Founding {
     pub consensus: Consensus,
     /// The keys that seal its blocks; under proof of work, the key of the account that gets the fees.
     pub keys: Vec<SigningKey>,
-    /// Since when its state is stored as tries; `None` in a file before version 3.
-    pub era: Option<Era>,
-}
-
-/// The point from which a chain is of version 3.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Era {
-    /// The first block by the new rules; 0 if the chain was founded under them.
-    pub first: u64,
-    /// Root of the state before that block.
-    pub root: Hash,
 }
 
 /// A block to be written to the file.
@@ -71,8 +65,6 @@ pub struct Sealed<'a> {
 
 /// A mined transaction as stored in the file.
 pub struct Mined {
-    /// Its sender.
-    pub sender: Address,
     /// Its raw bytes.
     pub raw: Vec<u8>,
     /// Its receipt, RLP.
@@ -101,24 +93,24 @@ impl ChainFile {
         OpenOptions::new().create(true).append(true).mode(0o600).open(&path).map_err(blame)?;
         let blame = |error: rusqlite::Error| blamed(&path, &error);
         let connection = connect(&path).map_err(blame)?;
-        version::check(&connection, &path)?;
+        check_version(&connection, &path)?;
         prepare(&connection).map_err(blame)?;
         Ok(Self { path, connection, cache: Cache::default() })
     }
 
-    /// Refuses a chain written by a later version of this program, and leaves the file as it is. Other problems are
+    /// Refuses a chain written by another version of this program, and leaves the file as it is. Other problems are
     /// reported when it is opened.
     ///
     /// # Errors
-    /// [`ChainError::File`].
+    /// [`ChainError::Newer`], [`ChainError::Tampered`].
     pub fn check(directory: &Path) -> Result<(), ChainError> {
         let path = directory.join("chain.db");
         if !path.exists() {
             return Ok(());
         }
         let Ok(connection) = connect(&path) else { return Ok(()) };
-        let checked = version::check(&connection, &path);
-        version::leave_log(&connection, &path);
+        let checked = check_version(&connection, &path);
+        leave_log(&connection, &path);
         checked
     }
 
@@ -131,35 +123,15 @@ impl ChainFile {
     /// # Errors
     /// [`ChainError`] if the file cannot be read or was changed.
     pub fn founding(&self) -> Result<Option<Founding>, ChainError> {
-        let columns = |row: &Row<'_>| Ok((row.get(0)?, natural(row, 1)?, Zeroizing::new(row.get(2)?)));
-        let row: Option<(i64, u64, Zeroizing<Vec<u8>>)> = self
-            .connection
-            .query_row("SELECT version, chain_id, signer FROM chain", [], columns)
-            .optional()
-            .map_err(|error| self.blame(&error))?;
-        let Some((version, chain_id, signer)) = row else { return Ok(None) };
-        let (consensus, era) = match version {
-            PLAIN => (Consensus::POA, None),
-            CHOSEN => (self.chosen()?, None),
-            TRIES => (self.chosen()?, Some(self.era()?)),
-            found => return Err(ChainError::Newer { path: self.path.clone(), found, known: TRIES }),
-        };
+        type Columns = (u64, String, Zeroizing<Vec<u8>>);
+        let columns = |row: &Row<'_>| Ok((natural(row, 0)?, row.get(1)?, Zeroizing::new(row.get(2)?)));
+        let row: Option<Columns> = self.one("SELECT chain_id, consensus, signer FROM chain", [], columns)?;
+        let Some((chain_id, words, signer)) = row else { return Ok(None) };
+        let consensus = words.parse().map_err(|_| self.tampered(0, "its consensus is unknown to this program"))?;
         let keys: Result<Vec<_>, _> = signer.chunks(KEY_LENGTH).map(SigningKey::from_slice).collect();
         let keys = keys.ok().filter(|keys| keys.len() == keys_of(&consensus));
         let keys = keys.ok_or_else(|| self.tampered(0, "the signers' keys were changed"))?;
-        Ok(Some(Founding { chain_id, consensus, keys, era }))
-    }
-
-    fn chosen(&self) -> Result<Consensus, ChainError> {
-        let words: Option<String> = self.one("SELECT words FROM consensus", [], |row| row.get(0))?;
-        let consensus = words.and_then(|words| words.parse().ok());
-        consensus.ok_or_else(|| self.tampered(0, "its consensus is unknown to this program"))
-    }
-
-    fn era(&self) -> Result<Era, ChainError> {
-        let read = |row: &Row<'_>| Ok(Era { first: natural(row, 0)?, root: Hash(row.get(1)?) });
-        let era = self.one("SELECT first, root FROM era", [], read)?;
-        era.ok_or_else(|| self.tampered(0, "it does not say where its version 3 starts"))
+        Ok(Some(Founding { chain_id, consensus, keys }))
     }
 
     /// Writes a new chain: founding and genesis block, all or nothing.
@@ -170,29 +142,9 @@ impl ChainFile {
         let mut keys = Zeroizing::new(Vec::with_capacity(KEY_LENGTH * founding.keys.len()));
         founding.keys.iter().for_each(|key| keys.extend_from_slice(&Zeroizing::new(key.to_bytes())[..]));
         self.write(|transaction| {
-            let values = params![TRIES, integer(founding.chain_id), &keys[..]];
-            transaction.execute("INSERT INTO chain VALUES (1, ?1, ?2, ?3)", values)?;
-            begin_tries(transaction, &founding.consensus, Era { first: 0, root: EMPTY_ROOT })?;
+            let values = params![VERSION, integer(founding.chain_id), founding.consensus.to_string(), &keys[..]];
+            transaction.execute("INSERT INTO chain VALUES (1, ?1, ?2, ?3, ?4)", values)?;
             insert_header(transaction, genesis)
-        })
-    }
-
-    /// Upgrades an older file to version 3, all or nothing: `made` are the nodes of its newest state.
-    ///
-    /// # Errors
-    /// [`ChainError::File`] if it cannot be written.
-    pub fn upgrade(
-        &self,
-        consensus: &Consensus,
-        era: Era,
-        made: &[(Hash, Vec<u8>)],
-        out_of_turn: &[u64],
-    ) -> Result<(), ChainError> {
-        self.write(|transaction| {
-            transaction.execute("UPDATE chain SET version = ?1", [TRIES])?;
-            begin_tries(transaction, consensus, era)?;
-            state_file::add(transaction, made)?;
-            out_of_turn.iter().try_for_each(|number| insert_out_of_turn(transaction, *number))
         })
     }
 
@@ -204,14 +156,15 @@ impl ChainFile {
         self.write(|transaction| {
             insert_header(transaction, block.header)?;
             if block.out_of_turn {
-                insert_out_of_turn(transaction, block.header.number)?;
+                let values = [integer(block.header.number)];
+                transaction.prepare_cached("INSERT INTO out_of_turn VALUES (?1)")?.execute(values)?;
             }
-            let mut insert = transaction.prepare_cached("INSERT INTO sent VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)")?;
+            let mut insert = transaction.prepare_cached("INSERT INTO sent VALUES (?1, ?2, ?3, ?4, ?5, ?6)")?;
             for ((position, one), receipt) in (0i64..).zip(block.sent).zip(block.receipts) {
                 let encoded = rlp::encode(receipt);
-                let (number, hash, sender) = (integer(block.header.number), &one.hash.0, &one.sender.0);
+                let number = integer(block.header.number);
                 let logs = i64::try_from(receipt.logs.len()).unwrap_or(i64::MAX);
-                insert.execute(params![number, position, hash, sender, one.raw, &encoded[..], logs])?;
+                insert.execute(params![number, position, one.hash.0, one.raw, &encoded[..], logs])?;
             }
             state_file::write(transaction, block.header.number, block.written)
         })
@@ -288,7 +241,7 @@ impl ChainFile {
     /// # Errors
     /// [`ChainError`] if the file cannot be read.
     pub fn block_transactions(&self, number: u64) -> Result<Vec<Mined>, ChainError> {
-        let query = "SELECT sender, raw, receipt, logs FROM sent WHERE block = ?1 ORDER BY position";
+        let query = "SELECT raw, receipt, logs FROM sent WHERE block = ?1 ORDER BY position";
         self.all(query, [integer(number)], mined_columns)
     }
 
@@ -365,6 +318,28 @@ fn connect(path: &Path) -> rusqlite::Result<Connection> {
     Ok(connection)
 }
 
+/// Refuses a file of another version, and leaves it as it is when the connection is closed. A file without a version
+/// passes, and so does an unreadable one: opening it reports why.
+fn check_version(connection: &Connection, path: &Path) -> Result<(), ChainError> {
+    let found = match connection.query_row("SELECT version FROM chain", [], |row| row.get::<_, i64>(0)) {
+        Ok(found) if found != VERSION => found,
+        _ => return Ok(()),
+    };
+    leave_log(connection, path);
+    if found > VERSION {
+        return Err(ChainError::Newer { path: path.to_owned(), found, known: VERSION });
+    }
+    let what = format!("its version is {found}, which no authros writes");
+    Err(ChainError::Tampered { path: path.to_owned(), block: 0, what })
+}
+
+/// Makes a waiting log stay beside the file when this connection is closed, instead of being merged into it.
+fn leave_log(connection: &Connection, path: &Path) {
+    let waits = std::fs::metadata(path.with_extension("db-wal")).is_ok_and(|log| log.len() > 0);
+    // If that is not supported, the log is merged, which loses nothing.
+    drop(connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, waits));
+}
+
 fn prepare(connection: &Connection) -> rusqlite::Result<()> {
     connection.pragma_update(None, "journal_mode", "WAL")?;
     connection.pragma_update(None, "synchronous", "FULL")?;
@@ -390,17 +365,6 @@ fn insert_header(connection: &Connection, header: &Header) -> rusqlite::Result<(
     connection.prepare_cached("INSERT INTO block VALUES (?1, ?2, ?3)")?.execute(values).map(|_| ())
 }
 
-/// The changes that make a file version 3.
-fn begin_tries(transaction: &rusqlite::Transaction<'_>, consensus: &Consensus, era: Era) -> rusqlite::Result<()> {
-    transaction.execute_batch(state_file::SCHEMA)?;
-    transaction.execute("INSERT OR IGNORE INTO consensus VALUES (1, ?1)", [consensus.to_string()])?;
-    transaction.execute("INSERT INTO era VALUES (1, ?1, ?2)", params![integer(era.first), era.root.0]).map(drop)
-}
-
-fn insert_out_of_turn(connection: &Connection, number: u64) -> rusqlite::Result<()> {
-    connection.prepare_cached("INSERT INTO out_of_turn VALUES (?1)")?.execute([integer(number)]).map(drop)
-}
-
 /// SQLite's integers are signed; no number here gets that large.
 pub(super) fn integer(value: u64) -> i64 {
     i64::try_from(value).unwrap_or(i64::MAX)
@@ -416,5 +380,5 @@ fn header_columns(row: &Row<'_>) -> rusqlite::Result<(u64, Hash, Vec<u8>)> {
 }
 
 fn mined_columns(row: &Row<'_>) -> rusqlite::Result<Mined> {
-    Ok(Mined { sender: Address(row.get(0)?), raw: row.get(1)?, receipt: row.get(2)?, logs: natural(row, 3)? })
+    Ok(Mined { raw: row.get(0)?, receipt: row.get(1)?, logs: natural(row, 2)? })
 }

@@ -4,13 +4,13 @@ use ethers::utils::keccak256;
 use k256::ecdsa::SigningKey;
 use zeroize::Zeroizing;
 
-use super::block::{Header, Rules};
-use super::file::{ChainFile, Era, Founding, keys_of};
+use super::block::Header;
+use super::file::{ChainFile, Founding, keys_of};
 use super::sealing::Sealing;
 use crate::chain::{ChainError, Consensus};
 use crate::model::{Hash, Timestamp};
 
-/// Length of the random part of a genesis block that also commits to the consensus.
+/// Length of the random part of a genesis block, which also commits to the consensus.
 const RANDOM: usize = 16;
 
 /// The founding data of a chain.
@@ -23,8 +23,6 @@ pub struct Founded {
     pub sealing: Sealing,
     /// Its first block.
     pub genesis: Header,
-    /// Since when it is of version 3.
-    pub era: Option<Era>,
 }
 
 /// The chain in the file, or a new one.
@@ -33,7 +31,7 @@ pub struct Founded {
 /// [`ChainError::OtherConsensus`] if a different consensus is requested from the one the chain was founded with,
 /// [`ChainError::Tampered`] if the founding data do not match the genesis block.
 pub fn open(file: &ChainFile, asked: Option<Consensus>) -> Result<Founded, ChainError> {
-    let Founding { chain_id, consensus, keys, era } = match file.founding()? {
+    let Founding { chain_id, consensus, keys } = match file.founding()? {
         Some(founding) => founding,
         None => found(file, asked.unwrap_or_default())?,
     };
@@ -42,7 +40,7 @@ pub fn open(file: &ChainFile, asked: Option<Consensus>) -> Result<Founded, Chain
     }
     let sealing = Sealing::new(&consensus, keys);
     let genesis = genesis(file, &consensus, &sealing)?;
-    Ok(Founded { chain_id, consensus, sealing, genesis, era })
+    Ok(Founded { chain_id, consensus, sealing, genesis })
 }
 
 fn found(file: &ChainFile, consensus: Consensus) -> Result<Founding, ChainError> {
@@ -51,15 +49,13 @@ fn found(file: &ChainFile, consensus: Consensus) -> Result<Founding, ChainError>
     }
     let id = u64::from_be_bytes(noise()?);
     let keys = (0..keys_of(&consensus)).map(|_| draw_key()).collect::<Result<Vec<_>, _>>()?;
-    let unique = if consensus == Consensus::POA { Hash(noise()?) } else { commitment(noise()?, &consensus) };
     let sealing = Sealing::new(&consensus, keys.clone());
-    let mut genesis = sealing.genesis(Rules::Tries, unique, Timestamp::now().seconds());
+    let mut genesis = sealing.genesis(commitment(noise()?, &consensus), Timestamp::now().seconds());
     if let Sealing::Authority(authority) = &sealing {
         let sealed = authority.seal(&mut genesis, 0);
         sealed.ok_or_else(|| ChainError::Internal("the genesis block could not be sealed".into()))?;
     }
-    let era = Some(Era { first: 0, root: genesis.state_root });
-    let founding = Founding { chain_id: (1 << 40) + id % (1 << 47), consensus, keys, era };
+    let founding = Founding { chain_id: (1 << 40) + id % (1 << 47), consensus, keys };
     file.found(&founding, &genesis)?;
     Ok(founding)
 }
@@ -98,7 +94,7 @@ fn genesis(file: &ChainFile, consensus: &Consensus, sealing: &Sealing) -> Result
         let random = unique.0.first_chunk().copied().unwrap_or_default();
         commitment(random, consensus) == unique
     });
-    if *consensus != Consensus::POA && !committed {
+    if !committed {
         return Err(blame("its consensus was changed"));
     }
     Ok(header)

@@ -2,8 +2,6 @@
 //!
 //! Running a block changes nothing; its changes are applied once the block is on disk.
 
-use std::rc::Rc;
-
 use ethers::types::U256;
 use revm::context::result::{EVMError, ExecutionResult, InvalidTransaction, Output};
 use revm::context::{BlockEnv, Evm, TxEnv};
@@ -13,14 +11,12 @@ use revm::handler::instructions::EthInstructions;
 use revm::interpreter::interpreter::EthInterpreter;
 use revm::primitives::hardfork::SpecId;
 use revm::primitives::{Address as EvmAddress, Bytes, KECCAK_EMPTY, TxKind, U256 as Word};
-use revm::state::EvmState;
 use revm::{Context, DatabaseCommit, DatabaseRef, ExecuteEvm, MainBuilder, MainContext};
 
-use super::admission::{BLOCK_SURPLUS, ESTIMATE_GAS, TRANSACTION_GAS, TRANSACTION_SURPLUS, Weighed};
-use super::block::{Log, Receipt, Rules};
-use super::roots::chained_state;
+use super::admission::{BLOCK_GAS, BLOCK_SURPLUS, ESTIMATE_GAS, TRANSACTION_GAS, TRANSACTION_SURPLUS, Weighed};
+use super::block::{Log, Receipt};
 use super::transaction::Transaction;
-use super::world::{Ground, Tries, Unread, World, Written};
+use super::world::{Tries, Unread, Written};
 use crate::chain::ChainError;
 use crate::model::{Address, Hash};
 
@@ -45,11 +41,10 @@ pub struct Outcome {
     pub receipts: Vec<Receipt>,
     /// Those that cannot go into any block, and why.
     pub refused: Vec<(Transaction, String)>,
-    /// Commitment to the state after the block.
+    /// Root of the state after the block.
     pub state_root: Hash,
-    /// Its changes to the state's nodes; none by the rules before version 3.
+    /// Its changes to the state's nodes.
     pub written: Written,
-    changes: Vec<EvmState>,
 }
 
 /// A message call without a transaction.
@@ -78,49 +73,17 @@ pub enum Answer {
     Failed(String),
 }
 
-/// The world state and its rules.
+/// The world state, and the chain whose transactions change it.
 pub struct Machine {
-    world: World,
+    /// The state.
+    pub tries: Tries,
     chain_id: u64,
-    state_root: Hash,
 }
 
 impl Machine {
-    /// An empty world in memory, by the rules before version 3.
-    pub fn chained(chain_id: u64, state_root: Hash) -> Self {
-        Self { world: World::Memory(Box::default()), chain_id, state_root }
-    }
-
-    /// The world whose tries have this root.
-    pub fn over(ground: Rc<dyn Ground>, root: Hash, chain_id: u64) -> Self {
-        Self { world: World::Tries(Tries { ground, root }), chain_id, state_root: root }
-    }
-
-    /// The rules by which its blocks are made.
-    pub fn rules(&self) -> Rules {
-        match self.world {
-            World::Memory(_) => Rules::Chained,
-            World::Tries(_) => Rules::Tries,
-        }
-    }
-
-    /// The state's tries, by the rules of version 3.
-    pub fn tries(&self) -> Option<&Tries> {
-        if let World::Tries(tries) = &self.world { Some(tries) } else { None }
-    }
-
-    /// The same state as tries on `ground`, and their nodes. Nothing is written.
-    ///
-    /// # Errors
-    /// [`ChainError`] if nodes cannot be read.
-    pub fn into_tries(self, ground: Rc<dyn Ground>) -> Result<(Self, Written), ChainError> {
-        match &self.world {
-            World::Memory(memory) => {
-                let (root, written) = Tries::of(Rc::clone(&ground), memory)?;
-                Ok((Self::over(ground, root, self.chain_id), written))
-            }
-            World::Tries(_) => Ok((self, Written::default())),
-        }
+    /// Over a state.
+    pub fn new(tries: Tries, chain_id: u64) -> Self {
+        Self { tries, chain_id }
     }
 
     fn evm<'a>(&'a self, place: &Environment, surplus: u64) -> WeighedEvm<'a> {
@@ -128,7 +91,7 @@ impl Machine {
             number: Word::from(place.number),
             beneficiary: EvmAddress::from(place.beneficiary.0),
             timestamp: Word::from(place.timestamp),
-            gas_limit: self.rules().gas_limit(),
+            gas_limit: BLOCK_GAS,
             basefee: 0,
             difficulty: Word::from(place.difficulty),
             ..BlockEnv::default()
@@ -138,7 +101,7 @@ impl Machine {
                 cfg.set_spec_and_mainnet_gas_params(SpecId::ISTANBUL);
                 cfg.chain_id = self.chain_id;
             })
-            .with_db(CacheDB::new(&self.world))
+            .with_db(CacheDB::new(&self.tries))
             .with_block(block)
             .build_mainnet()
             .with_precompiles(Weighed::new(surplus))
@@ -157,10 +120,10 @@ impl Machine {
             included: Vec::with_capacity(transactions.len()),
             receipts: Vec::with_capacity(transactions.len()),
             refused: Vec::new(),
-            state_root: self.state_root,
+            state_root: self.tries.root,
             written: Written::default(),
-            changes: Vec::with_capacity(transactions.len()),
         };
+        let mut changes = Vec::with_capacity(transactions.len());
         let mut cumulative = 0;
         for transaction in transactions {
             if new && surplus >= BLOCK_SURPLUS {
@@ -174,27 +137,15 @@ impl Machine {
                     cumulative += done.result.tx_gas_used();
                     evm.ctx.journaled_state.database.commit(done.state.clone());
                     outcome.receipts.push(receipt(done.result, cumulative));
-                    outcome.changes.push(done.state);
+                    changes.push(done.state);
                     outcome.included.push(transaction);
                 }
                 Err(EVMError::Database(Unread(error))) => return Err(error),
                 Err(error) => outcome.refused.push((transaction, refusal(&error))),
             }
         }
-        match &self.world {
-            World::Memory(_) => outcome.state_root = chained_state(self.state_root, &outcome.changes),
-            World::Tries(tries) => (outcome.state_root, outcome.written) = tries.after(&outcome.changes)?,
-        }
+        (outcome.state_root, outcome.written) = self.tries.after(&changes)?;
         Ok(outcome)
-    }
-
-    /// Applies the changes of a block that ran on this very state.
-    pub fn apply(&mut self, outcome: Outcome) {
-        self.state_root = outcome.state_root;
-        match &mut self.world {
-            World::Memory(memory) => outcome.changes.into_iter().for_each(|change| memory.commit(change)),
-            World::Tries(tries) => tries.root = outcome.state_root,
-        }
     }
 
     /// Runs a message call without changing anything.
@@ -277,7 +228,7 @@ impl Machine {
     /// [`ChainError`] if the state cannot be read.
     pub fn code(&self, account: Address) -> Result<Vec<u8>, ChainError> {
         let hash = self.account(account)?.map_or(KECCAK_EMPTY, |info| info.code_hash);
-        let code = self.world.code_by_hash_ref(hash).map_err(|Unread(error)| error)?;
+        let code = self.tries.code_by_hash_ref(hash).map_err(|Unread(error)| error)?;
         Ok(code.original_byte_slice().to_vec())
     }
 
@@ -286,16 +237,16 @@ impl Machine {
     /// # Errors
     /// [`ChainError`] if the state cannot be read.
     pub fn slot(&self, account: Address, slot: U256) -> Result<Hash, ChainError> {
-        let value = self.world.storage_ref(EvmAddress::from(account.0), word(slot));
+        let value = self.tries.storage_ref(EvmAddress::from(account.0), word(slot));
         value.map(|value| Hash(value.to_be_bytes())).map_err(|Unread(error)| error)
     }
 
     fn account(&self, account: Address) -> Result<Option<revm::state::AccountInfo>, ChainError> {
-        self.world.basic_ref(EvmAddress::from(account.0)).map_err(|Unread(error)| error)
+        self.tries.basic_ref(EvmAddress::from(account.0)).map_err(|Unread(error)| error)
     }
 }
 
-type Overlay<'a> = CacheDB<&'a World>;
+type Overlay<'a> = CacheDB<&'a Tries>;
 type EvmContext<'a> = revm::handler::MainnetContext<Overlay<'a>>;
 type WeighedEvm<'a> =
     Evm<EvmContext<'a>, (), EthInstructions<EthInterpreter, EvmContext<'a>>, Weighed, EthFrame<EthInterpreter>>;

@@ -40,7 +40,6 @@ mod transaction;
 mod trie;
 #[cfg(test)]
 mod trie_tests;
-mod version;
 mod world;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -113,10 +112,10 @@ impl Drop for Inlet {
     }
 }
 
-/// Refuses an embedded chain in `directory` written by a later version of this program, without touching it.
+/// Refuses an embedded chain in `directory` written by another version of this program, without touching it.
 ///
 /// # Errors
-/// [`ChainError::Newer`].
+/// [`ChainError::Newer`], [`ChainError::Tampered`].
 pub fn check_embedded_chain(directory: &Path) -> Result<(), ChainError> {
     file::ChainFile::check(directory)
 }

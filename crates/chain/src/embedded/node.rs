@@ -11,13 +11,13 @@ use super::admission::{BLOCK_GAS, TRANSACTION_GAS};
 use super::auditing::Auditing;
 use super::authority::{Authority, OUT_OF_TURN, Turn};
 use super::block::Header;
-use super::file::{ChainFile, Era, Sealed};
+use super::file::{ChainFile, Sealed};
 use super::founding::{self, Founded};
 use super::machine::{Environment, Machine, Outcome};
 use super::pool::Pool;
 use super::proof::{self, Search};
 use super::reading::Looked;
-use super::replay::{assemble, newest, upgrade};
+use super::replay::{assemble, newest};
 use super::sealing::Sealing;
 use super::transaction::Transaction;
 use crate::chain::{BlockRef, ChainError, Consensus};
@@ -37,8 +37,6 @@ pub struct Node {
     pub machine: Machine,
     /// The file.
     pub file: Rc<ChainFile>,
-    /// Since when it is of version 3.
-    pub era: Era,
     /// The blocks whose transactions were read or written last.
     pub looked: Looked,
     /// The pending transactions.
@@ -72,19 +70,14 @@ impl Node {
     /// Opens the chain in `directory`, or founds one with the requested consensus, drawing its chain id and keys.
     ///
     /// The newest block is run again and must come out as in the file; older blocks are authenticated through it when
-    /// read. A file of an older version is upgraded to version 3 first: all its blocks are run again, once.
+    /// read.
     ///
     /// # Errors
     /// [`ChainError::File`], [`ChainError::Tampered`] if the file was changed, or [`ChainError::OtherConsensus`].
     pub fn open(directory: &Path, asked: Option<Consensus>, found: Found) -> Result<Self, ChainError> {
         let file = Rc::new(ChainFile::open(directory)?);
         let mut founded = founding::open(&file, asked)?;
-        if founded.era.is_none() {
-            upgrade(&file, founded)?;
-            founded = founding::open(&file, asked)?;
-        }
-        let era = founded.era.ok_or_else(|| file.tampered(0, "it does not say where its version 3 starts"))?;
-        let (machine, head) = newest(&file, &mut founded, era)?;
+        let (machine, head) = newest(&file, &mut founded)?;
         let Founded { chain_id, consensus, sealing, .. } = founded;
         // The period is kept across a restart, even if the clock changed.
         let due = (head.timestamp + sealing.period().as_secs()).saturating_sub(Timestamp::now().seconds());
@@ -92,7 +85,6 @@ impl Node {
         Ok(Self {
             machine,
             file,
-            era,
             looked: Looked::default(),
             pool: Pool::default(),
             chain_id,
@@ -115,7 +107,7 @@ impl Node {
         if let Some(trouble) = &self.trouble {
             return Err(format!("no block can be written: {trouble}"));
         }
-        let transaction = Transaction::decode(raw, self.chain_id, None)?;
+        let transaction = Transaction::decode(raw, self.chain_id)?;
         if transaction.gas_limit > TRANSACTION_GAS {
             let limit = transaction.gas_limit;
             return Err(format!("exceeds the gas limit of a transaction: gas {limit}, at most {TRANSACTION_GAS}"));
@@ -176,7 +168,7 @@ impl Node {
         if outcome.included.is_empty() {
             return;
         }
-        let mut header = match assemble(self.machine.rules(), &self.sealing, self.head.hash, &place, &outcome) {
+        let mut header = match assemble(&self.sealing, self.head.hash, &place, &outcome) {
             Ok(header) => header,
             Err(error) => return self.rest(error),
         };
@@ -224,7 +216,7 @@ impl Node {
                 let (included, receipts) =
                     (std::mem::take(&mut outcome.included), std::mem::take(&mut outcome.receipts));
                 self.looked.wrote(header.number, included, receipts);
-                self.machine.apply(outcome);
+                self.machine.tries.root = outcome.state_root;
                 self.head = reference(header);
                 if let Sealing::Authority(authority) = &mut self.sealing {
                     authority.sealed(header.number, signer);

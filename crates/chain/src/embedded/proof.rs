@@ -10,16 +10,10 @@ use std::thread::JoinHandle;
 use ethers::types::U256;
 use sha3::{Digest as _, Keccak256};
 
-use super::block::Rules;
 use crate::model::Hash;
 
 /// The extra data of every block after the first, so that no reader mistakes it for ethash.
-pub fn extra(rules: Rules) -> [u8; 32] {
-    match rules {
-        Rules::Chained => *b"AuthROS Keccak-256, not ethash\0\0",
-        Rules::Tries => *b"AuthROS 3 Keccak-256, not ethash",
-    }
-}
+pub const EXTRA: [u8; 32] = *b"AuthROS Keccak-256, not ethash\0\0";
 
 /// Hashes between checks whether to stop.
 const STRIDE: u64 = 1024;

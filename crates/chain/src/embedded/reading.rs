@@ -7,7 +7,7 @@ use std::rc::Rc;
 
 use ethers::utils::rlp;
 
-use super::block::{Header, Receipt, Rules};
+use super::block::{Header, Receipt};
 use super::file::Mined;
 use super::node::Node;
 use super::replay::header;
@@ -98,11 +98,10 @@ impl Node {
         }
         let mined = self.file.block_transactions(number)?;
         let done = mined.iter().map(|one| self.decoded(header, one)).collect::<Result<Vec<_>, _>>()?;
-        let sent =
-            done.iter().map(|Done { transaction, .. }| (transaction.hash, transaction.sender, &transaction.raw[..]));
+        let sent = done.iter().map(|done| &done.transaction.raw[..]);
         let receipts: Vec<Receipt> = done.iter().map(|done| done.receipt.clone()).collect();
-        let same = transactions_root(header.rules(), sent)? == header.transactions_root
-            && receipts_root(header.rules(), &receipts)? == header.receipts_root;
+        let same =
+            transactions_root(sent)? == header.transactions_root && receipts_root(&receipts)? == header.receipts_root;
         if !same {
             return Err(self.file.tampered(number, "its transactions or receipts were changed"));
         }
@@ -113,10 +112,7 @@ impl Node {
 
     fn decoded(&self, header: &Header, mined: &Mined) -> Result<Done, ChainError> {
         let blame = |what: &str| self.file.tampered(header.number, what);
-        // Only the rules before version 3 commit to the sender as well as the transaction; otherwise the signature
-        // gives it.
-        let sender = (header.rules() == Rules::Chained).then_some(mined.sender);
-        let transaction = Transaction::decode(&mined.raw, self.chain_id, sender).map_err(|what| blame(&what))?;
+        let transaction = Transaction::decode(&mined.raw, self.chain_id).map_err(|what| blame(&what))?;
         let receipt = rlp::decode(&mined.receipt).map_err(|_| blame("a receipt is malformed"))?;
         Ok(Done { transaction, receipt })
     }

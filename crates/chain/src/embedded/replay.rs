@@ -1,5 +1,4 @@
-//! Running blocks from the file again: all of them for an audit or an upgrade to version 3, or only the newest when a
-//! chain is opened.
+//! Running blocks from the file again: all of them for an audit, or only the newest when a chain is opened.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -9,16 +8,16 @@ use std::sync::Arc;
 use ethers::types::Bloom;
 use ethers::utils::rlp;
 
-use super::authority::Authority;
-use super::block::{Header, Rules};
-use super::file::{ChainFile, Era, Mined};
+use super::admission::BLOCK_GAS;
+use super::block::Header;
+use super::file::ChainFile;
 use super::founding::Founded;
 use super::machine::{Environment, Machine, Outcome};
 use super::roots::{receipts_root, transactions_root};
 use super::sealing::Sealing;
 use super::transaction::Transaction;
-use super::trie::{Nodes, below};
-use super::world::{Ground, Written};
+use super::trie::{EMPTY_ROOT, Nodes, below};
+use super::world::{Ground, Tries, Written};
 use crate::chain::ChainError;
 use crate::model::Hash;
 
@@ -31,20 +30,16 @@ pub struct Again {
     /// The last block run.
     pub last: Header,
     chain_id: u64,
-    era: Option<Era>,
     nodes: Rc<Passing>,
 }
 
 impl Again {
     /// Before the first block.
     pub fn new(file: &Rc<ChainFile>, founded: Founded) -> Self {
-        let Founded { chain_id, sealing, genesis, era, .. } = founded;
+        let Founded { chain_id, sealing, genesis, .. } = founded;
         let nodes = Rc::new(Passing { file: Rc::clone(file), nodes: RefCell::default() });
-        let machine = match genesis.rules() {
-            Rules::Chained => Machine::chained(chain_id, genesis.state_root),
-            Rules::Tries => Machine::over(Rc::clone(&nodes) as _, genesis.state_root, chain_id),
-        };
-        Self { machine, sealing, last: genesis, chain_id, era, nodes }
+        let machine = Machine::new(Tries { ground: Rc::clone(&nodes) as _, root: genesis.state_root }, chain_id);
+        Self { machine, sealing, last: genesis, chain_id, nodes }
     }
 
     /// Runs the next block.
@@ -54,14 +49,6 @@ impl Again {
     pub fn step(mut self) -> Result<Self, ChainError> {
         let file = Rc::clone(&self.nodes.file);
         let number = self.last.number + 1;
-        if let Some(era) = self.era.filter(|era| era.first == number && self.machine.rules() == Rules::Chained) {
-            let (machine, written) = self.machine.into_tries(Rc::clone(&self.nodes) as _)?;
-            self.nodes.turn_over(&written);
-            self.machine = machine;
-            if self.machine.tries().map(|tries| tries.root) != Some(era.root) {
-                return Err(file.tampered(number, "the state before it was changed"));
-            }
-        }
         let blame = |what: &str| file.tampered(number, what);
         let header = header(&file, number)?;
         if header.parent != self.last.hash() {
@@ -70,7 +57,7 @@ impl Again {
         let place = self.sealing.accept(&header, self.last.timestamp).map_err(blame)?;
         let outcome = rerun(&file, &self.machine, &self.sealing, &header, &place, self.chain_id)?;
         self.nodes.turn_over(&outcome.written);
-        self.machine.apply(outcome);
+        self.machine.tries.root = outcome.state_root;
         self.last = header;
         Ok(self)
     }
@@ -81,34 +68,16 @@ impl Again {
     }
 }
 
-/// Runs all blocks of a file before version 3 and writes its state as tries; from the next block on the chain is of
-/// version 3.
-///
-/// # Errors
-/// See [`Again::step`], or if the file cannot be written.
-pub fn upgrade(file: &Rc<ChainFile>, founded: Founded) -> Result<(), ChainError> {
-    let (consensus, newest) = (founded.consensus, file.newest_number()?);
-    let mut again = Again::new(file, founded);
-    while again.last.number < newest {
-        again = again.step()?;
-    }
-    again.sealing.vouches(&again.last).map_err(|what| file.tampered(newest, what))?;
-    let (machine, written) = again.machine.into_tries(Rc::clone(&again.nodes) as _)?;
-    let root = machine.tries().map_or(Hash([0; 32]), |tries| tries.root);
-    let out_of_turn = again.sealing.authority().map_or(&[][..], Authority::out_of_turn);
-    file.upgrade(&consensus, Era { first: newest + 1, root }, &written.made, out_of_turn)
-}
-
 /// The state after the newest block, the only one run again, and its header; `founded` learns who sealed the last
 /// blocks.
 ///
 /// # Errors
 /// See [`Again::step`].
-pub fn newest(file: &Rc<ChainFile>, founded: &mut Founded, era: Era) -> Result<(Machine, Header), ChainError> {
+pub fn newest(file: &Rc<ChainFile>, founded: &mut Founded) -> Result<(Machine, Header), ChainError> {
     let number = file.newest_number()?;
     let blame = |what: &str| file.tampered(number, what);
     let last = if number == 0 { founded.genesis.clone() } else { header(file, number)? };
-    let over = |root| Machine::over(Rc::clone(file) as _, root, founded.chain_id);
+    let over = |root| Machine::new(Tries { ground: Rc::clone(file) as _, root }, founded.chain_id);
     if let Sealing::Authority(authority) = &mut founded.sealing {
         let out_of_turn = file.out_of_turn()?.into_iter().filter(|one| *one < number).collect();
         let mut newest = Vec::new();
@@ -117,24 +86,20 @@ pub fn newest(file: &Rc<ChainFile>, founded: &mut Founded, era: Era) -> Result<(
         }
         authority.resume(out_of_turn, newest);
     }
-    let mut machine = over(era.root);
+    let mut machine = over(founded.genesis.state_root);
     if number > 0 {
         let parent = if number == 1 { founded.genesis.clone() } else { header(file, number - 1)? };
         if last.parent != parent.hash() {
             return Err(blame("its hash or its parent was changed"));
         }
         let place = founded.sealing.accept(&last, parent.timestamp).map_err(blame)?;
-        if number >= era.first {
-            if number > era.first {
-                machine = over(parent.state_root);
-            }
-            let outcome = rerun(file, &machine, &founded.sealing, &last, &place, founded.chain_id)?;
-            machine.apply(outcome);
-        }
+        machine = over(parent.state_root);
+        let outcome = rerun(file, &machine, &founded.sealing, &last, &place, founded.chain_id)?;
+        machine.tries.root = outcome.state_root;
     }
     founded.sealing.vouches(&last).map_err(blame)?;
-    if let Some(tries) = machine.tries().filter(|tries| tries.root != super::trie::EMPTY_ROOT) {
-        file.node(tries.root)?;
+    if machine.tries.root != EMPTY_ROOT {
+        file.node(machine.tries.root)?;
     }
     Ok((machine, last))
 }
@@ -164,15 +129,10 @@ fn rerun(
 ) -> Result<Outcome, ChainError> {
     let blame = |what: &str| file.tampered(header.number, what);
     let mined = file.block_transactions(header.number)?;
-    // The rules before version 3 commit to senders, so they need not be recovered.
-    let known = |one: &Mined| (header.rules() == Rules::Chained).then_some(one.sender);
-    let decode = |one: &Mined| Transaction::decode(&one.raw, chain_id, known(one));
-    let transactions = mined.iter().map(decode).collect::<Result<Vec<_>, _>>().map_err(|what| blame(&what))?;
-    if transactions.iter().zip(&mined).any(|(transaction, one)| transaction.sender != one.sender) {
-        return Err(blame("its senders were changed"));
-    }
+    let transactions = mined.iter().map(|one| Transaction::decode(&one.raw, chain_id));
+    let transactions = transactions.collect::<Result<Vec<_>, _>>().map_err(|what| blame(&what))?;
     let outcome = machine.run(place, transactions, false)?;
-    let again = assemble(machine.rules(), sealing, header.parent, place, &outcome)?;
+    let again = assemble(sealing, header.parent, place, &outcome)?;
     let sealed = Header { extra: header.extra.clone(), nonce: header.nonce, ..again.clone() };
     // Under proof of work the extra data holds no seal and is always the same.
     if sealed != *header || (matches!(sealing, Sealing::Work { .. }) && again.extra != header.extra) {
@@ -190,31 +150,22 @@ fn rerun(
 ///
 /// # Errors
 /// Only for a fault of this program.
-pub fn assemble(
-    rules: Rules,
-    sealing: &Sealing,
-    parent: Hash,
-    place: &Environment,
-    outcome: &Outcome,
-) -> Result<Header, ChainError> {
+pub fn assemble(sealing: &Sealing, parent: Hash, place: &Environment, outcome: &Outcome) -> Result<Header, ChainError> {
     let mut bloom = Bloom::zero();
     for receipt in &outcome.receipts {
         receipt.accrue(&mut bloom);
     }
-    let (beneficiary, extra) = sealing.dress(rules);
+    let (beneficiary, extra) = sealing.dress();
     Ok(Header {
         parent,
         state_root: outcome.state_root,
-        transactions_root: transactions_root(
-            rules,
-            outcome.included.iter().map(|one| (one.hash, one.sender, &one.raw[..])),
-        )?,
-        receipts_root: receipts_root(rules, &outcome.receipts)?,
+        transactions_root: transactions_root(outcome.included.iter().map(|one| &one.raw[..]))?,
+        receipts_root: receipts_root(&outcome.receipts)?,
         bloom,
         beneficiary,
         difficulty: place.difficulty,
         number: place.number,
-        gas_limit: rules.gas_limit(),
+        gas_limit: BLOCK_GAS,
         gas_used: outcome.receipts.last().map_or(0, |receipt| receipt.cumulative_gas),
         timestamp: place.timestamp,
         extra,

@@ -255,13 +255,12 @@ fn proof(node: &Node, parameters: &Parameters) -> Reply {
     if number > newest {
         return Err(Fault::new(-32000, "there is no such block"));
     }
-    if newest - number >= KEPT || number < node.era.first {
-        let oldest = (newest + 1).saturating_sub(KEPT).max(node.era.first);
+    if newest - number >= KEPT {
+        let oldest = (newest + 1).saturating_sub(KEPT);
         let what = format!("the state of block {number} is not kept; ask for one of the blocks {oldest} to {newest}");
         return Err(Fault::new(-32000, what));
     }
-    let Some(tries) = node.machine.tries() else { return Err(Fault::new(-32603, "there are no tries")) };
-    let tries = Tries { root: header(node, number)?.state_root, ..tries.clone() };
+    let tries = Tries { root: header(node, number)?.state_root, ..node.machine.tries.clone() };
     Ok(json::proof(account, &tries.proof(account, &slots)?))
 }
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 use k256::ecdsa::SigningKey;
 
 use super::authority::{Authority, address_of};
-use super::block::{Header, Rules, unsealed_extra};
+use super::block::{Header, unsealed_extra};
 use super::machine::Environment;
 use super::proof;
 use crate::chain::Consensus;
@@ -59,12 +59,12 @@ impl Sealing {
     }
 
     /// The genesis block, before its seal.
-    pub fn genesis(&self, rules: Rules, unique: Hash, timestamp: u64) -> Header {
+    pub fn genesis(&self, unique: Hash, timestamp: u64) -> Header {
         match self {
             Self::Authority(authority) => {
-                Header::genesis(rules, &authority.addresses(), Address([0; 20]), 1, unique, timestamp)
+                Header::genesis(&authority.addresses(), Address([0; 20]), 1, unique, timestamp)
             }
-            Self::Work { difficulty, miner } => Header::genesis(rules, &[], *miner, *difficulty, unique, timestamp),
+            Self::Work { difficulty, miner } => Header::genesis(&[], *miner, *difficulty, unique, timestamp),
         }
     }
 
@@ -76,7 +76,7 @@ impl Sealing {
     /// Whether a header is the genesis block of this chain.
     pub fn founded(&self, genesis: &Header) -> bool {
         let Some(unique) = Self::unique(genesis) else { return false };
-        let expected = self.genesis(genesis.rules(), unique, genesis.timestamp);
+        let expected = self.genesis(unique, genesis.timestamp);
         match self {
             Self::Authority(authority) => {
                 let unsealed = expected.extra.len() - 65;
@@ -103,10 +103,10 @@ impl Sealing {
     }
 
     /// The consensus fields of a block's header before its seal: coinbase and extra data.
-    pub fn dress(&self, rules: Rules) -> (Address, Vec<u8>) {
+    pub fn dress(&self) -> (Address, Vec<u8>) {
         match self {
-            Self::Authority(_) => (Address([0; 20]), unsealed_extra(rules)),
-            Self::Work { miner, .. } => (*miner, proof::extra(rules).to_vec()),
+            Self::Authority(_) => (Address([0; 20]), unsealed_extra()),
+            Self::Work { miner, .. } => (*miner, proof::EXTRA.to_vec()),
         }
     }
 

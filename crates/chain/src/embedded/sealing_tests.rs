@@ -11,7 +11,7 @@ use k256::ecdsa::SigningKey;
 use serde_json::{Value, json};
 
 use super::Embedded;
-use super::block::{Header, Rules};
+use super::block::Header;
 use super::node::Node;
 use super::proof;
 use super::rpc::answer;
@@ -98,7 +98,7 @@ impl Site {
 /// Closes the chain and opens it again: everything must be as before.
 fn reopen(site: Site, directory: &Path) -> Site {
     let (head, signers, consensus) = (site.node.head, site.signers(), site.node.consensus);
-    let balance = |site: &Site| site.node.machine.tries().map(|tries| tries.root);
+    let balance = |site: &Site| site.node.machine.tries.root;
     let state = balance(&site);
     drop(site);
     let site = open(directory, None);
@@ -224,10 +224,7 @@ fn work_is_done_shown_and_checked_again() {
     for number in 1..=6 {
         let header = site.block();
         assert!(proof::seals(header.work_hash(), header.nonce, 300));
-        assert_eq!(
-            (header.difficulty, header.beneficiary, &header.extra[..]),
-            (300, miner, &proof::extra(Rules::Tries)[..])
-        );
+        assert_eq!((header.difficulty, header.beneficiary, &header.extra[..]), (300, miner, &proof::EXTRA[..]));
         nonces.push(header.nonce);
         if number == 3 {
             site = reopen(site, home.path());
@@ -346,52 +343,32 @@ fn the_founding_binds() {
         let file = rusqlite::Connection::open(home.path().join("chain.db")).expect("opens");
         assert_eq!(file.execute(sql, []).expect(sql), 1);
     };
-    change("UPDATE consensus SET words = 'poa:3:400'");
+    change("UPDATE chain SET consensus = 'poa:3:400'");
     tampered(home.path(), "its consensus was changed");
-    change("UPDATE consensus SET words = 'pow:1'");
+    change("UPDATE chain SET consensus = 'pow:1'");
     tampered(home.path(), "keys were changed");
-    change("UPDATE consensus SET words = 'poa:3:500'");
-    change("UPDATE chain SET version = 4");
-    let bytes = || std::fs::read(home.path().join("chain.db")).expect("read");
-    let before = bytes();
-    let error = try_open(home.path(), None).map(drop).expect_err("a later version");
-    assert!(matches!(error, ChainError::Newer { found: 4, known: 3, .. }), "{error}");
-    assert!(error.kind() == ErrorKind::Input && error.to_string().contains("use a newer authros"), "{error}");
-    assert!(bytes() == before, "it was not touched");
+    change("UPDATE chain SET consensus = 'poa:3:500'");
     let unusable = try_open(&home.path().join("other"), Some(poa(0, 1))).map(drop).expect_err("no signers");
     assert_eq!(unusable.kind(), ErrorKind::Input);
 }
 
-/// A chain of three blocks, written by the program before there was a choice of consensus.
 #[test]
-fn a_chain_founded_before_opens_unchanged() {
+fn another_version_is_refused_and_the_file_is_not_touched() {
     let home = tempfile::tempdir().expect("folder");
-    let file = rusqlite::Connection::open(home.path().join("chain.db")).expect("opens");
-    file.execute_batch(include_str!("founded_before.sql")).expect("the old file");
-    drop(file);
-    let error = try_open(home.path(), Some(Consensus::POW)).map(drop).expect_err("another one");
-    assert!(matches!(error, ChainError::OtherConsensus { founded: Consensus::POA, .. }));
-    let mut site = open(home.path(), None);
-    assert_eq!(site.node.consensus, Consensus::POA);
-    let newest = site.node.head;
-    assert_eq!(newest.number, 3);
-    assert_eq!(format!("0x{}", newest.hash.to_hex()), OLD_HEAD);
-    site.block();
-    let site = reopen(site, home.path());
-    assert_eq!(site.header(4).parent, newest.hash);
-    // A new one is of version 3 from its first block on.
-    let new = tempfile::tempdir().expect("folder");
-    drop(open(new.path(), Some(Consensus::POA)));
-    let file = rusqlite::Connection::open(new.path().join("chain.db")).expect("opens");
-    let tables: String = file
-        .query_row(
-            "SELECT group_concat(name) FROM (SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name)",
-            [],
-            |row| row.get(0),
-        )
-        .expect("tables");
-    assert_eq!(tables, "block,chain,consensus,doomed,era,node,out_of_turn,retired,sent");
+    drop(open(home.path(), None));
+    let path = home.path().join("chain.db");
+    for version in [0, 2, 255] {
+        let file = rusqlite::Connection::open(&path).expect("opens");
+        assert_eq!(file.execute("UPDATE chain SET version = ?1", [version]).expect("writes"), 1);
+        drop(file);
+        let before = std::fs::read(&path).expect("read");
+        let error = try_open(home.path(), None).map(drop).expect_err("another version");
+        let kind = if version == 0 { ErrorKind::Tampered } else { ErrorKind::Input };
+        assert_eq!(error.kind(), kind, "{error}");
+        let words = if version == 0 { "which no authros writes" } else { "use a newer authros" };
+        assert!(error.to_string().contains(words), "{error}");
+        assert!(error.to_string().contains(&version.to_string()), "{error}");
+        assert_eq!(super::check_embedded_chain(home.path()), Err(error), "and before it is opened");
+        assert!(std::fs::read(&path).expect("read") == before, "it was not touched");
+    }
 }
-
-/// Hash of the old chain's newest block, as reported by the program that wrote it.
-const OLD_HEAD: &str = "0x326c4b5066fbdc2e751117d7b4b613297c5b55ecb3105e89ff284e7c6567cd73";

@@ -15,14 +15,6 @@ use super::world::{Ground, Written};
 use crate::chain::ChainError;
 use crate::model::Hash;
 
-/// The tables of a file of version 3.
-pub const SCHEMA: &str = "
-    CREATE TABLE IF NOT EXISTS consensus (id INTEGER PRIMARY KEY CHECK (id = 1), words TEXT NOT NULL);
-    CREATE TABLE era (id INTEGER PRIMARY KEY CHECK (id = 1), first INTEGER NOT NULL, root BLOB NOT NULL);
-    CREATE TABLE out_of_turn (number INTEGER PRIMARY KEY);
-    CREATE TABLE node (hash BLOB PRIMARY KEY, body BLOB NOT NULL, places INTEGER NOT NULL);
-    CREATE TABLE retired (block INTEGER PRIMARY KEY, nodes BLOB NOT NULL, felled BLOB NOT NULL);
-    CREATE TABLE doomed (id INTEGER PRIMARY KEY, hash BLOB NOT NULL);";
 /// The number of newest blocks whose state is kept.
 pub const KEPT: u64 = 128;
 /// The most nodes of deleted storage tries removed with one block.

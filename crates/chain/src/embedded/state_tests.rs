@@ -1,5 +1,4 @@
-//! The state as tries on whole chains: older files continue, altered nodes are named, old ones are pruned, proofs
-//! verify.
+//! The state as tries on whole chains: altered nodes are named, old ones are pruned, proofs verify.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -11,8 +10,7 @@ use rusqlite::{Connection, params};
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
-use super::admission::BLOCK_GAS;
-use super::block::{Header, created_address};
+use super::block::created_address;
 use super::node::Node;
 use super::rpc::answer;
 use super::state_file::KEPT;
@@ -86,10 +84,6 @@ impl Site {
 
     pub fn ask(&mut self, method: &str, parameters: Value) -> Result<Value, super::Fault> {
         answer(&mut self.node, method, parameters)
-    }
-
-    fn header(&self, number: u64) -> Header {
-        self.node.header(number).expect("reads").expect("a block")
     }
 
     /// A whole audit.
@@ -244,39 +238,4 @@ fn an_altered_block_is_named_when_it_is_read_and_by_an_audit() {
     }
     let mut site = open(home.path());
     assert_eq!(site.audit(), Ok(7));
-}
-
-/// One of its blocks used 4.16 Ggas, by the rules of that time.
-#[test]
-fn an_older_file_goes_on_from_a_marked_block() {
-    let home = tempfile::tempdir().expect("folder");
-    file(home.path()).execute_batch(include_str!("full_before.sql")).expect("the old file");
-    let mut site = open(home.path());
-    assert_eq!((site.node.head.number, site.node.era.first), (8, 9));
-    assert_eq!(site.node.head.hash.to_hex(), "9dd4a114b750f961c2f7373a422a23e369fec72379fd2566f3135d061743ae71");
-    assert_eq!((site.header(7).gas_limit, site.header(7).gas_used), (0xffff_ffff, 4_162_015_897));
-    let contract: Address = "0xec3273d4fdc320f2286b14380cc835e7a5f1d845".parse().expect("address");
-    let slot =
-        |site: &mut Site, slot: &str| site.ask("eth_getStorageAt", json!([contract.to_string(), slot, "latest"]));
-    assert_eq!(slot(&mut site, "0x5"), Ok(json!(format!("0x{:064x}", 35))));
-    assert_eq!(slot(&mut site, "0x2"), Ok(json!(format!("0x{:064x}", 0))));
-    let early = site.ask("eth_getProof", json!([contract.to_string(), [], "0x7"])).expect_err("older rules");
-    assert!(early.message.contains("is not kept"), "{}", early.message);
-    assert_eq!(site.audit(), Ok(8));
-    drop(site);
-
-    // Opened again before it has a block by the new rules, and after.
-    let mut site = open(home.path());
-    site.block(Some(contract), words(&[3, 99]));
-    let marked = site.header(9);
-    assert_eq!((marked.gas_limit, &marked.extra[..28]), (BLOCK_GAS, &b"AuthROS chain file version 3"[..]));
-    let proof = site.ask("eth_getProof", json!([contract.to_string(), ["0x3"], "0x9"])).expect("proven");
-    assert_eq!(proof["storageProof"][0]["value"], json!("0x63"));
-    site.block(Some(contract), words(&[4, 98]));
-    drop(site);
-    let mut site = open(home.path());
-    assert_eq!((site.node.head.number, slot(&mut site, "0x4")), (10, Ok(json!(format!("0x{:064x}", 98)))));
-    let old = site.ask("eth_getBlockByNumber", json!(["0x7", true])).expect("an old block");
-    assert_eq!((&old["gasLimit"], &old["gasUsed"]), (&json!("0xffffffff"), &json!("0xf8135299")));
-    assert_eq!(site.audit(), Ok(10));
 }

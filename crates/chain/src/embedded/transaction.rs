@@ -42,12 +42,11 @@ pub struct Transaction {
 }
 
 impl Transaction {
-    /// Decodes `raw` and recovers its sender, or takes the one given: a caller may only
-    /// give one that a block hash vouches for.
+    /// Decodes `raw` and recovers its sender.
     ///
     /// # Errors
     /// What is wrong, in geth's words.
-    pub fn decode(raw: &[u8], chain_id: u64, sender: Option<Address>) -> Result<Self, String> {
+    pub fn decode(raw: &[u8], chain_id: u64) -> Result<Self, String> {
         if raw.len() > LARGEST {
             return Err(format!("oversized data: transaction size {}, limit {LARGEST}", raw.len()));
         }
@@ -56,10 +55,8 @@ impl Transaction {
         }
         let mut transaction = Self::fields(raw).map_err(|error| format!("rlp: {error}"))?;
         transaction.check_chain(chain_id)?;
-        transaction.sender = match sender {
-            Some(sender) => sender,
-            None => transaction.recover(chain_id).ok_or("invalid sender: invalid transaction v, r, s values")?,
-        };
+        transaction.sender =
+            transaction.recover(chain_id).ok_or("invalid sender: invalid transaction v, r, s values")?;
         Ok(transaction)
     }
 
@@ -159,29 +156,29 @@ mod tests {
     #[test]
     fn decodes_what_ethers_signs() {
         let (raw, sender) = signed(77);
-        let transaction = Transaction::decode(&raw, 77, None).expect("decodes");
+        let transaction = Transaction::decode(&raw, 77).expect("decodes");
         assert_eq!((transaction.sender, transaction.nonce, transaction.gas_limit), (sender, 3, 50_000));
         assert_eq!(transaction.to, Some(Address([1; 20])));
         assert_eq!(transaction.intrinsic_gas(), 21_000 + 36);
-        assert!(Transaction::decode(&raw, 78, None).expect_err("chain").contains("chain id"));
-        assert!(Transaction::decode(&vec![0xf9; LARGEST + 1], 77, None).expect_err("size").contains("oversized"));
-        assert!(Transaction::decode(&[2, 0xc0], 77, None).expect_err("type").contains("not supported"));
-        assert!(Transaction::decode(&[raw, vec![0]].concat(), 77, None).is_err());
+        assert!(Transaction::decode(&raw, 78).expect_err("chain").contains("chain id"));
+        assert!(Transaction::decode(&vec![0xf9; LARGEST + 1], 77).expect_err("size").contains("oversized"));
+        assert!(Transaction::decode(&[2, 0xc0], 77).expect_err("type").contains("not supported"));
+        assert!(Transaction::decode(&[raw, vec![0]].concat(), 77).is_err());
     }
 
     proptest! {
         #[test]
         fn noise_never_panics(noise in proptest::collection::vec(any::<u8>(), 0..300)) {
-            let _ = Transaction::decode(&noise, 77, None);
+            let _ = Transaction::decode(&noise, 77);
         }
 
         #[test]
         fn a_flipped_bit_never_keeps_sender_and_hash(at in 0usize..112, bit in 0u8..8) {
             let (mut raw, sender) = signed(77);
-            let hash = Transaction::decode(&raw, 77, None).expect("decodes").hash;
+            let hash = Transaction::decode(&raw, 77).expect("decodes").hash;
             let at = at % raw.len();
             raw[at] ^= 1 << bit;
-            if let Ok(changed) = Transaction::decode(&raw, 77, None) {
+            if let Ok(changed) = Transaction::decode(&raw, 77) {
                 prop_assert!(changed.sender != sender && changed.hash != hash);
             }
         }

@@ -1,4 +1,4 @@
-//! The world state: real tries whose nodes are read on demand, or, for blocks of older files, all of it in memory.
+//! The world state: tries whose nodes are read on demand.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
@@ -7,7 +7,6 @@ use ethers::types::U256;
 use ethers::utils::keccak256;
 use ethers::utils::rlp::{Rlp, RlpStream};
 use revm::DatabaseRef;
-use revm::database::{CacheDB, EmptyDB};
 use revm::database_interface::DBErrorMarker;
 use revm::primitives::{Address as EvmAddress, B256, Bytes, KECCAK_EMPTY, U256 as Word};
 use revm::state::{Account, AccountInfo, Bytecode, EvmState};
@@ -31,14 +30,6 @@ pub trait Ground: Nodes {
 pub struct Unread(pub ChainError);
 
 impl DBErrorMarker for Unread {}
-
-/// The state of all accounts.
-pub enum World {
-    /// All in memory, for blocks under the rules of files before version 3.
-    Memory(Box<CacheDB<EmptyDB>>),
-    /// As tries.
-    Tries(Tries),
-}
 
 /// The state under one root.
 #[derive(Clone)]
@@ -207,30 +198,6 @@ impl Tries {
         let balance = U256::from_big_endian(&balance.to_be_bytes::<32>());
         accounts.set(key, Some(Record { nonce, balance, storage, code: Hash(code_hash.0) }.encode()))
     }
-
-    /// The tries of everything a world in memory holds.
-    ///
-    /// # Errors
-    /// Only for a fault of this program.
-    pub fn of(ground: Rc<dyn Ground>, memory: &CacheDB<EmptyDB>) -> Result<(Hash, Written), ChainError> {
-        let mut written = Written::default();
-        let empty = Self { ground, root: EMPTY_ROOT };
-        let mut accounts = Trie::new(&*empty.ground, EMPTY_ROOT);
-        for (address, account) in &memory.cache.accounts {
-            let slots = account.storage.iter().map(|(slot, value)| (*slot, *value)).collect();
-            let change = Change { wiped: true, info: account.info.clone(), slots };
-            empty.change(&mut accounts, &keccak256(address), change, &mut written)?;
-        }
-        for (hash, code) in &memory.cache.contracts {
-            if *hash != KECCAK_EMPTY && !code.is_empty() {
-                written.made.push((Hash(hash.0), code.original_byte_slice().to_vec()));
-            }
-        }
-        let (root, turnover) = accounts.finish();
-        written.made.extend(turnover.made);
-        written.left.extend(turnover.left);
-        Ok((root, written))
-    }
 }
 
 /// Adds one transaction's changes to an account.
@@ -249,56 +216,34 @@ fn fold(change: &mut Change, account: &Account, made: &mut Vec<(Hash, Vec<u8>)>)
     change.slots.extend(account.changed_storage_slots().map(|(slot, value)| (*slot, value.present_value())));
 }
 
-impl DatabaseRef for World {
+impl DatabaseRef for Tries {
     type Error = Unread;
 
     fn basic_ref(&self, address: EvmAddress) -> Result<Option<AccountInfo>, Unread> {
-        match self {
-            Self::Memory(memory) => Ok(memory.basic_ref(address).unwrap_or_default()),
-            Self::Tries(tries) => {
-                let info = |record: Record| {
-                    let balance = Word::from_limbs(record.balance.0);
-                    AccountInfo {
-                        balance,
-                        nonce: record.nonce,
-                        code_hash: B256::from(record.code.0),
-                        ..AccountInfo::default()
-                    }
-                };
-                Ok(tries
-                    .record(address.into_array())
-                    .map_err(Unread)?
-                    .map(info)
-                    .map(|info| AccountInfo { code: None, ..info }))
-            }
-        }
+        let record = self.record(address.into_array()).map_err(Unread)?;
+        Ok(record.map(|record| AccountInfo {
+            balance: Word::from_limbs(record.balance.0),
+            nonce: record.nonce,
+            code_hash: B256::from(record.code.0),
+            code: None,
+            ..AccountInfo::default()
+        }))
     }
 
     fn code_by_hash_ref(&self, hash: B256) -> Result<Bytecode, Unread> {
-        match self {
-            Self::Memory(memory) => Ok(memory.code_by_hash_ref(hash).unwrap_or_default()),
-            Self::Tries(_) if hash == KECCAK_EMPTY || hash.is_zero() => Ok(Bytecode::default()),
-            Self::Tries(tries) => {
-                let code = tries.ground.node(Hash(hash.0)).map_err(Unread)?;
-                Ok(Bytecode::new_legacy(Bytes::copy_from_slice(&code)))
-            }
+        if hash == KECCAK_EMPTY || hash.is_zero() {
+            return Ok(Bytecode::default());
         }
+        let code = self.ground.node(Hash(hash.0)).map_err(Unread)?;
+        Ok(Bytecode::new_legacy(Bytes::copy_from_slice(&code)))
     }
 
     fn storage_ref(&self, address: EvmAddress, slot: Word) -> Result<Word, Unread> {
-        match self {
-            Self::Memory(memory) => Ok(memory.storage_ref(address, slot).unwrap_or_default()),
-            Self::Tries(tries) => {
-                let value = tries.slot(address.into_array(), slot.to_be_bytes()).map_err(Unread)?;
-                Ok(Word::from_limbs(value.0))
-            }
-        }
+        let value = self.slot(address.into_array(), slot.to_be_bytes()).map_err(Unread)?;
+        Ok(Word::from_limbs(value.0))
     }
 
     fn block_hash_ref(&self, number: u64) -> Result<B256, Unread> {
-        match self {
-            Self::Memory(memory) => Ok(memory.block_hash_ref(number).unwrap_or_default()),
-            Self::Tries(tries) => Ok(B256::from(tries.ground.block_hash(number).map_err(Unread)?.0)),
-        }
+        Ok(B256::from(self.ground.block_hash(number).map_err(Unread)?.0))
     }
 }

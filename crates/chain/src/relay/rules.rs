@@ -136,7 +136,7 @@ fn message(pin: &Pin, parameters: &Value) -> Result<Vec<u8>, RelayError> {
 fn transaction(pin: &Pin, raw: &Value) -> Result<Passed, RelayError> {
     let rejected = |words: String| refused(-32003, words);
     let Some(raw) = bytes(raw) else { return refused(-32602, "no signed transaction") };
-    let decoded = match Transaction::decode(&raw, pin.chain_id, None) {
+    let decoded = match Transaction::decode(&raw, pin.chain_id) {
         Ok(decoded) => decoded,
         Err(reason) => return refused(-32000, reason),
     };

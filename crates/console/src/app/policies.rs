@@ -31,8 +31,7 @@ const ROBOT: usize = 0;
 const FILE: usize = 1;
 /// The most names in a sentence.
 const MOST_NAMES: usize = 5;
-/// The site's words for a robot that will not take its policy, and for one that has not heard of it.
-const REFUSED: &str = "refused";
+/// The site's word for a robot that has not taken its policy yet.
 const WAITING: &str = "waiting";
 /// The fewest characters of a device's id that name a robot.
 const LEAST_DEVICE: usize = 8;
@@ -68,7 +67,6 @@ pub fn words(row: &RobotRow) -> String {
     match (Standing::of(row), row.running.unwrap_or_default()) {
         (Standing::Unset, _) => "-".to_owned(),
         (Standing::Wrong, running) if running > row.wanted => format!("runs {running}, not known here"),
-        (Standing::Wrong, 0) if standing != REFUSED => standing,
         (Standing::InForce, _) | (_, 0) => format!("policy {} {standing}", row.wanted),
         (_, running) => format!("policy {} {standing}, runs {running}", row.wanted),
     }

@@ -16,21 +16,16 @@ use crate::model::wire::{Reader, WireError};
 use super::Enrolment;
 
 const MAGIC: [u8; 8] = *b"\x89AuthEnr";
-/// Offset of the version in the file.
-const VERSION_AT: usize = 8;
+const VERSION: u8 = 1;
+const LABEL: &str = "AuthROS/enrolment/1";
 /// The largest file accepted, bytes.
 const LARGEST: usize = 1024 * 1024;
 /// Length of the header, bytes.
 const HEADER: usize = 110;
 
-/// The label under which keys for a file of this version are derived.
-fn label(version: u8) -> &'static str {
-    if version == 1 { "AuthROS/enrolment/1" } else { "AuthROS/enrolment/2" }
-}
-
-fn header(version: u8, key: &FileKey, save_salt: &[u8; 24], commit: &[u8; 32], length: usize) -> Vec<u8> {
+fn header(key: &FileKey, save_salt: &[u8; 24], commit: &[u8; 32], length: usize) -> Vec<u8> {
     let mut out = MAGIC.to_vec();
-    out.push(version);
+    out.push(VERSION);
     put_work(&mut out, key.work);
     out.extend_from_slice(&key.salt);
     out.extend_from_slice(save_salt);
@@ -40,7 +35,6 @@ fn header(version: u8, key: &FileKey, save_salt: &[u8; 24], commit: &[u8; 32], l
 }
 
 struct Parts<'a> {
-    version: u8,
     work: Work,
     salt: [u8; 32],
     save_salt: [u8; 24],
@@ -49,29 +43,34 @@ struct Parts<'a> {
     sealed: &'a [u8],
 }
 
-fn split(bytes: &[u8]) -> Result<Parts<'_>, WireError> {
+/// The parts of a file's bytes; `path` is only for the words of an error.
+fn split<'a>(path: &Path, bytes: &'a [u8]) -> Result<Parts<'a>, CryptoError> {
+    let damaged = |_: WireError| damaged(path);
     let mut reader = Reader::new(bytes);
-    if reader.array("magic")? != MAGIC {
-        return Err(WireError::Value("magic"));
+    if reader.array("magic").map_err(damaged)? != MAGIC {
+        return Err(self::damaged(path));
     }
-    let version = reader.u8("version")?;
-    if !(1..=Enrolment::NEWEST).contains(&version) {
-        return Err(WireError::Value("version"));
+    match reader.u8("version").map_err(damaged)? {
+        VERSION => read_parts(bytes, &mut reader).map_err(damaged),
+        found => Err(CryptoError::Version { path: shown(path), what: "an enrolment", found }),
     }
-    let work = read_work(&mut reader)?;
+}
+
+fn read_parts<'a>(bytes: &'a [u8], reader: &mut Reader<'a>) -> Result<Parts<'a>, WireError> {
+    let work = read_work(reader)?;
     let (salt, save_salt, commit) =
         (reader.array("salt")?, reader.array("salt of the save")?, reader.array("commitment")?);
     let length = usize::try_from(reader.u32("length")?).map_err(|_| WireError::Value("length"))?;
     let sealed = reader.take(length, "sealed enrolment")?;
     reader.end()?;
-    Ok(Parts { version, work, salt, save_salt, commit, aad: bytes.get(..HEADER).unwrap_or_default(), sealed })
+    Ok(Parts { work, salt, save_salt, commit, aad: bytes.get(..HEADER).unwrap_or_default(), sealed })
 }
 
 fn seal(enrolment: &Enrolment, key: &FileKey) -> Result<Vec<u8>, CryptoError> {
-    let mut sealed = enrolment.encode().map_err(|why| CryptoError::Malformed { what: "enrolment", why })?;
+    let mut sealed = enrolment.encode();
     let save_salt = random_bytes()?;
-    let keys = SaveKeys::derive(key, &save_salt, label(enrolment.version));
-    let header = header(enrolment.version, key, &save_salt, &keys.commit, sealed.len() + 16);
+    let keys = SaveKeys::derive(key, &save_salt, LABEL);
+    let header = header(key, &save_salt, &keys.commit, sealed.len() + 16);
     if header.len() + sealed.len() + 16 > LARGEST {
         return Err(CryptoError::Length { what: "enrolment", found: sealed.len(), allowed: "at most 1 MiB" });
     }
@@ -82,23 +81,6 @@ fn seal(enrolment: &Enrolment, key: &FileKey) -> Result<Vec<u8>, CryptoError> {
 fn damaged(path: &Path) -> CryptoError {
     let found = "it is damaged or not an enrolment; ask its owner to enrol the robot again".to_owned();
     CryptoError::NotAKey { path: shown(path), wanted: "an enrolment", found }
-}
-
-/// A file from a later version is not reported as damaged.
-fn unread(path: &Path, bytes: &[u8]) -> CryptoError {
-    match bytes.get(VERSION_AT) {
-        Some(version) if bytes.starts_with(&MAGIC) && *version > Enrolment::NEWEST => {
-            let found = format!("it has version {version}, written by a newer AuthROS; update this robot");
-            CryptoError::NotAKey { path: shown(path), wanted: "an enrolment", found }
-        }
-        _ => damaged(path),
-    }
-}
-
-/// The enrolment version that a file states, readable without its passphrase; `None` if this is not an enrolment file.
-pub fn version_of(path: &Path) -> Option<u8> {
-    let bytes = read_private(path, LARGEST).ok()?;
-    bytes.get(VERSION_AT).copied().filter(|_| bytes.starts_with(&MAGIC))
 }
 
 /// An enrolment in memory with its file's key, so that later saves need no derivation.
@@ -128,19 +110,19 @@ impl SealedEnrolment {
     /// Reads and opens a file (about 0.3 s).
     ///
     /// # Errors
-    /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`], [`CryptoError::NotAKey`] or
+    /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`], [`CryptoError::NotAKey`], [`CryptoError::Version`] or
     /// [`CryptoError::WrongPassphrase`].
     pub fn open(path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
         let bytes = read_private(path, LARGEST)?;
-        let parts = split(&bytes).map_err(|_| unread(path, &bytes))?;
+        let parts = split(path, &bytes)?;
         let key = FileKey::with(passphrase, parts.work, parts.salt)?;
-        let keys = SaveKeys::derive(&key, &parts.save_salt, label(parts.version));
+        let keys = SaveKeys::derive(&key, &parts.save_salt, LABEL);
         if !bool::from(keys.commit.ct_eq(&parts.commit)) {
             return Err(CryptoError::WrongPassphrase(shown(path)));
         }
         let opened = provider(ProviderName::RustCrypto).gcm_open(&keys.key, &keys.nonce, parts.aad, parts.sealed);
         let plain = opened.map_err(|_| damaged(path))?;
-        let enrolment = Enrolment::parse(&plain, parts.version).map_err(|_| damaged(path))?;
+        let enrolment = Enrolment::parse(&plain).map_err(|_| damaged(path))?;
         Ok(Self { enrolment, key })
     }
 
@@ -154,16 +136,15 @@ impl SealedEnrolment {
             return Ok(());
         }
         let bytes = read_private(path, LARGEST)?;
-        let Ok(parts) = split(&bytes) else { return Ok(()) };
-        let keys = SaveKeys::derive(&self.key, &parts.save_salt, label(parts.version));
+        let Ok(parts) = split(path, &bytes) else { return Ok(()) };
+        let keys = SaveKeys::derive(&self.key, &parts.save_salt, LABEL);
         if parts.salt != self.key.salt || !bool::from(keys.commit.ct_eq(&parts.commit)) {
             return Ok(());
         }
         let opened = provider(ProviderName::RustCrypto).gcm_open(&keys.key, &keys.nonce, parts.aad, parts.sealed);
-        if let Some(later) = opened.ok().and_then(|plain| Enrolment::parse(&plain, parts.version).ok())
+        if let Some(later) = opened.ok().and_then(|plain| Enrolment::parse(&plain).ok())
             && later.device_id() == self.enrolment.device_id()
             && later.keys.now.epoch >= self.enrolment.keys.now.epoch
-            && later.version >= self.enrolment.version
         {
             self.enrolment = later;
         }

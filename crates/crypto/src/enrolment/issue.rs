@@ -12,27 +12,19 @@ use crate::model::{Timestamp, Token, TopicId};
 const MOST_ISSUED: usize = super::MOST_TOPICS;
 
 const EPOCH: u8 = 0;
-const NAMED_TOPICS: u8 = 1;
-const TOPICS: u8 = 2;
+const TOPICS: u8 = 1;
 /// Prefix of topic names that are not ROS topics: statements are filed under them.
 const STATEMENTS: &str = "authros/";
 
-/// The pseudonyms under which a device files and finds a topic's records; the device need not hold IK.
+/// What a device needs to seal one topic's records in an epoch; it need not hold IK.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Pseudonyms {
+pub struct IssuedTopic {
     /// The topic's pseudonym.
     pub id: TopicId,
     /// The filter key for the pseudonyms of its types and tags.
     pub filters: FilterKey,
-}
-
-/// What a device needs to seal one topic's records in an epoch.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct IssuedTopic {
     /// Its key.
     pub key: TopicKey,
-    /// `None` for a device enrolled by version 1, which computes them with IK.
-    pub pseudonyms: Option<Pseudonyms>,
 }
 
 /// The source of an epoch's topic keys.
@@ -40,7 +32,7 @@ pub struct IssuedTopic {
 pub enum SealingKey {
     /// EK, for any topic.
     Epoch(EpochKey),
-    /// Keys for some topics, by name; other topics cannot be sealed. Either all of them have pseudonyms or none has.
+    /// Keys for some topics, by name; other topics cannot be sealed.
     Topics(BTreeMap<String, IssuedTopic>),
 }
 
@@ -77,15 +69,9 @@ pub struct IssuedKeys {
 }
 
 impl IssuedKeys {
-    /// Empty; filled in while parsing.
-    pub(super) fn none() -> Self {
-        let key = SealingKey::Topics(BTreeMap::new());
-        Self { now: EpochIssue { epoch: 0, token: Token([0; 32]), ends: None, key }, next: None }
-    }
-
     /// Its encoding, the body of a notice: issue || 0 or 1 || [moment (8) || issue]. An issue is epoch (8) || token
-    /// (32) || end (8, 0 for none) || 0 || EK (32), or instead of the last two 1 || count (2) || topic and key (32)
-    /// each, or 2 || count (2) || topic, topic id (16), filter key (32) and key (32) each.
+    /// (32) || end (8, 0 for none) || 0 || EK (32), or instead of the last two 1 || count (2) || topic, topic id (16),
+    /// filter key (32) and key (32) each.
     pub fn encode(&self) -> Zeroizing<Vec<u8>> {
         let length = self.now.length() + self.next.as_ref().map_or(1, |(_, next)| 9 + next.length());
         // Reserved in one piece, tag included: growing the buffer would leave unwiped copies behind.
@@ -128,20 +114,10 @@ impl IssuedKeys {
 }
 
 impl EpochIssue {
-    /// Whether a device without IK can seal with these keys.
-    pub(super) fn stands_alone(&self) -> bool {
-        match &self.key {
-            SealingKey::Epoch(_) => false,
-            SealingKey::Topics(topics) => topics.values().all(|issued| issued.pseudonyms.is_some()),
-        }
-    }
-
     fn length(&self) -> usize {
         49 + match &self.key {
             SealingKey::Epoch(_) => 32,
-            SealingKey::Topics(keys) => {
-                2 + keys.iter().map(|(topic, issued)| topic.len() + issued.length()).sum::<usize>()
-            }
+            SealingKey::Topics(keys) => 2 + keys.keys().map(|topic| topic.len() + 82).sum::<usize>(),
         }
     }
 
@@ -155,16 +131,13 @@ impl EpochIssue {
                 out.extend_from_slice(key.expose());
             }
             SealingKey::Topics(keys) => {
-                let named = keys.values().all(|issued| issued.pseudonyms.is_none());
-                out.push(if named { NAMED_TOPICS } else { TOPICS });
+                out.push(TOPICS);
                 let count = keys.len().min(MOST_ISSUED);
                 out.extend_from_slice(&u16::try_from(count).unwrap_or(0).to_be_bytes());
                 for (topic, issued) in keys.iter().take(count) {
                     put_text(out, topic);
-                    if let Some(Pseudonyms { id, filters }) = &issued.pseudonyms {
-                        out.extend_from_slice(&id.0);
-                        out.extend_from_slice(filters.expose());
-                    }
+                    out.extend_from_slice(&issued.id.0);
+                    out.extend_from_slice(issued.filters.expose());
                     out.extend_from_slice(issued.key.expose());
                 }
             }
@@ -179,25 +152,16 @@ impl EpochIssue {
         let ends = Some(Timestamp(reader.u64("end")?)).filter(|ends| ends.0 > 0);
         let key = match reader.u8("key")? {
             EPOCH => SealingKey::Epoch(EpochKey::new(reader.array("epoch key")?)),
-            NAMED_TOPICS => SealingKey::Topics(read_topics(reader, false)?),
-            TOPICS => SealingKey::Topics(read_topics(reader, true)?),
+            TOPICS => SealingKey::Topics(read_topics(reader)?),
             _ => return Err(WireError::Value("key")),
         };
         Ok(Self { epoch, token, ends, key })
     }
 }
 
-impl IssuedTopic {
-    /// Bytes of its encoding, without the topic's name.
-    fn length(&self) -> usize {
-        if self.pseudonyms.is_some() { 82 } else { 34 }
-    }
-}
-
-fn read_topics(reader: &mut Reader<'_>, pseudonyms: bool) -> Result<BTreeMap<String, IssuedTopic>, WireError> {
+fn read_topics(reader: &mut Reader<'_>) -> Result<BTreeMap<String, IssuedTopic>, WireError> {
     let count = usize::from(reader.u16("topic count")?);
-    // An empty list is written in the names-only form.
-    if count > MOST_ISSUED || (pseudonyms && count == 0) {
+    if count > MOST_ISSUED {
         return Err(WireError::Value("topic count"));
     }
     let mut keys = BTreeMap::new();
@@ -207,14 +171,12 @@ fn read_topics(reader: &mut Reader<'_>, pseudonyms: bool) -> Result<BTreeMap<Str
         if keys.last_key_value().is_some_and(|(last, _)| *last >= topic) {
             return Err(WireError::Value("topic"));
         }
-        let pseudonyms = match pseudonyms {
-            true => Some(Pseudonyms {
-                id: TopicId(reader.array("topic id")?),
-                filters: FilterKey::new(reader.array("filter key")?),
-            }),
-            false => None,
+        let issued = IssuedTopic {
+            id: TopicId(reader.array("topic id")?),
+            filters: FilterKey::new(reader.array("filter key")?),
+            key: TopicKey::new(reader.array("topic key")?),
         };
-        keys.insert(topic, IssuedTopic { key: TopicKey::new(reader.array("topic key")?), pseudonyms });
+        keys.insert(topic, issued);
     }
     Ok(keys)
 }

@@ -53,6 +53,15 @@ fn wrapped_by_one_provider_unwrapped_by_the_other() {
 }
 
 #[test]
+fn another_version_is_refused() {
+    for version in [0, 2, 255] {
+        let mut envelope = wrap_with(ProviderName::RustCrypto, &all());
+        envelope[0] = version;
+        assert!(matches!(parts(&envelope), Err(WireError::Value("version"))), "{version}");
+    }
+}
+
+#[test]
 fn an_open_end_is_kept() {
     let mut wrapped = all();
     wrapped.terms.expiry = None;

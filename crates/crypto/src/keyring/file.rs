@@ -21,8 +21,7 @@ use super::{Keyring, PublicIdentity};
 mod body;
 
 const MAGIC: [u8; 8] = *b"\x89AuthKey";
-/// Versions of a keyring without further pairs, and with some.
-const VERSIONS: [u8; 2] = [1, 2];
+const VERSION: u8 = 1;
 const LABEL: &str = "AuthROS/keyring/1";
 /// The largest keyring accepted, bytes: about 290,000 epochs.
 const LARGEST: usize = 16 * 1024 * 1024;
@@ -31,8 +30,6 @@ const HEADER: usize = 258;
 
 /// The header, in the order of writing.
 struct FileHeader {
-    /// Whether further pairs follow: a keyring without any stays readable to older programs.
-    further: bool,
     work: Work,
     salt: [u8; 32],
     save_salt: [u8; 24],
@@ -45,7 +42,7 @@ impl FileHeader {
     fn encode(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(HEADER);
         out.extend_from_slice(&MAGIC);
-        out.push(VERSIONS[usize::from(self.further)]);
+        out.push(VERSION);
         put_work(&mut out, self.work);
         out.extend_from_slice(&self.salt);
         out.extend_from_slice(&self.save_salt);
@@ -57,16 +54,8 @@ impl FileHeader {
         out
     }
 
-    fn parse(reader: &mut Reader<'_>) -> Result<Self, WireError> {
-        if reader.array("magic")? != MAGIC {
-            return Err(WireError::Value("magic"));
-        }
-        let version = reader.u8("version")?;
-        if !VERSIONS.contains(&version) {
-            return Err(WireError::Value("version"));
-        }
+    fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
         Ok(Self {
-            further: version == VERSIONS[1],
             work: read_work(reader)?,
             salt: reader.array("salt")?,
             save_salt: reader.array("salt")?,
@@ -89,16 +78,26 @@ fn seal(keyring: &Keyring, key: &FileKey) -> Result<Vec<u8>, CryptoError> {
     if length + HEADER > LARGEST {
         return Err(CryptoError::Length { what: "keyring", found: length, allowed: "at most 16 MiB" });
     }
-    let (further, public) = (!keyring.further.is_empty(), keyring.public());
-    let header = FileHeader { further, work: key.work, salt: key.salt, save_salt, public, commit: keys.commit, length };
+    let public = keyring.public();
+    let header = FileHeader { work: key.work, salt: key.salt, save_salt, public, commit: keys.commit, length };
     let header = header.encode();
     provider(ProviderName::RustCrypto).gcm_seal(&keys.key, &keys.nonce, &header, &mut sealed)?;
     Ok([&header[..], &sealed].concat())
 }
 
-fn split(bytes: &[u8]) -> Result<(FileHeader, &[u8], &[u8]), WireError> {
+/// A file's bytes in parts: header, the same as AAD, sealed secrets.
+type Parts<'a> = (FileHeader, &'a [u8], &'a [u8]);
+
+fn split(bytes: &[u8]) -> Result<Parts<'_>, Refusal> {
     let mut reader = Reader::new(bytes);
-    let header = FileHeader::parse(&mut reader)?;
+    if reader.array("magic")? != MAGIC {
+        return Err(Refusal::Damaged);
+    }
+    match reader.u8("version")? {
+        VERSION => {}
+        found => return Err(Refusal::Version(found)),
+    }
+    let header = FileHeader::read(&mut reader)?;
     let sealed = reader.take(header.length, "sealed keys")?;
     reader.end()?;
     Ok((header, bytes.get(..HEADER).unwrap_or_default(), sealed))
@@ -108,10 +107,27 @@ fn split(bytes: &[u8]) -> Result<(FileHeader, &[u8], &[u8]), WireError> {
 enum Refusal {
     Passphrase,
     Damaged,
+    Version(u8),
+}
+
+impl Refusal {
+    fn of(self, path: &Path) -> CryptoError {
+        match self {
+            Self::Passphrase => CryptoError::WrongPassphrase(shown(path)),
+            Self::Damaged => CryptoError::DamagedKeyring(shown(path)),
+            Self::Version(found) => CryptoError::Version { path: shown(path), what: "a keyring", found },
+        }
+    }
+}
+
+impl From<WireError> for Refusal {
+    fn from(_: WireError) -> Self {
+        Self::Damaged
+    }
 }
 
 fn open(bytes: &[u8], key: &FileKey) -> Result<Keyring, Refusal> {
-    let (header, aad, sealed) = split(bytes).map_err(|_| Refusal::Damaged)?;
+    let (header, aad, sealed) = split(bytes)?;
     let keys = SaveKeys::derive(key, &header.save_salt, LABEL);
     if !bool::from(keys.commit.ct_eq(&header.commit)) {
         return Err(Refusal::Passphrase);
@@ -119,7 +135,7 @@ fn open(bytes: &[u8], key: &FileKey) -> Result<Keyring, Refusal> {
     let plain = provider(ProviderName::RustCrypto)
         .gcm_open(&keys.key, &keys.nonce, aad, sealed)
         .map_err(|_| Refusal::Damaged)?;
-    let keyring = body::parse(&plain, header.further).map_err(|_| Refusal::Damaged)?;
+    let keyring = body::parse(&plain)?;
     if keyring.public() == header.public { Ok(keyring) } else { Err(Refusal::Damaged) }
 }
 
@@ -133,10 +149,10 @@ fn read(path: &Path) -> Result<Zeroizing<Vec<u8>>, CryptoError> {
 /// here, but then it no longer opens.
 ///
 /// # Errors
-/// [`CryptoError::Read`], [`CryptoError::OpenToOthers`] or [`CryptoError::DamagedKeyring`].
+/// [`CryptoError::Read`], [`CryptoError::OpenToOthers`], [`CryptoError::DamagedKeyring`] or [`CryptoError::Version`].
 pub fn read_public(path: &Path) -> Result<PublicIdentity, CryptoError> {
     let bytes = read(path)?;
-    split(&bytes).map(|(header, _, _)| header.public).map_err(|_| CryptoError::DamagedKeyring(shown(path)))
+    split(&bytes).map(|(header, _, _)| header.public).map_err(|refusal| refusal.of(path))
 }
 
 impl Keyring {
@@ -208,17 +224,13 @@ impl UnlockedKeyring {
     /// Reads and opens a keyring file.
     ///
     /// # Errors
-    /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`], [`CryptoError::WrongPassphrase`] or
-    /// [`CryptoError::DamagedKeyring`].
+    /// [`CryptoError::Read`], [`CryptoError::OpenToOthers`], [`CryptoError::WrongPassphrase`],
+    /// [`CryptoError::DamagedKeyring`] or [`CryptoError::Version`].
     pub fn open(path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
         let bytes = read(path)?;
-        let damaged = || CryptoError::DamagedKeyring(shown(path));
-        let (header, _, _) = split(&bytes).map_err(|_| damaged())?;
+        let (header, _, _) = split(&bytes).map_err(|refusal| refusal.of(path))?;
         let key = FileKey::with(passphrase, header.work, header.salt)?;
-        let keyring = open(&bytes, &key).map_err(|refusal| match refusal {
-            Refusal::Passphrase => CryptoError::WrongPassphrase(shown(path)),
-            Refusal::Damaged => damaged(),
-        })?;
+        let keyring = open(&bytes, &key).map_err(|refusal| refusal.of(path))?;
         Ok(Self { keyring, path: path.to_owned(), key, stripped: false })
     }
 

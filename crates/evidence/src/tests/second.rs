@@ -146,7 +146,7 @@ fn both_say_the_same_of_the_chain() {
         agree(&World { sealers: sealers.to_vec(), ..World::new() }.members(), &World::trust(), outcome);
     }
     let mut vanity = [0; 32];
-    vanity[..28].copy_from_slice(b"AuthROS chain file version 3");
+    vanity[..28].copy_from_slice(b"AuthROS chain file version 1");
     agree(&World { vanity, ..World::new() }.members(), &World::trust(), Outcome::Incomplete);
 }
 

@@ -4,10 +4,10 @@ use crate::model::wire::{Reader, WireError};
 use crate::model::{Hash, PublicKey, Signature, Timestamp};
 
 use super::Command;
+use super::erased::ErasedRecord;
 use super::erasure::ErasureOutcome;
 use super::query::{Entry, Page};
 use super::relay::Relayed;
-use super::request::{MOST_CHECKED, SIGNED};
 use crate::gateway::code::Code;
 use crate::gateway::receipt::Receipt;
 use crate::gateway::standings::SignedStandings;
@@ -16,6 +16,10 @@ use crate::gateway::standings::SignedStandings;
 pub const LONGEST_PROOF: usize = 64 * 1024;
 /// The longest system-key list, bytes.
 const LONGEST_LIST: usize = 1024;
+/// What was fetched: a record,
+const WHOLE: u8 = 0;
+/// or what is left of one.
+const ERASED: u8 = 1;
 
 /// A record's standing at the gateway.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -95,12 +99,12 @@ pub enum Answer {
     Registered(Hash),
     /// A page.
     Page(Page),
-    /// The standings of the digests in the request, in order: count (2), a byte each.
-    Standings(Vec<Standing>),
-    /// The same, signed, with proofs.
-    Proven(Box<SignedStandings>),
-    /// A record.
+    /// The standings of the digests in the request, in order.
+    Standings(Box<SignedStandings>),
+    /// A record: 0 || record.
     Record(Box<Fetched>),
+    /// What is left of a record that its owner had erased: 1 || record, whose blob is header and statement.
+    Erased(Box<ErasedRecord>),
     /// The subscription, or its end, is confirmed.
     Done(Command),
     /// The gateway's time (8).
@@ -108,7 +112,7 @@ pub enum Answer {
     /// The chain's answer.
     Relayed(Relayed),
     /// What becomes of each erasure in the request, in order: count (2), a byte each.
-    Erased(Vec<ErasureOutcome>),
+    Erasures(Vec<ErasureOutcome>),
     /// A record of a subscription: entry || record.
     Event(Box<(Entry, Fetched)>),
     /// A subscription has ended: code (2).
@@ -125,11 +129,11 @@ impl Answer {
             Self::Receipt(command, _) | Self::Done(command) => *command,
             Self::Registered(_) => Command::Register,
             Self::Page(_) => Command::Query,
-            Self::Standings(_) | Self::Proven(_) => Command::Check,
-            Self::Record(_) => Command::Fetch,
+            Self::Standings(_) => Command::Check,
+            Self::Record(_) | Self::Erased(_) => Command::Fetch,
             Self::Time(_) => Command::Ping,
             Self::Relayed(_) => Command::Relay,
-            Self::Erased(_) => Command::Erase,
+            Self::Erasures(_) => Command::Erase,
             Self::Event(_) => Command::Event,
             Self::End(_) => Command::End,
             Self::Refused(_) => Command::Refuse,
@@ -148,13 +152,13 @@ impl Answer {
             Self::Receipt(_, receipt) => receipt.encode(),
             Self::Registered(transaction) => transaction.0.to_vec(),
             Self::Page(page) => page.encode(),
-            Self::Standings(standings) => encode_standings(standings),
-            Self::Proven(signed) => signed.encode(),
-            Self::Record(record) => record.encode(),
+            Self::Standings(signed) => signed.encode(),
+            Self::Record(record) => [vec![WHOLE], record.encode()].concat(),
+            Self::Erased(erased) => [vec![ERASED], erased.clone().into_fetched().encode()].concat(),
             Self::Done(_) => Vec::new(),
             Self::Time(time) => time.0.to_be_bytes().to_vec(),
             Self::Relayed(relayed) => relayed.encode(),
-            Self::Erased(outcomes) => ErasureOutcome::encode_all(outcomes),
+            Self::Erasures(outcomes) => ErasureOutcome::encode_all(outcomes),
             Self::Event(event) => [event.0.encode(), event.1.encode()].concat(),
             Self::End(code) | Self::Refused(code) => code.number().to_be_bytes().to_vec(),
         }
@@ -179,17 +183,10 @@ impl Answer {
             | Command::DeviceNotice => Self::Receipt(command, Receipt::read(&mut reader)?),
             Command::Register => Self::Registered(Hash(reader.array("transaction")?)),
             Command::Query => Self::Page(Page::read(&mut reader)?),
-            Command::Check => {
-                let signed = body.first().is_some_and(|first| first & SIGNED.to_be_bytes()[0] != 0);
-                let standings = read_standings(&mut reader)?;
-                match signed {
-                    true => Self::Proven(Box::new(SignedStandings::read(&mut reader, standings)?)),
-                    false => Self::Standings(standings),
-                }
-            }
-            Command::Fetch => Self::Record(Box::new(Fetched::read(&mut reader)?)),
+            Command::Check => Self::Standings(Box::new(SignedStandings::read(&mut reader)?)),
+            Command::Fetch => read_fetched(&mut reader)?,
             Command::Subscribe | Command::Unsubscribe => Self::Done(command),
-            Command::Erase => Self::Erased(ErasureOutcome::read_all(&mut reader)?),
+            Command::Erase => Self::Erasures(ErasureOutcome::read_all(&mut reader)?),
             Command::Ping => Self::Time(Timestamp(reader.u64("time")?)),
             Command::Relay => Self::Relayed(Relayed::read(&mut reader)?),
             Command::Event => Self::Event(Box::new((Entry::read(&mut reader)?, Fetched::read(&mut reader)?))),
@@ -201,19 +198,15 @@ impl Answer {
     }
 }
 
+fn read_fetched(reader: &mut Reader<'_>) -> Result<Answer, WireError> {
+    let (what, record) = (reader.u8("what was fetched")?, Fetched::read(reader)?);
+    match what {
+        WHOLE => Ok(Answer::Record(Box::new(record))),
+        ERASED => Ok(Answer::Erased(Box::new(ErasedRecord::from_fetched(record)?))),
+        _ => Err(WireError::Value("what was fetched")),
+    }
+}
+
 pub(crate) fn read_code(reader: &mut Reader<'_>) -> Result<Code, WireError> {
     Code::from_number(reader.u16("code")?).ok_or(WireError::Value("code"))
-}
-
-fn encode_standings(standings: &[Standing]) -> Vec<u8> {
-    let standings = &standings[..standings.len().min(MOST_CHECKED)];
-    let mut out = u16::try_from(standings.len()).unwrap_or(u16::MAX).to_be_bytes().to_vec();
-    out.extend(standings.iter().map(|standing| standing.code()));
-    out
-}
-
-fn read_standings(reader: &mut Reader<'_>) -> Result<Vec<Standing>, WireError> {
-    let count = usize::from(reader.u16("count")? & !SIGNED);
-    let codes = reader.take(count, "standing")?;
-    codes.iter().map(|code| Standing::from_code(*code).ok_or(WireError::Value("standing"))).collect()
 }

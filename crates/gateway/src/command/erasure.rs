@@ -141,7 +141,7 @@ mod tests {
         assert!(parse(&[&body[..], &[0]].concat()).is_err() && parse(&[0, 0]).is_err());
 
         let all = vec![ErasureOutcome::Left, ErasureOutcome::Taken, ErasureOutcome::Refused];
-        let (answer, parse) = (Answer::Erased(all), |body: &[u8]| Answer::parse(Command::Erase, body));
+        let (answer, parse) = (Answer::Erasures(all), |body: &[u8]| Answer::parse(Command::Erase, body));
         assert_eq!(answer.encode(), [0, 3, 0, 1, 2]);
         assert_eq!(parse(&answer.encode()), Ok(answer));
         for lie in [&[0, 1, 3][..], &[0, 2, 1], &[0, 1, 1, 1], &[0, 65], &[0xff, 0xff]] {

@@ -14,10 +14,6 @@ use crate::gateway::allocation::AllocationRequest;
 pub const MOST_UPLOADS: usize = 1024;
 /// The most digests checked at once.
 pub const MOST_CHECKED: usize = 1024;
-/// A bit in the count of a check: the answer is to be signed, with proofs. Set in the answer's count as well.
-pub const SIGNED: u16 = 1 << 15;
-/// Behind the digest of a fetch: what is left of an erased record is asked for.
-const ERASED: u8 = 1;
 /// The longest signed transaction passed on, bytes.
 pub const LONGEST_TRANSACTION: usize = 3 * 1024;
 
@@ -73,31 +69,22 @@ pub struct RevokeNotice {
     pub transaction: Hash,
 }
 
-/// The device that the session's name belongs to from now on: P of a lent device (64), or P (64) || the topic id of its
-/// notices (16).
+/// The device that the session's name belongs to from now on: P of a lent device (64) || the topic id of its notices (16).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DeviceNotice {
     /// Its public key.
     pub key: PublicKey,
-    /// Where its owner's notices to it are filed; `None` from owners who did not say.
-    pub notices: Option<TopicId>,
+    /// Where its owner's notices to it are filed.
+    pub notices: TopicId,
 }
 
 impl DeviceNotice {
     fn encode(&self) -> Vec<u8> {
-        [&self.key.0[..], self.notices.as_ref().map_or(&[][..], |id| &id.0)].concat()
+        [&self.key.0[..], &self.notices.0].concat()
     }
 
     fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
-        let key = PublicKey(reader.array("device key")?);
-        let notices = if reader.rest().is_empty() { None } else { Some(TopicId(reader.array("topic id")?)) };
-        Ok(Self { key, notices })
-    }
-}
-
-impl From<PublicKey> for DeviceNotice {
-    fn from(key: PublicKey) -> Self {
-        Self { key, notices: None }
+        Ok(Self { key: PublicKey(reader.array("device key")?), notices: TopicId(reader.array("topic id")?) })
     }
 }
 
@@ -118,12 +105,8 @@ pub enum Request {
     Query(Query),
     /// Standings: count (2), then 32 bytes each.
     Check(Vec<Digest>),
-    /// The same, signed and with the proofs of their anchors: the highest bit of the count is set.
-    Prove(Vec<Digest>),
-    /// One record: digest (32).
+    /// One record, or what is left of one that its owner had erased: digest (32).
     Fetch(Digest),
-    /// What is left of a record that its owner had erased: digest (32) || 1. Earlier gateways answer `Malformed`.
-    FetchErased(Digest),
     /// Records as they arrive.
     Subscribe(Selection),
     /// End a subscription: the number of the request that began it (4).
@@ -138,6 +121,9 @@ pub enum Request {
     Ping,
     /// A request to the chain.
     Relay(RelayCall),
+    /// What was erased, after a place: place (24) || 1.
+    /// [`Self::Erasures`].
+    /// The records of 2 to 64 ranges, one after the other.
     /// Records that the session's owner had erased: count (2), then length (4) and erasure each.
     Erase(Vec<ErasureNotice>),
 }
@@ -152,8 +138,8 @@ impl Request {
             Self::Upload(_) => Command::Upload,
             Self::UploadMany(_) => Command::UploadMany,
             Self::Query(_) => Command::Query,
-            Self::Check(_) | Self::Prove(_) => Command::Check,
-            Self::Fetch(_) | Self::FetchErased(_) => Command::Fetch,
+            Self::Check(_) => Command::Check,
+            Self::Fetch(_) => Command::Fetch,
             Self::Subscribe(_) => Command::Subscribe,
             Self::Unsubscribe(_) => Command::Unsubscribe,
             Self::GrantNotice(_) => Command::GrantNotice,
@@ -177,13 +163,7 @@ impl Request {
             Self::UploadMany(uploads) => encode_uploads(uploads),
             Self::Query(query) => query.encode(),
             Self::Check(digests) => encode_digests(digests),
-            Self::Prove(digests) => {
-                let mut body = encode_digests(digests);
-                body.iter_mut().take(1).for_each(|first| *first |= SIGNED.to_be_bytes()[0]);
-                body
-            }
             Self::Fetch(digest) => digest.0.to_vec(),
-            Self::FetchErased(digest) => [&digest.0[..], &[ERASED]].concat(),
             Self::Subscribe(selection) => selection.encode(),
             Self::Unsubscribe(request) => request.to_be_bytes().to_vec(),
             Self::GrantNotice(notice) => notice.encode(),
@@ -210,12 +190,8 @@ impl Request {
             }),
             Command::UploadMany => Self::UploadMany(read_uploads(&mut reader)?),
             Command::Query => Self::Query(Query::read(&mut reader)?),
-            Command::Check => {
-                let signed = body.first().is_some_and(|first| first & SIGNED.to_be_bytes()[0] != 0);
-                let digests = read_digests(&mut reader)?;
-                if signed { Self::Prove(digests) } else { Self::Check(digests) }
-            }
-            Command::Fetch => read_fetch(&mut reader)?,
+            Command::Check => Self::Check(read_digests(&mut reader)?),
+            Command::Fetch => Self::Fetch(Digest(reader.array("digest")?)),
             Command::Subscribe => Self::Subscribe(Selection::read(&mut reader)?),
             Command::Unsubscribe => Self::Unsubscribe(reader.u32("subscription")?),
             Command::GrantNotice => Self::GrantNotice(GrantNotice::read(&mut reader)?),
@@ -261,17 +237,6 @@ impl RevokeNotice {
             token: Token(reader.array("token")?),
             transaction: Hash(reader.array("transaction")?),
         })
-    }
-}
-
-fn read_fetch(reader: &mut Reader<'_>) -> Result<Request, WireError> {
-    let digest = Digest(reader.array("digest")?);
-    if reader.rest().is_empty() {
-        return Ok(Request::Fetch(digest));
-    }
-    match reader.u8("what is fetched")? {
-        ERASED => Ok(Request::FetchErased(digest)),
-        _ => Err(WireError::Value("what is fetched")),
     }
 }
 
@@ -322,9 +287,6 @@ fn encode_digests(digests: &[Digest]) -> Vec<u8> {
 }
 
 fn read_digests(reader: &mut Reader<'_>) -> Result<Vec<Digest>, WireError> {
-    let count = usize::from(reader.u16("digest count")? & !SIGNED);
-    if !(1..=MOST_CHECKED).contains(&count) {
-        return Err(WireError::Value("digest count"));
-    }
+    let count = read_count(reader, MOST_CHECKED, "digest count")?;
     (0..count).map(|_| reader.array("digest").map(Digest)).collect()
 }

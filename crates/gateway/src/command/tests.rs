@@ -51,20 +51,6 @@ fn what_is_cut_or_longer_is_refused() {
 }
 
 #[test]
-fn what_is_left_of_a_record_is_asked_for_by_one_more_byte() {
-    let digest = crate::model::Digest([3; 32]);
-    let body = [&digest.0[..], &[1]].concat();
-    assert_eq!(Request::FetchErased(digest).encode(), body);
-    assert_eq!(Request::parse(Command::Fetch, &body), Ok(Request::FetchErased(digest)));
-    assert_eq!(Request::parse(Command::Fetch, &body[..32]), Ok(Request::Fetch(digest)));
-    for wrong in
-        [&body[..31], &[&digest.0[..], &[0]].concat(), &[&digest.0[..], &[2]].concat(), &[&body[..], &[1]].concat()]
-    {
-        assert!(Request::parse(Command::Fetch, wrong).is_err(), "{wrong:?}");
-    }
-}
-
-#[test]
 fn counts_are_bounded_before_anything_is_kept() {
     let many = |count: u16| [&count.to_be_bytes()[..], &vec![0; 40_000]].concat();
     for command in [Command::UploadMany, Command::Check] {

@@ -85,20 +85,13 @@ impl Commands {
         }
         match request {
             Request::Query(query) => desk.query(&self.caller, &query).await.map(Answer::Page),
-            Request::Check(digests) => desk.check(&self.caller, &digests).await.map(Answer::Standings),
-            Request::Prove(digests) => {
-                let stood = desk.prove(&self.caller, &digests).await?;
+            Request::Check(digests) => {
+                let stood = desk.check(&self.caller, &digests).await?;
                 let (domain, identity) = (&shared.context.domain, &shared.identity);
                 let signed = SignedStandings::sign(shared.provider(), domain, identity, &digests, stood);
-                signed.map(|signed| Answer::Proven(Box::new(signed))).map_err(Refusal::because(Code::Internal))
+                signed.map(|signed| Answer::Standings(Box::new(signed))).map_err(Refusal::because(Code::Internal))
             }
-            Request::Fetch(digest) => {
-                desk.fetch(&self.caller, &digest).await.map(|record| Answer::Record(Box::new(record)))
-            }
-            Request::FetchErased(digest) => {
-                let erased = desk.fetch_erased(&self.caller, &digest).await?;
-                Ok(Answer::Record(Box::new(erased.into_fetched())))
-            }
+            Request::Fetch(digest) => self.fetch(desk, &digest).await,
             Request::Subscribe(selection) => {
                 let feeds = self.feeds.get_or_insert_with(Feeds::new);
                 feeds.check_room(message.request, shared.limits().subscriptions)?;
@@ -125,8 +118,18 @@ impl Commands {
                 (self.caller.device, self.binding.device) = (Some(device), Some(device));
                 self.noted(shared, message)
             }
-            Request::Erase(erasures) => desk.erase(&self.caller, erasures).await.map(Answer::Erased),
+            Request::Erase(erasures) => desk.erase(&self.caller, erasures).await.map(Answer::Erasures),
             _ => Err(Refusal::new(Code::NotHere, "a command for a session without a transport key")),
+        }
+    }
+
+    /// A record, or what is left of it if its owner had it erased. Notices to a device are not erased.
+    async fn fetch(&self, desk: &dyn Desk, digest: &Digest) -> Result<Answer, Refusal> {
+        match desk.fetch(&self.caller, digest).await {
+            Err(refusal) if refusal.code == Code::NotFound && self.caller.device.is_none() => {
+                desk.fetch_erased(&self.caller, digest).await.map(|erased| Answer::Erased(Box::new(erased)))
+            }
+            record => record.map(|record| Answer::Record(Box::new(record))),
         }
     }
 

@@ -64,7 +64,9 @@ fn other_versions_networks_and_points_are_refused_with_their_code() {
         bytes[at] ^= 1;
         answer(&bytes)
     };
-    assert_eq!(altered(0), Err(Code::Version));
+    for version in [0, 2, 255] {
+        assert_eq!(answer(&[&[version], &hello[1..]].concat()), Err(Code::Version), "{version}");
+    }
     assert_eq!(altered(1), Err(Code::Version));
     assert_eq!(altered(2), Err(Code::Network));
     assert_eq!(altered(129), Err(Code::Malformed), "a point off the curve");

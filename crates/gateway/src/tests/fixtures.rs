@@ -3,17 +3,17 @@
 use std::collections::BTreeMap;
 
 use authros_crypto::{
-    AccountSignature, EoaSecret, ErasedStatement, ProviderName, SealRequest, SmKeyPair, SmSecret, TopicKey,
-    TransportKey, provider, seal,
+    AccountSignature, EoaSecret, ErasedStatement, IndexKey, ProviderName, SealRequest, SmKeyPair, SmSecret, TopicKey,
+    TransportKey, notice_topic, provider, seal, signer_id, topic_id,
 };
 use authros_gateway::allocation::{AllocationRequest, Applicant};
 use authros_gateway::command::{
-    Answer, Command, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page, Query,
-    Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, Upload,
+    Answer, Command, DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome, Fetched, GrantNotice, Page,
+    Query, Registration, RelayCall, Relayed, Request, RevokeNotice, Selection, Standing, Upload,
 };
 use authros_gateway::hello::{ClientHello, Context, GatewayHello, ListSummary, NetworkName};
 use authros_gateway::session::Session;
-use authros_gateway::{Code, Receipt};
+use authros_gateway::{Code, Receipt, SignedStandings, Stood};
 use authros_model::head::Compression;
 use authros_model::{
     Address, Digest, Domain, FilterId, Hash, Head, Identity, ProfileName, PublicKey, RecordKind, RecorderId, Signature,
@@ -166,17 +166,28 @@ pub(crate) fn sample_requests() -> Vec<Request> {
         Request::Query(query(selection.clone())),
         Request::Query(query(Selection::all(Address([1; 20])))),
         Request::Check(vec![Digest([1; 32]), Digest([2; 32])]),
-        Request::Prove(vec![Digest([1; 32]), Digest([2; 32])]),
         Request::Fetch(Digest([3; 32])),
         Request::Subscribe(selection),
         Request::Unsubscribe(5),
         Request::GrantNotice(GrantNotice { grantee, epoch: 2, expiry: 3, transaction }),
         Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([7; 32]), transaction }),
-        Request::DeviceNotice(pair(0x66).public.into()),
+        Request::DeviceNotice(notice_of(&pair(0x66))),
         Request::Ping,
         Request::Relay(RelayCall { method: "eth_call".into(), parameters: "[{},\"latest\"]".into() }),
         Request::Erase(vec![erasure(); 2]),
     ]
+}
+
+/// What is told of a device.
+pub(crate) fn notice_of(device: &SmKeyPair) -> DeviceNotice {
+    let notices = topic_id(&IndexKey::new([3; 32]), &notice_topic(&signer_id(&device.public)));
+    DeviceNotice { key: device.public, notices }
+}
+
+fn standings() -> SignedStandings {
+    let stood = [(Standing::Unknown, 0), (Standing::Verified, 40)];
+    let stood = stood.map(|(standing, length)| Stood { standing, proof: vec![3; length] }).to_vec();
+    SignedStandings { time: Timestamp(5), stood, signature: Signature([6; 64]) }
 }
 
 /// A record that was erased.
@@ -200,14 +211,15 @@ pub(crate) fn sample_answers() -> Vec<Answer> {
         Answer::Registered(Hash([1; 32])),
         Answer::Page(Page { entries: vec![entry(); 3], next: Some(4) }),
         Answer::Page(Page { entries: Vec::new(), next: None }),
-        Answer::Standings(vec![Standing::Unknown, Standing::Tampered]),
+        Answer::Standings(Box::new(standings())),
         Answer::Record(Box::new(record.clone())),
+        Answer::Erased(Box::new(erasure().left)),
         Answer::Done(Command::Subscribe),
         Answer::Done(Command::Unsubscribe),
         Answer::Time(Timestamp(5)),
         Answer::Relayed(Relayed::Result("\"0x7\"".into())),
         Answer::Relayed(Relayed::Fault { code: -32000, words: "reverted".into(), data: "\"0x08\"".into() }),
-        Answer::Erased(vec![ErasureOutcome::Taken, ErasureOutcome::Left, ErasureOutcome::Refused]),
+        Answer::Erasures(vec![ErasureOutcome::Taken, ErasureOutcome::Left, ErasureOutcome::Refused]),
         Answer::Event(Box::new((entry(), record))),
         Answer::End(Code::NotAuthorised),
         Answer::Refused(Code::Token),

@@ -9,7 +9,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
-use super::fixtures::erasure;
+use super::fixtures::{erasure, notice_of};
 use super::hostile::text;
 use super::stage::Stage;
 use super::*;
@@ -132,7 +132,7 @@ fn accepted_requests(stage: &Stage, member: &Member) -> Vec<Request> {
         Request::Relay(RelayCall { method: "eth_blockNumber".to_owned(), parameters: "[]".to_owned() }),
         Request::Erase(vec![erasure()]),
         // The last one: afterwards the name is the device's.
-        Request::DeviceNotice(device.public.into()),
+        Request::DeviceNotice(notice_of(&device)),
     ]
 }
 

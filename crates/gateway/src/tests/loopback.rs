@@ -37,7 +37,7 @@ async fn a_robot_enrols_uploads_and_reads_back() {
     let fetched = client.fetch(&digest).await.expect("fetches");
     assert_eq!((fetched.blob, fetched.signature), (image.blob, image.signature));
     let standings = client.check(&[digest, Digest([0; 32])]).await.expect("checks");
-    assert_eq!(standings, [Standing::Acknowledged, Standing::Unknown]);
+    assert_eq!(standings.standings(), [Standing::Acknowledged, Standing::Unknown]);
 
     let selection = Selection::all(alice.account());
     let mut query = Query { selection, from: Timestamp(0), until: Timestamp(u64::MAX), cursor: 0, limit: 15 };
@@ -137,11 +137,16 @@ async fn records_of_others_and_of_recalled_devices_are_refused() {
     assert_eq!(refused(sealed(5)).await, Some(Code::Signature), "not lent yet");
     stage.desk.lend(&alice, &device);
     assert_eq!(refused(sealed(5)).await, Some(Code::Signature), "lent, but its key was not told");
-    assert_eq!(refusal(client.device(&bob.signing, device.public).await), Some(Code::Signature), "not told by alice");
-    assert_eq!(refusal(client.device(&alice.signing, pair(0x67).public).await), Some(Code::Signature), "not lent");
-    let nothing = client.device(&alice.signing, crate::model::PublicKey([1; 64])).await;
+    assert_eq!(
+        refusal(client.device(&bob.signing, notice_of(&device)).await),
+        Some(Code::Signature),
+        "not told by alice"
+    );
+    assert_eq!(refusal(client.device(&alice.signing, notice_of(&pair(0x67))).await), Some(Code::Signature), "not lent");
+    let no_point = DeviceNotice { key: crate::model::PublicKey([1; 64]), ..notice_of(&device) };
+    let nothing = client.device(&alice.signing, no_point).await;
     assert_eq!(refusal(nothing), Some(Code::Malformed), "no point");
-    client.device(&alice.signing, device.public).await.expect("told");
+    client.device(&alice.signing, notice_of(&device)).await.expect("told");
     assert_eq!(refusal(client.upload(vec![sealed(5)]).await), None);
     stage.desk.recall(&alice, &device);
     assert_eq!(refusal(client.upload(vec![sealed(6)]).await), Some(Code::Signature), "recalled");

@@ -260,7 +260,7 @@ async fn signed_commands_are_refused_each_with_their_code() {
     let (grantee, transaction) = (bob.account(), Hash([1; 32]));
     let grant = Request::GrantNotice(GrantNotice { grantee, epoch: 1, expiry: 0, transaction });
     let revoke = Request::RevokeNotice(RevokeNotice { grantee, epoch: 2, token: Token([2; 32]), transaction });
-    let device = Request::DeviceNotice(pair(0x66).public.into());
+    let device = Request::DeviceNotice(notice_of(&pair(0x66)));
     let mut cases = Vec::new();
     for sent in [&grant, &revoke, &device] {
         let name = format!("{:?}", sent.command());
@@ -286,7 +286,7 @@ async fn signed_commands_are_refused_each_with_their_code() {
         }
     }
     for (what, point) in no_points() {
-        let sent = Request::DeviceNotice(point.into());
+        let sent = Request::DeviceNotice(DeviceNotice { key: point, ..notice_of(&pair(0x66)) });
         let found = signed(&stage, &credentials, &good(&sent, &alice.signing)).await;
         cases.push(case(format!("a device's key {what}"), Code::Malformed, found));
     }
@@ -311,7 +311,7 @@ async fn records_are_refused_each_with_their_code() {
     let mut client = stage.connect(&credentials).await.expect("connects");
     let device = pair(0x66);
     stage.desk.lend(&alice, &device);
-    client.device(&alice.signing, device.public).await.expect("told");
+    client.device(&alice.signing, notice_of(&device)).await.expect("told");
     client.upload(vec![alice.record(&device, 1, b"while it is lent")]).await.expect("accepted");
     stage.desk.recall(&alice, &device);
     let before = stage.desk.state().changes;

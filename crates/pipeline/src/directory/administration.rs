@@ -77,13 +77,10 @@ pub struct Administration {
     /// Whether all changes except those that take rights away are paused, with no end (first revision).
     pub paused: bool,
     /// Until when they are or were last paused; `None` = never.
-    #[serde(default)]
     pub paused_until: Option<Timestamp>,
     /// The delay of a succession, seconds; `None` = no delay (first revision).
-    #[serde(default)]
     pub delay: Option<u64>,
     /// Pending successions, oldest first.
-    #[serde(default)]
     pub proposals: Vec<Proposal>,
     /// Suspended accounts.
     pub suspended: BTreeSet<Address>,

@@ -27,8 +27,6 @@ pub(super) struct Line<'a> {
     gate: Gate,
     link: watch::Sender<Link>,
     errand: &'a mut Option<Box<dyn Errand>>,
-    /// Whether the gateway signs standings; earlier versions do not.
-    pub signs: bool,
     /// Where the next check of standings begins.
     pub cursor: Option<i64>,
     checked: Option<Instant>,
@@ -48,7 +46,6 @@ impl<'a> Line<'a> {
             gate,
             link,
             errand,
-            signs: true,
             cursor: None,
             checked: None,
             moved: false,
@@ -96,8 +93,6 @@ impl<'a> Line<'a> {
     /// answers at an earlier address.
     async fn session(&mut self, stored: &Notify) -> Result<(), ForwardError> {
         let mut client = Client::connect(&self.gate.endpoint, &mut self.gate.trust, &self.gate.credentials).await?;
-        // It may have been upgraded meanwhile.
-        self.signs = true;
         block_in_place(|| self.gate.trust.save(&self.gate.trust_file)).map_err(PipelineError::from)?;
         self.heard = Instant::now();
         let up = self.up(&client);

@@ -5,7 +5,7 @@ use tokio::task::block_in_place;
 use crate::chain::AnchorProof;
 use crate::chain::merkle::Leaf;
 use crate::gateway::standings::statement;
-use crate::gateway::{Client, Code, GatewayError, SignedStandings, Standing};
+use crate::gateway::{Client, SignedStandings, Standing};
 use crate::model::{Digest, Header, RecordState};
 use crate::pipeline::PipelineError;
 use crate::store::{KeptStanding, RecordRow};
@@ -46,22 +46,11 @@ impl Line<'_> {
         Ok(true)
     }
 
-    /// The standings of these records: signed, and verified only those whose proof is valid; for an earlier gateway,
-    /// its unsigned statement.
+    /// The standings of these records: signed, and verified only those whose proof is valid.
     async fn standings(&mut self, client: &mut Client, rows: &[RecordRow]) -> Result<Standings, ForwardError> {
         let digests: Vec<Digest> = rows.iter().map(|row| row.digest).collect();
-        if self.signs {
-            match client.prove(&digests).await {
-                Ok(signed) => return Ok(block_in_place(|| self.proven(rows, &digests, signed))),
-                Err(GatewayError::Refused(Code::Malformed)) => {
-                    self.signs = false;
-                    let text = "this gateway version does not sign the state of records: this robot keeps the ciphertext of all its records until the gateway is updated";
-                    self.outbox.plant.observer.alert(false, text.to_owned());
-                }
-                Err(error) => return Err(error.into()),
-            }
-        }
-        Ok(Standings { each: client.check(&digests).await?, proven: None })
+        let signed = client.check(&digests).await?;
+        Ok(block_in_place(|| self.proven(rows, &digests, signed)))
     }
 
     fn proven(&self, rows: &[RecordRow], digests: &[Digest], signed: SignedStandings) -> Standings {

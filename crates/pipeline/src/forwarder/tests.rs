@@ -6,7 +6,7 @@ use tokio::time::sleep;
 use super::*;
 use crate::crypto::SmKeyPair;
 use crate::gateway::{Standing, Upload};
-use crate::gateway_stage::{Member, Stage, context, pair};
+use crate::gateway_stage::{Member, Stage, context, notice_of, pair};
 use crate::model::{Header, RecordKind, RecordState};
 use crate::pipeline::fixture::Notes;
 use crate::store::{Ledger, NewRecord, StateCounts, open_vault};
@@ -70,7 +70,7 @@ impl Scene {
         let credentials = stage.enrol(&alice).await;
         let mut owner = stage.connect(&credentials).await.expect("connects");
         stage.desk.lend(&alice, &device);
-        owner.device(&alice.signing, device.public).await.expect("told");
+        owner.device(&alice.signing, notice_of(&device)).await.expect("told");
         let relay = Relay::to(stage.server.address()).await;
         let home = tempfile::tempdir().expect("folder");
         let notes = Arc::new(Notes::default());
@@ -281,7 +281,7 @@ async fn a_recalled_device_is_refused_and_its_records_wait() {
     assert!(scene.notes.with("the owner must enrol it again") > 0);
     scene.stage.desk.lend(&scene.alice, &scene.device);
     let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
-    owner.device(&scene.alice.signing, scene.device.public).await.expect("told again");
+    owner.device(&scene.alice.signing, notice_of(&scene.device)).await.expect("told again");
     scene.until_state(RecordState::Submitted, 7).await;
 }
 
@@ -373,20 +373,6 @@ async fn what_the_gateway_cannot_prove_stays_unverified_and_here() {
         assert!(kept.statement.windows(32).any(|bytes| bytes == row.digest.0), "and about this record");
         assert!(crate::chain::AnchorProof::parse(&kept.proofs[0].1).is_ok());
     }
-    assert_eq!(scene.plant.ledger.unproven(), Ok(0));
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn an_earlier_gateway_is_believed_and_nothing_is_given_up() {
-    let mut scene = Scene::new().await;
-    scene.capture(20, 100);
-    scene.stage.desk.state().earlier = true;
-    scene.verify();
-    let _work = scene.work();
-    scene.until_state(RecordState::Verified, 20).await;
-    scene.until("told", |scene| scene.notes.with("does not sign the state of records") > 0).await;
-    scene.forwarder().tidy().expect("tidies");
-    assert_eq!((scene.kept_here(), scene.plant.ledger.unproven()), (20, Ok(20)));
 }
 
 #[test]

@@ -18,14 +18,11 @@ impl Reader<'_> {
         };
         let Some(blob) = stored.filter(|_| row.owner == self.reader.address) else { return Ok(None) };
         let domain = Header::parse(&blob).map_or(self.network.domain, |(header, _)| header.domain);
-        let Ok(keys) = self.topic_keys_in(domain, row) else { return Ok(None) };
+        let Ok(key) = self.key_for(domain, row.owner, row.epoch, row.topic_id) else { return Ok(None) };
         let signers = [Some(self.reader.signing().public), self.plant.ledger.signer(row.signer)?];
         let expected = Expected::any_of(domain, row.owner);
         let opened = signers.iter().flatten().find_map(|signer| {
-            let mut tried = keys.iter().map(|key| {
-                open(self.plant.provider, &blob, &row.signature, signer, Anchor::Unanchored, key, &expected)
-            });
-            tried.find_map(Result::ok)
+            open(self.plant.provider, &blob, &row.signature, signer, Anchor::Unanchored, &key, &expected).ok()
         });
         Ok(opened)
     }

@@ -38,8 +38,6 @@ pub(super) struct Bench<'a> {
     pub deep: bool,
     /// Whether the vault can be asked for headers.
     pub headers: bool,
-    /// The first row in the index of tags.
-    pub first_indexed: u64,
     /// The keys for comparing names.
     pub indices: Option<&'a HashMap<Address, IndexKey>>,
 }
@@ -67,9 +65,7 @@ pub(super) fn compare(
     tally: &mut Tally,
 ) -> Result<Reading, StoreError> {
     let headers = scope.deep || vault_answers(plant, tally)?;
-    let first_indexed = plant.ledger.first_indexed()?;
-    let bench =
-        Bench { plant, network, blind, deep: scope.deep, headers, first_indexed, indices: Some(&scope.indices) };
+    let bench = Bench { plant, network, blind, deep: scope.deep, headers, indices: Some(&scope.indices) };
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
     let begun = Instant::now();
     let (pieces, waiting) = sync_channel::<Vec<Looked>>(threads);
@@ -121,14 +117,6 @@ fn compare_index(plant: &Plant, tally: &mut Tally) -> Result<(), StoreError> {
             "topic and type names and the SIMULATED mark of {} records were not compared: they are sealed, and no open \
              keyring has their pseudonyms",
             tally.unnamed
-        );
-        tally.note(&text);
-    }
-    if tally.not_indexed > 0 {
-        let text = format!(
-            "{} records before the first entry of the tag index cannot be found by tag: they were stored by an old \
-             version, or their entries were removed",
-            tally.not_indexed
         );
         tally.note(&text);
     }

@@ -118,8 +118,6 @@ pub(super) struct Tally {
     pub unchecked: u64,
     /// Entries of the index of tags supported by headers.
     pub indexed: u64,
-    /// Records from before the index, with tags.
-    pub not_indexed: u64,
     /// Records whose names could not be compared.
     pub unnamed: u64,
     /// Records whose headers are not here.
@@ -169,7 +167,6 @@ impl Tally {
         self.given_up += other.given_up;
         self.unchecked += other.unchecked;
         self.indexed += other.indexed;
-        self.not_indexed += other.not_indexed;
         self.unnamed += other.unnamed;
         self.unread += other.unread;
         self.last = self.last.max(other.last);

@@ -27,13 +27,12 @@ pub struct Scrubbed {
 /// Errors of ledger and vault; then the cursor stays.
 pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scrubbed, StoreError> {
     let after = plant.ledger.setting(CURSOR)?.and_then(|text| text.parse().ok()).unwrap_or(0);
-    let first_indexed = plant.ledger.first_indexed()?;
     let page = plant.ledger.audit_page(after, Timestamp(0), most)?;
     let mut done = Scrubbed::default();
     let mut bad = Vec::new();
     // An unreadable row is reported by the audit: it has no digest to mark.
     for record in page.records.into_iter().flatten().filter(|record| record.row.state == RecordState::Verified) {
-        if let Some(digest) = scrub(plant, network, (record, first_indexed), &mut done)? {
+        if let Some(digest) = scrub(plant, network, record, &mut done)? {
             bad.push(digest);
         }
     }
@@ -48,13 +47,13 @@ pub fn scrub_round(plant: &Plant, network: &Network, most: usize) -> Result<Scru
 fn scrub(
     plant: &Plant,
     network: &Network,
-    (record, first_indexed): (AuditedRecord, u64),
+    record: AuditedRecord,
     done: &mut Scrubbed,
 ) -> Result<Option<Digest>, StoreError> {
     let digest = record.row.digest;
     let mut tally = Tally::default();
     look(
-        Bench { plant, network: Some(network), blind: false, deep: true, headers: true, first_indexed, indices: None },
+        Bench { plant, network: Some(network), blind: false, deep: true, headers: true, indices: None },
         &[(record, Uploaded::NotAsked)],
         &mut tally,
     )?;

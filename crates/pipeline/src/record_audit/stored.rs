@@ -190,7 +190,7 @@ fn compare_names(bench: Bench<'_>, row: &RecordRow, header: &Header, tally: &mut
     }
 }
 
-/// Whether the record is found by every id in its header, except for those stored before there was an index of them.
+/// Whether the record is found by every id in its header.
 fn compare_tags(
     bench: Bench<'_>,
     record: &AuditedRecord,
@@ -199,9 +199,7 @@ fn compare_tags(
 ) -> Result<(), StoreError> {
     let indexed = bench.plant.ledger.indexed(record.number, &header.filters)?;
     tally.indexed += indexed;
-    if indexed == 0 && record.number < bench.first_indexed {
-        tally.not_indexed += u64::from(!header.filters.is_empty());
-    } else if indexed < u64::try_from(header.filters.len()).unwrap_or(u64::MAX) {
+    if indexed < u64::try_from(header.filters.len()).unwrap_or(u64::MAX) {
         tally.find(FindingKind::Tampered, &subject(record), "the tag index lacks some of its tags");
     }
     Ok(())

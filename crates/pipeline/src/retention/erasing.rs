@@ -130,8 +130,8 @@ pub fn stated(
     Ok(StatedErasure { digest: *about.0, statement: statement.encode(), account })
 }
 
-/// States what an owner had erased before there were such statements, before the account signed them, or under an earlier
-/// key. Returns whether nothing is left to state; as long as there is, it is to be called again.
+/// States again what an owner had erased under an earlier key. Returns whether nothing is left to state; as long as there is,
+/// it is to be called again.
 ///
 /// # Errors
 /// Errors of signing and the ledger; what was stated so far stays.

@@ -185,7 +185,7 @@ fn what_was_deleted_does_not_come_back_when_it_is_sent_again() {
     assert_eq!(plant.vault.get(face.digest).expect("read"), None);
     assert_eq!(plant.ledger.local_copy(face.digest).expect("read"), None);
     assert_eq!(plant.vault.get(other.digest).expect("read"), other.local_copy, "what came with it is stored");
-    // An earlier version took it in again: it stays out of bundles and exports.
+    // Even bytes that lie in the vault stay out of bundles and exports.
     plant.vault.put(&[(face.digest, &b"a face"[..])]).expect("there again");
     let read = |record: &NewRecord| {
         let row = plant.ledger.record(record.digest).expect("reads").expect("known");

@@ -27,7 +27,6 @@ pub struct Findings {
     /// ROS.
     pub messages_skipped: u64,
     /// Messages that no checksum covers: the file does not show whether they were altered.
-    #[serde(default)]
     pub unguarded: u64,
 }
 

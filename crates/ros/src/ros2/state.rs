@@ -382,9 +382,11 @@ mod tests {
     #[test]
     fn another_release_and_impossible_names_are_refused() {
         let (mut state, now) = (State::new(0), Instant::now());
-        let error = state.take(Told::Hello { version: 99, domain: 0, confined: true }, Vec::new(), now);
-        let error = error.expect_err("another release");
-        assert!(error.contains("same release"), "{error}");
+        for version in [0, 2, 255] {
+            let error = state.take(Told::Hello { version, domain: 0, confined: true }, Vec::new(), now);
+            let error = error.expect_err("another release");
+            assert!(error.contains(&format!("version {version}, but 1")) && error.contains("same release"), "{error}");
+        }
         state.take(writer("aa", "/bad name", true), Vec::new(), now).expect("taken");
         state.take(writer(&"a".repeat(65), "/good", true), Vec::new(), now).expect("taken");
         assert!(state.topics().is_empty());

@@ -38,7 +38,6 @@ pub enum Administration {
         /// Whether they are blocked.
         paused: bool,
         /// For how long, seconds; `None` = a day. On a contract of the first revision the block has no end.
-        #[serde(default)]
         seconds: Option<u64>,
     },
     /// Proposes the account that continues for a lost one.

@@ -37,23 +37,17 @@ requests! {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ErasureWishes {
     /// Messages of this topic.
-    #[serde(default)]
     pub topic: Option<TopicName>,
     /// Captured at this time or later.
-    #[serde(default)]
     pub since: Option<Timestamp>,
     /// Captured before this time.
-    #[serde(default)]
     pub until: Option<Timestamp>,
     /// These records, by the beginnings of their digests; then nothing else decides.
-    #[serde(default)]
     pub records: Vec<String>,
     /// Only those that an import of this recording sealed: its tag, 16 hexadecimal digits.
-    #[serde(default)]
     pub recording: Option<String>,
     /// Why; kept with who and when.
     pub reason: String,
     /// Do it; else it is only shown.
-    #[serde(default)]
     pub sure: bool,
 }

@@ -37,13 +37,11 @@ pub struct UploadQuery {
     /// Only of this kind; `None` = captured messages.
     pub kind: Option<RecordKind>,
     /// Only of this message type.
-    #[serde(default)]
     pub type_name: Option<TypeName>,
     /// Only if the name of the topic or type contains each of these.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub words: Vec<String>,
     /// Only with all of these tags (name, value) in the sealed head.
-    #[serde(default)]
     pub tags: Vec<(String, String)>,
     /// Only in this incident of the profile.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -12,21 +12,16 @@ pub struct EvidenceWishes {
     /// The file, absolute; must not exist. Written by the site, which runs as the same user.
     pub file: PathBuf,
     /// These records, by their ids.
-    #[serde(default)]
     pub records: Vec<String>,
     /// Those of this topic.
-    #[serde(default)]
     pub topic: Option<TopicName>,
     /// Those in this incident.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub incident: Option<IncidentName>,
     /// Captured at or after.
-    #[serde(default)]
     pub since: Option<Timestamp>,
     /// Captured before.
-    #[serde(default)]
     pub until: Option<Timestamp>,
     /// The ids of records to disclose.
-    #[serde(default)]
     pub reveal: Vec<String>,
 }

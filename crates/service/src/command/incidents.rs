@@ -17,13 +17,10 @@ requests! {
         /// Records captured at this time or later.
         since: Timestamp,
         /// Records captured before this time; `None` = until it is closed.
-        #[serde(default)]
         until: Option<Timestamp>,
         /// Of these topics; empty = of all.
-        #[serde(default)]
         topics: Vec<TopicName>,
         /// A description.
-        #[serde(default)]
         note: Option<String>,
         /// Robots whose rings are asked for it; then the keyring is needed.
         #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -85,7 +85,6 @@ pub struct PlayWishes {
     /// The ROS master; `None` = this site's own.
     pub master: Option<String>,
     /// The ROS 2 domain, instead of a ROS 1 graph.
-    #[serde(default)]
     pub domain: Option<u16>,
 }
 

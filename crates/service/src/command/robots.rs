@@ -18,16 +18,12 @@ requests! {
         /// Its name, or the beginning of its device's id.
         name: String,
         /// What was captured at this time or later; `None` = since the incident begins.
-        #[serde(default)]
         since: Option<Timestamp>,
         /// Before this time; `None` = until the incident ends, or until now.
-        #[serde(default)]
         until: Option<Timestamp>,
         /// Of these topics; empty = of those of the incident, or of all.
-        #[serde(default)]
         topics: Vec<TopicPattern>,
         /// Takes from this incident what is not named here.
-        #[serde(default)]
         incident: Option<IncidentName>,
     } => RingPullView;
     /// The enrolled robots, each with the policy wanted and the one it works by.

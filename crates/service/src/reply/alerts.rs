@@ -55,7 +55,6 @@ pub struct AlertsView {
     /// The active ones, by their keys.
     pub alerts: Vec<AlertView>,
     /// Those that ended in the last 15 minutes, newest first; of one process, at most 20.
-    #[serde(default)]
     pub over: Vec<EndedAlert>,
     /// The destination of alerts, or that there is none.
     pub told: String,

@@ -34,13 +34,10 @@ pub struct ChainView {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub through: Option<String>,
     /// The cost of its newest anchoring transactions.
-    #[serde(default)]
     pub gas: GasView,
     /// The state of this profile's lanes: first its own account's, then the extra ones'.
-    #[serde(default)]
     pub lanes: Vec<LaneState>,
     /// The contract administrator's decisions.
-    #[serde(default)]
     pub administration: AdministrationView,
     /// Who seals the blocks, and how often.
     #[serde(flatten)]

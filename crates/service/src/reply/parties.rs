@@ -95,19 +95,14 @@ pub struct AdministrationView {
     /// Whether all changes are blocked now except those that take rights away.
     pub paused: bool,
     /// When a pause ends; `None` = there is none, or it has no end.
-    #[serde(default)]
     pub paused_until: Option<Timestamp>,
     /// The contract's revision.
-    #[serde(default)]
     pub revision: Option<Revision>,
     /// The delay of a succession, seconds; `None` = there are no successions.
-    #[serde(default)]
     pub delay: Option<u64>,
     /// Pending successions.
-    #[serde(default)]
     pub proposals: Vec<ProposalView>,
     /// Who may stop a succession of the profile's account.
-    #[serde(default)]
     pub recovery: RecoveryView,
     /// Suspended accounts.
     pub suspended: Vec<Address>,
@@ -147,7 +142,6 @@ pub struct GrantRow {
     /// The first epoch it opens (or the only ones, once revoked).
     pub epoch: u64,
     /// Whether it opens epochs before that one too; `None` = not known here.
-    #[serde(default)]
     pub earlier: Option<bool>,
     /// When it ends.
     pub expires: Option<Timestamp>,
@@ -160,10 +154,8 @@ pub struct GrantRow {
     /// Its transaction.
     pub transaction: Hash,
     /// The other side's name in the address book.
-    #[serde(default)]
     pub name: Option<String>,
     /// The fingerprint of the other side's registered SM2 key.
-    #[serde(default)]
     pub fingerprint: Option<String>,
 }
 

@@ -48,10 +48,8 @@ pub struct ImportView {
     /// Unusable messages: left out, of an undescribed channel, or damaged.
     pub skipped: u64,
     /// Messages left out by topic, with the reason.
-    #[serde(default)]
     pub left_out: Vec<LeftOut>,
     /// Messages without a checksum in the file: it cannot show whether they were altered.
-    #[serde(default)]
     pub unguarded: u64,
     /// What could not be read, and why.
     pub damages: Vec<Damage>,
@@ -127,12 +125,7 @@ pub struct ProgressView {
     /// Messages sealed or written, or so many of another unit.
     pub messages: u64,
     /// What is counted there: `messages`, `records`, `files`; `steps` = the number of the present step.
-    #[serde(default = "messages")]
     pub unit: String,
-}
-
-fn messages() -> String {
-    "messages".to_owned()
 }
 
 /// Answers about recordings.

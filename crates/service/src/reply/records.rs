@@ -44,7 +44,6 @@ pub struct RecordView {
     /// Its block.
     pub block: Option<u64>,
     /// The result of comparing the ledger's row with the record.
-    #[serde(default)]
     pub compared: Compared,
     /// The field in which they differ: the record's own value is then shown, and it is `tampered`.
     #[serde(skip_serializing_if = "Option::is_none", default)]
@@ -134,10 +133,8 @@ pub struct OpenedView {
     /// Tags, cleaned.
     pub tags: Vec<(String, String)>,
     /// How it was compressed before it was sealed: `none`, `lz4`, `matrix`.
-    #[serde(default)]
     pub compression: String,
     /// Length of its sealed body, bytes.
-    #[serde(default)]
     pub stored: u64,
     /// Why no fields are shown, or what casts doubt on them.
     #[serde(skip_serializing_if = "Option::is_none", default)]

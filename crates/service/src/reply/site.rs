@@ -54,30 +54,24 @@ pub struct LifeLine {
     /// Not yet verified.
     pub pending: u64,
     /// Their signer may not sign for their owner now; anchored when that right returns.
-    #[serde(default)]
     pub right_ended: u64,
     /// Quarantined.
     pub quarantined: u64,
     /// Dropped before acknowledgement, counted, or discarded from quarantine.
     pub dropped: u64,
     /// Of these, never acknowledged: they came while memory or disk was full, or without a key.
-    #[serde(default)]
     pub lost_in_recorder: u64,
     /// Of these, discarded from quarantine by the operator.
-    #[serde(default)]
     pub discarded: u64,
     /// Different from the chain.
     pub tampered: u64,
     /// Never arrived here (header.seq gaps); not part of captured.
     pub lost_in_transport: u64,
     /// Messages of all profiles in memory that are not acknowledged yet; not part of captured.
-    #[serde(default)]
     pub waiting: u64,
     /// Of the verified ones, those whose ciphertext retention has deleted; header, signature and proof remain.
-    #[serde(default)]
     pub deleted: u64,
     /// Whether the counts balance, in total and for each topic.
-    #[serde(default)]
     pub conserved: bool,
 }
 
@@ -92,24 +86,18 @@ pub struct SiteView {
     pub robots: u16,
     /// Profiles open in this site.
     pub profiles: Vec<ProfileName>,
-    /// The site's process; 0 = an older site, which does not report it.
-    #[serde(default)]
+    /// The site's process.
     pub process: u32,
     /// Background tasks and their state.
-    #[serde(default)]
     pub tasks: Vec<super::TaskView>,
     /// What waits to be sealed.
-    #[serde(default)]
     pub queue: QueueView,
     /// How long records of this site took from capture to verified: upper bounds, microseconds, and the number of
     /// records within each.
-    #[serde(default)]
     pub verified_after: Vec<(u64, u64)>,
     /// Active alerts, of all accounts; none if no site is running to judge them.
-    #[serde(default)]
     pub alerts: Vec<super::AlertView>,
     /// Those that ended recently, newest first.
-    #[serde(default)]
     pub alerts_over: Vec<super::EndedAlert>,
 }
 

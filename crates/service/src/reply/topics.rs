@@ -23,20 +23,16 @@ pub struct TopicRow {
     #[serde(rename = "type")]
     pub type_name: Option<String>,
     /// Its version of ROS: 1 or 2.
-    #[serde(default = "first")]
     pub ros: u8,
     /// The type's hash (`RIHS01_…`), cleaned, if a ROS 2 publisher gave it.
-    #[serde(default)]
     pub type_hash: Option<String>,
     /// What all ROS 2 publishers offer, such as `reliable volatile`; `None` in ROS 1.
-    #[serde(default)]
     pub qos: Option<String>,
     /// Node names, cleaned.
     pub publishers: Vec<String>,
     /// Whether this profile watches it.
     pub watched: bool,
     /// Why it is watched but not captured; `None` = it is captured, or not watched.
-    #[serde(default)]
     pub held_up: Option<HeldUp>,
     /// Whether a simulated robot of this site publishes it.
     pub simulated: bool,
@@ -51,21 +47,16 @@ pub struct TopicRow {
     /// Dropped by the recorder.
     pub lost_in_recorder: u64,
     /// Left out by the rate or sampling of the topic's rule; these are not lost.
-    #[serde(default)]
     pub left_out: u64,
     /// Arrival of the last message.
     pub last_message: Option<Timestamp>,
     /// Publishers pinned to it; 0 = none yet.
-    #[serde(default)]
     pub pins: u64,
     /// Of `publishers`, those that are not pinned, if any is.
-    #[serde(default)]
     pub unpinned: Vec<String>,
     /// Messages of it that this profile holds in quarantine.
-    #[serde(default)]
     pub quarantined: u64,
     /// Whether an alarm about a publisher of it is open.
-    #[serde(default)]
     pub alarm: bool,
 }
 
@@ -137,11 +128,6 @@ impl CoverageView {
     }
 }
 
-/// Earlier sites knew only ROS 1.
-fn first() -> u8 {
-    1
-}
-
 /// Figures of one topic in a capture's summary.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct TopicSummary {
@@ -155,7 +141,6 @@ pub struct TopicSummary {
     /// Of these, verified.
     pub verified: u64,
     /// Of these, quarantined: their publisher is not a pinned one.
-    #[serde(default)]
     pub quarantined: u64,
     /// Lost in transport or in the recorder.
     pub lost: u64,
@@ -169,7 +154,6 @@ pub struct CaptureSummary {
     /// Of these, verified: re-read from the vault, digest equal to the chain, signature valid.
     pub verified: u64,
     /// Of these, quarantined: their publisher is not a pinned one.
-    #[serde(default)]
     pub quarantined: u64,
     /// Lost in transport or in the recorder.
     pub lost: u64,

@@ -65,9 +65,6 @@ pub struct AgentFigures {
     pub pending: u64,
     /// Damaged here, or altered at the gateway after it signed for them.
     pub tampered: u64,
-    /// Verified only by the gateway's word, which an earlier version does not sign: their ciphertext stays here. Looked
-    /// up every few seconds.
-    pub unproven: u64,
     /// Whether the gateway answers, in words.
     pub gateway: String,
     /// What it keeps of topics that nobody watches, if it keeps a ring.
@@ -106,7 +103,6 @@ pub struct Agent {
     refused: Arc<Mutex<HashSet<Digest>>>,
     /// Messages in the outbox when this run began.
     before: u64,
-    unproven: u64,
     /// When the topics' numbers were last looked at.
     seen: Option<std::time::Instant>,
     forwarder: JoinHandle<()>,
@@ -138,12 +134,11 @@ impl Agent {
         author.obey(enrolment);
         let (name, forwarder) = (enrolment.name.clone(), block_in_place(|| forwarder(site, enrolment))?);
         let (provider, observer) = (site.plant.provider, Arc::clone(&site.plant.observer));
-        let notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept);
+        let keeper = Arc::clone(&policy.keeper) as _;
+        let notices = Notices::new(provider, observer, Arc::clone(&author), sealed, kept, keeper);
         let mut ring = ring.map(|ring| AgentRing::begin(site, &author, ring)).transpose()?;
         policy.has_ring.store(ring.is_some(), Ordering::Release);
-        let notices = notices.with_memory(site.plant.ledger.clone());
         let notices = notices.with_ring_while(site.plant.ledger.clone(), &policy.has_ring);
-        let notices = notices.with_policies(Arc::clone(&policy.keeper) as _);
         let named = notices.gateway();
         let forwarder = forwarder.with_errand(Box::new(notices)).following(named);
         let before = block_in_place(|| site.plant.ledger.counts(None))?.acknowledged;
@@ -161,7 +156,6 @@ impl Agent {
         let forwarder = Arc::new(tokio::sync::Mutex::new(forwarder));
         let forwarder = site.supervise("forwarder", move |site| forward(site, Arc::clone(&forwarder)));
         let (site, length, sessions) = (Arc::clone(site), wishes.length, vec![session]);
-        let (unproven, seen) = (0, None);
         Ok(Self {
             site,
             name,
@@ -176,8 +170,7 @@ impl Agent {
             link,
             refused,
             before,
-            unproven,
-            seen,
+            seen: None,
             forwarder,
         })
     }
@@ -211,9 +204,6 @@ impl Agent {
                 () = tokio::time::sleep(LOOK) => {}
             }
             let counts = block_in_place(|| self.site.plant.ledger.counts(None))?;
-            if looks.is_multiple_of(25) {
-                self.unproven = block_in_place(|| self.site.plant.ledger.unproven())?;
-            }
             let figures = self.figures_of(&counts);
             if looks.is_multiple_of(5) && shown.as_ref() != Some(&figures) {
                 progress(&figures);
@@ -308,7 +298,6 @@ impl Agent {
             lost,
             pending: counts.pending(),
             tampered: counts.data_in(RecordState::Tampered),
-            unproven: self.unproven,
             gateway: match &*self.link.borrow() {
                 Link::Connecting => "connecting".to_owned(),
                 Link::Up => "connected".to_owned(),
@@ -333,8 +322,6 @@ impl Agent {
 
     /// Ends: capture stops, everything captured is fsynced. Its figures can still be read.
     pub async fn stop(&mut self) {
-        // Included in the last figures; if it cannot be read, the last look counts.
-        self.unproven = block_in_place(|| self.site.plant.ledger.unproven()).unwrap_or(self.unproven);
         for session in &self.sessions {
             session.close();
             for topic in &self.topics {

@@ -50,7 +50,6 @@ pub use capture::ros::RosState;
 pub use chain::link::NetworkState;
 pub(crate) use consoles::{Claims, joiner};
 pub(crate) use contacts::BOOK;
-pub(super) use devices::enrolled::Enrolled;
 pub use devices::enrolling::EnrolWishes;
 pub(crate) use operators::{Asker, Heard};
 pub use reading::view::record_page;

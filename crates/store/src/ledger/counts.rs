@@ -33,7 +33,6 @@ pub struct TopicCounts {
     /// Records on their way to verified.
     pub pending: u64,
     /// Records waiting for their signer's right.
-    #[serde(default)]
     pub right_ended: u64,
     /// Quarantined records.
     pub quarantined: u64,
@@ -42,7 +41,6 @@ pub struct TopicCounts {
     /// Messages captured but never acknowledged, or discarded from quarantine.
     pub dropped: u64,
     /// Of these, never acknowledged.
-    #[serde(default)]
     pub lost: u64,
     /// Messages that never arrived ([`LossReason::Transport`]); not part of `captured`.
     pub missed: u64,

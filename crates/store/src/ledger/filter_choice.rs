@@ -12,7 +12,6 @@ pub struct FilterChoice {
     /// For records of any topic.
     pub id: FilterId,
     /// For records of these topics.
-    #[serde(default)]
     pub by_topic: BTreeMap<TopicId, FilterId>,
 }
 

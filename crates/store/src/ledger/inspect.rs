@@ -154,17 +154,6 @@ impl Ledger {
         })
     }
 
-    /// The first row in the index of tags; the highest number if it is empty.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn first_indexed(&self) -> Result<u64, StoreError> {
-        self.read(|connection| {
-            let first: Option<i64> = connection.query_row("SELECT min(record) FROM filters", [], |row| row.get(0))?;
-            Ok(first.map_or(u64::MAX, i64::cast_unsigned))
-        })
-    }
-
     /// Entries of the index of tags for rows up to a number.
     ///
     /// # Errors

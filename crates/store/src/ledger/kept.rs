@@ -17,9 +17,9 @@ pub struct KeptBinding {
     pub envelope: PublicKey,
     /// The transport key, sealed by its keeper.
     pub sealed_key: Vec<u8>,
-    /// The device that owns the name, with the topic id of its owner's notices to it, if known; `None` if the name is
-    /// its account's own.
-    pub device: Option<(SignerId, Option<TopicId>)>,
+    /// The device that owns the name, with the topic id of its owner's notices to it; `None` if the name is its account's
+    /// own.
+    pub device: Option<(SignerId, TopicId)>,
 }
 
 impl Ledger {
@@ -64,7 +64,7 @@ impl Ledger {
                     binding.envelope.0,
                     binding.sealed_key,
                     binding.device.map(|(device, _)| device.0),
-                    binding.device.and_then(|(_, notices)| notices).map(|id| id.0)
+                    binding.device.map(|(_, notices)| notices.0)
                 ],
             )?;
             Ok(())
@@ -96,14 +96,14 @@ impl Ledger {
         name: &str,
         account: Address,
         device: SignerId,
-        notices: Option<TopicId>,
+        notices: TopicId,
     ) -> Result<bool, StoreError> {
         let name = name.to_owned();
         self.write(move |session| {
             let changed = session
                 .connection
                 .prepare_cached("UPDATE bindings SET device = ?3, notices = ?4 WHERE name = ?1 AND account = ?2")?
-                .execute(params![name, account.0, device.0, notices.map(|id| id.0)])?;
+                .execute(params![name, account.0, device.0, notices.0])?;
             Ok(changed > 0)
         })
     }
@@ -125,7 +125,7 @@ impl Ledger {
                         envelope: PublicKey(row.get(2)?),
                         sealed_key: row.get(3)?,
                         device: match row.get::<_, Option<_>>(4)? {
-                            Some(device) => Some((SignerId(device), row.get::<_, Option<_>>(5)?.map(TopicId))),
+                            Some(device) => Some((SignerId(device), TopicId(row.get(5)?))),
                             None => None,
                         },
                     })

@@ -97,19 +97,4 @@ impl Ledger {
             Ok(found.optional()?)
         })
     }
-
-    /// How many verified records here are not covered by a signed statement: their ciphertext is kept.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn unproven(&self) -> Result<u64, StoreError> {
-        self.read(|connection| {
-            let all: i64 = connection
-                .prepare_cached("SELECT coalesce(sum(records), 0) FROM counters WHERE state = ?1")?
-                .query_row([crate::model::RecordState::Verified.code()], |row| row.get(0))?;
-            let proven: i64 =
-                connection.prepare_cached("SELECT count(*) FROM proven")?.query_row([], |row| row.get(0))?;
-            Ok(all.saturating_sub(proven).max(0).cast_unsigned())
-        })
-    }
 }

@@ -150,7 +150,6 @@ pub struct RecordRow {
     /// That block's hash.
     pub block_hash: Option<Hash>,
     /// When retention deleted its ciphertext.
-    #[serde(default)]
     pub deleted_at: Option<Timestamp>,
 }
 

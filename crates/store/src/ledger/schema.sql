@@ -152,10 +152,10 @@ CREATE TABLE signers (id BLOB PRIMARY KEY, key BLOB NOT NULL) WITHOUT ROWID;
 
 -- Names at this site's gateway. `sealed_key` is the transport key, sealed; `device` is SM3 of the public key of the
 -- device that a name belongs to, NULL where it is its account's own; `notices` is the topic id of its owner's notices
--- to it, where known.
+-- to it.
 CREATE TABLE bindings (
     name TEXT PRIMARY KEY, account BLOB NOT NULL, signing BLOB NOT NULL, envelope BLOB NOT NULL,
-    sealed_key BLOB NOT NULL, device BLOB, notices BLOB
+    sealed_key BLOB NOT NULL, device BLOB, notices BLOB, CHECK ((device IS NULL) = (notices IS NULL))
 ) WITHOUT ROWID;
 
 -- Names behind the pseudonyms (hex) of an owner's topics and types, learned by opening one of their records.

@@ -121,7 +121,7 @@ fn calls_are_of_the_contract_and_change_nothing_of_its_state() {
 fn logs_come_in_portions_and_never_from_before_the_contract() {
     let filter = |from: &str, to: &str| json!([{ "address": CONTRACT.to_string(), "fromBlock": from, "toBlock": to }]);
     let visit = |from: &str, to: &str| ask(Asker::Visitor, "eth_getLogs", &filter(from, to));
-    // What clients of 7ed4b9f request: 2,000 blocks at once.
+    // What clients request: 2,000 blocks at once.
     assert_eq!(visit("0x3e8", "0xbb7"), Ok(Passed::Read(filter("0x3e8", "0xbb7"))));
     assert_eq!(visit("0x0", "0x7cf"), Ok(Passed::Read(filter("0x3e8", "0x7cf"))));
     assert_eq!(visit("0x0", "0x3e7"), Ok(Passed::NoLogs));

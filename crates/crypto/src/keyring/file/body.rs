@@ -1,7 +1,6 @@
 //! The sealed part of a keyring file: EOA (32), d_C (32), d_E (32), K_C (16), IK (32), then a counted list of networks
-//! (domain, current epoch, counted epochs of number, salt, K_C and state). Version 2 adds further pairs: their count
-//! (4), then for each its use (1: former d_E, 2: next d_C, 3: next d_E, 4: gateway) and its secret (32), ordered by
-//! use.
+//! (domain, current epoch, counted epochs of number, salt, K_C and state), then the number of further pairs (4) and for
+//! each its use (1: former d_E, 2: next d_C, 3: next d_E, 4: gateway) and its secret (32), ordered by use.
 
 use std::collections::BTreeMap;
 
@@ -42,12 +41,10 @@ pub(super) fn encode(keyring: &Keyring) -> Zeroizing<Vec<u8>> {
             out.push(if secret.state == EpochState::Active { ACTIVE } else { PENDING });
         }
     }
-    if !further.is_empty() {
-        put_count(&mut out, further.len());
-        for (usage, pair) in further {
-            out.push(usage);
-            out.extend_from_slice(pair.secret.expose());
-        }
+    put_count(&mut out, further.len());
+    for (usage, pair) in further {
+        out.push(usage);
+        out.extend_from_slice(pair.secret.expose());
     }
     out
 }
@@ -64,7 +61,7 @@ fn put_count(out: &mut Vec<u8>, count: usize) {
     out.extend_from_slice(&u32::try_from(count).unwrap_or(u32::MAX).to_be_bytes());
 }
 
-pub(super) fn parse(plain: &[u8], has_further: bool) -> Result<Keyring, WireError> {
+pub(super) fn parse(plain: &[u8]) -> Result<Keyring, WireError> {
     let mut reader = Reader::new(plain);
     let keyring = Keyring {
         eoa: EoaSecret::from_slice(reader.take(32, "EOA key")?).map_err(|_| WireError::Value("EOA key"))?,
@@ -73,7 +70,7 @@ pub(super) fn parse(plain: &[u8], has_further: bool) -> Result<Keyring, WireErro
         sm4: Sm4Key::new(reader.array("SM4 key")?),
         index: IndexKey::new(reader.array("index key")?),
         networks: read_networks(&mut reader)?,
-        further: if has_further { read_further(&mut reader)? } else { FurtherPairs::default() },
+        further: read_further(&mut reader)?,
     };
     reader.end()?;
     Ok(keyring)
@@ -104,7 +101,7 @@ fn read_further(reader: &mut Reader<'_>) -> Result<FurtherPairs, WireError> {
             _ => return Err(WireError::Value("use of a pair")),
         }
     }
-    if further.is_empty() { Err(WireError::Value("number of further pairs")) } else { Ok(further) }
+    Ok(further)
 }
 
 fn read_networks(reader: &mut Reader<'_>) -> Result<BTreeMap<Domain, NetworkKeys>, WireError> {

@@ -125,7 +125,7 @@ async fn an_address_added_by_the_owner_is_used_and_one_added_by_a_thief_is_not()
     sealed.create(&given).expect("writes");
     let author = Arc::new(Author::new(scene.alice.account()));
     let observer = Arc::clone(&scene.plant.observer);
-    let notices = Notices::new(context().provider, observer, author, sealed, kept.clone());
+    let notices = Notices::new(context().provider, observer, author, sealed, kept.clone(), super::notices::taker());
     let named = notices.gateway();
     let forwarder = scene.forwarder().with_errand(Box::new(notices)).following(named);
     let work = start(&scene, forwarder);

@@ -2,14 +2,30 @@
 
 use super::*;
 use crate::crypto::{
-    Enrolment, EoaSecret, EpochIssue, EpochKey, IndexKey, IssuedKeys, Notice, OwnerKeyChange, Passphrase, SealRequest,
-    SealedEnrolment, SealingKey, SignedPolicy, TopicKey, TransportKey, notice_topic, seal, signer_id, topic_id,
+    Enrolment, EoaSecret, EpochIssue, EpochKey, IndexKey, IssuedKeys, LastNotice, Notice, OwnerKeyChange, Passphrase,
+    SealRequest, SealedEnrolment, SealingKey, SignedPolicy, TopicKey, TransportKey, notice_topic, seal, signer_id,
+    topic_id,
 };
 use crate::gateway::{Entry, Fetched};
 use crate::model::head::Compression;
 use crate::model::{Head, RecorderId, RingSpan, SignerId, Timestamp, Token};
 use crate::pipeline::notices::{Notices, PolicyTaker};
 use crate::pipeline::{Author, disk_ring};
+
+/// Notes the versions of the policies that reach it.
+#[derive(Default)]
+pub(super) struct Noting(std::sync::Mutex<Vec<u64>>);
+
+impl PolicyTaker for Noting {
+    fn take(&self, policy: &SignedPolicy) -> Result<String, crate::pipeline::PipelineError> {
+        self.0.lock().expect("not poisoned").push(policy.version);
+        Ok(format!("policy {}", policy.version))
+    }
+}
+
+pub(super) fn taker() -> Arc<Noting> {
+    Arc::default()
+}
 
 fn issued(epoch: u64) -> IssuedKeys {
     let key = SealingKey::Epoch(EpochKey::new([u8::try_from(epoch).expect("small"); 32]));
@@ -29,9 +45,8 @@ pub(super) fn enrolment(scene: &Scene) -> Enrolment {
         notice_id: topic_id(&IndexKey::new([3; 32]), &notice_topic(&signer_id(&scene.device.public))),
         notice_key: TopicKey::new([4; 32]),
         token: scene.credentials.token,
-        noticed: None,
+        last_notice: None,
         keys: issued(1),
-        version: 2,
     }
 }
 
@@ -99,7 +114,7 @@ async fn only_the_owners_newest_notice_to_this_device_is_obeyed() {
     let author = Arc::new(Author::new(scene.alice.account()));
     author.obey(&sealed.enrolment);
     let observer = Arc::clone(&scene.plant.observer);
-    let notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept.clone());
+    let notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept.clone(), taker());
     let mut forwarder = scene.forwarder().with_errand(Box::new(notices));
     let (stored, epoch) = (Arc::clone(&scene.stored), || author.sealing().expect("keys").epoch);
 
@@ -127,7 +142,8 @@ async fn only_the_owners_newest_notice_to_this_device_is_obeyed() {
 
     let mut again = SealedEnrolment::open(&given, &passphrase).expect("opens");
     again.catch_up(&kept).expect("reads");
-    assert_eq!((again.enrolment.keys.now.epoch, again.enrolment.noticed), (5, Some((RecorderId([8; 16]), 11))));
+    let last = LastNotice { recorder: RecorderId([8; 16]), number: 11, at: Timestamp(11) };
+    assert_eq!((again.enrolment.keys.now.epoch, again.enrolment.last_notice), (5, Some(last)));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -140,7 +156,7 @@ async fn another_key_of_the_owner_needs_the_old_one_and_the_account() {
     let author = Arc::new(Author::new(scene.alice.account()));
     author.obey(&sealed.enrolment);
     let observer = Arc::clone(&scene.plant.observer);
-    let notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept.clone());
+    let notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept.clone(), taker());
     let mut forwarder = scene.forwarder().with_errand(Box::new(notices));
     let (stored, epoch) = (Arc::clone(&scene.stored), || author.sealing().expect("keys").epoch);
     let known = || {
@@ -155,7 +171,7 @@ async fn another_key_of_the_owner_needs_the_old_one_and_the_account() {
     let (new, thief) = (pair(0x77), pair(0x78));
     for other in [&new, &thief] {
         scene.stage.desk.lend(&scene.alice, other);
-        owner.device(&old, other.public).await.expect("told");
+        owner.device(&old, notice_of(other)).await.expect("told");
     }
     let change = |account: &EoaSecret, to: &SmKeyPair| {
         let domain = context().domain;
@@ -190,7 +206,7 @@ async fn a_ring_is_asked_for_by_its_owner_alone_and_each_request_counts_once() {
     let sealed = SealedEnrolment::new(enrolment(&scene), &passphrase).expect("stretches");
     let (kept, author) = (SealedEnrolment::kept_in(scene.home.path()), Arc::new(Author::new(scene.alice.account())));
     let observer = Arc::clone(&scene.plant.observer);
-    let notices = Notices::new(context().provider, observer, author, sealed, kept);
+    let notices = Notices::new(context().provider, observer, author, sealed, kept, taker());
     let mut forwarder = scene.forwarder().with_errand(Box::new(notices.with_ring(scene.plant.ledger.clone())));
     let stored = Arc::clone(&scene.stored);
     let span = |since: u64| {
@@ -243,35 +259,23 @@ async fn after_a_restore_an_owner_is_obeyed_at_once_and_what_is_older_never() {
     let topics = "/camera/**".parse().expect("a pattern");
     let span = RingSpan { since: Timestamp(1), until: Timestamp(100), topics };
     let (before, restored) = (RecorderId([8; 16]), RecorderId([7; 16]));
-    for remembers in [false, true] {
-        let sealed = SealedEnrolment::new(enrolment(&scene), &passphrase).expect("stretches");
-        let (kept, author) =
-            (scene.home.path().join(format!("kept-{remembers}")), Arc::new(Author::new(scene.alice.account())));
-        author.obey(&sealed.enrolment);
-        let ledger = || scene.plant.ledger.clone();
-        let notices = Notices::new(context().provider, Arc::clone(&scene.plant.observer), author, sealed, kept);
-        let mut notices = notices.with_ring(ledger());
-        if remembers {
-            notices = notices.with_memory(ledger());
-        }
-        let mut hear = |recorder, seq, at| {
-            let (signer, place) = (&scene.alice.signing, (recorder, seq, 1, Timestamp(at)));
-            let upload = numbered(&scene, signer, own, place, &Notice::Pull(span.clone()));
-            let (entry, fetched) = given(&scene, upload, seq, 1);
-            assert!(notices.hear(&entry, &fetched), "dealt with");
-            disk_ring::waiting(&scene.plant.ledger).expect("noted").len()
-        };
-        // A request counts once by its number, so the second round finds the first one's.
-        assert_eq!(hear(before, 9, 900), 1);
-        assert_eq!(hear(restored, 1, 800), 1, "older than what was taken");
-        // Without that memory nobody can tell a restored home from a replay, and the next epoch decides.
-        let expected = if remembers { [2, 3, 3] } else { [1, 1, 1] };
-        assert_eq!(hear(restored, 1, 1000), expected[0]);
-        assert_eq!(hear(restored, 2, 999), expected[1], "by its number");
-        if remembers {
-            assert_eq!(hear(before, 10, 950), expected[2], "of the home before, and replayed");
-        }
-    }
+    let sealed = SealedEnrolment::new(enrolment(&scene), &passphrase).expect("stretches");
+    let (kept, author) = (scene.home.path().join("kept"), Arc::new(Author::new(scene.alice.account())));
+    author.obey(&sealed.enrolment);
+    let notices = Notices::new(context().provider, Arc::clone(&scene.plant.observer), author, sealed, kept, taker());
+    let mut notices = notices.with_ring(scene.plant.ledger.clone());
+    let mut hear = |recorder, seq, at| {
+        let (signer, place) = (&scene.alice.signing, (recorder, seq, 1, Timestamp(at)));
+        let upload = numbered(&scene, signer, own, place, &Notice::Pull(span.clone()));
+        let (entry, fetched) = given(&scene, upload, seq, 1);
+        assert!(notices.hear(&entry, &fetched), "dealt with");
+        disk_ring::waiting(&scene.plant.ledger).expect("noted").len()
+    };
+    assert_eq!(hear(before, 9, 900), 1);
+    assert_eq!(hear(restored, 1, 800), 1, "older than what was taken");
+    assert_eq!(hear(restored, 1, 1000), 2);
+    assert_eq!(hear(restored, 2, 999), 3, "by its number");
+    assert_eq!(hear(before, 10, 950), 3, "of the home before, and replayed");
 }
 
 /// A gateway that gives an owner's old notice a new number: the entry is its word, the header is signed.
@@ -283,7 +287,7 @@ async fn an_old_notice_is_not_new_because_a_gateway_says_so() {
     let (kept, author) = (SealedEnrolment::kept_in(scene.home.path()), Arc::new(Author::new(scene.alice.account())));
     author.obey(&sealed.enrolment);
     let observer = Arc::clone(&scene.plant.observer);
-    let mut notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept)
+    let mut notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept, taker())
         .with_ring(scene.plant.ledger.clone());
     let own = signer_id(&scene.device.public);
     let topics = "/camera/**".parse().expect("a pattern");
@@ -306,49 +310,33 @@ async fn an_old_notice_is_not_new_because_a_gateway_says_so() {
     assert_eq!(epoch(), 6, "a new one is taken");
 }
 
-/// Notes the versions of the policies that reach it.
-#[derive(Default)]
-struct Noting(std::sync::Mutex<Vec<u64>>);
-
-impl PolicyTaker for Noting {
-    fn take(&self, policy: &SignedPolicy) -> Result<String, crate::pipeline::PipelineError> {
-        self.0.lock().expect("not poisoned").push(policy.version);
-        Ok(format!("policy {}", policy.version))
-    }
-}
-
 #[tokio::test(flavor = "multi_thread")]
-async fn policies_come_from_the_owner_and_a_robot_that_takes_none_goes_on() {
-    for takes in [true, false] {
-        let scene = Scene::new().await;
-        let passphrase = Passphrase::new("correct horse".to_owned()).expect("long enough");
-        let sealed = SealedEnrolment::new(enrolment(&scene), &passphrase).expect("stretches");
-        let (kept, author) =
-            (SealedEnrolment::kept_in(scene.home.path()), Arc::new(Author::new(scene.alice.account())));
-        author.obey(&sealed.enrolment);
-        let (observer, taker) = (Arc::clone(&scene.plant.observer), Arc::new(Noting::default()));
-        let notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept);
-        let notices = if takes { notices.with_policies(Arc::clone(&taker) as _) } else { notices };
-        let mut forwarder = scene.forwarder().with_errand(Box::new(notices));
-        let stored = Arc::clone(&scene.stored);
-        let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
-        let own = signer_id(&scene.device.public);
-        let policy = |version| {
-            let signed = SignedPolicy::sign(&context().domain, &scene.alice.eoa, own, version, "").expect("signs");
-            Notice::Policy(signed)
-        };
-        let work = tokio::spawn(async move { forwarder.run(&stored).await });
-        // The robot's own key says nothing about it.
-        owner.upload(vec![record(&scene, &scene.device, own, (2, 1), &policy(7))]).await.expect("taken");
-        scene.until("passed over", |scene| scene.notes.with("ignored a notice") > 0).await;
-        owner.upload(vec![record(&scene, &scene.alice.signing, own, (3, 1), &policy(8))]).await.expect("receipt");
-        owner.upload(vec![notice(&scene, &scene.alice.signing, own, 4, 5)]).await.expect("receipt");
-        scene.until("what comes after it", |_| author.sealing().is_some_and(|keys| keys.epoch == 5)).await;
-        let heard = taker.0.lock().expect("not poisoned").clone();
-        assert_eq!(heard, if takes { vec![8] } else { Vec::new() });
-        assert_eq!(scene.notes.with("does not take"), usize::from(!takes));
-        work.abort();
-    }
+async fn policies_come_from_the_owner_alone() {
+    let scene = Scene::new().await;
+    let passphrase = Passphrase::new("correct horse".to_owned()).expect("long enough");
+    let sealed = SealedEnrolment::new(enrolment(&scene), &passphrase).expect("stretches");
+    let (kept, author) = (SealedEnrolment::kept_in(scene.home.path()), Arc::new(Author::new(scene.alice.account())));
+    author.obey(&sealed.enrolment);
+    let (observer, taker) = (Arc::clone(&scene.plant.observer), Arc::new(Noting::default()));
+    let policies = Arc::clone(&taker) as Arc<dyn PolicyTaker>;
+    let notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept, policies);
+    let mut forwarder = scene.forwarder().with_errand(Box::new(notices));
+    let stored = Arc::clone(&scene.stored);
+    let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
+    let own = signer_id(&scene.device.public);
+    let policy = |version| {
+        let signed = SignedPolicy::sign(&context().domain, &scene.alice.eoa, own, version, "").expect("signs");
+        Notice::Policy(signed)
+    };
+    let work = tokio::spawn(async move { forwarder.run(&stored).await });
+    // The robot's own key says nothing about it.
+    owner.upload(vec![record(&scene, &scene.device, own, (2, 1), &policy(7))]).await.expect("taken");
+    scene.until("passed over", |scene| scene.notes.with("ignored a notice") > 0).await;
+    owner.upload(vec![record(&scene, &scene.alice.signing, own, (3, 1), &policy(8))]).await.expect("receipt");
+    owner.upload(vec![notice(&scene, &scene.alice.signing, own, 4, 5)]).await.expect("receipt");
+    scene.until("what comes after it", |_| author.sealing().is_some_and(|keys| keys.epoch == 5)).await;
+    assert_eq!(*taker.0.lock().expect("not poisoned"), [8]);
+    work.abort();
 }
 
 #[test]
@@ -373,9 +361,8 @@ fn nothing_is_sealed_under_an_epoch_that_has_ended() {
             notice_id: crate::model::TopicId([0; 16]),
             notice_key: TopicKey::new([4; 32]),
             token: Token([0; 32]),
-            noticed: None,
+            last_notice: None,
             keys: IssuedKeys { next, ..keys },
-            version: 2,
         };
         let author = Author::new(enrolment.owner);
         author.obey(&enrolment);

@@ -28,7 +28,7 @@ fn what_is_confirmed_is_no_longer_waited_for_and_what_was_dropped_is_counted() {
 #[test]
 fn another_release_or_domain_is_refused_and_reasons_are_cleaned() {
     let mut state = State::default();
-    for (version, domain) in [(VERSION + 1, 5), (VERSION, 6)] {
+    for (version, domain) in [(0, 5), (2, 5), (255, 5), (VERSION, 6)] {
         let error = state.take(Report::Hello { version, domain, confined: true }, 5).expect_err("refused");
         assert!(error.contains("install both programs from the same release") && !state.joined, "{error}");
     }

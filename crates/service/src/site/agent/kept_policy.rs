@@ -11,10 +11,8 @@ use crate::model::{Address, Domain, SignerId, clean};
 use crate::pipeline::PipelineError;
 use crate::pipeline::notices::PolicyTaker;
 use crate::service::reply::Failure;
-use crate::store::{Ledger, StoreError};
+use crate::store::Ledger;
 
-/// Where an earlier version kept a policy.
-const NOBODYS: &str = "robot policy";
 /// The widest text that reaches the owner, characters.
 pub(super) const WIDEST: usize = 255;
 
@@ -52,11 +50,7 @@ impl PolicyKeeper {
     }
 
     pub(super) fn of(ledger: &Ledger, domain: Domain, owner: Address, device: SignerId) -> Result<Self, Failure> {
-        let place = place(&owner, &device);
-        let kept = match ledger.setting(&place)? {
-            Some(text) => Some(text),
-            None => take_over(ledger, &place)?,
-        };
+        let kept = ledger.setting(&place(&owner, &device))?;
         let kept = kept.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
         let (ledger, changed) = (ledger.clone(), watch::channel(()).0);
         Ok(Self { ledger, domain, owner, device, kept: Mutex::new(kept), changed })
@@ -118,14 +112,6 @@ fn place(owner: &Address, device: &SignerId) -> String {
     format!("robot policy:{owner}:{device}")
 }
 
-/// What an earlier version kept without saying whose it was: it goes to the first enrolment that is opened.
-fn take_over(ledger: &Ledger, place: &str) -> Result<Option<String>, StoreError> {
-    let Some(text) = ledger.setting(NOBODYS)?.filter(|text| !text.is_empty()) else { return Ok(None) };
-    ledger.put_setting(place, &text)?;
-    ledger.put_setting(NOBODYS, "")?;
-    Ok(Some(text))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -178,13 +164,13 @@ mod tests {
     }
 
     #[test]
-    fn each_enrolment_in_a_home_has_its_own_policy_and_one_kept_by_an_earlier_version_goes_to_the_first() {
+    fn each_enrolment_in_a_home_has_its_own_policy() {
         let home = tempfile::tempdir().expect("a folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
-        let earlier = Kept { version: 5, text: WATCH.to_owned(), heard: 5, refused: None };
-        ledger.put_setting("robot policy", &serde_json::to_string(&earlier).expect("JSON")).expect("kept");
         let account = EoaSecret::generate().expect("generates");
         let open = |device| PolicyKeeper::of(&ledger, DOMAIN, account.address(), device).expect("opens");
+        open(DEVICE).take(&SignedPolicy::sign(&DOMAIN, &account, DEVICE, 5, WATCH).expect("signs")).expect("kept");
+        let earlier = Kept { version: 5, text: WATCH.to_owned(), heard: 5, refused: None };
         assert_eq!(open(DEVICE).kept(), earlier);
         let other = SignerId([8; 32]);
         let keeper = open(other);

@@ -91,7 +91,7 @@ impl AgentPolicy {
         self.kept = self.keeper.kept();
         let policy = match RobotPolicy::read(&self.kept.text) {
             Ok(policy) => policy,
-            // It was valid when it was taken up, by another version of this program.
+            // It was valid when it was taken up, by a later version of this program.
             Err(error) => {
                 self.kept.version = 0;
                 self.kept.refused = Some(clean(&error.to_string(), WIDEST));

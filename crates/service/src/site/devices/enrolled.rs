@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::watch;
 use tokio::task::block_in_place;
 
-use crate::crypto::{EpochIssue, IssuedKeys, IssuedTopic, Pseudonyms, SealingKey, filter_key, topic_id, topic_key};
+use crate::crypto::{EpochIssue, IssuedKeys, IssuedTopic, SealingKey, filter_key, topic_id, topic_key};
 use crate::model::{Address, ProfileName, PublicKey, SignerId, clean};
 use crate::pipeline::{Network, Owner, quarantine, recorder_heads};
 use crate::service::failure::refused;
@@ -25,17 +25,12 @@ pub(crate) struct Enrolled {
     pub device: SignerId,
     /// Its topics; empty = none.
     pub topics: Vec<String>,
-    /// Version of its enrolment.
-    #[serde(default = "first")]
-    pub version: u8,
     /// Whether it was recalled.
-    #[serde(default)]
     pub ended: bool,
-    /// Its public key; none where an earlier version of this program enrolled it.
-    #[serde(default)]
-    pub key: Option<PublicKey>,
     /// Its gateway; none where an earlier version of this program enrolled it.
-    #[serde(default)]
+    /// Its public key.
+    pub key: PublicKey,
+    /// Its gateways, in order.
     pub gateway: Option<EnrolledGateway>,
 }
 
@@ -53,10 +48,6 @@ impl From<EnrolledGateway> for RobotGatewayView {
         let EnrolledGateway { addresses, key } = gateway;
         Self { addresses: addresses.iter().map(|address| clean(address, 255)).collect(), key }
     }
-}
-
-fn first() -> u8 {
-    1
 }
 
 /// The enrolled robots, and what they have been told.
@@ -99,14 +90,12 @@ impl Enrolments {
         let index = owner.index();
         let of = |topic: &String| {
             let id = topic_id(&index, topic);
-            let pseudonyms = (to.version > 1).then(|| Pseudonyms { id, filters: filter_key(&index, &id) });
-            (topic.clone(), IssuedTopic { key: topic_key(&key, &id), pseudonyms })
+            (topic.clone(), IssuedTopic { id, filters: filter_key(&index, &id), key: topic_key(&key, &id) })
         };
         // Its quarantine counts have a topic name of their own, and so has the statement of how high its topics'
         // numbers are.
-        let named = [quarantine::TOPIC, recorder_heads::TOPIC].map(ToOwned::to_owned);
-        let statements = if to.version > 1 { &named[..] } else { &[] };
-        let keys = to.topics.iter().chain(statements).map(of).collect();
+        let statements = [quarantine::TOPIC, recorder_heads::TOPIC].map(ToOwned::to_owned);
+        let keys = to.topics.iter().chain(&statements).map(of).collect();
         let key = if to.topics.is_empty() { SealingKey::Epoch(key) } else { SealingKey::Topics(keys) };
         Ok(EpochIssue { epoch, token, ends: earliest_expiry(owner, network, epoch), key })
     }

@@ -35,7 +35,6 @@ pub struct EnrolWishes {
     /// Only these topics.
     pub topics: Vec<TopicName>,
     /// All topics, including future ones: then no topic is named.
-    #[serde(default)]
     pub all_topics: bool,
     /// When the loan ends.
     pub until: Option<Timestamp>,
@@ -84,16 +83,15 @@ impl Devices {
         let mut seat = Seat::allocate(owner, context, at, &wishes.name).await?;
         self.lend(owner, id, wishes.until).await?;
         let notice_id = owner.topic_id(&notice_topic(&id));
-        let notice = DeviceNotice { key: device.public, notices: Some(notice_id) };
+        let notice = DeviceNotice { key: device.public, notices: notice_id };
         let token = self.known_token(owner, network)?;
         if let Err(failure) = seat.tell(owner, (&wishes.name, token), notice).await {
             // A device that nobody will ever use should not stay lent; if this fails too, `devices list` shows it.
             drop(self.unlend_device(owner, id).await);
             return Err(failure);
-        }
-        let version = Enrolment::NEWEST;
-        let (key, name, ended) = (Some(device.public), wishes.name.clone(), false);
-        let enrolled = Enrolled { name, device: id, topics, version, ended, key, gateway: Some(seat.noted()) };
+        };
+        let (key, name, ended) = (device.public, wishes.name.clone(), false);
+        let enrolled = Enrolled { name, device: id, topics, ended, key, gateway: Some(seat.noted()) };
         let keys = self.enrolments.issue(owner, network, &enrolled)?;
         let enrolment = Enrolment {
             domain: network.domain,
@@ -108,9 +106,8 @@ impl Devices {
             notice_id,
             notice_key: notice_key(&owner.eoa(), &network.domain, &id),
             token,
-            noticed: None,
+            last_notice: None,
             keys,
-            version,
         };
         block_in_place(|| self.enrolments.note_told(owner, &enrolled, &enrolment.keys))?;
         self.enrolments.add(owner, enrolled.clone())?;

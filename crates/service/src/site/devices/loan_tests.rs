@@ -3,7 +3,7 @@
 
 use super::enrolled::{Enrolled, Enrolments};
 use super::*;
-use crate::model::ErrorKind;
+use crate::model::{ErrorKind, PublicKey};
 use crate::site::testing::{Ground, registered, site_with_chain};
 
 const ROBOT: SignerId = SignerId([7; 32]);
@@ -37,9 +37,8 @@ async fn enrolled_robots_survive_a_restart_and_one_that_was_recalled_stays_ended
         name: name.parse().expect("a name"),
         device,
         topics: vec!["/odom".to_owned()],
-        version: 2,
         ended: false,
-        key: None,
+        key: PublicKey([9; 64]),
         gateway: None,
     };
     enrolments.add(&alice, robot("scout-1", ROBOT)).expect("noted");

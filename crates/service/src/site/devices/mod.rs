@@ -202,8 +202,7 @@ impl Devices {
         }
     }
 
-    /// The enrolled robots of this name that were not recalled, oldest first, and whether their loan still runs. An
-    /// earlier version let several have one name.
+    /// The enrolled robots of this name that were not recalled, oldest first, and whether their loan still runs.
     pub(super) fn called(
         &self,
         network: &Network,

@@ -25,9 +25,6 @@ const MOST: usize = 10_000;
 const MOST_LOSSES: usize = 256;
 /// The most robots whose last sign of life is known.
 const MOST_ROBOTS: usize = 100_000;
-/// A robot that recorded for longer than this since a policy was set, without a word about it, knows no policies;
-/// nanoseconds.
-const SILENCE: u64 = 60 * 1_000_000_000;
 
 /// What an owner wants of a robot, as noted in its ledger.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -189,7 +186,7 @@ impl Devices {
 
     /// A record that a robot signed, if its bytes are here and whole.
     fn opened(&self, owner: &Owner, network: &Network, robot: &Enrolled, row: &RecordRow) -> Option<OpenedRecord> {
-        let (signer, blob) = (robot.key?, self.plant.vault.get(row.digest).ok()??);
+        let (signer, blob) = (robot.key, self.plant.vault.get(row.digest).ok()??);
         let key = topic_key(&owner.epoch_key(network.domain, row.epoch)?, &row.topic_id);
         let topic_id: Option<TopicId> = Some(row.topic_id);
         let expected = Expected { topic_id, ..Expected::any_of(network.domain, owner.address) };
@@ -229,7 +226,7 @@ fn row(robot: &Enrolled, wanted: &Wanted, known: &Known) -> RobotRow {
     let last_seen = recorded.max(told);
     let running = report.map(|(report, _)| report.running);
     let drift = !robot.ended && running.unwrap_or_default() != wanted.version;
-    let standing = if robot.ended { "recalled" } else { standing(wanted, report.map(|(report, _)| report), last_seen) };
+    let standing = if robot.ended { "recalled" } else { standing(wanted, report.map(|(report, _)| report)) };
     let of_robot = known.topics.iter().filter(|topic| topic.signer == robot.device);
     let waiting = of_robot.flat_map(|topic| &topic.records).filter(|(state, _)| state.is_pending());
     RobotRow {
@@ -251,15 +248,13 @@ fn row(robot: &Enrolled, wanted: &Wanted, known: &Known) -> RobotRow {
 }
 
 /// How a robot stands to what is wanted of it, in words.
-fn standing(wanted: &Wanted, report: Option<&PolicyReport>, last_seen: Option<Timestamp>) -> &'static str {
-    let silent = || last_seen.is_some_and(|seen| seen.0 > wanted.set_at.0.saturating_add(SILENCE));
+fn standing(wanted: &Wanted, report: Option<&PolicyReport>) -> &'static str {
     match report {
         Some(report) if report.running == wanted.version => "in force",
         Some(report) if report.running > wanted.version => "runs a policy not known here",
         Some(report) if report.heard >= wanted.version && report.refused.is_some() => "refused",
         Some(_) => "waiting",
         None if wanted.version == 0 => "none",
-        None if silent() => "does not know policies",
         None => "waiting",
     }
 }
@@ -294,28 +289,25 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_robots_standing_follows_from_what_it_told_and_when_it_was_last_heard() {
-        let at = |seconds: u64| Timestamp(seconds * 1_000_000_000);
-        let wanted = |version| Wanted { version, text: String::new(), set_at: at(1_000) };
+    fn a_robots_standing_follows_from_what_it_told() {
+        let wanted = |version| Wanted { version, text: String::new(), set_at: Timestamp(1_000) };
         let report = |heard, running, refused: bool| PolicyReport {
             heard,
             running,
             refused: refused.then(|| "no".to_owned()),
             overruled: Vec::new(),
         };
-        for (expected, wanted, report, seen) in [
-            ("none", wanted(0), None, None),
-            ("waiting", wanted(1), None, None),
-            ("waiting", wanted(1), None, Some(at(1_059))),
-            ("does not know policies", wanted(1), None, Some(at(1_061))),
-            ("in force", wanted(2), Some(report(2, 2, false)), None),
-            ("in force", wanted(2), Some(report(1, 2, true)), None),
-            ("waiting", wanted(3), Some(report(2, 2, false)), Some(at(9_999))),
-            ("waiting", wanted(3), Some(report(2, 1, true)), None),
-            ("refused", wanted(3), Some(report(3, 2, true)), None),
-            ("runs a policy not known here", wanted(1), Some(report(5, 5, false)), None),
+        for (expected, wanted, report) in [
+            ("none", wanted(0), None),
+            ("waiting", wanted(1), None),
+            ("in force", wanted(2), Some(report(2, 2, false))),
+            ("in force", wanted(2), Some(report(1, 2, true))),
+            ("waiting", wanted(3), Some(report(2, 2, false))),
+            ("waiting", wanted(3), Some(report(2, 1, true))),
+            ("refused", wanted(3), Some(report(3, 2, true))),
+            ("runs a policy not known here", wanted(1), Some(report(5, 5, false))),
         ] {
-            assert_eq!(standing(&wanted, report.as_ref(), seen), expected, "{wanted:?} {report:?} {seen:?}");
+            assert_eq!(standing(&wanted, report.as_ref()), expected, "{wanted:?} {report:?}");
         }
     }
 }

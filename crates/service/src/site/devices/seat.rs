@@ -61,13 +61,11 @@ impl Seat {
         &mut self,
         owner: &Owner,
         (name, token): (&ProfileName, Token),
-        mut notice: DeviceNotice,
+        notice: DeviceNotice,
     ) -> Result<(), Failure> {
         let mut client = self.connect(name, token).await?;
         for attempt in 1.. {
             match client.device(&owner.signing(), notice).await {
-                // A gateway of an earlier version is told only the key.
-                Err(GatewayError::Refused(Code::Malformed)) if notice.notices.is_some() => notice.notices = None,
                 // Its node may be behind ours.
                 Err(GatewayError::Refused(Code::Signature | Code::NotRegistered | Code::Stale))
                     if attempt < ATTEMPTS =>

@@ -16,8 +16,7 @@ use crate::crypto::{SmKeyPair, open_transport_key, seal_transport_key, signer_id
 use crate::gateway::desk::Account;
 use crate::gateway::{
     Binding, BoundDevice, Caller, Code, Desk, DeviceNotice, Entry, ErasedRecord, ErasureNotice, ErasureOutcome,
-    Fetched, GrantNotice, NetworkName, Page, Query, Received, Refusal, Registration, RevokeNotice, Selection, Standing,
-    Stood,
+    Fetched, GrantNotice, NetworkName, Page, Query, Received, Refusal, Registration, RevokeNotice, Selection, Stood,
 };
 use crate::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
 use crate::pipeline::authority::{self, SigningRight};
@@ -230,15 +229,7 @@ impl Desk for GatewayDesk {
         self.blocking(move |desk| desk.page(&caller, &query)).await
     }
 
-    async fn check(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Standing>, Refusal> {
-        if caller.device.is_none() {
-            self.freshen().await?;
-        }
-        let (caller, digests) = (caller.clone(), digests.to_vec());
-        self.blocking(move |desk| desk.standings(&caller, &digests)).await
-    }
-
-    async fn prove(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal> {
+    async fn check(&self, caller: &Caller, digests: &[Digest]) -> Result<Vec<Stood>, Refusal> {
         if caller.device.is_none() {
             self.freshen().await?;
         }

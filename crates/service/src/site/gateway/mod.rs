@@ -274,7 +274,6 @@ impl Gateway {
     async fn listen(self: &Arc<Self>, place: &Place) -> Result<Server, Failure> {
         let Place { keeper, domain, address, .. } = place;
         let provider = self.plant.provider;
-        block_in_place(|| self.resolve_devices())?;
         let cabinet = block_in_place(|| {
             let (directory, identity) = (self.home.gateway(), keeper.gateway_identity());
             Cabinet::open(&directory, provider, *domain, identity, Schedule::default(), Timestamp::now())

@@ -86,7 +86,7 @@ fn signing_lines(view: &KeyChangeView) -> Vec<String> {
         [] => "no robot is on loan".to_owned(),
         names => format!(
             "{} ({}): informed by a notice signed with the old key and your account; they continue automatically if \
-             their gateway runs in this home and they are not an earlier version; enrol the others again",
+             their gateway runs in this home; enrol the others again",
             counted(names.len(), "robot", "robots"),
             clean(&names.join(", "), 200)
         ),

@@ -8,7 +8,7 @@ use tokio::task::block_in_place;
 
 use super::pacing::{Missed, Patience};
 use super::{Broken, Joined};
-use crate::gateway::{Client, Code, Entry, GatewayError, Query, Selection, Standing};
+use crate::gateway::{Client, Code, Entry, ErasedRecord, GatewayError, Query, Selection, Standing, Stood};
 use crate::model::{Address, Hash, RecordKind, Timestamp};
 use crate::pipeline::PipelineError;
 use crate::pipeline::mirror::Mirror;
@@ -141,8 +141,8 @@ impl Joined {
                 }
                 Ok(())
             }
-            Err(GatewayError::Refused(Code::NotFound)) => self.learn_erased(client, mirror, source, entry).await,
-            Err(GatewayError::Refused(Code::NotAuthorised | Code::Tampered)) => Ok(()),
+            Err(GatewayError::Erased(erased)) => self.take_erased(mirror, source, entry, *erased).await,
+            Err(GatewayError::Refused(Code::NotFound | Code::NotAuthorised | Code::Tampered)) => Ok(()),
             Err(GatewayError::Crypto(error)) => {
                 self.hub.notice(NoticeLevel::Error, &PipelineError::from(error).to_string());
                 Ok(())
@@ -166,8 +166,8 @@ impl Joined {
             }
             asked = true;
             let standings = client.check(&waiting).await?;
-            let anchored = |standing: &Standing| matches!(standing, Standing::Anchored | Standing::Verified);
-            for (digest, _) in waiting.iter().zip(&standings).filter(|(_, standing)| anchored(standing)) {
+            let anchored = |stood: &Stood| matches!(stood.standing, Standing::Anchored | Standing::Verified);
+            for (digest, _) in waiting.iter().zip(&standings.stood).filter(|(_, stood)| anchored(stood)) {
                 match client.fetch(digest).await {
                     Ok(record) => {
                         if mirror.take(*source, *digest, record).await? {
@@ -175,7 +175,10 @@ impl Joined {
                             self.hub.changed(Part::Uploads);
                         }
                     }
-                    Err(GatewayError::Refused(Code::NotFound | Code::NotAuthorised | Code::Tampered)) => {}
+                    Err(
+                        GatewayError::Erased(_)
+                        | GatewayError::Refused(Code::NotFound | Code::NotAuthorised | Code::Tampered),
+                    ) => {}
                     Err(error) => return Err(error.into()),
                 }
             }
@@ -183,26 +186,18 @@ impl Joined {
         Ok(asked)
     }
 
-    /// Takes in what the owner states of a record that the gateway does not have: that it was erased.
-    async fn learn_erased(
+    /// Takes in what the owner states of a record that was erased.
+    async fn take_erased(
         &self,
-        client: &mut Client,
         mirror: &Mirror<'_>,
         source: Address,
         entry: &Entry,
+        erased: ErasedRecord,
     ) -> Result<(), Broken> {
         let anchored = matches!(entry.standing, Standing::Anchored | Standing::Verified);
         if !anchored || entry.kind != RecordKind::Data {
             return Ok(());
         }
-        let erased = match client.fetch_erased(&entry.digest).await {
-            Ok(erased) => erased,
-            // Not erased, or a gateway of an earlier version, which says no more than that it has no such record.
-            Err(GatewayError::Refused(Code::NotFound | Code::NotAuthorised | Code::Tampered | Code::Malformed)) => {
-                return Ok(());
-            }
-            Err(error) => return Err(error.into()),
-        };
         match mirror.take_erased(source, entry.digest, erased).await {
             Ok(true) => {
                 self.hub.changed(Part::Grants);

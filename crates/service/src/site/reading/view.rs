@@ -7,10 +7,10 @@ use std::sync::Arc;
 use tokio::task::block_in_place;
 
 use super::super::super::reply::{RecordPage, RecordView};
-use crate::crypto::{IndexKey, TopicKey};
+use crate::crypto::{IndexKey, TopicKey, topic_key};
 use crate::model::{Address, Header, RecordKind, clean};
 use crate::pipeline::Owner;
-use crate::pipeline::columns::{self, Comparison, Keys, Shown};
+use crate::pipeline::columns::{Comparison, Keys, Shown};
 use crate::service::command::UploadQuery;
 use crate::service::reply::Failure;
 use crate::store::{FilterChoice, RecordQuery, RecordRow};
@@ -22,9 +22,9 @@ const WIDEST: usize = 255;
 pub(in crate::site) struct OwnKeys(HashMap<Address, Arc<Owner>>);
 
 impl Keys for OwnKeys {
-    fn topic_keys(&self, row: &RecordRow, header: &Header) -> Vec<TopicKey> {
+    fn topic_key(&self, header: &Header) -> Option<TopicKey> {
         let key = self.0.get(&header.owner).and_then(|owner| owner.epoch_key(header.domain, header.epoch));
-        key.map(|key| columns::of_epoch(&key, row, header)).unwrap_or_default()
+        key.map(|key| topic_key(&key, &header.topic_id))
     }
 
     fn index_key(&self, row: &RecordRow) -> Option<IndexKey> {

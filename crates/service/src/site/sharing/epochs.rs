@@ -189,7 +189,7 @@ impl Sharing {
     fn envelope_for(&self, owner: &Owner, network: &Network, grant: &Granted, epoch: u64) -> Result<Vec<u8>, Failure> {
         let topics = match &grant.terms.scope {
             Scope::All => Vec::new(),
-            Scope::Topics(ids) => self.granted_topics(owner, grant.terms.grantee, ids)?.into_iter().flatten().collect(),
+            Scope::Topics(ids) => self.granted_topics(owner, ids)?.into_iter().flatten().collect(),
         };
         let terms = GrantTerms { epoch, ..grant.terms.clone() };
         self.wrap_keys(owner, network, terms, &topics, vec![epoch])

@@ -199,21 +199,13 @@ impl Sharing {
 
     /// The names of the topics that a scoped grant of this owner covers, in the order of its event; `None` if no name
     /// known here matches the pseudonym on the chain.
-    pub(super) fn granted_topics(
-        &self,
-        owner: &Owner,
-        grantee: Address,
-        ids: &[TopicId],
-    ) -> Result<Vec<Option<String>>, Failure> {
+    pub(super) fn granted_topics(&self, owner: &Owner, ids: &[TopicId]) -> Result<Vec<Option<String>>, Failure> {
         tokio::task::block_in_place(|| {
             let ledger = &self.plant.ledger;
-            // Earlier versions stored only the names of the last grant, one list for each account.
-            let last = ledger.setting(&format!("granted:{}:{grantee}", owner.address))?;
-            let last: Vec<String> = last.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default();
             let name_of = |id: &TopicId| {
                 let kept = ledger.setting(&topic_key(owner.address, *id))?;
                 let others = ledger.topic_names(owner.address, *id)?;
-                let mut known = kept.into_iter().chain(last.iter().cloned()).chain(others);
+                let mut known = kept.into_iter().chain(others);
                 Ok(known.find(|name| owner.topic_id(name) == *id))
             };
             ids.iter().map(name_of).collect()
@@ -245,7 +237,7 @@ impl Sharing {
         let topics = match &grant.terms.scope {
             Scope::All => Vec::new(),
             Scope::Topics(ids) if given => {
-                let names = self.granted_topics(owner, grant.terms.grantee, ids)?;
+                let names = self.granted_topics(owner, ids)?;
                 let shown = |(name, id): (Option<String>, &TopicId)| {
                     name.map_or_else(|| RecordRow::unnamed(*id), |name| crate::model::clean(&name, 255))
                 };
@@ -269,8 +261,7 @@ impl Sharing {
         })
     }
 
-    /// Whether a grant of this owner opens earlier epochs, as noted when it was given; `None` = it was given elsewhere,
-    /// or before this was noted.
+    /// Whether a grant of this owner opens earlier epochs, as noted when it was given; `None` = it was given elsewhere.
     fn noted_earlier(&self, grant: &Granted) -> Result<Option<bool>, Failure> {
         let key = epochs_key(&grant.transaction.to_string());
         let noted = tokio::task::block_in_place(|| self.plant.ledger.setting(&key))?;

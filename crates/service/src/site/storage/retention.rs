@@ -22,7 +22,6 @@ const COPIES: usize = 1024;
 impl Storage {
     /// Applies the rules until the site ends.
     pub(in crate::site) async fn keep_retention(self: Arc<Self>) {
-        self.overwrite_returned().await;
         let keeping = self.config.keeping();
         let (mut retention, mut looks) = (Some(Retention::new(keeping.clone())), 0u32);
         while !self.life.is_stopping() {
@@ -54,24 +53,6 @@ impl Storage {
             }
             if let Err(failure) = self.look_for_named().await {
                 self.hub.notice(NoticeLevel::Warning, &failure.message);
-            }
-        }
-    }
-
-    /// At the start: this version takes no erased bytes in, but earlier ones did.
-    async fn overwrite_returned(self: &Arc<Self>) {
-        match blocking(self, |storage| Ok(retention::overwrite_returned(&storage.plant)?)).await {
-            Ok(0) => {}
-            Ok(count) => {
-                let text = format!("the bytes of {count} erased records had come back and were overwritten again");
-                self.hub.notice(NoticeLevel::Warning, &text);
-            }
-            Err(failure) => {
-                let text = format!(
-                    "it was not seen whether bytes of erased records came back: {}; the next start looks again",
-                    failure.message
-                );
-                self.hub.notice(NoticeLevel::Warning, &text);
             }
         }
     }
