@@ -93,9 +93,9 @@ impl Robot {
 /// # Errors
 /// The gateway's refusal.
 pub async fn session(enrolment: &Enrolment) -> Result<Client, GatewayError> {
-    let gateway = &enrolment.gateways[0];
+    let gateway = &enrolment.gateway;
     let context = Context { provider: provider(ProviderName::RustCrypto), domain: enrolment.domain };
-    let endpoint = Endpoint { address: gateway.address.clone(), context, patience: Duration::from_secs(10) };
+    let endpoint = Endpoint { addresses: gateway.addresses.clone(), context, patience: Duration::from_secs(10) };
     let mut trust = Trust::pinned(gateway.fingerprint);
     let (name, key) = (enrolment.name.clone(), gateway.transport.clone());
     Client::connect(&endpoint, &mut trust, &Credentials { name, key, token: enrolment.token }).await

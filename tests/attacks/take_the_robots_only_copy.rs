@@ -139,7 +139,7 @@ async fn take_the_robots_only_copy() {
         Timestamp::now(),
     );
     let (signing, envelope) = (alice.keyring.signing.public, alice.keyring.envelope.public);
-    let key = stolen.gateways[0].transport.clone();
+    let key = stolen.gateway.transport.clone();
     let binding = Binding { account: stolen.owner, key, signing, envelope, device: None };
     let liar = Arc::new(Liar { binding, device: stolen.device.clone(), asked: AtomicU64::new(0) });
     assert_eq!(signer_id(&liar.device.public), stolen.device_id());

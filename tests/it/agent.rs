@@ -157,7 +157,7 @@ fn nothing_shows(bytes: &[u8], robots: &[Robot]) {
         let sealed = robot.secrets();
         let enrolment = &sealed.enrolment;
         let mut secrets: Vec<&[u8]> = vec![
-            enrolment.gateways[0].transport.expose(),
+            enrolment.gateway.transport.expose(),
             enrolment.device.secret.expose(),
             enrolment.notice_key.expose(),
             &enrolment.token.0,

@@ -152,10 +152,10 @@ impl Operator {
         let words = std::fs::read_to_string(directory.join("passphrase")).expect("a passphrase");
         let words = Passphrase::new(words.lines().next().expect("a line").to_owned()).expect("usable");
         let keyring = UnlockedKeyring::open(&directory.join("keyring"), &words).expect("opens");
-        let network = Client::inquire(&gate.address, PATIENCE).await.expect("tells");
+        let network = Client::inquire(std::slice::from_ref(&gate.address), PATIENCE).await.expect("tells");
         let domain = domain(network.chain_id, &network.genesis, &network.contract);
         let context = Context { provider: provider(ProviderName::RustCrypto), domain };
-        let endpoint = Endpoint { address: gate.address.clone(), context, patience: PATIENCE };
+        let endpoint = Endpoint { addresses: vec![gate.address.clone()], context, patience: PATIENCE };
         let gateway: SignerId = gate.fingerprint.parse().expect("hex");
         Self { endpoint, trust: Trust::pinned(gateway), keyring, network }
     }

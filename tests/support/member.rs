@@ -39,7 +39,7 @@ impl Gateway {
 
     pub fn endpoint(&self) -> Endpoint {
         let context = Context { provider: provider(ProviderName::RustCrypto), domain: self.domain };
-        Endpoint { address: self.address.clone(), context, patience: Duration::from_secs(20) }
+        Endpoint { addresses: vec![self.address.clone()], context, patience: Duration::from_secs(20) }
     }
 
     pub fn trust(&self) -> Trust {

@@ -1,5 +1,5 @@
-//! A gateway that is not ours: the protocol's server over a desk that knows one caller and takes nothing; what it tells and hands
-//! over to a fleet is the test's.
+//! A gateway that is not ours: the protocol's server over a desk that knows one caller and takes nothing; what it answers a
+//! reader is the test's.
 
 use std::collections::HashMap;
 use std::net::SocketAddr;
@@ -10,9 +10,8 @@ use async_trait::async_trait;
 use authros::chain::RelayError;
 use authros::crypto::{SmKeyPair, signer_id};
 use authros::gateway::{
-    Account, Binding, Cabinet, Caller, Code, Context, Desk, DeviceNotice, Entry, ErasurePlace, Erasures, Fetched,
-    GrantNotice, HandedOver, HoldingPlace, Holdings, Limits, ManyHandedOver, NetworkName, Page, Query, Received,
-    Refusal, Registration, RevokeNotice, Schedule, Selection, Server, Standing, Stood, Wanted,
+    Account, Binding, Cabinet, Caller, Code, Context, Desk, DeviceNotice, Entry, Fetched, GrantNotice, Limits,
+    NetworkName, Page, Query, Received, Refusal, Registration, RevokeNotice, Schedule, Selection, Server, Stood,
 };
 use authros::model::{Address, Digest, Hash, ProfileName, PublicKey, SignerId, Timestamp, Token};
 use serde_json::Value;
@@ -20,27 +19,11 @@ use tokio::sync::mpsc;
 
 use super::member::Member;
 
-/// What such a gateway tells and hands over.
+/// What such a gateway answers.
+#[async_trait]
 pub trait Tells: Send + Sync {
-    /// What it holds behind a place; `None` = it does not answer.
-    fn holdings(&self, after: &HoldingPlace) -> Option<Holdings>;
-
-    /// Records of a range.
-    fn hand_over(&self, wanted: &Wanted) -> HandedOver;
-
-    /// Records of several ranges: those of the first one, then one is to go on.
-    fn hand_over_many(&self, wanted: &[Wanted]) -> ManyHandedOver {
-        let handed = wanted.first().map(|first| self.hand_over(first)).unwrap_or_default();
-        match (handed.next, wanted.get(1)) {
-            (None, Some(second)) => {
-                ManyHandedOver { handed: HandedOver { next: Some(second.first), ..handed }, range: 1 }
-            }
-            _ => ManyHandedOver { handed, range: 0 },
-        }
-    }
-
-    /// What was erased there behind a place; `None` = it refuses.
-    fn erasures(&self, _: &ErasurePlace) -> Option<Erasures> {
+    /// What the chain answers through it; `None` = it passes nothing on.
+    async fn relayed(&self, _: &str, _: &Value) -> Option<Value> {
         None
     }
 
@@ -157,31 +140,12 @@ impl Desk for StubDesk {
         not_here()
     }
 
-    async fn relay(&self, _: Option<&Caller>, _: &str, _: &Value) -> Result<Value, RelayError> {
-        Err(RelayError::NotAllowed)
+    async fn relay(&self, _: Option<&Caller>, method: &str, parameters: &Value) -> Result<Value, RelayError> {
+        self.tells.relayed(method, parameters).await.ok_or(RelayError::NotAllowed)
     }
 
     async fn device(&self, _: &Caller, _: &DeviceNotice) -> Result<(), Refusal> {
         not_here()
-    }
-
-    async fn holdings(&self, _: &Caller, after: &HoldingPlace) -> Result<Holdings, Refusal> {
-        match self.tells.holdings(after) {
-            Some(holdings) => Ok(holdings),
-            None => std::future::pending().await,
-        }
-    }
-
-    async fn hand_over(&self, _: &Caller, wanted: &Wanted) -> Result<HandedOver, Refusal> {
-        Ok(self.tells.hand_over(wanted))
-    }
-
-    async fn hand_over_many(&self, _: &Caller, wanted: &[Wanted]) -> Result<ManyHandedOver, Refusal> {
-        Ok(self.tells.hand_over_many(wanted))
-    }
-
-    async fn erasures(&self, _: &Caller, after: &ErasurePlace) -> Result<Erasures, Refusal> {
-        self.tells.erasures(after).map_or_else(not_here, Ok)
     }
 
     fn refused(&self, _: SocketAddr, _: &Refusal) {}
