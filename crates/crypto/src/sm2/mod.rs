@@ -11,7 +11,7 @@ mod tests;
 
 pub(super) use encryption::{decrypt, encrypt, shared_x};
 pub(super) use signing::{SigningKey, verify};
-pub use signing::{forget_signers, verify_as_stranger};
+pub use signing::verify_as_stranger;
 
 use crate::model::PublicKey;
 
