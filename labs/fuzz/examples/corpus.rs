@@ -1,4 +1,4 @@
-//! After a change of format: `cargo run -p authros-fuzz --example corpus -- write` rewrites `fuzz/corpus`. The targets
+//! After a change of format: `cargo run -p authros-fuzz --example corpus -- write` rewrites `labs/fuzz/corpus`. The targets
 //! are compiled with the valid samples in it, so a second run without `write` then shows which files are fully
 //! accepted.
 
