@@ -228,13 +228,15 @@ fn every_crate_depends_only_on_crates_before_it() {
 #[test]
 fn nothing_of_the_product_depends_on_a_lab() {
     let folders = fs::read_dir(root().join("labs")).expect("labs").flatten();
-    let labs: Vec<String> =
-        folders.map(|entry| format!("authros-{}", entry.file_name().to_string_lossy())).collect();
+    let labs: Vec<String> = folders.map(|entry| format!("authros-{}", entry.file_name().to_string_lossy())).collect();
     assert!(labs.contains(&"authros-bench".to_owned()) && labs.contains(&"authros-fuzz".to_owned()), "{labs:?}");
     let mut wrong = Vec::new();
     for user in CRATES {
         // For its tests neither.
-        let named = manifest(user).lines().filter_map(|line| line.split(['.', ' ', '=']).next().map(str::to_owned)).collect::<Vec<_>>();
+        let named = manifest(user)
+            .lines()
+            .filter_map(|line| line.split(['.', ' ', '=']).next().map(str::to_owned))
+            .collect::<Vec<_>>();
         wrong.extend(labs.iter().filter(|lab| named.contains(lab)).map(|lab| format!("{user} depends on {lab}")));
     }
     assert_none("on what is never shipped", &wrong);

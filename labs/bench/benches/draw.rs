@@ -28,7 +28,9 @@ fn main() {
         least_many = least_many.min(milliseconds(&mut many, &theme));
     }
     let ratio = least_many / least_few;
-    println!("a frame of 200x50: {least_few:.3} ms with {FEW} topics, {least_many:.3} ms with {MANY}: {ratio:.2} times");
+    println!(
+        "a frame of 200x50: {least_few:.3} ms with {FEW} topics, {least_many:.3} ms with {MANY}: {ratio:.2} times"
+    );
     assert!(ratio <= MOST, "more than {MOST} times");
 }
 

@@ -229,7 +229,9 @@ fn targets_of_sm4(rows: &[Row]) -> Vec<Target> {
     let wide = authros_crypto::kernel::Available::decided().kernel() == Kernel::GfniAvx512;
     let mut found = Vec::new();
     for (bytes, name) in [(8192, "8 KB"), (LARGEST, "800 KB")] {
-        for (by, limit) in [("libsm-gcm", 40.0), ("openssl-ctr", 1.0)].into_iter().filter(|(by, _)| wide || *by != "libsm-gcm") {
+        for (by, limit) in
+            [("libsm-gcm", 40.0), ("openssl-ctr", 1.0)].into_iter().filter(|(by, _)| wide || *by != "libsm-gcm")
+        {
             if let Some(ratio) = ratio(rows, bytes, ("seal", by), ("seal", "authros")) {
                 found.push(Target::at_least(format!("{by}'s sealing of {name} over ours"), limit, ratio));
             }

@@ -127,7 +127,8 @@ fn text(entries: &[Entry]) -> String {
         let verdict = match (&entry.error, entry.code) {
             (Some(error), code) => format!("{code}: {error}"),
             (None, 0) => "ok".to_owned(),
-            (None, code) => format!("{code}: a target was missed, or something failed; see above"),
+            (None, 8) => "8: uploads failed, or messages were lost".to_owned(),
+            (None, code) => format!("{code}: a target was missed"),
         };
         vec![entry.bench.to_owned(), format!("{:.0}", entry.seconds), verdict]
     };
@@ -142,12 +143,8 @@ mod tests {
 
     #[test]
     fn a_bench_that_failed_sets_the_exit_code_and_a_missed_target_only_where_it_is_judged() {
-        let entry = |code, error: Option<&str>| Entry {
-            bench: "a",
-            seconds: 1.0,
-            code,
-            error: error.map(ToOwned::to_owned),
-        };
+        let entry =
+            |code, error: Option<&str>| Entry { bench: "a", seconds: 1.0, code, error: error.map(ToOwned::to_owned) };
         let missed = [entry(0, None), entry(1, None), entry(8, None)];
         assert_eq!((ended(&missed, false), ended(&missed, true)), (0, 1));
         let failed = [entry(1, None), entry(4, Some("no node"))];

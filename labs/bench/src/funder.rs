@@ -5,9 +5,9 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::Mutex;
 
-use super::network::{PATIENCE, receipt, settle};
 use super::all;
 use super::args::Bench;
+use super::network::{PATIENCE, receipt, settle};
 use authros_chain::{Chain, SignedTransaction};
 use authros_crypto::{EoaSecret, keyfile};
 use authros_model::{Address, ErrorKind};

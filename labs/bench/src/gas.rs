@@ -90,7 +90,8 @@ pub async fn run(lab: &Lab) -> Result<Judgement, Failure> {
         row.cheaper_than_each = each / row.measured.spread.p50;
     }
     let targets = targets(&results);
-    let about = json!({ "rules": "istanbul", "targets": targets, "prototype_over_batch_256": over_prototype(&results) });
+    let about =
+        json!({ "rules": "istanbul", "targets": targets, "prototype_over_batch_256": over_prototype(&results) });
     let title = "Gas per record: ours and the prototype's way";
     let report = Report::new("gas", title, &NOTES, about, results);
     lab.outlet.show(&report, &tables(&report.results, &targets), &report.page(1, vec![plot(&report.results)]))?;

@@ -59,12 +59,7 @@ pub async fn post(network: &Network, mined: &Mined, account: &Account, deed: Dee
     Ok(Posted { hash: signed.hash, sent, told })
 }
 
-async fn sign(
-    network: &Network,
-    account: &Account,
-    nonce: u64,
-    deed: Deed<'_>,
-) -> Result<SignedTransaction, Failure> {
+async fn sign(network: &Network, account: &Account, nonce: u64, deed: Deed<'_>) -> Result<SignedTransaction, Failure> {
     let price = patiently(|| network.price()).await?;
     match deed {
         Deed::Call(call) => {

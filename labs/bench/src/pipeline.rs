@@ -111,7 +111,10 @@ fn tables(rows: &[Row], summaries: &[Summary]) -> Vec<String> {
     let busy: Vec<Vec<String>> = summaries.iter().flat_map(Summary::busy_cells).collect();
     let mut tables = vec![
         table(&Summary::COLUMNS, &summaries.iter().map(Summary::cells).collect::<Vec<_>>()),
-        format!("from capture, ms\n{}", table(&["load", "to", "messages", "min", "p50", "p95", "p99", "max"], &latencies)),
+        format!(
+            "from capture, ms\n{}",
+            table(&["load", "to", "messages", "min", "p50", "p95", "p99", "max"], &latencies)
+        ),
         format!("busy stages\n{}", table(&["load", "stage", "% of the time", "us a message"], &busy)),
     ];
     tables.extend(summaries.iter().map(Summary::lines));

@@ -11,10 +11,10 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 pub use self::scale::Axis;
 use self::scale::{Scale, short};
-pub use plotters::style::RGBColor;
 use crate::spread::{Spread, number};
 use authros_service::Failure;
 use authros_service::failure::internal;
+pub use plotters::style::RGBColor;
 
 /// Colours that colour-blind people can distinguish; ours first.
 pub const COLOURS: [RGBColor; 8] = [
@@ -42,13 +42,12 @@ const LINE: u32 = 16;
 const LETTER: u32 = 6;
 /// The share of a place that its bars take, and the most that one takes.
 const GROUP: f64 = 0.8;
-const WIDEST_BAR: f64 = 0.3;
+const WIDEST_BAR: f64 = 0.45;
 /// Columns of a histogram.
 const COLUMNS: usize = 24;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Chart<'a, 'b> =
-    DualCoordChartContext<'a, SVGBackend<'b>, Cartesian2d<Scale, Scale>, Cartesian2d<Scale, Scale>>;
+type Chart<'a, 'b> = DualCoordChartContext<'a, SVGBackend<'b>, Cartesian2d<Scale, Scale>, Cartesian2d<Scale, Scale>>;
 type Drawn = Result<(), DrawingAreaErrorKind<io::Error>>;
 
 /// A page of plots.

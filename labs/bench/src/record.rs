@@ -141,10 +141,7 @@ fn tables(rows: &[Row]) -> Vec<String> {
     };
     let steps: Vec<Vec<String>> = steps.into_iter().map(step).collect();
     vec![
-        table(
-            &["way", "by", "bytes", "runs", "min us", "p50 us", "p95 us", "messages/s", "MB/s", "times"],
-            &wholes,
-        ),
+        table(&["way", "by", "bytes", "runs", "min us", "p50 us", "p95 us", "messages/s", "MB/s", "times"], &wholes),
         table(&["way", "bytes", "step", "% of its time", "p50 us"], &steps),
     ]
 }

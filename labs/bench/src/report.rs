@@ -39,8 +39,8 @@ impl<R> Report<R> {
 
     /// For people.
     pub fn text(&self, tables: &[String]) -> String {
-        let head = format!("{}\nmachine: {}", self.title, self.machine.line());
-        format!("{head}\n\n{}\n\n{}\n", tables.join("\n\n"), self.notes.join("\n"))
+        let head = format!("\n{}\nmachine: {}", self.title, self.machine.line());
+        format!("{head}\n\n{}\n\n{}", tables.join("\n\n"), self.notes.join("\n"))
     }
 
     /// A page of plots.

@@ -203,8 +203,9 @@ fn sizes() -> Axis {
 
 /// One bar for each size of a method.
 fn series(name: &str, colour: RGBColor, rows: &[&Row], way: &str, bar: fn(&Row) -> Option<Bar>) -> Series {
-    let bars = SIZES
-        .map(|bytes| rows.iter().find(|row| row.way == way && row.measured.bytes == bytes as u64).and_then(|row| bar(row)));
+    let bars = SIZES.map(|bytes| {
+        rows.iter().find(|row| row.way == way && row.measured.bytes == bytes as u64).and_then(|row| bar(row))
+    });
     Series::new(name, colour, Mark::Bars(bars.into()))
 }
 

@@ -14,13 +14,15 @@ type Mean = (&'static str, &'static str, usize, f64);
 
 /// Its version and its means, or why there are none.
 pub(super) fn measure(algorithm: Algorithm) -> Result<(String, Vec<Mean>), String> {
-    let version = clean(said(&["version"])?.trim(), 60);
+    let version = said(&["version"])?;
+    let version = clean(version.split('(').next().unwrap_or_default().trim(), 60);
     let mut means = Vec::new();
     match algorithm {
         Algorithm::Sm2 => {
             let said = said(&["speed", "-mr", "-seconds", "1", "sm2"])?;
             let [sign, verify] = rates(&said, "+F7:").and_then(|rates| rates.try_into().ok()).ok_or_else(unread)?;
-            means.extend([("sign", sign), ("verify", verify)].map(|(work, rate)| (work, "openssl", SIGNED, 1e6 / rate)));
+            means
+                .extend([("sign", sign), ("verify", verify)].map(|(work, rate)| (work, "openssl", SIGNED, 1e6 / rate)));
         }
         Algorithm::Sm3 => {
             for bytes in SIZES {

@@ -13,12 +13,7 @@ use authros_service::Failure;
 use authros_service::failure::internal;
 
 /// With the crates sm4, ctr and ghash.
-pub(super) fn seal_by_crates(
-    key: &[u8; 16],
-    nonce: &[u8; 12],
-    aad: &[u8],
-    text: &mut Vec<u8>,
-) -> Result<(), Failure> {
+pub(super) fn seal_by_crates(key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], text: &mut Vec<u8>) -> Result<(), Failure> {
     let cipher = Sm4::new(&(*key).into());
     let counter = |number: u8| {
         let mut block = [0; 16];

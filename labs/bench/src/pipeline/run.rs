@@ -220,12 +220,7 @@ impl Summary {
     /// A row for each stage.
     pub fn busy_cells(&self) -> Vec<Vec<String>> {
         let row = |busy: &Busy| {
-            vec![
-                self.load.to_owned(),
-                busy.stage.to_owned(),
-                decimal(busy.share * 100.0),
-                decimal(busy.per_message),
-            ]
+            vec![self.load.to_owned(), busy.stage.to_owned(), decimal(busy.share * 100.0), decimal(busy.per_message)]
         };
         self.stages.iter().map(row).collect()
     }

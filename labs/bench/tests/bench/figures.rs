@@ -182,7 +182,10 @@ fn expect_steps(bench: &Bench) {
         for bytes in [1024, 59_392, 1_000_000] {
             let of = |row: &&Value| row["way"] == way && count(row, "bytes") == bytes;
             let (wholes, steps): (Vec<_>, Vec<_>) = rows.iter().filter(of).partition(|row| row["step"] == "whole");
-            assert_eq!(wholes.iter().map(|row| text(row, "by")).collect::<Vec<_>>(), ["authros", "rustcrypto", "libsm"]);
+            assert_eq!(
+                wholes.iter().map(|row| text(row, "by")).collect::<Vec<_>>(),
+                ["authros", "rustcrypto", "libsm"]
+            );
             assert!(wholes.iter().all(|row| number(row, "per_second") > 0.0 && number(row, "times") > 0.0));
             let shares: f64 = steps.iter().map(|row| number(row, "share")).sum();
             assert!((shares - 1.0).abs() < 1e-6 && steps.iter().any(|row| row["step"] == "SM2"), "{steps:?}");
