@@ -6,9 +6,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates in their order: each may depend only on crates before it. The last is the binary's own.
-const CRATES: [&str; 19] = [
+const CRATES: [&str; 18] = [
     "model", "fault", "crypto", "evidence", "pipe", "keyless", "ros2", "rosrust", "ros", "chain", "store", "gateway",
-    "pipeline", "config", "service", "console", "output", "bench", "authros",
+    "pipeline", "config", "service", "console", "output", "authros",
 ];
 /// The rooms of the console, in order.
 const CONSOLE: [&str; 3] = ["app", "ui", "term"];
@@ -164,10 +164,15 @@ fn product() -> Vec<PathBuf> {
     ["src", "crates"].into_iter().flat_map(rust_files).collect()
 }
 
+/// The manifest of a crate of the product.
+fn manifest(name: &str) -> String {
+    let folder = if name == "authros" { PathBuf::new() } else { Path::new("crates").join(name) };
+    read(&folder.join("Cargo.toml"))
+}
+
 /// The workspace crates that a crate depends on, according to its manifest.
 fn dependencies(name: &str) -> Vec<String> {
-    let folder = if name == "authros" { PathBuf::new() } else { Path::new("crates").join(name) };
-    let manifest = read(&folder.join("Cargo.toml"));
+    let manifest = manifest(name);
     let own = manifest.split_once("\n[dependencies]\n").map_or("", |(_, rest)| rest);
     let own = own.split("\n[").next().unwrap_or_default();
     own.lines().filter_map(|line| Some(word(line.strip_prefix("authros-")?))).collect()
@@ -218,6 +223,23 @@ fn every_crate_depends_only_on_crates_before_it() {
     }
     assert_none("against the order of crates", &wrong);
     assert!(dependencies("crypto").contains(&"model".to_owned()) && dependencies("model").is_empty());
+}
+
+#[test]
+fn nothing_of_the_product_depends_on_a_lab() {
+    let folders = fs::read_dir(root().join("labs")).expect("labs").flatten();
+    let labs: Vec<String> = folders.map(|entry| format!("authros-{}", entry.file_name().to_string_lossy())).collect();
+    assert!(labs.contains(&"authros-bench".to_owned()) && labs.contains(&"authros-fuzz".to_owned()), "{labs:?}");
+    let mut wrong = Vec::new();
+    for user in CRATES {
+        // For its tests neither.
+        let named = manifest(user)
+            .lines()
+            .filter_map(|line| line.split(['.', ' ', '=']).next().map(str::to_owned))
+            .collect::<Vec<_>>();
+        wrong.extend(labs.iter().filter(|lab| named.contains(lab)).map(|lab| format!("{user} depends on {lab}")));
+    }
+    assert_none("on what is never shipped", &wrong);
 }
 
 #[test]
@@ -280,7 +302,7 @@ fn catches_all(line: &str) -> bool {
 #[test]
 fn no_file_is_longer_than_800_lines() {
     let mut long = Vec::new();
-    for path in ["src", "crates", "tests", "benches", "fuzz"].into_iter().flat_map(rust_files) {
+    for path in ["src", "crates", "tests", "labs"].into_iter().flat_map(rust_files) {
         let lines = read(&path).lines().count();
         if lines > LONGEST {
             long.push(format!("{} has {lines} lines", path.display()));
@@ -333,7 +355,7 @@ fn every_advisory_that_is_ignored_has_its_reason() {
 #[test]
 fn no_file_or_module_has_an_empty_name() {
     let mut empty = Vec::new();
-    for path in ["src", "crates", "tests", "benches"].into_iter().flat_map(rust_files) {
+    for path in ["src", "crates", "tests", "labs"].into_iter().flat_map(rust_files) {
         for part in path.iter().filter_map(|part| part.to_str()) {
             if part.trim_end_matches(".rs").split('_').any(|word| EMPTY_NAMES.contains(&word)) {
                 empty.push(path.display().to_string());

@@ -3,8 +3,8 @@
 
 usage: tests/in_turn.py [WORD...]    only those whose name contains one of the words
 
-A flow (tests/it, tests/attacks) is a process of its own, and so are all unit tests of a crate and the checks of the
-contract. The longest begins first, by the seconds of the run before (target/tests.seconds). Of the flows that take
+A flow (tests/it, tests/attacks, labs/bench/tests/bench) is a process of its own, and so are all unit tests of a crate
+and the checks of the contract. The longest begins first, by the seconds of the run before (target/tests.seconds). Of the flows that take
 `heavy()` one runs at a time, so that none holds a place while it waits for another. RUST_TEST_THREADS says how many
 places there are.
 """
@@ -23,7 +23,7 @@ TARGET = os.path.join(ROOT, "target")
 SECONDS = os.path.join(TARGET, "tests.seconds")
 PLACES = int(os.environ.get("RUST_TEST_THREADS") or 2 * (os.cpu_count() or 1))
 # Flows are run one by one; of the others, all tests of a program are one job, with this many threads.
-FLOWS = ("it", "attacks")
+FLOWS = ("it", "attacks", "bench")
 THREADS = "2"
 # How long something takes that never ran here.
 UNKNOWN = {"flow": 5, "heavy flow": 15, "unit tests": 40, "checks": 90}
@@ -72,9 +72,9 @@ def programs():
             yield about["target"]["name"], about["executable"], os.path.dirname(about["manifest_path"])
 
 
-def heavy_flows(program):
-    """Names of the flows whose source takes `heavy()`."""
-    folder, names = os.path.join(ROOT, "tests", program), set()
+def heavy_flows(package, program):
+    """Names of a program's flows whose source takes `heavy()`."""
+    folder, names = os.path.join(package, "tests", program), set()
     for place, _, files in os.walk(folder):
         for file in files:
             path = os.path.relpath(os.path.join(place, file), folder)
@@ -102,7 +102,7 @@ def jobs():
             found.append(Job(f"{package}, {name}", command, folder, "unit tests", known))
             continue
         listed = subprocess.run([program, "--list", "--format", "terse"], stdout=subprocess.PIPE, check=True, text=True)
-        heavy = heavy_flows(name)
+        heavy = heavy_flows(folder, name)
         for line in listed.stdout.splitlines():
             flow = line.removesuffix(": test")
             kind = "heavy flow" if flow in heavy else "flow"

@@ -182,8 +182,6 @@ pub enum Verb {
     Demo(DemoArguments),
     /// The same mission done by you in the console, with instructions at the bottom; five minutes
     Tour(TourArguments),
-    /// The paper's measurements, repeated on this machine
-    Bench(authros_bench::args::BenchArguments),
     /// The operator console (also without any command)
     Console(ConsoleArguments),
     /// Print the completion script for a shell

@@ -35,7 +35,6 @@ mod playing;
 mod policy;
 mod printed;
 mod progress;
-mod purse;
 mod quarantine;
 mod reading;
 mod recordings;
@@ -129,7 +128,6 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
             runtime.block_on(backups::check(Context::new(global, output)?, &file, output))
         }
         Verb::Restore { file, check: false } => check::run_restore(&Context::new(global, output)?, &file, output),
-        Verb::Bench(bench) => runtime.block_on(run_bench(global, bench, output)),
         Verb::Evidence(verb) => runtime.block_on(evidence::run(Context::new(global, output)?, verb, output)),
         Verb::Verify { path, trust, genesis: None, verbose } if trust.is_some() || evidence::is_bundle(&path) => {
             evidence::run_verify(&path, trust.as_deref(), verbose, output)
@@ -211,21 +209,4 @@ fn asked(
     let context = Context::new(global, output)?;
     let plan = plan(&context)?;
     runtime.block_on(verbs::run(context, plan, output))
-}
-
-/// Measures until it is done or interrupted.
-async fn run_bench(
-    global: args::Global,
-    arguments: authros_bench::args::BenchArguments,
-    output: &Output,
-) -> Result<u8, Failure> {
-    let provider = global.crypto_provider.as_deref().map(parse::value).transpose()?.unwrap_or_default();
-    let settings = |name: &str| global.setting(name);
-    // Only who names a profile needs a home.
-    let purse = |named: &str| purse::of_profile(&connect::Context::new(global.clone(), output)?, named);
-    let global = authros_bench::Global { json: global.json, provider, settings: &settings, purse: &purse };
-    let stop = async {
-        serve::asked_to_end().await;
-    };
-    authros_bench::run(global, arguments, output, stop).await
 }

@@ -63,17 +63,6 @@ pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Opti
     if own.exists() { from_file(&own).map(Some) } else { Ok(None) }
 }
 
-/// The passphrase given, the one stored by headless use, or one typed at the terminal.
-///
-/// # Errors
-/// If there is none of these.
-pub fn given_or_asked(global: &Global, home: &Home, profile: &ProfileName) -> Result<SecretText, Failure> {
-    match given(global, home, profile)? {
-        Some(given) => Ok(given),
-        None => asked(&format!("Passphrase of profile '{profile}'"), "--passphrase-file"),
-    }
-}
-
 /// Whether a passphrase is given, or stored beside the keyring, without reading it.
 pub fn is_given(global: &Global, home: &Home, profile: &ProfileName) -> bool {
     global.passphrase_file.is_some() || global.passphrase_fd.is_some() || home.passphrase(profile).exists()

@@ -44,7 +44,6 @@ fn makes_a_home(verb: &Verb) -> bool {
         | Verb::Serve(_)
         | Verb::Demo(_)
         | Verb::Tour(_)
-        | Verb::Bench(_)
         | Verb::Console(_)
         // Settings are shown and checked without touching a home.
         | Verb::Config(_)

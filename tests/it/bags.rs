@@ -255,7 +255,7 @@ fn topics_by_names_that_ros_does_not_know_are_imported_and_come_back_under_them(
 #[test]
 fn an_import_needs_no_running_site() {
     let home = Home::new();
-    let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/mcap/foreign_none");
+    let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("labs/fuzz/corpus/mcap/foreign_none");
     let summary = import(&home.authros(), &recording);
     assert_eq!((count(&summary, "imported"), count(&summary, "verified")), (12, 12), "{summary}");
     let exported = home.root().join("out.mcap");
@@ -265,7 +265,7 @@ fn an_import_needs_no_running_site() {
 #[test]
 fn what_was_tampered_with_or_is_not_shared_is_never_exported() {
     let two = two_profiles(0);
-    let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/mcap/foreign_lz4");
+    let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("labs/fuzz/corpus/mcap/foreign_lz4");
     let summary = import(&two.alice, &recording);
     assert_eq!((count(&summary, "imported"), count(&summary, "verified")), (12, 12), "{summary}");
     two.bob.fails(5, &["shared", "export", "--mcap", utf8(&path(&two, "b.mcap")), "--owner", &two.alice_address]);
@@ -287,7 +287,7 @@ fn what_was_tampered_with_or_is_not_shared_is_never_exported() {
     assert_eq!(count(&back, "verified"), 11, "{back}");
 
     // ROS 2: raw CDR, kept unchanged, only in MCAP.
-    let cdr = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus/mcap/foreign_zstd");
+    let cdr = Path::new(env!("CARGO_MANIFEST_DIR")).join("labs/fuzz/corpus/mcap/foreign_zstd");
     let dave = two.home.profile("dave");
     dave.enrol();
     assert_eq!(count(&import(&dave, &cdr), "verified"), 12);

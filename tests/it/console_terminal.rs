@@ -386,7 +386,7 @@ fn hostile_names_of_a_ros_graph_reach_neither_terminal_nor_json_nor_log() {
 
 #[test]
 fn it_costs_no_byte_while_nothing_changes_and_few_for_a_key() {
-    let quiet = Subject::authros(0, &[]);
+    let quiet = Subject::authros(0);
     let idle = figures::idle(
         &quiet,
         &Terminal::of(80, 24),
@@ -394,7 +394,7 @@ fn it_costs_no_byte_while_nothing_changes_and_few_for_a_key() {
         std::time::Duration::from_secs(3),
     );
     assert!(idle.bytes < 1.0, "{idle:?}");
-    let robots = Subject::authros(4, &[]);
+    let robots = Subject::authros(4);
     let key = figures::bytes_per_key(&robots, &["2", "f"], &["j", "k"], 8);
     assert!(key > 0.0 && key <= 200.0, "{key} bytes per key");
     let first = figures::first_frame(&quiet);

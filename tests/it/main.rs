@@ -14,8 +14,6 @@ mod at_rest;
 mod audit;
 mod bags;
 mod bags_altered;
-mod bench;
-mod bench_funder;
 mod boot;
 mod chain_commands;
 mod chain_faults;

@@ -143,7 +143,7 @@ fn every_library_of_a_program_is_in_its_list_with_the_checksum_of_the_lock_file(
     let site = ["revm", "ethers", "rusqlite", "ratatui", "libsm"];
     // Neither test-only dependencies nor our own crates, nor those of the other program.
     let held: [(&str, &[&str], &[&str]); 3] = [
-        ("authros", &site, &["divan", "proptest", "authros-model", "rustdds", "rosrust", "xml-rpc"]),
+        ("authros", &site, &["plotters", "proptest", "authros-model", "rustdds", "rosrust", "xml-rpc"]),
         (
             "authros-rosrust",
             &["rosrust", "xml-rpc", "serde_json"],

@@ -1,5 +1,4 @@
-//! How a program behaves in a terminal, measured from outside: bytes, times, CPU, what it leaves behind. The same for
-//! `authros`, `htop` and `btop`, so that they can be compared.
+//! How the console behaves in a terminal, measured from outside: bytes, times, CPU, what it leaves behind.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,10 +11,8 @@ use super::{Authros, Home, poll};
 /// The end of a frame that is shown all at once.
 const END_FRAME: &[u8] = b"\x1b[?2026l";
 
-/// A program in a terminal, started the same way each time.
+/// A console in a terminal, started the same way each time.
 pub struct Subject {
-    /// Its name in the table.
-    pub name: &'static str,
     words: Vec<String>,
     variables: Vec<(String, String)>,
     _home: Home,
@@ -23,11 +20,10 @@ pub struct Subject {
 
 impl Subject {
     /// The console, with this many simulated robots.
-    pub fn authros(robots: u32, variables: &[(&str, &str)]) -> Self {
+    pub fn authros(robots: u32) -> Self {
         let home = Home::new();
         let robots = robots.to_string();
         let authros = home.authros().with(&["--robots", &robots]);
-        let authros = variables.iter().fold(authros, |authros, (name, value)| authros.with_variable(name, value));
         Self::of(home, &authros)
     }
 
@@ -35,18 +31,7 @@ impl Subject {
     pub fn of(home: Home, authros: &Authros) -> Self {
         let program = authros.program().to_str().expect("UTF-8").to_owned();
         let words = [vec![program], authros.arguments(&[])].concat();
-        Self { name: "authros", words, variables: authros.variables(), _home: home }
-    }
-
-    /// A program of the machine; nothing if it is not installed.
-    pub fn installed(name: &'static str) -> Option<Self> {
-        let path = std::env::var("PATH").unwrap_or_default();
-        std::env::split_paths(&path).find(|directory| directory.join(name).is_file())?;
-        let home = Home::new();
-        let root = home.root().to_str().expect("UTF-8").to_owned();
-        let variables = [("PATH", path), ("HOME", root), ("LANG", "C.UTF-8".to_owned())];
-        let variables = variables.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
-        Some(Self { name, words: vec![name.to_owned()], variables, _home: home })
+        Self { words, variables: authros.variables(), _home: home }
     }
 
     /// Starts it in a terminal.
@@ -86,8 +71,7 @@ pub struct Idle {
     pub cpu: f64,
 }
 
-/// Waits until the console's site is there and its lists have come; it draws before. Of another program there is nothing to
-/// wait for.
+/// Waits until the console's site is there and its lists have come; it draws before.
 fn up(console: &Console) {
     let waits =
         |shown: &str| shown.trim().is_empty() || ["starting…", "Asking"].iter().any(|word| shown.contains(word));
@@ -130,30 +114,6 @@ pub fn bytes_per_key(subject: &Subject, before: &[&str], keys: &[&str], presses:
     let begin = console.bytes();
     press(&mut console, presses);
     f64::from(u32::try_from(console.bytes() - begin).unwrap_or(u32::MAX)) / f64::from(presses)
-}
-
-/// Seconds from each key to the moment its text is on a terminal that accepts `rate` bytes a second.
-pub fn key_to_frame(console: &mut Console, keys: &[(&str, &str)]) -> Vec<f64> {
-    keys.iter()
-        .map(|(key, text)| {
-            // A moment at which data has been drawn since the last key.
-            std::thread::sleep(Duration::from_millis(1500));
-            let begin = Instant::now();
-            console.press(key);
-            let shown = tight(30, || Some(()).filter(|()| console.shown().contains(text)));
-            assert!(shown.is_some(), "no '{text}' after {key:?}:\n{}", console.shown());
-            begin.elapsed().as_secs_f64()
-        })
-        .collect()
-}
-
-/// Ends it by a signal: returns whether the terminal is as it was before.
-pub fn restores(subject: &Subject, name: &str) -> bool {
-    let mut console = subject.start(&Terminal::of(80, 24));
-    std::thread::sleep(Duration::from_secs(2));
-    console.signal(name);
-    let ended = poll(20, || Some(()).filter(|()| !console.is_running())).is_some();
-    ended && console.is_restored()
 }
 
 /// How it reacts to losing its terminal.

@@ -70,7 +70,6 @@ pub use kdf::{hkdf_sm3, hmac_sm3};
 pub use kept_key::{open_transport_key, seal_transport_key};
 pub use kernel::{Kernel, KernelError};
 pub use keyring::{EpochSecret, EpochState, Keyring, NetworkKeys, PublicIdentity, UnlockedKeyring, read_public};
-pub use libsm_provider::seal_by_libsm;
 pub use owner_key::OwnerKeyChange;
 pub use passphrase::Passphrase;
 pub use provider::{Provider, ProviderName, provider};
@@ -80,10 +79,9 @@ pub use record::{
     check_many, open, seal,
 };
 pub use robot_policy::{LONGEST_POLICY, SignedPolicy};
-pub use rustcrypto::seal_by_crates;
 pub use secret::{
     EoaSecret, EpochKey, EpochSalt, FilterKey, Fingerprint, FingerprintError, IndexKey, Sm4Key, SmKeyPair, SmSecret,
     TopicKey, TransportKey,
 };
-pub use sm2::{forget_signers, verify_as_stranger};
+pub use sm2::verify_as_stranger;
 pub use sm3::{Sm3Hasher, sm3_many};

@@ -8,7 +8,6 @@ use libsm::sm2::encrypt::{DecryptCtx, EncryptCtx};
 use libsm::sm2::signature::{Pubkey, Seckey, SigCtx, Signature as RawSignature};
 use libsm::sm3::hash::Sm3Hash;
 use libsm::sm4::cipher::Sm4Cipher;
-use libsm::sm4::cipher_mode::{CipherMode, Sm4CipherMode};
 use zeroize::Zeroizing;
 
 use crate::model::{PublicKey, Signature};
@@ -55,15 +54,6 @@ impl BlockCipher for Sm4Block {
     fn encrypt_block(&self, block: &[u8; 16]) -> Result<[u8; 16], CryptoError> {
         self.0.encrypt(block).map_err(|_| CryptoError::Internal("SM4"))
     }
-}
-
-/// SM4-GCM with libsm's own mode, which takes 16 bytes of nonce; only for comparison measurements.
-///
-/// # Errors
-/// [`CryptoError::Internal`] if it fails.
-pub fn seal_by_libsm(key: &[u8; 16], nonce: &[u8; 16], aad: &[u8], text: &[u8]) -> Result<Vec<u8>, CryptoError> {
-    let mode = Sm4CipherMode::new(key, CipherMode::Gcm).map_err(|_| CryptoError::Internal("SM4"))?;
-    mode.encrypt(aad, text, nonce).map_err(|_| CryptoError::Internal("SM4-GCM"))
 }
 
 /// A point of the curve whose coordinates are below p; libsm must write it back unchanged.

@@ -11,7 +11,7 @@ use std::thread::{Builder, available_parallelism, scope};
 const MOST: usize = 7;
 /// Work that outweighs the start of a helper several times over, nanoseconds.
 const WORTH: usize = 200_000;
-/// The approximate cost of a signature or its verification, nanoseconds; `authros bench sm2` measures 20 to 50
+/// The approximate cost of a signature or its verification, nanoseconds; `authros-bench sm2` measures 20 to 50
 /// microseconds.
 const PER_RECORD: usize = 35_000;
 /// The approximate cost of a byte, nanoseconds: almost all of it SM3.

@@ -1,25 +1,18 @@
-//! The `RustCrypto` crate sm2 with our own kernels for SM3 and SM4-GCM. The crates sm4, ctr and ghash are kept for
-//! comparison: sm4 looks its S-box up in a table. Nonces of signatures are hedged: derived (RFC 6979) from key, message
-//! and fresh random bytes.
+//! The `RustCrypto` crate sm2 with our own kernels for SM3 and SM4-GCM. Nonces of signatures are hedged: derived
+//! (RFC 6979) from key, message and fresh random bytes.
 
 use std::sync::Once;
 
-use ctr::cipher::{
-    BlockCipherEncrypt as _, InnerIvInit as _, KeyInit as _, StreamCipher as _, StreamCipherCoreWrapper,
-};
-use ctr::{CtrCore, flavors::Ctr32BE};
 use getrandom::SysRng;
 use sm2::dsa::signature::{RandomizedSigner as _, Verifier as _};
 use sm2::dsa::{Signature as DsaSignature, SigningKey, VerifyingKey};
 use sm2::elliptic_curve::sec1::ToSec1Point as _;
 use sm2::pke::{Cipher, DecryptingKey, EncryptingKey, Mode};
-use sm4::Sm4;
 use zeroize::Zeroizing;
 
 use crate::model::{PublicKey, Signature};
 
 use super::der::CipherParts;
-use super::gcm::{self, BlockCipher};
 use super::provider::{Provider, check_plain};
 use super::secret::{uncompressed, unprefixed};
 use super::{CryptoError, SmSecret};
@@ -38,40 +31,6 @@ pub(super) fn warm_up() {
         // If no thread can be started, the first signature builds the table instead.
         let _ = std::thread::Builder::new().name("sm2-tables".into()).spawn(|| signing_key(&[1; 32]).is_ok());
     });
-}
-
-/// One SM4 key of the crate sm4.
-pub(super) struct Sm4Block(Sm4);
-
-impl Sm4Block {
-    pub(super) fn new(key: &[u8; 16]) -> Self {
-        Self(Sm4::new(&(*key).into()))
-    }
-}
-
-impl BlockCipher for Sm4Block {
-    fn encrypt_block(&self, block: &[u8; 16]) -> Result<[u8; 16], CryptoError> {
-        let mut block = (*block).into();
-        self.0.encrypt_block(&mut block);
-        Ok(block.into())
-    }
-
-    fn apply_counter(&self, counter: [u8; 16], data: &mut [u8]) -> Result<(), CryptoError> {
-        let core = CtrCore::<_, Ctr32BE>::inner_iv_init(self.0.clone(), &counter.into());
-        StreamCipherCoreWrapper::from_core(core)
-            .try_apply_keystream(data)
-            .map_err(|_| CryptoError::Internal("SM4 counter mode"))
-    }
-}
-
-/// SM4-GCM with the crates sm4, ctr and ghash alone, the tag appended: the reference for measuring the kernels.
-///
-/// # Errors
-/// [`CryptoError::Length`] if the buffer is longer than GCM allows.
-pub fn seal_by_crates(key: &[u8; 16], nonce: &[u8; 12], aad: &[u8], buffer: &mut Vec<u8>) -> Result<(), CryptoError> {
-    let tag = gcm::seal(&Sm4Block::new(key), nonce, aad, buffer)?;
-    buffer.extend_from_slice(&tag);
-    Ok(())
 }
 
 /// The point of a public key, checked to be on the curve.

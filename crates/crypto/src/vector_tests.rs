@@ -10,6 +10,7 @@ use crate::model::{PublicKey, Signature};
 
 use super::der::{CipherParts, signature_der, signature_from_der};
 use super::gcm::BlockCipher;
+use super::kernel::tests::Sm4Block;
 use super::{CryptoError, Provider, ProviderName, SmSecret, libsm_provider, provider, rustcrypto, sm3};
 
 const KEY: &str = "0123456789abcdeffedcba9876543210";
@@ -42,7 +43,7 @@ fn all() -> [&'static dyn Provider; 3] {
 
 fn blocks() -> [Box<dyn BlockCipher>; 2] {
     let key = bytes(KEY);
-    [Box::new(rustcrypto::Sm4Block::new(&key)), Box::new(libsm_provider::Sm4Block::new(&key).expect("key"))]
+    [Box::new(Sm4Block::new(&key)), Box::new(libsm_provider::Sm4Block::new(&key).expect("key"))]
 }
 
 fn secret() -> SmSecret {

@@ -8,7 +8,6 @@ mod cdr;
 mod definitions;
 mod domain;
 mod letters;
-mod load;
 mod messages;
 mod picture;
 mod rosrust;
@@ -28,7 +27,6 @@ use picture::Camera;
 use track::Track;
 
 pub use domain::DomainFleet;
-pub use load::Load;
 pub use rosrust::RosrustFleet;
 
 pub use definitions::{COMPRESSED_IMAGE, ODOMETRY, compressed_image_definition, odometry_definition};

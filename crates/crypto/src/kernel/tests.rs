@@ -2,12 +2,14 @@
 
 use ::ghash::GHash;
 use ::ghash::universal_hash::UniversalHash as _;
-use ctr::cipher::{InnerIvInit as _, KeyInit as _, StreamCipher as _, StreamCipherCoreWrapper};
+use ctr::cipher::{
+    BlockCipherEncrypt as _, InnerIvInit as _, KeyInit as _, StreamCipher as _, StreamCipherCoreWrapper,
+};
 use ctr::{CtrCore, flavors::Ctr32BE};
 
 use super::*;
-use crate::crypto::gcm;
-use crate::crypto::rustcrypto::Sm4Block;
+use crate::crypto::CryptoError;
+use crate::crypto::gcm::{self, BlockCipher};
 use crate::crypto::sm3::sm3;
 use crate::crypto::sm4_gcm;
 
@@ -36,6 +38,29 @@ impl Noise {
 
     pub fn array<const N: usize>(&mut self) -> [u8; N] {
         std::array::from_fn(|_| self.number().to_be_bytes()[0])
+    }
+}
+
+/// One SM4 key of the crate sm4, which looks its S-box up in a table; counter mode by the crate ctr.
+pub(crate) struct Sm4Block(sm4::Sm4);
+
+impl Sm4Block {
+    pub fn new(key: &[u8; 16]) -> Self {
+        Self(sm4::Sm4::new(&(*key).into()))
+    }
+}
+
+impl BlockCipher for Sm4Block {
+    fn encrypt_block(&self, block: &[u8; 16]) -> Result<[u8; 16], CryptoError> {
+        let mut block = (*block).into();
+        self.0.encrypt_block(&mut block);
+        Ok(block.into())
+    }
+
+    fn apply_counter(&self, counter: [u8; 16], data: &mut [u8]) -> Result<(), CryptoError> {
+        let core = CtrCore::<_, Ctr32BE>::inner_iv_init(self.0.clone(), &counter.into());
+        StreamCipherCoreWrapper::from_core(core).apply_keystream(data);
+        Ok(())
     }
 }
 

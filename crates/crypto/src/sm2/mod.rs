@@ -10,8 +10,8 @@ mod signing;
 mod tests;
 
 pub(super) use encryption::{decrypt, encrypt, shared_x};
+pub use signing::verify_as_stranger;
 pub(super) use signing::{SigningKey, verify};
-pub use signing::{forget_signers, verify_as_stranger};
 
 use crate::model::PublicKey;
 

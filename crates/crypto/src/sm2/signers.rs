@@ -70,12 +70,6 @@ impl Signers {
         }
     }
 
-    /// Forgets all signers.
-    pub fn forget(&self) {
-        self.tables.write().unwrap_or_else(PoisonError::into_inner).clear();
-        self.sightings.lock().unwrap_or_else(PoisonError::into_inner).fill((0, 0));
-    }
-
     /// The table of a known signer.
     pub fn known(&self, public: &PublicKey) -> Option<Arc<Known>> {
         self.tables.read().unwrap_or_else(PoisonError::into_inner).get(&public.0).cloned()

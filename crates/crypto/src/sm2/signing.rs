@@ -129,11 +129,6 @@ pub(super) fn verify_among(
     Ok(())
 }
 
-/// Forgets the signers that this process knows, so that each part of a measurement begins alike.
-pub fn forget_signers() {
-    signers::of_process().0.forget();
-}
-
 /// Checks a signature in full, as for an unknown signer; only for measurements.
 ///
 /// # Errors

@@ -118,13 +118,3 @@ fn who_fell_silent_makes_room_as_soon_as_the_hour_is_over_though_nobody_looked_b
     meet_often(&signers, &new, IDLE + 10);
     assert!(new.is_known(&signers) && busy.is_known(&signers) && !quiet.is_known(&signers));
 }
-
-#[test]
-fn forgotten_signers_are_strangers() {
-    let (signers, [one]) = (Signers::new(1), people(&mut Noise(48)));
-    meet_often(&signers, &one, 0);
-    signers.forget();
-    assert!(!one.is_known(&signers));
-    meet_often(&signers, &one, 0);
-    assert!(one.is_known(&signers), "and make friends again");
-}
