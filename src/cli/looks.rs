@@ -31,8 +31,7 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
         operator: context.operator.as_ref().map(|operator| operator.name.to_string()),
         read_only: arguments.read_only,
         bytes_per_second: settings.bytes_per_second,
-        directory: None,
-        kept: Some(context.home.console(&context.profile)),
+        kept: context.home.console(&context.profile),
         pictures: settings.pictures,
         // The keyring is the owner's to lock and to unlock.
         lock_after: settings.lock_after.filter(|_| context.operator.is_none()),

@@ -58,10 +58,8 @@ pub struct ConsoleOptions {
     pub bytes_per_second: Option<u32>,
     /// How pictures are shown.
     pub pictures: Pictures,
-    /// Where relative paths start and files are written; `None` = the working directory.
-    pub directory: Option<PathBuf>,
-    /// Where screen, filters and orders are kept for the next start; `None` = nowhere.
-    pub kept: Option<PathBuf>,
+    /// Where screen, filters and orders are kept for the next start.
+    pub kept: PathBuf,
     /// Nanoseconds without a key after which the keyring locks; `None` = never.
     pub lock_after: Option<u64>,
     /// Ask for the passphrase of a locked keyring at the start; not if it is given in another way.

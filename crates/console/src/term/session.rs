@@ -44,7 +44,7 @@ pub struct Session {
     watched_at: Instant,
     themes: Themes,
     mouse: bool,
-    kept: Option<PathBuf>,
+    kept: PathBuf,
     /// The profile whose screens are remembered.
     profile: ProfileName,
     _guard: guard::Guard,
@@ -56,10 +56,10 @@ impl Session {
     pub fn open(client: Client, handle: &Handle, options: &ConsoleOptions) -> Result<Self, TermError> {
         let depth = Depth::from_environment(|name| std::env::var(name).ok());
         let theme = theme(options, depth)?;
-        let directory = options.directory.clone().map_or_else(std::env::current_dir, Ok)?;
+        let directory = std::env::current_dir()?;
         let mut state = first_state(&client, options, &directory);
         state.theme.clone_from(&theme.name);
-        if let Some(kept) = options.kept.as_deref().and_then(super::kept::read) {
+        if let Some(kept) = super::kept::read(&options.kept) {
             crate::app::resume::recall(&mut state, &kept);
         }
         state.size = crossterm::terminal::size()?;
@@ -263,10 +263,8 @@ impl Session {
     /// Ends the threads and gives the terminal back.
     fn close(&self) {
         self.stop.store(true, Ordering::Relaxed);
-        let of_the_first = *self.host.client.profile() == self.profile;
-        if let Some(path) = self.kept.as_ref().filter(|_| of_the_first) {
-            let kept = crate::app::resume::kept(&self.stage.scene().state);
-            super::kept::write(path, &kept);
+        if *self.host.client.profile() == self.profile {
+            super::kept::write(&self.kept, &crate::app::resume::kept(&self.stage.scene().state));
         }
         self.stage.change(Wish::None, |scene| scene.over = true);
         let writing = finished(&self.stage);
