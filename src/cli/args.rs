@@ -178,9 +178,6 @@ pub enum Verb {
     },
     /// Run the site without a console
     Serve(super::serve::ServeArguments),
-    /// Operators: people with keys and rights of their own at this profile: add, list, remove
-    #[command(subcommand)]
-    Operators(super::operators::OperatorsVerb),
     /// Gateway: serve robots and operators that have no chain client
     #[command(subcommand)]
     Gateway(GatewayVerb),

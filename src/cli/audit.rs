@@ -52,7 +52,7 @@ pub enum AuditVerb {
         /// Only by this profile and its operators, or by PROFILE/OPERATOR (refusals: by this peer)
         #[arg(long, value_name = "NAME")]
         by: Option<String>,
-        /// Only by operators of this name
+        /// Only by the operator of this user name
         #[arg(long, value_name = "NAME")]
         by_operator: Option<String>,
         /// Only lines before this number, to page back

@@ -19,6 +19,7 @@ use authros_output::{Output, table};
 pub fn list_uploads(context: &Context, query: UploadQuery) -> Question {
     // The ids of tags follow from each profile's own key.
     let of_one = context.global.profile.is_some()
+        || context.operator.is_some()
         || !query.tags.is_empty()
         || query.incident.is_some()
         || context.home.profiles().len() < 2;
@@ -100,10 +101,7 @@ async fn running_site(context: &Context) -> Option<Result<SiteView, String>> {
         return None;
     }
     let joined = match socket::join(&context.home, context.profile.clone()).await {
-        Ok(Some((client, greeting))) => match super::operators::introduce(context, &client, &greeting).await {
-            Ok(()) => client.ask(SiteStatus).await,
-            Err(failure) => Err(failure),
-        },
+        Ok(Some((client, _))) => client.ask(SiteStatus).await,
         Ok(None) => return Some(Err("its socket is missing".to_owned())),
         Err(failure) => Err(failure),
     };

@@ -1,15 +1,16 @@
 //! From arguments to a client: settings resolved, the running site joined or one opened here, the profile created or
 //! unlocked if the command needs it.
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::args::Global;
-use super::{operators, passphrase};
+use super::passphrase;
 use crate::config::{Config, Source};
-use crate::crypto::OperatorKey;
-use crate::model::{ErrorKind, ProfileName};
+use crate::model::{ErrorKind, OperatorName, ProfileName};
 use crate::paths::{Home, PlaceError};
+use crate::service::accounts::Account;
 use crate::service::command::{CreateIdentity, ShowIdentity, Unlock};
 use crate::service::socket::{self, Greeting};
 use crate::service::{Client, Failure, Needs, Site};
@@ -35,8 +36,24 @@ pub struct Context {
     pub profile: ProfileName,
     /// The settings.
     pub config: Config,
-    /// The operator who asks, if it is not the profile's owner.
-    pub operator: Option<OperatorKey>,
+    /// As which operator a site is joined that is somebody else's; `None` = as the owner.
+    pub operator: Option<Operator>,
+}
+
+/// A user at somebody else's site.
+pub struct Operator {
+    /// The socket of that site.
+    pub socket: PathBuf,
+    /// The user's name, as the site will find it.
+    pub name: OperatorName,
+}
+
+impl Operator {
+    /// With `--site-socket`.
+    fn of(global: &Global) -> Result<Option<Self>, Failure> {
+        let Some(socket) = global.site_socket.clone() else { return Ok(None) };
+        Ok(Some(Self { socket, name: Account::own()?.name }))
+    }
 }
 
 /// A client, and the site if this process is it.
@@ -90,7 +107,7 @@ impl Context {
         if let Some(kernel) = config.sm4_kernel {
             kernel.force().map_err(|error| Failure::new(ErrorKind::Input, error.to_string()))?;
         }
-        let operator = operators::key(&global, config.provider)?;
+        let operator = Operator::of(&global)?;
         Ok(Self { global, home, profile, config, operator })
     }
 
@@ -127,10 +144,12 @@ impl Context {
     /// # Errors
     /// If the home cannot be used, or flags contradict the running site.
     pub async fn connect(&self, needs: Needs) -> Result<Connection, Failure> {
+        if let Some(operator) = &self.operator {
+            return self.connect_to(&operator.socket).await;
+        }
         for _ in 0..50 {
             if let Some((client, greeting)) = socket::join(&self.home, self.profile.clone()).await? {
                 self.agree(&greeting)?;
-                operators::introduce(self, &client, &greeting).await?;
                 return Ok(Connection { client, site: None });
             }
             if let Some(opened) = self.start(needs)? {
@@ -141,11 +160,26 @@ impl Context {
         Err(self.unanswered())
     }
 
+    /// Joins the site of somebody else. Its settings are its owner's.
+    async fn connect_to(&self, path: &Path) -> Result<Connection, Failure> {
+        if let Some(name) = socket::BINDING.into_iter().find(|name| self.config.source(name) == Source::Flag) {
+            let text = format!("{name} is set by the owner of the site at {}; omit the option", path.display());
+            return Err(Failure::new(ErrorKind::Usage, text));
+        }
+        let client = socket::join_as_operator(path, self.profile.clone()).await?;
+        Ok(Connection { client, site: None })
+    }
+
     /// Opens a site that is to stay. A command that is the site of this home until it ends is waited for.
     ///
     /// # Errors
     /// If the home cannot be used, or has a site that stays.
     pub async fn open(&self, needs: Needs, output: &Output) -> Result<Connection, Failure> {
+        if self.operator.is_some() {
+            let text = "--site-socket joins a site that runs already; omit it, and AUTHROS_SITE_SOCKET, to start one of \
+                        your own";
+            return Err(Failure::new(ErrorKind::Usage, text));
+        }
         let (root, begun, mut patience) = (self.home.root().display(), Instant::now(), SILENCE);
         while begun.elapsed() < patience {
             match socket::join(&self.home, self.profile.clone()).await? {
@@ -181,7 +215,6 @@ impl Context {
 
     /// Becomes the site, unless another process has the home.
     fn start(&self, needs: Needs) -> Result<Option<Connection>, Failure> {
-        operators::needs_site(self)?;
         let Some(lock) = self.lock()? else { return Ok(None) };
         let site = Site::start(self.home.clone(), self.config.clone(), lock, needs)?;
         socket::listen(&site)?;

@@ -116,6 +116,8 @@ pub(super) fn temporary_home(context: &mut Context, prefix: &str) -> Result<temp
     let directory = directory
         .map_err(|error| Failure::new(ErrorKind::Home, format!("no temporary directory can be created: {error}")))?;
     context.home = Home::new(directory.path().to_owned());
+    context.operator = None;
+    context.global.site_socket = None;
     // The settings of the standard home do not apply to this one.
     let global = context.global.clone();
     context.config = Config::resolve(&|name| global.setting(name), &|name| std::env::var(name).ok(), None)?;

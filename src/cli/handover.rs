@@ -98,7 +98,7 @@ fn opens(keyring: &Path, secret: &SecretText) -> Result<(), Failure> {
 }
 
 /// The flags of the console as those of its successor. Each has its place here, so that one that is forgotten does not
-/// compile; those of a passphrase and of an operator are not passed on.
+/// compile; those of a passphrase and of an operator, who leaves no site, are not passed on.
 fn words(global: &Global, home: &Home, profile: &ProfileName) -> Vec<OsString> {
     let Global {
         home: _,
@@ -107,7 +107,7 @@ fn words(global: &Global, home: &Home, profile: &ProfileName) -> Vec<OsString> {
         log,
         passphrase_file: _,
         passphrase_fd: _,
-        operator: _,
+        site_socket: _,
         ros_master,
         ros2,
         chain,

@@ -36,7 +36,7 @@ pub fn options(context: &Context, arguments: ConsoleArguments) -> Result<Console
         pictures: settings.pictures,
         // The keyring is the owner's to lock and to unlock.
         lock_after: settings.lock_after.filter(|_| context.operator.is_none()),
-        profiles: context.home.profiles(),
+        profiles: if context.operator.is_some() { Vec::new() } else { context.home.profiles() },
         tour: None,
         leaves_site: false,
         asks_passphrase: context.operator.is_none()

@@ -29,7 +29,6 @@ mod lists;
 mod logging;
 mod looks;
 mod memory;
-mod operators;
 mod parse;
 mod parties;
 mod passphrase;
@@ -146,7 +145,6 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
         Verb::Agent(verb) => runtime.block_on(agent::run(global, verb, output)),
         Verb::Chain(verb) => runtime.block_on(chain::run(global, verb, output)),
         Verb::Serve(serve) => runtime.block_on(serve::run(Context::new(global, output)?, serve, output)),
-        Verb::Operators(verb) => runtime.block_on(operators::run(Context::new(global, output)?, verb, output)),
         Verb::Demo(demo) => runtime.block_on(demo::run(Context::new(global, output)?, demo, output)),
         Verb::Gateway(verb) => runtime.block_on(gateway::run(Context::new(global, output)?, verb, output)),
         Verb::Doctor => runtime.block_on(check::run_doctor(Context::new(global, output)?, output)),

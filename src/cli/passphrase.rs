@@ -47,8 +47,12 @@ fn from_descriptor(number: u32) -> Result<SecretText, Failure> {
 /// The passphrase given, or the one stored by headless use; `None` if there is neither.
 ///
 /// # Errors
-/// If a given file or descriptor cannot be read.
+/// If a given file or descriptor cannot be read, or the site is somebody else's.
 pub fn given(global: &Global, home: &Home, profile: &ProfileName) -> Result<Option<SecretText>, Failure> {
+    if global.site_socket.is_some() {
+        let text = "an operator gives no passphrase: the owner of the site at --site-socket does this";
+        return Err(Failure::new(ErrorKind::Refused, text));
+    }
     if let Some(path) = &global.passphrase_file {
         return from_file(path).map(Some);
     }
@@ -149,28 +153,6 @@ pub fn of_file(global: &Global, beside: &Path) -> Result<Option<SecretText>, Fai
         (None, None) if beside.exists() => from_file(beside).map(Some),
         (None, None) => Ok(None),
     }
-}
-
-/// The passphrase of a new file: from a file, or asked for twice.
-///
-/// # Errors
-/// If it is neither given nor can be asked for.
-pub fn of_new(file: Option<&Path>, option: &str) -> Result<Passphrase, Failure> {
-    let secret = file.map_or_else(|| asked_twice(option), from_file)?;
-    Ok(Passphrase::new(secret.expose().to_owned())?)
-}
-
-/// The passphrase of an operator's key: given, or asked for.
-///
-/// # Errors
-/// If it is neither given nor can be asked for.
-pub fn of_operator(global: &Global, file: &Path) -> Result<Passphrase, Failure> {
-    let secret = match (&global.passphrase_file, global.passphrase_fd) {
-        (Some(path), _) => from_file(path)?,
-        (None, Some(number)) => from_descriptor(number)?,
-        (None, None) => asked(&format!("Passphrase of {}", file.display()), "--passphrase-file")?,
-    };
-    Ok(Passphrase::new(secret.expose().to_owned())?)
 }
 
 /// The passphrase given, or a new random one stored beside the keyring, which is reported.

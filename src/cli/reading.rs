@@ -3,7 +3,6 @@
 
 use super::args::{AgentVerb, ChainVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, TopicsVerb, Verb};
 use super::fleet::FleetVerb;
-use super::operators::OperatorsVerb;
 use super::parties::ContactsVerb;
 use crate::model::ErrorKind;
 use crate::paths::Home;
@@ -14,7 +13,8 @@ use crate::service::Failure;
 /// # Errors
 /// If there is no home, or the standard places cannot be used.
 pub fn needs_a_home(global: &Global, verb: Option<&Verb>) -> Result<(), Failure> {
-    if verb.is_none_or(makes_a_home) {
+    // An operator works at the home of somebody else.
+    if global.site_socket.is_some() || verb.is_none_or(makes_a_home) {
         return Ok(());
     }
     let home = match &global.home {
@@ -76,8 +76,6 @@ fn makes_a_home(verb: &Verb) -> bool {
         Verb::Agent(verb) => matches!(verb, AgentVerb::Run(_)),
         Verb::Gateway(verb) => matches!(verb, GatewayVerb::Serve { .. } | GatewayVerb::Admit { .. }),
         Verb::Chain(verb) => matches!(verb, ChainVerb::Deploy { .. } | ChainVerb::Serve { .. } | ChainVerb::Genesis(_)),
-        // Whoever is to be an operator has no home here.
-        Verb::Operators(verb) => matches!(verb, OperatorsVerb::Key { .. }),
     }
 }
 
@@ -105,8 +103,6 @@ mod tests {
             "grants list",
             "revoke bob",
             "fleet status",
-            "operators list",
-            "operators remove bob",
             "devices list",
             "identity show",
             "identity list",
@@ -135,7 +131,6 @@ mod tests {
             assert!(failure.message.contains("identity create"), "{words}: {failure:?}");
         }
         for words in [
-            "operators key bob",
             "serve",
             "identity create",
             "keys load --sm2 FILE",

@@ -4,8 +4,8 @@ use std::io::Write as _;
 use std::path::Path;
 
 use super::{
-    adopt, alerts, audit, check, coverage, fleet, gateway, gateways, incidents, lists, operators, parties, policy,
-    quarantine, robots, viewing,
+    adopt, alerts, audit, check, coverage, fleet, gateway, gateways, incidents, lists, parties, policy, quarantine,
+    robots, viewing,
 };
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
@@ -14,7 +14,7 @@ use crate::service::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, Answer, AuditCheck, AuditView, BackupView, ChainView,
     CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceGatewaysView, DeviceRow,
     DeviceTopicsView, ExportedFile, FellowView, FleetView, GatewayStatusView, GatewaysView, GrantRow, IdentityView,
-    IncidentView, KeyChangeView, KeysView, OpenedView, OperatorView, PathView, PinsView, PolicyView, Provenance,
+    IncidentView, KeyChangeView, KeysView, OpenedView, PathView, PinsView, PolicyView, Provenance,
     QuarantineView, RecordAudit, RecordPage, Reply, RingPullView, RobotGatewayView, RobotRow, RobotView, TopicRow,
     TransactionView,
 };
@@ -137,7 +137,6 @@ rows! {
     IncidentView, "incidents" => incidents::all;
     RobotRow, "robots" => robots::all;
     FellowView, "fleet" => fleet::all;
-    OperatorView, "operators" => operators::all;
 }
 
 impl Printed for () {

@@ -94,7 +94,7 @@ pub async fn watch(context: Context, output: &Output) -> Result<u8, Failure> {
 
 /// A profile that was given, or the default one beside others, must exist.
 fn known(context: &Context) -> Result<(), Failure> {
-    if context.home.keyring(&context.profile).exists() {
+    if context.operator.is_some() || context.home.keyring(&context.profile).exists() {
         return Ok(());
     }
     let others: Vec<String> = context.home.profiles().iter().map(ToString::to_string).collect();

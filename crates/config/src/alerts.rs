@@ -1,10 +1,10 @@
 //! Who is notified of trouble, and what counts as trouble.
 
-use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use super::error::ConfigError;
+use super::hands::{self, Fault};
 use super::read::{Source, Values, bytes, number, source_of, span, value, wrong};
 use crate::crypto::private_file;
 use crate::model::clean;
@@ -15,10 +15,6 @@ const SHORTEST_SECRET: usize = 16;
 const LONGEST_SECRET: usize = 4096;
 /// The most words in a command.
 const MOST_WORDS: usize = 32;
-/// Write permission for group and others.
-const WRITTEN_BY_OTHERS: u32 = 0o022;
-/// The mode bit of a folder in which users can change only their own files.
-const STICKY: u32 = 0o1000;
 
 /// The format of a webhook.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -177,30 +173,26 @@ pub(super) fn check_hands(values: &Values, file: Option<&Path>) -> Result<(), Co
     }
 }
 
-/// Checks that nobody but this user and root can change or replace a file.
-///
-/// # Errors
-/// Which file can be changed by whom, and what to do.
+/// Checks that nobody else could run programs as this user through a file.
 fn own_hands(file: &Path) -> Result<(), String> {
-    let shown = |path: &Path| clean(&path.display().to_string(), 200);
-    let unknown = |error: std::io::Error| format!("{} cannot be checked: {error}", shown(file));
-    let whole = file.canonicalize().map_err(unknown)?;
-    let own = rustix::process::geteuid().as_raw();
-    for (depth, path) in whole.ancestors().enumerate() {
-        let about = std::fs::metadata(path).map_err(unknown)?;
-        let name = shown(path);
-        if about.uid() != own && about.uid() != 0 {
-            return Err(format!(
-                "{name} belongs to another user, who could run programs as you through it; chown it to yourself"
-            ));
-        }
-        // In a folder with the sticky bit nobody can replace another user's files.
-        let is_kept_apart = depth > 0 && about.mode() & STICKY != 0;
-        if about.mode() & WRITTEN_BY_OTHERS != 0 && !is_kept_apart {
-            return Err(format!("others can write to {name} and could run programs as you; run chmod go-w on it"));
+    let fault = hands::fault(file, rustix::process::geteuid().as_raw()).map_err(|error| {
+        format!("{} cannot be checked: {error}", shown(file))
+    })?;
+    match fault {
+        None => Ok(()),
+        Some(Fault::Foreign(path)) => Err(format!(
+            "{} belongs to another user, who could run programs as you through it; chown it to yourself",
+            shown(&path)
+        )),
+        Some(Fault::Open(path)) => {
+            let path = shown(&path);
+            Err(format!("others can write to {path} and could run programs as you; run chmod go-w on it"))
         }
     }
-    Ok(())
+}
+
+fn shown(path: &Path) -> String {
+    clean(&path.display().to_string(), 200)
 }
 
 #[cfg(test)]

@@ -234,10 +234,18 @@ pub const DEFINITIONS: &[Definition] = &[
                \"http://HOST/PATH\", certificate = \"/PATH/OF.pem\" }]; empty = none",
     },
     Definition {
-        name: "operators.required",
-        variable: "AUTHROS_OPERATORS_REQUIRED",
-        default: "no",
-        text: "yes = a running site answers only operators, and whoever gives the profile's passphrase",
+        name: "operators.socket",
+        variable: "AUTHROS_OPERATORS_SOCKET",
+        default: "",
+        text: "where a running site serves operators, who are Unix users of this machine: the path of a socket outside \
+               the home, in a folder that only you or root can write; empty = nowhere",
+    },
+    Definition {
+        name: "operators.rights",
+        variable: "AUTHROS_OPERATORS_RIGHTS",
+        default: "",
+        text: "what each operator may do: { USER = [\"look\", \"grant\"], \"@GROUP\" = [\"capture\"] }; rights of a user \
+               and of groups add up",
     },
     Definition {
         name: "metrics.listen",

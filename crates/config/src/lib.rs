@@ -8,8 +8,10 @@ mod alerts;
 mod console;
 mod definitions;
 mod error;
+pub mod hands;
 mod lines;
 mod metrics;
+mod operators;
 pub mod paths;
 mod read;
 mod robot_policy;
@@ -27,6 +29,7 @@ pub use self::console::{ConsoleSettings, Pictures};
 pub use self::definitions::{DEFINITIONS, Definition};
 pub use self::error::ConfigError;
 pub use self::metrics::{FiguresPlace, MetricsSettings};
+pub use self::operators::{OperatorRule, OperatorSettings, Whom};
 pub use self::read::{SettingView, Source, without_password};
 use self::read::{Values, bytes, copies, find, number, parsed, period, read_file, span, switch, url, value, wrong};
 pub use self::robot_policy::{RingWish, RobotPolicy};
@@ -126,8 +129,8 @@ pub struct Config {
     pub audit_every: Duration,
     /// Per cent of the stored records that a running site re-hashes per hour.
     pub scrub_percent: u64,
-    /// Whether the site's socket answers only operators, and whoever gives a passphrase.
-    pub operators_required: bool,
+    /// Where operators connect, and their rights.
+    pub operators: OperatorSettings,
     /// Where figures are served, and which.
     pub metrics: MetricsSettings,
     /// The time stamp authorities to ask.
@@ -211,7 +214,8 @@ impl Config {
             values.insert(definition.name, find(definition, flags, environment, &from_file));
         }
         alerts::check_hands(&values, file.map(|(path, _)| path))?;
-        Ok(Self { topic_rules, ..Self::typed(values)? })
+        let operators = OperatorSettings::read(&values, file)?;
+        Ok(Self { topic_rules, operators, ..Self::typed(values)? })
     }
 
     fn typed(values: BTreeMap<&'static str, (String, Source)>) -> Result<Self, ConfigError> {
@@ -267,7 +271,7 @@ impl Config {
             anchor_mode: parsed(&values, "anchor.mode")?.unwrap_or_default(),
             audit_every: Duration::from_secs(number(&values, "audit.anchor_every", 1, 86_400)?),
             scrub_percent: number(&values, "audit.scrub", 0, 1_000_000)?,
-            operators_required: switch(&values, "operators.required", ("yes", "no"))?,
+            operators: OperatorSettings::default(),
             metrics: MetricsSettings::read(&values)?,
             time_authorities: time::authorities(&values)?,
             alerts: AlertSettings::read(&values)?,

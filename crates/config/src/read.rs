@@ -115,6 +115,9 @@ fn flatten(
     each: &mut dyn FnMut(&str, &toml::Value) -> Result<(), ConfigError>,
 ) -> Result<(), ConfigError> {
     let toml::Value::Table(table) = value else { return each(prefix, value) };
+    if DEFINITIONS.iter().any(|definition| definition.name == prefix) {
+        return each(prefix, value);
+    }
     for (key, inner) in table {
         let name = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
         flatten(&name, inner, each)?;

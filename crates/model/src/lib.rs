@@ -55,7 +55,7 @@ pub use header::{Header, RecordKind};
 pub use identity::Identity;
 pub use incident::{IncidentName, IncidentNameError};
 pub use instant::Timestamp;
-pub use operator::{OperatorError, OperatorName, OperatorRight, OperatorRights};
+pub use operator::{OperatorName, OperatorNameError, OperatorRight, OperatorRights};
 pub use party::{ContactName, Party};
 pub use profile::ProfileName;
 pub use publisher::{Doubt, ListedPublishers, PinMode, Publisher};

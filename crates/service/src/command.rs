@@ -10,7 +10,6 @@ pub mod filter;
 mod fleet;
 mod incidents;
 mod operate;
-mod operators;
 mod playing;
 mod recordings;
 mod right;
@@ -35,12 +34,9 @@ pub use self::incidents::{
 pub use self::operate::{
     Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, ListAlerts, Lock, Operation, TestAlert,
 };
-pub use self::operators::{
-    ActAsOperator, AddOperator, ChallengeOperator, ListOperators, OperatorCommand, RemoveOperator,
-};
 pub use self::playing::{Pace, PlayWishes, Remap};
 pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
-pub use self::right::Needed;
+pub use self::right::{Kind, Needed};
 pub use self::robots::{LONGEST_POLICY, ListRobots, PullRing, RobotCommand, SetRobotPolicy, ShowRobot};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
@@ -394,8 +390,6 @@ requests! {
         OfRobot(RobotCommand),
         /// The fleet: gateways that reconcile what they hold.
         OfFleet(FleetCommand),
-        /// Operators: people who work at the profile with keys of their own.
-        OfOperator(OperatorCommand),
     }
 }
 

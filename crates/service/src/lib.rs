@@ -14,6 +14,7 @@ use authros_pipeline as pipeline;
 use authros_ros as ros;
 use authros_store as store;
 
+pub mod accounts;
 mod alerts;
 pub mod client;
 pub mod command;

@@ -10,7 +10,6 @@ mod gateways;
 mod identity;
 mod incidents;
 mod operate;
-mod operators;
 mod parties;
 mod playing;
 mod recordings;
@@ -38,7 +37,6 @@ pub use self::identity::{
 };
 pub use self::incidents::{IncidentNoteView, IncidentView, SpanCoverageView};
 pub use self::operate::{AdmittedView, GatewayStatusView, RefusedView, SenderView, SystemKeyView};
-pub use self::operators::{OperatorChallenge, OperatorState, OperatorView};
 pub use self::parties::{
     AdministrationView, CompareView, ContactRow, DeviceRow, Direction, GrantRow, GrantState, ProposalView,
     RecoveryView, SuccessionView,
@@ -232,10 +230,4 @@ replies! {
     Fleet(FleetView);
     /// To `CompareGateways`.
     Gateways(GatewaysView);
-    /// To `AddOperator`, `RemoveOperator` and `ListOperators`.
-    Operators(Vec<OperatorView>);
-    /// To `ChallengeOperator`.
-    OperatorChallenged(OperatorChallenge);
-    /// To `ActAsOperator`.
-    ActingOperator(OperatorView);
 }

@@ -98,11 +98,6 @@ pub(crate) const REQUESTS: &[&str] = &[
     r#"{"command":"of_fleet","fleet":"remove_fellow","gateway":"h:1"}"#,
     r#"{"command":"of_fleet","fleet":"list_fellows"}"#,
     r#"{"command":"of_fleet","fleet":"fleet_status"}"#,
-    r#"{"command":"of_operator","operator":"add_operator","name":"bob","key":"07070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707070707","rights":"look,capture","until":null}"#,
-    r#"{"command":"of_operator","operator":"remove_operator","name":"bob"}"#,
-    r#"{"command":"of_operator","operator":"list_operators"}"#,
-    r#"{"command":"of_operator","operator":"challenge_operator"}"#,
-    r#"{"command":"of_operator","operator":"act_as_operator","name":"bob","proof":"08080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808080808"}"#,
     r#"{"command":"open_console"}"#,
 ];
 
@@ -145,9 +140,6 @@ const REPLIES: &[&str] = &[
     r#"{"reply":"fleet","with":{"address":null,"key":null,"fellows":[],"held":0,"copies":2}}"#,
     r#"{"reply":"gateways","with":{"ok":false,"copies":2,"short":190,"nowhere":4,"gateways":[{"address":"h:1","key":null,"problem":"p","untold":[],"records":0,"verified":0,"lacking":0,"waiting":0,"lacks":[]},{"address":"h:2","key":"0707070707070707070707070707070707070707070707070707070707070707","problem":null,"untold":[{"owner":"0x0707070707070707070707070707070707070707","owner_name":"bob","problem":"p"}],"records":5,"verified":4,"lacking":189,"waiting":1,"lacks":[{"owner":"0x0707070707070707070707070707070707070707","owner_name":null,"topic":"/odom","topic_id":"07070707070707070707070707070707","recorder":"07070707070707070707070707070707","records":189,"ranges":[[17,204],[300,300]],"held_by":["h:3"],"here":true}]}],"holes":[{"owner":"0x0707070707070707070707070707070707070707","owner_name":null,"topic":"/odom","topic_id":"07070707070707070707070707070707","recorder":"07070707070707070707070707070707","numbers":4,"ranges":[[17,20]]}],"left_out":0}}"#,
     r#"{"reply":"audit","with":[{"line":1,"at":"2026-01-01T00:00:00Z","profile":"default","operator":"bob","action":"watch","subject":"/odom","outcome":"done"}]}"#,
-    r#"{"reply":"operators","with":[{"name":"bob","key":"0707070707070707070707070707070707070707070707070707070707070707","rights":"look,grant","from":"2026-01-01T00:00:00Z","until":null,"state":"not_signed"}]}"#,
-    r#"{"reply":"operator_challenged","with":{"challenge":"0707070707070707070707070707070707070707070707070707070707070707","account":"0x0707070707070707070707070707070707070707"}}"#,
-    r#"{"reply":"acting_operator","with":{"name":"bob","key":"0707070707070707070707070707070707070707070707070707070707070707","rights":"look","from":"2026-01-01T00:00:00Z","until":"2026-01-02T00:00:00Z","state":"stands"}}"#,
 ];
 
 fn changed<T: Serialize + DeserializeOwned>(lines: &[&str]) -> Vec<String> {

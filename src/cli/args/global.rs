@@ -28,9 +28,15 @@ pub struct Global {
     /// File descriptor to read the keyring's passphrase from
     #[arg(long, global = true, value_name = "N")]
     pub passphrase_fd: Option<u32>,
-    /// Act at a running site as the operator whose key this file holds; its passphrase is given as a keyring's
-    #[arg(long, global = true, value_name = "FILE")]
-    pub operator: Option<PathBuf>,
+    /// Join somebody else's running site as an operator, at the socket that its owner named in operators.socket
+    #[arg(
+        long,
+        global = true,
+        value_name = "PATH",
+        env = "AUTHROS_SITE_SOCKET",
+        conflicts_with_all = ["passphrase_file", "passphrase_fd"]
+    )]
+    pub site_socket: Option<PathBuf>,
     /// Real ROS master, such as http://host:11311
     #[arg(long, global = true, value_name = "URI")]
     pub ros_master: Option<String>,

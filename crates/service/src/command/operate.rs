@@ -1,4 +1,4 @@
-//! Requests of an operator about the site itself: lock it, save keys, inspect its gateway.
+//! Requests about the site itself: lock it, save keys, inspect its gateway.
 
 use serde::{Deserialize, Serialize};
 

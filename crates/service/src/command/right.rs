@@ -3,21 +3,23 @@
 
 #![deny(clippy::wildcard_enum_match_arm)]
 
+use serde::Deserialize;
+
 use super::{
-    Command, FleetCommand, IncidentCommand, Operation, OperatorCommand, PolicyCommand, RecordingCommand, RobotCommand,
-    StoreCommand, Viewing,
+    Command, FleetCommand, IncidentCommand, Operation, PolicyCommand, RecordingCommand, RobotCommand, StoreCommand,
+    Viewing,
 };
 use crate::model::OperatorRight;
 
 /// Who may make a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Needed {
-    /// Anybody who reaches the socket: it shows only who asks.
-    Nothing,
     /// An operator with this right, and the owner.
     Right(OperatorRight),
     /// The owner alone.
     Owner,
+    /// The owner alone, for it carries a passphrase.
+    Passphrase,
 }
 
 const LOOK: Needed = Needed::Right(OperatorRight::Look);
@@ -28,10 +30,25 @@ impl Needed {
     /// Its word, a constant: what is counted where it is refused.
     pub fn word(self) -> &'static str {
         match self {
-            Self::Nothing => "nothing",
             Self::Right(right) => right.word(),
             Self::Owner => "owner",
+            Self::Passphrase => "passphrase",
         }
+    }
+}
+
+/// A request by its tags, read without the rest of it.
+#[derive(Debug, Deserialize)]
+pub struct Kind {
+    command: String,
+    of_store: Option<String>,
+}
+
+impl Kind {
+    /// Whether such requests need [`Needed::Passphrase`].
+    pub fn carries_passphrase(&self) -> bool {
+        let with = ["create_identity", "unlock", "load_key", "change_passphrase", "export_key", "enrol_device"];
+        with.contains(&self.command.as_str()) || self.of_store.as_deref() == Some("back_up")
     }
 }
 
@@ -71,12 +88,13 @@ impl Command {
             Self::Grant { .. } | Self::ExtendGrant { .. } | Self::Revoke { .. } => GRANT,
             Self::CreateIdentity { .. }
             | Self::Unlock { .. }
-            | Self::Register
             | Self::LoadKey { .. }
-            | Self::RotateKeys
-            | Self::RotateEnvelope
             | Self::ChangePassphrase { .. }
             | Self::ExportKey { .. }
+            | Self::EnrolDevice(_) => Needed::Passphrase,
+            Self::Register
+            | Self::RotateKeys
+            | Self::RotateEnvelope
             | Self::ReleaseHeld { .. }
             | Self::DiscardHeld { .. }
             | Self::ExportUpload { .. }
@@ -90,7 +108,6 @@ impl Command {
             | Self::RecallDevice { .. }
             | Self::AddDeviceTopics { .. }
             | Self::AddDeviceGateway { .. }
-            | Self::EnrolDevice(_)
             | Self::AddContact { .. }
             | Self::RemoveContact { .. }
             | Self::ConfirmContact { .. }
@@ -108,7 +125,6 @@ impl Command {
             Self::OfIncident(command) => of_incident(command),
             Self::OfRobot(command) => of_robot(command),
             Self::OfFleet(command) => of_fleet(command),
-            Self::OfOperator(command) => of_operator(command),
         }
     }
 }
@@ -133,7 +149,8 @@ fn of_store(command: &StoreCommand) -> Needed {
     match command {
         StoreCommand::AuditRecords { .. } => LOOK,
         // Records of other profiles are not this owner's to show.
-        StoreCommand::ListAllUploads(_) | StoreCommand::BackUp { .. } | StoreCommand::EraseRecords(_) => Needed::Owner,
+        StoreCommand::ListAllUploads(_) | StoreCommand::EraseRecords(_) => Needed::Owner,
+        StoreCommand::BackUp { .. } => Needed::Passphrase,
     }
 }
 
@@ -171,13 +188,5 @@ fn of_fleet(command: &FleetCommand) -> Needed {
     match command {
         FleetCommand::ListFellows | FleetCommand::FleetStatus => LOOK,
         FleetCommand::AddFellow { .. } | FleetCommand::RemoveFellow { .. } => Needed::Owner,
-    }
-}
-
-fn of_operator(command: &OperatorCommand) -> Needed {
-    match command {
-        OperatorCommand::ChallengeOperator | OperatorCommand::ActAsOperator { .. } => Needed::Nothing,
-        OperatorCommand::ListOperators => LOOK,
-        OperatorCommand::AddOperator { .. } | OperatorCommand::RemoveOperator { .. } => Needed::Owner,
     }
 }

@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{Command, Needed};
+use super::{Command, Kind, Needed};
 use crate::model::OperatorRight;
 use crate::service::wire_tests::REQUESTS;
 
@@ -27,7 +27,6 @@ const GROUPS: &[(&str, &str)] = &[
     ("of_incident", "incident"),
     ("of_robot", "robot"),
     ("of_fleet", "fleet"),
-    ("of_operator", "operator"),
 ];
 /// Groups whose members are no texts.
 const OTHERS: &[&str] = &["policy show", "policy learn", "recording import", "recording export", "recording progress"];
@@ -67,7 +66,6 @@ const LOOK: &[&str] = &[
     "of_robot show_robot",
     "of_fleet list_fellows",
     "of_fleet fleet_status",
-    "of_operator list_operators",
 ];
 const CAPTURE: &[&str] = &[
     "watch_topic",
@@ -80,7 +78,15 @@ const CAPTURE: &[&str] = &[
     "operate hold_capture",
 ];
 const GRANT: &[&str] = &["grant", "extend_grant", "revoke"];
-const NOTHING: &[&str] = &["of_operator challenge_operator", "of_operator act_as_operator"];
+const PASSPHRASE: &[&str] = &[
+    "create_identity",
+    "unlock",
+    "load_key",
+    "change_passphrase",
+    "export_key",
+    "enrol_device",
+    "of_store back_up",
+];
 
 /// What may stand at a place of a line, as its reader lists it when it finds something else.
 fn listed(line: &str) -> Vec<String> {
@@ -125,7 +131,7 @@ fn each_request_needs_the_right_that_the_pages_say() {
         (LOOK, right(OperatorRight::Look)),
         (CAPTURE, right(OperatorRight::Capture)),
         (GRANT, right(OperatorRight::Grant)),
-        (NOTHING, Needed::Nothing),
+        (PASSPHRASE, Needed::Passphrase),
     ];
     let mut found = BTreeMap::new();
     for line in REQUESTS.iter().chain(FURTHER) {
@@ -141,4 +147,17 @@ fn each_request_needs_the_right_that_the_pages_say() {
         let expected = lists.iter().find(|(list, _)| list.contains(&name.as_str()));
         assert_eq!(needs, expected.map_or(Needed::Owner, |(_, needs)| *needs), "{name}");
     }
+}
+
+#[test]
+fn a_request_with_a_passphrase_is_known_by_its_kind_alone() {
+    for line in REQUESTS.iter().chain(FURTHER) {
+        let kind: Kind = serde_json::from_str(line).expect("tags");
+        let command: Command = serde_json::from_str(line).expect("a request");
+        assert_eq!(kind.carries_passphrase(), command.needs() == Needed::Passphrase, "{line}");
+        let has_one = line.contains(r#""passphrase":"#) || line.contains(r#""old":"#);
+        assert!(kind.carries_passphrase() || !has_one, "{line}");
+    }
+    let twice = r#"{"command":"list_grants","command":"unlock","passphrase":"p"}"#;
+    assert!(serde_json::from_str::<Kind>(twice).is_err(), "one kind only");
 }

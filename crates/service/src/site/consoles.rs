@@ -22,7 +22,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(200);
 #[derive(Default)]
 pub struct Connected {
     /// Who asks.
-    pub(super) asker: Asker,
+    pub(crate) asker: Asker,
     held: Mutex<Held>,
 }
 
@@ -40,8 +40,8 @@ struct Held {
 pub type Claims = Arc<Connected>;
 
 /// The connection of another process.
-pub(crate) fn joiner() -> Claims {
-    Arc::new(Connected { asker: Asker::joined(), held: Mutex::default() })
+pub(crate) fn joiner(asker: Asker) -> Claims {
+    Arc::new(Connected { asker, held: Mutex::default() })
 }
 
 /// The consoles of a site.

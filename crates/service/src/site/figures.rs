@@ -2,13 +2,11 @@
 //! look a second goes to the ledger, however often anybody asks.
 
 use std::collections::BTreeSet;
-use std::os::unix::fs::{FileTypeExt as _, PermissionsExt as _};
-use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::io::{AsyncRead, AsyncWrite};
-use tokio::net::{TcpListener, UnixListener};
+use tokio::net::TcpListener;
 use tokio::sync::{Mutex, Semaphore};
 
 use super::{Site, blocking};
@@ -24,6 +22,7 @@ use crate::service::figures::{
     exposition, http, short,
 };
 use crate::service::reply::{Failure, GrantState, HealthLevel, PartHealth};
+use crate::service::socket;
 use crate::store::StateCounts;
 use crate::store::files::free_bytes;
 
@@ -42,12 +41,15 @@ const MOST_GRANTS: usize = 64;
 type Kept = Mutex<Option<(Instant, Arc<str>)>>;
 
 impl Site {
-    /// Starts monitoring of a site that is to stay: its alerts and its figures.
+    /// Starts what only a site that is to stay has: alerts, figures, and the socket for operators.
     pub fn oversee(self: &Arc<Self>) {
         self.parts.life.stay();
         self.watch_for_alerts();
         if self.config().metrics.listen.is_some() {
             drop(self.parts.supervisor.keep("metrics", self, Self::serve_figures));
+        }
+        if self.config().operators.socket.is_some() {
+            drop(self.parts.supervisor.keep("operators", self, Self::serve_operators));
         }
     }
 
@@ -64,7 +66,7 @@ impl Site {
                     Ok(listener) => self.answer_readers(*open, || async { Ok(listener.accept().await?.0) }).await,
                     Err(error) => format!("{address}: {error}"),
                 },
-                FiguresPlace::Socket(path) => match listen_at(path) {
+                FiguresPlace::Socket(path) => match socket::bind(path, 0o600) {
                     Ok(listener) => self.answer_readers(true, || async { Ok(listener.accept().await?.0) }).await,
                     Err(error) => format!("{}: {error}", path.display()),
                 },
@@ -270,17 +272,6 @@ fn topics(counts: &StateCounts) -> Vec<TopicFigures> {
         missed: row.missed,
     };
     counts.topics.iter().take(MOST_TOPICS).map(figures).collect()
-}
-
-/// A socket for this user alone, replacing one left behind by an earlier process.
-fn listen_at(path: &Path) -> std::io::Result<UnixListener> {
-    let is_socket = std::fs::symlink_metadata(path).is_ok_and(|about| about.file_type().is_socket());
-    if is_socket && std::os::unix::net::UnixStream::connect(path).is_err() {
-        std::fs::remove_file(path)?;
-    }
-    let listener = UnixListener::bind(path)?;
-    std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o600))?;
-    Ok(listener)
 }
 
 #[cfg(test)]

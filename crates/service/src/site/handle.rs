@@ -220,7 +220,6 @@ impl Site {
                 self.devices.answer(&owner()?, command).await
             }
             Command::OfFleet(command) => self.gateway.of_fleet(&profile, command).await,
-            Command::OfOperator(command) => self.operators.answer(&profile, command, claims).await,
         }
     }
 
@@ -248,7 +247,7 @@ impl Site {
         Ok(told)
     }
 
-    /// Answers one of an operator's requests; none needs the keyring open.
+    /// Answers a request about the site itself; none needs the keyring open.
     async fn operate(self: &Arc<Self>, profile: &ProfileName, operation: Operation) -> Result<Reply, Failure> {
         match operation {
             Operation::Lock => self.profiles.lock(profile).await.map(ask::Lock::told),

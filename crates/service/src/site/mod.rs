@@ -52,7 +52,7 @@ pub(crate) use consoles::{Claims, joiner};
 pub(crate) use contacts::BOOK;
 pub(super) use devices::enrolled::Enrolled;
 pub use devices::enrolling::EnrolWishes;
-pub(crate) use operators::Heard;
+pub(crate) use operators::{Asker, Heard};
 pub use reading::view::record_page;
 
 use alerts::Alerts;

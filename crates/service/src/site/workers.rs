@@ -15,7 +15,6 @@ use super::devices::Devices;
 use super::evidence::{ChainProofs, TimeStamps};
 use super::gateway::Gateway;
 use super::mirror::Joined;
-use super::operators::Operators;
 use super::quarantine::Quarantine;
 use super::sharing::Sharing;
 use super::storage::Storage;
@@ -48,7 +47,6 @@ pub(super) fn start(
     site.parts.supervisor.keep("quarantine", &site.quarantine, Quarantine::keep);
     site.parts.supervisor.keep("room", &site.storage, Storage::keep_room);
     site.parts.supervisor.keep("clock", &site.clock, Clock::keep);
-    site.parts.supervisor.keep("operators", &site.operators, Operators::keep_ends);
     tokio::spawn(Arc::clone(&site.storage).check_after_crash());
     site.parts.supervisor.keep("retention", &site.storage, Storage::keep_retention);
     begin_with_owners(site, opened);

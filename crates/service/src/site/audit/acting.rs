@@ -1,6 +1,8 @@
 //! Who acts where a request is answered: its operator is known to everything that runs in the request's own task, so that
 //! each line of the log names it. What the site does by itself, later and elsewhere, has no operator.
 
+use std::fmt::Display;
+
 use crate::model::OperatorName;
 
 tokio::task_local! {
@@ -23,6 +25,6 @@ pub(super) fn doer(profile: &str) -> String {
 }
 
 /// An operator of a profile, as the log has it.
-pub(in crate::site) fn by(profile: &str, operator: &OperatorName) -> String {
+pub(in crate::site) fn by(profile: impl Display, operator: &OperatorName) -> String {
     format!("{profile}/{operator}")
 }

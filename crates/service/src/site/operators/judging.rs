@@ -2,128 +2,72 @@
 
 use std::sync::Arc;
 
-use super::asker::Acting;
-use super::{Asker, Operators};
-use crate::crypto::{Passphrase, UnlockedKeyring};
-use crate::model::{OperatorName, OperatorRight, ProfileName};
-use crate::service::command::{Command, Needed, Request, SecretText};
+use super::{Asker, Operator, Operators};
+use crate::model::{OperatorName, OperatorRight, OperatorRights, ProfileName};
+use crate::service::command::{Needed, Request};
 use crate::service::failure::refused;
-use crate::service::reply::{Failure, OperatorState, Reply};
+use crate::service::reply::{Failure, Reply};
+use crate::site::Site;
 use crate::site::audit::acting::{acting_as, by};
 use crate::site::consoles::Claims;
-use crate::site::{Site, blocking};
 
 impl Site {
-    /// Answers a request of a connection if whoever asks may make it; an operator is named in each line of its deeds.
+    /// Answers a request of a connection if who asks may make it; an operator is named in each line of what follows.
     ///
     /// # Errors
     /// That the right is missing, or errors of the command's part.
     pub(in crate::site) async fn answer(self: &Arc<Self>, request: Request, claims: &Claims) -> Result<Reply, Failure> {
-        match self.operators.judge(&request, &claims.asker).await? {
-            Some(operator) => acting_as(operator, Box::pin(self.handle(request, claims))).await,
-            None => self.handle(request, claims).await,
-        }
+        let Asker::Operator(operator) = &claims.asker else { return self.handle(request, claims).await };
+        self.operators.judge(operator, &request.profile, request.command.needs()).await?;
+        acting_as(operator.name.clone(), Box::pin(self.handle(request, claims))).await
     }
 }
 
 impl Operators {
-    /// The operator for whom a request is answered; `None` for the owner, and for what anybody may ask.
-    pub(super) async fn judge(
-        self: &Arc<Self>,
-        request: &Request,
-        asker: &Asker,
-    ) -> Result<Option<OperatorName>, Failure> {
-        let (profile, needed) = (&request.profile, request.command.needs());
-        if needed == Needed::Nothing {
-            return Ok(None);
-        }
-        if let Some(acting) = asker.acting() {
-            self.allow(&acting, asker, (profile, needed)).await?;
-            return Ok(Some(acting.name));
-        }
-        if !self.config.operators_required || asker.is_owner(profile) {
-            return Ok(None);
-        }
-        if let Command::Unlock { passphrase } = &request.command {
-            self.check_passphrase(profile, passphrase).await?;
-            asker.prove(profile);
-            return Ok(None);
-        }
-        if counts(needed) {
-            let _first = self.log.refused(profile.as_str(), "nobody known");
-        }
-        Err(refused(
-            "this site answers operators, and whoever gives the profile's passphrase (operators.required = yes); pass \
-             --operator FILE, or --passphrase-file or --passphrase-fd",
-        ))
+    async fn judge(self: &Arc<Self>, operator: &Operator, profile: &ProfileName, needed: Needed) -> Result<(), Failure> {
+        let refusal = if self.has(profile) {
+            self.why_not(operator, needed).await
+        } else {
+            Some(refused(format!("this site has no profile '{profile}'; choose one that it has with --profile")))
+        };
+        let Some(refusal) = refusal else { return Ok(()) };
+        self.count_refused(operator, profile, needed);
+        Err(refusal)
     }
 
-    async fn allow(
-        self: &Arc<Self>,
-        acting: &Acting,
-        asker: &Asker,
-        (profile, needed): (&ProfileName, Needed),
-    ) -> Result<(), Failure> {
-        let Some(why) = self.refusal(acting, asker, (profile, needed)).await? else { return Ok(()) };
-        if counts(needed) {
-            let who = by(acting.profile.as_str(), &acting.name);
-            let _first = self.log.refused(&who, &format!("needs {}", needed.word()));
+    /// Counts a refusal; of one that only looks nothing would have changed.
+    pub(super) fn count_refused(&self, operator: &Operator, profile: &ProfileName, needed: Needed) {
+        if needed == Needed::Right(OperatorRight::Look) {
+            return;
         }
-        Err(refused(why))
+        // The names of profiles that are not there could be many.
+        let who = if self.has(profile) { by(profile, &operator.name) } else { format!("user {}", operator.name) };
+        let _first = self.log.refused(&who, &format!("needs {}", needed.word()));
+    }
+
+    fn has(&self, profile: &ProfileName) -> bool {
+        self.home.keyring(profile).exists()
     }
 
     /// Why an operator may not do this now; `None` if it may.
-    pub(super) async fn refusal(
-        self: &Arc<Self>,
-        acting: &Acting,
-        asker: &Asker,
-        (profile, needed): (&ProfileName, Needed),
-    ) -> Result<Option<String>, Failure> {
-        let name = &acting.name;
-        if acting.profile != *profile {
-            return Ok(Some(format!("'{name}' is an operator of profile '{}', not of '{profile}'", acting.profile)));
+    pub(super) async fn why_not(self: &Arc<Self>, operator: &Operator, needed: Needed) -> Option<Failure> {
+        match self.rights(operator).await {
+            Ok(rights) => why_not(&operator.name, &rights, needed).map(refused),
+            Err(failure) => Some(failure),
         }
-        let (list, certifier) = self.stated(profile).await?;
-        let Some(statement) = list.of(name).filter(|statement| statement.terms.key == acting.key) else {
-            asker.end();
-            return Ok(Some(format!("operator '{name}' was removed; ask the owner of profile '{profile}'")));
-        };
-        let state = self.state(profile, statement, &certifier)?;
-        if state != OperatorState::Stands {
-            asker.end();
-            return Ok(Some(format!(
-                "operator '{name}' may not act now ({}); ask the owner of profile '{profile}' to add it again",
-                state.word()
-            )));
-        }
-        let rights = statement.terms.rights;
-        Ok(match needed {
-            Needed::Nothing => None,
-            Needed::Right(right) if rights.has(right) => None,
-            Needed::Right(right) => Some(format!(
-                "this needs the right '{}'; operator '{name}' has {rights}; ask the owner of profile '{profile}'",
-                right.word()
-            )),
-            Needed::Owner => Some(format!(
-                "only the owner of profile '{profile}' may do this, and '{name}' is an operator with {rights}"
-            )),
-        })
-    }
-
-    /// Opens the keyring, also where it is open: whoever asks has to know its passphrase.
-    async fn check_passphrase(self: &Arc<Self>, profile: &ProfileName, secret: &SecretText) -> Result<(), Failure> {
-        let passphrase = Passphrase::new(secret.expose().to_owned())?;
-        let path = self.home.keyring(profile);
-        let _one_at_a_time = self.proving.lock().await;
-        let opened = blocking(self, move |_| Ok(UnlockedKeyring::open(&path, &passphrase).map(drop)?)).await;
-        if opened.is_err() {
-            let _first = self.log.refused(profile.as_str(), "passphrase");
-        }
-        opened
     }
 }
 
-/// Whether a refused request is counted: one that only looks changes nothing.
-fn counts(needed: Needed) -> bool {
-    needed != Needed::Right(OperatorRight::Look)
+/// Why a user with these rights may not do this; `None` if the user may.
+fn why_not(name: &OperatorName, rights: &OperatorRights, needed: Needed) -> Option<String> {
+    match needed {
+        Needed::Right(right) if rights.has(right) => None,
+        Needed::Right(right) => Some(format!(
+            "this needs the right '{}', and user '{name}' has {rights}; ask the owner of this site",
+            right.word()
+        )),
+        Needed::Owner | Needed::Passphrase => {
+            Some(format!("only the owner of this site may do this, and user '{name}' is an operator with {rights}"))
+        }
+    }
 }

@@ -1,0 +1,174 @@
+//! A joiner's side: the owner's at the home's socket, an operator's at the one outside it. An operator's connection checks
+//! whose socket that is, and sends no passphrase.
+
+use std::collections::HashMap;
+use std::os::unix::fs::{FileTypeExt as _, MetadataExt as _};
+use std::path::Path;
+use std::time::Duration;
+
+use tokio::io::BufReader;
+use tokio::net::UnixStream;
+use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
+use tokio::sync::{broadcast, mpsc, oneshot};
+
+use super::{FromSite, Greeting, LONGEST_LINE, Numbered, QUEUE, line_of, reachable, read_line, write_lines};
+use crate::config::hands::{self, Fault};
+use crate::model::{ErrorKind, ProfileName, Timestamp, clean};
+use crate::paths::Home;
+use crate::service::client::{Call, Client};
+use crate::service::command::Needed;
+use crate::service::event::{Event, NoticeLevel};
+use crate::service::failure::refused;
+use crate::service::reply::{Failure, Reply};
+
+/// How long a site may take to greet.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// As whom somebody joins.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Role {
+    Owner,
+    Operator,
+}
+
+/// Joins the site of a home, if one answers on its socket.
+///
+/// # Errors
+/// If the site refuses, or is of another version.
+pub async fn join(home: &Home, profile: ProfileName) -> Result<Option<(Client, Greeting)>, Failure> {
+    let Ok((path, _directory)) = reachable(&home.socket()) else { return Ok(None) };
+    let Ok(stream) = UnixStream::connect(path).await else { return Ok(None) };
+    greeted(stream, profile, Role::Owner).await
+}
+
+/// Joins a site as an operator, at the socket that it keeps for them.
+///
+/// # Errors
+/// If no site answers, somebody else could answer in its place, or it refuses.
+pub async fn join_as_operator(path: &Path, profile: ProfileName) -> Result<Client, Failure> {
+    let shown = path.display();
+    let absent = |why: String| {
+        Failure::new(
+            ErrorKind::Unreachable,
+            format!("no site answers at {shown} ({why}); its owner starts it with `authros serve` and operators.socket"),
+        )
+    };
+    let failed = |error: std::io::Error| match error.kind() {
+        std::io::ErrorKind::PermissionDenied => {
+            refused(format!("you may not use {shown}; ask the site's owner to add you to the group of that socket"))
+        }
+        _ => absent(error.to_string()),
+    };
+    let owner = owner_of(path, &failed)?;
+    let (short, _directory) = reachable(path).map_err(failed)?;
+    let stream = UnixStream::connect(short).await.map_err(failed)?;
+    let site = stream.peer_cred().map_err(failed)?.uid();
+    if site != owner && site != 0 {
+        return Err(refused(format!(
+            "a process of user {site} answers at {shown}, which belongs to user {owner}; ask the site's owner"
+        )));
+    }
+    let joined = greeted(stream, profile, Role::Operator).await?;
+    joined.map(|(client, _)| client).ok_or_else(|| absent("it does not greet".to_owned()))
+}
+
+/// Whose socket this is; an error if anybody but that user and root could put another one there.
+fn owner_of(path: &Path, failed: &impl Fn(std::io::Error) -> Failure) -> Result<u32, Failure> {
+    let about = std::fs::symlink_metadata(path).map_err(failed)?;
+    if !about.file_type().is_socket() {
+        return Err(Failure::new(ErrorKind::Input, format!("{} is not a socket; give that of a site", path.display())));
+    }
+    let folder = path.parent().unwrap_or(path);
+    let why = match hands::fault(folder, about.uid()).map_err(failed)? {
+        None => return Ok(about.uid()),
+        Some(Fault::Foreign(folder)) => {
+            format!("it belongs to user {} and {} to somebody else", about.uid(), folder.display())
+        }
+        Some(Fault::Open(folder)) => format!("others can write to {}", folder.display()),
+    };
+    Err(refused(format!("{} may not be the site's: {why}; ask the site's owner", path.display())))
+}
+
+/// A client of the site at the other end; `None` if it says nothing.
+async fn greeted(stream: UnixStream, profile: ProfileName, role: Role) -> Result<Option<(Client, Greeting)>, Failure> {
+    let (reader, writer) = stream.into_split();
+    let mut reader = BufReader::new(reader);
+    let mut line = Vec::new();
+    let said = tokio::time::timeout(PATIENCE, read_line(&mut reader, &mut line, LONGEST_LINE)).await;
+    if !matches!(said, Ok(Ok(true))) {
+        return Ok(None);
+    }
+    let greeting = match serde_json::from_slice(&line) {
+        Ok(FromSite::Greeting(greeting)) => greeting,
+        Ok(FromSite::Refused(failure)) => return Err(failure),
+        _ => {
+            return Err(Failure::new(
+                ErrorKind::Home,
+                "the running site is of another version; stop it and start it again",
+            ));
+        }
+    };
+    let (events, _) = broadcast::channel(1024);
+    let (calls, receiver) = mpsc::unbounded_channel();
+    tokio::spawn(speak((reader, writer), role, receiver, events.clone()));
+    Ok(Some((Client::new(profile, calls, events), greeting)))
+}
+
+/// What is heard last where the site sends no further events.
+fn sends_no_more(refusal: &Failure) -> Event {
+    let text = format!("this site tells nothing more of what happens: {}", clean(&refusal.message, 500));
+    Event::Notice { at: Timestamp::now(), level: NoticeLevel::Error, text, about: None }
+}
+
+async fn speak(
+    (mut reader, writer): (BufReader<OwnedReadHalf>, OwnedWriteHalf),
+    role: Role,
+    mut calls: mpsc::UnboundedReceiver<Call>,
+    events: broadcast::Sender<Event>,
+) {
+    let (lines, queue) = mpsc::channel(QUEUE);
+    tokio::spawn(write_lines(writer, queue));
+    let (arrived, mut messages) = mpsc::unbounded_channel();
+    tokio::spawn(async move {
+        let mut line = Vec::new();
+        while let Ok(true) = read_line(&mut reader, &mut line, LONGEST_LINE).await {
+            let Ok(message) = serde_json::from_slice::<FromSite>(&line) else { return };
+            if arrived.send(message).is_err() {
+                return;
+            }
+            line.clear();
+        }
+    });
+    let mut waiting: HashMap<u64, oneshot::Sender<Result<Reply, Failure>>> = HashMap::new();
+    let mut number = 0;
+    loop {
+        tokio::select! {
+            call = calls.recv() => {
+                let Some(Call { request, answer }) = call else { return };
+                if role == Role::Operator && request.command.needs() == Needed::Passphrase {
+                    let text = "an operator sends no passphrase; the site's owner does this, in a console or command of their own";
+                    drop(answer.send(Err(refused(text))));
+                    continue;
+                }
+                number += 1;
+                let Some(line) = line_of(&Numbered { number, with: request }) else { continue };
+                waiting.insert(number, answer);
+                if lines.send(line).await.is_err() {
+                    return;
+                }
+            }
+            message = messages.recv() => match message {
+                Some(FromSite::Answer { number, with }) => {
+                    if let Some(answer) = waiting.remove(&number) {
+                        // It is not an error if nobody waits for the answer any more.
+                        drop(answer.send(*with));
+                    }
+                }
+                Some(FromSite::Event(event)) => drop(events.send(event)),
+                Some(FromSite::Ended(refusal)) => drop(events.send(sends_no_more(&refusal))),
+                Some(FromSite::Greeting(_) | FromSite::Refused(_)) => {}
+                None => return,
+            },
+        }
+    }
+}
