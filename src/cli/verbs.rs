@@ -14,7 +14,8 @@ use crate::service::command::{
     ListShared, ListTopics, Lock, NameRecovery, ShowIdentity, ShowUpload, UnpinTopic, UnwatchTopic, ViewPath,
     WatchTopic,
 };
-use crate::service::{Command, Failure, Needs};
+use crate::model::ErrorKind;
+use crate::service::{Command, Failure, Needs, accounts};
 use authros_output::Output;
 
 /// Only the chain.
@@ -75,7 +76,13 @@ pub fn config(context: &Context, verb: &ConfigVerb, output: &Output) {
     let settings = context.config.show();
     match verb {
         ConfigVerb::Show => output.result(&serde_json::json!({ "settings": settings }), || lists::settings(&settings)),
-        ConfigVerb::Check => output.result(&serde_json::json!({ "ok": true }), || "the settings are valid".to_owned()),
+        ConfigVerb::Check => {
+            let unknown = accounts::unknown(&context.config.operators.rules)?;
+            if !unknown.is_empty() {
+                return Err(Failure::new(ErrorKind::Input, unknown.join("; ")));
+            }
+            output.result(&serde_json::json!({ "ok": true }), || "the settings are valid".to_owned());
+        }
     }
 }
 

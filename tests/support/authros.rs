@@ -20,7 +20,7 @@ const UNREACHABLE: i32 = 4;
 const INCOMPLETE: i32 = 8;
 
 /// The program under test: the one built beside the tests, or what `AUTHROS_TEST_BINARY` names.
-fn program_under_test() -> PathBuf {
+pub fn program_under_test() -> PathBuf {
     std::env::var_os("AUTHROS_TEST_BINARY").map_or_else(|| env!("CARGO_BIN_EXE_authros").into(), PathBuf::from)
 }
 
@@ -139,7 +139,8 @@ impl Authros {
 
     /// All arguments of a command.
     pub fn arguments(&self, arguments: &[&str]) -> Vec<String> {
-        arguments.iter().map(|&argument| argument.to_owned()).chain(self.options.iter().cloned()).collect()
+        let prefix = self.prefix.iter().cloned();
+        prefix.chain(arguments.iter().map(|&argument| argument.to_owned())).chain(self.options.iter().cloned()).collect()
     }
 
     /// The whole environment of a command: nothing else is inherited.
@@ -156,7 +157,6 @@ impl Authros {
     pub fn spawn(&self, arguments: &[&str]) -> Running {
         let mut command = Command::new(&self.program);
         command
-            .args(&self.prefix)
             .args(self.arguments(arguments))
             .env_clear()
             .envs(self.variables())

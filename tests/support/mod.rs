@@ -4,6 +4,7 @@
 //! absent calls `skipped!`, which reports it in a way `tests/run` counts.
 #![allow(dead_code, unused_imports, unused_macros, reason = "each test file uses its part of this module")]
 
+pub mod accounts;
 pub mod anvil;
 pub mod authros;
 pub mod cable;
@@ -36,6 +37,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+pub use accounts::Accounts;
 pub use anvil::Anvil;
 pub use authros::{Authros, Home};
 pub use cable::Cable;

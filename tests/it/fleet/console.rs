@@ -145,13 +145,6 @@ fn an_owner_sets_a_policy_by_form_and_sees_its_robot_drift_until_it_works_by_it(
         .presses("\r")
         .sees("Clear the policy?");
     owner.presses("y").sees("policy 2 waiting, runs 1").leaves();
-    // An operator who may look sees how it stands, and is refused in the form.
-    let words = alice.home.file("bob.words", "bob's own words", 0o600);
-    alice.authros.json(&["operators", "add", "bob", "--rights", "look", "--operator-passphrase-file", &words]);
-    let key = alice.home.root().join("bob.operator").to_str().expect("UTF-8").to_owned();
-    let mut bob = Operator::opens(&alice.authros.with(&["--operator", &key, "--passphrase-file", &words]));
-    bob.presses("8").sees("OPERATOR bob").sees("policy 2 waiting, runs 1").presses("p").sees("Set a robot's policy");
-    bob.presses("\r").sees("Clear the policy?").presses("y").sees("only the owner").presses("\u{1b}").leaves();
     let shown = alice.authros.json(&["robots", "show", "scout"]);
     assert_eq!((count(&shown, "wanted"), &shown["drift"]), (2, &Value::Bool(true)), "{shown}");
 }

@@ -21,6 +21,10 @@ pub fn available(state: &State, verb: Verb) -> Result<(), &'static str> {
     if entry.changes && state.settings.read_only {
         return Err("read-only");
     }
+    let asks_passphrase = matches!(verb, Verb::CreateIdentity | Verb::Unlock | Verb::LoadKey | Verb::ExportKey);
+    if asks_passphrase && state.settings.operator.is_some() {
+        return Err("only for the owner");
+    }
     match verb {
         Verb::Watch if state.screen == Screen::Overview => Ok(()),
         Verb::CreateIdentity => create(state),

@@ -48,7 +48,10 @@ pub fn advance(state: &mut State) -> Vec<Effect> {
     if under_way || asking {
         return Vec::new();
     }
-    if !identity.exists {
+    if !identity.unlocked && state.settings.operator.is_some() {
+        state.warn("the keyring is locked, and only the owner of this site unlocks it");
+        abandon(state);
+    } else if !identity.exists {
         open_form(state, Purpose::CreateIdentity, None);
     } else if !identity.unlocked {
         open_form(state, Purpose::Unlock, None);

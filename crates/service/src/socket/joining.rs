@@ -172,3 +172,35 @@ async fn speak(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::expect_used, reason = "a test fails by panicking")]
+
+    use std::fs::{Permissions, set_permissions};
+    use std::os::unix::fs::PermissionsExt as _;
+
+    use super::*;
+    use crate::service::socket::bind;
+
+    #[tokio::test]
+    async fn a_socket_that_somebody_else_could_have_put_there_is_not_joined() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("operators.sock");
+        let join = async || join_as_operator(&path, ProfileName::default()).await.err().expect("not joined");
+        let none = join().await;
+        assert!(none.kind == ErrorKind::Unreachable && none.message.contains("authros serve"), "{none:?}");
+        std::fs::write(&path, "").expect("a file");
+        assert_eq!(join().await.kind, ErrorKind::Input);
+        std::fs::remove_file(&path).expect("removed");
+        let listener = bind(&path, 0o660).expect("listens");
+        for mode in [0o770, 0o702, 0o1777] {
+            set_permissions(folder.path(), Permissions::from_mode(mode)).expect("its mode");
+            let refusal = join().await;
+            assert!(refusal.kind == ErrorKind::Refused && refusal.message.contains("others can write"), "{refusal:?}");
+        }
+        drop(listener);
+        set_permissions(folder.path(), Permissions::from_mode(0o700)).expect("its mode");
+        assert_eq!(join().await.kind, ErrorKind::Unreachable, "nobody answers");
+    }
+}

@@ -4,6 +4,9 @@ use super::{Robot, fixtures};
 use crate::app::feed::Feed;
 use crate::app::popup::{Popup, Purpose};
 use crate::app::standing::Capture;
+use crate::app::available::available;
+use crate::app::identity_path::{self, Need};
+use crate::app::verb::Verb;
 use crate::app::{Key, Settings, Tag};
 use crate::model::Timestamp;
 use crate::service::reply::{AlertView, EndedAlert, HealthLevel, HeldUp, LifeLine, SiteView, TopicRow};
@@ -34,6 +37,19 @@ fn a_locked_profile_asks_for_its_passphrase_at_once_and_esc_looks_around() {
     robot.hears_of(Part::Identity);
     robot.is_answered(&Tag::Feed(Feed::Identity, 0), Ok(Reply::Identity(fixtures::identity(true, false, true))));
     assert!(robot.state.popups.is_empty(), "it asks once");
+}
+
+#[test]
+fn an_operator_is_never_asked_for_a_passphrase() {
+    let mut robot = Robot::opens(Settings { operator: Some("bob".to_owned()), ..Settings::default() });
+    robot.is_answered(&Tag::Feed(Feed::Identity, 0), Ok(Reply::Identity(fixtures::identity(true, false, true))));
+    for verb in [Verb::Unlock, Verb::CreateIdentity, Verb::LoadKey, Verb::ExportKey] {
+        assert_eq!(available(&robot.state, verb), Err("only for the owner"));
+    }
+    robot.types("u");
+    identity_path::run(&mut robot.state, Need::Unlocked, Vec::new());
+    assert!(robot.state.popups.is_empty() && robot.state.identity_path.is_none());
+    assert!(robot.sent.iter().all(|(command, _)| !matches!(command, Command::Unlock { .. })));
 }
 
 #[test]

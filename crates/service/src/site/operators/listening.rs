@@ -64,3 +64,36 @@ fn listen(home: &Home, path: &Path) -> Result<UnixListener, String> {
         )),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::expect_used, reason = "a test fails by panicking")]
+
+    use std::fs::{Permissions, set_permissions};
+    use std::os::unix::fs::PermissionsExt as _;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_socket_is_made_where_nobody_else_can_replace_it_and_outside_the_home() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let home = Home::new(folder.path().join("home"));
+        std::fs::create_dir(home.root()).expect("a home");
+        let place = folder.path().join("run");
+        std::fs::create_dir(&place).expect("a folder");
+        let path = place.join("operators.sock");
+        let listener = listen(&home, &path).expect("listens");
+        let mode = std::fs::metadata(&path).expect("a socket").permissions().mode() & 0o777;
+        assert_eq!(mode, MODE);
+        assert!(listen(&home, &path).expect_err("somebody answers there").contains("in use"));
+        drop(listener);
+        drop(listen(&home, &path).expect("one that nobody answers is replaced"));
+        for mode in [0o770, 0o702, 0o1777] {
+            set_permissions(&place, Permissions::from_mode(mode)).expect("its mode");
+            assert!(listen(&home, &path).expect_err("others write it").contains("chmod go-w"), "{mode:o}");
+        }
+        let inside = home.root().join("operators.sock");
+        assert!(listen(&home, &inside).expect_err("in the home").contains("in the home"));
+        assert!(listen(&home, &folder.path().join("missing/operators.sock")).is_err());
+    }
+}

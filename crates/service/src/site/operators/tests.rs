@@ -1,33 +1,51 @@
-//! Operators without processes: each connection is another process as the socket would make it.
+//! Operators without processes of their own: some with rights that are not looked up, and this user at the real socket.
 #![allow(clippy::expect_used, reason = "a test fails by panicking")]
 
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
+use tokio::io::{AsyncBufReadExt as _, AsyncWriteExt as _, BufReader};
+use tokio::net::UnixStream;
 use tokio::sync::{broadcast, mpsc};
 
-use crate::crypto::{OperatorKey, ProviderName, provider};
-use crate::model::{ErrorKind, OperatorName, Signature, Timestamp};
+use super::{Asker, Heard, Operator};
+use crate::model::{ErrorKind, OperatorName, OperatorRight, OperatorRights};
+use crate::service::accounts::Account;
 use crate::service::command::{
-    ActAsOperator, AddOperator, Ask, ChallengeOperator, CreateIdentity, ListAlerts, ListOperators, RemoveOperator,
-    RotateKeys, SecretText, Unlock, UnwatchTopic, WatchTopic,
+    Ask, CreateIdentity, ListAlerts, RotateKeys, SecretText, Unlock, UnwatchTopic, WatchTopic,
 };
-use crate::service::reply::{Failure, OperatorState, OperatorView};
 use crate::service::{Client, Event, NoticeLevel, socket};
 use crate::site::testing::{PASSPHRASE, profile, site_of};
 use crate::site::{Needs, Site, joiner};
 use crate::store::AuditQuery;
 
 const NONE: Needs = Needs { ros: false, chain: false };
+/// No account of any machine.
+const NOBODY: u32 = 4_000_000_000;
 
-/// Another process.
-fn joined(site: &Arc<Site>, name: &str) -> Client {
-    let (calls, receiver) = mpsc::unbounded_channel();
-    tokio::spawn(Arc::clone(site).serve(receiver, joiner()));
-    Client::new(profile(name), calls, site.parts.hub.events().clone())
+fn name(text: &str) -> OperatorName {
+    text.parse().expect("a name")
 }
 
-fn key(name: &str) -> OperatorKey {
-    OperatorKey::generate(provider(ProviderName::RustCrypto), name.parse().expect("a name")).expect("a key")
+/// A user whose rights count from some time on, and are then looked up.
+fn operator(who: &str, right: OperatorRight, from: Instant) -> Asker {
+    let rights: OperatorRights = [right].into_iter().collect();
+    Asker::Operator(Arc::new(Operator {
+        uid: NOBODY,
+        name: name(who),
+        standing: tokio::sync::Mutex::new((from, rights)),
+    }))
+}
+
+fn later() -> Instant {
+    Instant::now() + Duration::from_secs(3600)
+}
+
+/// Another process.
+fn joined(site: &Arc<Site>, asker: Asker) -> Client {
+    let (calls, receiver) = mpsc::unbounded_channel();
+    tokio::spawn(Arc::clone(site).serve(receiver, joiner(asker)));
+    Client::new(profile("alice"), calls, site.parts.hub.events().clone())
 }
 
 async fn made(site: &Arc<Site>, name: &str) -> Client {
@@ -37,23 +55,6 @@ async fn made(site: &Arc<Site>, name: &str) -> Client {
     owner
 }
 
-async fn add(owner: &Client, key: &OperatorKey, rights: &str) -> Result<Vec<OperatorView>, Failure> {
-    let (name, rights) = (key.name.clone(), rights.parse().expect("rights"));
-    owner.ask(AddOperator { name, key: key.pair.public, rights, until: None }).await
-}
-
-/// The operator's signature over the challenge of this connection, not yet given.
-async fn proof(client: &Client, key: &OperatorKey) -> Signature {
-    let asked = client.ask(ChallengeOperator).await.expect("a challenge");
-    let what = (&asked.challenge.0, &asked.account, client.profile().as_str());
-    key.prove(provider(ProviderName::RustCrypto), what).expect("signs")
-}
-
-async fn act(client: &Client, key: &OperatorKey) -> Result<OperatorView, Failure> {
-    let proof = proof(client, key).await;
-    client.ask(ActAsOperator { name: key.name.clone(), proof }).await
-}
-
 async fn refused<A: Ask>(client: &Client, ask: A, words: &str) {
     let failure = client.ask(ask).await.err().expect("refused");
     assert!(failure.kind == ErrorKind::Refused && failure.message.contains(words), "{failure:?}");
@@ -61,6 +62,10 @@ async fn refused<A: Ask>(client: &Client, ask: A, words: &str) {
 
 fn watch() -> WatchTopic {
     WatchTopic { topic: "/odom".parse().expect("a topic"), type_name: None }
+}
+
+fn unlock() -> Unlock {
+    Unlock { passphrase: SecretText::new(PASSPHRASE.to_owned()) }
 }
 
 /// Who did it, what, and to what, of all lines of an operator.
@@ -73,33 +78,15 @@ fn lines_of(site: &Site, operator: &str) -> Vec<(String, String, String)> {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn each_does_what_its_rights_say_and_the_log_names_it() {
     let (site, _folder) = site_of(&[], NONE);
-    let (owner, _carol) = (made(&site, "alice").await, made(&site, "carol").await);
-    let (bob, eve) = (key("bob"), key("eve"));
-    add(&owner, &bob, "look").await.expect("added");
-    add(&owner, &eve, "capture").await.expect("added");
-    refused(
-        &owner,
-        AddOperator {
-            name: bob.name.clone(),
-            key: key("bob").pair.public,
-            rights: "look".parse().expect("a right"),
-            until: None,
-        },
-        "already",
-    )
-    .await;
-
-    let looks = joined(&site, "alice");
-    let view = act(&looks, &bob).await.expect("its own key");
-    assert_eq!((view.state, view.rights.to_string()), (OperatorState::Stands, "look".to_owned()));
+    let owner = made(&site, "alice").await;
+    let looks = joined(&site, operator("bob", OperatorRight::Look, later()));
     looks.ask(ListAlerts).await.expect("looking");
     refused(&looks, watch(), "needs the right 'capture'").await;
     refused(&looks, RotateKeys, "only the owner").await;
-    refused(&looks, RemoveOperator { name: eve.name.clone() }, "only the owner").await;
-    refused(&looks.for_profile(profile("carol")), ListAlerts, "operator of profile 'alice'").await;
+    refused(&looks, unlock(), "only the owner").await;
+    refused(&looks.for_profile(profile("carol")), ListAlerts, "no profile 'carol'").await;
 
-    let captures = joined(&site, "alice");
-    act(&captures, &eve).await.expect("its own key");
+    let captures = joined(&site, operator("eve", OperatorRight::Capture, later()));
     refused(&captures, ListAlerts, "needs the right 'look'").await;
     captures.ask(watch()).await.expect("capturing");
     owner.ask(UnwatchTopic { topic: "/odom".parse().expect("a topic") }).await.expect("the owner's own");
@@ -107,155 +94,121 @@ async fn each_does_what_its_rights_say_and_the_log_names_it() {
     assert_eq!(lines_of(&site, "eve"), [own("watch", "/odom"), own("watch", "/odom")], "begun and done");
 
     site.parts.log.write_counted(None).await;
-    let tried: Vec<_> =
+    let mut tried: Vec<(String, String)> =
         lines_of(&site, "bob").into_iter().map(|(who, action, code)| (who + " " + &action, code)).collect();
-    let mut tried: Vec<_> = tried.iter().map(|(who, code)| (who.as_str(), code.as_str())).collect();
     tried.dedup();
-    assert_eq!(tried, [("alice/bob refused", "needs capture"), ("alice/bob refused", "needs owner")]);
+    let expected = ["needs capture", "needs owner", "needs passphrase"];
+    assert_eq!(tried, expected.map(|code| ("alice/bob refused".to_owned(), code.to_owned())));
     assert!(site.parts.log.lines().verify().is_ok());
     site.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_proof_serves_one_connection_and_an_end_is_heeded_at_once() {
+async fn who_is_nobody_any_more_may_nothing_and_hears_no_more_although_it_asks_nothing() {
     let (site, _folder) = site_of(&[], NONE);
-    let owner = made(&site, "alice").await;
-    let (bob, eve) = (key("bob"), key("eve"));
-    add(&owner, &bob, "look,capture").await.expect("added");
-    let first = joined(&site, "alice");
-    let heard = proof(&first, &bob).await;
-    let name = |key: &OperatorKey| -> OperatorName { key.name.clone() };
-    let other = joined(&site, "alice");
-    refused(&other, ActAsOperator { name: name(&bob), proof: heard }, "no operator").await;
-    other.ask(ChallengeOperator).await.expect("a challenge of its own");
-    refused(&other, ActAsOperator { name: name(&bob), proof: heard }, "no operator").await;
-    refused(&other, ActAsOperator { name: name(&eve), proof: heard }, "no operator").await;
-    first.ask(ActAsOperator { name: name(&bob), proof: heard }).await.expect("where it was made for");
-    refused(&first, ActAsOperator { name: name(&bob), proof: heard }, "no operator").await;
-    assert_eq!(act(&first, &bob).await.expect_err("once").kind, ErrorKind::Refused);
-
-    first.ask(watch()).await.expect("capturing");
-    owner.ask(RemoveOperator { name: name(&bob) }).await.expect("ended");
-    refused(&first, watch(), "was removed").await;
-    let query = AuditQuery { action: Some("remove operator".to_owned()), limit: 9, ..AuditQuery::default() };
-    let lines = site.parts.log.lines().list(&query).expect("lines");
-    assert_eq!(lines.iter().map(|line| line.entry.outcome.as_str()).collect::<Vec<_>>(), ["begun", "done"]);
-    // A new key under the old name is another operator.
-    add(&owner, &OperatorKey { name: name(&bob), ..eve.clone() }, "capture").await.expect("added");
-    refused(&first, watch(), "was removed").await;
-    let until = Some(Timestamp(1));
-    let asked = AddOperator {
-        name: "late".parse().expect("a name"),
-        key: key("late").pair.public,
-        rights: "look".parse().expect("a right"),
-        until,
+    made(&site, "alice").await;
+    let hears = operator("bob", OperatorRight::Look, Instant::now());
+    let asks = joined(&site, hears.clone());
+    let (heard, mut told) = mpsc::unbounded_channel();
+    tokio::spawn(Arc::clone(&site).tell_events(joiner(hears), move |what| heard.send(what).is_ok()));
+    asks.ask(ListAlerts).await.expect("looking");
+    site.parts.hub.notice(NoticeLevel::Info, "for those who may look");
+    let first = told.recv().await.expect("an event");
+    assert!(matches!(first, Heard::Event(Event::Notice { text, .. }) if text == "for those who may look"));
+    let ended = loop {
+        match told.recv().await.expect("an end") {
+            Heard::Event(_) => {}
+            Heard::Ended(refusal) => break refusal,
+        }
     };
-    assert_eq!(owner.ask(asked).await.expect_err("over already").kind, ErrorKind::Input);
+    assert!(ended.message.contains("no name for user 4000000000"), "{ended:?}");
+    site.parts.hub.notice(NoticeLevel::Info, "a secret of those who stay");
+    assert!(told.recv().await.is_none(), "the last was the last");
+    refused(&asks, ListAlerts, "no name for user").await;
+
+    let captures = joiner(operator("eve", OperatorRight::Capture, later()));
+    let (heard, mut told) = mpsc::unbounded_channel();
+    tokio::spawn(Arc::clone(&site).tell_events(captures, move |what| heard.send(what).is_ok()));
+    let first = told.recv().await.expect("an end");
+    assert!(matches!(first, Heard::Ended(refusal) if refusal.message.contains("needs the right 'look'")));
     site.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_list_that_the_owner_did_not_sign_makes_nobody_an_operator() {
-    let (site, folder) = site_of(&[], NONE);
-    let owner = made(&site, "alice").await;
-    let (bob, mallory) = (key("bob"), made(&site, "mallory").await);
-    add(&mallory, &bob, "look,capture,grant").await.expect("hers");
-    let profiles = folder.path().join("home").join("profiles");
-    std::fs::copy(profiles.join("mallory").join("operators"), profiles.join("alice").join("operators"))
-        .expect("put in");
-    let rows = owner.ask(ListOperators).await.expect("rows");
-    assert_eq!(rows.iter().map(|row| row.state).collect::<Vec<_>>(), [OperatorState::NotSigned]);
-    assert_eq!(act(&joined(&site, "alice"), &bob).await.expect_err("not alice's").kind, ErrorKind::Refused);
+async fn without_rights_or_a_name_nobody_is_let_in_and_the_homes_socket_is_its_owners() {
+    let (site, _folder) = site_of(&[("operators.rights", "{ nobody-is-here = [\"look\"] }")], NONE);
+    let failure = site.admit_operator(NOBODY).await.err().expect("refused");
+    assert!(failure.message.contains("no name"), "{failure:?}");
+    let own = rustix::process::geteuid().as_raw();
+    assert_eq!(site.check_owner(own), Ok(()));
+    let other = site.check_owner(own + 1).expect_err("another user");
+    assert!(other.kind == ErrorKind::Refused && other.message.contains("--site-socket"), "{other:?}");
+    if Account::own().is_ok() {
+        let failure = site.admit_operator(own).await.err().expect("refused");
+        assert!(failure.message.contains("has no right at this site"), "{failure:?}");
+    }
+    site.parts.log.write_counted(None).await;
+    let query = AuditQuery { action: Some("refused".to_owned()), limit: 9, ..AuditQuery::default() };
+    let lines = site.parts.log.lines().list(&query).expect("lines");
+    let counted: Vec<(String, String)> =
+        lines.into_iter().map(|line| (line.entry.profile, line.entry.subject)).collect();
+    assert!(counted.contains(&(format!("user {NOBODY}"), "no user name".to_owned())), "{counted:?}");
+    assert!(counted.contains(&(format!("user {}", own + 1), "not the owner".to_owned())), "{counted:?}");
     site.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn where_operators_are_required_others_give_the_passphrase() {
-    let (site, _folder) = site_of(&[("operators.required", "yes")], NONE);
-    let owner = made(&site, "alice").await;
-    let bob = key("bob");
-    add(&owner, &bob, "look").await.expect("the site's own process is the owner's");
-    let stranger = joined(&site, "alice");
-    refused(&stranger, ListAlerts, "operators.required").await;
-    refused(&stranger, watch(), "operators.required").await;
-    let unlock = |passphrase: &str| Unlock { passphrase: SecretText::new(passphrase.to_owned()) };
-    // The keyring is open: still it has to be the right one.
-    refused(&stranger, unlock("not the passphrase"), "wrong passphrase").await;
-    refused(&stranger, ListAlerts, "operators.required").await;
-    stranger.ask(unlock(PASSPHRASE)).await.expect("the owner");
-    stranger.ask(watch()).await.expect("the owner");
-    refused(&stranger.for_profile(profile("carol")), ListAlerts, "operators.required").await;
-    let looks = joined(&site, "alice");
-    act(&looks, &bob).await.expect("an operator");
-    looks.ask(ListAlerts).await.expect("looking");
-    site.stop().await;
-}
-
-/// Another process, through the real socket, and what it hears from now on.
-async fn through_the_socket(site: &Site) -> (Client, broadcast::Receiver<Event>) {
-    let (client, _) = socket::join(site.home(), profile("alice")).await.expect("joins").expect("a site");
-    let heard = client.events();
-    (client, heard)
 }
 
 /// All notices up to the one with these words.
-async fn until(heard: &mut broadcast::Receiver<Event>, words: &str) -> Vec<String> {
-    let mut texts = Vec::new();
+async fn until(heard: &mut broadcast::Receiver<Event>, words: &str) {
     loop {
-        if let Event::Notice { text, .. } = heard.recv().await.expect("the connection stands") {
-            let is_it = text.contains(words);
-            texts.push(text);
-            if is_it {
-                return texts;
-            }
+        if let Event::Notice { text, .. } = heard.recv().await.expect("the connection stands")
+            && text.contains(words)
+        {
+            return;
         }
     }
 }
 
-fn tell(site: &Site, text: &str) {
-    site.parts.hub.notice(NoticeLevel::Info, text);
-}
-
-/// Whatever was to come has come once its request is answered and the other one, who hears all, has heard what was told.
-async fn hears_no_more(client: &Client, heard: &mut broadcast::Receiver<Event>, refusal: &str) {
-    refused(client, ListAlerts, refusal).await;
-    while let Ok(event) = heard.try_recv() {
-        assert!(!matches!(&event, Event::Notice { text, .. } if text.contains("secret")), "{event:?}");
-    }
-}
-
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn who_is_no_operator_any_more_hears_no_more_although_it_asks_nothing() {
-    let (site, _folder) = site_of(&[], NONE);
+async fn this_user_is_an_operator_at_the_other_socket_and_no_passphrase_passes_it() {
+    // A container may run tests as a number without a name.
+    let Ok(Account { name, .. }) = Account::own() else { return };
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("operators.sock");
+    let rights = format!("{{ \"{name}\" = [\"look\"] }}");
+    let given = [("operators.socket", path.to_str().expect("UTF-8")), ("operators.rights", &rights)];
+    let (site, _folder) = site_of(&given, NONE);
     socket::listen(&site).expect("listens");
     let owner = made(&site, "alice").await;
-    let (bob, late, eve) = (key("bob"), key("late"), key("eve"));
-    add(&owner, &bob, "look").await.expect("added");
-    add(&owner, &eve, "capture").await.expect("added");
-    let end = Timestamp(Timestamp::now().0 + 2_000_000_000);
-    let (name, rights) = (late.name.clone(), "look".parse().expect("a right"));
-    owner.ask(AddOperator { name, key: late.pair.public, rights, until: Some(end) }).await.expect("added");
+    site.oversee();
+    while !path.exists() {
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    let looks = socket::join_as_operator(&path, profile("alice")).await.expect("joins");
+    let mut heard = looks.events();
+    looks.ask(ListAlerts).await.expect("looking");
+    refused(&looks, watch(), "needs the right 'capture'").await;
+    refused(&looks, unlock(), "sends no passphrase").await;
+    site.parts.hub.notice(NoticeLevel::Info, "for those who may look");
+    until(&mut heard, "for those who may look").await;
+    // At the home's own socket the same user is the owner.
+    let (own, greeting) = socket::join(site.home(), profile("alice")).await.expect("joins").expect("a site");
+    assert!(!greeting.settings.is_empty());
+    own.ask(watch()).await.expect("the owner");
+    drop(owner);
 
-    let (removed, mut of_removed) = through_the_socket(&site).await;
-    let (expired, mut of_expired) = through_the_socket(&site).await;
-    let (captures, mut of_captures) = through_the_socket(&site).await;
-    let (_stays, mut of_owner) = through_the_socket(&site).await;
-    act(&removed, &bob).await.expect("its own key");
-    act(&expired, &late).await.expect("its own key");
-    act(&captures, &eve).await.expect("its own key");
-    until(&mut of_captures, "needs the right 'look'").await;
-    tell(&site, "for those who may look");
-    until(&mut of_removed, "for those who may look").await;
-    until(&mut of_expired, "for those who may look").await;
-
-    // Its time is over, and nothing else happens.
-    until(&mut of_expired, "may not act now (expired)").await;
-    owner.ask(RemoveOperator { name: bob.name.clone() }).await.expect("ended");
-    until(&mut of_removed, "operator 'bob' was removed").await;
-    tell(&site, "a secret of those who stay");
-    until(&mut of_owner, "a secret of those who stay").await;
-    hears_no_more(&removed, &mut of_removed, "was removed").await;
-    hears_no_more(&expired, &mut of_expired, "may not act now").await;
-    hears_no_more(&captures, &mut of_captures, "needs the right 'look'").await;
+    // By hand: refused by its kind, so that not even its form is looked at.
+    let (reader, mut writer) = UnixStream::connect(&path).await.expect("connects").into_split();
+    let mut lines = BufReader::new(reader).lines();
+    let greeting = lines.next_line().await.expect("reads").expect("a greeting");
+    assert!(greeting.contains(r#""settings":[]"#), "{greeting}");
+    let line = r#"{"number":7,"profile":"alice","command":{"passphrase":["not","a","text"],"command":"unlock"}}"#;
+    writer.write_all(format!("{line}\n").as_bytes()).await.expect("sent");
+    let answer = loop {
+        let line = lines.next_line().await.expect("reads").expect("an answer");
+        if line.contains(r#""number":7"#) {
+            break line;
+        }
+    };
+    assert!(answer.contains("reads none here"), "{answer}");
     site.stop().await;
 }
