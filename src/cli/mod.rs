@@ -126,10 +126,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
             Ok(0)
         }
         Verb::Profiles => Ok(lists::profiles(&Context::new(global, output)?, output)),
-        Verb::Config(verb) => {
-            verbs::config(&Context::new(global, output)?, &verb, output);
-            Ok(0)
-        }
+        Verb::Config(verb) => verbs::config(&Context::new(global, output)?, &verb, output),
         Verb::Restore { file, check: true } => {
             runtime.block_on(backups::check(Context::new(global, output)?, &file, output))
         }

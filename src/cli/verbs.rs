@@ -72,7 +72,7 @@ pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Fa
 }
 
 /// `config …`
-pub fn config(context: &Context, verb: &ConfigVerb, output: &Output) {
+pub fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Result<u8, Failure> {
     let settings = context.config.show();
     match verb {
         ConfigVerb::Show => output.result(&serde_json::json!({ "settings": settings }), || lists::settings(&settings)),
@@ -84,6 +84,7 @@ pub fn config(context: &Context, verb: &ConfigVerb, output: &Output) {
             output.result(&serde_json::json!({ "ok": true }), || "the settings are valid".to_owned());
         }
     }
+    Ok(0)
 }
 
 /// `identity create`: the passphrase is written once the site is there, because a file without its keyring opens nothing.

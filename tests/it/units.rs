@@ -33,6 +33,29 @@ fn systemd_accepts_the_units() {
 }
 
 #[test]
+fn systemd_accepts_the_manuals_lines_for_operators() {
+    let Some(program) = system_program("systemd-analyze") else { skipped!("no systemd-analyze") };
+    let manual = include_str!("../../docs/operations.md");
+    let lines = manual.split("```ini\n").nth(1).and_then(|rest| rest.split("```").next()).expect("lines for a unit");
+    for needed in ["Group=", "RuntimeDirectory=", "RuntimeDirectoryMode=0750", "PrivateUsers=no", "AUTHROS_OPERATORS_SOCKET="] {
+        assert!(lines.contains(needed), "{needed}: {lines}");
+    }
+    let complaints = |lines: &str| {
+        let home = Home::new();
+        let name = "authros-serve.service";
+        let path = home.file(name, unit(name).replace("/usr/bin/authros", env!("CARGO_BIN_EXE_authros")), 0o644);
+        fs::create_dir(home.root().join(format!("{name}.d"))).expect("a folder");
+        home.file(&format!("{name}.d/operators.conf"), lines, 0o644);
+        let mut command = Command::new(&program);
+        command.args(["verify", "--recursive-errors=no", "--man=no", &path]);
+        let outcome = Running::start(command).wait(60);
+        outcome.stderr.lines().filter(|line| line.contains("operators.conf")).count()
+    };
+    assert_eq!(complaints(lines), 0);
+    assert_eq!(complaints(&lines.replace("Group=", "Grup=")), 1, "it was read");
+}
+
+#[test]
 fn their_commands_are_known_and_no_secret_is_in_them() {
     for name in UNITS {
         let text = unit(name);

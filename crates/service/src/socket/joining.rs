@@ -55,7 +55,9 @@ pub async fn join_as_operator(path: &Path, profile: ProfileName) -> Result<Clien
     };
     let failed = |error: std::io::Error| match error.kind() {
         std::io::ErrorKind::PermissionDenied => {
-            refused(format!("you may not use {shown}; ask the site's owner to add you to the group of that socket"))
+            refused(format!(
+                "you may not use {shown}; ask the site's owner to add you to the group of that socket, then log in again"
+            ))
         }
         _ => absent(error.to_string()),
     };
