@@ -72,6 +72,9 @@ pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Fa
 }
 
 /// `config …`
+///
+/// # Errors
+/// If the settings name users or groups that this machine does not have.
 pub fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Result<u8, Failure> {
     let settings = context.config.show();
     match verb {

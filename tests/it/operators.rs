@@ -22,6 +22,8 @@ const PATIENCE: u64 = 120;
 struct Yard {
     site: Option<Running>,
     owner: Authros,
+    /// The account of another profile.
+    reader: String,
     socket: PathBuf,
     home: PathBuf,
 }
@@ -39,7 +41,8 @@ impl Yard {
             accounts.name("rob"),
         );
         let given = home.to_str().expect("UTF-8").to_owned();
-        let owner = accounts.authros("keeper").with(&["--home", &given, "--robots", "1", "--profile", "yard"]);
+        let keeper = accounts.authros("keeper").with(&["--home", &given, "--robots", "1"]);
+        let owner = keeper.with(&["--profile", "yard"]);
         owner.enrol();
         let config = home.join("config.toml");
         fs::write(&config, settings).expect("written");
@@ -48,7 +51,8 @@ impl Yard {
         let mut site = owner.spawn(&["serve"]);
         site.wait_for_text("serving", 60);
         wait_until(60, "the operators' socket", || socket.exists().then_some(()));
-        Self { site: Some(site), owner, socket, home }
+        let reader = keeper.with(&["--profile", "carol"]).enrol();
+        Self { site: Some(site), owner, reader, socket, home }
     }
 
     /// An account at the operators' socket.
@@ -79,7 +83,7 @@ fn each_account_does_what_the_settings_say_and_the_log_names_it() {
         Err(reason) => skipped!(reason),
     };
     let mut yard = Yard::open(&accounts);
-    let reader = Home::new().profile("carol").enrol();
+    let reader = yard.reader.clone();
     let [bob, eve, rob] = ["bob", "eve", "rob"].map(|name| yard.operator(&accounts, name));
 
     // The group looks; rights of user and group add up.
@@ -150,7 +154,8 @@ fn the_homes_socket_is_its_owners_and_an_operator_gives_no_passphrase() {
     };
     let mut yard = Yard::open(&accounts);
     // Root, too, who can open every file.
-    let root = Home::new().authros().with(&["--home", yard.home.to_str().expect("UTF-8"), "--profile", "yard"]);
+    let roots = Home::new();
+    let root = Authros::bare(roots.root()).with(&["--home", yard.home.to_str().expect("UTF-8"), "--profile", "yard"]);
     let refusal = root.fails(REFUSED, &["uploads", "list"]);
     assert!(refusal.contains("only that user may use its socket"), "{refusal}");
     // Even if every door to it stood open.
@@ -219,7 +224,11 @@ fn a_user_without_a_name_and_one_of_another_namespace_are_refused() {
     let run = home.root().join("run");
     fs::create_dir(&run).expect("a folder");
     let socket = run.join("operators.sock");
-    let rights = format!("{{ {} = [\"look\"], nobody = [\"look\"], \"@{}\" = [\"look\"] }}", accounts.name("bob"), accounts.group);
+    let rights = format!(
+        "{{ {} = [\"look\"], nobody = [\"look\"], \"@{}\" = [\"look\"] }}",
+        accounts.name("bob"),
+        accounts.group
+    );
     let site = site
         .with_variable("AUTHROS_OPERATORS_SOCKET", socket.to_str().expect("UTF-8"))
         .with_variable("AUTHROS_OPERATORS_RIGHTS", &rights);
@@ -260,7 +269,9 @@ fn names_and_rights_that_do_not_exist_are_told_with_file_and_line() {
     let check = |rights: &str| {
         fs::create_dir_all(home.path()).expect("a home");
         fs::set_permissions(home.path(), Permissions::from_mode(0o700)).expect("its mode is set");
-        let text = format!("[operators]\nsocket = \"/run/authros/operators.sock\"\n[operators.rights]\nroot = [\"look\"]\n{rights}\n");
+        let text = format!(
+            "[operators]\nsocket = \"/run/authros/operators.sock\"\n[operators.rights]\nroot = [\"look\"]\n{rights}\n"
+        );
         fs::write(home.path().join("config.toml"), text).expect("written");
         authros.with(&["--json"]).run(&["config", "check"])
     };

@@ -53,7 +53,9 @@ impl Accounts {
         // The folder of the build may be closed to other users.
         let program = home.root().join("authros");
         let built = program_under_test();
-        fs::hard_link(&built, &program).or_else(|_| fs::copy(&built, &program).map(drop)).expect("the program is there");
+        fs::hard_link(&built, &program)
+            .or_else(|_| fs::copy(&built, &program).map(drop))
+            .expect("the program is there");
         let prefix = format!("at{}x{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
         let group = format!("{prefix}-lab");
         run("groupadd", &[&group]);
@@ -165,7 +167,8 @@ pub struct Line {
 impl Line {
     fn new(identity: &[String], socket: &Path) -> Self {
         let mut command = Command::new("setpriv");
-        command.args(identity).args(["--", "python3", "-c", BRIDGE]).arg(socket).current_dir("/");
+        let python = system_program("python3").expect("checked");
+        command.args(identity).arg("--").arg(python).args(["-c", BRIDGE]).arg(socket).current_dir("/");
         let mut bridge = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("it runs");
         let (asked, told) = (bridge.stdin.take().expect("piped"), bridge.stdout.take().expect("piped"));
         Self { bridge, asked, told: BufReader::new(told), number: 0 }

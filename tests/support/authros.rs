@@ -140,7 +140,10 @@ impl Authros {
     /// All arguments of a command.
     pub fn arguments(&self, arguments: &[&str]) -> Vec<String> {
         let prefix = self.prefix.iter().cloned();
-        prefix.chain(arguments.iter().map(|&argument| argument.to_owned())).chain(self.options.iter().cloned()).collect()
+        prefix
+            .chain(arguments.iter().map(|&argument| argument.to_owned()))
+            .chain(self.options.iter().cloned())
+            .collect()
     }
 
     /// The whole environment of a command: nothing else is inherited.
@@ -156,11 +159,7 @@ impl Authros {
     /// Starts a command that runs beside the test.
     pub fn spawn(&self, arguments: &[&str]) -> Running {
         let mut command = Command::new(&self.program);
-        command
-            .args(self.arguments(arguments))
-            .env_clear()
-            .envs(self.variables())
-            .current_dir(&self.root);
+        command.args(self.arguments(arguments)).env_clear().envs(self.variables()).current_dir(&self.root);
         Running::start(command)
     }
 

@@ -175,9 +175,8 @@ pub(super) fn check_hands(values: &Values, file: Option<&Path>) -> Result<(), Co
 
 /// Checks that nobody else could run programs as this user through a file.
 fn own_hands(file: &Path) -> Result<(), String> {
-    let fault = hands::fault(file, rustix::process::geteuid().as_raw()).map_err(|error| {
-        format!("{} cannot be checked: {error}", shown(file))
-    })?;
+    let fault = hands::fault(file, rustix::process::geteuid().as_raw())
+        .map_err(|error| format!("{} cannot be checked: {error}", shown(file)))?;
     match fault {
         None => Ok(()),
         Some(Fault::Foreign(path)) => Err(format!(

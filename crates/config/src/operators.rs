@@ -133,7 +133,8 @@ mod tests {
         };
         let mut rules: Vec<String> = settings.rules.iter().map(told).collect();
         rules.sort();
-        let expected = ["alice: look,grant (/etc/config.toml line 5)", "group robotics: capture (/etc/config.toml line 7)"];
+        let expected =
+            ["alice: look,grant (/etc/config.toml line 5)", "group robotics: capture (/etc/config.toml line 7)"];
         assert_eq!(rules, expected);
         assert_eq!(read(""), Ok(OperatorSettings::default()), "nobody, unless somebody is named");
         let inline = "operators.socket = \"/s\"\noperators.rights = { bob = [\"look\"] }";

@@ -13,7 +13,9 @@ const LONGEST: usize = 64;
 
 /// A text is not the name of a user or a group.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("'{0}' is not a usable name; use 1 to 64 letters, digits and . _ - + @ $ \\, starting with a letter, a digit or _")]
+#[error(
+    "'{0}' is not a usable name; use 1 to 64 letters, digits and . _ - + @ $ \\, starting with a letter, a digit or _"
+)]
 pub struct OperatorNameError(String);
 
 /// The name of a Unix user or group, as the user database has it.

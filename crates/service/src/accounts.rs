@@ -114,10 +114,14 @@ pub fn unknown(rules: &[OperatorRule]) -> Result<Vec<String>, AccountError> {
     for OperatorRule { whom, place, .. } in rules {
         match whom {
             Whom::User(name) if found(User::from_name(name.as_str()))?.is_none() => {
-                lines.push(format!("{place}: this machine has no user '{name}'; correct the name, or create the account"));
+                lines.push(format!(
+                    "{place}: this machine has no user '{name}'; correct the name, or create the account"
+                ));
             }
             Whom::Group(name) if group(name)?.is_none() => {
-                lines.push(format!("{place}: this machine has no group '{name}'; correct the name, or create the group"));
+                lines.push(format!(
+                    "{place}: this machine has no group '{name}'; correct the name, or create the group"
+                ));
             }
             Whom::User(_) | Whom::Group(_) => {}
         }

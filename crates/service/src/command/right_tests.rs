@@ -78,15 +78,8 @@ const CAPTURE: &[&str] = &[
     "operate hold_capture",
 ];
 const GRANT: &[&str] = &["grant", "extend_grant", "revoke"];
-const PASSPHRASE: &[&str] = &[
-    "create_identity",
-    "unlock",
-    "load_key",
-    "change_passphrase",
-    "export_key",
-    "enrol_device",
-    "of_store back_up",
-];
+const PASSPHRASE: &[&str] =
+    &["create_identity", "unlock", "load_key", "change_passphrase", "export_key", "enrol_device", "of_store back_up"];
 
 /// What may stand at a place of a line, as its reader lists it when it finds something else.
 fn listed(line: &str) -> Vec<String> {

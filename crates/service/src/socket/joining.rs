@@ -50,15 +50,15 @@ pub async fn join_as_operator(path: &Path, profile: ProfileName) -> Result<Clien
     let absent = |why: String| {
         Failure::new(
             ErrorKind::Unreachable,
-            format!("no site answers at {shown} ({why}); its owner starts it with `authros serve` and operators.socket"),
+            format!(
+                "no site answers at {shown} ({why}); its owner starts it with `authros serve` and operators.socket"
+            ),
         )
     };
     let failed = |error: std::io::Error| match error.kind() {
-        std::io::ErrorKind::PermissionDenied => {
-            refused(format!(
-                "you may not use {shown}; ask the site's owner to add you to the group of that socket, then log in again"
-            ))
-        }
+        std::io::ErrorKind::PermissionDenied => refused(format!(
+            "you may not use {shown}; ask the site's owner to add you to the group of that socket, then log in again"
+        )),
         _ => absent(error.to_string()),
     };
     let owner = owner_of(path, &failed)?;

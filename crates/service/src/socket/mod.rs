@@ -17,8 +17,8 @@ use tokio::net::unix::OwnedWriteHalf;
 use tokio::sync::mpsc;
 
 pub use joining::{join, join_as_operator};
-pub use serving::listen;
 pub(crate) use serving::accept_operators;
+pub use serving::listen;
 
 use super::event::Event;
 use super::reply::{Failure, Reply};

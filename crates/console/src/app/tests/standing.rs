@@ -1,11 +1,11 @@
 //! Nothing is off unnoticed: the passphrase is asked for at the start, and each topic shows its state.
 
 use super::{Robot, fixtures};
+use crate::app::available::available;
 use crate::app::feed::Feed;
+use crate::app::identity_path::{self, Need};
 use crate::app::popup::{Popup, Purpose};
 use crate::app::standing::Capture;
-use crate::app::available::available;
-use crate::app::identity_path::{self, Need};
 use crate::app::verb::Verb;
 use crate::app::{Key, Settings, Tag};
 use crate::model::Timestamp;

@@ -24,7 +24,12 @@ impl Site {
 }
 
 impl Operators {
-    async fn judge(self: &Arc<Self>, operator: &Operator, profile: &ProfileName, needed: Needed) -> Result<(), Failure> {
+    async fn judge(
+        self: &Arc<Self>,
+        operator: &Operator,
+        profile: &ProfileName,
+        needed: Needed,
+    ) -> Result<(), Failure> {
         let refusal = if self.has(profile) {
             self.why_not(operator, needed).await
         } else {

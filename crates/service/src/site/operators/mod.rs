@@ -64,7 +64,9 @@ impl Operators {
         let (name, rights) = self.standing(uid).await?.inspect_err(|error| self.count(uid, error.word()))?;
         if rights.is_empty() {
             self.count(uid, "no right");
-            return Err(refused(format!("user '{name}' has no right at this site; ask its owner for one in [operators.rights]")));
+            return Err(refused(format!(
+                "user '{name}' has no right at this site; ask its owner for one in [operators.rights]"
+            )));
         }
         Ok(Arc::new(Operator { uid, name, standing: tokio::sync::Mutex::new((Instant::now(), rights)) }))
     }
