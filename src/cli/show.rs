@@ -14,9 +14,8 @@ use crate::service::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, Answer, AuditCheck, AuditView, BackupView, ChainView,
     CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceGatewaysView, DeviceRow,
     DeviceTopicsView, ExportedFile, FellowView, FleetView, GatewayStatusView, GatewaysView, GrantRow, IdentityView,
-    IncidentView, KeyChangeView, KeysView, OpenedView, PathView, PinsView, PolicyView, Provenance,
-    QuarantineView, RecordAudit, RecordPage, Reply, RingPullView, RobotGatewayView, RobotRow, RobotView, TopicRow,
-    TransactionView,
+    IncidentView, KeyChangeView, KeysView, OpenedView, PathView, PinsView, PolicyView, Provenance, QuarantineView,
+    RecordAudit, RecordPage, Reply, RingPullView, RobotGatewayView, RobotRow, RobotView, TopicRow, TransactionView,
 };
 use crate::service::{Client, Failure};
 use authros_output::Output;

@@ -9,12 +9,12 @@ use super::connect::{Context, ProfileNeed};
 use super::quarantine::{self, QuarantineVerb};
 use super::show::Question;
 use super::{adopt, check, follow, lists, parse, passphrase, playing, progress, recordings, viewing};
+use crate::model::ErrorKind;
 use crate::service::command::{
     CheckShared, CompareFingerprint, CreateIdentity, ExportUpload, ExtendGrant, ForeseeKeyChange, ListGrants, ListPins,
     ListShared, ListTopics, Lock, NameRecovery, ShowIdentity, ShowUpload, UnpinTopic, UnwatchTopic, ViewPath,
     WatchTopic,
 };
-use crate::model::ErrorKind;
 use crate::service::{Command, Failure, Needs, accounts};
 use authros_output::Output;
 
