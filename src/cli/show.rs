@@ -13,8 +13,8 @@ use crate::service::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, Answer, AuditCheck, AuditView, BackupView, ChainView,
     CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceAddressesView, DeviceRow,
     DeviceTopicsView, ExportedFile, GatewayStatusView, GrantRow, IdentityView, IncidentView, KeyChangeView, KeysView,
-    OpenedView, PathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, Reply,
-    RingPullView, RobotRow, RobotView, TopicRow, TransactionView,
+    OpenedViewPathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, Reply, RingPullView,
+    RobotRow, RobotView, TopicRow, TransactionView,
 };
 use crate::service::{Client, Failure};
 use authros_output::Output;

@@ -74,7 +74,7 @@ pub async fn run(context: Context, plan: Plan, output: &Output) -> Result<u8, Fa
 /// `config …`
 ///
 /// # Errors
-/// Operators of the settings whom this machine does not know.
+/// If the settings name users or groups that this machine does not have.
 pub fn config(context: &Context, verb: &ConfigVerb, output: &Output) -> Result<u8, Failure> {
     let settings = context.config.show();
     match verb {
@@ -204,6 +204,7 @@ pub async fn shared(context: Context, verb: SharedVerb, output: &Output) -> Resu
             return follow::run(context, follow::Which::Shared, parse::query(&list)?, output).await;
         }
         SharedVerb::List(list) => viewing::plan(ListShared(parse::query(&list)?)),
+        SharedVerb::Gateways(gateways) => viewing::plan(gateways.question()?),
         SharedVerb::Check { id } => viewing::plan(CheckShared { id }),
         SharedVerb::Open { id, out } => viewing::open(id, out),
         SharedVerb::Path { id, records } => viewing::plan(ViewPath { id, records }),

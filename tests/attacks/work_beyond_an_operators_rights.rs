@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::judge;
 use crate::parts::Parts;
-use crate::support::{Accounts, Home, list, skipped, text, wait_until};
+use crate::support::{Accounts, list, skipped, text, wait_until};
 
 const TOPIC: &str = "/robot1/odom";
 const REFUSED: i32 = 5;
@@ -26,15 +26,16 @@ fn work_beyond_an_operators_rights() {
     let rights =
         format!("{{ {bob} = [\"look\"], {eve} = [\"look\", \"grant\"], \"@{}\" = [\"look\"] }}", accounts.group);
     let own = accounts.home("keeper").join("site");
-    let alice = accounts
+    let keeper = accounts
         .authros("keeper")
-        .with(&["--home", own.to_str().expect("UTF-8"), "--profile", "alice", "--robots", "1"])
+        .with(&["--home", own.to_str().expect("UTF-8"), "--robots", "1"])
         .with_variable("AUTHROS_OPERATORS_SOCKET", socket.to_str().expect("UTF-8"))
         .with_variable("AUTHROS_OPERATORS_RIGHTS", &rights);
+    let alice = keeper.with(&["--profile", "alice"]);
     let mut site = alice.spawn(&["serve"]);
     site.wait_for_text("serving", 60);
     wait_until(60, "the operators' socket", || socket.exists().then_some(()));
-    let reader = Home::new().profile("carol").enrol();
+    let reader = keeper.with(&["--profile", "carol"]).enrol();
     alice.capture(&[TOPIC], 1);
     let id = text(&alice.records(&["uploads", "list"])[0], "id");
     let his = accounts.authros("bob").with(&["--site-socket", socket.to_str().expect("UTF-8"), "--profile", "alice"]);
@@ -67,8 +68,8 @@ fn work_beyond_an_operators_rights() {
     parts.refused("another socket", &replace(&accounts, &bob, &socket), "Permission denied");
 
     let mut flood = accounts.line(&bob, &socket);
-    let elsewhere = flood.ask("carol", &json!({ "command": "list_grants" }));
-    parts.refused("another profile", &text(&elsewhere["Err"], "message"), "no profile 'carol'");
+    let elsewhere = flood.ask("mallory", &json!({ "command": "watch_topic", "topic": TOPIC, "type_name": null }));
+    parts.refused("a profile that is not there", &text(&elsewhere["Err"], "message"), "no profile 'mallory'");
     let grant = json!({ "command": "grant", "grantee": reader, "topics": [], "epochs": "all", "expires": null });
     for _ in 0..TRIES {
         let answer = flood.ask("alice", &grant);

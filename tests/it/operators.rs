@@ -22,6 +22,8 @@ const PATIENCE: u64 = 120;
 struct Yard {
     site: Option<Running>,
     owner: Authros,
+    /// The account of another profile.
+    reader: String,
     socket: PathBuf,
     home: PathBuf,
 }
@@ -39,7 +41,8 @@ impl Yard {
             accounts.name("rob"),
         );
         let given = home.to_str().expect("UTF-8").to_owned();
-        let owner = accounts.authros("keeper").with(&["--home", &given, "--robots", "1", "--profile", "yard"]);
+        let keeper = accounts.authros("keeper").with(&["--home", &given, "--robots", "1"]);
+        let owner = keeper.with(&["--profile", "yard"]);
         owner.enrol();
         let config = home.join("config.toml");
         fs::write(&config, settings).expect("written");
@@ -48,7 +51,8 @@ impl Yard {
         let mut site = owner.spawn(&["serve"]);
         site.wait_for_text("serving", 60);
         wait_until(60, "the operators' socket", || socket.exists().then_some(()));
-        Self { site: Some(site), owner, socket, home }
+        let reader = keeper.with(&["--profile", "carol"]).enrol();
+        Self { site: Some(site), owner, reader, socket, home }
     }
 
     /// An account at the operators' socket.
@@ -79,7 +83,7 @@ fn each_account_does_what_the_settings_say_and_the_log_names_it() {
         Err(reason) => skipped!(reason),
     };
     let mut yard = Yard::open(&accounts);
-    let reader = Home::new().profile("carol").enrol();
+    let reader = yard.reader.clone();
     let [bob, eve, rob] = ["bob", "eve", "rob"].map(|name| yard.operator(&accounts, name));
 
     // The group looks; rights of user and group add up.
@@ -150,7 +154,8 @@ fn the_homes_socket_is_its_owners_and_an_operator_gives_no_passphrase() {
     };
     let mut yard = Yard::open(&accounts);
     // Root, too, who can open every file.
-    let root = Home::new().authros().with(&["--home", yard.home.to_str().expect("UTF-8"), "--profile", "yard"]);
+    let roots = Home::new();
+    let root = Authros::bare(roots.root()).with(&["--home", yard.home.to_str().expect("UTF-8"), "--profile", "yard"]);
     let refusal = root.fails(REFUSED, &["uploads", "list"]);
     assert!(refusal.contains("only that user may use its socket"), "{refusal}");
     // Even if every door to it stood open.

@@ -167,7 +167,8 @@ pub struct Line {
 impl Line {
     fn new(identity: &[String], socket: &Path) -> Self {
         let mut command = Command::new("setpriv");
-        command.args(identity).args(["--", "python3", "-c", BRIDGE]).arg(socket).current_dir("/");
+        let python = system_program("python3").expect("checked");
+        command.args(identity).arg("--").arg(python).args(["-c", BRIDGE]).arg(socket).current_dir("/");
         let mut bridge = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("it runs");
         let (asked, told) = (bridge.stdin.take().expect("piped"), bridge.stdout.take().expect("piped"));
         Self { bridge, asked, told: BufReader::new(told), number: 0 }

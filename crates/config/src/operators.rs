@@ -5,8 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize as _;
 
 use super::error::ConfigError;
-use super::lines::Lines;
-use super::read::{Source, Values, source_of, value, wrong};
+use super::read::{Source, Values, lines_of, source_of, value, wrong};
 use crate::model::{OperatorName, OperatorRight, OperatorRights, clean};
 
 const SOCKET: &str = "operators.socket";
@@ -74,8 +73,7 @@ fn rules(values: &Values, file: Option<(&Path, &str)>) -> Result<Vec<OperatorRul
         return Err(form());
     }
     let from_file = matches!(values.get(RIGHTS), Some((_, Source::File(_))));
-    let lines =
-        file.filter(|_| from_file).map(|(path, text)| Lines::of(&clean(&path.display().to_string(), 200), text));
+    let lines = file.filter(|_| from_file).map(|(path, text)| lines_of(path, text));
     let place = |key: &str| match &lines {
         Some(lines) => format!("{} line {}", lines.file, lines.line(&format!("{RIGHTS}.{key}"))),
         None => source_of(values, RIGHTS),

@@ -89,8 +89,13 @@ pub(super) fn document(file: &str, text: &str) -> Result<toml::Table, ConfigErro
 }
 
 pub(super) fn read_file(path: &Path, text: &str) -> Result<(FileValues, TopicRules), ConfigError> {
-    let file = clean(&path.display().to_string(), 200);
-    read_document(document(&file, text)?, &Lines::of(&file, text))
+    let lines = lines_of(path, text);
+    read_document(document(&lines.file, text)?, &lines)
+}
+
+/// The lines of a file, with its name in messages.
+pub(super) fn lines_of(path: &Path, text: &str) -> Lines {
+    Lines::of(&clean(&path.display().to_string(), 200), text)
 }
 
 /// Settings and rules of a document.

@@ -5,9 +5,7 @@
 
 use serde::Deserialize;
 
-use super::{
-    Command, IncidentCommand, Operation, PolicyCommand, RecordingCommand, RobotCommand, StoreCommand, Viewing,
-};
+use super::{Command, IncidentCommand, OperationPolicyCommand, RecordingCommand, RobotCommand, StoreCommand, Viewing};
 use crate::model::OperatorRight;
 
 /// Who may make a request.

@@ -189,7 +189,7 @@ mod tests {
     async fn a_socket_that_somebody_else_could_have_put_there_is_not_joined() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("operators.sock");
-        let join = async || join_as_operator(&path, ProfileName::default()).await.err().expect("not joined");
+        let join = async || join_as_operator(&path, ProfileName::default()).await.expect_err("not joined");
         let none = join().await;
         assert!(none.kind == ErrorKind::Unreachable && none.message.contains("authros serve"), "{none:?}");
         std::fs::write(&path, "").expect("a file");
