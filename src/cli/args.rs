@@ -108,7 +108,7 @@ pub enum Verb {
     Shared(SharedVerb),
     /// Devices that may sign for this profile: lend, recall, topics, gateways, list
     #[command(subcommand)]
-    Devices(super::adopt::DevicesVerb),
+    Devices(super::devices::DevicesVerb),
     /// Robots without a chain: enrol one, or run the agent on it
     #[command(subcommand)]
     Agent(AgentVerb),

@@ -7,7 +7,7 @@ use clap::Subcommand;
 use super::args::Global;
 use super::connect::{Context, ProfileNeed};
 use super::verbs::{self, NEITHER, Plan};
-use super::{adopt, parse, passphrase};
+use super::{parse, passphrase};
 use crate::crypto::{Fingerprint, OperatorKey, ProviderName, provider};
 use crate::model::{ErrorKind, OperatorName, PublicKey};
 use crate::service::command::{ActAsOperator, AddOperator, ChallengeOperator, ListOperators, RemoveOperator, Unlock};
@@ -77,7 +77,7 @@ pub async fn run(context: Context, verb: OperatorsVerb, output: &Output) -> Resu
         }
         OperatorsVerb::Add { name, rights, until, out, key, operator_passphrase_file } => {
             let rights = parse::value(&rights)?;
-            let until = until.as_deref().map(adopt::end).transpose()?;
+            let until = until.as_deref().map(parse::end).transpose()?;
             let ask = |name: OperatorName, key: PublicKey| AddOperator { name, key, rights, until };
             if let Some(key) = key {
                 let ask = ask(parse::value(&name)?, parse::value(&key)?);

@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::path::Path;
 
 use super::{
-    adopt, alerts, audit, check, coverage, fleet, gateway, gateways, incidents, lists, operators, parties, policy,
+    alerts, audit, check, coverage, devices, fleet, gateway, gateways, incidents, lists, operators, parties, policy,
     quarantine, robots, viewing,
 };
 use crate::crypto::private_file;
@@ -130,7 +130,7 @@ documents! {
 rows! {
     TopicRow, "topics" => lists::topics;
     GrantRow, "grants" => lists::grants;
-    DeviceRow, "devices" => adopt::devices;
+    DeviceRow, "devices" => devices::devices;
     ContactRow, "contacts" => parties::contact_table;
     AuditView, "audit" => audit::lines;
     AdmittedView, "admitted" => gateway::admitted;

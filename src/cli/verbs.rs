@@ -8,7 +8,7 @@ use super::args::{ConfigVerb, GrantsVerb, IdentityVerb, SharedVerb, TopicsVerb, 
 use super::connect::{Context, ProfileNeed};
 use super::quarantine::{self, QuarantineVerb};
 use super::show::Question;
-use super::{adopt, check, follow, lists, parse, passphrase, playing, progress, recordings, viewing};
+use super::{check, follow, lists, parse, passphrase, playing, progress, recordings, viewing};
 use crate::service::command::{
     CheckShared, CompareFingerprint, CreateIdentity, ExportUpload, ExtendGrant, ForeseeKeyChange, ListGrants, ListPins,
     ListShared, ListTopics, Lock, NameRecovery, ShowIdentity, ShowUpload, UnpinTopic, UnwatchTopic, ViewPath,
@@ -175,7 +175,7 @@ pub fn grants(verb: GrantsVerb) -> Result<Plan, Failure> {
     Ok(match verb {
         GrantsVerb::List => Plan::new(CHAIN, ProfileNeed::Unlocked, ListGrants),
         GrantsVerb::Extend { grantee, expires, .. } => {
-            let (grantee, expires) = (parse::value(&grantee)?, expires.as_deref().map(adopt::end).transpose()?);
+            let (grantee, expires) = (parse::value(&grantee)?, expires.as_deref().map(parse::end).transpose()?);
             Plan::new(CHAIN, ProfileNeed::Unlocked, ExtendGrant { grantee, expires })
         }
     })

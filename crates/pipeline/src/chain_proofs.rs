@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use authros_evidence::{BlockHeader, Nodes, Slot, Storage};
 use tokio::task::block_in_place;
 
-use crate::chain::{ChainError, Revision};
+use crate::chain::ChainError;
 use crate::model::{Address, Digest, Hash, SignerId};
 use crate::store::UnprovenBatch;
 
@@ -24,7 +24,7 @@ pub struct Shown {
     pub owner: Address,
     /// Who signed it.
     pub signer: SignerId,
-    /// The version of the owner's keys at the block; 0 if the contract keeps no history of them.
+    /// The version of the owner's keys at the block; 0 if it was not registered then.
     pub keys: u64,
     /// Its anchor.
     pub anchor: Anchor,
@@ -72,18 +72,12 @@ pub fn slots(all: impl IntoIterator<Item = Shown>) -> Vec<Slot> {
     slots.into_iter().map(Slot).collect()
 }
 
-/// The version of an account's keys in force at a block; 0 if the contract keeps no history of them.
-///
-/// # Errors
-/// Errors of the chain.
-pub fn key_version(network: &Network, owner: Address, block: u64) -> Result<u64, PipelineError> {
-    if network.chain.revision()? == Revision::First {
-        return Ok(0);
-    }
-    Ok(network.directory.with_account(owner, |account| {
+/// The version of an account's keys in force at a block; 0 if it was not registered then.
+pub fn key_version(network: &Network, owner: Address, block: u64) -> u64 {
+    network.directory.with_account(owner, |account| {
         let identities = account.map(|account| account.identities.as_slice()).unwrap_or_default();
         u64::try_from(identities.iter().filter(|identity| identity.block <= block).count()).unwrap_or(0)
-    }))
+    })
 }
 
 /// Fetches the proofs of confirmed batches that lack them, once for all batches of a block, the newest first: the node
@@ -141,7 +135,7 @@ async fn proof(
     let mut wanted = Vec::new();
     for batch in batches {
         for (owner, signer) in &batch.signers {
-            let (owner, signer, keys) = (*owner, *signer, key_version(network, *owner, block)?);
+            let (owner, signer, keys) = (*owner, *signer, key_version(network, *owner, block));
             wanted.push(Shown { owner, signer, keys, anchor: Anchor::Root(batch.account, batch.root) });
         }
     }

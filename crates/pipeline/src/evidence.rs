@@ -94,7 +94,7 @@ pub async fn gather(
         let record = BundledRecord { disclosure, ..record };
         match block_in_place(|| anchoring(reader, row))? {
             Some((block, anchor)) => {
-                let keys = chain_proofs::key_version(reader.network, row.owner, block)?;
+                let keys = chain_proofs::key_version(reader.network, row.owner, block);
                 let (digest, owner, signer) = (row.digest, row.owner, row.signer);
                 asked.push(Asked { digest, owner, signer, block, keys, anchor, record });
             }
@@ -135,10 +135,6 @@ fn stored(
     let (header, _) = Header::parse(&record).map_err(crate::crypto::CryptoError::DamagedRecord)?;
     if let Some(field) = columns::header_difference(row, &header) {
         return Err(PipelineError::RowDiffers { id: row.id.clone(), field });
-    }
-    if header.domain != reader.network.domain {
-        notes.push(format!("record {} belongs to an earlier chain or contract and is not in the bundle", row.id));
-        return Ok(None);
     }
     let own = reader.reader.signing().public;
     let known = [Some(own), plant.ledger.signer(row.signer)?, authority::key_of(plant, reader.network, row)?];
@@ -187,7 +183,7 @@ async fn show(reader: &Reader<'_>, asked: Vec<Asked>, gathered: &mut Gathered) -
     let head = chain.head().await?.number;
     let further = u64::try_from(chain.sealing().await?.sealers.len() / 2).unwrap_or(0);
     let (mut nodes, mut headers, mut identities) = (Nodes::default(), BTreeSet::new(), BTreeSet::new());
-    identities.insert((reader.reader.address, chain_proofs::key_version(reader.network, reader.reader.address, head)?));
+    identities.insert((reader.reader.address, chain_proofs::key_version(reader.network, reader.reader.address, head)));
     for (block, all) in blocks {
         let slots = slots(&all);
         let late = head.saturating_sub(further).max(block);

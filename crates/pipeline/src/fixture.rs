@@ -241,9 +241,7 @@ impl Process {
 
 /// Everything bound to a connected chain.
 pub fn network(chain: Chain) -> Network {
-    let pin = chain.pin().expect("pinned");
-    let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
+    let domain = chain.pin().expect("pinned").domain();
     let directory = Arc::new(Directory::new(domain, provider(ProviderName::RustCrypto)));
-    let (earlier, former, times) = (Arc::default(), Arc::default(), Arc::default());
-    Network { chain, domain, directory, earlier, former, confirmations: 1, times }
+    Network { chain, domain, directory, confirmations: 1, times: Arc::default() }
 }

@@ -12,7 +12,7 @@ use crate::crypto::{
     Anchor, CryptoError, EpochKey, Expected, GrantedKeys, IndexKey, OpenedRecord, TopicKey, WrappedKeys, check,
     check_deleted, open, topic_key, topic_key_by_name, unwrap,
 };
-use crate::model::{Address, Digest, Domain, GrantTerms, Header, RecordKind, RecordState, TopicId, Verdict};
+use crate::model::{Address, Digest, GrantTerms, Header, RecordKind, RecordState, TopicId, Verdict};
 use crate::store::{KeptEnvelope, RecordQuery, RecordRow, Retained};
 
 use super::authority::{Policy, ReadRefused, ReadingRight, may_read};
@@ -147,12 +147,9 @@ impl Reader<'_> {
         let anchor = if self.is_anchored(row).await? { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
         let signer = block_in_place(|| authority::signer_of(self.plant, self.network, row))?;
         let signer = signer.map_err(|why| PipelineError::NoRight { id: row.id.clone(), why: Box::new(why) })?;
-        // The owner's records of a former chain are bound to its domain, and sealed under its epochs.
-        let sealed_for = Header::parse(blob).map_or(self.network.domain, |(header, _)| header.domain);
-        let domain = if self.network.accepts(&sealed_for) { sealed_for } else { self.network.domain };
-        let keys = block_in_place(|| self.topic_keys_in(domain, row))?;
+        let keys = block_in_place(|| self.keys_for(row))?;
         let expected = Expected {
-            domain,
+            domain: self.network.domain,
             owner: row.owner,
             recorder: Some(row.recorder),
             epoch: Some(row.epoch),
@@ -192,14 +189,15 @@ impl Reader<'_> {
     /// # Errors
     /// `CryptoError::WrongKey` if no grant of this reader carries it.
     pub fn topic_key(&self, row: &RecordRow) -> Result<TopicKey, PipelineError> {
-        let keys = self.topic_keys_in(self.network.domain, row)?;
+        let keys = self.keys_for(row)?;
         keys.into_iter().next().ok_or_else(|| CryptoError::WrongKey.into())
     }
 
     /// Every key that may have sealed the record, the most likely first.
-    fn topic_keys_in(&self, domain: Domain, row: &RecordRow) -> Result<Vec<TopicKey>, PipelineError> {
+    fn keys_for(&self, row: &RecordRow) -> Result<Vec<TopicKey>, PipelineError> {
         if row.owner == self.reader.address {
-            let epoch_key = self.reader.epoch_key(domain, row.epoch).ok_or(PipelineError::UnknownEpoch(row.epoch))?;
+            let epoch_key = self.reader.epoch_key(self.network.domain, row.epoch);
+            let epoch_key = epoch_key.ok_or(PipelineError::UnknownEpoch(row.epoch))?;
             return Ok(keys_of(&epoch_key, row));
         }
         if let Ok(ReadingRight::Granted(grant)) = self.right(row.owner, None) {
@@ -218,7 +216,7 @@ impl Reader<'_> {
     /// # Errors
     /// Errors of the ledger.
     pub fn envelopes(&self, grant: &Granted) -> Result<Vec<Arc<WrappedKeys>>, PipelineError> {
-        let all = kept::envelopes(&self.plant.ledger, &self.network.directory, grant)?;
+        let all = kept::envelopes(&self.plant.ledger, grant)?;
         Ok(all.iter().filter_map(|envelope| self.open_one(grant, envelope).ok()).collect())
     }
 
@@ -227,7 +225,7 @@ impl Reader<'_> {
     /// # Errors
     /// If none opens, or none agrees with the chain's event.
     pub fn open_envelope(&self, grant: &Granted, epoch: u64) -> Result<Arc<WrappedKeys>, PipelineError> {
-        let mut all = kept::envelopes(&self.plant.ledger, &self.network.directory, grant)?;
+        let mut all = kept::envelopes(&self.plant.ledger, grant)?;
         all.retain(|envelope| envelope.epoch == epoch);
         first_good(all.iter().map(|envelope| self.open_one(grant, envelope)))
             .unwrap_or_else(|| Err(CryptoError::WrongKey.into()))
@@ -293,7 +291,7 @@ impl columns::Keys for Reader<'_> {
     fn topic_keys(&self, row: &RecordRow, header: &Header) -> Vec<TopicKey> {
         let (owner, epoch, topic_id) = (header.owner, header.epoch, header.topic_id);
         let asked = RecordRow { owner, topic_id, epoch, ..row.clone() };
-        self.topic_keys_in(header.domain, &asked).unwrap_or_default()
+        self.keys_for(&asked).unwrap_or_default()
     }
 
     fn index_key(&self, row: &RecordRow) -> Option<IndexKey> {

@@ -44,7 +44,6 @@ pub use self::right::Needed;
 pub use self::robots::{LONGEST_POLICY, ListRobots, PullRing, RobotCommand, SetRobotPolicy, ShowRobot};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
-use crate::chain::Revision;
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 use crate::service::reply::{
     AdministrationView, AuditCheck, AuditView, CaptureSummary, ChainView, CheckView, CompareView, ContactRow,
@@ -335,16 +334,11 @@ requests! {
     ChainStatus => Box<ChainView>;
     /// Pending and completed successions, and the profile's recovery account.
     ListSuccessions => Box<AdministrationView>;
-    /// Continue with the chain that answers now instead of the pinned one.
-    AdoptChain => TransactionView;
     /// Deploy the contract and pin it; refused if one is pinned already.
     DeployContract {
         /// The delay before a succession, seconds [default: a week].
         #[serde(default)]
         delay: Option<u64>,
-        /// The revision [default: the newest].
-        #[serde(default)]
-        revision: Option<Revision>,
     } => DeployedView;
     /// Answer other tools' JSON-RPC for the embedded chain, until the connection that requested it ends.
     ServeChain {

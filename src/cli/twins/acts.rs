@@ -41,26 +41,25 @@ fn place(tag: &Tag) -> Option<usize> {
         Tag::BackUp => 12,
         Tag::Administer(_) => 13,
         Tag::Deploy => 14,
-        Tag::Adopt => 15,
-        Tag::Pin(_) => 16,
-        Tag::Unpin(_) => 17,
-        Tag::Release(_) => 18,
-        Tag::Discard(_) => 19,
-        Tag::Publishers(_) => 20,
-        Tag::Show(_) => 21,
-        Tag::Open(_) => 22,
-        Tag::Check(_) => 23,
-        Tag::Export(_) => 24,
-        Tag::Contact(_) => 25,
-        Tag::Incident(..) => 26,
-        Tag::Play(_) => 27,
-        Tag::Fleet(_) => 28,
-        Tag::Robot(_) => 29,
-        Tag::SetPolicy(..) => 30,
+        Tag::Pin(_) => 15,
+        Tag::Unpin(_) => 16,
+        Tag::Release(_) => 17,
+        Tag::Discard(_) => 18,
+        Tag::Publishers(_) => 19,
+        Tag::Show(_) => 20,
+        Tag::Open(_) => 21,
+        Tag::Check(_) => 22,
+        Tag::Export(_) => 23,
+        Tag::Contact(_) => 24,
+        Tag::Incident(..) => 25,
+        Tag::Play(_) => 26,
+        Tag::Fleet(_) => 27,
+        Tag::Robot(_) => 28,
+        Tag::SetPolicy(..) => 29,
     })
 }
 
-const ACTS: usize = 31;
+const ACTS: usize = 30;
 
 /// An act, and the line that a person would type for it.
 type Act = (Tag, Command, String);
@@ -130,8 +129,7 @@ fn acts_of_rights() -> Vec<Act> {
         of_administrator("pause", Administration::Pause { paused: true, seconds: None }, "pause".to_owned()),
         of_administrator("suspend", Administration::Suspend { account: owner() }, format!("suspend {OWNER}")),
         of_administrator("propose", propose, format!("succession propose {OWNER} {OWNER}")),
-        (Tag::Deploy, Command::DeployContract { delay: None, revision: None }, "chain deploy".into()),
-        (Tag::Adopt, Command::AdoptChain, "chain adopt".into()),
+        (Tag::Deploy, Command::DeployContract { delay: None }, "chain deploy".into()),
         (Tag::Contact("bob".to_owned()), add, format!("contacts add bob {OWNER}")),
         (Tag::Contact("bob".to_owned()), remove, "contacts remove bob".into()),
     ]

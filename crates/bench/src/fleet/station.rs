@@ -83,7 +83,7 @@ impl Ground {
         let running = Running::begin(&Home::new(directory.join("chain")), settings).await?;
         let client = &running.client;
         client.ask(CreateIdentity { passphrase: passphrase()? }).await?;
-        client.ask(DeployContract { delay: None, revision: None }).await?;
+        client.ask(DeployContract { delay: None }).await?;
         let address = SocketAddr::from(([127, 0, 0, 1], 0));
         let url = client.ask(ServeChain { address }).await?.url;
         let network = running.site.network().await?;

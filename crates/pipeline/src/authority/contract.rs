@@ -50,7 +50,7 @@ fn is_covered(
     match may_read(directory, reader, owner, None, Policy::OwnSite) {
         Ok(ReadingRight::Own) => Ok(true),
         Ok(ReadingRight::Granted(grant)) => Ok(epoch >= grant.terms.epoch
-            || kept::envelopes(&plant.ledger, directory, &grant)?.iter().any(|envelope| envelope.epoch == epoch)),
+            || kept::envelopes(&plant.ledger, &grant)?.iter().any(|envelope| envelope.epoch == epoch)),
         Err(_) => Ok(false),
     }
 }

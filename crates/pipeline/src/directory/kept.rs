@@ -64,14 +64,14 @@ impl Told {
     }
 }
 
-/// Fills an empty directory from the ledger; `false` if nothing was stored of its contract, or it cannot be read.
+/// Fills an empty directory from the ledger; `false` if nothing is stored, or it cannot be read.
 ///
 /// # Errors
 /// Errors of the ledger.
 pub fn read_back(ledger: &Ledger, directory: &Directory) -> Result<bool, StoreError> {
-    let Some(standing) = ledger.standing_rights(directory.domain())? else { return Ok(false) };
+    let standing = ledger.standing_rights()?;
     let told: Option<Vec<Told>> = standing.events.iter().map(Told::from_row).collect();
-    let Some(told) = told else { return Ok(false) };
+    let Some(told) = told.filter(|_| standing.last.is_some()) else { return Ok(false) };
     for told in &told {
         directory.take(told);
     }
@@ -79,12 +79,12 @@ pub fn read_back(ledger: &Ledger, directory: &Directory) -> Result<bool, StoreEr
     Ok(true)
 }
 
-/// Stores events applied to a directory; those already stored are skipped.
+/// Stores events applied to the directory; those already stored are skipped.
 ///
 /// # Errors
 /// Errors of the ledger; then nothing more is stored.
-pub fn keep(ledger: &Ledger, directory: &Directory, told: &[Told]) -> Result<(), StoreError> {
-    ledger.keep_rights(directory.domain(), told.iter().map(Told::to_row).collect())
+pub fn keep(ledger: &Ledger, told: &[Told]) -> Result<(), StoreError> {
+    ledger.keep_rights(told.iter().map(Told::to_row).collect())
 }
 
 /// The grants that an account gave or received, including revoked ones, oldest first.
@@ -93,7 +93,7 @@ pub fn keep(ledger: &Ledger, directory: &Directory, told: &[Told]) -> Result<(),
 /// Errors of the ledger.
 pub fn history(ledger: &Ledger, directory: &Directory, account: Address) -> Result<Vec<Granted>, StoreError> {
     let mut revoked: BTreeMap<(Address, Address, u64), Granted> = BTreeMap::new();
-    for row in ledger.revoked_grants(directory.domain(), account)? {
+    for row in ledger.revoked_grants(account)? {
         let (Some(told), Some(epoch)) = (Told::from_row(&row), row.revoked) else { continue };
         match &told.event {
             // What it renewed was the same grant.
@@ -122,9 +122,9 @@ pub fn history(ledger: &Ledger, directory: &Directory, account: Address) -> Resu
 ///
 /// # Errors
 /// Errors of the ledger.
-pub fn envelopes(ledger: &Ledger, directory: &Directory, grant: &Granted) -> Result<Vec<KeptEnvelope>, StoreError> {
+pub fn envelopes(ledger: &Ledger, grant: &Granted) -> Result<Vec<KeptEnvelope>, StoreError> {
     let terms = &grant.terms;
-    let all = ledger.envelopes_between(directory.domain(), terms.owner, terms.grantee, grant.revoked)?;
+    let all = ledger.envelopes_between(terms.owner, terms.grantee, grant.revoked)?;
     let mut epochs: BTreeMap<u64, Vec<KeptEnvelope>> = BTreeMap::new();
     for envelope in all {
         let known = epochs.entry(envelope.epoch).or_default();
@@ -144,7 +144,7 @@ pub fn token(ledger: &Ledger, directory: &Directory, owner: Address, epoch: u64)
     let now = directory.with_account(owner, |account| {
         account.filter(|account| account.epoch == epoch).and_then(|account| account.token)
     });
-    now.map_or_else(|| ledger.epoch_token(directory.domain(), owner, epoch), |token| Ok(Some(token)))
+    now.map_or_else(|| ledger.epoch_token(owner, epoch), |token| Ok(Some(token)))
 }
 
 /// Whether an account ever registered this token.
@@ -153,5 +153,5 @@ pub fn token(ledger: &Ledger, directory: &Directory, owner: Address, epoch: u64)
 /// Errors of the ledger.
 pub fn has_token(ledger: &Ledger, directory: &Directory, owner: Address, token: Token) -> Result<bool, StoreError> {
     let now = directory.with_account(owner, |account| account.is_some_and(|account| account.token == Some(token)));
-    Ok(now || ledger.ever_had_token(directory.domain(), owner, token)?)
+    Ok(now || ledger.ever_had_token(owner, token)?)
 }

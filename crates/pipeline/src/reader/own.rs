@@ -2,7 +2,6 @@
 
 use super::Reader;
 use crate::crypto::{Anchor, Expected, OpenedRecord, open};
-use crate::model::Header;
 use crate::pipeline::PipelineError;
 use crate::store::RecordRow;
 
@@ -17,10 +16,9 @@ impl Reader<'_> {
             None => self.plant.ledger.local_copy(row.digest)?,
         };
         let Some(blob) = stored.filter(|_| row.owner == self.reader.address) else { return Ok(None) };
-        let domain = Header::parse(&blob).map_or(self.network.domain, |(header, _)| header.domain);
-        let Ok(keys) = self.topic_keys_in(domain, row) else { return Ok(None) };
+        let Ok(keys) = self.keys_for(row) else { return Ok(None) };
         let signers = [Some(self.reader.signing().public), self.plant.ledger.signer(row.signer)?];
-        let expected = Expected::any_of(domain, row.owner);
+        let expected = Expected::any_of(self.network.domain, row.owner);
         let opened = signers.iter().flatten().find_map(|signer| {
             let mut tried = keys.iter().map(|key| {
                 open(self.plant.provider, &blob, &row.signature, signer, Anchor::Unanchored, key, &expected)

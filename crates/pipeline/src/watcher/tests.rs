@@ -109,7 +109,7 @@ async fn a_reorg_while_the_directory_is_lost_is_noticed_all_the_same() {
     process.anchor(3).await;
     process.rounds_until("they are confirmed", |process| process.count(RecordState::Confirmed) == 3).await;
     let chain = other_way(&process, home.path(), 6).await;
-    process.plant.ledger.forget_rights(process.network.domain).expect("lost");
+    process.plant.ledger.forget_rights().expect("lost");
     process.network = network(chain);
     restore(&process.plant, &process.network).expect("restores");
     watch_round(&process.plant, &process.network).await.expect("goes back");

@@ -55,7 +55,7 @@ pub enum RecordingCommand {
     Progress,
 }
 
-/// How far the profile's imports, exports, audits, back-ups and adoptions are.
+/// How far the profile's imports, exports, audits and back-ups are.
 #[derive(Debug, Clone, Copy)]
 pub struct RecordingProgress;
 

@@ -96,7 +96,6 @@ impl Command {
             | Self::ConfirmContact { .. }
             | Self::Administer(_)
             | Self::NameRecovery { .. }
-            | Self::AdoptChain
             | Self::DeployContract { .. }
             | Self::ServeChain { .. }
             | Self::ServeGateway { .. }

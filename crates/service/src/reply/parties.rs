@@ -2,7 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::chain::Revision;
 use crate::model::{Address, ContactName, Hash, SignerId, Timestamp};
 pub use crate::pipeline::directory::GrantState;
 
@@ -94,20 +93,13 @@ pub struct AdministrationView {
     pub open: bool,
     /// Whether all changes are blocked now except those that take rights away.
     pub paused: bool,
-    /// When a pause ends; `None` = there is none, or it has no end.
-    #[serde(default)]
+    /// When a pause ends; `None` = there is none.
     pub paused_until: Option<Timestamp>,
-    /// The contract's revision.
-    #[serde(default)]
-    pub revision: Option<Revision>,
-    /// The delay of a succession, seconds; `None` = there are no successions.
-    #[serde(default)]
-    pub delay: Option<u64>,
+    /// The delay of a succession, seconds.
+    pub delay: u64,
     /// Pending successions.
-    #[serde(default)]
     pub proposals: Vec<ProposalView>,
     /// Who may stop a succession of the profile's account.
-    #[serde(default)]
     pub recovery: RecoveryView,
     /// Suspended accounts.
     pub suspended: Vec<Address>,

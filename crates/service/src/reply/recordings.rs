@@ -113,20 +113,20 @@ pub struct ExportView {
     pub topics: Vec<ExportedTopic>,
 }
 
-/// How far work is that takes long: an import, an export, an audit, a back-up, going over to another chain.
+/// Progress of long work: an import, an export, an audit, a back-up.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProgressView {
-    /// What it does now: `hashing`, `importing`, `verifying`, `exporting`, `auditing`, `writing`, or a step in words.
+    /// What it does now: `hashing`, `importing`, `verifying`, `exporting`, `auditing`, `writing`.
     pub step: String,
     /// The file, or what it is about, cleaned.
     pub file: String,
-    /// Bytes (import, back-up), records (export, audit) or steps done.
+    /// Bytes (import, back-up) or records (export, audit) done.
     pub done: u64,
     /// Their total; 0 if unknown.
     pub of: u64,
     /// Messages sealed or written, or so many of another unit.
     pub messages: u64,
-    /// What is counted there: `messages`, `records`, `files`; `steps` = the number of the present step.
+    /// What is counted there: `messages`, `records`, `files`.
     #[serde(default = "messages")]
     pub unit: String,
 }

@@ -69,7 +69,7 @@ type Looked = (bool, RecordState, HoldingRow);
 
 impl Ledger {
     /// The verified records behind a place (block, batch, leaf), at most `limit` looked at. Those that retention deleted,
-    /// or whose bytes are wrong, are left out, and those anchored in a contract that is not in use any more.
+    /// or whose bytes are wrong, are left out.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
@@ -81,9 +81,7 @@ impl Ledger {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
                 "SELECT batches.block, batches.key, leaf, topics.owner, recorders.id, topics.topic_id, records.seq,
-                     coalesce(records.block = batches.block, 0) AND records.deleted_at IS NULL
-                         AND NOT EXISTS (SELECT 1 FROM earlier_anchors AS earlier
-                             WHERE earlier.record = records.n AND earlier.block = records.block),
+                     coalesce(records.block = batches.block, 0) AND records.deleted_at IS NULL,
                      records.state
                  FROM batches INDEXED BY batches_anchored
                  CROSS JOIN leaves ON leaves.batch = batches.key
@@ -147,10 +145,7 @@ impl Ledger {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(&format!(
                 "SELECT {}, n FROM records WHERE topic = ?1 AND seq BETWEEN ?2 AND ?3 AND block IS NOT NULL
-                 AND deleted_at IS NULL AND state = ?5
-                 AND NOT EXISTS (SELECT 1 FROM earlier_anchors AS earlier
-                     WHERE earlier.record = records.n AND earlier.block = records.block)
-                 ORDER BY seq LIMIT ?4",
+                 AND deleted_at IS NULL AND state = ?5 ORDER BY seq LIMIT ?4",
                 rows::COLUMNS
             ))?;
             let (mut streams, mut found) = (HashMap::new(), Vec::new());
@@ -346,19 +341,6 @@ mod tests {
         verify(&ledger, &[3], 11);
         assert_eq!(told(&ledger.holdings((0, 0, 0), 9).expect("reads")), [1, 2, 3, 4, 5]);
         assert_eq!(held(), [1, 2, 3, 4, 5]);
-    }
-
-    #[test]
-    fn what_a_former_contract_anchors_is_nothing_to_tell_those_who_know_the_present_one() {
-        let home = tempfile::tempdir().expect("folder");
-        let ledger = ledger(&home);
-        take(&ledger, &[1, 2], 10);
-        ledger.leave_contract(crate::model::Domain([8; 32]), "adoptions", "[1]").expect("left");
-        take(&ledger, &[3], 20);
-        let page = ledger.holdings((0, 0, 0), 9).expect("reads");
-        assert_eq!((told(&page), page.last.map(|(block, ..)| block)), (vec![3], Some(20)));
-        let held = ledger.held_between(&[(WHICH, (1, 9))], 9).expect("reads");
-        assert_eq!(held.iter().map(|held| held.row.digest).collect::<Vec<_>>(), [Digest([3; 32])]);
     }
 
     #[test]
