@@ -186,7 +186,7 @@ impl Printed for CheckView {
     fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         output.result(&self, || {
             let contract = self.contract.map_or_else(String::new, |answer| format!("\n{}", answer.text()));
-            format!("{}: {}{contract}", self.id, self.verdict.word())
+            format!("{}{contract}", lists::verdict(&self))
         });
         Ok(lists::verdict_code(self.verdict))
     }

@@ -96,7 +96,7 @@ impl Chain {
     }
 
     /// What a pin says of a chain that cannot be asked, and why; every request fails.
-    pub fn absent(pin: Pin, confirmations: u64, why: String) -> Self {
+    pub fn absent(pin: Pin, why: String) -> Self {
         let provider = Provider::new(Transport::absent(ChainError::Absent { why }));
         let inner = Inner {
             provider: Arc::new(provider),
@@ -104,7 +104,7 @@ impl Chain {
             genesis: pin.genesis,
             client: "unknown".to_owned(),
             consensus: "unknown",
-            confirmations,
+            confirmations: 1,
             contract: RwLock::new(Some(pin)),
             gas: Mutex::default(),
         };

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 use super::sender::{Outgoing, Policy};
-use super::{Directory, Network, Observer, Plant, Sender, watcher};
+use super::{Network, Observer, Plant, Sender, watcher};
 use crate::chain::{Call, Chain, ChainOptions, Endpoint, Event, Pin};
 use crate::crypto::{EoaSecret, ProviderName, SmKeyPair, domain, prove, provider};
 use crate::model::{Digest, Hash, RecordKind, RecordState, Signature, SignerId, Timestamp, Token, TopicId};
@@ -241,7 +241,6 @@ impl Process {
 
 /// Everything bound to a connected chain.
 pub fn network(chain: Chain) -> Network {
-    let domain = chain.pin().expect("pinned").domain();
-    let directory = Arc::new(Directory::new(domain, provider(ProviderName::RustCrypto)));
-    Network { chain, domain, directory, confirmations: 1, times: Arc::default() }
+    let pin = chain.pin().expect("pinned");
+    Network::new(chain, &pin, provider(ProviderName::RustCrypto), 1)
 }

@@ -78,9 +78,10 @@ pub use session::CaptureSession;
 
 use std::sync::Arc;
 
+use crate::chain::{Chain, Pin};
 use crate::crypto::Provider;
 use crate::model::{Digest, Domain};
-use crate::store::{Ledger, Vault};
+use crate::store::{Ledger, StoreError, Vault};
 
 /// A worker's report to the service; short, never blocking.
 pub trait Observer: Send + Sync {
@@ -125,7 +126,7 @@ pub struct Plant {
 #[derive(Clone)]
 pub struct Network {
     /// The node or embedded chain, with the contract.
-    pub chain: crate::chain::Chain,
+    pub chain: Chain,
     /// Binds records to this chain and contract.
     pub domain: Domain,
     /// Registrations and grants, from the chain's events.
@@ -134,4 +135,26 @@ pub struct Network {
     pub confirmations: u64,
     /// Times of known blocks.
     pub times: Arc<BlockTimes>,
+    /// Why the chain cannot be asked, if it cannot: then this is what the home kept of it.
+    pub absent: Option<Arc<str>>,
+}
+
+impl Network {
+    /// A connected chain with the contract of this pin; nothing is known of its accounts yet.
+    pub fn new(chain: Chain, pin: &Pin, provider: &'static dyn Provider, confirmations: u64) -> Self {
+        let domain = pin.domain();
+        let directory = Arc::new(Directory::new(domain, provider));
+        Self { chain, domain, directory, confirmations, times: Arc::default(), absent: None }
+    }
+
+    /// What a home kept of a chain that cannot be asked, for reading alone: accounts and rights as of the last block read.
+    ///
+    /// # Errors
+    /// Errors of the ledger.
+    pub fn kept(plant: &Plant, pin: Pin, why: &str) -> Result<Self, StoreError> {
+        let chain = Chain::absent(pin.clone(), why.to_owned());
+        let network = Self { absent: Some(why.into()), ..Self::new(chain, &pin, plant.provider, 1) };
+        directory::kept::read_back(&plant.ledger, &network.directory)?;
+        Ok(network)
+    }
 }

@@ -69,8 +69,7 @@ impl Reader<'_> {
             return Ok((self.check_gone(row).await?, row.digest));
         };
         let digest = Digest(self.plant.provider.sm3(&[&blob]));
-        let anchored = self.is_anchored(row).await?;
-        let anchor = if anchored { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
+        let anchor = self.anchor(row).await?;
         let signer = block_in_place(|| authority::key_of(self.plant, self.network, row))?;
         let checked = signer.and_then(|signer| check(self.plant.provider, &blob, &row.signature, &signer, anchor).ok());
         let sound = checked.filter(|(header, ..)| columns::header_difference(row, header).is_none());
@@ -88,10 +87,11 @@ impl Reader<'_> {
         let signed = signer.is_some_and(|signer| {
             check_deleted(self.plant.provider, &retained.header, row.digest, &row.signature, &signer).is_ok()
         });
-        Ok(match (signed, self.is_anchored(row).await?) {
-            (true, true) => Verdict::Deleted,
+        Ok(match (signed, self.anchor(row).await?) {
+            (true, Anchor::Chain(_)) => Verdict::Deleted,
+            (true, Anchor::Remembered(_)) => Verdict::NotChecked,
             // Its anchor is not confirmed here yet, or not any more.
-            (true, false) if row.state < RecordState::Confirmed => Verdict::Unanchored,
+            (true, _) if row.state < RecordState::Confirmed => Verdict::Unanchored,
             (true | false, _) => Verdict::Tampered,
         })
     }
@@ -117,9 +117,15 @@ impl Reader<'_> {
         })
     }
 
-    async fn is_anchored(&self, row: &RecordRow) -> Result<bool, PipelineError> {
+    /// What the chain says of the record, or said when it could be asked.
+    async fn anchor(&self, row: &RecordRow) -> Result<Anchor, PipelineError> {
         let confirmed = matches!(row.state, RecordState::Confirmed | RecordState::Verified | RecordState::Tampered);
-        Ok(confirmed && proof::is_anchored(self.plant, self.network, row).await?)
+        let (anchored, digest) = match self.network.absent {
+            _ if !confirmed => return Ok(Anchor::Unanchored),
+            None => (proof::is_anchored(self.plant, self.network, row).await?, Anchor::Chain(row.digest)),
+            Some(_) => (block_in_place(|| proof::was_sighted(self.plant, row))?, Anchor::Remembered(row.digest)),
+        };
+        Ok(if anchored { digest } else { Anchor::Unanchored })
     }
 
     /// Checks and decrypts a record.
@@ -144,7 +150,7 @@ impl Reader<'_> {
     pub async fn open_bytes(&self, row: &RecordRow, blob: &[u8]) -> Result<OpenedRecord, PipelineError> {
         self.authorise(row)?;
         self.compare(row, blob)?;
-        let anchor = if self.is_anchored(row).await? { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
+        let anchor = self.anchor(row).await?;
         let signer = block_in_place(|| authority::signer_of(self.plant, self.network, row))?;
         let signer = signer.map_err(|why| PipelineError::NoRight { id: row.id.clone(), why: Box::new(why) })?;
         let keys = block_in_place(|| self.keys_for(row))?;

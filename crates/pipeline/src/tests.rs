@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use super::anchorer::Anchorer;
 use super::sender::Policy;
-use super::{Directory, Network, Observer, Owner, Plant, Sender, anchoring_accounts, proof, watcher};
+use super::{Network, Observer, Owner, Plant, Sender, anchoring_accounts, proof, watcher};
 use crate::chain::{Call, Chain, ChainOptions, Endpoint};
 use crate::crypto::sm3::sm3;
 use crate::crypto::{
@@ -62,8 +62,7 @@ impl Line {
         let chain = Chain::connect(options).await.expect("a chain");
         let pin = chain.deploy(&owner.eoa()).await.expect("deployed");
         let domain = pin.domain();
-        let directory = Arc::new(Directory::new(domain, plant.provider));
-        let network = Network { chain, domain, directory, confirmations: 1, times: Arc::default() };
+        let network = Network::new(chain, &pin, plant.provider, 1);
         let sender = Sender::new(plant.ledger.clone(), Arc::clone(&plant.observer), Policy { cap: None });
         let (signing, envelope) = (owner.signing(), owner.envelope().public);
         let identity = prove(plant.provider, &domain, &owner.address, &signing, &envelope, Token([1; 32]));

@@ -380,6 +380,7 @@ fn checked(state: &mut State, check: &CheckView) {
             state.inform(text);
         }
         Verdict::Unanchored => state.inform(format!("{text}: not on the chain yet, other checks passed")),
+        Verdict::NotChecked => state.inform(format!("{text}: {}", check.reason.as_deref().unwrap_or("no chain"))),
         Verdict::Tampered => state.complain(format!("{text}: the stored bytes are not the ones anchored")),
         Verdict::Deleted => state.inform(format!("{text}: header, signature and proof stay")),
         Verdict::Missing => state.complain(format!("{text}: the stored bytes are missing")),

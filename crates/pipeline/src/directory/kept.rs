@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Directory, Extension, Granted};
 use crate::chain::Event;
-use crate::model::{Address, Hash, Token};
+use crate::model::{Address, Hash, Identity, Token};
 use crate::store::{KeptEnvelope, KeptRight, Ledger, RightEvent, RightKind, StoreError};
 
 /// An event with what follows from it alone.
@@ -85,6 +85,19 @@ pub fn read_back(ledger: &Ledger, directory: &Directory) -> Result<bool, StoreEr
 /// Errors of the ledger; then nothing more is stored.
 pub fn keep(ledger: &Ledger, told: &[Told]) -> Result<(), StoreError> {
     ledger.keep_rights(told.iter().map(Told::to_row).collect())
+}
+
+/// The identity of an account with this version of its keys, as registered; `None` if the chain's events have none.
+///
+/// # Errors
+/// Errors of the ledger.
+pub fn identity(ledger: &Ledger, account: Address, version: u64) -> Result<Option<Identity>, StoreError> {
+    let registered = |row: &KeptRight| match Told::from_row(row)?.event {
+        Event::Registered { identity, .. } if version == 1 => Some(identity),
+        Event::KeysRotated { keys, identity, .. } if keys == version => Some(identity),
+        _ => None,
+    };
+    Ok(ledger.other_rights(account)?.iter().find_map(registered))
 }
 
 /// The grants that an account gave or received, including revoked ones, oldest first.

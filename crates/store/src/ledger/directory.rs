@@ -137,6 +137,19 @@ impl Ledger {
         })
     }
 
+    /// The events about an account that are neither grants nor epochs, in the chain's order.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn other_rights(&self, account: Address) -> Result<Vec<KeptRight>, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT block, place, event, revoked FROM rights INDEXED BY rights_standing
+                       WHERE owner = ?1 AND kind = 5 AND replaced IS NULL AND revoked IS NULL ORDER BY block, place";
+            let mut statement = connection.prepare_cached(sql)?;
+            Ok(statement.query_map([account.0], kept)?.collect::<Result<_, _>>()?)
+        })
+    }
+
     /// Undoes the events of all blocks from `from` on, and what they superseded, in one commit.
     ///
     /// # Errors

@@ -106,6 +106,9 @@ CREATE TABLE passed_over (record INTEGER PRIMARY KEY, tx BLOB, block INTEGER NOT
 CREATE TABLE chain_nodes (key INTEGER PRIMARY KEY, hash BLOB NOT NULL UNIQUE, node BLOB NOT NULL);
 CREATE TABLE chain_proofs (block INTEGER PRIMARY KEY, hash BLOB NOT NULL, nodes BLOB NOT NULL);
 
+-- The headers of those blocks, and of the blocks after them whose sealers confirm them; RLP.
+CREATE TABLE chain_headers (block INTEGER PRIMARY KEY, header BLOB NOT NULL);
+
 -- How far the watcher has read, and the blocks that it has seen.
 CREATE TABLE cursors (name TEXT PRIMARY KEY, block INTEGER NOT NULL, hash BLOB NOT NULL) WITHOUT ROWID;
 CREATE TABLE trail (block INTEGER PRIMARY KEY, hash BLOB NOT NULL);

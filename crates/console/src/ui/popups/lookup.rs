@@ -129,6 +129,7 @@ pub(super) fn verdict_line(verdict: Verdict) -> Vec<Piece> {
     let (text, role) = match verdict {
         Verdict::Verified => ("verified: digest matches the chain, signature valid", Role::Good),
         Verdict::Unanchored => ("unanchored: signature valid, but the digest is not on the chain yet", Role::Warning),
+        Verdict::NotChecked => ("not checked against the chain now; confirmed earlier, signature valid", Role::Warning),
         Verdict::Tampered => ("tampered: the stored bytes are not the ones anchored or signed", Role::Bad),
         Verdict::Deleted => ("deleted by retention: header, signature and proof stay", Role::Warning),
         Verdict::Missing => ("missing: the stored bytes are gone", Role::Bad),

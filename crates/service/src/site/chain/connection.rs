@@ -16,7 +16,7 @@ use tokio::task::block_in_place;
 
 use crate::chain::{Chain, ChainError, ChainOptions, DEFAULT_DELAY, Endpoint, Pin};
 use crate::model::ErrorKind;
-use crate::pipeline::{Directory, Network, Owner, PipelineError, watcher};
+use crate::pipeline::{Network, Owner, PipelineError, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, internal};
 use crate::service::reply::Failure;
@@ -49,17 +49,7 @@ impl Connection {
 
 impl Connection {
     pub(in crate::site) fn pin(&self) -> Result<Option<Pin>, Failure> {
-        let path = self.home.pin();
-        match std::fs::read(&path) {
-            Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|_| {
-                let path = path.display();
-                input(format!(
-                    "{path} is damaged, so the chain this home is bound to is unknown; restore the file from a backup"
-                ))
-            }),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
-            Err(error) => Err(Failure::new(ErrorKind::Home, format!("{} cannot be read: {error}", path.display()))),
-        }
+        pin_of(&self.home)
     }
 
     /// Writes the pin unless the file has it already: a command that only looks writes nothing.
@@ -133,7 +123,7 @@ impl Connection {
     }
 
     pub(in crate::site) async fn use_network(self: &Arc<Self>, chain: Chain, pin: &Pin) -> Result<(), Lost> {
-        let network = self.network_of(chain, pin);
+        let network = Network::new(chain, pin, self.plant.provider, self.config.confirmations);
         block_in_place(|| watcher::restore(&self.plant, &network))?;
         let head = watcher::watch_round(&self.plant, &network).await?;
         self.link.has_scanned(head.number);
@@ -141,14 +131,6 @@ impl Connection {
         self.hub.changed(Part::Chain);
         self.hub.changed(Part::Health);
         Ok(())
-    }
-
-    /// The network with everything bound to it.
-    pub(in crate::site) fn network_of(&self, chain: Chain, pin: &Pin) -> Network {
-        let domain = pin.domain();
-        let directory = Arc::new(Directory::new(domain, self.plant.provider));
-        let confirmations = self.config.confirmations;
-        Network { chain, domain, directory, confirmations, times: Arc::default() }
     }
 
     /// The network; deploys the contract with the owner's account if there is none yet.
@@ -188,9 +170,24 @@ impl Connection {
     }
 }
 
+/// The chain and contract that a home is bound to; `None` = none yet.
+pub(in crate::site) fn pin_of(home: &Home) -> Result<Option<Pin>, Failure> {
+    let path = home.pin();
+    match std::fs::read(&path) {
+        Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|_| {
+            let path = path.display();
+            input(format!(
+                "{path} is damaged, so the chain this home is bound to is unknown; restore the file from a backup"
+            ))
+        }),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(Failure::new(ErrorKind::Home, format!("{} cannot be read: {error}", path.display()))),
+    }
+}
+
 /// Why the chain could not be connected.
 pub(in crate::site) enum Lost {
-    /// Another chain answers.
+    /// Another chain answers, or the embedded one has no file any more.
     Swapped(Failure),
     /// Anything else.
     Other(Failure),
@@ -199,7 +196,7 @@ pub(in crate::site) enum Lost {
 impl From<ChainError> for Lost {
     fn from(error: ChainError) -> Self {
         match error {
-            ChainError::Swapped { .. } => Self::Swapped(error.into()),
+            ChainError::Swapped { .. } | ChainError::Gone { .. } => Self::Swapped(error.into()),
             other => Self::Other(other.into()),
         }
     }

@@ -187,7 +187,7 @@ impl Reading {
         addresses: bool,
     ) -> Result<Vec<ExportedFile>, Failure> {
         let row = self.own_record(&owner.profile, id).await?;
-        let network = self.link.network().await?;
+        let network = self.network_or_kept().await?;
         let files = self.files_of(&network, &row, addresses);
         self.log.deed(&owner.profile, "export record", &row.id, files).await
     }
