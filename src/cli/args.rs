@@ -90,7 +90,7 @@ pub enum Verb {
     /// Recordings (bag, MCAP): import
     #[command(subcommand)]
     Bag(super::recordings::BagVerb),
-    /// Own records: list, show, export
+    /// Own records: list, show, export; import those of another home
     #[command(subcommand)]
     Uploads(UploadsVerb),
     /// Share records with an account

@@ -39,7 +39,9 @@ pub use self::operators::{
     ActAsOperator, AddOperator, ChallengeOperator, ListOperators, OperatorCommand, RemoveOperator,
 };
 pub use self::playing::{Pace, PlayWishes, Remap};
-pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
+pub use self::recordings::{
+    ExportWishes, HomeWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress,
+};
 pub use self::right::Needed;
 pub use self::robots::{LONGEST_POLICY, ListRobots, PullRing, RobotCommand, SetRobotPolicy, ShowRobot};
 pub use self::secret::{SecretBytes, SecretText};

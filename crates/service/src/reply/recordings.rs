@@ -33,7 +33,7 @@ pub struct LeftOut {
 /// The result of an import.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct ImportView {
-    /// The file, cleaned.
+    /// The file, or the other home, cleaned.
     pub file: String,
     /// SM3 of the file.
     pub digest: Option<Digest>,
@@ -41,7 +41,7 @@ pub struct ImportView {
     pub imported: u64,
     /// Of these, verified: re-read from the vault, digest equal to the chain, signature valid.
     pub verified: u64,
-    /// Messages sealed by an earlier import of the same file; they are not sealed twice.
+    /// Messages sealed by an earlier import of the same file or home; they are not sealed twice.
     pub already: u64,
     /// Messages given up because their profile has no keys in force.
     pub lost: u64,
@@ -139,7 +139,7 @@ fn messages() -> String {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordingReply {
-    /// To `Import`.
+    /// To `Import` and `ImportHome`.
     Imported(ImportView),
     /// To `Export`.
     Exported(ExportView),

@@ -150,7 +150,12 @@ impl Connection {
         let NetworkState::Bare(chain) = self.link.settled().await? else { return self.link.network().await };
         let eoa = owner.eoa();
         self.fund(&chain, owner).await?;
-        let pin = chain.deploy_with(&eoa, delay).await?;
+        let mut pin = chain.deploy_with(&eoa, delay).await?;
+        // A chain that was wiped and founded as before gives a contract the address of the lost one: records of both could
+        // not be distinguished. Each further deployment has another address.
+        while !owner.epochs(pin.domain()).is_empty() {
+            pin = chain.deploy_with(&eoa, delay).await?;
+        }
         self.save_pin(&pin)?;
         self.use_network(chain, &pin).await?;
         self.log.write(&owner.profile, "deploy", &pin.contract.to_string(), "done").await?;
