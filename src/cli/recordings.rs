@@ -70,7 +70,7 @@ pub struct ExportArguments {
     /// none, bz2 (bag), lz4, zstd (MCAP)
     #[arg(long, value_name = "HOW", default_value = "none")]
     pub compression: String,
-    /// Include records not yet confirmed on the chain; all other checks still apply
+    /// Include records that the chain does not confirm yet, or cannot be asked about; all other checks still apply
     #[arg(long)]
     pub unanchored: bool,
 }
@@ -267,7 +267,7 @@ fn export_code(view: &ExportView, output: &Output) -> u8 {
     let words = [
         (refused.tampered, "differ from what was anchored"),
         (refused.missing, "are missing from the vault"),
-        (refused.unanchored, "are not confirmed on the chain yet (--unanchored writes them too)"),
+        (refused.unanchored, "are not confirmed by the chain now (--unanchored writes them too)"),
         (refused.no_key, "cannot be opened with this profile's keys"),
         (refused.held, "are quarantined or discarded"),
         (refused.no_definition, "have no readable definition of their type"),

@@ -42,6 +42,14 @@ async fn what_is_kept_of_a_block_proves_its_anchor_when_the_chain_has_forgotten_
     assert_eq!(chain.storage_nodes(first.block, &asked).await.is_err(), blocks == STATES, "the chain has forgotten it");
     let found = kept(&line.plant, &line.network, first.block, &asked).await.expect("read").expect("kept");
     assert_eq!(found, fetched, "exactly what the chain gave for it");
+    // Without the chain, what was kept of it says the same, and nothing is called verified.
+    let absent = Network::kept(&line.plant, chain.pin().expect("pinned"), "it was wiped").expect("read");
+    let found = kept(&line.plant, &absent, first.block, &asked).await.expect("read").expect("kept");
+    assert_eq!(found, fetched);
+    let known = |network: &Network| network.directory.account(line.owner.address).expect("registered").identities;
+    assert_eq!(known(&absent), known(&line.network));
+    let error = absent.chain.head().await.expect_err("nobody is asked").to_string();
+    assert!(error.contains("the chain cannot be asked: it was wiped"), "{error}");
     // Nothing is said for another block's batch, or for what was not asked then.
     let other = slots([Shown {
         owner: crate::model::Address([9; 20]),

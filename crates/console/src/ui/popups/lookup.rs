@@ -56,7 +56,7 @@ fn fitted(evidence: &str, width: u16) -> String {
 
 /// A step that is done, or the state that a record is in.
 fn step_role(word: &str) -> Role {
-    const DONE: [&str; 12] = [
+    const DONE: [&str; 11] = [
         "message",
         "record",
         "digest",
@@ -68,7 +68,6 @@ fn step_role(word: &str) -> Role {
         "transaction",
         "block",
         "confirmations",
-        "earlier chain",
     ];
     if DONE.contains(&word) {
         return Role::Accent;
