@@ -79,9 +79,6 @@ contract AuthROS {
         address recovery;
     }
 
-    /// @notice Which contract this is.
-    uint256 public constant REVISION = 2;
-
     /// @notice Length of an identity: token (32) || P_C (64) || P_E (64) || proof (64).
     uint256 public constant IDENTITY_LENGTH = 224;
     /// @notice The most topics in the scope of a grant.
@@ -135,7 +132,7 @@ contract AuthROS {
     mapping(address => Recovery) private recoveries;
 
     /// @notice How long a succession waits where the lost account has a recovery account, else twice as long; seconds.
-    /// @dev Written by the constructor alone. Not immutable, so that all contracts of this revision have the same code.
+    /// @dev Written by the constructor alone. Not immutable, so that all contracts have the same code.
     uint64 public delay;
     /// @notice The succession that was proposed for an account and waits.
     mapping(address => Proposal) public proposalOf;

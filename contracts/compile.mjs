@@ -10,7 +10,7 @@ import { basename, dirname, join, resolve } from "node:path";
 import { fileURLToPath } from "node:url";
 
 const HERE = dirname(fileURLToPath(import.meta.url));
-const CONTRACTS = ["AuthROS", "revision1/AuthROS", "bench/Prototype"];
+const CONTRACTS = ["AuthROS", "bench/Prototype"];
 const DEPRECATED = /Support for EVM versions older than \w+ is deprecated/;
 const YOUNGER_THAN_ISTANBUL = /\b(PUSH0|MCOPY|TLOAD|TSTORE|BASEFEE|BLOBHASH|BLOBBASEFEE|PREVRANDAO|CLZ)\b/;
 const OUTPUTS = ["abi", "userdoc", "devdoc", "metadata", "evm.bytecode", "evm.deployedBytecode"];

@@ -782,15 +782,15 @@ class Record:
             self.account, slot = unhex(how["account"]), mapped(unhex(how["root"]), mapped(unhex(how["account"]), 8))
             block, count, self.time, self.keys = self.storage.numbers(slot)
         else:
-            self.account, self.time, self.keys = owner, 0, 0
+            self.account, self.keys = owner, None
             block, count = self.storage.numbers(mapped(self.digest, mapped(owner, 5)))[0], None
+            self.time = time if block == number else 0
         if not block:
             raise Refused("the state does not have its anchor")
         if count == how.get("count") == 1 and block < claim["block"]:
             raise Unproven("the state keeps only the first block of a root")
         if block != claim["block"] or count != how.get("count") or number != claim["shown_at"] or block > number:
             raise Refused("the state has another anchor")
-        self.time = self.time or (time if block == number else 0)
         if self.time > time:
             raise Refused("the anchor is later than the state")
         self.block, self.shown_at, self.claimed = block, number, claim["keys"]
@@ -837,8 +837,8 @@ class Record:
         if not hasattr(self, "block"):
             raise Unproven("no anchor is shown")
         owner, storage = self.header["owner"], self.storage
-        version = self.keys if self.keys and self.account == owner else self.claimed
-        keys = storage.keys(owner, version) if version else None
+        version = self.keys if self.keys is not None and self.account == owner else self.claimed
+        keys = storage.keys(owner, version)
         if keys is None:
             raise Unproven("nothing shows the owner's keys")
         after = storage.keys(owner, version + 1)

@@ -19,7 +19,6 @@ contract AdministratorTest is World {
         vm.assertEq(abi.encodePacked(logs[2].topics), abi.encode(keccak256("DelayFixed(uint64)")), "delay");
         vm.assertEq(logs[2].data, abi.encode(DELAY), "delay");
         vm.assertEq(closed.delay(), DELAY, "delay");
-        vm.assertEq(closed.REVISION(), 2, "revision");
         vm.assertEq(closed.administrator(), ADMIN, "administrator");
         vm.assertEq(closed.open(), false, "closed");
         vm.assertEq(authros.open(), true, "open");

@@ -50,7 +50,7 @@ async fn enrol(context: Context, arguments: EnrolArguments, output: &Output) -> 
         name: parse::value(&arguments.name)?,
         topics: parse::values(&arguments.topics)?,
         all_topics: arguments.all_topics,
-        until: arguments.until.as_deref().map(super::adopt::end).transpose()?,
+        until: arguments.until.as_deref().map(super::parse::end).transpose()?,
         passphrase: passphrase.clone(),
     };
     let connection = context.connect(Needs { ros: false, chain: true }).await?;

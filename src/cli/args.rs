@@ -90,7 +90,7 @@ pub enum Verb {
     /// Recordings (bag, MCAP): import
     #[command(subcommand)]
     Bag(super::recordings::BagVerb),
-    /// Own records: list, show, export
+    /// Own records: list, show, export; import those of another home
     #[command(subcommand)]
     Uploads(UploadsVerb),
     /// Share records with an account
@@ -108,7 +108,7 @@ pub enum Verb {
     Shared(SharedVerb),
     /// Devices that may sign for this profile: lend, recall, topics, addresses, list
     #[command(subcommand)]
-    Devices(super::adopt::DevicesVerb),
+    Devices(super::devices::DevicesVerb),
     /// Robots without a chain: enrol one, or run the agent on it
     #[command(subcommand)]
     Agent(AgentVerb),
@@ -326,10 +326,63 @@ pub struct ConsoleArguments {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::chain::{ChainError, SEAL_ANEW};
+    use clap::error::ErrorKind;
 
     #[test]
     fn the_command_line_is_consistent() {
         Arguments::command().debug_assert();
+    }
+
+    /// What stands between backticks and begins with the program's name; a text goes on after a backslash.
+    fn commands(text: &str) -> Vec<String> {
+        let whole = text.replace("\\\n", " ");
+        let named = whole.split('`').skip(1).step_by(2).filter(|quoted| quoted.starts_with("authros "));
+        named.map(|quoted| quoted.split_whitespace().collect::<Vec<_>>().join(" ")).collect()
+    }
+
+    /// Why a command does not exist; values may be placeholders, and a noun may stand for all of its verbs.
+    fn unknown(command: &str) -> Option<String> {
+        let error = Arguments::try_parse_from(with_values_joined(command.split(' ').map(OsString::from))).err()?;
+        let exists = !matches!(error.kind(), ErrorKind::InvalidSubcommand | ErrorKind::UnknownArgument);
+        if exists { None } else { Some(format!("`{command}`: {error}")) }
+    }
+
+    #[test]
+    fn what_is_advised_where_a_chain_is_lost_parses() {
+        let (url, what, path) = (String::from("http://node:8545"), "genesis block", PathBuf::from("chain.db"));
+        let lost = [
+            ChainError::Swapped { url, what, pinned: "a".to_owned(), found: "b".to_owned() },
+            ChainError::Gone { path: path.clone() },
+            ChainError::Tampered { path, block: 7, what: "its hash".to_owned() },
+        ];
+        for error in lost {
+            let text = error.to_string();
+            let [command] = commands(&text).try_into().expect("one command");
+            assert!(text.contains(SEAL_ANEW), "{text}");
+            assert!(Arguments::try_parse_from(command.split(' ')).is_ok(), "{command}");
+        }
+    }
+
+    #[test]
+    fn no_message_names_a_command_that_does_not_exist() {
+        fn sources(folder: &std::path::Path, found: &mut Vec<PathBuf>) {
+            for entry in std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").path()) {
+                if entry.is_dir() {
+                    sources(&entry, found);
+                } else if entry.extension().is_some_and(|ends| ends == "rs") {
+                    found.push(entry);
+                }
+            }
+        }
+        let (root, mut found) = (std::path::Path::new(env!("CARGO_MANIFEST_DIR")), Vec::new());
+        ["src", "crates"].iter().for_each(|folder| sources(&root.join(folder), &mut found));
+        // A quoted text ends with its line unless a backslash continues it: an odd backtick spoils no other line.
+        let lines = found.iter().map(|path| std::fs::read_to_string(path).expect("UTF-8").replace("\\\n", " "));
+        let named: Vec<String> = lines.flat_map(|text| text.lines().flat_map(commands).collect::<Vec<_>>()).collect();
+        assert!(named.len() > 100, "{named:?}");
+        let wrong: Vec<String> = named.iter().filter_map(|command| unknown(command)).collect();
+        assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     }
 
     /// clap takes such a pair for one option and panics where it reads the other's type.

@@ -12,10 +12,10 @@ use super::args::{ChainVerb, GenesisArguments, Global, SuccessionVerb};
 use super::connect::{Context, ProfileNeed};
 use super::verbs::{CHAIN, Plan};
 use super::{parse, serve as site};
-use crate::chain::{GUIDE, Genesis, GenesisKind, Revision};
+use crate::chain::{GUIDE, Genesis, GenesisKind};
 use crate::model::ErrorKind;
 use crate::service::command::{
-    Administer, Administration, AdoptChain, ChainStatus, DeployContract, ListSuccessions, ServeChain, SiteStatus,
+    Administer, Administration, ChainStatus, DeployContract, ListSuccessions, ServeChain, SiteStatus,
 };
 use crate::service::reply::ServedView;
 use crate::service::{Client, Failure, Needs};
@@ -31,9 +31,9 @@ pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8,
         ChainVerb::Genesis(arguments) => return genesis(&arguments, output),
         ChainVerb::Serve { listen } => return serve(Context::new(global, output)?, listen, output).await,
         ChainVerb::Status => Plan::new(CHAIN, ProfileNeed::None, ChainStatus),
-        ChainVerb::Adopt => Plan::new(CHAIN, ProfileNeed::Unlocked, AdoptChain),
-        ChainVerb::Deploy { delay, revision } => {
-            Plan::new(CHAIN, ProfileNeed::Made, deployment(delay.as_deref(), revision)?)
+        ChainVerb::Deploy { delay } => {
+            let delay = delay.as_deref().map(seconds).transpose()?;
+            Plan::new(CHAIN, ProfileNeed::Made, DeployContract { delay })
         }
         ChainVerb::Succession(SuccessionVerb::List) => Plan::new(CHAIN, ProfileNeed::None, ListSuccessions),
         ChainVerb::Succession(SuccessionVerb::Propose { lost, successor }) => {
@@ -44,9 +44,6 @@ pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8,
         }
         ChainVerb::Succession(SuccessionVerb::Complete { lost }) => {
             unlocked(Administration::Complete { lost: parse::value(&lost)? })
-        }
-        ChainVerb::Succeed { lost, successor } => {
-            unlocked(Administration::Succeed { lost: parse::value(&lost)?, successor: parse::value(&successor)? })
         }
         ChainVerb::Dismiss { account } => unlocked(Administration::Dismiss { account: parse::value(&account)? }),
         ChainVerb::Admit { account } => unlocked(Administration::Admit { account: parse::value(&account)? }),
@@ -63,12 +60,6 @@ pub async fn run(global: Global, verb: ChainVerb, output: &Output) -> Result<u8,
         ChainVerb::Accept => unlocked(Administration::Accept),
     };
     super::verbs::run(Context::new(global, output)?, plan, output).await
-}
-
-fn deployment(delay: Option<&str>, revision: Option<u8>) -> Result<DeployContract, Failure> {
-    let unknown = |error: String| Failure::new(ErrorKind::Input, error);
-    let revision = revision.map(Revision::try_from).transpose().map_err(unknown)?;
-    Ok(DeployContract { delay: delay.map(seconds).transpose()?, revision })
 }
 
 fn seconds(text: &str) -> Result<u64, Failure> {

@@ -9,8 +9,8 @@ use crate::pipeline::columns::Compared;
 use crate::pipeline::sender::LaneState;
 use crate::service::Failure;
 use crate::service::reply::{
-    Caveat, ChainView, DeployedView, Direction, GrantRow, IdentityView, KeysView, Provenance, RecordPage, RecordView,
-    ShownState, TopicRow,
+    Caveat, ChainView, CheckView, DeployedView, Direction, GrantRow, IdentityView, KeysView, Provenance, RecordPage,
+    RecordView, ShownState, TopicRow,
 };
 use authros_output::{Output, table};
 
@@ -27,10 +27,17 @@ fn or_dash<T: ToString>(value: Option<T>) -> String {
     value.map_or_else(|| "-".to_owned(), |value| value.to_string())
 }
 
+/// A check, with the reason if the chain was not asked.
+pub fn verdict(view: &CheckView) -> String {
+    let reason = view.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
+    format!("{}: {}{reason}", view.id, view.verdict.word())
+}
+
 /// The exit code of a check.
 pub fn verdict_code(verdict: Verdict) -> u8 {
     match verdict {
         Verdict::Verified | Verdict::Unanchored | Verdict::Deleted => 0,
+        Verdict::NotChecked => crate::model::ErrorKind::Incomplete.exit_code(),
         Verdict::Tampered | Verdict::Missing => crate::model::ErrorKind::Tampered.exit_code(),
         Verdict::NoKey => crate::model::ErrorKind::Refused.exit_code(),
     }

@@ -3,7 +3,6 @@
 //! stdout carries the result and nothing else, stderr the rest; `--json` changes the format, never the channel. Nothing
 //! here does work of its own except the demo's story.
 
-mod adopt;
 mod agent;
 mod alerts;
 pub mod args;
@@ -18,6 +17,7 @@ mod console;
 mod coverage;
 mod demo;
 mod detach;
+mod devices;
 mod evidence;
 mod follow;
 mod gateway;
@@ -168,7 +168,7 @@ fn run(runtime: &Runtime, arguments: Arguments, output: &Output) -> Result<u8, F
             asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::None, parties::contacts(verb)?)))
         }
         Verb::Devices(verb) => {
-            asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, adopt::question(&verb)?)))
+            asked(runtime, global, output, |_| Ok(Plan::new(CHAIN, ProfileNeed::Unlocked, devices::question(&verb)?)))
         }
         Verb::Alerts(verb) => asked(runtime, global, output, |_| Ok(alerts::plan(&verb))),
         Verb::Robots(verb) => asked(runtime, global, output, |_| robots::plan(verb)),

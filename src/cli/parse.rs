@@ -27,6 +27,17 @@ pub fn values<T: FromStr<Err: Display>>(texts: &[String]) -> Result<Vec<T>, Fail
     texts.iter().map(|text| value(text)).collect()
 }
 
+/// An end: a moment, or a length of time from now.
+///
+/// # Errors
+/// Where the text is neither.
+pub fn end(text: &str) -> Result<Timestamp, Failure> {
+    if let Ok(time) = moment(text) {
+        return Ok(Timestamp::from_seconds(time.seconds()));
+    }
+    Ok(Timestamp::now().end_after(duration(text)?))
+}
+
 /// A time span other than 0.
 ///
 /// # Errors
@@ -135,6 +146,13 @@ mod tests {
         let wanted = Wanted::read(&text, &[], Timestamp::now());
         assert_eq!(UploadQuery { limit: 0, ..by_flags }, wanted.asked);
         assert_eq!((wanted.asked.tags.len(), wanted.rest.as_str()), (2, ""));
+    }
+
+    #[test]
+    fn ends_are_times_or_lengths() {
+        assert_eq!(end("2030-01-31T12:00:00.5Z").ok(), Some(Timestamp::from_seconds(1_896_091_200)));
+        assert!(end("2h").is_ok_and(|until| until > Timestamp::now()));
+        assert!(end("tomorrow").is_err());
     }
 
     #[test]

@@ -92,9 +92,8 @@ pub fn administration(view: &AdministrationView) -> Vec<(&'static str, String)> 
     let registration = if view.open { "open to all" } else { "only admitted accounts" };
     let mut rows = vec![("administrator", administrator.to_string()), ("registration", registration.to_owned())];
     rows.extend(view.nominee.map(|nominee| ("hands over to", nominee.to_string())));
-    rows.extend(view.revision.map(|revision| ("revision", revision.to_string())));
     rows.extend(view.paused.then(|| ("paused", paused(view))));
-    rows.extend(view.delay.map(|delay| ("succession", waiting(delay))));
+    rows.push(("succession", waiting(view.delay)));
     rows.extend(view.proposals.iter().map(|one| ("proposed", proposal(one))));
     rows.extend(view.successions.iter().map(|one| ("successor", succession(one))));
     let lost = |account: &&Address| view.successions.iter().any(|one| one.lost == **account);
@@ -114,15 +113,10 @@ fn waiting(delay: u64) -> String {
 
 /// Successions and the own recovery account, for people.
 pub fn successions(view: &AdministrationView) -> String {
-    let mut lines = vec![match view.delay {
-        Some(delay) => format!("a succession {}", waiting(delay)),
-        None => "this contract has revision 1: the administrator names successors with immediate effect".to_owned(),
-    }];
     let recovery = &view.recovery;
-    if view.delay.is_some() {
-        let now = recovery.account.map_or_else(|| "nobody".to_owned(), |account| account.to_string());
-        lines.push(format!("recovery account of this profile: {now}"));
-    }
+    let now = recovery.account.map_or_else(|| "nobody".to_owned(), |account| account.to_string());
+    let mut lines =
+        vec![format!("a succession {}", waiting(view.delay)), format!("recovery account of this profile: {now}")];
     lines.extend(recovery.from.map(|from| {
         let next = recovery.next.map_or_else(|| "nobody".to_owned(), |account| account.to_string());
         format!("  from {from} on: {next}")

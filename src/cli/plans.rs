@@ -115,7 +115,7 @@ pub fn keys(context: &Context, verb: KeysVerb) -> Result<Plan, Failure> {
 /// # Errors
 /// An invalid party, topic or time.
 pub fn grant(arguments: &GrantArguments) -> Result<Grant, Failure> {
-    let expires = arguments.expires.as_deref().map(super::adopt::end).transpose()?;
+    let expires = arguments.expires.as_deref().map(super::parse::end).transpose()?;
     Ok(Grant {
         grantee: parse::value(arguments.address.as_deref().or(arguments.to.as_deref()).unwrap_or_default())?,
         topics: parse::values(&arguments.topics)?,

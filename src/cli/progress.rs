@@ -33,7 +33,7 @@ impl Teller {
 
 /// Whether a request may take so long that it is told how far it is.
 pub fn takes_long(command: &Command) -> bool {
-    matches!(command, Command::OfStore(StoreCommand::AuditRecords { .. }) | Command::AdoptChain)
+    matches!(command, Command::OfStore(StoreCommand::AuditRecords { .. }))
 }
 
 /// Waits for `work`, and tells meanwhile how far it is.

@@ -1,4 +1,4 @@
-//! `bag import` and `shared export`: recordings in and out, with progress on stderr.
+//! `bag import`, `uploads import` and `shared export`: recordings and other homes, with progress on stderr.
 
 use std::path::{Path, PathBuf};
 
@@ -8,12 +8,18 @@ use super::connect::{Context, ProfileNeed};
 use super::parse;
 use super::progress::{LOOK, Teller};
 use super::serve::Ending;
+use crate::crypto::private_file;
 use crate::model::ErrorKind;
+use crate::paths::Home;
 use crate::ros::recording::{ChunkCompression, RecordingFormat};
-use crate::service::command::{Ask, ExportWishes, ImportWishes, StopCapture};
+use crate::service::command::{Ask, ExportWishes, HomeWishes, ImportWishes, StopCapture};
 use crate::service::reply::{ExportView, ImportView};
 use crate::service::{Client, Failure, Needs};
+use crate::store::files;
 use authros_output::{Output, table};
+
+/// The longest keyring copied, bytes.
+const LONGEST_KEYRING: usize = 1 << 20;
 
 /// `bag …`
 #[derive(Debug, Subcommand)]
@@ -64,7 +70,7 @@ pub struct ExportArguments {
     /// none, bz2 (bag), lz4, zstd (MCAP)
     #[arg(long, value_name = "HOW", default_value = "none")]
     pub compression: String,
-    /// Include records not yet confirmed on the chain; all other checks still apply
+    /// Include records that the chain does not confirm yet, or cannot be asked about; all other checks still apply
     #[arg(long)]
     pub unanchored: bool,
 }
@@ -109,6 +115,43 @@ pub async fn import(context: Context, arguments: ImportArguments, output: &Outpu
     let view = run(context, arguments.wishes()?, ProfileNeed::Made, output).await?;
     output.result(&view, || imported(&view));
     Ok(import_code(&view, output))
+}
+
+/// Brings every message of another home, and first its keyring if this home has none of the profile.
+///
+/// # Errors
+/// What the site or the arguments say.
+pub async fn import_home(context: Context, home: &Path, output: &Output) -> Result<u8, Failure> {
+    let home = absolute(home)?;
+    bring_keyring(&context, &home, output)?;
+    let view = run(context, HomeWishes { home }, ProfileNeed::Unlocked, output).await?;
+    output.result(&view, || imported(&view));
+    Ok(import_code(&view, output))
+}
+
+/// Copies the profile's keyring from the other home, and the passphrase that headless use stored beside it.
+fn bring_keyring(context: &Context, from: &Path, output: &Output) -> Result<(), Failure> {
+    let (old, profile) = (Home::new(from.to_owned()), &context.profile);
+    let (source, target) = (old.keyring(profile), context.home.keyring(profile));
+    if target.exists() {
+        return Ok(());
+    }
+    if !source.exists() {
+        let text = format!("{} has no profile '{profile}'; name one of its profiles with --profile", from.display());
+        return Err(Failure::new(ErrorKind::Input, text));
+    }
+    files::private_directory(context.home.root())?;
+    files::private_directory(&context.home.profile(profile))?;
+    for (source, target) in [(old.passphrase(profile), context.home.passphrase(profile)), (source, target)] {
+        if source.exists() && !target.exists() {
+            private_file::create_private(&target, &private_file::read_private(&source, LONGEST_KEYRING)?)?;
+        }
+    }
+    output.note(&format!(
+        "the keyring of profile '{profile}' was copied from {}; its passphrase is the same",
+        from.display()
+    ));
+    Ok(())
 }
 
 /// Runs an export.
@@ -166,7 +209,7 @@ fn imported(view: &ImportView) -> String {
         text.push_str(&format!("\nbyte {}: {}", damage.position, damage.text));
     }
     for topic in &view.left_out {
-        text.push_str(&format!("\nskipped: {} messages of '{}': {}", topic.messages, topic.topic, topic.why));
+        text.push_str(&format!("\nleft out: {} messages of '{}': {}", topic.messages, topic.topic, topic.why));
     }
     if view.unguarded > 0 {
         text.push_str(&format!(
@@ -190,19 +233,18 @@ fn import_code(view: &ImportView, output: &Output) -> u8 {
             .note(&format!("authros: the recording is damaged in {damages} places; everything readable was imported"));
     }
     if view.skipped > 0 {
-        output.note(&format!("authros: {} unusable messages were skipped", view.skipped));
+        output.note(&format!("authros: {} messages were left out", view.skipped));
     }
     if view.ended_early {
-        output.note("authros: stopped before the end of the recording; repeat the command to continue");
+        output.note("authros: stopped before the end; repeat the command to continue");
     }
     if view.imported == 0 && view.already > 0 && !view.ended_early {
-        output
-            .note("authros: this recording was already imported, nothing was sealed twice (--again imports it again)");
+        output.note("authros: all of it was imported before, nothing was sealed twice");
     }
     let whole = damages == 0 && view.skipped == 0 && view.lost == 0 && !view.ended_early;
     let nothing = view.imported == 0 && view.already == 0;
     if nothing && view.skipped == 0 {
-        output.note("authros: the recording contains no messages of these topics");
+        output.note("authros: there are no messages to import");
     }
     if whole && !nothing { 0 } else { ErrorKind::Incomplete.exit_code() }
 }
@@ -225,7 +267,7 @@ fn export_code(view: &ExportView, output: &Output) -> u8 {
     let words = [
         (refused.tampered, "differ from what was anchored"),
         (refused.missing, "are missing from the vault"),
-        (refused.unanchored, "are not confirmed on the chain yet (--unanchored writes them too)"),
+        (refused.unanchored, "are not confirmed by the chain now (--unanchored writes them too)"),
         (refused.no_key, "cannot be opened with this profile's keys"),
         (refused.held, "are quarantined or discarded"),
         (refused.no_definition, "have no readable definition of their type"),

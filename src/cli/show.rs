@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::path::Path;
 
 use super::{
-    adopt, alerts, audit, check, coverage, gateway, incidents, lists, parties, policy, quarantine, robots, viewing,
+    alerts, audit, check, coverage, devices, gateway, incidents, lists, parties, policy, quarantine, robots, viewing,
 };
 use crate::crypto::private_file;
 use crate::model::ErrorKind;
@@ -13,8 +13,8 @@ use crate::service::reply::{
     AdministrationView, AdmittedView, AlertTestView, AlertsView, Answer, AuditCheck, AuditView, BackupView, ChainView,
     CheckView, CompareView, ContactRow, CoverageView, DecidedView, DeployedView, DeviceAddressesView, DeviceRow,
     DeviceTopicsView, ExportedFile, GatewayStatusView, GrantRow, IdentityView, IncidentView, KeyChangeView, KeysView,
-    OpenedViewPathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, Reply, RingPullView,
-    RobotRow, RobotView, TopicRow, TransactionView,
+    OpenedView, PathView, PinsView, PolicyView, Provenance, QuarantineView, RecordAudit, RecordPage, Reply,
+    RingPullView, RobotRow, RobotView, TopicRow, TransactionView,
 };
 use crate::service::{Client, Failure};
 use authros_output::Output;
@@ -128,7 +128,7 @@ documents! {
 rows! {
     TopicRow, "topics" => lists::topics;
     GrantRow, "grants" => lists::grants;
-    DeviceRow, "devices" => adopt::devices;
+    DeviceRow, "devices" => devices::devices;
     ContactRow, "contacts" => parties::contact_table;
     AuditView, "audit" => audit::lines;
     AdmittedView, "admitted" => gateway::admitted;
@@ -168,7 +168,7 @@ impl Printed for CheckView {
     fn print(self, _: Option<&Path>, output: &Output) -> Result<u8, Failure> {
         output.result(&self, || {
             let contract = self.contract.map_or_else(String::new, |answer| format!("\n{}", answer.text()));
-            format!("{}: {}{contract}", self.id, self.verdict.word())
+            format!("{}{contract}", lists::verdict(&self))
         });
         Ok(lists::verdict_code(self.verdict))
     }

@@ -52,7 +52,6 @@ pub const TWINS: &[(&str, Twin)] = &[
     ("replace-lost-account", Runs("chain succession propose ADDRESS ADDRESS")),
     ("hand-over", Runs("chain hand-over ADDRESS")),
     ("accept-administration", Runs("chain accept")),
-    ("adopt-chain", Runs("chain adopt")),
     ("undo", Runs("topics unwatch TOPIC")),
     ("tasks", Runs("status")),
     ("log-level", Runs("audit list")),

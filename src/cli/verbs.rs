@@ -8,7 +8,7 @@ use super::args::{ConfigVerb, GrantsVerb, IdentityVerb, SharedVerb, TopicsVerb, 
 use super::connect::{Context, ProfileNeed};
 use super::quarantine::{self, QuarantineVerb};
 use super::show::Question;
-use super::{adopt, check, follow, lists, parse, passphrase, playing, progress, recordings, viewing};
+use super::{check, follow, lists, parse, passphrase, playing, progress, recordings, viewing};
 use crate::model::ErrorKind;
 use crate::service::command::{
     CheckShared, CompareFingerprint, CreateIdentity, ExportUpload, ExtendGrant, ForeseeKeyChange, ListGrants, ListPins,
@@ -170,6 +170,7 @@ pub async fn uploads(context: Context, verb: UploadsVerb, output: &Output) -> Re
         UploadsVerb::List(list) => {
             Plan::new(NEITHER, ProfileNeed::None, check::list_uploads(&context, parse::query(&list)?))
         }
+        UploadsVerb::Import { home } => return recordings::import_home(context, &home, output).await,
         UploadsVerb::Show { id } => Plan::new(CHAIN, ProfileNeed::None, ShowUpload { id }),
         UploadsVerb::Export { id, dir, addresses } => {
             Plan { out: Some(dir), ..Plan::new(CHAIN, ProfileNeed::Unlocked, ExportUpload { id, addresses }) }
@@ -186,7 +187,7 @@ pub fn grants(verb: GrantsVerb) -> Result<Plan, Failure> {
     Ok(match verb {
         GrantsVerb::List => Plan::new(CHAIN, ProfileNeed::Unlocked, ListGrants),
         GrantsVerb::Extend { grantee, expires, .. } => {
-            let (grantee, expires) = (parse::value(&grantee)?, expires.as_deref().map(adopt::end).transpose()?);
+            let (grantee, expires) = (parse::value(&grantee)?, expires.as_deref().map(parse::end).transpose()?);
             Plan::new(CHAIN, ProfileNeed::Unlocked, ExtendGrant { grantee, expires })
         }
     })
@@ -204,7 +205,6 @@ pub async fn shared(context: Context, verb: SharedVerb, output: &Output) -> Resu
             return follow::run(context, follow::Which::Shared, parse::query(&list)?, output).await;
         }
         SharedVerb::List(list) => viewing::plan(ListShared(parse::query(&list)?)),
-        SharedVerb::Gateways(gateways) => viewing::plan(gateways.question()?),
         SharedVerb::Check { id } => viewing::plan(CheckShared { id }),
         SharedVerb::Open { id, out } => viewing::open(id, out),
         SharedVerb::Path { id, records } => viewing::plan(ViewPath { id, records }),

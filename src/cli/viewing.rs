@@ -46,6 +46,7 @@ pub fn opened(view: &OpenedView) -> String {
         format!("{} bytes, sealed as {} ({})", record.bytes, view.stored, compressed(&view.compression)),
     ];
     lines.extend(view.tags.iter().map(|(key, value)| format!("tag {key} = {value}")));
+    lines.extend(view.reason.iter().map(|reason| format!("not checked against the chain now: {reason}")));
     lines.extend(view.note.iter().map(|note| format!("note: {note}")));
     if let Some(readable) = &view.readable {
         lines.push(String::new());

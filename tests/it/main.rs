@@ -6,7 +6,6 @@
 mod support;
 
 mod admission;
-mod adoption;
 mod agent;
 mod alerts;
 mod arenas;
@@ -41,6 +40,7 @@ mod key_changes;
 mod keys;
 mod messages;
 mod metrics;
+mod new_home;
 mod newer_home;
 mod node_forging;
 mod operators;

@@ -115,3 +115,19 @@ fn a_robots_record_is_evidence_for_whoever_has_neither_home_nor_keys() {
     chain.stop("INT", 30);
     site.stop("TERM", 30);
 }
+
+#[test]
+fn devices_are_lent_and_recalled() {
+    let home = Home::new();
+    let authros = home.authros().with(&["--robots", "0"]);
+    authros.enrol();
+    let id = "ab".repeat(32);
+    authros.json(&["devices", "lend", &id, "--until", "2h"]);
+    authros.fails(3, &["devices", "lend", "abab"]);
+    let row = authros.json(&["devices", "list"])["devices"][0].clone();
+    assert!(row["device"] == id.as_str() && row["state"] == "lent" && row["until"].is_string(), "{row}");
+    authros.json(&["devices", "recall", &id[..16]]);
+    assert_eq!(authros.json(&["devices", "list"])["devices"][0]["state"], "recalled");
+    let again = authros.fails(5, &["devices", "recall", &id]);
+    assert!(again.contains("no such device"), "{again}");
+}

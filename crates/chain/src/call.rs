@@ -4,7 +4,7 @@ use ethers::abi::Token as AbiToken;
 use ethers::types::{H160, U256};
 
 use super::ChainError;
-use super::artefact::{Revision, artefacts, offering};
+use super::artefact::artefact;
 use crate::model::{Address, Digest, Hash, Identity, Scope, SignerId, Timestamp, Token, grant::MOST_TOPICS};
 
 /// The most grantees in one [`Call::Wrap`] (contract limit).
@@ -112,11 +112,6 @@ pub enum Call {
         /// The account.
         account: Address,
     },
-    /// Administrator: pauses all changes except those that take rights away, with no end (first revision).
-    SetPaused {
-        /// Whether they are paused.
-        paused: bool,
-    },
     /// Administrator: pauses all changes except those that take rights away, until a given time.
     Pause {
         /// When they resume, whole seconds; at most [`super::LONGEST_PAUSE`] ahead.
@@ -153,13 +148,6 @@ pub enum Call {
         /// Its new end, whole seconds; `None` = never.
         expiry: Option<Timestamp>,
     },
-    /// Administrator: appoints the successor of a lost account at once (first revision).
-    Succeed {
-        /// The account whose key is lost.
-        lost: Address,
-        /// The successor.
-        successor: Address,
-    },
     /// Administrator: nominates the next administrator.
     Nominate {
         /// The nominee; the zero address withdraws the nomination.
@@ -187,7 +175,6 @@ impl Call {
             Self::SetOpen { .. } => "setOpen",
             Self::Suspend { .. } => "suspend",
             Self::Restore { .. } => "restore",
-            Self::SetPaused { .. } => "setPaused",
             Self::Dismiss { .. } => "dismiss",
             Self::Pause { .. } => "pause",
             Self::Resume => "resume",
@@ -196,7 +183,6 @@ impl Call {
             Self::CompleteSuccession { .. } => "completeSuccession",
             Self::NameRecovery { .. } => "nameRecovery",
             Self::Extend { .. } => "extend",
-            Self::Succeed { .. } => "succeed",
             Self::Nominate { .. } => "nominate",
             Self::AcceptAdministrator => "acceptAdministrator",
         }
@@ -207,17 +193,7 @@ impl Call {
     /// # Errors
     /// [`ChainError::Input`] if a value breaks a limit of the contract.
     pub fn encode(&self) -> Result<Vec<u8>, ChainError> {
-        offering(self.name())?.encode(self.name(), &self.arguments()?)
-    }
-
-    /// Whether a contract of this revision has the function.
-    ///
-    /// # Errors
-    /// [`ChainError::NotOffered`] if it does not, saying what to do instead.
-    pub fn expect_offered(&self, revision: Revision) -> Result<(), ChainError> {
-        let name = self.name();
-        let offered = artefacts()?.iter().any(|it| it.revision == revision && it.abi.function(name).is_ok());
-        if offered { Ok(()) } else { Err(ChainError::NotOffered { revision, function: name }) }
+        artefact()?.encode(self.name(), &self.arguments()?)
     }
 
     fn arguments(&self) -> Result<Vec<AbiToken>, ChainError> {
@@ -240,7 +216,7 @@ impl Call {
             Self::Anchor { root, count, previous } => vec![word(root.0), number(*count), word(previous.0)],
             Self::Lend { device, until } => vec![word(device.0), number(seconds(*until)?)],
             Self::Recall { device } => vec![word(device.0)],
-            Self::SetOpen { open: yes } | Self::SetPaused { paused: yes } => vec![AbiToken::Bool(*yes)],
+            Self::SetOpen { open } => vec![AbiToken::Bool(*open)],
             Self::Admit { account }
             | Self::Dismiss { account }
             | Self::CancelSuccession { lost: account }
@@ -253,9 +229,7 @@ impl Call {
             Self::Pause { until } => vec![number(seconds(Some(*until))?)],
             Self::NameRecovery { recovery } => vec![address(recovery.unwrap_or(Address([0; 20])))],
             Self::Extend { grantee, expiry } => vec![address(*grantee), number(seconds(*expiry)?)],
-            Self::Succeed { lost, successor } | Self::ProposeSuccession { lost, successor } => {
-                vec![address(*lost), address(*successor)]
-            }
+            Self::ProposeSuccession { lost, successor } => vec![address(*lost), address(*successor)],
             Self::AcceptAdministrator | Self::Resume => Vec::new(),
         })
     }

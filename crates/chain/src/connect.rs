@@ -11,9 +11,9 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::artefact::{Revision, artefact, revision_of};
+use super::artefact::artefact;
 use super::transport::Transport;
-use super::{BlockRef, Chain, ChainError, ChainOptions, Endpoint, Pin};
+use super::{BlockRef, Chain, ChainError, ChainOptions, Endpoint, Pin, embedded};
 use crate::model::{Address, Hash, bytes::unhex, clean};
 
 /// How often a node is polled for news.
@@ -61,9 +61,14 @@ impl Chain {
     ///
     /// # Errors
     /// [`ChainError::Unreachable`] naming the URL if a node does not answer within 5 s, [`ChainError::Swapped`] if
-    /// chain id, genesis block, contract or its code are not the pinned ones, [`ChainError::Tampered`] and
-    /// [`ChainError::File`] for the embedded chain's file.
+    /// chain id, genesis block, contract or its code are not the pinned ones, [`ChainError::Gone`],
+    /// [`ChainError::Tampered`] and [`ChainError::File`] for the embedded chain's file.
     pub async fn connect(options: ChainOptions) -> Result<Self, ChainError> {
+        if let (Endpoint::Embedded { directory, .. }, Some(_)) = (&options.endpoint, &options.pinned)
+            && !embedded::file_in(directory).exists()
+        {
+            return Err(ChainError::Gone { path: embedded::file_in(directory) });
+        }
         let transport = Transport::open(&options.endpoint).await?;
         let provider = Provider::new(transport).interval(POLL);
         let chain_id: U64 = rpc(&provider, "eth_chainId", json!([])).await?;
@@ -88,6 +93,22 @@ impl Chain {
         let chain = Self { inner: Arc::new(inner) };
         chain.settle_contract(options.contract, options.pinned).await?;
         Ok(chain)
+    }
+
+    /// What a pin says of a chain that cannot be asked, and why; every request fails.
+    pub fn absent(pin: Pin, why: String) -> Self {
+        let provider = Provider::new(Transport::absent(ChainError::Absent { why }));
+        let inner = Inner {
+            provider: Arc::new(provider),
+            chain_id: pin.chain_id,
+            genesis: pin.genesis,
+            client: "unknown".to_owned(),
+            consensus: "unknown",
+            confirmations: 1,
+            contract: RwLock::new(Some(pin)),
+            gas: Mutex::default(),
+        };
+        Self { inner: Arc::new(inner) }
     }
 
     async fn settle_contract(&self, contract: Option<Address>, pinned: Option<Pin>) -> Result<(), ChainError> {
@@ -129,45 +150,11 @@ impl Chain {
             self.same("contract", pin.contract.to_string(), contract.to_string())?;
         }
         self.same_code(&pin).await?;
+        if pin.code_hash != artefact()?.code_hash {
+            return Err(ChainError::NotTheContract(pin.contract));
+        }
         self.set_pin(pin);
         Ok(())
-    }
-
-    /// The same connection with another contract of the same chain; nothing is requested. This one is unchanged.
-    pub fn bound_to(&self, pin: Pin) -> Self {
-        let bound = self.apart();
-        bound.set_pin(pin);
-        bound
-    }
-
-    /// The same connection without a contract.
-    pub fn apart(&self) -> Self {
-        let inner = Inner {
-            provider: Arc::clone(&self.inner.provider),
-            chain_id: self.inner.chain_id,
-            genesis: self.inner.genesis,
-            client: self.inner.client.clone(),
-            consensus: self.inner.consensus,
-            confirmations: self.inner.confirmations,
-            contract: RwLock::new(None),
-            gas: Mutex::default(),
-        };
-        Self { inner: Arc::new(inner) }
-    }
-
-    /// Whether the contract of a pin is still here, and the block seen last, if any.
-    ///
-    /// # Errors
-    /// Errors of the node.
-    pub async fn still_has(&self, pin: &Pin, seen: Option<(u64, Hash)>) -> Result<bool, ChainError> {
-        if (pin.chain_id, pin.genesis) != (self.chain_id(), self.genesis()) {
-            return Ok(false);
-        }
-        if self.code_hash(pin.contract).await? != Some(pin.code_hash) {
-            return Ok(false);
-        }
-        let Some((number, hash)) = seen else { return Ok(true) };
-        Ok(self.block(number).await?.is_some_and(|block| block.hash == hash))
     }
 
     /// The same connection with another pin, as if the chain behind it had been swapped; for the tests of other crates.
@@ -177,17 +164,17 @@ impl Chain {
         self.clone()
     }
 
-    /// Uses an existing contract, after checking that its code is one of this program's artefacts.
+    /// Uses an existing contract, after checking that its code is this program's.
     ///
     /// # Errors
     /// [`ChainError::NotTheContract`], or an error of the node.
     pub async fn use_contract(&self, contract: Address) -> Result<Pin, ChainError> {
-        let found = self.code_hash(contract).await?;
-        let Some(known) = found.filter(|hash| revision_of(*hash).is_ok_and(|revision| revision.is_some())) else {
+        let code_hash = artefact()?.code_hash;
+        if self.code_hash(contract).await? != Some(code_hash) {
             return Err(ChainError::NotTheContract(contract));
-        };
+        }
         let deployed_at = self.deployment_block(contract).await?;
-        Ok(self.set_pin(self.pin_of(contract, known, deployed_at)))
+        Ok(self.set_pin(self.pin_of(contract, code_hash, deployed_at)))
     }
 
     pub(super) fn pin_of(&self, contract: Address, code_hash: Hash, deployed_at: u64) -> Pin {
@@ -202,7 +189,7 @@ impl Chain {
 
     /// The block of the constructor's event; 0 if the node does not say, which only makes reading slower.
     async fn deployment_block(&self, contract: Address) -> Result<u64, ChainError> {
-        let signature = artefact(Revision::NEWEST)?.event_signature("AdministratorChanged")?;
+        let signature = artefact()?.event_signature("AdministratorChanged")?;
         let filter = json!({
             "address": contract.to_string(), "topics": [signature.to_string()], "fromBlock": "0x0", "toBlock": "latest",
         });
@@ -223,15 +210,6 @@ impl Chain {
     /// The pin: chain, contract, its code and its deployment block. `None` before a contract is used.
     pub fn pin(&self) -> Option<Pin> {
         self.inner.contract.read().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    /// The revision of the contract in use.
-    ///
-    /// # Errors
-    /// [`ChainError::NoContract`] before one is used, [`ChainError::NotTheContract`] if its code is not known here.
-    pub fn revision(&self) -> Result<Revision, ChainError> {
-        let pin = self.pin().ok_or(ChainError::NoContract)?;
-        revision_of(pin.code_hash)?.ok_or(ChainError::NotTheContract(pin.contract))
     }
 
     pub(super) fn contract(&self) -> Result<Address, ChainError> {

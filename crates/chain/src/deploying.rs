@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use ethers::types::TransactionRequest;
 
-use super::artefact::{Revision, artefact};
+use super::artefact::artefact;
 use super::sender::{sign_request, wallet};
 use super::{Chain, ChainError, Pin};
 use crate::crypto::EoaSecret;
@@ -23,27 +23,21 @@ pub const LONGEST_DELAY: Duration = Duration::from_secs(365 * DAY.as_secs());
 pub const LONGEST_PAUSE: Duration = Duration::from_secs(3 * DAY.as_secs());
 
 impl Chain {
-    /// Deploys the newest contract with open registration and [`DEFAULT_DELAY`], waits until it is mined, and uses it.
+    /// Deploys the contract with open registration and [`DEFAULT_DELAY`], waits until it is mined, and uses it.
     ///
     /// # Errors
-    /// See [`Chain::deploy_revision`].
+    /// See [`Chain::deploy_with`].
     pub async fn deploy(&self, eoa: &EoaSecret) -> Result<Pin, ChainError> {
-        self.deploy_revision(eoa, Revision::NEWEST, DEFAULT_DELAY).await
+        self.deploy_with(eoa, DEFAULT_DELAY).await
     }
 
-    /// Deploys the contract with open registration, waits until it is mined, and uses it. `delay` is the delay of a
-    /// succession; the first revision has none.
+    /// Like [`Chain::deploy`], with another delay of successions.
     ///
     /// # Errors
     /// [`ChainError::Reverted`] if the contract refuses the delay, [`ChainError::NotMined`] if no block includes it
     /// within 60 s, or an error of the node.
-    pub async fn deploy_revision(
-        &self,
-        eoa: &EoaSecret,
-        revision: Revision,
-        delay: Duration,
-    ) -> Result<Pin, ChainError> {
-        let artefact = artefact(revision)?;
+    pub async fn deploy_with(&self, eoa: &EoaSecret, delay: Duration) -> Result<Pin, ChainError> {
+        let artefact = artefact()?;
         let data = artefact.creation(true, delay.as_secs())?;
         let gas = self.estimate(eoa.address(), None, &data).await?;
         let nonce = self.nonce(eoa.address(), true).await?;

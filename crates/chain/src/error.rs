@@ -4,8 +4,10 @@ use std::path::PathBuf;
 
 use ethers::providers::JsonRpcError;
 
-use super::artefact::Revision;
 use crate::model::{Address, Consensus, ErrorKind, bytes::unhex, clean};
+
+/// What to do where the pinned chain does not come back.
+pub const SEAL_ANEW: &str = "seal all messages in a new home with `authros --home NEW uploads import OLD`";
 
 /// Why something on the chain did not happen.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -33,8 +35,8 @@ pub enum ChainError {
     Url(String),
     /// The chain is not the one that was pinned.
     #[error(
-        "the chain at {url} is not the pinned one: its {what} is {found}, not {pinned}; anchoring has stopped, nothing \
-         is lost; start the pinned chain again, or switch to this one with `authros chain adopt`"
+        "the chain at {url} is not the pinned one: its {what} is {found}, not {pinned}; {SEAL_ANEW}, or start the pinned \
+         chain again; anchoring has stopped, nothing is lost"
     )]
     Swapped {
         /// The chain's URL.
@@ -46,20 +48,27 @@ pub enum ChainError {
         /// What was found.
         found: String,
     },
+    /// The embedded chain that was pinned has no file any more.
+    #[error(
+        "the embedded chain {} is gone; {SEAL_ANEW}, or put the file back from a backup; anchoring has stopped, nothing \
+         is lost", path.display()
+    )]
+    Gone {
+        /// Where it was.
+        path: PathBuf,
+    },
+    /// Only what was kept of the chain is there: it cannot be asked.
+    #[error("the chain cannot be asked: {why}")]
+    Absent {
+        /// Why not.
+        why: String,
+    },
     /// No contract is known yet.
     #[error("no contract is set for this chain; deploy one with `authros chain deploy`, or set `chain.contract`")]
     NoContract,
     /// Another contract, or none, is at the address.
-    #[error("{0} is not an AuthROS contract of a known revision; check the address, or deploy a new one")]
+    #[error("{0} is not an AuthROS contract; check the address, or deploy a new one")]
     NotTheContract(Address),
-    /// The contract's revision lacks what was requested.
-    #[error("{}", lacking(*.revision, .function))]
-    NotOffered {
-        /// The revision.
-        revision: Revision,
-        /// What it lacks.
-        function: &'static str,
-    },
     /// The contract reverted.
     #[error("the contract refused: {}", explain(.code))]
     Reverted {
@@ -95,7 +104,7 @@ pub enum ChainError {
     /// The embedded chain's file was changed from outside.
     #[error(
         "the embedded chain {} was changed or damaged at block {block}: {what}; restore it from a backup, or move it \
-         away and adopt a new chain", path.display()
+         away: {SEAL_ANEW}", path.display()
     )]
     Tampered {
         /// The file.
@@ -147,7 +156,9 @@ impl ChainError {
     /// The kind of failure.
     pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::Unreachable { .. } | Self::Answer { .. } | Self::NotMined(_) => ErrorKind::Unreachable,
+            Self::Unreachable { .. } | Self::Absent { .. } | Self::Answer { .. } | Self::NotMined(_) => {
+                ErrorKind::Unreachable
+            }
             Self::Url(_) | Self::NoContract | Self::OtherConsensus { .. } | Self::Newer { .. } | Self::Input(_) => {
                 ErrorKind::Input
             }
@@ -155,8 +166,8 @@ impl ChainError {
             Self::File { .. } => ErrorKind::Home,
             Self::Internal(_) => ErrorKind::Internal,
             Self::Swapped { .. }
+            | Self::Gone { .. }
             | Self::NotTheContract(_)
-            | Self::NotOffered { .. }
             | Self::Reverted { .. }
             | Self::AlreadyKnown
             | Self::NonceTooLow
@@ -217,19 +228,6 @@ pub(super) fn decode_revert(data: &[u8]) -> Option<String> {
 /// Like [`decode_revert`], from hex.
 pub(super) fn decode_revert_hex(text: &str) -> Option<String> {
     decode_revert(&unhex(text)?)
-}
-
-fn lacking(revision: Revision, function: &str) -> String {
-    let instead = match (revision, function) {
-        (Revision::Second, "succeed") => {
-            "on this contract a succession must be proposed and wait; use `authros chain succession propose`".to_owned()
-        }
-        (Revision::Second, _) => "use the command for this revision instead".to_owned(),
-        (Revision::First, _) => {
-            "`authros chain adopt` moves to a contract of the newest revision; earlier records stay verified".to_owned()
-        }
-    };
-    format!("this contract has revision {revision}, which has no `{function}`; {instead}")
 }
 
 /// Plain words and advice for a reason code of the contract.

@@ -4,7 +4,7 @@ use ethers::abi::{RawLog, Token as AbiToken};
 use ethers::types::H256;
 use serde::{Deserialize, Serialize};
 
-use super::artefact::artefacts;
+use super::artefact::artefact;
 use crate::model::{Address, Digest, GrantTerms, Hash, Identity, Scope, SignerId, Timestamp, Token, TopicId};
 
 /// A change of the contract's state, as reported by its event.
@@ -46,8 +46,6 @@ pub enum Event {
     Suspended { account: Address },
     /// An account's suspension was lifted.
     Restored { account: Address },
-    /// All changes are paused, or resumed (first revision).
-    PausedChanged { paused: bool },
     /// All changes are paused until then; a time in the past means that they resumed.
     PausedUntil { until: Timestamp },
     /// A succession is pending until `due`; `recovery` may stop it.
@@ -88,7 +86,6 @@ impl Event {
             | Self::SuccessionProposed { lost, .. }
             | Self::SuccessionCancelled { lost, .. } => Some(*lost),
             Self::OpenChanged { .. }
-            | Self::PausedChanged { .. }
             | Self::PausedUntil { .. }
             | Self::DelayFixed { .. }
             | Self::AdministratorNominated { .. }
@@ -101,9 +98,9 @@ impl Event {
     /// # Errors
     /// What is wrong with the log, or with the artefact.
     pub fn decode(topics: &[Hash], data: &[u8]) -> Result<Self, String> {
-        let artefacts = artefacts().map_err(|error| error.to_string())?;
+        let artefact = artefact().map_err(|error| error.to_string())?;
         let first = topics.first().ok_or("an event without a topic")?;
-        let mut events = artefacts.iter().flat_map(|artefact| artefact.abi.events());
+        let mut events = artefact.abi.events();
         let event = events.find(|event| event.signature().0 == first.0).ok_or("an unknown event")?;
         let topics = topics.iter().map(|topic| H256(topic.0)).collect();
         let log = event.parse_log(RawLog { topics, data: data.to_vec() }).map_err(|error| error.to_string())?;
@@ -168,7 +165,6 @@ impl Fields {
             "OpenChanged" => Event::OpenChanged { open: self.0.next()?.into_bool()? },
             "Suspended" => Event::Suspended { account: self.address()? },
             "Restored" => Event::Restored { account: self.address()? },
-            "PausedChanged" => Event::PausedChanged { paused: self.0.next()?.into_bool()? },
             "PausedUntil" => Event::PausedUntil { until: self.moment()? },
             "SuccessionProposed" => Event::SuccessionProposed {
                 lost: self.address()?,
@@ -251,8 +247,7 @@ mod tests {
     proptest! {
         #[test]
         fn noise_is_an_error_never_a_panic(which in 0usize..60, words in proptest::collection::vec(any::<[u8; 32]>(), 0..4), data: Vec<u8>) {
-            let all = artefacts().expect("artefacts").iter();
-            let events: Vec<_> = all.flat_map(|artefact| artefact.abi.events()).collect();
+            let events: Vec<_> = artefact().expect("artefact").abi.events().collect();
             let mut topics = vec![Hash(events[which % events.len()].signature().0)];
             topics.extend(words.into_iter().map(Hash));
             let _ = Event::decode(&topics, &data);
@@ -261,7 +256,7 @@ mod tests {
 
     #[test]
     fn every_event_of_the_contract_has_a_word_here() {
-        for event in artefacts().expect("artefacts").iter().flat_map(|artefact| artefact.abi.events()) {
+        for event in artefact().expect("artefact").abi.events() {
             let topics: Vec<Hash> = std::iter::once(Hash(event.signature().0))
                 .chain(event.inputs.iter().filter(|input| input.indexed).map(|_| Hash([0; 32])))
                 .collect();

@@ -92,7 +92,6 @@ impl Chain {
         price: u128,
     ) -> Result<SignedTransaction, ChainError> {
         let contract = self.contract()?;
-        call.expect_offered(self.revision()?)?;
         let data = call.encode()?;
         let wallet = wallet(eoa)?;
         let gas = self.gas_for(eoa.address(), contract, call, &data).await?;

@@ -39,11 +39,10 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 pub use self::anchor_proof::AnchorProof;
-pub use self::artefact::Revision;
 pub use self::call::{Call, LONGEST_ENVELOPE, MOST_WRAPS};
 pub use self::deploying::{DEFAULT_DELAY, LONGEST_DELAY, LONGEST_PAUSE, SHORTEST_DELAY};
 pub use self::embedded::check_embedded_chain;
-pub use self::error::{ChainError, explain};
+pub use self::error::{ChainError, SEAL_ANEW, explain};
 pub use self::event::Event;
 pub use self::fees::{Market, Offered, call_data, is_same_call, offered};
 pub use self::genesis::{Allocation, GUIDE, Genesis, GenesisKind};
@@ -53,7 +52,7 @@ pub use self::sealed_by::{SealedBy, SealerKind};
 pub use self::sealing::Sealing;
 pub use crate::crypto::merkle;
 pub use crate::model::Consensus;
-use crate::model::{Address, Digest, Hash, Identity, Timestamp, Token};
+use crate::model::{Address, Digest, Domain, Hash, Identity, Timestamp, Token};
 
 /// The location of the chain.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -101,6 +100,13 @@ pub struct Pin {
     pub code_hash: Hash,
     /// The first block to read events from: the deployment's, or 0 if unknown.
     pub deployed_at: u64,
+}
+
+impl Pin {
+    /// What binds records to this chain and contract.
+    pub fn domain(&self) -> Domain {
+        crypto::domain(self.chain_id, &self.genesis, &self.contract)
+    }
 }
 
 /// A connection to the chain. Clones share it.

@@ -70,7 +70,6 @@ impl Chain {
     /// # Errors
     /// [`ChainError::Reverted`] with the reason if the contract would refuse, otherwise an error of the node.
     pub async fn simulate(&self, from: Address, call: &Call) -> Result<(), ChainError> {
-        call.expect_offered(self.revision()?)?;
         self.eth_call(from, self.contract()?, &call.encode()?, "latest").await.map(|_| ())
     }
 
@@ -91,7 +90,7 @@ impl Chain {
     }
 
     async fn view(&self, from: Address, name: &str, arguments: &[AbiToken]) -> Result<Answer<'_>, ChainError> {
-        let artefact = artefact(self.revision()?)?;
+        let artefact = artefact()?;
         let data = artefact.encode(name, arguments)?;
         let output = self.eth_call(from, self.contract()?, &data, "latest").await?;
         let values = artefact.function(name)?.decode_output(&output);

@@ -44,6 +44,8 @@ enum Line {
     Ws(Mutex<Option<Ws>>),
     Ipc(PathBuf, Mutex<Option<Ipc>>),
     Relay(RelayLine),
+    /// Nobody is asked.
+    Absent(ChainError),
 }
 
 /// Why a request failed.
@@ -110,6 +112,12 @@ impl Transport {
         }
     }
 
+    /// A line to no chain; every request fails with this error.
+    pub fn absent(error: ChainError) -> Self {
+        let trouble = StdMutex::new(Some(error.clone()));
+        Self { line: Line::Absent(error), url: "nowhere".to_owned(), trouble }
+    }
+
     /// Where it leads, without credentials.
     pub fn url(&self) -> &str {
         &self.url
@@ -146,6 +154,7 @@ impl Transport {
                 let _place = places.acquire().await.map_err(|error| TransportError::Broken(error.to_string()))?;
                 through(client, method, parameters).await
             }
+            Line::Absent(error) => Err(TransportError::Chain(error.clone())),
             Line::Ws(slot) => {
                 let open = Ws::connect_with_reconnects(self.url.as_str(), 0);
                 kept(slot, open, method, parameters).await
@@ -171,7 +180,7 @@ impl Transport {
         match &self.line {
             Line::Ws(slot) => *slot.lock().await = None,
             Line::Ipc(_, slot) => *slot.lock().await = None,
-            Line::Embedded(_) | Line::Http(..) | Line::Relay(_) => {}
+            Line::Embedded(_) | Line::Http(..) | Line::Relay(_) | Line::Absent(_) => {}
         }
     }
 }

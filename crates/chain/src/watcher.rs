@@ -6,7 +6,7 @@ use ethers::types::{Bytes, H160, H256, U64};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::artefact::{artefacts, telling};
+use super::artefact::artefact;
 use super::connect::POLL;
 use super::{BlockRef, Chain, ChainError, Event, EventAt};
 use crate::model::Hash;
@@ -47,14 +47,8 @@ impl Chain {
     /// # Errors
     /// See [`Chain::events`].
     pub async fn changes(&self, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
-        let mut wanted = Vec::new();
-        let events = artefacts()?.iter().flat_map(|artefact| artefact.abi.events());
-        for event in events.filter(|event| !ANCHORS.contains(&event.name.as_str())) {
-            let signature = Hash(event.signature().0).to_string();
-            if !wanted.contains(&signature) {
-                wanted.push(signature);
-            }
-        }
+        let changes = artefact()?.abi.events().filter(|event| !ANCHORS.contains(&event.name.as_str()));
+        let wanted: Vec<String> = changes.map(|event| Hash(event.signature().0).to_string()).collect();
         self.collect(from, to, &json!([wanted])).await
     }
 
@@ -63,7 +57,7 @@ impl Chain {
     /// # Errors
     /// See [`Chain::events`].
     pub async fn anchors_of(&self, root: Hash, from: u64, to: u64) -> Result<Vec<EventAt>, ChainError> {
-        let name = telling("Anchored")?.event_signature("Anchored")?.to_string();
+        let name = artefact()?.event_signature("Anchored")?.to_string();
         let mut found = self.collect(from, to, &json!([name, null, root.to_string()])).await?;
         found.retain(|at| matches!(at.event, Event::Anchored { root: anchored, .. } if anchored == root));
         Ok(found)

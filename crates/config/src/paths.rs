@@ -75,6 +75,14 @@ impl Home {
         Ok(Self::apart(&root, config, state))
     }
 
+    /// The home whose data is in `root`: a single-folder home, or the user's own with its settings where these are.
+    ///
+    /// # Errors
+    /// See [`Self::standard`].
+    pub fn at(root: &Path) -> Result<Self, PlaceError> {
+        if root == Self::standard_root()? { Self::standard() } else { Ok(Self::new(root.to_owned())) }
+    }
+
     /// Only the data folder of [`Self::standard`].
     ///
     /// # Errors

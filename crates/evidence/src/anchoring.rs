@@ -105,7 +105,7 @@ fn in_state<'a>(
     claim: &AnchorClaim,
     shown_at: &BlockHeader,
 ) -> Result<Option<Counted<'a>>, Unproven> {
-    // Revision 1, and digests by themselves, store no time: it is known if the block is the one whose state this is.
+    // The contract stores no time of a digest by itself: it is known if the block is the one whose state this is.
     let own_time = |block: u64| (block == shown_at.number).then_some(shown_at.timestamp);
     let (storage, shown_at, claimed_keys) = (*storage, shown_at.number, claim.keys);
     let known = &check.known;
@@ -118,9 +118,7 @@ fn in_state<'a>(
         }
         Anchoring::Batch { account, root, .. } => {
             let Some(word) = known.anchor((shown_at, &storage), *account, *root)? else { return Ok(None) };
-            let time = Some(word.time).filter(|time| *time != 0).or_else(|| own_time(word.block));
-            let keys = Some(word.keys).filter(|keys| *keys != 0);
-            Ok(Some((anchored(word.block, time, *account, keys), Some(word.count))))
+            Ok(Some((anchored(word.block, Some(word.time), *account, Some(word.keys)), Some(word.count))))
         }
     }
 }

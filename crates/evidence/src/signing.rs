@@ -97,11 +97,6 @@ enum Own {
 fn owner_key(check: &Check<'_>, header: &Header, anchored: &Anchored<'_>) -> Result<Own, Unproven> {
     let (owner, block, state) = (header.owner, anchored.block, (anchored.shown_at, &anchored.storage));
     let version = anchored.keys.filter(|_| anchored.account == owner).unwrap_or(anchored.claimed_keys);
-    if version == 0 {
-        return Ok(Own::Unknown(
-            "the contract has revision 1, which keeps no key history, so nothing shows it".to_owned(),
-        ));
-    }
     let Some(keys) = check.known.keys(state, owner, version)? else {
         return Ok(Own::Unknown(format!("{owner} has no version {version} of its keys on this chain")));
     };

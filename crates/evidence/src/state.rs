@@ -149,9 +149,9 @@ pub struct AnchorWord {
     pub block: u64,
     /// The number of leaves.
     pub count: u64,
-    /// That block's time, seconds; 0 under revision 1.
+    /// That block's time, seconds.
     pub time: u64,
-    /// The version of the anchoring account's keys then; 0 under revision 1.
+    /// The version of the anchoring account's keys then.
     pub keys: u64,
 }
 

@@ -38,8 +38,6 @@ pub enum RecordKind {
     Key,
     /// What retention is about to delete.
     Retention,
-    /// One chain was adopted in place of another.
-    Adoption,
     /// A lost EOA's successor.
     Succession,
     /// A home's statements about itself: the head of its audit log, the birth of its recorder and its highest sequence
@@ -48,14 +46,13 @@ pub enum RecordKind {
 }
 
 impl RecordKind {
-    const ALL: [Self; 9] = [
+    const ALL: [Self; 8] = [
         Self::Data,
         Self::Definition,
         Self::Gap,
         Self::Quarantine,
         Self::Key,
         Self::Retention,
-        Self::Adoption,
         Self::Succession,
         Self::Audit,
     ];
@@ -79,7 +76,6 @@ impl RecordKind {
             Self::Quarantine => "quarantine",
             Self::Key => "key",
             Self::Retention => "retention",
-            Self::Adoption => "adoption",
             Self::Succession => "succession",
             Self::Audit => "audit",
         }

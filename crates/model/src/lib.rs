@@ -4,7 +4,6 @@
 //! Nothing here touches a key, a file or a socket.
 
 pub mod address;
-pub mod adoption;
 pub mod anchor_mode;
 pub mod audit_head;
 pub mod base64_text;

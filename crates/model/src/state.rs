@@ -97,6 +97,8 @@ pub enum Verdict {
     Verified,
     /// All checks but the chain's pass; the digest is not anchored (yet).
     Unanchored,
+    /// It was confirmed earlier and the checks without the chain pass, but the chain cannot be asked now.
+    NotChecked,
     /// The stored bytes differ from those anchored or signed.
     Tampered,
     /// The stored bytes are missing.
@@ -113,6 +115,7 @@ impl Verdict {
         match self {
             Self::Verified => "verified",
             Self::Unanchored => "unanchored",
+            Self::NotChecked => "not checked against the chain now",
             Self::Tampered => "tampered",
             Self::Missing => "missing",
             Self::Deleted => "deleted by retention",

@@ -11,9 +11,10 @@ use crate::crypto::{EoaSecret, fault};
 use crate::model::{Address, AnchorMode, RecordState, Timestamp, Token};
 use crate::store::{Anchors, NewBatch, RecordRow, WaitingBatch};
 
+use super::directory::kept;
 use super::pace::{LONGEST_WAIT, Pace};
 use super::sender::Outgoing;
-use super::{Network, PipelineError, Plant, Sender, adoption, authority};
+use super::{Network, PipelineError, Plant, Sender, authority};
 
 /// Records per round when uploaded individually: one ledger commit for this many signed transactions.
 const ROUND: usize = 128;
@@ -269,10 +270,9 @@ async fn one_by_one(
         return Ok(Round::wait(IDLE));
     }
     let rows = block_in_place(|| plant.ledger.in_state(Some(owner), RecordState::Stored, room))?;
-    let Some(account) = network.directory.account(owner) else { return Ok(Round::wait(IDLE)) };
     let mut uploads = Vec::with_capacity(rows.len());
     for row in &rows {
-        let token = block_in_place(|| adoption::token_of(plant, network, &account, row))?;
+        let token = block_in_place(|| kept::token(&plant.ledger, &network.directory, row.owner, row.epoch))?;
         uploads.extend(token.map(|token| upload(row, token)));
     }
     if uploads.is_empty() {

@@ -1,12 +1,12 @@
 //! Proofs of the chain's state (EIP-1186) for each anchored batch, fetched while the node still has the state after its
-//! block and kept in the ledger: a bundle made years later needs no node that keeps old states.
+//! block and kept in the ledger with the headers: a bundle made years later needs no node that keeps old states, or none.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use authros_evidence::{BlockHeader, Nodes, Slot, Storage};
 use tokio::task::block_in_place;
 
-use crate::chain::{ChainError, Revision};
+use crate::chain::ChainError;
 use crate::model::{Address, Digest, Hash, SignerId};
 use crate::store::UnprovenBatch;
 
@@ -24,7 +24,7 @@ pub struct Shown {
     pub owner: Address,
     /// Who signed it.
     pub signer: SignerId,
-    /// The version of the owner's keys at the block; 0 if the contract keeps no history of them.
+    /// The version of the owner's keys at the block; 0 if it was not registered then.
     pub keys: u64,
     /// Its anchor.
     pub anchor: Anchor,
@@ -50,9 +50,16 @@ pub struct Collected {
     pub problem: Option<String>,
 }
 
-/// How often each block's proof was requested in vain. Kept by the caller from round to round.
+/// What the caller keeps from round to round.
 #[derive(Debug, Default)]
-pub struct Attempts(BTreeMap<u64, u32>);
+pub struct Rounds {
+    /// How often each block's proof was requested in vain.
+    attempts: BTreeMap<u64, u32>,
+    /// How many blocks after one its sealers need to confirm it; `None` before the first proof.
+    further: Option<u64>,
+    /// Blocks whose headers are still to be kept for that.
+    awaited: BTreeSet<u64>,
+}
 
 /// The slots of these, each once.
 pub fn slots(all: impl IntoIterator<Item = Shown>) -> Vec<Slot> {
@@ -72,18 +79,12 @@ pub fn slots(all: impl IntoIterator<Item = Shown>) -> Vec<Slot> {
     slots.into_iter().map(Slot).collect()
 }
 
-/// The version of an account's keys in force at a block; 0 if the contract keeps no history of them.
-///
-/// # Errors
-/// Errors of the chain.
-pub fn key_version(network: &Network, owner: Address, block: u64) -> Result<u64, PipelineError> {
-    if network.chain.revision()? == Revision::First {
-        return Ok(0);
-    }
-    Ok(network.directory.with_account(owner, |account| {
+/// The version of an account's keys in force at a block; 0 if it was not registered then.
+pub fn key_version(network: &Network, owner: Address, block: u64) -> u64 {
+    network.directory.with_account(owner, |account| {
         let identities = account.map(|account| account.identities.as_slice()).unwrap_or_default();
         u64::try_from(identities.iter().filter(|identity| identity.block <= block).count()).unwrap_or(0)
-    }))
+    })
 }
 
 /// Fetches the proofs of confirmed batches that lack them, once for all batches of a block, the newest first: the node
@@ -92,26 +93,27 @@ pub fn key_version(network: &Network, owner: Address, block: u64) -> Result<u64,
 /// # Errors
 /// Errors of the ledger; a node that cannot be reached. What the node refuses, or what does not prove the anchor, is
 /// requested three times and then counted.
-pub async fn collect(plant: &Plant, network: &Network, attempts: &mut Attempts) -> Result<Collected, PipelineError> {
+pub async fn collect(plant: &Plant, network: &Network, rounds: &mut Rounds) -> Result<Collected, PipelineError> {
     let head = network.chain.head().await?.number;
     let confirmed = (head + 1).saturating_sub(network.confirmations);
     let mut blocks: BTreeMap<(u64, Hash), Vec<UnprovenBatch>> = BTreeMap::new();
     for batch in block_in_place(|| plant.ledger.unproven_batches(confirmed, AT_ONCE))? {
         blocks.entry((batch.block, batch.block_hash)).or_default().push(batch);
     }
-    attempts.0.retain(|block, _| blocks.keys().any(|(known, _)| known == block));
+    rounds.attempts.retain(|block, _| blocks.keys().any(|(known, _)| known == block));
     let mut collected = Collected::default();
     for (at, batches) in blocks.into_iter().rev() {
         let keys: Vec<u64> = batches.iter().map(|batch| batch.key).collect();
         let count = keys.len() as u64;
         match proof(network, at, &batches).await? {
-            Fetched::Proof(nodes) => {
-                block_in_place(|| plant.ledger.keep_chain_proof(at, keys, nodes.into_hashed().collect()))?;
+            Fetched::Proof(header, nodes) => {
+                block_in_place(|| plant.ledger.keep_chain_proof(at, header, keys, nodes.into_hashed().collect()))?;
+                rounds.await_after(network, at.0).await?;
                 collected.kept += count;
             }
             Fetched::OtherBlock => {}
             Fetched::Refused(why) => {
-                let attempt = attempts.0.entry(at.0).or_default();
+                let attempt = rounds.attempts.entry(at.0).or_default();
                 *attempt += 1;
                 if *attempt >= ATTEMPTS {
                     block_in_place(|| plant.ledger.miss_chain_proof(keys))?;
@@ -121,12 +123,43 @@ pub async fn collect(plant: &Plant, network: &Network, attempts: &mut Attempts) 
             }
         }
     }
+    rounds.keep_headers(plant, network, confirmed).await?;
     Ok(collected)
+}
+
+impl Rounds {
+    /// The headers after this block are to be kept too, as far as its sealers' quorum may need them.
+    async fn await_after(&mut self, network: &Network, block: u64) -> Result<(), PipelineError> {
+        let further = match self.further {
+            Some(further) => further,
+            None => u64::try_from(network.chain.sealing().await?.sealers.len() / 2).unwrap_or(0),
+        };
+        self.further = Some(further);
+        self.awaited.extend((1..=further).map(|after| block.saturating_add(after)));
+        Ok(())
+    }
+
+    async fn keep_headers(&mut self, plant: &Plant, network: &Network, confirmed: u64) -> Result<(), PipelineError> {
+        if self.further.is_none()
+            && let Some(newest) = block_in_place(|| plant.ledger.chain_proof_counts())?.newest
+        {
+            // A process that ended before may have left some.
+            self.await_after(network, newest).await?;
+        }
+        while let Some(block) = self.awaited.first().copied().filter(|block| *block <= confirmed) {
+            if let Ok(Some(header)) = refusal(network.chain.header_rlp(block).await)? {
+                block_in_place(|| plant.ledger.keep_chain_header(block, header))?;
+            }
+            self.awaited.remove(&block);
+        }
+        Ok(())
+    }
 }
 
 /// An answer of the node about one block.
 enum Fetched {
-    Proof(Nodes),
+    /// The block's header, and the nodes.
+    Proof(Vec<u8>, Nodes),
     /// The chain has another block of that number now; the watcher is about to notice.
     OtherBlock,
     /// There is no proof, and why.
@@ -141,23 +174,24 @@ async fn proof(
     let mut wanted = Vec::new();
     for batch in batches {
         for (owner, signer) in &batch.signers {
-            let (owner, signer, keys) = (*owner, *signer, key_version(network, *owner, block)?);
+            let (owner, signer, keys) = (*owner, *signer, key_version(network, *owner, block));
             wanted.push(Shown { owner, signer, keys, anchor: Anchor::Root(batch.account, batch.root) });
         }
     }
     let slots = slots(wanted);
-    let header = match refusal(network.chain.header_rlp(block).await)? {
-        Ok(header) => header.and_then(|bytes| BlockHeader::parse(&bytes)),
+    let bytes = match refusal(network.chain.header_rlp(block).await)? {
+        Ok(header) => header.unwrap_or_default(),
         Err(why) => return Ok(Fetched::Refused(why)),
     };
-    let Some(header) = header.filter(|header| header.hash == hash) else { return Ok(Fetched::OtherBlock) };
+    let header = BlockHeader::parse(&bytes).filter(|header| header.hash == hash);
+    let Some(header) = header else { return Ok(Fetched::OtherBlock) };
     let nodes: Nodes = match refusal(network.chain.storage_nodes(block, &slots).await)? {
         Ok(nodes) => nodes.into_iter().collect(),
         Err(why) => return Ok(Fetched::Refused(why)),
     };
     let Some(pin) = network.chain.pin() else { return Ok(Fetched::OtherBlock) };
     Ok(match proven(&nodes, (header.state_root, pin.contract), &slots, batches) {
-        Ok(nodes) => Fetched::Proof(nodes),
+        Ok(nodes) => Fetched::Proof(bytes, nodes),
         Err(why) => Fetched::Refused(format!("the node's proof for block {block} proves nothing: {why}")),
     })
 }
@@ -190,6 +224,17 @@ fn refusal<Answer>(answer: Result<Answer, ChainError>) -> Result<Result<Answer, 
     }
 }
 
+/// A block's header, RLP: from the chain, or as it was kept where that cannot be asked.
+///
+/// # Errors
+/// Errors of ledger and chain.
+pub(crate) async fn header(plant: &Plant, network: &Network, block: u64) -> Result<Option<Vec<u8>>, PipelineError> {
+    match network.absent {
+        None => Ok(network.chain.header_rlp(block).await?),
+        Some(_) => Ok(block_in_place(|| plant.ledger.chain_header(block))?),
+    }
+}
+
 /// The kept nodes that show these slots in the state after a block, as the chain has it now; `None` if not all are kept.
 ///
 /// # Errors
@@ -201,7 +246,7 @@ pub(crate) async fn kept(
     slots: &[Slot],
 ) -> Result<Option<Nodes>, PipelineError> {
     let Some(kept) = block_in_place(|| plant.ledger.chain_proof(block))? else { return Ok(None) };
-    let header = network.chain.header_rlp(block).await?.and_then(|bytes| BlockHeader::parse(&bytes));
+    let header = header(plant, network, block).await?.and_then(|bytes| BlockHeader::parse(&bytes));
     let Some(header) = header.filter(|header| header.hash == kept.hash) else { return Ok(None) };
     let Some(pin) = network.chain.pin() else { return Ok(None) };
     let nodes: Nodes = kept.nodes.into_iter().collect();

@@ -344,10 +344,7 @@ fn take_over(row: &mut RecordRow, header: &Header, head: Option<&Head>) {
 /// Inconsistencies between a row, its place in a batch and its state.
 fn place_difference(plant: &Plant, row: &RecordRow) -> Result<Option<&'static str>, StoreError> {
     let settled = matches!(row.state, RecordState::Mined | RecordState::Confirmed | RecordState::Verified);
-    if settled && row.block.is_none() {
-        return Ok(plant.ledger.earlier_anchor(row.digest)?.is_none().then_some("state"));
-    }
-    if row.state.is_before_block() && row.block.is_some() {
+    if (settled && row.block.is_none()) || (row.state.is_before_block() && row.block.is_some()) {
         return Ok(Some("state"));
     }
     anchor_difference(plant, row)

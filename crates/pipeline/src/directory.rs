@@ -331,7 +331,7 @@ impl State {
                 }
             }
             Event::RecoveryNamed { owner, recovery, from } => {
-                let delay = self.administration.delay.unwrap_or(0);
+                let delay = self.administration.delay;
                 let known = &mut self.account(*owner).recovery;
                 *known = Some(Recovery::named(known.take(), *recovery, *from, delay));
             }

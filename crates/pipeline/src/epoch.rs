@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::importer::MCAP;
+use super::importer::{FORMER, MCAP};
 use crate::crypto::{
     Enrolment, EpochIssue, FilterKey, IndexKey, IssuedTopic, SealingKey, SmKeyPair, TopicKey, filter_id, filter_key,
     signer_id, topic_filter_id, topic_id, topic_key,
@@ -122,10 +122,11 @@ impl EpochKeys {
 
 impl TopicKeys {
     /// The filter ids of a record, at most [`MOST_FILTERS`]: its type, whether it is simulated, then its other tags in
-    /// order of their names; not what a recording says beside its messages. A tag's filter is over `name=value`.
+    /// order of their names; not what a recording says beside its messages, nor what they were in another home. A tag's
+    /// filter is over `name=value`.
     pub fn filters(&self, type_name: &str, tags: &BTreeMap<String, String>) -> Vec<FilterId> {
         let is_simulated = |tag: &(&String, &String)| (tag.0.as_str(), tag.1.as_str()) == SIMULATED;
-        let sought = |(name, _): &(&String, &String)| !name.starts_with(MCAP);
+        let sought = |(name, _): &(&String, &String)| ![MCAP, FORMER].iter().any(|prefix| name.starts_with(prefix));
         let (first, rest): (Vec<_>, Vec<_>) = tags.iter().filter(sought).partition(is_simulated);
         let tags = first.into_iter().chain(rest).map(|(name, value)| self.filters.id("tag", &tag_text(name, value)));
         std::iter::once(self.filters.id("type", type_name)).chain(tags).take(MOST_FILTERS).collect()

@@ -2,21 +2,23 @@
 //! of their anchors and their signers' keys.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::RangeInclusive;
 
 use authros_evidence::{
-    AnchorClaim, Anchoring, BundledRecord, Disclosure, Nodes, Packing, PackingError, PinnedAuthority, PinnedChain,
-    Slot, Trust, disclose,
+    AnchorClaim, Anchoring, BlockHeader, BundledRecord, Disclosure, Nodes, Packing, PackingError, PinnedAuthority,
+    PinnedChain, Slot, Trust, disclose,
 };
 use tokio::task::block_in_place;
 
-use crate::chain::{ChainError, Event, SealerKind};
+use crate::chain::{Chain, ChainError, SealerKind};
 use crate::crypto::record::{RecordSecret, open_revealed};
 use crate::crypto::signer_id;
-use crate::model::{Address, Digest, ErrorKind, Hash, Header, Identity, PublicKey, SignerId};
+use crate::model::{Address, Digest, ErrorKind, Hash, Header, PublicKey, SignerId};
 use crate::store::{RecordRow, Retained};
 
 use super::chain_proofs::{self, Anchor, Shown as Wanted};
 use super::columns::{self, Keys};
+use super::directory::kept;
 use super::evidence_heights::{self, Shown};
 use super::evidence_stamps;
 use super::reader::Reader;
@@ -25,6 +27,9 @@ use super::{PipelineError, authority};
 
 /// The most records in a bundle.
 pub use authros_evidence::MOST_RECORDS;
+
+/// The most kept headers after a block that are included.
+const MOST_FURTHER: u64 = 16;
 
 /// A bundle being assembled, and what could not be included.
 #[derive(Debug, Default)]
@@ -94,7 +99,7 @@ pub async fn gather(
         let record = BundledRecord { disclosure, ..record };
         match block_in_place(|| anchoring(reader, row))? {
             Some((block, anchor)) => {
-                let keys = chain_proofs::key_version(reader.network, row.owner, block)?;
+                let keys = chain_proofs::key_version(reader.network, row.owner, block);
                 let (digest, owner, signer) = (row.digest, row.owner, row.signer);
                 asked.push(Asked { digest, owner, signer, block, keys, anchor, record });
             }
@@ -106,8 +111,20 @@ pub async fn gather(
     }
     let roots = asked.iter().filter_map(Asked::root).collect();
     block_in_place(|| evidence_stamps::add(reader.plant, &roots, &mut gathered))?;
-    show(reader, asked, &mut gathered).await?;
-    suggest(reader, authorities, &mut gathered).await?;
+    let live = match &reader.network.absent {
+        None => Some(Sealers::of(&reader.network.chain).await?),
+        Some(why) => {
+            gathered.notes.push(format!("the chain was not asked, the bundle has what was kept of it: {why}"));
+            None
+        }
+    };
+    let further = live.as_ref().map_or(MOST_FURTHER, |sealers| sealers.addresses.len() as u64 / 2);
+    let headers = show(reader, asked, further, &mut gathered).await?;
+    let sealers = live.unwrap_or_else(|| Sealers::shown(headers.values()));
+    for (number, header) in headers {
+        gathered.packing.header(number, header);
+    }
+    suggest(reader, sealers, authorities, &mut gathered)?;
     Ok(gathered)
 }
 
@@ -135,10 +152,6 @@ fn stored(
     let (header, _) = Header::parse(&record).map_err(crate::crypto::CryptoError::DamagedRecord)?;
     if let Some(field) = columns::header_difference(row, &header) {
         return Err(PipelineError::RowDiffers { id: row.id.clone(), field });
-    }
-    if header.domain != reader.network.domain {
-        notes.push(format!("record {} belongs to an earlier chain or contract and is not in the bundle", row.id));
-        return Ok(None);
     }
     let own = reader.reader.signing().public;
     let known = [Some(own), plant.ledger.signer(row.signer)?, authority::key_of(plant, reader.network, row)?];
@@ -179,30 +192,33 @@ async fn disclosed(
     disclose(secret, (&network.domain, &row.digest), &reader.reader.signing(), plant.provider).map_err(refused)
 }
 
-/// Gets the chain's proof of every anchor, at its own block if the node still has that state, otherwise at a late one.
-async fn show(reader: &Reader<'_>, asked: Vec<Asked>, gathered: &mut Gathered) -> Result<(), PipelineError> {
-    let chain = &reader.network.chain;
+/// Gets the chain's proof of every anchor: of the state at its own block if that is kept or the node still has it,
+/// otherwise of a late one. Returns the headers of the blocks that show something, and of those that confirm them.
+async fn show(
+    reader: &Reader<'_>,
+    asked: Vec<Asked>,
+    further: u64,
+    gathered: &mut Gathered,
+) -> Result<BTreeMap<u64, Vec<u8>>, PipelineError> {
+    let network = reader.network;
     let mut blocks: BTreeMap<u64, Vec<Asked>> = BTreeMap::new();
     asked.into_iter().for_each(|one| blocks.entry(one.block).or_default().push(one));
-    let head = chain.head().await?.number;
-    let further = u64::try_from(chain.sealing().await?.sealers.len() / 2).unwrap_or(0);
-    let (mut nodes, mut headers, mut identities) = (Nodes::default(), BTreeSet::new(), BTreeSet::new());
-    identities.insert((reader.reader.address, chain_proofs::key_version(reader.network, reader.reader.address, head)?));
+    let head = match network.absent {
+        None => Some(network.chain.head().await?.number),
+        Some(_) => None,
+    };
+    let (mut nodes, mut headers, mut identities) = (Nodes::default(), BTreeMap::new(), BTreeSet::new());
+    identities.insert((reader.reader.address, chain_proofs::key_version(network, reader.reader.address, u64::MAX)));
     for (block, all) in blocks {
         let slots = slots(&all);
-        let late = head.saturating_sub(further).max(block);
-        let shown = match at_its_block(reader, block, &slots).await? {
-            Some(found) => Some((block, found)),
-            None => state_nodes(reader, late, &slots).await?.map(|found| (late, found)),
-        };
-        let shown_at = match shown {
+        let shown_at = match shown(reader, (block, head, further), &slots).await? {
             Some((at, found)) => {
                 nodes.extend(found);
-                headers.extend(at..=at.saturating_add(further).min(head));
+                add_headers(reader, at..=at.saturating_add(further), &mut headers).await?;
                 at
             }
             None => {
-                let text = format!("the node proves no state of block {block} or later: level (c) is not proven");
+                let text = format!("no state of block {block} or later can be proven: level (c) is not proven");
                 gathered.notes.push(text);
                 block
             }
@@ -213,18 +229,47 @@ async fn show(reader: &Reader<'_>, asked: Vec<Asked>, gathered: &mut Gathered) -
             gathered.packing.record(one.digest, BundledRecord { anchor, ..one.record }).map_err(refused)?;
         }
     }
-    for number in headers {
-        if let Some(header) = chain.header_rlp(number).await? {
-            gathered.packing.header(number, header);
-        }
-    }
     for (account, version) in identities {
-        if let Some(identity) = identity(reader, account, version).await? {
+        if let Some(identity) = block_in_place(|| kept::identity(&reader.plant.ledger, account, version))? {
             gathered.packing.identity(&identity);
         }
     }
     if !nodes.is_empty() {
         gathered.packing.nodes(&nodes);
+    }
+    Ok(headers)
+}
+
+/// The nodes that show these slots, and after which block; `None` if nothing proves them any more. Without a head there
+/// is no chain to ask.
+async fn shown(
+    reader: &Reader<'_>,
+    (block, head, further): (u64, Option<u64>, u64),
+    slots: &[Slot],
+) -> Result<Option<(u64, Nodes)>, PipelineError> {
+    if let Some(found) = chain_proofs::kept(reader.plant, reader.network, block, slots).await? {
+        return Ok(Some((block, found)));
+    }
+    let Some(head) = head else { return Ok(None) };
+    if let Some(found) = state_nodes(reader, block, slots).await? {
+        return Ok(Some((block, found)));
+    }
+    let late = head.saturating_sub(further).max(block);
+    Ok(state_nodes(reader, late, slots).await?.map(|found| (late, found)))
+}
+
+/// Adds the headers of these blocks, up to the first that is not there.
+async fn add_headers(
+    reader: &Reader<'_>,
+    blocks: RangeInclusive<u64>,
+    headers: &mut BTreeMap<u64, Vec<u8>>,
+) -> Result<(), PipelineError> {
+    for block in blocks {
+        if headers.contains_key(&block) {
+            continue;
+        }
+        let Some(header) = chain_proofs::header(reader.plant, reader.network, block).await? else { break };
+        headers.insert(block, header);
     }
     Ok(())
 }
@@ -241,14 +286,6 @@ fn slots(all: &[Asked]) -> Vec<Slot> {
     chain_proofs::slots(wanted)
 }
 
-/// What is kept of the state after the block, otherwise what the node still has of it.
-async fn at_its_block(reader: &Reader<'_>, block: u64, slots: &[Slot]) -> Result<Option<Nodes>, PipelineError> {
-    match chain_proofs::kept(reader.plant, reader.network, block, slots).await? {
-        Some(found) => Ok(Some(found)),
-        None => state_nodes(reader, block, slots).await,
-    }
-}
-
 /// `None` if the node no longer has that state, or cannot prove anything.
 async fn state_nodes(reader: &Reader<'_>, block: u64, slots: &[Slot]) -> Result<Option<Nodes>, PipelineError> {
     match reader.network.chain.storage_nodes(block, slots).await {
@@ -259,39 +296,39 @@ async fn state_nodes(reader: &Reader<'_>, block: u64, slots: &[Slot]) -> Result<
     }
 }
 
-/// An account's identity of a given version, as registered; the newest is read from the contract, older ones from the
-/// block that registered them.
-async fn identity(reader: &Reader<'_>, account: Address, version: u64) -> Result<Option<Identity>, PipelineError> {
-    let chain = &reader.network.chain;
-    let Some(state) = chain.account(account).await? else { return Ok(None) };
-    if state.keys == version || version == 0 {
-        return Ok(Some(state.identity));
+/// Who seals the chain, as far as it can be known.
+struct Sealers {
+    addresses: Vec<Address>,
+    /// They are the exporter's own program.
+    own: bool,
+}
+
+impl Sealers {
+    /// As the node says.
+    async fn of(chain: &Chain) -> Result<Self, PipelineError> {
+        let mut addresses = chain.sealing().await?.sealers;
+        addresses.sort_unstable();
+        Ok(Self { addresses, own: chain.sealed_by().await?.kind == SealerKind::Embedded })
     }
-    let place = usize::try_from(version - 1).unwrap_or(usize::MAX);
-    let block = reader.network.directory.with_account(account, |account| {
-        account.and_then(|account| account.identities.get(place)).map(|identity| identity.block)
-    });
-    let Some(block) = block else { return Ok(None) };
-    Ok(chain.changes(block, block).await?.into_iter().find_map(|at| match at.event {
-        Event::Registered { owner, identity, .. } if owner == account && version == 1 => Some(identity),
-        Event::KeysRotated { owner, keys, identity } if owner == account && keys == version => Some(identity),
-        _ => None,
-    }))
+
+    /// As far as the kept headers show.
+    fn shown<'a>(headers: impl Iterator<Item = &'a Vec<u8>>) -> Self {
+        let headers: Vec<BlockHeader> = headers.filter_map(|header| BlockHeader::parse(header)).collect();
+        let addresses: BTreeSet<Address> = headers.iter().filter_map(BlockHeader::sealer).collect();
+        Self { addresses: addresses.into_iter().collect(), own: headers.iter().any(BlockHeader::is_ours) }
+    }
 }
 
 /// The trust file that the exporter would write.
-async fn suggest(
+fn suggest(
     reader: &Reader<'_>,
+    sealers: Sealers,
     authorities: Vec<PinnedAuthority>,
     gathered: &mut Gathered,
 ) -> Result<(), PipelineError> {
-    let chain = &reader.network.chain;
-    let Some(pin) = chain.pin() else { return Ok(()) };
-    let mut signers = chain.sealing().await?.sealers;
-    signers.sort_unstable();
-    let sealed_by_exporter = chain.sealed_by().await?.kind == SealerKind::Embedded;
+    let Some(pin) = reader.network.chain.pin() else { return Ok(()) };
     let (id, genesis, contract, code_hash) = (pin.chain_id, pin.genesis, pin.contract, pin.code_hash);
-    let quorum = None;
-    let pinned = PinnedChain { id, genesis, contract, code_hash, signers, quorum, sealed_by_exporter };
+    let Sealers { addresses: signers, own: sealed_by_exporter } = sealers;
+    let pinned = PinnedChain { id, genesis, contract, code_hash, signers, quorum: None, sealed_by_exporter };
     gathered.packing.suggest(&Trust { chain: pinned, persons: Vec::new(), authorities }).map_err(refused)
 }

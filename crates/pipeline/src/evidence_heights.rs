@@ -102,10 +102,9 @@ fn is_confirmed(row: &RecordRow) -> bool {
     matches!(row.state, RecordState::Confirmed | RecordState::Verified)
 }
 
-/// The content of a statement on this chain.
+/// The content of a statement.
 async fn body(reader: &Reader<'_>, row: &RecordRow) -> Option<Vec<u8>> {
-    let opened = reader.open(row).await.ok()?;
-    (opened.header.domain == reader.network.domain).then_some(opened.body)
+    Some(reader.open(row).await.ok()?.body)
 }
 
 /// The list of numbers under a head.

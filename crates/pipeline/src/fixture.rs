@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 use super::sender::{Outgoing, Policy};
-use super::{Directory, Network, Observer, Plant, Sender, watcher};
+use super::{Network, Observer, Plant, Sender, watcher};
 use crate::chain::{Call, Chain, ChainOptions, Endpoint, Event, Pin};
 use crate::crypto::{EoaSecret, ProviderName, SmKeyPair, domain, prove, provider};
 use crate::model::{Digest, Hash, RecordKind, RecordState, Signature, SignerId, Timestamp, Token, TopicId};
@@ -242,8 +242,5 @@ impl Process {
 /// Everything bound to a connected chain.
 pub fn network(chain: Chain) -> Network {
     let pin = chain.pin().expect("pinned");
-    let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
-    let directory = Arc::new(Directory::new(domain, provider(ProviderName::RustCrypto)));
-    let (earlier, former, times) = (Arc::default(), Arc::default(), Arc::default());
-    Network { chain, domain, directory, earlier, former, confirmations: 1, times }
+    Network::new(chain, &pin, provider(ProviderName::RustCrypto), 1)
 }

@@ -1,5 +1,5 @@
-//! Puts the messages of a recording into the ring, as they were recorded. It waits for room and leaves most of the
-//! ring to live capture; nothing is ever dropped here.
+//! Puts the messages of a recording, or of another home, into the ring, as they were recorded. It waits for room and
+//! leaves most of the ring to live capture; nothing is ever dropped here.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
@@ -10,9 +10,9 @@ use super::ring::Rings;
 use super::session::TopicFigures;
 use super::{Author, CaptureSession};
 use crate::model::topic::LONGEST_NAME;
-use crate::model::{Timestamp, TopicRules};
+use crate::model::{Timestamp, TopicRule, TopicRules};
 use crate::ros::recording::tags::{CHANNEL, PUBLISHED, SEQUENCE};
-pub use crate::ros::recording::tags::{ENCODING, MCAP};
+pub use crate::ros::recording::tags::{ENCODING, FORMER, FORMER_RECORD, FORMER_SIGNER, MCAP};
 use crate::ros::recording::{Channel, Encoding, RecordedMessage, Sent};
 use crate::ros::{Message, Origin};
 
@@ -75,7 +75,7 @@ fn tags_of(sent: Sent, recorded: Timestamp) -> Vec<(String, String)> {
     tags
 }
 
-/// Imports one recording for one author.
+/// Imports one recording, or one home, for one author.
 pub struct Importer<'a> {
     rings: &'a Rings<CapturedMessage>,
     author: Arc<Author>,
@@ -91,6 +91,39 @@ struct Stream {
     origin: Arc<Origin>,
 }
 
+impl Stream {
+    fn new(channel: &Channel, topic: &Arc<str>, tags: Vec<(String, String)>) -> Self {
+        Self {
+            session: Arc::new(CaptureSession::new(&[topic.to_string()], None, tags)),
+            origin: Arc::new(Origin {
+                number: 0,
+                caller_id: Arc::clone(&channel.caller_id),
+                host: String::new(),
+                uri: String::new(),
+                type_name: Arc::clone(&channel.type_name),
+                md5sum: Arc::clone(&channel.md5sum),
+                listed_at: Instant::now(),
+                rival: None,
+            }),
+        }
+    }
+}
+
+/// What the tags say of a recording's channel.
+fn channel_tags(channel: &Channel, topic: &Arc<str>) -> Vec<(String, String)> {
+    let mut tags = vec![(SOURCE.0.to_owned(), SOURCE.1.to_owned())];
+    match channel.encoding {
+        Encoding::Ros1 => {}
+        Encoding::Cdr { idl: false } => tags.push((ENCODING.to_owned(), "cdr".to_owned())),
+        Encoding::Cdr { idl: true } => tags.push((ENCODING.to_owned(), "cdr-idl".to_owned())),
+    }
+    tags.extend(channel.about.iter().map(|(key, value)| (format!("{CHANNEL}{key}"), value.to_string())));
+    if channel.topic != *topic {
+        tags.push((RECORDED_TOPIC.to_owned(), channel.topic.to_string()));
+    }
+    tags
+}
+
 impl<'a> Importer<'a> {
     /// Imports for `author`; every message gets the tags.
     pub fn new(
@@ -102,45 +135,45 @@ impl<'a> Importer<'a> {
         Self { rings, author, rules, tags, sessions: HashMap::new(), offered: 0 }
     }
 
-    fn stream(&mut self, channel: &Arc<Channel>, topic: &Arc<str>) -> &Stream {
-        let tags = &self.tags;
-        self.sessions.entry(Arc::clone(channel)).or_insert_with(|| {
-            let mut tags = tags.clone();
-            tags.push((SOURCE.0.to_owned(), SOURCE.1.to_owned()));
-            match channel.encoding {
-                Encoding::Ros1 => {}
-                Encoding::Cdr { idl: false } => tags.push((ENCODING.to_owned(), "cdr".to_owned())),
-                Encoding::Cdr { idl: true } => tags.push((ENCODING.to_owned(), "cdr-idl".to_owned())),
-            }
-            tags.extend(channel.about.iter().map(|(key, value)| (format!("{CHANNEL}{key}"), value.to_string())));
-            if channel.topic != *topic {
-                tags.push((RECORDED_TOPIC.to_owned(), channel.topic.to_string()));
-            }
-            Stream {
-                session: Arc::new(CaptureSession::new(&[topic.to_string()], None, tags)),
-                origin: Arc::new(Origin {
-                    number: 0,
-                    caller_id: Arc::clone(&channel.caller_id),
-                    host: String::new(),
-                    uri: String::new(),
-                    type_name: Arc::clone(&channel.type_name),
-                    md5sum: Arc::clone(&channel.md5sum),
-                    listed_at: Instant::now(),
-                    rival: None,
-                }),
-            }
-        })
+    /// Imports one recorded message under a graph name, as soon as there is room. `false` if the import is to end.
+    pub fn take(&mut self, message: RecordedMessage, topic: &Arc<str>, goes_on: &dyn Fn() -> bool) -> bool {
+        if !self.sessions.contains_key(&message.channel) {
+            let tags = [self.tags.clone(), channel_tags(&message.channel, topic)].concat();
+            self.sessions.insert(Arc::clone(&message.channel), Stream::new(&message.channel, topic, tags));
+        }
+        let tags = message.sent.map(|sent| tags_of(sent, message.time)).unwrap_or_default();
+        let rule = self.rules.of(topic).cloned();
+        self.offer(message, topic, (tags, rule), goes_on)
     }
 
-    /// Imports one message under a graph name, as soon as there is room. `false` if the import is to end.
-    pub fn take(&mut self, message: RecordedMessage, topic: &Arc<str>, goes_on: &dyn Fn() -> bool) -> bool {
+    /// Imports a message that was a record before, with all its tags.
+    pub fn take_again(
+        &mut self,
+        message: RecordedMessage,
+        tags: Vec<(String, String)>,
+        goes_on: &dyn Fn() -> bool,
+    ) -> bool {
+        let topic = Arc::clone(&message.channel.topic);
+        if !self.sessions.contains_key(&message.channel) {
+            let stream = Stream::new(&message.channel, &topic, self.tags.clone());
+            self.sessions.insert(Arc::clone(&message.channel), stream);
+        }
+        self.offer(message, &topic, (tags, None), goes_on)
+    }
+
+    fn offer(
+        &mut self,
+        message: RecordedMessage,
+        topic: &Arc<str>,
+        (tags, rule): (Vec<(String, String)>, Option<Arc<TopicRule>>),
+        goes_on: &dyn Fn() -> bool,
+    ) -> bool {
         if self.offered.is_multiple_of(1024) && !self.wait_for_the_chain(goes_on) {
             return false;
         }
-        let RecordedMessage { channel, time, sent, body } = message;
-        let rule = self.rules.of(topic).cloned();
+        let RecordedMessage { channel, time, body, .. } = message;
         let author = Arc::clone(&self.author);
-        let stream = self.stream(&channel, topic);
+        let Some(stream) = self.sessions.get(&channel) else { return false };
         let (session, origin) = (Arc::clone(&stream.session), Arc::clone(&stream.origin));
         session.take(topic, &channel.type_name);
         let message = Message {
@@ -153,7 +186,7 @@ impl<'a> Importer<'a> {
             latching: channel.latching,
             captured_at: time,
             header_seq: None,
-            tags: sent.map(|sent| tags_of(sent, time)).unwrap_or_default(),
+            tags,
             body,
         };
         let message = Arc::new(message);

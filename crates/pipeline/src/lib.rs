@@ -11,7 +11,6 @@ use authros_model as model;
 use authros_ros as ros;
 use authros_store as store;
 
-pub mod adoption;
 pub mod anchorer;
 pub mod anchoring_accounts;
 pub mod audit_head;
@@ -79,9 +78,10 @@ pub use session::CaptureSession;
 
 use std::sync::Arc;
 
+use crate::chain::{Chain, Pin};
 use crate::crypto::Provider;
 use crate::model::{Digest, Domain};
-use crate::store::{Ledger, RecordRow, Vault};
+use crate::store::{Ledger, StoreError, Vault};
 
 /// A worker's report to the service; short, never blocking.
 pub trait Observer: Send + Sync {
@@ -126,66 +126,35 @@ pub struct Plant {
 #[derive(Clone)]
 pub struct Network {
     /// The node or embedded chain, with the contract.
-    pub chain: crate::chain::Chain,
+    pub chain: Chain,
     /// Binds records to this chain and contract.
     pub domain: Domain,
     /// Registrations and grants, from the chain's events.
     pub directory: Arc<Directory>,
-    /// Domains that this home used before it adopted this chain.
-    pub earlier: Arc<Vec<Domain>>,
-    /// Contracts that this home used before on this very chain, the first one first: records anchored there are checked
-    /// there.
-    pub former: Arc<Vec<Former>>,
     /// Confirmations an anchor needs, its own block included.
     pub confirmations: u64,
     /// Times of known blocks.
     pub times: Arc<BlockTimes>,
-}
-
-/// A former contract on the same chain, as of its last block here.
-#[derive(Clone)]
-pub struct Former {
-    /// The same chain, with that contract.
-    pub chain: crate::chain::Chain,
-    /// The domain records were bound to.
-    pub domain: Domain,
-    /// Registrations and loans there.
-    pub directory: Arc<Directory>,
-    /// The last block in which it was in use here.
-    pub until: u64,
-}
-
-/// The contract that holds an anchor, and its knowledge of accounts.
-pub struct Place<'a> {
-    /// The chain with that contract.
-    pub chain: &'a crate::chain::Chain,
-    /// Who was registered there.
-    pub directory: &'a Directory,
+    /// Why the chain cannot be asked, if it cannot: then this is what the home kept of it.
+    pub absent: Option<Arc<str>>,
 }
 
 impl Network {
-    /// Where the record's anchor is: in a former contract, as long as it was in use, otherwise in the network's own.
+    /// A connected chain with the contract of this pin; nothing is known of its accounts yet.
+    pub fn new(chain: Chain, pin: &Pin, provider: &'static dyn Provider, confirmations: u64) -> Self {
+        let domain = pin.domain();
+        let directory = Arc::new(Directory::new(domain, provider));
+        Self { chain, domain, directory, confirmations, times: Arc::default(), absent: None }
+    }
+
+    /// What a home kept of a chain that cannot be asked, for reading alone: accounts and rights as of the last block read.
     ///
     /// # Errors
     /// Errors of the ledger.
-    pub fn place_of(&self, plant: &Plant, row: &RecordRow) -> Result<Place<'_>, PipelineError> {
-        let own = Place { chain: &self.chain, directory: &self.directory };
-        let Some(block) = row.block.filter(|_| !self.former.is_empty()) else { return Ok(own) };
-        let Some(earlier) = plant.ledger.earlier_anchor(row.digest)?.filter(|earlier| earlier.block == block) else {
-            return Ok(own);
-        };
-        let former = self.former.iter().find(|former| former.domain == earlier.domain && block <= former.until);
-        Ok(former.map_or(own, |former| Place { chain: &former.chain, directory: &former.directory }))
-    }
-
-    /// The contracts that can hold an anchor in this block, the most likely first.
-    pub fn chains_at(&self, block: u64) -> Vec<&crate::chain::Chain> {
-        let former = self.former.iter().filter(|former| block <= former.until).map(|former| &former.chain);
-        former.chain([&self.chain]).collect()
-    }
-
-    /// Whether records of this domain belong here: the network's own, or one used before it was adopted.
-    pub fn accepts(&self, domain: &Domain) -> bool {
-        self.domain == *domain || self.earlier.contains(domain)
+    pub fn kept(plant: &Plant, pin: Pin, why: &str) -> Result<Self, StoreError> {
+        let chain = Chain::absent(pin.clone(), why.to_owned());
+        let network = Self { absent: Some(why.into()), ..Self::new(chain, &pin, plant.provider, 1) };
+        directory::kept::read_back(&plant.ledger, &network.directory)?;
+        Ok(network)
     }
 }

@@ -213,7 +213,7 @@ impl Mirror<'_> {
     pub async fn take(&self, owner: Address, digest: Digest, fetched: Fetched) -> Result<bool, PipelineError> {
         let refused = |why: &str| PipelineError::NotTakenIn { digest, why: why.to_owned() };
         let (header, _) = Header::parse(&fetched.blob).map_err(|_| refused("it is not a record"))?;
-        if header.owner != owner || !self.network.accepts(&header.domain) {
+        if header.owner != owner || header.domain != self.network.domain {
             return Err(refused("it does not belong to the requested owner or network"));
         }
         let proof = match fetched.proof.is_empty() {

@@ -35,15 +35,15 @@ pub async fn is_anchored(plant: &Plant, network: &Network, row: &RecordRow) -> R
     if fault::is_off("anchor") {
         return Ok(true);
     }
-    let contract = block_in_place(|| network.place_of(plant, row))?.chain;
+    let chain = &network.chain;
     if let Some(place) = block_in_place(|| plant.ledger.batch_place(row.digest))?
         && let (Some(account), Some(block)) = (place.account, place.block)
         && row.block.is_none_or(|anchored| anchored == block)
     {
         let (root, count) = (place.inclusion.root, place.inclusion.count);
-        return Ok(is_root_in(contract, account, root, count, block).await? && is_included(&place, row));
+        return Ok(is_root_in(chain, account, root, count, block).await? && is_included(&place, row));
     }
-    let uploaded = contract.uploaded_at(row.owner, row.digest).await?;
+    let uploaded = chain.uploaded_at(row.owner, row.digest).await?;
     Ok(uploaded.is_some_and(|uploaded| row.block.is_none_or(|block| block == uploaded)))
 }
 

@@ -12,7 +12,7 @@ use crate::crypto::{
     Anchor, CryptoError, Expected, GrantedKeys, IndexKey, OpenedRecord, TopicKey, WrappedKeys, check, check_deleted,
     open, topic_key, unwrap,
 };
-use crate::model::{Address, Digest, Domain, GrantTerms, Header, RecordKind, RecordState, TopicId, Verdict};
+use crate::model::{Address, Digest, GrantTerms, Header, RecordKind, RecordState, TopicId, Verdict};
 use crate::store::{KeptEnvelope, RecordQuery, RecordRow, Retained};
 
 use super::authority::{Policy, ReadRefused, ReadingRight, may_read};
@@ -69,8 +69,7 @@ impl Reader<'_> {
             return Ok((self.check_gone(row).await?, row.digest));
         };
         let digest = Digest(self.plant.provider.sm3(&[&blob]));
-        let anchored = self.is_anchored(row).await?;
-        let anchor = if anchored { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
+        let anchor = self.anchor(row).await?;
         let signer = block_in_place(|| authority::key_of(self.plant, self.network, row))?;
         let checked = signer.and_then(|signer| check(self.plant.provider, &blob, &row.signature, &signer, anchor).ok());
         let sound = checked.filter(|(header, ..)| columns::header_difference(row, header).is_none());
@@ -88,10 +87,11 @@ impl Reader<'_> {
         let signed = signer.is_some_and(|signer| {
             check_deleted(self.plant.provider, &retained.header, row.digest, &row.signature, &signer).is_ok()
         });
-        Ok(match (signed, self.is_anchored(row).await?) {
-            (true, true) => Verdict::Deleted,
+        Ok(match (signed, self.anchor(row).await?) {
+            (true, Anchor::Chain(_)) => Verdict::Deleted,
+            (true, Anchor::Remembered(_)) => Verdict::NotChecked,
             // Its anchor is not confirmed here yet, or not any more.
-            (true, false) if row.state < RecordState::Confirmed => Verdict::Unanchored,
+            (true, _) if row.state < RecordState::Confirmed => Verdict::Unanchored,
             (true | false, _) => Verdict::Tampered,
         })
     }
@@ -116,9 +116,15 @@ impl Reader<'_> {
         })
     }
 
-    async fn is_anchored(&self, row: &RecordRow) -> Result<bool, PipelineError> {
+    /// What the chain says of the record, or said when it could be asked.
+    async fn anchor(&self, row: &RecordRow) -> Result<Anchor, PipelineError> {
         let confirmed = matches!(row.state, RecordState::Confirmed | RecordState::Verified | RecordState::Tampered);
-        Ok(confirmed && proof::is_anchored(self.plant, self.network, row).await?)
+        let (anchored, digest) = match self.network.absent {
+            _ if !confirmed => return Ok(Anchor::Unanchored),
+            None => (proof::is_anchored(self.plant, self.network, row).await?, Anchor::Chain(row.digest)),
+            Some(_) => (block_in_place(|| proof::was_sighted(self.plant, row))?, Anchor::Remembered(row.digest)),
+        };
+        Ok(if anchored { digest } else { Anchor::Unanchored })
     }
 
     /// Checks and decrypts a record.
@@ -143,15 +149,12 @@ impl Reader<'_> {
     pub async fn open_bytes(&self, row: &RecordRow, blob: &[u8]) -> Result<OpenedRecord, PipelineError> {
         self.authorise(row)?;
         self.compare(row, blob)?;
-        let anchor = if self.is_anchored(row).await? { Anchor::Chain(row.digest) } else { Anchor::Unanchored };
+        let anchor = self.anchor(row).await?;
         let signer = block_in_place(|| authority::signer_of(self.plant, self.network, row))?;
         let signer = signer.map_err(|why| PipelineError::NoRight { id: row.id.clone(), why: Box::new(why) })?;
-        // The owner's records of a former chain are bound to its domain, and sealed under its epochs.
-        let sealed_for = Header::parse(blob).map_or(self.network.domain, |(header, _)| header.domain);
-        let domain = if self.network.accepts(&sealed_for) { sealed_for } else { self.network.domain };
-        let key = block_in_place(|| self.key_for(domain, row.owner, row.epoch, row.topic_id))?;
+        let key = block_in_place(|| self.topic_key(row))?;
         let expected = Expected {
-            domain,
+            domain: self.network.domain,
             owner: row.owner,
             recorder: Some(row.recorder),
             epoch: Some(row.epoch),
@@ -184,12 +187,13 @@ impl Reader<'_> {
     /// # Errors
     /// `CryptoError::WrongKey` if no grant of this reader carries it.
     pub fn topic_key(&self, row: &RecordRow) -> Result<TopicKey, PipelineError> {
-        self.key_for(self.network.domain, row.owner, row.epoch, row.topic_id)
+        self.key_for(row.owner, row.epoch, row.topic_id)
     }
 
-    fn key_for(&self, domain: Domain, owner: Address, epoch: u64, topic: TopicId) -> Result<TopicKey, PipelineError> {
+    fn key_for(&self, owner: Address, epoch: u64, topic: TopicId) -> Result<TopicKey, PipelineError> {
         if owner == self.reader.address {
-            let epoch_key = self.reader.epoch_key(domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))?;
+            let epoch_key =
+                self.reader.epoch_key(self.network.domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))?;
             return Ok(topic_key(&epoch_key, &topic));
         }
         if let Ok(ReadingRight::Granted(grant)) = self.right(owner, None) {
@@ -206,7 +210,7 @@ impl Reader<'_> {
     /// # Errors
     /// Errors of the ledger.
     pub fn envelopes(&self, grant: &Granted) -> Result<Vec<Arc<WrappedKeys>>, PipelineError> {
-        let all = kept::envelopes(&self.plant.ledger, &self.network.directory, grant)?;
+        let all = kept::envelopes(&self.plant.ledger, grant)?;
         Ok(all.iter().filter_map(|envelope| self.open_one(grant, envelope).ok()).collect())
     }
 
@@ -215,7 +219,7 @@ impl Reader<'_> {
     /// # Errors
     /// If none opens, or none agrees with the chain's event.
     pub fn open_envelope(&self, grant: &Granted, epoch: u64) -> Result<Arc<WrappedKeys>, PipelineError> {
-        let mut all = kept::envelopes(&self.plant.ledger, &self.network.directory, grant)?;
+        let mut all = kept::envelopes(&self.plant.ledger, grant)?;
         all.retain(|envelope| envelope.epoch == epoch);
         first_good(all.iter().map(|envelope| self.open_one(grant, envelope)))
             .unwrap_or_else(|| Err(CryptoError::WrongKey.into()))
@@ -279,7 +283,7 @@ fn first_good<T>(mut results: impl Iterator<Item = Result<T, PipelineError>>) ->
 
 impl columns::Keys for Reader<'_> {
     fn topic_key(&self, header: &Header) -> Option<TopicKey> {
-        self.key_for(header.domain, header.owner, header.epoch, header.topic_id).ok()
+        self.key_for(header.owner, header.epoch, header.topic_id).ok()
     }
 
     fn index_key(&self, row: &RecordRow) -> Option<IndexKey> {

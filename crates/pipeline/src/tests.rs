@@ -12,11 +12,11 @@ use std::sync::Arc;
 
 use super::anchorer::Anchorer;
 use super::sender::Policy;
-use super::{Directory, Network, Observer, Owner, Plant, Sender, anchoring_accounts, proof, watcher};
+use super::{Network, Observer, Owner, Plant, Sender, anchoring_accounts, proof, watcher};
 use crate::chain::{Call, Chain, ChainOptions, Endpoint};
 use crate::crypto::sm3::sm3;
 use crate::crypto::{
-    Anchor, Expected, Keyring, Passphrase, ProviderName, UnlockedKeyring, domain, open, prove, provider, signer_id,
+    Anchor, Expected, Keyring, Passphrase, ProviderName, UnlockedKeyring, open, prove, provider, signer_id,
 };
 use crate::model::{
     AnchorMode, Digest, Domain, ProfileName, RecordKind, RecordState, Signature, Timestamp, Token, TopicId,
@@ -61,17 +61,8 @@ impl Line {
         let options = ChainOptions { endpoint, contract: None, pinned: None, confirmations: 1 };
         let chain = Chain::connect(options).await.expect("a chain");
         let pin = chain.deploy(&owner.eoa()).await.expect("deployed");
-        let domain = domain(pin.chain_id, &pin.genesis, &pin.contract);
-        let directory = Arc::new(Directory::new(domain, plant.provider));
-        let network = Network {
-            chain,
-            domain,
-            directory,
-            earlier: Arc::default(),
-            former: Arc::default(),
-            confirmations: 1,
-            times: Arc::default(),
-        };
+        let domain = pin.domain();
+        let network = Network::new(chain, &pin, plant.provider, 1);
         let sender = Sender::new(plant.ledger.clone(), Arc::clone(&plant.observer), Policy { cap: None });
         let (signing, envelope) = (owner.signing(), owner.envelope().public);
         let identity = prove(plant.provider, &domain, &owner.address, &signing, &envelope, Token([1; 32]));

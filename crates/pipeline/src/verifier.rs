@@ -99,7 +99,7 @@ impl<'a> Outcome<'a> {
             let is_same = checked.is_ok_and(|(header, digest, _)| {
                 digest == row.digest
                     && columns::header_difference(row, &header).is_none()
-                    && network.accepts(&header.domain)
+                    && network.domain == header.domain
             });
             if is_same { same.push(*row) } else { other.push(*row) }
         }

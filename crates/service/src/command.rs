@@ -33,12 +33,13 @@ pub use self::operate::{
     Admit, BackUpKeys, Dismiss, GatewayStatus, HoldCapture, ListAdmitted, ListAlerts, Lock, Operation, TestAlert,
 };
 pub use self::playing::{Pace, PlayWishes, Remap};
-pub use self::recordings::{ExportWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress};
+pub use self::recordings::{
+    ExportWishes, HomeWishes, ImportWishes, PolicyCommand, RecordingCommand, RecordingProgress,
+};
 pub use self::right::{Kind, Needed};
 pub use self::robots::{LONGEST_POLICY, ListRobots, PullRing, RobotCommand, SetRobotPolicy, ShowRobot};
 pub use self::secret::{SecretBytes, SecretText};
 pub use self::viewing::{LONGEST_PATH, ViewFile, ViewPath, Viewing};
-use crate::chain::Revision;
 use crate::model::{Address, ContactName, Party, ProfileName, Publisher, SignerId, Timestamp, TopicName, TypeName};
 use crate::service::reply::{
     AdministrationView, AuditCheck, AuditView, CaptureSummary, ChainView, CheckView, CompareView, ContactRow,
@@ -317,14 +318,10 @@ requests! {
     ChainStatus => Box<ChainView>;
     /// Pending and completed successions, and the profile's recovery account.
     ListSuccessions => Box<AdministrationView>;
-    /// Continue with the chain that answers now instead of the pinned one.
-    AdoptChain => TransactionView;
     /// Deploy the contract and pin it; refused if one is pinned already.
     DeployContract {
         /// The delay before a succession, seconds [default: a week].
         delay: Option<u64>,
-        /// The revision [default: the newest].
-        revision: Option<Revision>,
     } => DeployedView;
     /// Answer other tools' JSON-RPC for the embedded chain, until the connection that requested it ends.
     ServeChain {

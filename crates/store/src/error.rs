@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::model::{ByteSize, Digest, ErrorKind, RecordState, clean};
+use crate::model::{ByteSize, Digest, Domain, ErrorKind, RecordState, clean};
 
 /// Why the ledger, the vault, the audit log or a file could not do as asked.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -62,6 +62,17 @@ pub enum StoreError {
         found: i64,
         /// The schema version known.
         known: i64,
+    },
+    /// The ledger belongs to another chain or contract.
+    #[error(
+        "the ledger is bound to domain {bound}, but the chain and contract in use have domain {domain}; a home keeps its \
+         chain: restore `chain-pin.json` of this home, or begin a new home for the other chain"
+    )]
+    Bound {
+        /// What it is bound to.
+        bound: Domain,
+        /// What is in use.
+        domain: Domain,
     },
     /// Any other failure of SQLite.
     #[error("{} failed: {detail}; check the disk and the system log, then start again", file.display())]
@@ -197,7 +208,7 @@ impl StoreError {
             | Self::VaultUrl { .. } => ErrorKind::Input,
             Self::Corrupt { .. } => ErrorKind::Tampered,
             Self::Unreachable { .. } => ErrorKind::Unreachable,
-            Self::Policy { .. } | Self::VaultRefused { .. } => ErrorKind::Refused,
+            Self::Bound { .. } | Self::Policy { .. } | Self::VaultRefused { .. } => ErrorKind::Refused,
             Self::VaultFull { .. } | Self::Backlog { .. } => ErrorKind::Incomplete,
             Self::Database { .. }
             | Self::Closed

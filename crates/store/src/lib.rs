@@ -25,13 +25,13 @@ pub use error::StoreError;
 pub use files::{ConsoleLock, SiteLock, atomic_write};
 pub use ledger::{
     AlarmRow, Anchors, AuditPage, AuditedBatch, AuditedPlace, AuditedRecord, BatchPlace, Coverage, CoveragePart,
-    CoverageQuery, EarlierAnchor, Erasure, ErasurePage, FilterChoice, Foreign, GapRow, Glance, HashedNode, HeldMinute,
-    HeldQuery, HeldRow, Hold, IncidentNote, IncidentRow, IncidentSpan, KeptBinding, KeptEnvelope, KeptErasure,
-    KeptProof, KeptReceipt, KeptRight, KeptStamp, KeptStanding, KeptTopic, LaneCount, LastSeen, Ledger, Left, Loss,
-    NewBatch, NewRecord, NewTransaction, OldRecord, OpenTransaction, PinRow, ProofCounts, RecordPage, RecordQuery,
-    RecordRow, RecordsHeld, Reissue, Retained, RightEvent, RightKind, RootSighting, Sequence, Sighting, SignerTopic,
-    SpanCoverage, StampCounts, StandingRights, StateCounts, StatedErasure, TakenErased, ToldErased, TopicCounts,
-    TransactionOutcome, TransactionRow, TransactionState, UnprovenBatch, Unstated, WaitingBatch, WaitingSigner,
+    CoverageQuery, Erasure, ErasurePage, FilterChoice, Foreign, GapRow, Glance, HashedNode, HeldMinute, HeldQuery,
+    HeldRow, Hold, IncidentNote, IncidentRow, IncidentSpan, KeptBinding, KeptEnvelope, KeptErasure, KeptProof,
+    KeptReceipt, KeptRight, KeptStamp, KeptStanding, KeptTopic, LaneCount, LastSeen, Ledger, Loss, NewBatch, NewRecord,
+    NewTransaction, OldRecord, OpenTransaction, PinRow, ProofCounts, RecordPage, RecordQuery, RecordRow, RecordsHeld,
+    Reissue, Retained, RightEvent, RightKind, RootSighting, Sequence, Sighting, SignerTopic, SpanCoverage, StampCounts,
+    StandingRights, StateCounts, StatedErasure, TakenErased, ToldErased, TopicCounts, TransactionOutcome,
+    TransactionRow, TransactionState, UnprovenBatch, Unstated, WaitingBatch, WaitingSigner,
 };
 pub use reserve::{RESERVE_BYTES, Reserve};
 pub use vault::{Stored, Usage, Vault, open_vault};

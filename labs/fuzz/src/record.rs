@@ -107,7 +107,7 @@ fn made(bytes: &[u8]) -> Option<(SealedRecord, Head, &[u8])> {
     let mut reader = Reader::new(bytes);
     let (epoch, seq) = (reader.u64("epoch").ok()?, reader.u64("seq").ok()?);
     let captured_at = Timestamp(reader.u64("time").ok()?);
-    let kind = RecordKind::from_code(reader.u8("kind").ok()? % 9 + 1)?;
+    let kind = RecordKind::from_code(reader.u8("kind").ok()? % 8 + 1)?;
     let filters = vec![FilterId([3; 8]); usize::from(reader.u8("filters").ok()? % 5)];
     let (topic, tag, value) = (reader.text("topic").ok()?, reader.text("tag").ok()?, reader.text("value").ok()?);
     let body = reader.rest();

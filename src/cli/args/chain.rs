@@ -10,27 +10,15 @@ use clap::{Args, Subcommand};
 pub enum ChainVerb {
     /// Show node, consensus, contract, block, balance and pending transactions
     Status,
-    /// Switch to the current chain in place of the one this home is bound to
-    Adopt,
     /// Deploy the contract with this profile's account, and pin it
     Deploy {
         /// Delay of a succession if the lost account named a recovery account; otherwise twice this [default: 7d]
         #[arg(long, value_name = "1d TO 365d")]
         delay: Option<String>,
-        /// An earlier revision of the contract
-        #[arg(long, value_name = "N", hide = true)]
-        revision: Option<u8>,
     },
     /// Successor of a lost account: the administrator proposes one, and it can be stopped during a delay
     #[command(subcommand)]
     Succession(SuccessionVerb),
-    /// Administrator, contract revision 1 only: name the successor of a lost account, effective at once
-    Succeed {
-        /// Account whose key is lost, or its name
-        lost: String,
-        /// Succeeding account, or its name; must be registered
-        successor: String,
-    },
     /// Administrator: let an account register while registration is closed
     Admit {
         /// Account, or its name

@@ -118,6 +118,12 @@ pub enum UploadsVerb {
         /// Record id, or its first characters
         id: String,
     },
+    /// Seal every message of another home in this one, with its capture time; brings its keyring if this home has none
+    Import {
+        /// The other home's folder; stop its site first
+        #[arg(value_name = "HOME")]
+        home: PathBuf,
+    },
     /// Export a record as files that others can check with openssl
     Export {
         /// Record id, or its first characters

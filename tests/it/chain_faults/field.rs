@@ -11,7 +11,7 @@ use crate::support::{Anvil, Authros, Home, Running, count, poll, text, wait_unti
 /// The first robot's topic; 20 messages a second.
 pub const TOPIC: &str = "/robot1/odom";
 /// Every kind of record that a site creates by itself.
-const KINDS: [&str; 4] = ["data", "definition", "gap", "adoption"];
+const KINDS: [&str; 3] = ["data", "definition", "gap"];
 
 /// How records are put on the chain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,7 +40,7 @@ pub struct Field {
     /// The profile's account.
     pub address: String,
     /// The contract in use.
-    pub contract: RefCell<String>,
+    pub contract: String,
     topics: Vec<String>,
     site: RefCell<Option<Running>>,
     known: RefCell<BTreeMap<String, Value>>,
@@ -60,7 +60,7 @@ impl Field {
         let site = authros.serve(&home);
         let address = text(&authros.json(&["identity", "show"]), "address");
         let contract = text(&authros.json(&["chain", "status"]), "contract");
-        let (site, contract) = (RefCell::new(Some(site)), RefCell::new(contract));
+        let site = RefCell::new(Some(site));
         let topics = (1..=robots).map(|robot| format!("/robot{robot}/odom")).collect();
         Self { home, authros, address, contract, topics, site, known: RefCell::default() }
     }
@@ -116,7 +116,7 @@ impl Field {
 
     /// The chain's anchors as they are now.
     pub fn anchors(&self, node: &Anvil) -> Vec<Anchor> {
-        evidence::anchors(node, &self.contract.borrow())
+        evidence::anchors(node, &self.contract)
     }
 
     /// All records, checking that their states match the chain, unless blocks were replaced just before.

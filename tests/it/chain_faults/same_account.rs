@@ -29,9 +29,9 @@ fn private(directory: &Path) {
 fn expect_interleaving(mode: Mode) {
     let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
     let one = Field::open(&node.http(), mode, &[]);
-    let contract = one.contract.borrow().clone();
+    let contract = one.contract.clone();
     let other = Field::in_home(with_keys_of(&one.home), &node.http(), mode, 1, &["--contract", &contract]);
-    assert_eq!((&one.address, &contract), (&other.address, &*other.contract.borrow()), "the same account");
+    assert_eq!((&one.address, &contract), (&other.address, &other.contract), "the same account");
 
     node.set_interval(1);
     for field in [&one, &other] {

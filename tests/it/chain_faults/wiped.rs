@@ -1,7 +1,7 @@
-//! The node dies and comes back empty: anchoring stops, the operator decides, nothing is lost.
+//! The node dies and comes back empty: anchoring stops, the operator is told what to do, nothing is lost.
 
 use super::NO_NODE;
-use super::evidence::{expect_once, says_mined};
+use super::evidence::says_mined;
 use super::field::{Field, Mode, digests, states};
 use crate::support::{Anvil, skipped, text, wait_until};
 
@@ -15,7 +15,7 @@ fn expect_empty_restart_survived(mode: Mode, restarted: bool) {
     node.set_interval(0);
     field.watch();
     let node = node.kill_and_start_empty(&[]);
-    field.expect_told(&["chain adopt"], 60);
+    field.expect_told(&["authros --home new uploads import old"], 60);
     wait_until(60, "what comes meanwhile is acknowledged", || (field.records().len() > before.len() + 5).then_some(()));
     field.rest();
 
@@ -26,41 +26,18 @@ fn expect_empty_restart_survived(mode: Mode, restarted: bool) {
     assert_eq!(node.nonce(&field.address), 0, "no transaction was mined");
     assert_eq!(node.waiting(), 0, "and none was sent");
     if restarted {
-        field.restart_site_unready(&["chain adopt"]);
+        field.restart_site_unready(&["authros --home new uploads import old"]);
         assert_eq!(node.nonce(&field.address), 0, "nor by a new process");
     }
-
-    node.fund(&field.address);
-    field.authros.json(&["chain", "adopt"]);
-    if restarted {
-        field.restart_site();
-    }
-    let contract = text(&field.authros.json(&["chain", "status"]), "contract");
-    field.contract.replace(contract);
-    let after = wait_until(120, "everything is anchored on the adopted chain", || {
-        Some(field.records()).filter(|records| states(records).keys().all(|word| word == "verified"))
-    });
-    assert!(after.iter().any(|record| record["kind"] == "adoption"), "the adoption is evidence itself");
-    let on_chain = field.anchors(&node);
-    let named: Vec<_> = after
-        .iter()
-        .filter(|one| on_chain.iter().any(|it| one["transaction"] == it.transaction.as_str()))
-        .cloned()
-        .collect();
-    expect_once(&named, &on_chain);
-    for record in after.iter().filter(|one| !digests(&before).contains(&text(one, "digest"))) {
-        assert!(digests(&named).contains(&text(record, "digest")), "not on the adopted chain: {record}");
-    }
-    field.grow(5);
 }
 
 #[test]
-fn single_uploads_stop_at_an_emptied_node_until_it_is_adopted() {
+fn single_uploads_stop_at_an_emptied_node() {
     expect_empty_restart_survived(Mode::Each, true);
 }
 
 #[test]
-fn batches_stop_at_an_emptied_node_until_it_is_adopted() {
+fn batches_stop_at_an_emptied_node() {
     expect_empty_restart_survived(Mode::Batch, false);
 }
 

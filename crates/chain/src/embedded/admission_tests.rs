@@ -7,7 +7,7 @@ use super::admission::{BLOCK_GAS, TOO_MUCH_WORK, TRANSACTION_GAS};
 use super::contract_tests::{Shelf, World, grant, identity};
 use super::machine::Environment;
 use super::payloads::Payload;
-use crate::chain::{Call, Revision};
+use crate::chain::Call;
 use crate::model::{Address, Token};
 
 fn place() -> Environment {
@@ -33,7 +33,7 @@ fn work_that_its_gas_does_not_pay_is_refused_and_run_again_where_it_is_in_the_fi
 /// The largest contract calls that fit into a transaction, and its deployment, are within the caps.
 #[test]
 fn the_contract_fits() {
-    let mut world = World::new(Revision::NEWEST, true);
+    let mut world = World::new(true);
     assert!(world.gas < TRANSACTION_GAS * 4 / 5, "deployment: {}", world.gas);
     let owner = Address([0xa0; 20]);
     let people: Vec<Address> = (1..=32).map(|number| Address([number; 20])).collect();

@@ -10,7 +10,7 @@ use ethers::types::{H160, TransactionRequest, transaction::eip2718::TypedTransac
 use super::block::created_address;
 use super::node::Node;
 use crate::chain::Call;
-use crate::chain::artefact::{Revision, artefact};
+use crate::chain::artefact::artefact;
 use crate::model::{Address, Hash, Identity, PublicKey, Signature, Token};
 
 /// One block in this many anchors.
@@ -45,7 +45,7 @@ impl Writer {
 fn grown(directory: &Path, blocks: u64) {
     let mut writer = Writer::open(directory);
     let contract = created_address(Address(writer.wallet.address().0), 0);
-    writer.block(None, artefact(Revision::NEWEST).expect("artefact").creation(true, 86_400).expect("code"));
+    writer.block(None, artefact().expect("artefact").creation(true, 86_400).expect("code"));
     let (signing, envelope) = (PublicKey([1; 64]), PublicKey([2; 64]));
     let identity = Identity { token: Token([1; 32]), signing, envelope, proof: Signature([3; 64]) };
     writer.block(Some(contract), Call::Register { identity }.encode().expect("encodes"));

@@ -1,5 +1,4 @@
-//! The contract in the embedded EVM, with a simulated clock and no network: both revisions, called as this program
-//! calls them. The contract's whole behaviour is tested in `contracts/test`.
+//! The contract in the embedded EVM, with a simulated clock and no network, called as this program calls them. The contract's whole behaviour is tested in `contracts/test`.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -15,7 +14,7 @@ use super::machine::{Answer, Environment, Machine, Message};
 use super::transaction::Transaction;
 use super::trie::{EMPTY_ROOT, Nodes};
 use super::world::{Ground, Tries};
-use crate::chain::artefact::{Revision, artefact};
+use crate::chain::artefact::artefact;
 use crate::chain::call::{address, word};
 use crate::chain::error::decode_revert;
 use crate::chain::{Call, ChainError, Event};
@@ -57,7 +56,6 @@ impl Ground for Shelf {
 
 /// A chain with the contract on it.
 pub(super) struct World {
-    revision: Revision,
     shelf: Rc<Shelf>,
     machine: Machine,
     contract: Address,
@@ -102,13 +100,13 @@ fn anchor(root: u8, previous: u8) -> Call {
 }
 
 impl World {
-    pub(super) fn new(revision: Revision, open: bool) -> Self {
+    pub(super) fn new(open: bool) -> Self {
         let place = Environment { number: 1, timestamp: 1_000, difficulty: 2, beneficiary: Address([0xee; 20]) };
         let shelf = Rc::new(Shelf::default());
         let machine = Rc::clone(&shelf).machine();
         let contract = created_address(ADMIN, 0);
-        let mut world = Self { revision, shelf, machine, contract, nonces: HashMap::new(), place, gas: 0 };
-        let code = artefact(revision).expect("artefact").creation(open, DELAY).expect("code");
+        let mut world = Self { shelf, machine, contract, nonces: HashMap::new(), place, gas: 0 };
+        let code = artefact().expect("artefact").creation(open, DELAY).expect("code");
         world.run(ADMIN, None, 0, code).expect("deploys");
         assert!(world.gas < 6_000_000, "{}", world.gas);
         world
@@ -116,11 +114,7 @@ impl World {
 
     /// With A, B and C registered under tokens 0xa1, 0xb1, 0xc1.
     fn peopled() -> Self {
-        Self::peopled_of(Revision::NEWEST)
-    }
-
-    fn peopled_of(revision: Revision) -> Self {
-        let mut world = Self::new(revision, true);
+        let mut world = Self::new(true);
         for (who, number) in [(A, 0xa1), (B, 0xb1), (C, 0xc1)] {
             world.send(who, &Call::Register { identity: identity(token(number)) }).expect("registers");
         }
@@ -170,7 +164,7 @@ impl World {
     }
 
     fn raw(&mut self, sender: Address, name: &str, arguments: &[AbiToken]) -> Result<Vec<Event>, String> {
-        let input = artefact(self.revision).expect("artefact").encode(name, arguments).expect("encodes");
+        let input = artefact().expect("artefact").encode(name, arguments).expect("encodes");
         self.run(sender, Some(self.contract), 0, input)
     }
 
@@ -179,7 +173,7 @@ impl World {
     }
 
     fn read(&self, from: Address, name: &str, arguments: &[AbiToken]) -> Result<Vec<AbiToken>, String> {
-        let artefact = artefact(self.revision).expect("artefact");
+        let artefact = artefact().expect("artefact");
         let input = artefact.encode(name, arguments).expect("encodes");
         let message = Message { from, to: Some(self.contract), value: U256::zero(), input, gas: 1_000_000 };
         match self.machine.call(&self.place, &message).expect("runs") {
@@ -201,7 +195,7 @@ impl World {
 
 #[test]
 fn an_account_registers_once_with_a_whole_identity() {
-    let mut world = World::new(Revision::NEWEST, true);
+    let mut world = World::new(true);
     let call = Call::Register { identity: identity(token(1)) };
     let event = world.send(A, &call).expect("registers");
     assert_eq!(event, Event::Registered { owner: A, identity: identity(token(1)), epoch: 1 });
@@ -318,7 +312,7 @@ fn pause_and_suspension_stop_all_but_what_takes_rights_away() {
 
 #[test]
 fn closed_registration_takes_whom_the_administrator_admits() {
-    let mut world = World::new(Revision::NEWEST, false);
+    let mut world = World::new(false);
     let call = Call::Register { identity: identity(token(1)) };
     world.refused(A, &call, "closed");
     world.send(ADMIN, &Call::Admit { account: A }).expect("admits");
@@ -359,25 +353,6 @@ fn only_the_administrator_administers_and_hands_over_in_two_steps() {
     world.refused(A, &Call::AcceptAdministrator, "nominee");
     world.refused(ADMIN, &Call::Pause { until: Timestamp::from_seconds(1_001) }, "administrator");
     world.send(A, &Call::Pause { until: Timestamp::from_seconds(1_001) }).expect("has the power");
-}
-
-#[test]
-fn in_the_first_revision_the_administrator_acts_at_once() {
-    let mut world = World::peopled_of(Revision::First);
-    let succeed = |lost, successor| Call::Succeed { lost, successor };
-    world.refused(ADMIN, &succeed(A, A), "self");
-    let event = world.send(ADMIN, &succeed(A, B)).expect("names");
-    assert_eq!(event, Event::Succeeded { lost: A, successor: B });
-    world.refused(A, &upload(digest(1), token(0xa1)), "suspended");
-    world.refused(ADMIN, &Call::Restore { account: A }, "succeeded");
-    let pause = Call::SetPaused { paused: true };
-    assert_eq!(world.send(ADMIN, &pause), Ok(Event::PausedChanged { paused: true }));
-    world.refused(B, &anchor(1, 0), "paused");
-    for call in [Call::Dismiss { account: A }, Call::Resume, Call::Extend { grantee: B, expiry: None }] {
-        assert!(call.expect_offered(Revision::First).is_err() && call.expect_offered(Revision::Second).is_ok());
-        assert!(world.send(ADMIN, &call).is_err());
-    }
-    assert!(pause.expect_offered(Revision::Second).is_err() && pause.expect_offered(Revision::First).is_ok());
 }
 
 #[test]

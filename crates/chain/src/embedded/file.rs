@@ -87,7 +87,7 @@ impl ChainFile {
     /// [`ChainError::File`] if it cannot be written or another process has it open, [`ChainError::Tampered`] if it is
     /// not a chain.
     pub fn open(directory: &Path) -> Result<Self, ChainError> {
-        let path = directory.join("chain.db");
+        let path = super::file_in(directory);
         let blame = |error: std::io::Error| ChainError::File { path: path.clone(), reason: error.to_string() };
         DirBuilder::new().recursive(true).mode(0o700).create(directory).map_err(blame)?;
         OpenOptions::new().create(true).append(true).mode(0o600).open(&path).map_err(blame)?;
@@ -104,7 +104,7 @@ impl ChainFile {
     /// # Errors
     /// [`ChainError::Newer`], [`ChainError::Tampered`].
     pub fn check(directory: &Path) -> Result<(), ChainError> {
-        let path = directory.join("chain.db");
+        let path = super::file_in(directory);
         if !path.exists() {
             return Ok(());
         }

@@ -112,6 +112,11 @@ impl Drop for Inlet {
     }
 }
 
+/// The file of the chain in `directory`.
+pub fn file_in(directory: &Path) -> PathBuf {
+    directory.join("chain.db")
+}
+
 /// Refuses an embedded chain in `directory` written by another version of this program, without touching it.
 ///
 /// # Errors

@@ -178,8 +178,6 @@ pub enum Tag {
     Administer(&'static str),
     /// Deployment of the contract.
     Deploy,
-    /// Adoption of another chain.
-    Adopt,
     /// Accepting of a topic's publishers.
     Pin(String),
     /// A publisher of a topic is no longer accepted.
@@ -247,7 +245,6 @@ impl Tag {
             Self::BackUp => "backing up the keyring".to_owned(),
             Self::Administer(act) => format!("administrator: {act}"),
             Self::Deploy => "deploying the contract".to_owned(),
-            Self::Adopt => "adopting the chain".to_owned(),
             Self::Pin(topic) => format!("pinning publishers of {topic}"),
             Self::Unpin(topic) => format!("unpinning a publisher of {topic}"),
             Self::Release(topic) => format!("releasing quarantined messages of {topic}"),

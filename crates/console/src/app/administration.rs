@@ -29,8 +29,6 @@ pub enum Act {
     Pause,
     /// Allows changes again.
     Continue,
-    /// Names who continues for a lost account, at once.
-    Succeed,
     /// Proposes who is to continue for a lost account.
     Propose,
     /// Withdraws an admission.
@@ -41,8 +39,6 @@ pub enum Act {
     Accept,
     /// Deploys the contract.
     Deploy,
-    /// Continues with another chain than the pinned one.
-    Adopt,
 }
 
 impl Act {
@@ -55,13 +51,11 @@ impl Act {
             Self::Close => "Close registration?",
             Self::Pause => "Pause all changes?",
             Self::Continue => "Resume changes?",
-            Self::Succeed => "Name the successor of a lost account",
             Self::Propose => "Propose the successor of a lost account",
             Self::Dismiss => "Withdraw an admission",
             Self::HandOver => "Nominate the next administrator",
             Self::Accept => "Take over as administrator?",
             Self::Deploy => "Deploy the contract?",
-            Self::Adopt => "Adopt the current chain?",
         }
     }
 
@@ -75,12 +69,10 @@ impl Act {
             Self::Restore => &["The contract accepts its changes again."],
             Self::Open => &["Anyone with an account on this chain can then register."],
             Self::Close => &["Only accounts that you admit can then register."],
-            Self::Pause => &[
-                "Nobody can register, grant or anchor; revokes and reads still work.",
-                "It ends after a day (on a contract of revision 1 only by `continue`).",
-            ],
+            Self::Pause => {
+                &["Nobody can register, grant or anchor; revokes and reads still work.", "It ends after a day."]
+            }
             Self::Continue => &["Registrations, grants and anchors are accepted again."],
-            Self::Succeed => &["The chain then names who continues for the lost account. This cannot be undone."],
             Self::Propose => &[
                 "It waits for the contract's delay, twice as long if the account named no recovery account, which",
                 "can stop it. Then `authros chain succession complete` carries it out, which cannot be undone.",
@@ -89,13 +81,6 @@ impl Act {
             Self::HandOver => &["Once that account accepts, you are no longer the administrator."],
             Self::Accept => &["The administrator nominated you; from then on these commands are yours."],
             Self::Deploy => &["Your account becomes the contract's administrator, and this home is bound to it."],
-            Self::Adopt => &[
-                "Another chain: the pinned one is abandoned, verified records keep their proof there and open as",
-                "`unanchored`, all others are anchored again. The pinned chain with a contract of an earlier revision: \
-                 a",
-                "new contract is used, earlier records stay verified. A signed record documents it. This cannot be \
-                 undone.",
-            ],
         }
     }
 
@@ -107,12 +92,12 @@ impl Act {
 
     /// Whether it is about a lost account and its successor.
     fn is_succession(self) -> bool {
-        matches!(self, Self::Succeed | Self::Propose)
+        self == Self::Propose
     }
 
     /// Whether its name must be typed, because it cannot simply be undone.
     fn is_grave(self) -> bool {
-        matches!(self, Self::Suspend | Self::HandOver | Self::Adopt | Self::Pause) || self.is_succession()
+        matches!(self, Self::Suspend | Self::HandOver | Self::Pause) || self.is_succession()
     }
 
     fn word(self) -> &'static str {
@@ -124,22 +109,17 @@ impl Act {
             Self::Close => "close",
             Self::Pause => "pause",
             Self::Continue => "continue",
-            Self::Succeed => "succeed",
             Self::Propose => "propose",
             Self::Dismiss => "dismiss",
             Self::HandOver => "hand over",
             Self::Accept => "accept",
             Self::Deploy => "deploy",
-            Self::Adopt => "adopt",
         }
     }
 }
 
 /// Opens the form or the question of an act.
 pub fn begin(state: &mut State, act: Act) {
-    // On a contract of the newest revision a succession is proposed and has a delay.
-    let waits = state.chain.as_ref().is_some_and(|chain| chain.administration.delay.is_some());
-    let act = if act == Act::Succeed && waits { Act::Propose } else { act };
     if act.names() {
         state.popups.push(Popup::Form(Purpose::Administer(act), form(act)));
         return;
@@ -152,15 +132,13 @@ pub fn begin(state: &mut State, act: Act) {
 /// The command of an act that needs no account; `None` for the others.
 fn nameless(act: Act) -> Option<Errand> {
     Some(match act {
-        Act::Deploy => Errand { command: Command::DeployContract { delay: None, revision: None }, tag: Tag::Deploy },
-        Act::Adopt => Errand { command: Command::AdoptChain, tag: Tag::Adopt },
+        Act::Deploy => Errand { command: Command::DeployContract { delay: None }, tag: Tag::Deploy },
         Act::Open => administer(act, Administration::Open { open: true }),
         Act::Close => administer(act, Administration::Open { open: false }),
         Act::Pause => administer(act, Administration::Pause { paused: true, seconds: None }),
         Act::Continue => administer(act, Administration::Pause { paused: false, seconds: None }),
         Act::Accept => administer(act, Administration::Accept),
-        Act::Admit | Act::Dismiss | Act::Suspend | Act::Restore | Act::HandOver => return None,
-        Act::Succeed | Act::Propose => return None,
+        Act::Admit | Act::Dismiss | Act::Suspend | Act::Restore | Act::HandOver | Act::Propose => return None,
     })
 }
 
@@ -199,8 +177,7 @@ pub fn read(act: Act, form: &Form) -> Result<Confirm, (usize, String)> {
         Act::Restore => Administration::Restore { account },
         Act::HandOver => Administration::HandOver { account },
         Act::Propose => Administration::Propose { lost: account, successor: successor(&mut lines)? },
-        Act::Succeed => Administration::Succeed { lost: account, successor: successor(&mut lines)? },
-        Act::Open | Act::Close | Act::Pause | Act::Continue | Act::Accept | Act::Deploy | Act::Adopt => {
+        Act::Open | Act::Close | Act::Pause | Act::Continue | Act::Accept | Act::Deploy => {
             return Err((0, "this command takes no account; press esc".to_owned()));
         }
     };

@@ -85,7 +85,6 @@ pub fn answered(state: &mut State, tag: &Tag, result: Answer) -> Vec<Effect> {
         Tag::Extend(_) => told(state, tag, ask::ExtendGrant::heard(result)),
         Tag::Revoke(_) => told(state, tag, ask::Revoke::heard(result)),
         Tag::Rotate => told(state, tag, ask::RotateKeys::heard(result)),
-        Tag::Adopt => told(state, tag, ask::AdoptChain::heard(result)),
         Tag::Administer(_) => told(state, tag, ask::Administer::heard(result)),
         Tag::Deploy => done(state, tag, ask::DeployContract::heard(result), |state, deployed| {
             state.inform(format!("contract {} deployed", deployed.pin.contract));
@@ -341,7 +340,7 @@ fn touched_by(tag: &Tag) -> &'static [Feed] {
         Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) => &[Feed::Grants, Feed::Identity, Feed::Keys],
         Tag::LoadKey(_) | Tag::Rotate => &[Feed::Keys, Feed::Identity],
         Tag::Pin(_) | Tag::Unpin(_) | Tag::Release(_) | Tag::Discard(_) => &[Feed::Topics],
-        Tag::Administer(_) | Tag::Deploy | Tag::Adopt => &[Feed::Chain],
+        Tag::Administer(_) | Tag::Deploy => &[Feed::Chain],
         Tag::Feed(..) | Tag::OpenConsole | Tag::CreateIdentity | Tag::Unlock | Tag::Register | Tag::Lock => &[],
         Tag::ExportKey(_) | Tag::BackUp | Tag::Export(_) | Tag::Play(_) | Tag::StopPlay => &[],
         Tag::Publishers(_) | Tag::Show(_) | Tag::Beside(..) | Tag::Open(_) | Tag::Path(_) | Tag::Check(_) => &[],
@@ -370,6 +369,7 @@ fn checked(state: &mut State, check: &CheckView) {
             state.inform(text);
         }
         Verdict::Unanchored => state.inform(format!("{text}: not on the chain yet, other checks passed")),
+        Verdict::NotChecked => state.inform(format!("{text}: {}", check.reason.as_deref().unwrap_or("no chain"))),
         Verdict::Tampered => state.complain(format!("{text}: the stored bytes are not the ones anchored")),
         Verdict::Deleted => state.inform(format!("{text}: header, signature and proof stay")),
         Verdict::Missing => state.complain(format!("{text}: the stored bytes are missing")),

@@ -157,7 +157,6 @@ fn administer(state: &State, act: Act) -> Result<(), &'static str> {
     let own = state.address();
     match act {
         Act::Deploy => given(chain.contract.is_none(), "already deployed"),
-        Act::Adopt => Ok(()),
         Act::Accept => given(own.is_some() && chain.administration.nominee == own, "you are not nominated"),
         Act::Admit
         | Act::Suspend
@@ -166,7 +165,6 @@ fn administer(state: &State, act: Act) -> Result<(), &'static str> {
         | Act::Close
         | Act::Pause
         | Act::Continue
-        | Act::Succeed
         | Act::Propose
         | Act::Dismiss
         | Act::HandOver => {

@@ -57,7 +57,6 @@ fn act(errand: &Errand) -> Option<String> {
         Tag::BackUp => "keys backup --out FILE".to_owned(),
         Tag::Administer(_) => of_administrator(command)?,
         Tag::Deploy => "chain deploy".to_owned(),
-        Tag::Adopt => "chain adopt".to_owned(),
         Tag::Pin(topic) => format!("topics pin {topic}"),
         Tag::Unpin(topic) => {
             let Command::UnpinTopic { caller_id, .. } = command else { return None };
@@ -136,7 +135,6 @@ fn of_administrator(command: &Command) -> Option<String> {
         Administration::Propose { lost, successor } => format!("chain succession propose {lost} {successor}"),
         Administration::Cancel { lost } => format!("chain succession cancel {lost}"),
         Administration::Complete { lost } => format!("chain succession complete {lost}"),
-        Administration::Succeed { lost, successor } => format!("chain succeed {lost} {successor}"),
         Administration::HandOver { account } => format!("chain hand-over {account}"),
         Administration::Accept => "chain accept".to_owned(),
     })

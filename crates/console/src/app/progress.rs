@@ -1,13 +1,10 @@
-//! How far imports, exports, audits, back-ups and adoptions are, and how long they take at the pace so far.
+//! Progress of imports, exports, audits and back-ups, and the time left at the pace so far.
 
 use crate::model::Timestamp;
 use crate::service::reply::ProgressView;
 
 /// A shorter run says nothing about its pace, nanoseconds.
 const LEAST: u64 = 2_000_000_000;
-
-/// The unit of work that is done in steps.
-const STEPS: &str = "steps";
 
 /// One piece of work.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -49,10 +46,6 @@ impl Progress {
 impl Run {
     fn line(&self, now: Timestamp) -> String {
         let ProgressView { step, file, done, of, messages, unit } = &self.view;
-        // Steps take as long as they take: nothing is foretold of them.
-        if unit == STEPS {
-            return format!("{file}, step {messages} of {of}: {step}");
-        }
         let share = done.saturating_mul(100).checked_div(*of).map_or_else(String::new, |share| format!(" {share} %"));
         let left = self.left(now).map_or_else(String::new, |seconds| format!(", about {} left", length(seconds)));
         format!("{step} {file}:{share} {messages} {unit}{left}")
@@ -103,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn records_and_files_are_counted_as_such_and_steps_by_their_number() {
+    fn records_are_counted_as_such() {
         let at = Timestamp::from_seconds;
         let told = |step: &str, file: &str, unit: &str, done, messages| ProgressView {
             file: file.to_owned(),
@@ -115,10 +108,6 @@ mod tests {
         progress.set(vec![told("auditing", "this home", "records", 0, 0)], at(0));
         progress.set(vec![told("auditing", "this home", "records", 250, 250)], at(10));
         assert_eq!(progress.lines(at(10)), ["auditing this home: 25 % 250 records, about 30 s left"]);
-        let adopting = ProgressView { of: 6, ..told("reaching the chain", "chain adopt", "steps", 0, 1) };
-        progress.set(vec![adopting.clone()], at(0));
-        progress.set(vec![adopting], at(60));
-        assert_eq!(progress.lines(at(60)), ["chain adopt, step 1 of 6: reaching the chain"]);
     }
 
     #[test]

@@ -108,7 +108,7 @@ pub struct State {
     pub history: History,
     /// The period of the graphs.
     pub period: Period,
-    /// Imports, exports, audits, back-ups and adoptions that run.
+    /// Imports, exports, audits and back-ups that run.
     pub progress: Progress,
     /// When they were reported.
     pub progress_at: Timestamp,

@@ -41,7 +41,7 @@ pub fn note(state: &mut State, tag: &Tag) {
         Tag::LoadKey(_) => Some(Undo::Never("the replaced key is no longer in the keyring; load its file again")),
         Tag::Release(_) => Some(Undo::Never("released messages are already being anchored; they keep their tag")),
         Tag::Discard(_) => Some(Undo::Never("discarded messages are deleted; their count is on the chain")),
-        Tag::Administer(_) | Tag::Deploy | Tag::Adopt => {
+        Tag::Administer(_) | Tag::Deploy => {
             Some(Undo::Never("it was a transaction; send the opposite one instead (7, then :)"))
         }
         Tag::Feed(..)

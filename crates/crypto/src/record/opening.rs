@@ -43,6 +43,8 @@ impl Expected {
 pub enum Anchor {
     /// The digest that the chain confirms for this record.
     Chain(Digest),
+    /// The digest that the chain confirmed earlier; it cannot be asked now.
+    Remembered(Digest),
     /// Nothing, or nothing yet.
     Unanchored,
 }
@@ -58,7 +60,7 @@ pub struct OpenedRecord {
     pub body: Vec<u8>,
     /// SM3 of the stored bytes.
     pub digest: Digest,
-    /// `Verified` with an anchor, `Unanchored` without.
+    /// `Verified`, `NotChecked` or `Unanchored`, by the anchor.
     pub verdict: Verdict,
 }
 
@@ -135,7 +137,8 @@ pub(super) fn checked<'a>(
     done(Step::Digest);
     let verdict = match anchor {
         Anchor::Chain(anchored) if anchored == digest || fault::is_off("digest") => Verdict::Verified,
-        Anchor::Chain(_) => return Err(CryptoError::Tampered("digest")),
+        Anchor::Remembered(anchored) if anchored == digest => Verdict::NotChecked,
+        Anchor::Chain(_) | Anchor::Remembered(_) => return Err(CryptoError::Tampered("digest")),
         Anchor::Unanchored => Verdict::Unanchored,
     };
     let signed = parts.header.signer == signer_id(signer)

@@ -9,7 +9,7 @@ use crate::pipeline::directory::kept;
 use crate::pipeline::{Network, PipelineError, Plant};
 
 /// Asks the contract whether `reader` may read what `owner` sealed in an epoch. `None` if the chain's events name no token
-/// of that epoch: the contract cannot be asked about it then.
+/// of that epoch, or there is no chain to ask.
 ///
 /// # Errors
 /// [`PipelineError::Contradicted`] if the answer differs from what the events say; errors of chain and ledger.
@@ -20,6 +20,9 @@ pub async fn ask_contract(
     owner: Address,
     epoch: u64,
 ) -> Result<Option<QueryAnswer>, PipelineError> {
+    if network.absent.is_some() {
+        return Ok(None);
+    }
     let token = block_in_place(|| kept::token(&plant.ledger, &network.directory, owner, epoch))?;
     let Some(token) = token else { return Ok(None) };
     let answer = network.chain.data_query(reader, token, owner).await?;
@@ -50,7 +53,7 @@ fn is_covered(
     match may_read(directory, reader, owner, None, Policy::OwnSite) {
         Ok(ReadingRight::Own) => Ok(true),
         Ok(ReadingRight::Granted(grant)) => Ok(epoch >= grant.terms.epoch
-            || kept::envelopes(&plant.ledger, directory, &grant)?.iter().any(|envelope| envelope.epoch == epoch)),
+            || kept::envelopes(&plant.ledger, &grant)?.iter().any(|envelope| envelope.epoch == epoch)),
         Err(_) => Ok(false),
     }
 }

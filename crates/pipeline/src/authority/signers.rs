@@ -25,10 +25,6 @@ impl<'a> Signers<'a> {
     /// # Errors
     /// Errors of chain and ledger; lack of a right is part of the answer.
     pub fn of(&mut self, row: &RecordRow) -> Result<Result<PublicKey, NoRight>, PipelineError> {
-        // If a contract was left behind, each record has its own place.
-        if !self.network.former.is_empty() {
-            return signer_of(self.plant, self.network, row);
-        }
         let asked = (row.owner, row.signer, row.block);
         if let Some(known) = self.known.get(&asked) {
             return Ok(known.clone());

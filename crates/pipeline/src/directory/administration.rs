@@ -74,12 +74,10 @@ pub struct Administration {
     pub nominee: Option<Address>,
     /// Whether anyone may register.
     pub open: bool,
-    /// Whether all changes except those that take rights away are paused, with no end (first revision).
-    pub paused: bool,
-    /// Until when they are or were last paused; `None` = never.
+    /// Until when all changes except those that take rights away are or were last paused; `None` = never.
     pub paused_until: Option<Timestamp>,
-    /// The delay of a succession, seconds; `None` = no delay (first revision).
-    pub delay: Option<u64>,
+    /// The delay of a succession, seconds; 0 before the first event.
+    pub delay: u64,
     /// Pending successions, oldest first.
     pub proposals: Vec<Proposal>,
     /// Suspended accounts.
@@ -95,9 +93,8 @@ impl Administration {
             Event::Suspended { account } => drop(self.suspended.insert(*account)),
             Event::Restored { account } => drop(self.suspended.remove(account)),
             Event::OpenChanged { open } => self.open = *open,
-            Event::PausedChanged { paused } => self.paused = *paused,
             Event::PausedUntil { until } => self.paused_until = Some(*until),
-            Event::DelayFixed { seconds } => self.delay = Some(*seconds),
+            Event::DelayFixed { seconds } => self.delay = *seconds,
             Event::SuccessionProposed { lost, successor, recovery, due } => {
                 self.proposals.retain(|proposal| proposal.lost != *lost);
                 let (lost, successor, recovery, due) = (*lost, *successor, *recovery, *due);
@@ -126,7 +123,7 @@ impl Administration {
 
     /// Whether all changes except those that take rights away are paused at `now`.
     pub fn is_paused(&self, now: Timestamp) -> bool {
-        self.paused || self.paused_until.is_some_and(|until| now < until)
+        self.paused_until.is_some_and(|until| now < until)
     }
 
     /// The last successor of `account` in the line; `None` if none was named.
@@ -216,10 +213,9 @@ mod tests {
         let mut administration = Administration::default();
         told(&mut administration, 1, Event::AdministratorChanged { previous: Address([0; 20]), administrator: a });
         told(&mut administration, 1, Event::OpenChanged { open: true });
-        told(&mut administration, 2, Event::PausedChanged { paused: true });
         told(&mut administration, 3, Event::Suspended { account: b });
         told(&mut administration, 4, Event::AdministratorNominated { nominee: b });
-        assert!(administration.open && administration.paused && administration.suspended.contains(&b));
+        assert!(administration.open && administration.suspended.contains(&b));
         assert_eq!((administration.administrator, administration.nominee), (Some(a), Some(b)));
         told(&mut administration, 5, Event::AdministratorChanged { previous: a, administrator: b });
         told(&mut administration, 6, Event::Restored { account: b });

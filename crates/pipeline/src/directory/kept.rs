@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Directory, Extension, Granted};
 use crate::chain::Event;
-use crate::model::{Address, Hash, Token};
+use crate::model::{Address, Hash, Identity, Token};
 use crate::store::{KeptEnvelope, KeptRight, Ledger, RightEvent, RightKind, StoreError};
 
 /// An event with what follows from it alone.
@@ -64,14 +64,14 @@ impl Told {
     }
 }
 
-/// Fills an empty directory from the ledger; `false` if nothing was stored of its contract, or it cannot be read.
+/// Fills an empty directory from the ledger; `false` if nothing is stored, or it cannot be read.
 ///
 /// # Errors
 /// Errors of the ledger.
 pub fn read_back(ledger: &Ledger, directory: &Directory) -> Result<bool, StoreError> {
-    let Some(standing) = ledger.standing_rights(directory.domain())? else { return Ok(false) };
+    let standing = ledger.standing_rights()?;
     let told: Option<Vec<Told>> = standing.events.iter().map(Told::from_row).collect();
-    let Some(told) = told else { return Ok(false) };
+    let Some(told) = told.filter(|_| standing.last.is_some()) else { return Ok(false) };
     for told in &told {
         directory.take(told);
     }
@@ -79,12 +79,25 @@ pub fn read_back(ledger: &Ledger, directory: &Directory) -> Result<bool, StoreEr
     Ok(true)
 }
 
-/// Stores events applied to a directory; those already stored are skipped.
+/// Stores events applied to the directory; those already stored are skipped.
 ///
 /// # Errors
 /// Errors of the ledger; then nothing more is stored.
-pub fn keep(ledger: &Ledger, directory: &Directory, told: &[Told]) -> Result<(), StoreError> {
-    ledger.keep_rights(directory.domain(), told.iter().map(Told::to_row).collect())
+pub fn keep(ledger: &Ledger, told: &[Told]) -> Result<(), StoreError> {
+    ledger.keep_rights(told.iter().map(Told::to_row).collect())
+}
+
+/// The identity of an account with this version of its keys, as registered; `None` if the chain's events have none.
+///
+/// # Errors
+/// Errors of the ledger.
+pub fn identity(ledger: &Ledger, account: Address, version: u64) -> Result<Option<Identity>, StoreError> {
+    let registered = |row: &KeptRight| match Told::from_row(row)?.event {
+        Event::Registered { identity, .. } if version == 1 => Some(identity),
+        Event::KeysRotated { keys, identity, .. } if keys == version => Some(identity),
+        _ => None,
+    };
+    Ok(ledger.other_rights(account)?.iter().find_map(registered))
 }
 
 /// The grants that an account gave or received, including revoked ones, oldest first.
@@ -93,7 +106,7 @@ pub fn keep(ledger: &Ledger, directory: &Directory, told: &[Told]) -> Result<(),
 /// Errors of the ledger.
 pub fn history(ledger: &Ledger, directory: &Directory, account: Address) -> Result<Vec<Granted>, StoreError> {
     let mut revoked: BTreeMap<(Address, Address, u64), Granted> = BTreeMap::new();
-    for row in ledger.revoked_grants(directory.domain(), account)? {
+    for row in ledger.revoked_grants(account)? {
         let (Some(told), Some(epoch)) = (Told::from_row(&row), row.revoked) else { continue };
         match &told.event {
             // What it renewed was the same grant.
@@ -122,9 +135,9 @@ pub fn history(ledger: &Ledger, directory: &Directory, account: Address) -> Resu
 ///
 /// # Errors
 /// Errors of the ledger.
-pub fn envelopes(ledger: &Ledger, directory: &Directory, grant: &Granted) -> Result<Vec<KeptEnvelope>, StoreError> {
+pub fn envelopes(ledger: &Ledger, grant: &Granted) -> Result<Vec<KeptEnvelope>, StoreError> {
     let terms = &grant.terms;
-    let all = ledger.envelopes_between(directory.domain(), terms.owner, terms.grantee, grant.revoked)?;
+    let all = ledger.envelopes_between(terms.owner, terms.grantee, grant.revoked)?;
     let mut epochs: BTreeMap<u64, Vec<KeptEnvelope>> = BTreeMap::new();
     for envelope in all {
         let known = epochs.entry(envelope.epoch).or_default();
@@ -144,7 +157,7 @@ pub fn token(ledger: &Ledger, directory: &Directory, owner: Address, epoch: u64)
     let now = directory.with_account(owner, |account| {
         account.filter(|account| account.epoch == epoch).and_then(|account| account.token)
     });
-    now.map_or_else(|| ledger.epoch_token(directory.domain(), owner, epoch), |token| Ok(Some(token)))
+    now.map_or_else(|| ledger.epoch_token(owner, epoch), |token| Ok(Some(token)))
 }
 
 /// Whether an account ever registered this token.
@@ -153,5 +166,5 @@ pub fn token(ledger: &Ledger, directory: &Directory, owner: Address, epoch: u64)
 /// Errors of the ledger.
 pub fn has_token(ledger: &Ledger, directory: &Directory, owner: Address, token: Token) -> Result<bool, StoreError> {
     let now = directory.with_account(owner, |account| account.is_some_and(|account| account.token == Some(token)));
-    Ok(now || ledger.ever_had_token(directory.domain(), owner, token)?)
+    Ok(now || ledger.ever_had_token(owner, token)?)
 }

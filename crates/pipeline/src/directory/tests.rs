@@ -211,6 +211,7 @@ impl Pair {
     fn new() -> Self {
         let home = tempfile::tempdir().expect("a folder");
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("a ledger");
+        ledger.bind_contract(DOMAIN).expect("bound");
         let mut pair = Self { story: Story::default(), directory: blank(), ledger, _home: home };
         let provider = provider(ProviderName::RustCrypto);
         let [keys, sealing] = [(); 2].map(|()| SmKeyPair::generate(provider).expect("a pair"));
@@ -231,15 +232,15 @@ impl Pair {
             assert!(self.directory.take(one), "new");
             assert!(!self.directory.take(one), "twice is once");
         }
-        kept::keep(&self.ledger, &self.directory, &told).expect("kept");
-        kept::keep(&self.ledger, &self.directory, &told).expect("twice is once");
+        kept::keep(&self.ledger, &told).expect("kept");
+        kept::keep(&self.ledger, &told).expect("twice is once");
     }
 
     fn replace(&mut self, blocks: u64) {
         self.story.block = self.story.block.saturating_sub(blocks).max(1);
         let last = self.story.block;
         self.story.events.retain(|at| at.block <= last);
-        self.ledger.take_back_rights(DOMAIN, last + 1).expect("undone");
+        self.ledger.take_back_rights(last + 1).expect("undone");
         self.directory = self.read_back();
     }
 
@@ -272,7 +273,7 @@ impl Pair {
     }
 
     fn plain(&self, grant: &Granted) -> Plain {
-        let envelopes = kept::envelopes(&self.ledger, &self.directory, grant).expect("envelopes");
+        let envelopes = kept::envelopes(&self.ledger, grant).expect("envelopes");
         Plain {
             terms: grant.terms.clone(),
             block: grant.block,

@@ -67,8 +67,8 @@ async fn compare_page(
 ) -> Result<Result<(), ChainError>, StoreError> {
     let mut answers = JoinSet::new();
     for batch in page.into_iter().filter(|batch| batch.block.is_some()) {
-        let network = network.clone();
-        answers.spawn(async move { (differs(&network, &batch).await, batch) });
+        let chain = network.chain.clone();
+        answers.spawn(async move { (differs(&chain, &batch).await, batch) });
     }
     while let Some(answer) = answers.join_next().await {
         let Ok((answer, batch)) = answer else { continue };
@@ -80,7 +80,7 @@ async fn compare_page(
         // The chain may have been replaced below us: what the ledger says now counts.
         let now = ledger.audit_batches(batch.key - 1, 1)?.pop().filter(|now| now.key == batch.key);
         if let Some(now) = now.filter(|now| *now != batch) {
-            match differs(network, &now).await {
+            match differs(&network.chain, &now).await {
                 Ok(text) => text.iter().for_each(|text| tally.find(FindingKind::Tampered, &name(&now.root), text)),
                 Err(error) => return Ok(Err(error)),
             }
@@ -91,20 +91,8 @@ async fn compare_page(
     Ok(Ok(()))
 }
 
-/// How the chain contradicts a batch that the ledger has in a block: no contract in use at the time has it as the
-/// ledger does.
-async fn differs(network: &Network, batch: &AuditedBatch) -> Result<Option<String>, ChainError> {
-    let mut told = None;
-    for chain in network.chains_at(batch.block.unwrap_or(0)) {
-        match differs_from(chain, batch).await? {
-            None => return Ok(None),
-            other => told = told.or(other),
-        }
-    }
-    Ok(told)
-}
-
-async fn differs_from(chain: &Chain, batch: &AuditedBatch) -> Result<Option<String>, ChainError> {
+/// How the chain contradicts a batch that the ledger has in a block.
+async fn differs(chain: &Chain, batch: &AuditedBatch) -> Result<Option<String>, ChainError> {
     let (Some(block), Some(account)) = (batch.block, batch.account) else {
         return Ok(Some("the ledger has it in a block but does not say who anchored it".to_owned()));
     };
@@ -147,19 +135,14 @@ async fn walk(
         Ok(head) => head.number,
         Err(error) => return Ok(Err(error)),
     };
-    let former = network.former.iter().map(|former| (&former.chain, former.until.min(head)));
-    for (chain, last) in former.chain([(&network.chain, head)]) {
-        // Each contract has its own heads.
-        walk.previous.clear();
-        let mut from = chain.pin().map_or(0, |pin| pin.deployed_at);
-        while from <= last {
-            let to = last.min(from + STRIDE - 1);
-            match chain.events(from, to).await {
-                Ok(events) => walk.take(ledger, &events, tally)?,
-                Err(error) => return Ok(Err(error)),
-            }
-            from = to + 1;
+    let mut from = network.chain.pin().map_or(0, |pin| pin.deployed_at);
+    while from <= head {
+        let to = head.min(from + STRIDE - 1);
+        match network.chain.events(from, to).await {
+            Ok(events) => walk.take(ledger, &events, tally)?,
+            Err(error) => return Ok(Err(error)),
         }
+        from = to + 1;
     }
     if walk.elsewhere > 0 {
         tally.note(&format!(

@@ -145,7 +145,7 @@ fn feed(
                 }
             }
         }
-        let looked = match runtime.block_on(ask(bench.plant, chain, records)) {
+        let looked = match runtime.block_on(ask(chain, records)) {
             (looked, None) => looked,
             (looked, Some(error)) => {
                 tally.find(FindingKind::Unreachable, "chain", &format!("not all records were compared: {error}"));
@@ -165,7 +165,7 @@ fn feed(
 }
 
 /// Asks the chain about records that were uploaded individually.
-async fn ask(plant: &Plant, chain: Option<&Network>, records: Vec<AuditedRecord>) -> (Vec<Looked>, Option<ChainError>) {
+async fn ask(chain: Option<&Network>, records: Vec<AuditedRecord>) -> (Vec<Looked>, Option<ChainError>) {
     let mut looked: Vec<Looked> = records.into_iter().map(|record| (record, Uploaded::NotAsked)).collect();
     let Some(network) = chain else { return (looked, None) };
     let alone: Vec<usize> =
@@ -173,9 +173,7 @@ async fn ask(plant: &Plant, chain: Option<&Network>, records: Vec<AuditedRecord>
     for some in alone.chunks(AT_ONCE) {
         let mut answers = JoinSet::new();
         for (at, row) in some.iter().filter_map(|at| Some((*at, &looked.get(*at)?.0.row))) {
-            let place = network.place_of(plant, row).ok();
-            let chain = place.map_or(&network.chain, |place| place.chain).clone();
-            let (owner, digest) = (row.owner, row.digest);
+            let (chain, owner, digest) = (network.chain.clone(), row.owner, row.digest);
             answers.spawn(async move { (at, chain.uploaded_at(owner, digest).await) });
         }
         while let Some(answer) = answers.join_next().await {
@@ -280,7 +278,7 @@ fn row_fault(bench: Bench<'_>, record: &AuditedRecord, uploaded: Uploaded) -> Op
         return Some("its row and retention disagree on when its ciphertext was deleted".to_owned());
     }
     let settled = matches!(row.state, RecordState::Mined | RecordState::Confirmed | RecordState::Verified);
-    if settled && row.block.is_none() && !record.anchored_earlier && bench.network.is_some() {
+    if settled && row.block.is_none() && bench.network.is_some() {
         return Some(format!("is {} but not in a block", row.state.word()));
     }
     if row.state.is_before_block() && row.block.is_some() {

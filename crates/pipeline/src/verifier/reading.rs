@@ -108,6 +108,6 @@ fn is_sound_without(
     }
     let header = check_deleted(plant.provider, &retained.header, row.digest, &row.signature, signer);
     let same = header
-        .is_ok_and(|header| columns::header_difference(row, &header).is_none() && network.accepts(&header.domain));
+        .is_ok_and(|header| columns::header_difference(row, &header).is_none() && network.domain == header.domain);
     Ok(same && proof::was_sighted(plant, row)?)
 }

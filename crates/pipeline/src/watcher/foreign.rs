@@ -40,8 +40,8 @@ impl ForeignAnchors {
     pub fn text(&self) -> String {
         format!(
             "{} anchored {} times without this home sending it, last in block {}: a copy of this home is running \
-             elsewhere, or its key was stolen; stop the copy, or have the administrator name a new account (authros \
-             chain succeed)",
+             elsewhere, or its key was stolen; stop the copy, or have the administrator propose a new account \
+             (`authros chain succession propose LOST SUCCESSOR`)",
             self.account, self.count, self.block
         )
     }

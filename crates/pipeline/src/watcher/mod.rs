@@ -21,33 +21,29 @@ use super::{Network, PipelineError, Plant};
 
 /// Name of the scan position in the ledger.
 pub const CURSOR: &str = "watcher";
-/// Name of the setting that says whose events were read up to that position.
-const SCANNED: &str = "watcher:domain";
 /// Blocks scanned at a time.
 const CHUNK: u64 = 2_000;
 /// How often a part of the chain is read again because it changed meanwhile.
 const ATTEMPTS: usize = 5;
 
-/// Reads the directory back from the ledger; if nothing of its contract was stored, or it cannot be read, it is scanned
-/// again from the contract's first block.
+/// Binds the ledger to the contract and reads the directory back from it; if nothing was stored yet, or it cannot be
+/// read, it is scanned from the contract's first block.
 ///
 /// # Errors
 /// Errors of the ledger.
 pub fn restore(plant: &Plant, network: &Network) -> Result<(), PipelineError> {
-    let domain = network.domain.to_hex();
-    let is_of_it = plant.ledger.setting(SCANNED)?.as_ref() == Some(&domain);
-    if let Some((number, _)) = plant.ledger.cursor(CURSOR)?.filter(|_| is_of_it) {
+    plant.ledger.bind_contract(network.domain)?;
+    if let Some((number, _)) = plant.ledger.cursor(CURSOR)? {
         // What was stored of blocks after the cursor is read again: they may have been replaced meanwhile.
-        plant.ledger.take_back_rights(network.domain, number + 1)?;
+        plant.ledger.take_back_rights(number + 1)?;
         if kept::read_back(&plant.ledger, &network.directory)? {
             return Ok(());
         }
     }
-    plant.ledger.forget_rights(network.domain)?;
+    plant.ledger.forget_rights()?;
     // The trail stays: it shows whether blocks were replaced meanwhile.
     let (number, hash) = beginning(network);
     plant.ledger.set_cursor(CURSOR, number, hash)?;
-    plant.ledger.put_setting(SCANNED, &domain)?;
     Ok(())
 }
 
@@ -134,7 +130,7 @@ fn write(plant: &Plant, network: &Network, events: &[EventAt], to: (u64, Hash)) 
     let told: Vec<Told> = events.iter().filter_map(|event| network.directory.judge(event)).collect();
     if !told.is_empty() {
         // Envelopes are stored before anyone looks for them.
-        let kept = kept::keep(&plant.ledger, &network.directory, &told);
+        let kept = kept::keep(&plant.ledger, &told);
         // A right that ended has ended, even if the disk is full; what could not be stored is read again.
         if told.iter().filter(|told| network.directory.take(told)).count() > 0 {
             plant.observer.directory_changed();

@@ -90,13 +90,13 @@ async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: 
 /// The directory as it was before `from`; readers see the old one until the new one is complete. If it cannot be read
 /// back, all of it is scanned again.
 fn undo_rights(plant: &Plant, network: &Network, from: u64) -> Result<(), PipelineError> {
-    plant.ledger.take_back_rights(network.domain, from)?;
+    plant.ledger.take_back_rights(from)?;
     let fresh = network.directory.blank();
     if kept::read_back(&plant.ledger, &fresh)? {
         network.directory.become_like(fresh);
         return Ok(());
     }
     network.directory.become_like(network.directory.blank());
-    plant.ledger.forget_rights(network.domain)?;
+    plant.ledger.forget_rights()?;
     restore(plant, network)
 }

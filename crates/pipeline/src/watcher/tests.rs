@@ -109,7 +109,7 @@ async fn a_reorg_while_the_directory_is_lost_is_noticed_all_the_same() {
     process.anchor(3).await;
     process.rounds_until("they are confirmed", |process| process.count(RecordState::Confirmed) == 3).await;
     let chain = other_way(&process, home.path(), 6).await;
-    process.plant.ledger.forget_rights(process.network.domain).expect("lost");
+    process.plant.ledger.forget_rights().expect("lost");
     process.network = network(chain);
     restore(&process.plant, &process.network).expect("restores");
     watch_round(&process.plant, &process.network).await.expect("goes back");
@@ -133,7 +133,7 @@ async fn another_chain_stops_everything_and_changes_nothing() {
     process.network.chain = other.network.chain.pretending(own.pin().expect("pinned"));
     let error = watch_round(&process.plant, &process.network).await.expect_err("another chain");
     assert!(matches!(error, PipelineError::Chain(ChainError::Swapped { what: "chain id", .. })), "{error}");
-    assert!(error.to_string().contains("authros chain adopt"), "{error}");
+    assert!(error.to_string().contains("authros --home NEW uploads import OLD"), "{error}");
     assert_eq!(process.count(RecordState::Confirmed), 2);
     assert_eq!(process.plant.ledger.cursor(CURSOR), cursor);
     process.network.chain = own;

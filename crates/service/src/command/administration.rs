@@ -37,7 +37,7 @@ pub enum Administration {
     Pause {
         /// Whether they are blocked.
         paused: bool,
-        /// For how long, seconds; `None` = a day. On a contract of the first revision the block has no end.
+        /// For how long, seconds; `None` = a day.
         seconds: Option<u64>,
     },
     /// Proposes the account that continues for a lost one.
@@ -56,13 +56,6 @@ pub enum Administration {
     Complete {
         /// The lost account.
         lost: Party,
-    },
-    /// Names the account that continues for a lost one, at once (first revision).
-    Succeed {
-        /// The account whose key is lost.
-        lost: Party,
-        /// The successor.
-        successor: Party,
     },
     /// Names the next administrator.
     HandOver {

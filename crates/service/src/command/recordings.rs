@@ -22,6 +22,13 @@ pub struct ImportWishes {
     pub again: bool,
 }
 
+/// Another home whose messages are sealed anew in this one.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct HomeWishes {
+    /// Its folder, absolute; read by the site, which runs as the same user.
+    pub home: PathBuf,
+}
+
 /// A recording to write from records.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ExportWishes {
@@ -49,13 +56,15 @@ pub struct ExportWishes {
 pub enum RecordingCommand {
     /// Seal the messages of a recording as records; answered when all are verified.
     Import(ImportWishes),
+    /// Seal every message of another home of the same owner; answered when all are verified.
+    ImportHome(HomeWishes),
     /// Write records that this profile may read as a recording.
     Export(ExportWishes),
     /// How far what the profile asked for is, where that takes long; needs no keyring.
     Progress,
 }
 
-/// How far the profile's imports, exports, audits, back-ups and adoptions are.
+/// How far the profile's imports, exports, audits and back-ups are.
 #[derive(Debug, Clone, Copy)]
 pub struct RecordingProgress;
 
@@ -66,6 +75,16 @@ impl From<ImportWishes> for Command {
 }
 
 impl Ask for ImportWishes {
+    type Answer = ImportView;
+}
+
+impl From<HomeWishes> for Command {
+    fn from(wishes: HomeWishes) -> Self {
+        Self::Recording { with: RecordingCommand::ImportHome(wishes) }
+    }
+}
+
+impl Ask for HomeWishes {
     type Answer = ImportView;
 }
 

@@ -5,7 +5,9 @@
 
 use serde::Deserialize;
 
-use super::{Command, IncidentCommand, OperationPolicyCommand, RecordingCommand, RobotCommand, StoreCommand, Viewing};
+use super::{
+    Command, IncidentCommand, Operation, PolicyCommand, RecordingCommand, RobotCommand, StoreCommand, Viewing,
+};
 use crate::model::OperatorRight;
 
 /// Who may make a request.
@@ -109,7 +111,6 @@ impl Command {
             | Self::ConfirmContact { .. }
             | Self::Administer(_)
             | Self::NameRecovery { .. }
-            | Self::AdoptChain
             | Self::DeployContract { .. }
             | Self::ServeChain { .. }
             | Self::ServeGateway { .. }
@@ -136,7 +137,7 @@ fn of_recording(command: &RecordingCommand) -> Needed {
     match command {
         RecordingCommand::Progress => LOOK,
         // They read and write files as the site's user.
-        RecordingCommand::Import(_) | RecordingCommand::Export(_) => Needed::Owner,
+        RecordingCommand::Import(_) | RecordingCommand::ImportHome(_) | RecordingCommand::Export(_) => Needed::Owner,
     }
 }
 

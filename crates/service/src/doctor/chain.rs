@@ -22,21 +22,14 @@ pub(super) async fn look(home: &Home, config: &Config, site_runs: bool, sheet: &
     }
     let (endpoint, name) = match &config.chain_url {
         Some(url) => (Endpoint::Node { url: url.clone() }, without_password(url)),
-        None if site_runs => {
+        None if site_runs && (pinned.is_none() || home.chain().join("chain.db").exists()) => {
             sheet.ok("chain", "embedded; in use by the running site");
             return if pinned.is_some() {
                 who_seals(&SealedBy::embedded(), sheet)
             };
         }
-        None if !home.chain().join("chain.db").exists() => {
-            return match pinned {
-                None => sheet.ok("chain", "embedded; created with the first registration"),
-                Some(_) => sheet.fail(
-                    "chain",
-                    "the embedded chain that this home is pinned to is missing",
-                    "restore it with `authros restore FILE`, or start a new one with `authros chain adopt`",
-                ),
-            };
+        None if pinned.is_none() && !home.chain().join("chain.db").exists() => {
+            return sheet.ok("chain", "embedded; created with the first registration");
         }
         None => {
             let endpoint = Endpoint::Embedded { directory: home.chain(), consensus: config.consensus };
@@ -63,9 +56,8 @@ async fn answered(chain: &Chain, name: &str, has_pin: bool, sheet: &mut Sheet) {
     sheet.ok("chain", &format!("{name}, chain id {}, block {}", chain.chain_id(), head.number));
     match chain.pin() {
         Some(pin) if has_pin => {
-            let revision = chain.revision().map_or_else(|_| "unknown".to_owned(), |revision| revision.to_string());
             let (contract, hash) = (pin.contract, pin.code_hash);
-            sheet.ok("contract", &format!("{contract}, revision {revision}, its code matches the pinned hash {hash}"));
+            sheet.ok("contract", &format!("{contract}, its code matches the pinned hash {hash}"));
         }
         Some(pin) => sheet.ok("contract", &format!("{}, its code matches this program", pin.contract)),
         None => sheet.ok("contract", "none yet; deploy it with `authros register` or `authros chain deploy`"),

@@ -2,7 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::chain::Revision;
 use crate::model::{Address, ContactName, Hash, SignerId, Timestamp};
 pub use crate::pipeline::directory::GrantState;
 
@@ -94,12 +93,10 @@ pub struct AdministrationView {
     pub open: bool,
     /// Whether all changes are blocked now except those that take rights away.
     pub paused: bool,
-    /// When a pause ends; `None` = there is none, or it has no end.
+    /// When a pause ends; `None` = there is none.
     pub paused_until: Option<Timestamp>,
-    /// The contract's revision.
-    pub revision: Option<Revision>,
-    /// The delay of a succession, seconds; `None` = there are no successions.
-    pub delay: Option<u64>,
+    /// The delay of a succession, seconds.
+    pub delay: u64,
     /// Pending successions.
     pub proposals: Vec<ProposalView>,
     /// Who may stop a succession of the profile's account.

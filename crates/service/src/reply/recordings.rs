@@ -33,7 +33,7 @@ pub struct LeftOut {
 /// The result of an import.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct ImportView {
-    /// The file, cleaned.
+    /// The file, or the other home, cleaned.
     pub file: String,
     /// SM3 of the file.
     pub digest: Option<Digest>,
@@ -41,7 +41,7 @@ pub struct ImportView {
     pub imported: u64,
     /// Of these, verified: re-read from the vault, digest equal to the chain, signature valid.
     pub verified: u64,
-    /// Messages sealed by an earlier import of the same file; they are not sealed twice.
+    /// Messages sealed by an earlier import of the same file or home; they are not sealed twice.
     pub already: u64,
     /// Messages given up because their profile has no keys in force.
     pub lost: u64,
@@ -111,20 +111,20 @@ pub struct ExportView {
     pub topics: Vec<ExportedTopic>,
 }
 
-/// How far work is that takes long: an import, an export, an audit, a back-up, going over to another chain.
+/// Progress of long work: an import, an export, an audit, a back-up.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ProgressView {
-    /// What it does now: `hashing`, `importing`, `verifying`, `exporting`, `auditing`, `writing`, or a step in words.
+    /// What it does now: `hashing`, `importing`, `verifying`, `exporting`, `auditing`, `writing`.
     pub step: String,
     /// The file, or what it is about, cleaned.
     pub file: String,
-    /// Bytes (import, back-up), records (export, audit) or steps done.
+    /// Bytes (import, back-up) or records (export, audit) done.
     pub done: u64,
     /// Their total; 0 if unknown.
     pub of: u64,
     /// Messages sealed or written, or so many of another unit.
     pub messages: u64,
-    /// What is counted there: `messages`, `records`, `files`; `steps` = the number of the present step.
+    /// What is counted there: `messages`, `records`, `files`.
     pub unit: String,
 }
 
@@ -132,7 +132,7 @@ pub struct ProgressView {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordingReply {
-    /// To `Import`.
+    /// To `Import` and `ImportHome`.
     Imported(ImportView),
     /// To `Export`.
     Exported(ExportView),

@@ -126,8 +126,11 @@ pub struct OpenedView {
     /// The record.
     #[serde(flatten)]
     pub record: RecordView,
-    /// The result of the checks; nothing below is filled unless it is `verified` or `unanchored`.
+    /// The result of the checks; nothing below is filled unless it is `verified`, `not_checked` or `unanchored`.
     pub verdict: Verdict,
+    /// Why the chain was not asked, if it was not.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub reason: Option<String>,
     /// The publisher's node name, cleaned.
     pub caller_id: String,
     /// Tags, cleaned.
@@ -167,6 +170,9 @@ pub struct CheckView {
     pub id: String,
     /// The finding.
     pub verdict: Verdict,
+    /// Why the chain was not asked, if it was not.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub reason: Option<String>,
     /// SM3 of the bytes in the vault.
     pub digest: Digest,
     /// The anchoring transaction.

@@ -176,9 +176,8 @@ impl Site {
                 Ok(ask::ListSuccessions::told(Box::new(view.administration)))
             }
             Command::ChainStatus => self.chain_view(&profile).await.map(Box::new).map(ask::ChainStatus::told),
-            Command::AdoptChain => self.adoption.adopt(&owner()?).await.map(ask::AdoptChain::told),
-            Command::DeployContract { delay, revision } => {
-                self.connection.deploy_contract(&owner()?, delay, revision).await.map(ask::DeployContract::told)
+            Command::DeployContract { delay } => {
+                self.connection.deploy_contract(&owner()?, delay).await.map(ask::DeployContract::told)
             }
             Command::ServeChain { address } => {
                 let served = self.connection.serve_chain(&profile, address, until_released(claims)).await;

@@ -63,7 +63,6 @@ use capture::ros::RosSide;
 use capture::sealer_thread::SealerThread;
 use capture::watches::Watches;
 use chain::administration::Administering;
-use chain::adoption::Adoption;
 use chain::connection::Connection;
 use chain::lanes::Lanes;
 use clock::Clock;
@@ -127,7 +126,6 @@ pub struct Site {
     connection: Arc<Connection>,
     lanes: Arc<Lanes>,
     administering: Arc<Administering>,
-    adoption: Arc<Adoption>,
     joined: Arc<Joined>,
     profiles: Arc<Profiles>,
     contacts: Arc<Contacts>,
@@ -218,7 +216,7 @@ impl Site {
         let admissions = Arc::new(Admissions::new(of, &contacts));
         let (stamps, enrolments) = (Arc::new(TimeStamps::new(of)), Arc::new(Enrolments::new(of)));
         let sharing = Arc::new(Sharing::new(of, &contacts, &enrolments, &joined, &reserve));
-        let gateway = Arc::new(Gateway::new(of, &sharing, &admissions, remote.clone()));
+        let gateway = Arc::new(Gateway::new(of, &sharing, &admissions, remote));
         let (watches, operators) = (Arc::new(Watches::new(of, &recorder, &ros)), Arc::new(Operators::new(of)));
         let asked = identity::Asked {
             connection: &connection,
@@ -246,7 +244,6 @@ impl Site {
             recordings: Arc::new(Recordings::new(of, &asked)),
             devices,
             administering: Arc::new(Administering::new(of, &contacts)),
-            adoption: Arc::new(Adoption::new(of, &lanes, &connection, &profiles, remote)),
             audit: Arc::new(Audit::new(of, &reserve)),
             backup: Arc::new(Backup::new(of, &quarantine)),
             evidence: Arc::new(Evidence::new(of, &reading, &stamps)),

@@ -1,4 +1,4 @@
-//! How far work is that takes long: imports, exports, audits, back-ups, going over to another chain.
+//! Progress of long work: imports, exports, audits, back-ups.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -24,13 +24,6 @@ impl Run {
     /// What it does now.
     pub fn step(&self, word: &'static str) {
         *self.step.lock().unwrap_or_else(PoisonError::into_inner) = word;
-    }
-
-    /// The step of that number, from 1, of work whose unit is `steps`.
-    pub fn stage(&self, number: u64, word: &'static str) {
-        self.step(word);
-        self.done.store(number.saturating_sub(1), Ordering::Relaxed);
-        self.units.store(number, Ordering::Relaxed);
     }
 
     /// So much is done, of so much, and with it so many units.
@@ -155,14 +148,14 @@ mod tests {
         assert_eq!((told[0].done, told[0].of, told[0].messages, told[0].unit.as_str()), (250, 1_000, 250, "records"));
         audit.run.more(900);
         assert_eq!(runs.of(&alice)[0].done, 1_000, "never more than all");
-        let adopt = runs.begin(&alice, "chain adopt", "reaching the chain", "steps");
-        adopt.run.expect(6);
-        adopt.run.stage(3, "waiting");
+        let import = runs.begin(&alice, "run.bag", "hashing", "messages");
+        import.run.step("importing");
+        import.run.at(5, 6, 2);
         let told = runs.of(&alice);
-        assert_eq!((told[1].step.as_str(), told[1].done, told[1].messages), ("waiting", 2, 3));
+        assert_eq!((told[1].step.as_str(), told[1].done, told[1].messages), ("importing", 5, 2));
         drop(audit);
         assert_eq!(runs.of(&alice).len(), 1);
-        drop(adopt);
+        drop(import);
         assert!(runs.of(&alice).is_empty());
     }
 }

@@ -19,8 +19,6 @@ use super::sharing::Sharing;
 use super::storage::Storage;
 use super::{Needs, NetworkState, Site};
 use crate::chain::ChainError;
-use crate::model::Domain;
-use crate::pipeline::adoption::{self, Word};
 use crate::pipeline::anchorer::{Anchorer, Round};
 use crate::pipeline::stages::Stage;
 use crate::pipeline::{Network, Owner, PipelineError, storer, verifier, watcher};
@@ -182,20 +180,12 @@ fn pass_on(error: tokio::task::JoinError) {
     }
 }
 
-/// One round; on an adopted chain nothing goes before the owner's statement about that. `spoken` is where it was given.
 async fn anchor_round(
     site: &Site,
     anchorer: &mut Anchorer,
     network: &Network,
     owner: &Owner,
-    spoken: &mut Option<Domain>,
 ) -> Result<Round, Failure> {
-    if *spoken != Some(network.domain) {
-        if adoption::give_word(&site.plant, network, &site.parts.sender, owner).await? == Word::OnItsWay {
-            return Ok(Round { submitted: 0, next: Duration::from_millis(250) });
-        }
-        *spoken = Some(network.domain);
-    }
     let lanes = site.lanes.of(owner, network)?;
     Ok(anchorer.round(&site.plant, network, &site.parts.sender, owner.address, &lanes).await?)
 }
@@ -252,7 +242,6 @@ async fn resume_owners(site: Arc<Site>) {
 async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
     let mut pause = Duration::from_millis(250);
     let mut anchorer = Anchorer::new(site.parts.config.anchor_mode);
-    let mut spoken = None;
     let mut scanned = site.parts.link.scans();
     while !site.parts.life.is_stopping() {
         let still_open = site.parts.owners.is_open(&owner);
@@ -266,7 +255,7 @@ async fn anchor(site: Arc<Site>, owner: Arc<Owner>) {
         // What is stored while this round looks is not missed.
         let stored = site.parts.hub.stored.notified();
         let begun = Instant::now();
-        match anchor_round(&site, &mut anchorer, &network, &owner, &mut spoken).await {
+        match anchor_round(&site, &mut anchorer, &network, &owner).await {
             Ok(round) => {
                 site.parts.hub.stages.spent(Stage::Anchor, begun.elapsed());
                 pause = Duration::from_millis(250);

@@ -75,14 +75,15 @@ impl Ledger {
         })
     }
 
-    /// Stores the nodes that prove these batches, all in this block; nodes of the same block stay. A batch that is not
-    /// in that block any more is left as it is.
+    /// Stores the nodes that prove these batches, all in this block, and the block's header; nodes of the same block
+    /// stay. A batch that is not in that block any more is left as it is.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like: then nothing is stored.
     pub fn keep_chain_proof(
         &self,
         (block, hash): (u64, Hash),
+        header: Vec<u8>,
         batches: Vec<u64>,
         nodes: Vec<HashedNode>,
     ) -> Result<(), StoreError> {
@@ -103,12 +104,34 @@ impl Ledger {
             connection
                 .prepare_cached("REPLACE INTO chain_proofs (block, hash, nodes) VALUES (?1, ?2, ?3)")?
                 .execute(params![block, hash.0, keys])?;
+            keep_header(connection, block, &header)?;
             let mut mark = connection
                 .prepare_cached("UPDATE batches SET proof = ?2 WHERE key = ?1 AND block = ?3 AND block_hash = ?4")?;
             for batch in &batches {
                 mark.execute(params![whole("batch", *batch)?, KEPT, block, hash.0])?;
             }
             Ok(())
+        })
+    }
+
+    /// Stores the header of a block, RLP.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like: then it is not stored.
+    pub fn keep_chain_header(&self, block: u64, header: Vec<u8>) -> Result<(), StoreError> {
+        let block = whole("block", block)?;
+        self.write(move |session| keep_header(session.connection, block, &header))
+    }
+
+    /// The header of a block, RLP, if it is kept.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and its kin.
+    pub fn chain_header(&self, block: u64) -> Result<Option<Vec<u8>>, StoreError> {
+        let block = whole("block", block)?;
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached("SELECT header FROM chain_headers WHERE block = ?1")?;
+            Ok(statement.query_row([block], |row| row.get(0)).optional()?)
         })
     }
 
@@ -174,6 +197,12 @@ fn signers(connection: &Connection, batch: i64) -> Result<Vec<(Address, SignerId
     Ok(rows.collect::<Result<_, _>>()?)
 }
 
+fn keep_header(connection: &Connection, block: i64, header: &[u8]) -> Result<(), StoreError> {
+    let sql = "REPLACE INTO chain_headers (block, header) VALUES (?1, ?2)";
+    connection.prepare_cached(sql)?.execute(params![block, header])?;
+    Ok(())
+}
+
 fn node_key(connection: &Connection, hash: Hash, node: &[u8]) -> Result<i64, StoreError> {
     let known = connection
         .prepare_cached("SELECT key FROM chain_nodes WHERE hash = ?1")?
@@ -231,7 +260,7 @@ mod tests {
         };
         let node = |number: u8| (Hash([number; 32]), vec![number; 3]);
         let keep = |block: u8, nodes| {
-            ledger.keep_chain_proof((u64::from(block), Hash([block; 32])), keys(u64::from(block)), nodes)
+            ledger.keep_chain_proof((u64::from(block), Hash([block; 32])), vec![block], keys(u64::from(block)), nodes)
         };
         assert_eq!(keep(8, vec![node(1), node(2)]), Ok(()));
         assert_eq!(keep(7, vec![node(2), node(3)]), Ok(()));
@@ -246,6 +275,9 @@ mod tests {
         let kept = ledger.chain_proof(8).expect("read").expect("kept");
         assert_eq!((kept.hash, kept.nodes), (Hash([8; 32]), vec![vec![1; 3], vec![2; 3], vec![4; 3]]));
         assert_eq!(ledger.chain_proof(9), Ok(None));
+        ledger.keep_chain_header(9, vec![9]).expect("kept");
+        let headers = [6, 7, 8, 9].map(|block| ledger.chain_header(block).expect("read"));
+        assert_eq!(headers, [None, Some(vec![7]), Some(vec![8]), Some(vec![9])]);
         let nodes: i64 = ledger
             .read(|connection| Ok(connection.query_row("SELECT count(*) FROM chain_nodes", [], |row| row.get(0))?))
             .expect("read");
@@ -258,13 +290,13 @@ mod tests {
         let ledger = Ledger::open(&home.path().join("ledger.db")).expect("opens");
         anchored(&ledger, 1, 7);
         let key = ledger.unproven_batches(7, 9).expect("read").remove(0).key;
-        ledger.keep_chain_proof((7, Hash([7; 32])), vec![key], vec![(Hash([1; 32]), vec![1])]).expect("kept");
+        ledger.keep_chain_proof((7, Hash([7; 32])), vec![7], vec![key], vec![(Hash([1; 32]), vec![1])]).expect("kept");
         ledger.unmine(7).expect("unwound");
         assert_eq!(blocks(&ledger, 9), Vec::<u64>::new(), "it is in no block");
         see(&ledger, 1, 8);
         assert_eq!(blocks(&ledger, 9), [8]);
         // The proof of a block in which it is no longer changes nothing for it.
-        ledger.keep_chain_proof((7, Hash([7; 32])), vec![key], vec![(Hash([1; 32]), vec![1])]).expect("kept");
+        ledger.keep_chain_proof((7, Hash([7; 32])), vec![7], vec![key], vec![(Hash([1; 32]), vec![1])]).expect("kept");
         assert_eq!(blocks(&ledger, 9), [8]);
     }
 }

@@ -1,4 +1,4 @@
-//! Who is registered and who may read what, as a contract's events say. Each event is a row, and events that no longer
+//! Who is registered and who may read what, as the contract's events say. Each event is a row, and events that no longer
 //! count are marked: the current ones are found without the others, the others are history, and a replaced block can be
 //! undone.
 
@@ -61,7 +61,7 @@ pub struct KeptRight {
     pub revoked: Option<u64>,
 }
 
-/// The current events of a contract.
+/// The current events of the contract.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct StandingRights {
     /// Block and index of the last event stored; `None` before the first.
@@ -84,39 +84,69 @@ pub struct KeptEnvelope {
 /// What an event supersedes: an extension supersedes the one before it, an epoch the one before it, a revocation its
 /// grant.
 pub(super) const ENDING: [&str; 3] = [
-    "UPDATE rights INDEXED BY rights_standing SET replaced = ?4
-     WHERE contract = ?1 AND owner = ?2 AND kind = 3 AND grantee = ?3 AND replaced IS NULL AND revoked IS NULL",
     "UPDATE rights INDEXED BY rights_standing SET replaced = ?3
-     WHERE contract = ?1 AND owner = ?2 AND kind = 4 AND replaced IS NULL AND revoked IS NULL",
-    "UPDATE rights INDEXED BY rights_standing SET revoked = ?5, revoked_at = ?4
-     WHERE contract = ?1 AND owner = ?2 AND kind IN (1, 2, 3) AND grantee = ?3
+     WHERE owner = ?1 AND kind = 3 AND grantee = ?2 AND replaced IS NULL AND revoked IS NULL",
+    "UPDATE rights INDEXED BY rights_standing SET replaced = ?2
+     WHERE owner = ?1 AND kind = 4 AND replaced IS NULL AND revoked IS NULL",
+    "UPDATE rights INDEXED BY rights_standing SET revoked = ?4, revoked_at = ?3
+     WHERE owner = ?1 AND kind IN (1, 2, 3) AND grantee = ?2
      AND replaced IS NULL AND revoked IS NULL",
 ];
 /// After every event of a block.
 const WHOLE_BLOCK: i64 = i64::MAX;
+/// Notes the last event.
+const UP_TO: &str = "UPDATE contract SET block = ?1, place = ?2";
 
 impl Ledger {
-    /// Stores events of a contract in the chain's order, all in one commit; those already there are skipped.
+    /// Binds the ledger to one contract for good.
+    ///
+    /// # Errors
+    /// [`StoreError::Bound`] if it belongs to another one.
+    pub fn bind_contract(&self, domain: Domain) -> Result<(), StoreError> {
+        self.write(move |session| {
+            let connection = session.connection;
+            connection
+                .prepare_cached("INSERT INTO contract VALUES (1, ?1, 0, -1) ON CONFLICT DO NOTHING")?
+                .execute([domain.0])?;
+            let bound = connection.query_row("SELECT domain FROM contract", [], |row| row.get(0).map(Domain))?;
+            if bound == domain { Ok(()) } else { Err(StoreError::Bound { bound, domain }) }
+        })
+    }
+
+    /// Stores events in the chain's order, all in one commit; those already there are skipped.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then nothing is stored.
-    pub fn keep_rights(&self, domain: Domain, events: Vec<RightEvent>) -> Result<(), StoreError> {
-        self.write_many(events.len(), move |session| keep_all(session, domain, &events))
+    pub fn keep_rights(&self, events: Vec<RightEvent>) -> Result<(), StoreError> {
+        self.write_many(events.len(), move |session| keep_all(session, &events))
     }
 
-    /// The current events of a contract; `None` if none were read yet.
+    /// The current events.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn standing_rights(&self, domain: Domain) -> Result<Option<StandingRights>, StoreError> {
+    pub fn standing_rights(&self) -> Result<StandingRights, StoreError> {
         self.read(|connection| {
-            let Some((contract, block, place)) = contract(connection, domain)? else { return Ok(None) };
+            let (block, place) = last_event(connection)?;
             let sql = "SELECT block, place, event, revoked FROM rights INDEXED BY rights_standing
-                       WHERE contract = ?1 AND replaced IS NULL AND revoked IS NULL ORDER BY block, place";
+                       WHERE replaced IS NULL AND revoked IS NULL ORDER BY block, place";
             let mut statement = connection.prepare_cached(sql)?;
-            let events = statement.query_map([contract], kept)?.collect::<Result<_, _>>()?;
+            let events = statement.query_map([], kept)?.collect::<Result<_, _>>()?;
             let last = (place >= 0).then_some((block.cast_unsigned(), place.cast_unsigned()));
-            Ok(Some(StandingRights { last, events }))
+            Ok(StandingRights { last, events })
+        })
+    }
+
+    /// The events about an account that are neither grants nor epochs, in the chain's order.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn other_rights(&self, account: Address) -> Result<Vec<KeptRight>, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT block, place, event, revoked FROM rights INDEXED BY rights_standing
+                       WHERE owner = ?1 AND kind = 5 AND replaced IS NULL AND revoked IS NULL ORDER BY block, place";
+            let mut statement = connection.prepare_cached(sql)?;
+            Ok(statement.query_map([account.0], kept)?.collect::<Result<_, _>>()?)
         })
     }
 
@@ -124,37 +154,34 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then nothing is undone.
-    pub fn take_back_rights(&self, domain: Domain, from: u64) -> Result<(), StoreError> {
+    pub fn take_back_rights(&self, from: u64) -> Result<(), StoreError> {
         let from = whole("block", from)?;
         self.write_many(super::writer::MANY + 1, move |session| {
             let connection = session.connection;
-            let kept = contract(connection, domain)?.filter(|(_, block, _)| *block >= from);
-            let Some((contract, ..)) = kept else { return Ok(()) };
-            for sql in [
-                "DELETE FROM envelopes WHERE contract = ?1 AND block >= ?2",
-                "DELETE FROM rights WHERE contract = ?1 AND block >= ?2",
-                "UPDATE rights SET replaced = NULL WHERE contract = ?1 AND replaced >= ?2",
-                "UPDATE rights SET revoked = NULL, revoked_at = NULL WHERE contract = ?1 AND revoked_at >= ?2",
-            ] {
-                connection.prepare_cached(sql)?.execute([contract, from])?;
+            if last_event(connection)?.0 < from {
+                return Ok(());
             }
-            let sql = "UPDATE contracts SET block = ?2 - 1, place = ?3 WHERE key = ?1 AND block >= ?2";
-            connection.prepare_cached(sql)?.execute([contract, from, WHOLE_BLOCK])?;
+            for sql in [
+                "DELETE FROM envelopes WHERE block >= ?1",
+                "DELETE FROM rights WHERE block >= ?1",
+                "UPDATE rights SET replaced = NULL WHERE replaced >= ?1",
+                "UPDATE rights SET revoked = NULL, revoked_at = NULL WHERE revoked_at >= ?1",
+            ] {
+                connection.prepare_cached(sql)?.execute([from])?;
+            }
+            connection.prepare_cached(UP_TO)?.execute([from - 1, WHOLE_BLOCK])?;
             Ok(())
         })
     }
 
-    /// Deletes everything read of a contract.
+    /// Deletes all events, so that they are read again.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like; then nothing is deleted.
-    pub fn forget_rights(&self, domain: Domain) -> Result<(), StoreError> {
+    pub fn forget_rights(&self) -> Result<(), StoreError> {
         self.write_many(super::writer::MANY + 1, move |session| {
-            let Some((contract, ..)) = contract(session.connection, domain)? else { return Ok(()) };
-            for table in ["envelopes", "rights"] {
-                session.connection.execute(&format!("DELETE FROM {table} WHERE contract = ?1"), [contract])?;
-            }
-            session.connection.execute("DELETE FROM contracts WHERE key = ?1", [contract])?;
+            session.connection.execute_batch("DELETE FROM envelopes; DELETE FROM rights;")?;
+            session.connection.prepare_cached(UP_TO)?.execute([0, -1])?;
             Ok(())
         })
     }
@@ -163,17 +190,16 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn revoked_grants(&self, domain: Domain, account: Address) -> Result<Vec<KeptRight>, StoreError> {
+    pub fn revoked_grants(&self, account: Address) -> Result<Vec<KeptRight>, StoreError> {
         self.read(|connection| {
-            let Some((contract, ..)) = contract(connection, domain)? else { return Ok(Vec::new()) };
             let mut found: Vec<KeptRight> = Vec::new();
             for (side, index) in [("owner", "rights_given"), ("grantee", "rights_received")] {
                 let sql = format!(
                     "SELECT block, place, event, revoked FROM rights INDEXED BY {index}
-                     WHERE contract = ?1 AND {side} = ?2 AND revoked IS NOT NULL AND replaced IS NULL AND kind IN (1, 3)"
+                     WHERE {side} = ?1 AND revoked IS NOT NULL AND replaced IS NULL AND kind IN (1, 3)"
                 );
                 let mut statement = connection.prepare_cached(&sql)?;
-                for row in statement.query_map(params![contract, account.0], kept)? {
+                for row in statement.query_map([account.0], kept)? {
                     found.push(row?);
                 }
             }
@@ -190,26 +216,24 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn envelopes_between(
         &self,
-        domain: Domain,
         owner: Address,
         grantee: Address,
         revoked: Option<u64>,
     ) -> Result<Vec<KeptEnvelope>, StoreError> {
         let asked = whole("epoch", revoked.unwrap_or(0))?;
         self.read(|connection| {
-            let Some((contract, ..)) = contract(connection, domain)? else { return Ok(Vec::new()) };
             let (index, which) = match revoked {
-                None => ("rights_standing", "replaced IS NULL AND revoked IS NULL AND ?4 = 0"),
-                Some(_) => ("rights_given", "revoked IS NOT NULL AND revoked = ?4"),
+                None => ("rights_standing", "replaced IS NULL AND revoked IS NULL AND ?3 = 0"),
+                Some(_) => ("rights_given", "revoked IS NOT NULL AND revoked = ?3"),
             };
             let sql = format!(
                 "SELECT r.epoch, r.block, e.envelope FROM rights r INDEXED BY {index}
-                 JOIN envelopes e ON e.contract = r.contract AND e.block = r.block AND e.place = r.place
-                 WHERE r.contract = ?1 AND owner = ?2 AND kind IN (1, 2) AND grantee = ?3 AND {which}
+                 JOIN envelopes e ON e.block = r.block AND e.place = r.place
+                 WHERE owner = ?1 AND kind IN (1, 2) AND grantee = ?2 AND {which}
                  ORDER BY r.block, r.place"
             );
             let mut statement = connection.prepare_cached(&sql)?;
-            let found = statement.query_map(params![contract, owner.0, grantee.0, asked], |row| {
+            let found = statement.query_map(params![owner.0, grantee.0, asked], |row| {
                 Ok(KeptEnvelope { epoch: unsigned(row, 0)?, block: unsigned(row, 1)?, bytes: row.get(2)? })
             })?;
             Ok(found.collect::<Result<_, _>>()?)
@@ -220,15 +244,14 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn epoch_token(&self, domain: Domain, owner: Address, epoch: u64) -> Result<Option<Token>, StoreError> {
+    pub fn epoch_token(&self, owner: Address, epoch: u64) -> Result<Option<Token>, StoreError> {
         let epoch = whole("epoch", epoch)?;
         self.read(|connection| {
-            let Some((contract, ..)) = contract(connection, domain)? else { return Ok(None) };
             let sql = "SELECT token FROM rights INDEXED BY rights_tokens
-                       WHERE contract = ?1 AND owner = ?2 AND epoch = ?3 AND token IS NOT NULL
+                       WHERE owner = ?1 AND epoch = ?2 AND token IS NOT NULL
                        ORDER BY block, place LIMIT 1";
             let mut statement = connection.prepare_cached(sql)?;
-            Ok(statement.query_row(params![contract, owner.0, epoch], |row| row.get(0).map(Token)).optional()?)
+            Ok(statement.query_row(params![owner.0, epoch], |row| row.get(0).map(Token)).optional()?)
         })
     }
 
@@ -236,12 +259,11 @@ impl Ledger {
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn ever_had_token(&self, domain: Domain, owner: Address, token: Token) -> Result<bool, StoreError> {
+    pub fn ever_had_token(&self, owner: Address, token: Token) -> Result<bool, StoreError> {
         self.read(|connection| {
-            let Some((contract, ..)) = contract(connection, domain)? else { return Ok(false) };
             let sql = "SELECT 1 FROM rights INDEXED BY rights_tokens
-                       WHERE contract = ?1 AND owner = ?2 AND token IS NOT NULL AND token = ?3";
-            Ok(connection.prepare_cached(sql)?.exists(params![contract, owner.0, token.0])?)
+                       WHERE owner = ?1 AND token IS NOT NULL AND token = ?2";
+            Ok(connection.prepare_cached(sql)?.exists(params![owner.0, token.0])?)
         })
     }
 }
@@ -251,47 +273,42 @@ fn kept(row: &Row<'_>) -> rusqlite::Result<KeptRight> {
     Ok(KeptRight { block: unsigned(row, 0)?, place: unsigned(row, 1)?, event: row.get(2)?, revoked })
 }
 
-/// The contract's key, and block and index of the last event stored.
-fn contract(connection: &Connection, domain: Domain) -> Result<Option<(i64, i64, i64)>, StoreError> {
-    let mut statement = connection.prepare_cached("SELECT key, block, place FROM contracts WHERE domain = ?1")?;
-    let found = statement.query_row([domain.0], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)));
-    Ok(found.optional()?)
+/// Block and index of the last event stored; (0, -1) before the first.
+fn last_event(connection: &Connection) -> Result<(i64, i64), StoreError> {
+    let mut statement = connection.prepare_cached("SELECT block, place FROM contract")?;
+    let found = statement.query_row([], |row| Ok((row.get(0)?, row.get(1)?)));
+    Ok(found.optional()?.unwrap_or((0, -1)))
 }
 
-fn keep_all(session: &Session<'_>, domain: Domain, events: &[RightEvent]) -> Result<(), StoreError> {
+fn keep_all(session: &Session<'_>, events: &[RightEvent]) -> Result<(), StoreError> {
     let connection = session.connection;
-    connection
-        .prepare_cached("INSERT INTO contracts (domain, block, place) VALUES (?1, 0, -1) ON CONFLICT DO NOTHING")?
-        .execute([domain.0])?;
-    let Some((contract, mut block, mut place)) = contract(connection, domain)? else { return Ok(()) };
+    let (mut block, mut place) = last_event(connection)?;
     for event in events {
         let at = (whole("block", event.block)?, whole("place", event.place)?);
         if at <= (block, place) {
             continue;
         }
-        end_others(connection, contract, event)?;
-        keep_one(connection, contract, event)?;
+        end_others(connection, event)?;
+        keep_one(connection, event)?;
         (block, place) = at;
     }
-    connection
-        .prepare_cached("UPDATE contracts SET block = ?2, place = ?3 WHERE key = ?1")?
-        .execute([contract, block, place])?;
+    connection.prepare_cached(UP_TO)?.execute([block, place])?;
     Ok(())
 }
 
 /// Marks what an event supersedes.
-fn end_others(connection: &Connection, contract: i64, event: &RightEvent) -> Result<(), StoreError> {
+fn end_others(connection: &Connection, event: &RightEvent) -> Result<(), StoreError> {
     let (Some(owner), block) = (event.owner, whole("block", event.block)?) else { return Ok(()) };
     let [extended, begun, revoked] = ENDING;
     match (event.kind, event.grantee) {
         (RightKind::Extension, Some(grantee)) => {
-            connection.prepare_cached(extended)?.execute(params![contract, owner.0, grantee.0, block])?;
+            connection.prepare_cached(extended)?.execute(params![owner.0, grantee.0, block])?;
         }
         (RightKind::Epoch, grantee) => {
-            connection.prepare_cached(begun)?.execute(params![contract, owner.0, block])?;
+            connection.prepare_cached(begun)?.execute(params![owner.0, block])?;
             let epoch = whole("epoch", event.epoch.unwrap_or(0))?;
             if let Some(grantee) = grantee {
-                connection.prepare_cached(revoked)?.execute(params![contract, owner.0, grantee.0, block, epoch])?;
+                connection.prepare_cached(revoked)?.execute(params![owner.0, grantee.0, block, epoch])?;
             }
         }
         _ => {}
@@ -299,16 +316,15 @@ fn end_others(connection: &Connection, contract: i64, event: &RightEvent) -> Res
     Ok(())
 }
 
-fn keep_one(connection: &Connection, contract: i64, event: &RightEvent) -> Result<(), StoreError> {
+fn keep_one(connection: &Connection, event: &RightEvent) -> Result<(), StoreError> {
     let (block, place) = (whole("block", event.block)?, whole("place", event.place)?);
     let epoch = event.epoch.map(|epoch| whole("epoch", epoch)).transpose()?;
     connection
         .prepare_cached(
-            "INSERT INTO rights (contract, block, place, kind, owner, grantee, epoch, token, event)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)",
+            "INSERT INTO rights (block, place, kind, owner, grantee, epoch, token, event)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8)",
         )?
         .execute(params![
-            contract,
             block,
             place,
             event.kind as i64,
@@ -320,8 +336,8 @@ fn keep_one(connection: &Connection, contract: i64, event: &RightEvent) -> Resul
         ])?;
     if let Some(envelope) = &event.envelope {
         connection
-            .prepare_cached("INSERT INTO envelopes VALUES (?1, ?2, ?3, ?4)")?
-            .execute(params![contract, block, place, envelope])?;
+            .prepare_cached("INSERT INTO envelopes VALUES (?1, ?2, ?3)")?
+            .execute(params![block, place, envelope])?;
     }
     Ok(())
 }

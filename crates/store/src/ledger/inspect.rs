@@ -41,8 +41,6 @@ pub struct AuditedRecord {
     pub place: Option<AuditedPlace>,
     /// Whether the ledger holds its bytes until they are durable in the vault.
     pub has_copy: bool,
-    /// Whether it was anchored on an abandoned chain.
-    pub anchored_earlier: bool,
     /// Whether its row and its stream name the same topic.
     pub in_its_topic: bool,
     /// Whether row and retention agree on when its ciphertext was deleted.
@@ -116,7 +114,6 @@ impl Ledger {
             let sql = format!(
                 "SELECT {}, n, leaves.batch, leaf, path, root, batches.count, batches.tx, batches.block,
                  batches.block_hash, EXISTS (SELECT 1 FROM copies WHERE record = n),
-                 EXISTS (SELECT 1 FROM earlier_anchors WHERE record = n),
                  records.topic = (SELECT topic FROM streams WHERE streams.key = stream),
                  records.deleted_at IS (SELECT retained.deleted_at FROM retained WHERE record = n)
                  FROM records LEFT JOIN leaves ON record = n LEFT JOIN batches ON key = leaves.batch
@@ -354,9 +351,8 @@ fn audited(row: &Row<'_>, streams: &HashMap<i64, Stream>) -> rusqlite::Result<Au
         row: rows::record(row, streams)?,
         place: place(row)?,
         has_copy: row.get(RECORD_COLUMNS + 9)?,
-        anchored_earlier: row.get(RECORD_COLUMNS + 10)?,
-        in_its_topic: row.get::<_, Option<bool>>(RECORD_COLUMNS + 11)?.unwrap_or(false),
-        as_retained: row.get(RECORD_COLUMNS + 12)?,
+        in_its_topic: row.get::<_, Option<bool>>(RECORD_COLUMNS + 10)?.unwrap_or(false),
+        as_retained: row.get(RECORD_COLUMNS + 11)?,
     })
 }
 

@@ -106,37 +106,33 @@ CREATE TABLE passed_over (record INTEGER PRIMARY KEY, tx BLOB, block INTEGER NOT
 CREATE TABLE chain_nodes (key INTEGER PRIMARY KEY, hash BLOB NOT NULL UNIQUE, node BLOB NOT NULL);
 CREATE TABLE chain_proofs (block INTEGER PRIMARY KEY, hash BLOB NOT NULL, nodes BLOB NOT NULL);
 
+-- The headers of those blocks, and of the blocks after them whose sealers confirm them; RLP.
+CREATE TABLE chain_headers (block INTEGER PRIMARY KEY, header BLOB NOT NULL);
+
 -- How far the watcher has read, and the blocks that it has seen.
 CREATE TABLE cursors (name TEXT PRIMARY KEY, block INTEGER NOT NULL, hash BLOB NOT NULL) WITHOUT ROWID;
 CREATE TABLE trail (block INTEGER PRIMARY KEY, hash BLOB NOT NULL);
 
--- Where verified records were anchored on a chain that the operator gave up for another one.
-CREATE TABLE earlier_anchors (
-    record INTEGER PRIMARY KEY, domain BLOB NOT NULL, tx BLOB, block INTEGER NOT NULL, block_hash BLOB
+-- The contract that this ledger is bound to, with the block and the place in it of the last event read.
+CREATE TABLE contract (
+    one INTEGER PRIMARY KEY CHECK (one = 1), domain BLOB NOT NULL, block INTEGER NOT NULL, place INTEGER NOT NULL
 );
 
--- The contracts whose events were read, each with the block and the place in it of the last one.
-CREATE TABLE contracts (
-    key INTEGER PRIMARY KEY, domain BLOB NOT NULL UNIQUE, block INTEGER NOT NULL, place INTEGER NOT NULL
-);
-
--- Their events. `kind`: 1 a grant, 2 an envelope of a further epoch, 3 an extension, 4 the beginning of an epoch, with
+-- Its events. `kind`: 1 a grant, 2 an envelope of a further epoch, 3 an extension, 4 the beginning of an epoch, with
 -- the grantee where it is a revocation, 5 any other. `replaced` is the block of the event that replaced this one,
 -- `revoked` the epoch that began with the revocation of its grant, in the block `revoked_at`. An event with neither stands.
 CREATE TABLE rights (
-    contract INTEGER NOT NULL, block INTEGER NOT NULL, place INTEGER NOT NULL, kind INTEGER NOT NULL, owner BLOB,
-    grantee BLOB, epoch INTEGER, token BLOB, event TEXT NOT NULL, replaced INTEGER, revoked INTEGER,
-    revoked_at INTEGER, PRIMARY KEY (contract, block, place)
+    block INTEGER NOT NULL, place INTEGER NOT NULL, kind INTEGER NOT NULL, owner BLOB, grantee BLOB, epoch INTEGER,
+    token BLOB, event TEXT NOT NULL, replaced INTEGER, revoked INTEGER, revoked_at INTEGER, PRIMARY KEY (block, place)
 ) WITHOUT ROWID;
-CREATE INDEX rights_standing ON rights (contract, owner, kind, grantee) WHERE replaced IS NULL AND revoked IS NULL;
-CREATE INDEX rights_given ON rights (contract, owner, grantee) WHERE revoked IS NOT NULL;
-CREATE INDEX rights_received ON rights (contract, grantee) WHERE revoked IS NOT NULL;
-CREATE INDEX rights_tokens ON rights (contract, owner, epoch) WHERE token IS NOT NULL;
+CREATE INDEX rights_standing ON rights (owner, kind, grantee) WHERE replaced IS NULL AND revoked IS NULL;
+CREATE INDEX rights_given ON rights (owner, grantee) WHERE revoked IS NOT NULL;
+CREATE INDEX rights_received ON rights (grantee) WHERE revoked IS NOT NULL;
+CREATE INDEX rights_tokens ON rights (owner, epoch) WHERE token IS NOT NULL;
 
 -- The envelopes of grants and later events; read only by those who open them.
 CREATE TABLE envelopes (
-    contract INTEGER NOT NULL, block INTEGER NOT NULL, place INTEGER NOT NULL, envelope BLOB NOT NULL,
-    PRIMARY KEY (contract, block, place)
+    block INTEGER NOT NULL, place INTEGER NOT NULL, envelope BLOB NOT NULL, PRIMARY KEY (block, place)
 ) WITHOUT ROWID;
 
 CREATE TABLE settings (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;

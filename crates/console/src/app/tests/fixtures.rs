@@ -429,6 +429,7 @@ pub fn opened(number: u64, camera: bool) -> OpenedView {
     OpenedView {
         record: RecordView { owner: Some(OTHER), topic: topic.to_owned(), ..record(number, "verified") },
         verdict: Verdict::Verified,
+        reason: None,
         caller_id: "/driver".to_owned(),
         tags: vec![("mission".to_owned(), "crime scene".to_owned()), ("simulated".to_owned(), "yes".to_owned())],
         compression: "lz4".to_owned(),

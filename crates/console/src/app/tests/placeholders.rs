@@ -66,20 +66,12 @@ fn purposes() -> Vec<Purpose> {
         P::Profile => Some(P::Administer(Act::Admit)),
         P::Administer(Act::Admit) => Some(P::Administer(Act::Suspend)),
         P::Administer(Act::Suspend) => Some(P::Administer(Act::Restore)),
-        P::Administer(Act::Restore) => Some(P::Administer(Act::Succeed)),
-        P::Administer(Act::Succeed) => Some(P::Administer(Act::Propose)),
+        P::Administer(Act::Restore) => Some(P::Administer(Act::Propose)),
         P::Administer(Act::Propose) => Some(P::Administer(Act::Dismiss)),
         P::Administer(Act::Dismiss) => Some(P::Administer(Act::HandOver)),
         // These ask a question and have no form.
         P::Administer(
-            Act::HandOver
-            | Act::Open
-            | Act::Close
-            | Act::Pause
-            | Act::Continue
-            | Act::Accept
-            | Act::Deploy
-            | Act::Adopt,
+            Act::HandOver | Act::Open | Act::Close | Act::Pause | Act::Continue | Act::Accept | Act::Deploy,
         ) => None,
     };
     std::iter::successors(Some(P::CreateIdentity), |purpose| follows(*purpose)).collect()
@@ -111,7 +103,6 @@ fn asked(purpose: Purpose) -> Robot {
         Purpose::ExportKey => opens(Verb::ExportKey, "6"),
         Purpose::Export => opens(Verb::Export, "3"),
         Purpose::Unpin => opens(Verb::Unpin, "2"),
-        Purpose::Administer(Act::Propose) => opens(Verb::Administer(Act::Succeed), "7"),
         Purpose::Administer(act) => opens(Verb::Administer(act), "7"),
     };
     robot.types(&screen);
@@ -124,8 +115,6 @@ fn asked(purpose: Purpose) -> Robot {
     }
     if let (Purpose::Administer(_), Some(chain)) = (purpose, &mut robot.state.chain) {
         chain.administration.administrator = Some(fixtures::OWN);
-        // Where successions have a delay, the same verb proposes.
-        chain.administration.delay = (purpose == Purpose::Administer(Act::Propose)).then_some(604_800);
     }
     let effects = perform(&mut robot.state, verb);
     robot.note(effects);

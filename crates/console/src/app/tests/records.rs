@@ -145,6 +145,7 @@ fn a_check_that_finds_tampering_stays_until_seen() {
     let found = |verdict| CheckView {
         id: "3e8".into(),
         verdict,
+        reason: None,
         digest: fixtures::record(1, "").digest,
         transaction: None,
         block: Some(7),

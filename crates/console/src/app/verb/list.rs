@@ -144,10 +144,9 @@ pub static VERBS: &[Entry] = &[
     administers(Act::Close, "close-registration", "Administrator: only admitted accounts can register"),
     administers(Act::Pause, "pause-changes", "Administrator: pause all changes except revokes"),
     administers(Act::Continue, "resume-changes", "Administrator: end the pause"),
-    administers(Act::Succeed, "replace-lost-account", "Administrator: name a lost account's successor"),
+    administers(Act::Propose, "replace-lost-account", "Administrator: propose a lost account's successor"),
     administers(Act::HandOver, "hand-over", "Administrator: nominate the next administrator"),
     administers(Act::Accept, "accept-administration", "Take over as administrator, if nominated"),
-    administers(Act::Adopt, "adopt-chain", "Adopt the current chain, abandon the pinned one"),
     entry(Verb::Inspect, "inspect", "details", &[Key::Enter], "A robot: state, policy, drift").on(GATEWAY),
     entry(
         Verb::SetPolicy,

@@ -56,7 +56,7 @@ fn fitted(evidence: &str, width: u16) -> String {
 
 /// A step that is done, or the state that a record is in.
 fn step_role(word: &str) -> Role {
-    const DONE: [&str; 12] = [
+    const DONE: [&str; 11] = [
         "message",
         "record",
         "digest",
@@ -68,7 +68,6 @@ fn step_role(word: &str) -> Role {
         "transaction",
         "block",
         "confirmations",
-        "earlier chain",
     ];
     if DONE.contains(&word) {
         return Role::Accent;
@@ -129,6 +128,7 @@ pub(super) fn verdict_line(verdict: Verdict) -> Vec<Piece> {
     let (text, role) = match verdict {
         Verdict::Verified => ("verified: digest matches the chain, signature valid", Role::Good),
         Verdict::Unanchored => ("unanchored: signature valid, but the digest is not on the chain yet", Role::Warning),
+        Verdict::NotChecked => ("not checked against the chain now; confirmed earlier, signature valid", Role::Warning),
         Verdict::Tampered => ("tampered: the stored bytes are not the ones anchored or signed", Role::Bad),
         Verdict::Deleted => ("deleted by retention: header, signature and proof stay", Role::Warning),
         Verdict::Missing => ("missing: the stored bytes are gone", Role::Bad),

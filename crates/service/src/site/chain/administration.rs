@@ -11,7 +11,7 @@ use crate::site::parts::Parts;
 use std::collections::HashSet;
 use std::sync::Arc;
 
-use crate::chain::{Call, ChainError, Revision};
+use crate::chain::Call;
 use crate::model::{Address, Party, Timestamp};
 use crate::pipeline::{Network, Owner};
 use crate::service::command::Administration;
@@ -60,7 +60,6 @@ impl Administering {
                 owner.address
             )));
         }
-        call.expect_offered(network.chain.revision()?)?;
         self.send_act(owner, &network, call, text).await
     }
 
@@ -80,8 +79,7 @@ impl Administering {
             ));
         }
         let call = Call::NameRecovery { recovery };
-        call.expect_offered(network.chain.revision()?)?;
-        let days = network.directory.administration().delay.unwrap_or(0) / 86_400;
+        let days = network.directory.administration().delay / 86_400;
         let who = recovery.map_or_else(|| "nobody".to_owned(), |recovery| recovery.to_string());
         let text = format!("{who} may stop a succession of {} proposed {days} days from now or later", owner.address);
         self.send_act(owner, &network, call, text).await
@@ -129,7 +127,7 @@ impl Administering {
                 let text = if *open { "anyone can register" } else { "only admitted accounts can register" };
                 (Call::SetOpen { open: *open }, text.to_owned())
             }
-            Administration::Pause { paused, seconds } => pause(network.chain.revision()?, *paused, *seconds)?,
+            Administration::Pause { paused, seconds } => pause(*paused, *seconds),
             Administration::HandOver { account } => {
                 let account = self.contacts.resolve(account)?;
                 (
@@ -147,12 +145,6 @@ impl Administering {
                 let lost = self.contacts.resolve(lost)?;
                 (Call::CompleteSuccession { lost }, format!("{lost} is suspended permanently; its successor continues"))
             }
-            Administration::Succeed { lost, successor } => {
-                let (lost, successor) = (self.contacts.resolve(lost)?, self.contacts.resolve(successor)?);
-                network.directory.identity(successor)?;
-                let text = format!("{successor} continues for {lost}, which is suspended permanently");
-                (Call::Succeed { lost, successor }, text)
-            }
         })
     }
 
@@ -161,7 +153,7 @@ impl Administering {
         network.directory.identity(successor)?;
         let recovery = network.directory.account(lost).and_then(|account| account.recovery);
         let recovery = recovery.and_then(|recovery| recovery.in_effect(Timestamp::now()));
-        let delay = network.directory.administration().delay.unwrap_or(0);
+        let delay = network.directory.administration().delay;
         let (days, stops) = match recovery {
             Some(recovery) => (delay / 86_400, format!("{recovery} can stop it until then")),
             None => (2 * delay / 86_400, "there is no recovery account that could stop it".to_owned()),
@@ -204,7 +196,6 @@ impl Administering {
             open: decided.open,
             paused: decided.is_paused(now),
             paused_until: decided.paused_until.filter(|until| now < *until),
-            revision: network.chain.revision().ok(),
             delay: decided.delay,
             proposals: proposals.collect(),
             recovery: recovery.unwrap_or_default(),
@@ -274,19 +265,14 @@ fn is_for_others(call: &Call) -> bool {
     matches!(call, Call::AcceptAdministrator | Call::CancelSuccession { .. } | Call::CompleteSuccession { .. })
 }
 
-/// A pause has an end, except on a contract of the first revision.
-fn pause(revision: Revision, paused: bool, seconds: Option<u64>) -> Result<(Call, String), Failure> {
-    const STOPPED: &str = "all changes are paused except those that withdraw rights";
-    Ok(match (revision, paused) {
-        (Revision::First, true) if seconds.is_some() => {
-            return Err(ChainError::NotOffered { revision, function: "pause" }.into());
-        }
-        (Revision::First, true) => (Call::SetPaused { paused }, format!("{STOPPED}, until `authros chain resume`")),
-        (Revision::First, false) => (Call::SetPaused { paused }, "changes are possible again".to_owned()),
-        (Revision::Second, true) => {
-            let until = Timestamp::from_seconds(Timestamp::now().seconds().saturating_add(seconds.unwrap_or(PAUSE)));
-            (Call::Pause { until }, format!("{STOPPED}, until {until}; then they resume automatically"))
-        }
-        (Revision::Second, false) => (Call::Resume, "changes are possible again".to_owned()),
-    })
+/// The call of a pause or of its end, and what it means.
+fn pause(paused: bool, seconds: Option<u64>) -> (Call, String) {
+    if !paused {
+        return (Call::Resume, "changes are possible again".to_owned());
+    }
+    let until = Timestamp::from_seconds(Timestamp::now().seconds().saturating_add(seconds.unwrap_or(PAUSE)));
+    let text = format!(
+        "all changes are paused except those that withdraw rights, until {until}; then they resume automatically"
+    );
+    (Call::Pause { until }, text)
 }

@@ -14,9 +14,9 @@ use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
-use crate::chain::{Chain, ChainError, ChainOptions, DEFAULT_DELAY, Endpoint, Pin, Revision};
+use crate::chain::{Chain, ChainError, ChainOptions, DEFAULT_DELAY, Endpoint, Pin};
 use crate::model::ErrorKind;
-use crate::pipeline::{Network, Owner, PipelineError, adoption, watcher};
+use crate::pipeline::{Network, Owner, PipelineError, watcher};
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::{input, internal};
 use crate::service::reply::Failure;
@@ -48,23 +48,8 @@ impl Connection {
 }
 
 impl Connection {
-    /// While this is held, nobody else connects, deploys or adopts.
-    pub async fn one_at_a_time(&self) -> tokio::sync::MutexGuard<'_, ()> {
-        self.deploying.lock().await
-    }
-
     pub(in crate::site) fn pin(&self) -> Result<Option<Pin>, Failure> {
-        let path = self.home.pin();
-        match std::fs::read(&path) {
-            Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|_| {
-                let path = path.display();
-                input(format!(
-                    "{path} is damaged, so the chain this home is bound to is unknown; restore the file from a backup"
-                ))
-            }),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
-            Err(error) => Err(Failure::new(ErrorKind::Home, format!("{} cannot be read: {error}", path.display()))),
-        }
+        pin_of(&self.home)
     }
 
     /// Writes the pin unless the file has it already: a command that only looks writes nothing.
@@ -108,7 +93,7 @@ impl Connection {
     }
 
     async fn connect(self: &Arc<Self>) -> Result<(), Lost> {
-        // `chain adopt` may be running, and have connected by the time it is done.
+        // The contract may be being deployed, which connects as well.
         let _one_at_a_time = self.deploying.lock().await;
         if matches!(*self.link.state(), NetworkState::Up(_) | NetworkState::Bare(_) | NetworkState::Off) {
             return Ok(());
@@ -138,7 +123,7 @@ impl Connection {
     }
 
     pub(in crate::site) async fn use_network(self: &Arc<Self>, chain: Chain, pin: &Pin) -> Result<(), Lost> {
-        let network = self.network_of(chain, pin).await?;
+        let network = Network::new(chain, pin, self.plant.provider, self.config.confirmations);
         block_in_place(|| watcher::restore(&self.plant, &network))?;
         let head = watcher::watch_round(&self.plant, &network).await?;
         self.link.has_scanned(head.number);
@@ -148,26 +133,15 @@ impl Connection {
         Ok(())
     }
 
-    /// The network with everything bound to it, and what this home was bound to before.
-    pub(in crate::site) async fn network_of(&self, chain: Chain, pin: &Pin) -> Result<Network, PipelineError> {
-        let domain = adoption::domain_of(pin);
-        let directory = Arc::new(crate::pipeline::Directory::new(domain, self.plant.provider));
-        let earlier = Arc::new(block_in_place(|| adoption::earlier(&self.plant.ledger, domain))?);
-        let former = Arc::new(adoption::former(&self.plant, &chain).await?);
-        let confirmations = self.config.confirmations;
-        Ok(Network { chain, domain, directory, earlier, former, confirmations, times: Arc::default() })
-    }
-
     /// The network; deploys the contract with the owner's account if there is none yet.
     pub(in crate::site) async fn network_or_deploy(self: &Arc<Self>, owner: &Owner) -> Result<Network, Failure> {
-        self.network_or_deploy_as(owner, Revision::NEWEST, DEFAULT_DELAY).await
+        self.network_or_deploy_with(owner, DEFAULT_DELAY).await
     }
 
-    /// The same, with a given revision and a given delay of successions.
-    pub(in crate::site) async fn network_or_deploy_as(
+    /// The same, with a given delay of successions.
+    pub(in crate::site) async fn network_or_deploy_with(
         self: &Arc<Self>,
         owner: &Owner,
-        revision: Revision,
         delay: Duration,
     ) -> Result<Network, Failure> {
         // Not before the first attempt has ended, which needs the lock as well.
@@ -176,7 +150,12 @@ impl Connection {
         let NetworkState::Bare(chain) = self.link.settled().await? else { return self.link.network().await };
         let eoa = owner.eoa();
         self.fund(&chain, owner).await?;
-        let pin = chain.deploy_revision(&eoa, revision, delay).await?;
+        let mut pin = chain.deploy_with(&eoa, delay).await?;
+        // A chain that was wiped and founded as before gives a contract the address of the lost one: records of both could
+        // not be distinguished. Each further deployment has another address.
+        while !owner.epochs(pin.domain()).is_empty() {
+            pin = chain.deploy_with(&eoa, delay).await?;
+        }
         self.save_pin(&pin)?;
         self.use_network(chain, &pin).await?;
         self.log.write(&owner.profile, "deploy", &pin.contract.to_string(), "done").await?;
@@ -196,9 +175,24 @@ impl Connection {
     }
 }
 
+/// The chain and contract that a home is bound to; `None` = none yet.
+pub(in crate::site) fn pin_of(home: &Home) -> Result<Option<Pin>, Failure> {
+    let path = home.pin();
+    match std::fs::read(&path) {
+        Ok(bytes) => serde_json::from_slice(&bytes).map(Some).map_err(|_| {
+            let path = path.display();
+            input(format!(
+                "{path} is damaged, so the chain this home is bound to is unknown; restore the file from a backup"
+            ))
+        }),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(Failure::new(ErrorKind::Home, format!("{} cannot be read: {error}", path.display()))),
+    }
+}
+
 /// Why the chain could not be connected.
 pub(in crate::site) enum Lost {
-    /// Another chain answers.
+    /// Another chain answers, or the embedded one has no file any more.
     Swapped(Failure),
     /// Anything else.
     Other(Failure),
@@ -207,7 +201,7 @@ pub(in crate::site) enum Lost {
 impl From<ChainError> for Lost {
     fn from(error: ChainError) -> Self {
         match error {
-            ChainError::Swapped { .. } => Self::Swapped(error.into()),
+            ChainError::Swapped { .. } | ChainError::Gone { .. } => Self::Swapped(error.into()),
             other => Self::Other(other.into()),
         }
     }

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use tokio::sync::oneshot;
 
-use crate::chain::{DEFAULT_DELAY, LONGEST_DELAY, Revision, SHORTEST_DELAY, serve};
+use crate::chain::{DEFAULT_DELAY, LONGEST_DELAY, SHORTEST_DELAY, serve};
 use crate::model::ProfileName;
 use crate::pipeline::Owner;
 use crate::service::event::NoticeLevel;
@@ -21,7 +21,6 @@ impl Connection {
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         delay: Option<u64>,
-        revision: Option<Revision>,
     ) -> Result<DeployedView, Failure> {
         let delay = delay.map_or(DEFAULT_DELAY, Duration::from_secs);
         if !(SHORTEST_DELAY..=LONGEST_DELAY).contains(&delay) {
@@ -34,7 +33,7 @@ impl Connection {
                 "{contract} is already pinned for this home, nothing was deployed; use another --home for another one"
             )));
         }
-        let network = self.network_or_deploy_as(owner, revision.unwrap_or(Revision::NEWEST), delay).await?;
+        let network = self.network_or_deploy_with(owner, delay).await?;
         let pin = network.chain.pin().ok_or_else(|| input("the chain has stopped; run the command again"))?;
         Ok(DeployedView { pin, administrator: owner.address })
     }

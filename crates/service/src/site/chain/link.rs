@@ -27,7 +27,7 @@ pub enum NetworkState {
     /// Working.
     Up(Box<Network>),
     /// Another chain answers than the pinned one, or the same one wiped: anchoring stands still until the pinned one is
-    /// back or the operator adopts this one.
+    /// back.
     Swapped(Failure),
     /// The last attempt failed; another follows.
     Down {

@@ -1,7 +1,6 @@
 //! The chain: the link to it, the accounts that anchor, its administration, and the move to another one.
 
 pub(super) mod administration;
-pub(super) mod adoption;
 pub(super) mod connection;
 mod exposure;
 pub(super) mod freshness;

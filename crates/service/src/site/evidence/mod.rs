@@ -26,7 +26,6 @@ use crate::service::command::EvidenceWishes;
 use crate::service::failure::{input, internal};
 use crate::service::reply::{EvidenceView, Failure, IncidentView};
 use crate::site::audit::Log;
-use crate::site::chain::link::Link;
 use crate::site::incidents;
 use crate::site::parts::Parts;
 use crate::site::reading::Reading;
@@ -39,7 +38,6 @@ const PAGE: usize = 1000;
 pub(in crate::site) struct Evidence {
     plant: Plant,
     log: Arc<Log>,
-    link: Arc<Link>,
     reading: Arc<Reading>,
     stamps: Arc<TimeStamps>,
 }
@@ -47,8 +45,8 @@ pub(in crate::site) struct Evidence {
 impl Evidence {
     /// From the shared parts.
     pub fn new(parts: &Parts, reading: &Arc<Reading>, stamps: &Arc<TimeStamps>) -> Self {
-        let Parts { plant, log, link, .. } = parts.clone();
-        Self { plant, log, link, reading: Arc::clone(reading), stamps: Arc::clone(stamps) }
+        let Parts { plant, log, .. } = parts.clone();
+        Self { plant, log, reading: Arc::clone(reading), stamps: Arc::clone(stamps) }
     }
 
     /// Writes records with all their proofs into a new file, 0600.
@@ -60,7 +58,7 @@ impl Evidence {
         if wishes.file.symlink_metadata().is_ok() {
             return Err(input(format!("{} already exists; choose a new file", wishes.file.display())));
         }
-        let network = self.link.network().await?;
+        let network = self.reading.network_or_kept().await?;
         let about = self.incident(owner, &wishes).await?;
         let mut rows = self.chosen(owner, &wishes).await?;
         let left_out = about.as_ref().map_or_else(Vec::new, |about| leave_out(&mut rows, about, &wishes.records));

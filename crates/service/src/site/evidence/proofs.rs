@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use crate::model::{Timestamp, clean};
-use crate::pipeline::chain_proofs::{Attempts, Collected, collect};
+use crate::pipeline::chain_proofs::{Collected, Rounds, collect};
 use crate::pipeline::{PipelineError, Plant};
 use crate::service::event::NoticeLevel;
 use crate::service::hub::Hub;
@@ -38,10 +38,10 @@ impl ChainProofs {
 
     /// Collects proofs until the site ends.
     pub async fn keep(self: Arc<Self>) {
-        let mut attempts = Attempts::default();
+        let mut rounds = Rounds::default();
         while self.life.beat(LOOK).await {
             let Some(network) = self.link.network_now() else { continue };
-            let result = collect(&self.plant, &network, &mut attempts).await;
+            let result = collect(&self.plant, &network, &mut rounds).await;
             self.told(result);
         }
     }

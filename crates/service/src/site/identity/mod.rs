@@ -31,7 +31,7 @@ use std::sync::Arc;
 use super::blocking;
 use crate::crypto::{Fingerprint, Keyring, Passphrase, UnlockedKeyring, read_public};
 use crate::model::ProfileName;
-use crate::pipeline::{Owner, adoption};
+use crate::pipeline::Owner;
 use crate::service::command::SecretText;
 use crate::service::event::{NoticeLevel, Part};
 use crate::service::failure::refused;
@@ -194,7 +194,7 @@ impl Profiles {
     /// and capture needs no chain; only if the chain is known to have an epoch of this owner.
     fn seal_as_before(&self, owner: &Owner) {
         let Ok(Some(pin)) = self.connection.pin() else { return };
-        let domain = adoption::domain_of(&pin);
+        let domain = pin.domain();
         let newest = owner.epochs(domain).last().copied().filter(|_| owner.has_registered_epoch(domain));
         if let Some(Err(error)) = newest.map(|epoch| owner.seal_under(domain, epoch)) {
             self.hub.notice(NoticeLevel::Warning, &error.to_string());

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use tokio::task::block_in_place;
 
 use super::statements;
-use super::view::record_view;
+use super::view::{reason_of, record_view};
 use crate::crypto::OpenedRecord;
 use crate::model::{ErrorKind, RecordKind, RecordState, clean};
 use crate::pipeline::columns::{Compared, Shown};
@@ -35,6 +35,7 @@ const MOST_FIELDS: usize = 5_000;
 struct Opened {
     row: RecordRow,
     record: OpenedRecord,
+    reason: Option<String>,
     described: Described,
 }
 
@@ -99,8 +100,8 @@ impl Reading {
             Ok((record, described))
         };
         let (record, described) = self.log.deed(&owner.profile, deed, &row.id, opened).await?;
-        let row = as_signed(row, &record);
-        Ok(Opened { row, record, described })
+        let (row, reason) = (as_signed(row, &record), reason_of(record.verdict, &network));
+        Ok(Opened { row, record, reason, described })
     }
 
     /// The definition by which the record's message is read.
@@ -217,6 +218,7 @@ fn view_of(opened: &Opened, owner: &Owner) -> OpenedView {
     OpenedView {
         record: record_view(&Shown { row: row.clone(), compared: Compared::Head, differs: None }, of_another),
         verdict: record.verdict,
+        reason: opened.reason.clone(),
         caller_id: clean(&record.head.caller_id, 255),
         tags: record.head.tags.iter().map(|(key, value)| (clean(key, 64), clean(value, 200))).collect(),
         compression: record.head.compression.word().to_owned(),

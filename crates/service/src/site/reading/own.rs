@@ -158,15 +158,6 @@ impl Reading {
             let (deep, wanted) = (head + 1 - block.min(head + 1), self.config.confirmations);
             steps.extend((head >= block).then(|| step("confirmations", format!("{deep} of {wanted} required"))));
         }
-        if let Some(earlier) = blocking(self, move |reading| Ok(reading.plant.ledger.earlier_anchor(digest)?)).await? {
-            let (block, domain) = (earlier.block, earlier.domain);
-            let (name, text) = if row.block == Some(block) {
-                ("earlier contract", format!("anchored in the earlier contract of domain {domain}, and verified there"))
-            } else {
-                ("earlier chain", format!("anchored in block {block} of the earlier domain {domain}"))
-            };
-            steps.push(step(name, text));
-        }
         if let Some(retained) = blocking(self, move |reading| Ok(reading.plant.ledger.retained(digest)?)).await? {
             let done = retained.deleted_at.map_or("to be deleted".to_owned(), |at| format!("ciphertext deleted {at}"));
             steps.push(step("retention", format!("{done}; named in retention record {}", retained.report)));
@@ -196,7 +187,7 @@ impl Reading {
         addresses: bool,
     ) -> Result<Vec<ExportedFile>, Failure> {
         let row = self.own_record(&owner.profile, id).await?;
-        let network = self.link.network().await?;
+        let network = self.network_or_kept().await?;
         let files = self.files_of(&network, &row, addresses);
         self.log.deed(&owner.profile, "export record", &row.id, files).await
     }
@@ -222,14 +213,11 @@ impl Reading {
         if let Some(field) = header.as_ref().and_then(|header| columns::header_difference(row, header)) {
             return Err(PipelineError::RowDiffers { id: row.id.clone(), field }.into());
         }
-        // A record of an earlier chain is bound to that chain's domain.
-        let bound = header.map_or(network.domain, |header| header.domain);
-        let contract = tokio::task::block_in_place(|| network.place_of(&self.plant, row))?;
         let (asked, asking) = (row.clone(), network.clone());
         let signer = blocking(self, move |reading| Ok(authority::signer_of(&reading.plant, &asking, &asked)?)).await?;
         let signer = signer.map_err(|why| PipelineError::NoRight { id: row.id.clone(), why: Box::new(why) })?;
-        let signed = record::signed_bytes(&bound, &row.digest);
-        let pin = contract.chain.pin();
+        let signed = record::signed_bytes(&network.domain, &row.digest);
+        let pin = network.chain.pin();
         // The record's own header and leaf must contain the owner: only the files beside them are redacted.
         let shown = |account: Address| if addresses { account.to_string() } else { account.redacted() };
         let mut anchor = anchor_json(row, place.as_ref(), &shown);
@@ -254,7 +242,7 @@ impl Reading {
             "recorder": row.recorder,
             "topic_id": row.topic_id,
             "seq": row.seq,
-            "domain": bound,
+            "domain": network.domain,
             "chain_id": network.chain.chain_id(),
             "genesis": network.chain.genesis(),
             "contract": pin.map(|pin| pin.contract),

@@ -4,7 +4,7 @@ use super::Reading;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::view::{record_page, record_query};
+use super::view::{reason_of, record_page, record_query};
 use crate::crypto::GrantedKeys;
 use crate::model::{Address, Scope, TopicId};
 use crate::pipeline::directory::Granted;
@@ -127,14 +127,16 @@ impl Reading {
         Ok(ids)
     }
 
-    /// A record that the owner may read at this moment, and the chain that says so; a refusal is counted.
+    /// A record that the owner may read at this moment, and the chain that says so; a refusal is counted. Own records are
+    /// read without the chain too, others' never.
     pub(in crate::site) async fn authorised(
         self: &Arc<Self>,
         owner: &Arc<Owner>,
         id: &str,
     ) -> Result<(RecordRow, Network), Failure> {
         let row = self.find_record(id).await?;
-        let network = self.link.network().await?;
+        let is_own = row.owner == owner.address;
+        let network = if is_own { self.network_or_kept().await? } else { self.link.network().await? };
         let allowed = Reader { plant: &self.plant, network: &network, reader: owner }.authorise(&row);
         self.log.count_refusal(owner, &allowed);
         allowed?;
@@ -164,6 +166,7 @@ impl Reading {
             count: answer.count,
             last: (answer.count > 0).then_some(answer.last),
         });
-        Ok(CheckView { id: row.id, verdict, digest, transaction: row.transaction, block: row.block, contract })
+        let (reason, transaction, block) = (reason_of(verdict, &network), row.transaction, row.block);
+        Ok(CheckView { id: row.id, verdict, reason, digest, transaction, block, contract })
     }
 }

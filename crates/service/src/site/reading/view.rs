@@ -8,9 +8,9 @@ use tokio::task::block_in_place;
 
 use super::super::super::reply::{RecordPage, RecordView};
 use crate::crypto::{IndexKey, TopicKey, topic_key};
-use crate::model::{Address, Header, RecordKind, clean};
-use crate::pipeline::Owner;
+use crate::model::{Address, Header, RecordKind, Verdict, clean};
 use crate::pipeline::columns::{Comparison, Keys, Shown};
+use crate::pipeline::{Network, Owner};
 use crate::service::command::UploadQuery;
 use crate::service::reply::Failure;
 use crate::store::{FilterChoice, RecordQuery, RecordRow};
@@ -31,6 +31,11 @@ impl Keys for OwnKeys {
         // IK stays in memory while a keyring is locked: records are sealed with it.
         self.0.get(&row.owner).map(|owner| owner.index())
     }
+}
+
+/// Why a record was not checked against the chain, if it was not.
+pub(super) fn reason_of(verdict: Verdict, network: &Network) -> Option<String> {
+    network.absent.as_ref().filter(|_| verdict == Verdict::NotChecked).map(ToString::to_string)
 }
 
 impl Reading {

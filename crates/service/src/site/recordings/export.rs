@@ -49,7 +49,7 @@ impl Recordings {
                 "{format} chunks cannot be compressed with {compression}; choose another compression"
             )));
         }
-        let network = self.link.network().await?;
+        let network = self.reading.network_or_kept().await?;
         let scopes = self.readable_scopes(owner, &network, &wishes)?;
         let file = clean(&wishes.path.display().to_string(), 300);
         self.log.begin(owner, "export recording", &file).await?;
@@ -68,9 +68,12 @@ impl Recordings {
         let me = owner.address;
         let wanted = wishes.owner.as_ref().map(|party| self.contacts.resolve(party)).transpose()?;
         let is_wanted = |address: Address| wanted.is_none_or(|wanted| wanted == address);
-        let granted = authority::shared_with(&network.directory, me)
-            .into_iter()
-            .map(|grant| (grant.terms.owner, grant.terms.scope));
+        // Whether others still grant, only the chain knows.
+        let granted = match network.absent {
+            None => authority::shared_with(&network.directory, me),
+            Some(_) => Vec::new(),
+        };
+        let granted = granted.into_iter().map(|grant| (grant.terms.owner, grant.terms.scope));
         let mut scopes: HashMap<Address, Scope> = granted.filter(|(address, _)| is_wanted(*address)).collect();
         if is_wanted(me) {
             scopes.insert(me, Scope::All);
@@ -162,7 +165,8 @@ impl<'a> Export<'a> {
         if !self.is_wanted(&opened.head.topic) {
             return Ok(());
         }
-        if opened.verdict != Verdict::Verified && !(self.wishes.unanchored && opened.verdict == Verdict::Unanchored) {
+        let is_unconfirmed = matches!(opened.verdict, Verdict::Unanchored | Verdict::NotChecked);
+        if opened.verdict != Verdict::Verified && !(self.wishes.unanchored && is_unconfirmed) {
             self.view.refused.unanchored += 1;
             return Ok(());
         }

@@ -35,20 +35,23 @@ pub(in crate::site) const RECORDING: &str = "recording";
 /// The progress of a topic of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-enum Standing {
+pub(super) enum Standing {
     /// Some messages may be sealed.
     Begun,
     /// All messages are sealed.
     Whole,
 }
 
-type Standings = BTreeMap<String, Standing>;
+pub(super) type Standings = BTreeMap<String, Standing>;
 
-/// The result of reading the file.
-struct ReadOut {
-    view: ImportView,
-    sessions: Vec<Arc<CaptureSession>>,
-    standings: Standings,
+/// The result of reading a file or a home.
+pub(super) struct ReadOut {
+    /// What there was to import.
+    pub view: ImportView,
+    /// What was given to the sealer.
+    pub sessions: Vec<Arc<CaptureSession>>,
+    /// The file and the topics that are whole once all of this is verified.
+    pub whole: Option<(Digest, Standings)>,
 }
 
 impl Recordings {
@@ -65,23 +68,36 @@ impl Recordings {
         }
         // Without a chain nothing would ever be verified.
         let network = self.link.network().await?;
+        let (author, path) = (Arc::clone(owner), wishes.path.clone());
+        let read = move |recordings: &Self, run: &Run, control: &CaptureSession| {
+            recordings.read_recording(&author, &network, &wishes, run, control)
+        };
+        self.run_import(owner, &path, "import recording", read).await
+    }
+
+    /// Reads with `read`, and waits until all that it gave to the sealer is verified.
+    pub(super) async fn run_import(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        path: &Path,
+        action: &'static str,
+        read: impl FnOnce(&Self, &Run, &CaptureSession) -> Result<ReadOut, Failure> + Send + 'static,
+    ) -> Result<ImportView, Failure> {
         self.sealer.begin()?;
-        let file = clean(&wishes.path.display().to_string(), 300);
+        let file = clean(&path.display().to_string(), 300);
         if self.runs.has(&owner.profile, &file) {
             return Err(refused(format!("{file} is already being imported; wait for that to finish")));
         }
-        self.log.begin(owner, "import recording", &file).await?;
-        let running = self.begin_run(&owner.profile, &wishes.path, "hashing");
+        self.log.begin(owner, action, &file).await?;
+        let running = self.begin_run(&owner.profile, path, "reading");
         // Ends the import as a capture is ended: by the same command.
         let control = Arc::new(CaptureSession::new(&[], None, Vec::new()));
         self.capture.note(&owner.profile, &control);
-        let (run, author) = (Arc::clone(&running.run), Arc::clone(owner));
-        let (stop, again) = (Arc::clone(&control), wishes.again);
-        let read =
-            blocking(self, move |recordings| recordings.read_recording(&author, &network, &wishes, &run, &stop)).await;
-        let imported = self.log.end(owner, "import recording", &file, read).await;
+        let (run, stop) = (Arc::clone(&running.run), Arc::clone(&control));
+        let read = blocking(self, move |recordings| read(recordings, &run, &stop)).await;
+        let imported = self.log.end(owner, action, &file, read).await;
         let ended = match imported {
-            Ok(read) => self.settle_import(owner, read, &running.run, again).await,
+            Ok(read) => self.settle_import(owner, read, &running.run).await,
             Err(failure) => Err(failure),
         };
         self.capture.forget(&control);
@@ -94,9 +110,8 @@ impl Recordings {
         owner: &Arc<Owner>,
         read: ReadOut,
         run: &Run,
-        again: bool,
     ) -> Result<ImportView, Failure> {
-        let ReadOut { mut view, sessions, mut standings } = read;
+        let ReadOut { mut view, sessions, whole } = read;
         run.step("verifying");
         let mut topics: BTreeMap<String, ImportedTopic> =
             std::mem::take(&mut view.topics).into_iter().map(|topic| (topic.topic.clone(), topic)).collect();
@@ -113,7 +128,7 @@ impl Recordings {
         view.topics = topics.into_values().collect();
         view.imported = view.topics.iter().map(|topic| topic.imported).sum();
         view.verified = view.topics.iter().map(|topic| topic.verified).sum();
-        if let Some(digest) = view.digest.filter(|_| !view.ended_early && view.lost == 0 && !again) {
+        if let Some((digest, mut standings)) = whole.filter(|_| !view.ended_early && view.lost == 0) {
             standings.values_mut().for_each(|standing| *standing = Standing::Whole);
             let address = owner.address;
             blocking(self, move |recordings| recordings.put_standings(address, digest, &standings)).await?;
@@ -144,6 +159,7 @@ impl Recordings {
     ) -> Result<ReadOut, Failure> {
         let mut recording = Recording::open(&wishes.path)?;
         let goes_on = || !control.is_closed() && !self.life.is_stopping();
+        run.step("hashing");
         let digest = digest_of(&wishes.path, run, &goes_on)?;
         let mut standings = if wishes.again { Standings::new() } else { self.standings(owner.address, digest)? };
         let before = standings.clone();
@@ -202,7 +218,8 @@ impl Recordings {
         view.already = already.values().sum();
         let topic = |(topic, already)| ImportedTopic { topic, already, ..ImportedTopic::default() };
         view.topics = already.into_iter().map(topic).collect();
-        Ok(ReadOut { view, sessions: importer.finish(), standings })
+        let whole = (!wishes.again).then_some((digest, standings));
+        Ok(ReadOut { view, sessions: importer.finish(), whole })
     }
 }
 
@@ -211,7 +228,7 @@ fn key(owner: Address, digest: Digest) -> String {
 }
 
 /// By topic and reason; names come from the file, so they are cleaned.
-fn left_out_list(counts: BTreeMap<(Arc<str>, &'static str), u64>) -> Vec<LeftOut> {
+pub(super) fn left_out_list(counts: BTreeMap<(Arc<str>, &'static str), u64>) -> Vec<LeftOut> {
     let list = counts.into_iter().map(|((topic, why), messages)| LeftOut {
         topic: clean(&topic, 255),
         why: why.to_owned(),

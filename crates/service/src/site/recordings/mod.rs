@@ -1,12 +1,14 @@
-//! Recordings: imported as records, exported from records; and their progress.
+//! Recordings and other homes: imported as records, exported from records; and their progress.
 
 mod export;
+mod from_home;
 mod import;
 mod sealed_before;
 mod writing;
 
 pub(in crate::site) use self::import::RECORDING;
 use crate::config::Config;
+use crate::paths::Home;
 use crate::pipeline::Plant;
 use crate::pipeline::recorder::CapturedMessage;
 use crate::pipeline::ring::Rings;
@@ -27,11 +29,12 @@ use std::sync::Arc;
 
 use crate::model::ProfileName;
 use crate::pipeline::Owner;
-use crate::service::command::{Ask, ExportWishes, ImportWishes, RecordingCommand, RecordingProgress};
+use crate::service::command::{Ask, ExportWishes, HomeWishes, ImportWishes, RecordingCommand, RecordingProgress};
 use crate::service::reply::{Failure, Reply};
 
 /// Imports and exports of recordings.
 pub(in crate::site) struct Recordings {
+    home: Home,
     config: Arc<Config>,
     plant: Plant,
     hub: Arc<Hub>,
@@ -63,8 +66,9 @@ impl Recordings {
     /// From the shared parts.
     pub fn new(parts: &Parts, asked: &Asked<'_>) -> Self {
         let Asked { contacts, reading, capture, profiles, joined, sealer, rings } = asked;
-        let Parts { config, plant, hub, log, link, life, runs, .. } = parts.clone();
+        let Parts { home, config, plant, hub, log, link, life, runs, .. } = parts.clone();
         Self {
+            home,
             config,
             plant,
             hub,
@@ -96,6 +100,7 @@ impl Recordings {
     ) -> Result<Reply, Failure> {
         match command {
             RecordingCommand::Import(wishes) => self.import_recording(owner, wishes).await.map(ImportWishes::told),
+            RecordingCommand::ImportHome(wishes) => self.import_home(owner, wishes).await.map(HomeWishes::told),
             RecordingCommand::Export(wishes) => {
                 self.joined.caught_up(&owner.profile).await?;
                 self.export_recording(owner, wishes).await.map(ExportWishes::told)

@@ -162,7 +162,6 @@ impl Sharing {
             )));
         }
         let call = Call::Extend { grantee, expiry: expires };
-        call.expect_offered(network.chain.revision()?)?;
         let subject = grantee.to_string();
         self.log.begin(owner, "extend", &subject).await?;
         let sent = self.sender.send(&network.chain, &owner.eoa(), call, "extend").await.map_err(Failure::from);

@@ -1,9 +1,14 @@
-//! A contract's events in the ledger: the cost of each, and a ledger from before they had their own table.
+//! The contract's events in the ledger: the cost of each.
 
 use super::*;
 use crate::model::{Domain, Token};
 
-const DOMAIN: Domain = Domain([4; 32]);
+/// A ledger that knows its contract.
+fn bound() -> (tempfile::TempDir, Ledger) {
+    let (home, ledger) = open();
+    ledger.bind_contract(Domain([4; 32])).expect("bound");
+    (home, ledger)
+}
 
 fn event(block: u64, kind: RightKind, epoch: u64) -> RightEvent {
     let is_grant = kind == RightKind::Grant;
@@ -22,8 +27,9 @@ fn event(block: u64, kind: RightKind, epoch: u64) -> RightEvent {
 
 #[test]
 fn a_grant_and_its_revocation_cost_the_same_after_six_thousand_of_them() {
-    let (_home, ledger) = open();
+    let (_home, ledger) = bound();
     let changes = || ledger.write(|session| Ok(session.connection.total_changes())).expect("counted");
+    ledger.keep_rights(vec![event(1, RightKind::Epoch, 1)]).expect("kept");
     let mut costs = std::collections::BTreeSet::new();
     for hundred in 0..60u64 {
         let rounds = (1..=100).map(|round| hundred * 100 + round);
@@ -31,16 +37,25 @@ fn a_grant_and_its_revocation_cost_the_same_after_six_thousand_of_them() {
             [event(round * 2, RightKind::Grant, round), event(round * 2 + 1, RightKind::Epoch, round + 1)]
         });
         let before = changes();
-        ledger.keep_rights(DOMAIN, both.collect()).expect("kept");
-        // Of the first hundred, one epoch fewer is superseded and one contract more is noted.
+        ledger.keep_rights(both.collect()).expect("kept");
         costs.insert(changes() - before);
     }
     assert_eq!(costs.len(), 1, "{costs:?}");
-    let standing = ledger.standing_rights(DOMAIN).expect("read").expect("some");
+    let standing = ledger.standing_rights().expect("read");
     assert_eq!(standing.last, Some((12_001, 0)));
     let left: Vec<&str> = standing.events.iter().map(|event| event.event.as_str()).collect();
     assert_eq!(left, ["12001"], "the newest epoch alone");
-    assert_eq!(ledger.revoked_grants(DOMAIN, Address([2; 20])).expect("history").len(), 6_000);
+    assert_eq!(ledger.revoked_grants(Address([2; 20])).expect("history").len(), 6_000);
+}
+
+#[test]
+fn a_ledger_belongs_to_one_contract_for_good() {
+    let (_home, ledger) = bound();
+    assert_eq!(ledger.bind_contract(Domain([4; 32])), Ok(()));
+    let (bound, domain) = (Domain([4; 32]), Domain([5; 32]));
+    assert_eq!(ledger.bind_contract(domain), Err(StoreError::Bound { bound, domain }));
+    ledger.forget_rights().expect("forgotten");
+    assert!(ledger.bind_contract(domain).is_err());
 }
 
 #[test]
@@ -58,27 +73,27 @@ fn what_an_event_ends_is_found_without_what_ended_before() {
     };
     for sql in crate::store::ledger::directory::ENDING {
         let plan = plan(sql);
-        assert!(plan.contains("INDEX rights_standing (contract=? AND owner=? AND kind=?"), "{plan}");
+        assert!(plan.contains("INDEX rights_standing (owner=? AND kind=?"), "{plan}");
     }
 }
 
 #[test]
 fn replaced_blocks_give_back_what_they_ended() {
-    let (_home, ledger) = open();
-    let last = |ledger: &Ledger| ledger.standing_rights(DOMAIN).expect("read").expect("some");
-    assert_eq!(ledger.standing_rights(DOMAIN), Ok(None), "never read");
-    ledger.keep_rights(DOMAIN, vec![event(5, RightKind::Grant, 1)]).expect("kept");
+    let (_home, ledger) = bound();
+    let last = |ledger: &Ledger| ledger.standing_rights().expect("read");
+    assert_eq!(ledger.standing_rights(), Ok(StandingRights::default()), "never read");
+    ledger.keep_rights(vec![event(5, RightKind::Grant, 1)]).expect("kept");
     let before = last(&ledger);
-    ledger.keep_rights(DOMAIN, vec![event(6, RightKind::Epoch, 2)]).expect("kept");
+    ledger.keep_rights(vec![event(6, RightKind::Epoch, 2)]).expect("kept");
     assert_ne!(last(&ledger).events, before.events);
-    let between = |revoked| ledger.envelopes_between(DOMAIN, Address([1; 20]), Address([2; 20]), revoked);
+    let between = |revoked| ledger.envelopes_between(Address([1; 20]), Address([2; 20]), revoked);
     assert_eq!((between(None).map(|all| all.len()), between(Some(2)).map(|all| all.len())), (Ok(0), Ok(1)));
-    ledger.take_back_rights(DOMAIN, 6).expect("undone");
+    ledger.take_back_rights(6).expect("undone");
     assert_eq!(last(&ledger).events, before.events);
     assert_eq!(between(None).map(|all| all.len()), Ok(1));
-    ledger.keep_rights(DOMAIN, vec![event(5, RightKind::Epoch, 9)]).expect("passed over");
+    ledger.keep_rights(vec![event(5, RightKind::Epoch, 9)]).expect("passed over");
     assert_eq!(last(&ledger).events, before.events);
-    ledger.forget_rights(DOMAIN).expect("forgotten");
-    assert_eq!(ledger.standing_rights(DOMAIN), Ok(None));
+    ledger.forget_rights().expect("forgotten");
+    assert_eq!(ledger.standing_rights(), Ok(StandingRights::default()));
     assert_eq!(between(None), Ok(Vec::new()));
 }

@@ -1,4 +1,4 @@
-//! `chain adopt`, and `devices`: what their arguments mean.
+//! `devices`: what its arguments mean, and its table.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use super::parse;
 use super::show::Question;
 use crate::crypto::keyfile::{load_sm2, sm2_public_from_pem};
 use crate::crypto::{ProviderName, SmKeyPair, provider, signer_id};
-use crate::model::{ErrorKind, PublicKey, SignerId, Timestamp, bytes::unhex};
+use crate::model::{ErrorKind, PublicKey, SignerId, bytes::unhex};
 use crate::service::Failure;
 use crate::service::command::{AddDeviceAddress, AddDeviceTopics, LendDevice, ListDevices, RecallDevice};
 use crate::service::reply::DeviceRow;
@@ -80,7 +80,7 @@ pub enum AddressesVerb {
 pub fn question(verb: &DevicesVerb) -> Result<Question, Failure> {
     Ok(match verb {
         DevicesVerb::Lend { device, until } => {
-            LendDevice { device: device_of(device)?, until: until.as_deref().map(end).transpose()? }.into()
+            LendDevice { device: device_of(device)?, until: until.as_deref().map(parse::end).transpose()? }.into()
         }
         DevicesVerb::Recall { device } => RecallDevice { device: device.clone() }.into(),
         DevicesVerb::Topics(TopicsVerb::Add { device, topics }) => {
@@ -91,17 +91,6 @@ pub fn question(verb: &DevicesVerb) -> Result<Question, Failure> {
         }
         DevicesVerb::List => ListDevices.into(),
     })
-}
-
-/// The end of a loan: a moment, or a length of time from now.
-///
-/// # Errors
-/// Where the text is neither.
-pub fn end(text: &str) -> Result<Timestamp, Failure> {
-    if let Ok(time) = parse::moment(text) {
-        return Ok(Timestamp::from_seconds(time.seconds()));
-    }
-    Ok(Timestamp::now().end_after(parse::duration(text)?))
 }
 
 fn device_of(text: &str) -> Result<SignerId, Failure> {
@@ -168,12 +157,5 @@ mod tests {
         assert!(device_of(&id.to_string()[..32]).is_err() && device_of("nowhere.pem").is_err());
         std::fs::write(&public, "no key").expect("written");
         assert!(device_of(&public.display().to_string()).is_err());
-    }
-
-    #[test]
-    fn ends_are_times_or_lengths() {
-        assert_eq!(end("2030-01-31T12:00:00.5Z").ok(), Some(Timestamp::from_seconds(1_896_091_200)));
-        assert!(end("2h").is_ok_and(|until| until > Timestamp::now()));
-        assert!(end("tomorrow").is_err());
     }
 }

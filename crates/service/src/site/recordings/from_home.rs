@@ -1,0 +1,293 @@
+//! Every message of another home sealed anew: its records are opened with the same keys and without its chain, and
+//! become records of this home, with their own capture times. Nothing in the other home changes.
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+use std::sync::Arc;
+
+use super::import::{ReadOut, left_out_list};
+use super::{Recordings, Run};
+use crate::chain::SEAL_ANEW;
+use crate::config::Config;
+use crate::crypto::OpenedRecord;
+use crate::model::{Digest, RecordKind, RecordState, Timestamp, TopicId, clean};
+use crate::paths::Home;
+use crate::pipeline::importer::{FORMER_RECORD, FORMER_SIGNER, Importer, LATCHING};
+use crate::pipeline::reader::Reader;
+use crate::pipeline::{CaptureSession, Network, Owner, Plant};
+use crate::ros::recording::{Channel, Encoding, RecordedMessage};
+use crate::service::command::HomeWishes;
+use crate::service::failure::{input, refused};
+use crate::service::reply::{Failure, ImportView, ImportedTopic};
+use crate::site::blocking;
+use crate::site::chain::connection::pin_of;
+use crate::store::{Ledger, RecordQuery, RecordRow, SiteLock, open_vault};
+
+/// Records requested from the other ledger at a time.
+const PAGE: usize = 500;
+
+/// The most definitions kept in memory.
+const MOST_DEFINITIONS: usize = 1024;
+
+/// Another home, open for reading.
+struct OldHome {
+    plant: Plant,
+    network: Network,
+    _lock: SiteLock,
+}
+
+impl Recordings {
+    /// Seals every message of another home that this profile's keys open.
+    pub(super) async fn import_home(
+        self: &Arc<Self>,
+        owner: &Arc<Owner>,
+        wishes: HomeWishes,
+    ) -> Result<ImportView, Failure> {
+        let path = wishes.home.clone();
+        let old = blocking(self, move |recordings| recordings.open_home(&wishes.home)).await?;
+        if owner.epochs(old.network.domain).is_empty() {
+            return Err(refused(format!(
+                "profile '{}' of this home does not have the keys of {}; {SEAL_ANEW}, where NEW is empty: the import brings \
+                 the keyring",
+                owner.profile,
+                clean(&path.display().to_string(), 200)
+            )));
+        }
+        if owner.sealing().is_none() {
+            self.profiles.register(owner).await?;
+        }
+        let network = self.link.network().await?;
+        if network.domain == old.network.domain {
+            return Err(refused(
+                "both homes use the same chain and contract, so old and new records could not be distinguished; set \
+                 chain.contract in the new home to another contract, or leave it empty",
+            ));
+        }
+        let author = Arc::clone(owner);
+        let read = move |recordings: &Self, run: &Run, control: &CaptureSession| {
+            recordings.read_home(&author, &network, &old, run, control)
+        };
+        self.run_import(owner, &path, "import home", read).await
+    }
+
+    fn open_home(&self, root: &Path) -> Result<OldHome, Failure> {
+        let shown = clean(&root.display().to_string(), 200);
+        let home = Home::at(root).map_err(|error| input(error.to_string()))?;
+        if !home.ledger().exists() {
+            return Err(input(format!("{shown} has no ledger, so it is not a home; give the folder of the old home")));
+        }
+        let same = |path: &Path| path.canonicalize().ok();
+        if same(home.root()) == same(self.home.root()) {
+            return Err(input(format!("{shown} is this home itself; give the new one with --home")));
+        }
+        let Some(lock) = SiteLock::acquire(&home.site_lock())? else {
+            return Err(refused(format!("{shown} is in use; stop its site or console first, then repeat the command")));
+        };
+        let pin = pin_of(&home)?.ok_or_else(|| {
+            input(format!("{shown} was never bound to a chain, so it has no records; use it with the new chain"))
+        })?;
+        let settings = std::fs::read_to_string(home.config()).ok();
+        let settings = settings.as_ref().map(|text| (home.config(), text.as_str()));
+        let settings = settings.as_ref().map(|(path, text)| (path.as_path(), *text));
+        let config = Config::resolve(&|_| None, &|_| None, settings)?;
+        if config.vault_url.is_none() && !home.vault().join("vault.db").exists() {
+            return Err(input(format!(
+                "{shown} has no vault; restore it, or name its Redis as vault.url in its settings"
+            )));
+        }
+        Ledger::check_version(&home.ledger())?;
+        let plant = Plant {
+            ledger: Ledger::open(&home.ledger())?,
+            vault: open_vault(config.vault_url.as_deref(), &home.vault())?,
+            ..self.plant.clone()
+        };
+        let network = Network::kept(&plant, pin, "a home that is imported is read without its chain")?;
+        Ok(OldHome { plant, network, _lock: lock })
+    }
+
+    /// Reads the home to its end and gives every message to the sealer that is not sealed here yet.
+    fn read_home(
+        &self,
+        owner: &Arc<Owner>,
+        network: &Network,
+        old: &OldHome,
+        run: &Run,
+        control: &CaptureSession,
+    ) -> Result<ReadOut, Failure> {
+        let goes_on = || !control.is_closed() && !self.life.is_stopping();
+        let of = old.plant.ledger.counts(Some(owner.address))?.captured();
+        let mut moving = Moving {
+            there: Reader { plant: &old.plant, network: &old.network, reader: owner },
+            here: Reader { plant: &self.plant, network, reader: owner },
+            definitions: HashMap::new(),
+        };
+        let mut importer = Importer::new(&self.rings, Arc::clone(&owner.author), &self.config.topic_rules, Vec::new());
+        let (mut view, mut already) = (ImportView::default(), BTreeMap::<String, u64>::new());
+        let mut left_out = BTreeMap::<(Arc<str>, &'static str), u64>::new();
+        let mut query = RecordQuery {
+            owner: Some(owner.address),
+            kind: Some(RecordKind::Data),
+            limit: PAGE,
+            ..RecordQuery::default()
+        };
+        run.step("importing");
+        let mut done = 0;
+        'pages: loop {
+            let page = old.plant.ledger.list(&query)?;
+            for row in &page.rows {
+                match moving.message(row)? {
+                    Found::New(message, tags) => {
+                        if !importer.take_again(message, tags, &goes_on) {
+                            view.ended_early = true;
+                            break 'pages;
+                        }
+                    }
+                    Found::Here(topic) => *already.entry(topic).or_default() += 1,
+                    Found::Stays(why) => {
+                        view.skipped += u64::from(why.is_wanted());
+                        *left_out.entry((row.topic.as_str().into(), why.text())).or_default() += 1;
+                    }
+                }
+                done += 1;
+                run.at(done, of, importer.offered());
+            }
+            query.after = page.next;
+            if query.after.is_none() {
+                break;
+            }
+        }
+        view.file = clean(&old.plant.ledger.path().parent().unwrap_or(Path::new("")).display().to_string(), 300);
+        view.left_out = left_out_list(left_out);
+        view.already = already.values().sum();
+        let topic = |(topic, already)| ImportedTopic { topic, already, ..ImportedTopic::default() };
+        view.topics = already.into_iter().map(topic).collect();
+        Ok(ReadOut { view, sessions: importer.finish(), whole: None })
+    }
+}
+
+/// Why a message stays in the other home.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Stays {
+    Quarantined,
+    Discarded,
+    Tampered,
+    Deleted,
+    WithoutRight,
+    Missing,
+    Closed,
+}
+
+impl Stays {
+    /// Whether somebody may expect it here.
+    fn is_wanted(self) -> bool {
+        !matches!(self, Self::Discarded | Self::Deleted)
+    }
+
+    fn text(self) -> &'static str {
+        match self {
+            Self::Quarantined => "quarantined in the old home",
+            Self::Discarded => "discarded in the old home",
+            Self::Tampered => "not the bytes that were anchored",
+            Self::Deleted => "deleted by retention, or erased",
+            Self::WithoutRight => "signed by a device that had no right to sign",
+            Self::Missing => "the vault of the old home does not have its ciphertext",
+            Self::Closed => "no key of this profile opens it, or its signature is not valid",
+        }
+    }
+}
+
+/// What an import finds in a record of the other home.
+enum Found {
+    /// A message to seal, with its tags.
+    New(RecordedMessage, Vec<(String, String)>),
+    /// A message of this topic that an earlier import sealed.
+    Here(String),
+    /// It is not brought.
+    Stays(Stays),
+}
+
+/// Messages on their way from one home to another.
+struct Moving<'a> {
+    there: Reader<'a>,
+    here: Reader<'a>,
+    definitions: HashMap<(TopicId, Digest), Arc<str>>,
+}
+
+impl Moving<'_> {
+    fn message(&mut self, row: &RecordRow) -> Result<Found, Failure> {
+        let is_own = self.there.is_own_key(row.signer);
+        match row.state {
+            RecordState::Quarantined => return Ok(Found::Stays(Stays::Quarantined)),
+            RecordState::Dropped => return Ok(Found::Stays(Stays::Discarded)),
+            RecordState::Tampered => return Ok(Found::Stays(Stays::Tampered)),
+            // Nobody vouches for what a device signed without a right; what the owner signed, the owner signs again.
+            RecordState::RightEnded if !is_own => return Ok(Found::Stays(Stays::WithoutRight)),
+            _ if row.deleted_at.is_some() => return Ok(Found::Stays(Stays::Deleted)),
+            _ => {}
+        }
+        let Some(blob) = self.there.own_bytes(row)? else { return Ok(Found::Stays(Stays::Missing)) };
+        let Some(opened) = self.there.open_own(row, &blob)? else { return Ok(Found::Stays(Stays::Closed)) };
+        if self.is_here(&opened)? {
+            return Ok(Found::Here(opened.head.topic));
+        }
+        let definition = self.definition(row, &opened)?;
+        let OpenedRecord { header, head, body, digest, .. } = opened;
+        let channel = Channel {
+            topic: head.topic.as_str().into(),
+            type_name: head.type_name.as_str().into(),
+            md5sum: head.md5sum.as_str().into(),
+            definition,
+            caller_id: head.caller_id.as_str().into(),
+            latching: head.tags.contains_key(LATCHING),
+            // What it is, and what a recording says of it, is in the tags.
+            encoding: Encoding::Ros1,
+            about: BTreeMap::new(),
+        };
+        let mut tags: Vec<(String, String)> = head.tags.into_iter().collect();
+        tags.push((FORMER_RECORD.to_owned(), digest.to_hex()));
+        tags.extend((!is_own).then(|| (FORMER_SIGNER.to_owned(), row.signer.to_string())));
+        let message = RecordedMessage { channel: Arc::new(channel), time: header.captured_at, sent: None, body };
+        Ok(Found::New(message, tags))
+    }
+
+    /// Whether an earlier import sealed this record's message: then a record of the same topic and time names it.
+    fn is_here(&self, opened: &OpenedRecord) -> Result<bool, Failure> {
+        let time = opened.header.captured_at;
+        let mut query = RecordQuery {
+            owner: Some(self.here.reader.address),
+            topic: Some(opened.head.topic.clone()),
+            kind: Some(RecordKind::Data),
+            since: Some(time),
+            until: Some(Timestamp(time.0.saturating_add(1))),
+            limit: PAGE,
+            ..RecordQuery::default()
+        };
+        let former = opened.digest.to_hex();
+        loop {
+            let page = self.here.plant.ledger.list(&query)?;
+            for row in &page.rows {
+                let sealed = self.here.own_contents(row)?;
+                if sealed.is_some_and(|sealed| sealed.head.tags.get(FORMER_RECORD) == Some(&former)) {
+                    return Ok(true);
+                }
+            }
+            query.after = page.next;
+            if query.after.is_none() {
+                return Ok(false);
+            }
+        }
+    }
+
+    fn definition(&mut self, row: &RecordRow, opened: &OpenedRecord) -> Result<Arc<str>, Failure> {
+        let key = (row.topic_id, opened.head.definition);
+        if let Some(known) = self.definitions.get(&key) {
+            return Ok(Arc::clone(known));
+        }
+        let text: Arc<str> = self.there.own_definition(row, opened)?.unwrap_or_default().into();
+        if self.definitions.len() >= MOST_DEFINITIONS {
+            self.definitions.clear();
+        }
+        self.definitions.insert(key, Arc::clone(&text));
+        Ok(text)
+    }
+}
