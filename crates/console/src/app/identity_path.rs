@@ -49,7 +49,7 @@ pub fn advance(state: &mut State) -> Vec<Effect> {
         return Vec::new();
     }
     if !identity.unlocked && state.settings.operator.is_some() {
-        state.warn("the keyring is locked, and only the owner of this site unlocks it");
+        state.complain("the keyring is locked, and only the owner of this site unlocks it");
         abandon(state);
     } else if !identity.exists {
         open_form(state, Purpose::CreateIdentity, None);

@@ -61,9 +61,9 @@ impl Operators {
 
     /// Lets a user in who has rights here.
     async fn admit(self: &Arc<Self>, uid: u32) -> Result<Arc<Operator>, Failure> {
-        let (name, rights) = self.standing(uid).await?.inspect_err(|error| self.count(uid, error.word()))?;
+        let (name, rights) = self.standing(uid).await?.inspect_err(|error| self.count(&uid, error.word()))?;
         if rights.is_empty() {
-            self.count(uid, "no right");
+            self.count(&name, "no right");
             return Err(refused(format!(
                 "user '{name}' has no right at this site; ask its owner for one in [operators.rights]"
             )));
@@ -106,8 +106,8 @@ impl Operators {
     }
 
     /// Counts a refusal of a user who is nobody's operator.
-    fn count(&self, uid: u32, word: &str) {
-        let _first = self.log.refused(&format!("user {uid}"), word);
+    fn count(&self, user: &dyn std::fmt::Display, word: &str) {
+        let _first = self.log.refused(&format!("user {user}"), word);
     }
 }
 
@@ -124,7 +124,7 @@ impl Site {
         if owner.uid() == uid {
             return Ok(());
         }
-        self.operators.count(uid, "not the owner");
+        self.operators.count(&uid, "not the owner");
         Err(refused(format!(
             "{} belongs to user {}, and only that user may use its socket, not user {uid} nor root; operators connect to \
              operators.socket with --site-socket",
