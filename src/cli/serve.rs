@@ -110,7 +110,7 @@ pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -
             connection.end().await;
             return Err(not_started(failure));
         }
-    };
+    }
     let master = match &connection.site {
         Some(site) if context.config.ros_master.is_none() => site.ros_uri().await.ok(),
         _ => context.config.ros_master.clone(),
