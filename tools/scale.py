@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""What a fleet needs, from measured constants: `tools/scale.py` prints the tables of docs/scale.md.
+"""What robots need, from measured constants: `tools/scale.py` prints the tables of docs/scale.md.
 
-`tools/scale.py ROBOTS RATE BYTES` prints the row of another fleet: RATE in messages a second of each robot, BYTES of
+`tools/scale.py ROBOTS RATE BYTES` prints the row of other robots: RATE in messages a second of each robot, BYTES of
 each message. Only the standard library is used.
 """
 
@@ -26,7 +26,7 @@ HEAD = 160  # bytes: names, type and md5sum of a topic with short names
 NODE_MEMORY = 64  # GB of memory of a Redis node
 
 DAY = 86_400
-FLEETS = [
+LOADS = [
     (4, 10, 1_024),
     (60, 10, 1_024),
     (400, 10, 1_024),
@@ -62,19 +62,10 @@ def table(head, rows):
     return "\n".join([line(head), ruler, *(line(row) for row in rows)])
 
 
-def gateways(messages, rate, copies):
-    """How many gateways of two cores, where `copies` of them and the one that took it keep each record."""
-    count = max(copies, ceil(messages / rate))
-    # One of `count` that took a record is not among the chosen ones, on average in this share of cases.
-    while messages * (copies + (count - copies) / count) > count * rate:
-        count += 1
-    return count
-
-
-def fleet(robots, rate, size):
+def needs(robots, rate, size):
     messages = robots * rate
     small = size <= 1_024
-    # What takes records and what brings them to verified share a machine of two cores; the slower of both counts.
+    # Taking records and bringing them to verified share a machine of two cores; the slower of both counts.
     held = SITE_RATE if small else PICTURES_RATE
     sites = ceil(messages / held)
     cores = rounded(messages / GATEWAY_RATE) if small else "not measured"
@@ -87,7 +78,6 @@ def fleet(robots, rate, size):
         thousands(messages),
         cores,
         thousands(sites),
-        thousands(gateways(messages, held, 2)),
         rounded(stored / 1e9),
         rounded(NODE_MEMORY * 1e9 / (stored / DAY) / 3600),
         thousands(batches),
@@ -103,7 +93,6 @@ HEADINGS = [
     "msg/s",
     "cores to take them",
     "gateways of two cores",
-    "each record at 2",
     "vault GB/day",
     "hours in one Redis node",
     "transactions/day",
@@ -127,11 +116,11 @@ def main(arguments):
             wanted = [0]
         if min(wanted) < 1:
             sys.exit("give three whole numbers from 1 on: ROBOTS RATE BYTES")
-        print(table(HEADINGS, [fleet(*wanted)]))
+        print(table(HEADINGS, [needs(*wanted)]))
     elif arguments:
         sys.exit(__doc__)
     else:
-        print(table(HEADINGS, [fleet(*one) for one in FLEETS]))
+        print(table(HEADINGS, [needs(*one) for one in LOADS]))
         print()
         print(single())
 

@@ -198,7 +198,7 @@ impl Config {
         }
         alerts::check_hands(&values, file.map(|(path, _)| path))?;
         let operators = OperatorSettings::read(&values, file)?;
-        Ok(Self { topic_rules, operators, ..Self::typed(values)? })
+        Ok(Self { operators, topic_rules, ..Self::typed(values)? })
     }
 
     fn typed(values: BTreeMap<&'static str, (String, Source)>) -> Result<Self, ConfigError> {

@@ -244,7 +244,7 @@ mod tests {
             assert_eq!(RecordKind::from_code(kind.code()), Some(kind));
         }
         assert_eq!(RecordKind::from_code(0), None);
-        assert_eq!(RecordKind::from_code(10), None);
+        assert_eq!(RecordKind::from_code(9), None);
     }
 
     proptest! {
