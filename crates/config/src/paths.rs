@@ -242,8 +242,6 @@ impl Home {
     }
 }
 
-/// The beginning of a gateway's fingerprint, for the name of a file.
-
 #[cfg(test)]
 mod tests {
     use super::*;

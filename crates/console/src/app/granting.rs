@@ -167,7 +167,6 @@ fn common_beginning(begun: &str, names: &[String]) -> Option<String> {
 }
 
 /// A new end for a grant.
-#[expect(clippy::large_enum_variant, reason = "one at a time, and gone at once")]
 #[derive(Debug)]
 pub enum Extension {
     /// Later: the contract does that.

@@ -89,7 +89,7 @@ impl Devices {
             // A device that nobody will ever use should not stay lent; if this fails too, `devices list` shows it.
             drop(self.unlend_device(owner, id).await);
             return Err(failure);
-        };
+        }
         let (key, name, ended) = (device.public, wishes.name.clone(), false);
         let enrolled = Enrolled { name, device: id, topics, ended, key, gateway: Some(seat.noted()) };
         let keys = self.enrolments.issue(owner, network, &enrolled)?;
