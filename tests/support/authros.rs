@@ -234,7 +234,7 @@ impl Authros {
         self.pages(command, &[]).expect("an answer with an error would have failed the test")
     }
 
-    /// [`Self::records`] at a home that joins gateways: nothing while one is away or its list is still on its way.
+    /// [`Self::records`] at a home that joins a gateway: nothing while it is away or its list is still on its way.
     pub fn records_so_far(&self, command: &[&str]) -> Option<Vec<Value>> {
         self.pages(command, &[UNREACHABLE, INCOMPLETE])
     }

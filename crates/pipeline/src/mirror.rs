@@ -132,10 +132,7 @@ async fn mined_in(network: &Network, proof: &AnchorProof) -> Result<Option<(u64,
 }
 
 /// Waits until the watcher here has read a block's events, for so long at most: rights follow from them.
-///
-/// # Errors
-/// [`PipelineError::Unsteady`] if it has not, or errors of the ledger.
-pub async fn wait_for(plant: &Plant, block: u64, patience: Duration) -> Result<(), PipelineError> {
+async fn wait_for(plant: &Plant, block: u64, patience: Duration) -> Result<(), PipelineError> {
     let deadline = Instant::now() + patience;
     while block_in_place(|| plant.ledger.cursor(CURSOR))?.is_none_or(|(read, _)| read < block) {
         if Instant::now() > deadline {

@@ -109,7 +109,7 @@ struct Shared {
     readers: Mutex<Vec<Connection>>,
     /// How many holders are holding records back.
     held: AtomicUsize,
-    /// How often something was named at the word of another gateway.
+    /// How often something was named at the word of an owner elsewhere.
     told: AtomicU64,
 }
 

@@ -268,7 +268,7 @@ pub fn samples() -> Vec<Sample> {
         "erased",
         "done",
         "time",
-        "erased",
+        "erasures",
         "event",
         "end",
         "refused",

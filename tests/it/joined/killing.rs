@@ -1,5 +1,5 @@
 //! Many robots over the embedded chain and over anvil while their gateway is killed again and again. Every record with a
-//! receipt is held after the last return, anchored, and in every list once. `AUTHROS_FLEET_ROBOTS` names how many robots there
+//! receipt is held after the last return, anchored, and in every list once. `AUTHROS_JOINED_ROBOTS` names how many robots there
 //! are, say 1000.
 
 use authros::gateway::Standing;
@@ -62,7 +62,7 @@ fn all_is_held(swarm: &Swarm, acknowledged: &BTreeSet<Digest>) {
 }
 
 fn robots() -> u16 {
-    let asked = std::env::var("AUTHROS_FLEET_ROBOTS").ok();
+    let asked = std::env::var("AUTHROS_JOINED_ROBOTS").ok();
     asked.map_or(ROBOTS[usize::from(support::long())], |text| text.parse().expect("a number of robots"))
 }
 

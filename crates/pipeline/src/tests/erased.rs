@@ -140,7 +140,7 @@ async fn what_a_gateway_says_was_erased_is_not_believed() {
     assert_eq!(line.plant.vault.get(digest).expect("read"), Some(sealed.blob));
 }
 
-/// A robot brings a record in the very moment in which another gateway tells that its owner had it erased.
+/// A robot brings a record in the very moment in which its owner tells that she had it erased.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn bytes_that_arrive_while_they_are_erased_do_not_stay() {
     let line = line().await;

@@ -29,7 +29,7 @@ pub struct RobotRow {
     pub device: SignerId,
     /// The capture of its newest record that is here, by its clock.
     pub last_seen: Option<Timestamp>,
-    /// The first gateway of its list that knows it, host:port.
+    /// The first address of its gateway, host:port.
     pub gateway: Option<String>,
     /// Its records that are here and not verified yet.
     pub waiting: u64,

@@ -1,5 +1,5 @@
-//! What owners state of records that they had erased: noted with each erasure, told to other gateways of a fleet in a fixed
-//! order, and taken from them. A copy goes only where the owner's account has signed, too.
+//! What owners state of records that they had erased: noted with each erasure, told in a fixed order to the gateway that a home
+//! joins, and taken there. A copy goes only where the owner's account has signed, too.
 
 use std::sync::atomic::Ordering;
 
@@ -61,7 +61,7 @@ pub struct ErasurePage {
     pub more: bool,
 }
 
-/// What became of a record that another gateway said was erased.
+/// What became of a record that its owner told was erased.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ToldErased {
     /// It was never here: it is listed without bytes from now on.
@@ -101,8 +101,8 @@ impl Ledger {
         self.read(|connection| kept(connection, digest))
     }
 
-    /// What was erased here and may be told to other gateways after a number, in order: what its owner's account has signed
-    /// for, and whose bytes are gone.
+    /// What was erased here and may be told to the gateway after a number, in order: what its owner's account has signed for, and
+    /// whose bytes are gone.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
@@ -152,8 +152,8 @@ impl Ledger {
         })
     }
 
-    /// Takes what another gateway told of an erased record, after everything about it was checked: its row with its anchor
-    /// if it was never here, otherwise its bytes are named to be overwritten; the statement with it, in one commit.
+    /// Takes what an owner told of an erased record, after everything about it was checked: its row with its anchor if it
+    /// was never here, otherwise its bytes are named to be overwritten; the statement with it, in one commit.
     ///
     /// # Errors
     /// See [`Ledger::append`] and [`Ledger::take_in`]; then nothing changes.
@@ -191,13 +191,14 @@ impl Ledger {
         Ok(told)
     }
 
-    /// How often a record was named at the word of another gateway since this file was opened: whoever overwrites such records
+    /// How often a record was named at the word of an owner elsewhere since this file was opened: what overwrites such records
     /// sees that there is something to do.
     pub fn named_elsewhere(&self) -> u64 {
         self.shared.told.load(Ordering::Acquire)
     }
 
-    /// Records that other gateways said were erased, whose bytes are still here, and that no incident holds. What is not verified yet is left until it is: its bytes are what is verified.
+    /// Records whose owners told that they were erased, whose bytes are still here, and that no incident holds. What is not
+    /// verified yet is left until it is: its bytes are what is verified.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
@@ -215,7 +216,7 @@ impl Ledger {
         })
     }
 
-    /// How many records that other gateways said were erased stay here, because an incident of their owner holds them.
+    /// How many records whose owners told that they were erased stay here, because an incident of their owner holds them.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
@@ -227,7 +228,7 @@ impl Ledger {
     }
 }
 
-/// What others said was erased, and is still here: the record `one`, of the topic `t`.
+/// What owners told was erased, and is still here: the record `one`, of the topic `t`.
 fn told() -> String {
     format!(
         "retained INDEXED BY retained_due CROSS JOIN records one ON one.n = retained.record

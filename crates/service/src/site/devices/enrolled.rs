@@ -27,10 +27,9 @@ pub(crate) struct Enrolled {
     pub topics: Vec<String>,
     /// Whether it was recalled.
     pub ended: bool,
-    /// Its gateway; none where an earlier version of this program enrolled it.
     /// Its public key.
     pub key: PublicKey,
-    /// Its gateways, in order.
+    /// Its gateway, and where it finds it.
     pub gateway: Option<EnrolledGateway>,
 }
 

@@ -177,7 +177,7 @@ impl Gateway {
         Some(GatewayFigures { connections, refused })
     }
 
-    /// This home's records are forwarded to another gateway: the state of that connection.
+    /// This home's records are forwarded to a gateway: the state of that connection.
     pub fn passes_on(&self, line: watch::Receiver<Line>) {
         // A site has at most one agent.
         let _ = self.passed_on.set(line);

@@ -37,7 +37,7 @@ pub(in crate::site) struct Storage {
     naming: tokio::sync::Mutex<()>,
     /// Whether named ciphertext may be left to delete.
     has_named: AtomicBool,
-    /// How often other gateways had something named, as of the last look; and how much of it incidents hold here.
+    /// How often owners elsewhere had something named, as of the last look; and how much of it incidents hold here.
     seen: (AtomicU64, AtomicU64),
 }
 

@@ -46,7 +46,7 @@ impl Storage {
             }
             if let Err(failure) = self.sweep_told().await {
                 let text = format!(
-                    "what owners had erased at other gateways is still here, it is tried again: {}",
+                    "what owners had erased elsewhere is still here, it is tried again: {}",
                     failure.message
                 );
                 self.hub.notice(NoticeLevel::Error, &text);

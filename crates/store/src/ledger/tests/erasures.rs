@@ -1,4 +1,4 @@
-//! What owners state of erased records: told in an order that passes nothing over, and taken from other gateways.
+//! What owners state of erased records: told in an order that passes nothing over, and taken at a gateway.
 
 use super::*;
 use crate::chain::merkle::{Inclusion, Leaf, Tree};
@@ -32,7 +32,7 @@ fn move_to(ledger: &Ledger, record: &NewRecord, state: RecordState) {
     assert_eq!(moved, Ok(1));
 }
 
-/// Takes a record as another gateway told of it, anchored alone in block 10.
+/// Takes a record as its owner told of it, anchored alone in block 10.
 fn take(ledger: &Ledger, record: &NewRecord, statement: Vec<u8>) -> Result<ToldErased, StoreError> {
     ledger.walk_to("watcher", (10, Hash([60; 32])), Vec::new()).expect("walked");
     let NewRecord { owner, topic_id, seq, digest, .. } = *record;
@@ -137,7 +137,7 @@ fn what_another_gateway_told_is_named_where_it_is_and_listed_where_it_is_not() {
 }
 
 #[test]
-fn another_gateways_word_takes_over_from_a_rule_and_not_from_a_person_of_this_home() {
+fn an_owners_word_takes_over_from_a_rule_and_not_from_a_person_of_this_home() {
     let (_home, ledger) = open();
     let (by_rule, by_person) = (brought(1), brought(2));
     ledger.append(vec![by_rule.clone(), by_person.clone()]).expect("acknowledged");
