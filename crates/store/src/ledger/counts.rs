@@ -118,22 +118,6 @@ impl Ledger {
         })
     }
 
-    /// How many data records are in each state, of all topics together: far less work than [`Ledger::counts`].
-    ///
-    /// # Errors
-    /// [`StoreError::Database`] and the like.
-    pub fn data_by_state(&self) -> Result<BTreeMap<RecordState, u64>, StoreError> {
-        self.read(|connection| {
-            let mut statement = connection.prepare_cached(
-                "SELECT state, sum(records) FROM counters CROSS JOIN streams ON key = stream
-                 WHERE records > 0 AND kind = ?1 GROUP BY state",
-            )?;
-            let rows = statement
-                .query_map([RecordKind::Data.code()], |row| Ok((rows::state(row, 0)?, rows::unsigned(row, 1)?)))?;
-            Ok(rows.collect::<Result<_, _>>()?)
-        })
-    }
-
     /// Sealed records waiting here for the vault.
     ///
     /// # Errors
