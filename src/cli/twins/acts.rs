@@ -53,12 +53,12 @@ fn place(tag: &Tag) -> Option<usize> {
         Tag::Contact(_) => 24,
         Tag::Incident(..) => 25,
         Tag::Play(_) => 26,
-        Tag::Robot(_) => 2728,
-        Tag::SetPolicy(..) => 29,
+        Tag::Robot(_) => 27,
+        Tag::SetPolicy(..) => 28,
     })
 }
 
-const ACTS: usize = 30;
+const ACTS: usize = 29;
 
 /// An act, and the line that a person would type for it.
 type Act = (Tag, Command, String);
