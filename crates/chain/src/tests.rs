@@ -268,6 +268,10 @@ async fn the_pin_notices_another_chain_or_contract() {
     assert_eq!(chain.use_contract(nothing).await, Err(ChainError::NotTheContract(nothing)));
     drop(chain);
     let error = reopened(homes[1].path(), &pin).await.expect_err("another chain");
+    assert!(matches!(error, ChainError::Gone { .. }) && error.kind() == ErrorKind::Refused, "no file: {error}");
+    let (another, _, _) = site(homes[1].path()).await;
+    drop(another);
+    let error = reopened(homes[1].path(), &pin).await.expect_err("another chain");
     assert!(matches!(error, ChainError::Swapped { what: "chain id", .. }) && error.kind() == ErrorKind::Refused);
     for (what, pinned) in [
         ("genesis block", Pin { genesis: Hash([1; 32]), ..pin.clone() }),

@@ -118,7 +118,9 @@ fn in_state<'a>(
         }
         Anchoring::Batch { account, root, .. } => {
             let Some(word) = known.anchor((shown_at, &storage), *account, *root)? else { return Ok(None) };
-            Ok(Some((anchored(word.block, Some(word.time), *account, Some(word.keys)), Some(word.count))))
+            // The contract never stores a time of zero: a word without one shows none.
+            let time = Some(word.time).filter(|time| *time > 0);
+            Ok(Some((anchored(word.block, time, *account, Some(word.keys)), Some(word.count))))
         }
     }
 }
