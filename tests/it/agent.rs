@@ -65,7 +65,10 @@ impl Robot {
         arguments.extend(topics.iter().flat_map(|topic| ["--topic", topic]));
         arguments.extend(topics.is_empty().then_some("--all-topics"));
         let view = owner.json(&arguments);
-        assert_eq!((text(&view, "name").as_str(), view["gateway"]["key"] == gateway.fingerprint.as_str()), (name, true));
+        assert_eq!(
+            (text(&view, "name").as_str(), view["gateway"]["key"] == gateway.fingerprint.as_str()),
+            (name, true)
+        );
         Self { home, enrolment, device: text(&view, "device") }
     }
 

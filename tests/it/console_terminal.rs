@@ -254,6 +254,7 @@ fn topic(hostile: &mut Hostile) -> TopicRow {
     serde_json::from_value(serde_json::json!({
         "topic": hostile.text(), "type": hostile.text(), "publishers": [hostile.text()], "watched": true, "simulated": false,
         "hz": 1.0, "bytes_per_second": 2.0, "messages": 1, "lost_in_transport": 0, "lost_in_recorder": 0, "last_message": null,
+        "ros": 1, "left_out": 0, "pins": 0, "unpinned": [hostile.text()], "quarantined": 0, "alarm": false,
     }))
     .expect("a row")
 }
@@ -265,6 +266,7 @@ fn opened(hostile: &mut Hostile) -> OpenedView {
         "state": "stored", "digest": "00".repeat(32), "bytes": 7, "captured_at": "2026-01-01T00:00:00Z", "epoch": 1,
         "simulated": false, "transaction": null, "block": null, "verdict": "unanchored", "caller_id": hostile.text(),
         "tags": [[hostile.text(), hostile.text()]], "fields": fields, "message": null,
+        "compression": "none", "stored": 7,
     }))
     .expect("an opened record")
 }

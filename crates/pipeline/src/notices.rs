@@ -176,17 +176,22 @@ impl Notices {
             Ok((header, notice)) => {
                 let before = self.sealed.enrolment.clone();
                 let Err(error) = self.obey(&header, notice) else { return true };
-                self.observer.alert(true, format!("the owner's notice cannot be stored: {error}"));
                 self.sealed.enrolment = before;
                 // What this robot will not do is not better the next time.
-                matches!(error, PipelineError::Refused(_))
+                if matches!(error, PipelineError::Refused(_)) {
+                    return self.ignore(&error);
+                }
+                self.observer.alert(true, format!("the owner's notice cannot be stored: {error}"));
+                false
             }
-            Err(error) => {
-                let text = format!("ignored a notice that is not from the owner or not for this robot: {error}");
-                self.observer.alert(true, clean(&text, 300));
-                true
-            }
+            Err(error) => self.ignore(&error),
         }
+    }
+
+    fn ignore(&self, error: &PipelineError) -> bool {
+        let text = format!("ignored a notice that is not from the owner or not for this robot: {error}");
+        self.observer.alert(true, clean(&text, 300));
+        true
     }
 
     fn opened(&self, record: &Fetched) -> Result<(Header, Notice), PipelineError> {

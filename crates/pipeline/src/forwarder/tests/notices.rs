@@ -171,7 +171,10 @@ async fn another_key_of_the_owner_needs_the_old_one_and_the_account() {
     let (new, thief) = (pair(0x77), pair(0x78));
     for other in [&new, &thief] {
         scene.stage.desk.lend(&scene.alice, other);
-        owner.device(&old, notice_of(other)).await.expect("told");
+        owner
+            .device(&old, crate::gateway::DeviceNotice { key: other.public, ..notice_of(&scene.device) })
+            .await
+            .expect("told");
     }
     let change = |account: &EoaSecret, to: &SmKeyPair| {
         let domain = context().domain;

@@ -45,10 +45,8 @@ impl Storage {
                 }
             }
             if let Err(failure) = self.sweep_told().await {
-                let text = format!(
-                    "what owners had erased elsewhere is still here, it is tried again: {}",
-                    failure.message
-                );
+                let text =
+                    format!("what owners had erased elsewhere is still here, it is tried again: {}", failure.message);
                 self.hub.notice(NoticeLevel::Error, &text);
             }
             if let Err(failure) = self.look_for_named().await {
