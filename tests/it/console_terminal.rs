@@ -266,7 +266,7 @@ fn opened(hostile: &mut Hostile) -> OpenedView {
         "state": "stored", "digest": "00".repeat(32), "bytes": 7, "captured_at": "2026-01-01T00:00:00Z", "epoch": 1,
         "simulated": false, "transaction": null, "block": null, "verdict": "unanchored", "caller_id": hostile.text(),
         "tags": [[hostile.text(), hostile.text()]], "fields": fields, "message": null,
-        "compression": "none", "stored": 7,
+        "compression": "none", "stored": 7, "compared": "head",
     }))
     .expect("an opened record")
 }
