@@ -9,7 +9,7 @@ use crate::service::wire_tests::REQUESTS;
 
 /// Requests that the list of lines has no example of.
 const FURTHER: &[&str] = &[
-    r#"{"command":"enrol_device","addresses":["h:1"],"fingerprint":null,"name":"scout","topics":[],"until":null,"passphrase":"p"}"#,
+    r#"{"command":"enrol_device","addresses":["h:1"],"fingerprint":null,"name":"scout","topics":[],"all_topics":true,"until":null,"passphrase":"p"}"#,
     r#"{"command":"add_device_gateway","device":"scout","address":"h:1","key":"0707070707070707070707070707070707070707070707070707070707070707"}"#,
     r#"{"command":"play","owner":null,"topics":[],"since":null,"until":null,"pace":"at_once","clock":false,"prefix":null,"remaps":[],"master":null}"#,
     r#"{"command":"stop_play"}"#,
