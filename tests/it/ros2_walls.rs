@@ -18,7 +18,7 @@ const PROGRAMS: [(&str, bool); 2] = [("authros-ros2", false), ("authros-rosrust"
 /// Says hello as a program does that no wall surrounds, and then that it lives.
 const BARE: &str = r#"#!/bin/sh
 frame() { printf "\\$(printf '%03o' ${#1})\\000\\000\\000\\000\\000\\000\\000%s" "$1"; }
-frame '{"told":"hello","version":3,"domain":0,"confined":false}'
+frame '{"told":"hello","version":1,"domain":0,"confined":false}'
 while frame '{"told":"alive","participants":0,"writers":0,"foreign":0}'; do sleep 0.3; done
 "#;
 
