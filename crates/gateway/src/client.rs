@@ -308,7 +308,7 @@ impl Client {
     }
 
     /// Has the gateway erase its copies of records that the session's owner had erased, at most 64; returns what becomes of
-    /// each, by its word.
+    /// each, as the gateway states it.
     ///
     /// # Errors
     /// [`GatewayError`].

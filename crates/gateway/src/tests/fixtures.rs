@@ -178,7 +178,7 @@ pub(crate) fn sample_requests() -> Vec<Request> {
     ]
 }
 
-/// What is told of a device.
+/// A notice that names a device.
 pub(crate) fn notice_of(device: &SmKeyPair) -> DeviceNotice {
     let notices = topic_id(&IndexKey::new([3; 32]), &notice_topic(&signer_id(&device.public)));
     DeviceNotice { key: device.public, notices }

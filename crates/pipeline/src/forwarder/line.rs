@@ -17,7 +17,7 @@ use crate::store::KeptReceipt;
 use super::outbox::Outbox;
 use super::{Errand, ForwardError, Gate, Link, Pace, is_about_a_record};
 
-/// How long a gateway with several addresses may be silent before it is asked whether it is there.
+/// How long a gateway with several addresses may be silent before it is polled.
 const SILENCE: Duration = Duration::from_secs(3);
 /// The longest pause between two looks at an earlier address.
 const LONGEST_LOOK: Duration = Duration::from_secs(300);

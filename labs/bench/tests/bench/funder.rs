@@ -86,7 +86,7 @@ fn an_interrupted_bench_gives_back_what_it_was_lent() {
     let (bench, url) = (Bench::new(), node.http());
     let key = bench.file("funder", RICH_KEY, 0o600);
     let before = balance(&node, RICH_ADDRESS);
-    // Its accounts are still being registered when it is told to end.
+    // The signal arrives while its accounts are still being registered.
     let running = bench.spawn(&["consensus", "--uploaders", "1", "--node", &url, "--funder", &key]);
     wait_until(120, "both accounts were lent ether", || (node.nonce(RICH_ADDRESS) >= 2).then_some(()));
     running.stop("INT", 120).expect_code(INCOMPLETE);

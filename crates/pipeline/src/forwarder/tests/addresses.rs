@@ -137,7 +137,7 @@ async fn an_address_added_by_the_owner_is_used_and_one_added_by_a_thief_is_not()
 
     let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
     let GatewayAccess { addresses, fingerprint, .. } = at_both(&scene, &second);
-    // Whoever has d_C alone cuts no robot off, and its gateway stays the one that it was enrolled at.
+    // A thief of d_C alone cuts no robot off, and its gateway stays the one that it was enrolled at.
     let thief = EoaSecret::generate().expect("an account");
     let elsewhere = vec![second.address.to_string()];
     owner.upload(vec![notice(&scene, &thief, 1, (fingerprint, elsewhere.clone()))]).await.expect("taken");

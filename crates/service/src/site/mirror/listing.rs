@@ -104,7 +104,7 @@ impl Joined {
         let mut patience = Patience::default();
         loop {
             let page = match client.query(&query).await {
-                // A grant ended meanwhile and the chain is going to say so, or it is asked for again.
+                // A grant ended meanwhile: the chain will say so, or the next round asks again.
                 Err(GatewayError::Refused(Code::NotAuthorised)) => return Ok(()),
                 page => page?,
             };
