@@ -113,7 +113,7 @@ pub fn all(robots: &[RobotRow]) -> String {
         vec![
             robot.name.to_string(),
             or_dash(robot.last_seen),
-            robot.gateway.clone().unwrap_or_else(|| "-".to_owned()),
+            robot.address.clone().unwrap_or_else(|| "-".to_owned()),
             robot.waiting.to_string(),
             if robot.wanted == 0 { "-".to_owned() } else { robot.wanted.to_string() },
             robot.running.map_or_else(|| "-".to_owned(), |version| version.to_string()),

@@ -7,8 +7,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::broadcast;
 
 use super::connect::{Context, ProfileNeed};
-use crate::model::ErrorKind;
-use crate::service::command::Register;
+use crate::service::command::{ChainStatus, Register};
 use crate::service::event::NoticeLevel;
 use crate::service::{Event, Failure, Needs};
 use authros_output::Output;
@@ -103,8 +102,9 @@ pub async fn run(context: Context, arguments: ServeArguments, output: &Output) -
     };
     match ended {
         Ok(_) => {}
-        Err(failure) if known && failure.kind == ErrorKind::Unreachable => {
-            output.note(&format!("authros: {}; waiting for it, and for what is captured meanwhile", failure.message));
+        // Whatever is wrong with the chain, what is captured meanwhile is kept.
+        Err(failure) if known && connection.client.ask(ChainStatus).await.is_err() => {
+            output.note(&format!("authros: {}; capture goes on without the chain", failure.message));
         }
         Err(failure) => {
             connection.end().await;

@@ -170,7 +170,7 @@ pub async fn uploads(context: Context, verb: UploadsVerb, output: &Output) -> Re
         UploadsVerb::List(list) => {
             Plan::new(NEITHER, ProfileNeed::None, check::list_uploads(&context, parse::query(&list)?))
         }
-        UploadsVerb::Import { home } => return recordings::import_home(context, &home, output).await,
+        UploadsVerb::Import { other } => return recordings::import_home(context, &other, output).await,
         UploadsVerb::Show { id } => Plan::new(CHAIN, ProfileNeed::None, ShowUpload { id }),
         UploadsVerb::Export { id, dir, addresses } => {
             Plan { out: Some(dir), ..Plan::new(CHAIN, ProfileNeed::Unlocked, ExportUpload { id, addresses }) }

@@ -63,6 +63,7 @@ impl Line {
         let pin = chain.deploy(&owner.eoa()).await.expect("deployed");
         let domain = pin.domain();
         let network = Network::new(chain, &pin, plant.provider, 1);
+        watcher::restore(&plant, &network).expect("an empty ledger is bound");
         let sender = Sender::new(plant.ledger.clone(), Arc::clone(&plant.observer), Policy { cap: None });
         let (signing, envelope) = (owner.signing(), owner.envelope().public);
         let identity = prove(plant.provider, &domain, &owner.address, &signing, &envelope, Token([1; 32]));

@@ -122,7 +122,7 @@ pub enum UploadsVerb {
     Import {
         /// The other home's folder; stop its site first
         #[arg(value_name = "HOME")]
-        home: PathBuf,
+        other: PathBuf,
     },
     /// Export a record as files that others can check with openssl
     Export {

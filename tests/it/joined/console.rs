@@ -1,7 +1,9 @@
 //! A robot as its owner sees it in a pseudo-terminal of 80x24: it drifts until it works by its policy.
 
 use super::*;
-use support::{Console, Terminal};
+use std::fs::{self, Permissions};
+use std::os::unix::fs::PermissionsExt as _;
+use support::{Accounts, Console, Terminal, skipped};
 
 /// Seconds allowed for anything on a busy machine.
 const PATIENCE: u64 = 90;
@@ -66,13 +68,34 @@ fn an_owner_sets_a_policy_by_form_and_sees_its_robot_drift_until_it_works_by_it(
         .presses("\r")
         .sees("Clear the policy?");
     owner.presses("y").sees("policy 2 waiting, runs 1").leaves();
-    // An operator who may look sees how it stands, and is refused in the form.
-    let words = alice.home.file("bob.words", "bob's own words", 0o600);
-    alice.authros.json(&["operators", "add", "bob", "--rights", "look", "--operator-passphrase-file", &words]);
-    let key = alice.home.root().join("bob.operator").to_str().expect("UTF-8").to_owned();
-    let mut bob = Operator::opens(&alice.authros.with(&["--operator", &key, "--passphrase-file", &words]));
-    bob.presses("8").sees("OPERATOR bob").sees("policy 2 waiting, runs 1").presses("p").sees("Set a robot's policy");
-    bob.presses("\r").sees("Clear the policy?").presses("y").sees("only the owner").presses("\u{1b}").leaves();
     let shown = alice.authros.json(&["robots", "show", "scout"]);
     assert_eq!((count(&shown, "wanted"), &shown["drift"]), (2, &Value::Bool(true)), "{shown}");
+    operator_is_refused(alice);
+}
+
+/// An operator who may look sees how the robot stands, and is refused in the form.
+fn operator_is_refused(mut alice: Member) {
+    let accounts = match Accounts::make(&["bob", "mallory"]) {
+        Ok(accounts) => accounts,
+        Err(reason) => skipped!(reason),
+    };
+    let bob = accounts.name("bob");
+    let socket = accounts.folder("run", "root", 0o755).join("operators.sock");
+    let given = socket.to_str().expect("UTF-8");
+    let site = alice.site.take().expect("it runs");
+    site.stop("INT", 30).expect_code(0);
+    let serving = alice
+        .authros
+        .with_variable("AUTHROS_OPERATORS_SOCKET", given)
+        .with_variable("AUTHROS_OPERATORS_RIGHTS", &format!("{{ {bob} = [\"look\"] }}"));
+    let site = serving.serve(&alice.home);
+    wait_until(60, "the operators' socket", || socket.exists().then_some(()));
+    fs::set_permissions(&socket, Permissions::from_mode(0o666)).expect("its mode is set");
+    let bobs = accounts.authros("bob").with(&["--site-socket", given, "--profile", "alice"]);
+    let mut operator = Operator::opens(&bobs);
+    operator.presses("8").sees("OPERATOR").sees("policy 2 waiting, runs 1").presses("p").sees("Set a robot's policy");
+    operator.presses("\r").sees("Clear the policy?").presses("y").sees("only the owner").presses("\u{1b}").leaves();
+    let shown = alice.authros.json(&["robots", "show", "scout"]);
+    assert_eq!((count(&shown, "wanted"), &shown["drift"]), (2, &Value::Bool(true)), "{shown}");
+    site.stop("INT", 30).expect_code(0);
 }

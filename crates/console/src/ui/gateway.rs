@@ -208,7 +208,7 @@ fn cells_of_owner(state: &State, row: &Member) -> Vec<(String, Role)> {
     vec![
         (row.name(), Role::Body),
         row.robot.map(policies::standing).unwrap_or_default(),
-        (row.robot.and_then(|robot| robot.gateway.clone()).unwrap_or_else(|| "-".to_owned()), Role::Dim),
+        (row.robot.and_then(|robot| robot.address.clone()).unwrap_or_else(|| "-".to_owned()), Role::Dim),
         (words::count(waiting), if waiting > 0 { Role::Body } else { Role::Dim }),
         last(state, row),
     ]

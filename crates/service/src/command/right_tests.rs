@@ -10,10 +10,10 @@ use crate::service::wire_tests::REQUESTS;
 /// Requests that the list of lines has no example of.
 const FURTHER: &[&str] = &[
     r#"{"command":"enrol_device","addresses":["h:1"],"fingerprint":null,"name":"scout","topics":[],"all_topics":true,"until":null,"passphrase":"p"}"#,
-    r#"{"command":"add_device_gateway","device":"scout","address":"h:1","key":"0707070707070707070707070707070707070707070707070707070707070707"}"#,
+    r#"{"command":"add_device_address","device":"scout","address":"h:1"}"#,
     r#"{"command":"play","owner":null,"topics":[],"since":null,"until":null,"pace":"at_once","clock":false,"prefix":null,"remaps":[],"master":null}"#,
     r#"{"command":"stop_play"}"#,
-    r#"{"command":"of_store","of_store":"erase_records","reason":"asked"}"#,
+    r#"{"command":"of_store","of_store":"erase_records","topic":"/odom","since":null,"until":null,"records":[],"recording":null,"reason":"asked","sure":false}"#,
     r#"{"command":"of_robot","robot":"list_robots"}"#,
     r#"{"command":"of_robot","robot":"show_robot","name":"scout"}"#,
     r#"{"command":"of_robot","robot":"set_robot_policy","name":"scout","text":""}"#,

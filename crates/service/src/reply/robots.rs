@@ -29,8 +29,8 @@ pub struct RobotRow {
     pub device: SignerId,
     /// The capture of its newest record that is here, by its clock.
     pub last_seen: Option<Timestamp>,
-    /// The first address of its gateway, host:port.
-    pub gateway: Option<String>,
+    /// The first address of its gateway, host:port. Cleaned.
+    pub address: Option<String>,
     /// Its records that are here and not verified yet.
     pub waiting: u64,
     /// The version of the policy that it is to work by; 0 = none was ever set.

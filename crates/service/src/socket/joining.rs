@@ -134,8 +134,9 @@ async fn speak(
     tokio::spawn(async move {
         let mut line = Vec::new();
         while let Ok(true) = read_line(&mut reader, &mut line, LONGEST_LINE).await {
-            let Ok(message) = serde_json::from_slice::<FromSite>(&line) else { return };
-            if arrived.send(message).is_err() {
+            let message = serde_json::from_slice::<FromSite>(&line).ok();
+            let was_read = message.is_some();
+            if arrived.send(message).is_err() || !was_read {
                 return;
             }
             line.clear();
@@ -160,15 +161,22 @@ async fn speak(
                 }
             }
             message = messages.recv() => match message {
-                Some(FromSite::Answer { number, with }) => {
+                Some(Some(FromSite::Answer { number, with })) => {
                     if let Some(answer) = waiting.remove(&number) {
                         // It is not an error if nobody waits for the answer any more.
                         drop(answer.send(*with));
                     }
                 }
-                Some(FromSite::Event(event)) => drop(events.send(event)),
-                Some(FromSite::Ended(refusal)) => drop(events.send(sends_no_more(&refusal))),
-                Some(FromSite::Greeting(_) | FromSite::Refused(_)) => {}
+                Some(Some(FromSite::Event(event))) => drop(events.send(event)),
+                Some(Some(FromSite::Ended(refusal))) => drop(events.send(sends_no_more(&refusal))),
+                Some(Some(FromSite::Greeting(_) | FromSite::Refused(_))) => {}
+                // A line that cannot be read may be the answer to any of them.
+                Some(None) => {
+                    for (_, answer) in waiting.drain() {
+                        drop(answer.send(Err(Failure::of_another_version())));
+                    }
+                    return;
+                }
                 None => return,
             },
         }

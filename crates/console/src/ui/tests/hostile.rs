@@ -56,7 +56,7 @@ fn infect(robot: &mut Robot, text: &str) {
     let grant = fixtures::grant("given", fixtures::OTHER, "active", 1);
     robot.state.grants.rows = vec![GrantRow { topics: vec![text.to_owned()], ..grant }];
     let row = fixtures::robots::drifting("scout", 3, text, Some(2));
-    robot.state.gateway.set_robots(vec![RobotRow { gateway: Some(text.to_owned()), ..row }], None, fixtures::NOW);
+    robot.state.gateway.set_robots(vec![RobotRow { address: Some(text.to_owned()), ..row }], None, fixtures::NOW);
     robot.state.log.notice(fixtures::NOW, NoticeLevel::Error, text);
     if let Some(chain) = &mut robot.state.chain {
         chain.client = text.to_owned();

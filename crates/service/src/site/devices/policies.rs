@@ -233,7 +233,7 @@ fn row(robot: &Enrolled, wanted: &Wanted, known: &Known) -> RobotRow {
         name: robot.name.clone(),
         device: robot.device,
         last_seen,
-        gateway: robot
+        address: robot
             .gateway
             .as_ref()
             .and_then(|gateway| gateway.addresses.first())
