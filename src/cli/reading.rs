@@ -1,7 +1,7 @@
 //! Commands about what a home has make none: a path that is mistyped would seem well, and what was made there would stop a
 //! restore.
 
-use super::args::{AgentVerb, ChainVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, TopicsVerb, Verb};
+use super::args::{AgentVerb, ChainVerb, GatewayVerb, Global, IdentityVerb, KeysVerb, TopicsVerb, UploadsVerb, Verb};
 use super::parties::ContactsVerb;
 use crate::model::ErrorKind;
 use crate::paths::Home;
@@ -52,7 +52,6 @@ fn makes_a_home(verb: &Verb) -> bool {
         | Verb::Man => true,
         Verb::Status { .. }
         | Verb::Audit(_)
-        | Verb::Uploads(_)
         | Verb::Shared(_)
         | Verb::Grant(_)
         | Verb::Revoke { .. }
@@ -66,6 +65,7 @@ fn makes_a_home(verb: &Verb) -> bool {
         | Verb::Evidence(_)
         | Verb::Profiles
         | Verb::Backup(_) => false,
+        Verb::Uploads(verb) => matches!(verb, UploadsVerb::Import { .. }),
         Verb::Identity(verb) => matches!(verb, IdentityVerb::Create),
         Verb::Keys(verb) => matches!(verb, KeysVerb::Load { dry_run: false, .. }),
         Verb::Topics(verb) => matches!(verb, TopicsVerb::Watch { .. } | TopicsVerb::Pin(_)),
@@ -134,6 +134,7 @@ mod tests {
             "contacts add bob 0xBOB",
             "gateway serve",
             "chain genesis --guide",
+            "uploads import OLD",
             "config show",
             "doctor",
         ] {
