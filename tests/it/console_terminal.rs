@@ -29,7 +29,7 @@ fn words(words: &[&str]) -> Vec<String> {
 }
 
 fn faulty() -> Option<std::path::PathBuf> {
-    let built = std::path::Path::new(env!("CARGO_BIN_EXE_authros")).with_file_name("authros-faulty");
+    let built = std::path::Path::new(env!("CARGO_BIN_EXE_authros")).with_file_name("examples/authros-faulty");
     built.exists().then_some(built)
 }
 
@@ -48,7 +48,7 @@ fn signals_end_it_with_their_code() {
 #[test]
 fn a_panic_of_the_drawing_thread_gives_the_terminal_back_and_says_where() {
     let Some(program) = faulty() else {
-        skipped!("authros-faulty is not built; tests/run builds it");
+        skipped!("authros-faulty is not built; cargo test builds it with the examples");
     };
     let home = Home::new();
     let authros = one_robot(&home).with_program(&program).with_variable("AUTHROS_FAULT", "renderer");

@@ -261,14 +261,17 @@ fn random_kills_on_redis_and_anvil_lose_and_double_nothing() {
 
 /// The build with fail points is beside the product's own.
 pub fn faulty() -> Option<PathBuf> {
-    let built = PathBuf::from(env!("CARGO_BIN_EXE_authros")).with_file_name("authros-faulty");
+    let built = PathBuf::from(env!("CARGO_BIN_EXE_authros")).with_file_name("examples/authros-faulty");
     built.exists().then_some(built)
 }
 
 /// In the short form each place once, and those shared by both sides on one of them.
 fn kills_at(field: Option<Field>, places: &[&str], what: &str) {
     let (Some(program), Some(mut field)) = (faulty(), field) else {
-        crate::support::tell_skipped(what, "no authros-faulty (tests/run builds it), or no redis-server or anvil");
+        crate::support::tell_skipped(
+            what,
+            "no authros-faulty (cargo test builds it with the examples), or no redis-server or anvil",
+        );
         return;
     };
     let mut dice = Dice::thrown();
