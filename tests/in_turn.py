@@ -107,7 +107,6 @@ def jobs():
             flow = line.removesuffix(": test")
             kind = "heavy flow" if flow in heavy else "flow"
             found.append(Job(flow, [program, "--exact", flow, "--show-output"], folder, kind, known))
-    found.append(Job("examples", ["cargo", "test", "--workspace", "--doc", "--quiet"], ROOT, "unit tests", known))
     found.append(Job("contract", [os.path.join(ROOT, "contracts", "check")], ROOT, "checks", known))
     words = sys.argv[1:] or [""]
     wanted = [job for job in found if any(word in job.name for word in words)]
