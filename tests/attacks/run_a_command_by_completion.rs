@@ -38,7 +38,10 @@ fn run_a_command_by_completion() {
         let run = Command::new(&bash).args(["--norc", "-c", &line]).env("PATH", &path).output().expect("bash runs");
         assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
         if proof.exists() {
-            return judge("run_a_command_by_completion", Outcome::Succeeded(format!("the name {name} ran as a command")));
+            return judge(
+                "run_a_command_by_completion",
+                Outcome::Succeeded(format!("the name {name} ran as a command")),
+            );
         }
     }
     let offered = authros.run(&["complete", "topic", "/"]).expect_code(0).stdout;

@@ -68,7 +68,8 @@ mod tests {
 
     #[test]
     fn names_that_a_shell_would_run_are_no_words() {
-        let hostile = ["/x;touch${IFS}/tmp/pwned", "/x$(id)", "/`id`", "/*", "/a b", "/a\nb", "a&b", "~", "-rf", "", "'"];
+        let hostile =
+            ["/x;touch${IFS}/tmp/pwned", "/x$(id)", "/`id`", "/*", "/a b", "/a\nb", "a&b", "~", "-rf", "", "'"];
         for kind in KINDS {
             assert!(hostile.iter().all(|word| !is_plain(kind, word)), "{kind:?}");
         }
@@ -81,7 +82,9 @@ mod tests {
         let harmless = |character: char| character.is_ascii_alphanumeric() || "/_.-".contains(character);
         let characters = (0_u8..=127).map(char::from).chain("\u{a0}\u{202e}\u{200b}\u{ff0f}ä".chars());
         for character in characters.filter(|character| !harmless(*character)) {
-            for word in [format!("/a{character}b"), format!("/{character}"), format!("a{character}"), character.to_string()] {
+            for word in
+                [format!("/a{character}b"), format!("/{character}"), format!("a{character}"), character.to_string()]
+            {
                 assert!(KINDS.iter().all(|kind| !is_plain(*kind, &word)), "{word:?}");
             }
         }

@@ -255,7 +255,8 @@ impl<R: BufRead + Seek> McapReader<R> {
                 known.place = place;
                 return true;
             }
-            let text = format!("schema {number} is {} before and {} here", shown(&known.record.name), shown(&schema.name));
+            let text =
+                format!("schema {number} is {} before and {} here", shown(&known.record.name), shown(&schema.name));
             self.contradiction(&text, place);
         }
         self.texts += schema.size();
