@@ -29,7 +29,10 @@ pub(super) struct Inner {
     pub consensus: &'static str,
     pub confirmations: u64,
     pub contract: RwLock<Option<Pin>>,
+    /// Estimates of calls that are made often.
     pub gas: Mutex<HashMap<(Address, &'static str), u64>>,
+    /// How much gas the newest block seen may hold.
+    pub block_room: Mutex<Option<u64>>,
 }
 
 /// A block as a node returns it, as far as it is read.
@@ -47,6 +50,8 @@ pub(super) struct RawBlock {
     mix_hash: String,
     #[serde(default)]
     pub base_fee_per_gas: Option<U256>,
+    #[serde(default)]
+    gas_limit: Option<U256>,
 }
 
 /// The position of a log.
@@ -89,6 +94,7 @@ impl Chain {
             confirmations: options.confirmations,
             contract: RwLock::new(None),
             gas: Mutex::default(),
+            block_room: Mutex::default(),
         };
         let chain = Self { inner: Arc::new(inner) };
         chain.settle_contract(options.contract, options.pinned).await?;
@@ -271,6 +277,11 @@ impl Chain {
 }
 
 impl RawBlock {
+    /// The gas that the block may hold; `None` if the node does not say, or says nonsense.
+    pub(super) fn room(&self) -> Option<u64> {
+        self.gas_limit.and_then(|limit| u64::try_from(limit).ok()).filter(|limit| *limit > 0)
+    }
+
     pub(super) fn reference(&self) -> BlockRef {
         let timestamp = self.timestamp.as_u64();
         BlockRef { number: self.number.as_u64(), hash: Hash(self.hash.0), timestamp }

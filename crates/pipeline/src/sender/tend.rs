@@ -124,11 +124,11 @@ impl Sender {
             }
             return Ok(Vec::new());
         }
-        let mined = chain.nonce(account, false).await?;
-        let (used, waiting): (Vec<_>, Vec<_>) = open.into_iter().partition(|row| row.nonce < mined);
+        let nonces = chain.nonces(account).await?;
+        let (used, waiting): (Vec<_>, Vec<_>) = open.into_iter().partition(|row| row.nonce < nonces.mined);
         cell.memory().missing.retain(|hash, _| used.iter().any(|row| row.hash == *hash));
         let refused = self.decide(chain, eoa, used).await?;
-        let paused = waiting::Round { sender: self, chain, eoa, account, mined, rows: &waiting }.run().await?;
+        let paused = waiting::Round { sender: self, chain, eoa, account, nonces, rows: &waiting }.run().await?;
         self.settle(account, paused);
         Ok(refused)
     }
@@ -226,7 +226,7 @@ impl Sender {
         }
         let lane = self.lane(chain, eoa).await;
         let raw = block_in_place(|| self.ledger.raw_transaction(row.hash))?.unwrap_or_default();
-        let signed = chain.resign(eoa, &raw, lane.next_nonce().await?, lane.price().await?)?;
+        let signed = chain.resign(eoa, &raw, lane.next_nonce().await?, lane.price().await?).await?;
         let reissue = Reissue { hash: signed.hash, nonce: signed.nonce, raw: signed.raw.clone() };
         block_in_place(|| self.ledger.reissue(row.hash, reissue))?;
         drop(lane);

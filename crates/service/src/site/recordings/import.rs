@@ -211,7 +211,12 @@ impl Recordings {
         view.file = clean(&wishes.path.display().to_string(), 300);
         view.digest = Some(digest);
         view.left_out = left_out_list(left_out);
-        view.skipped = findings.messages_skipped + view.left_out.iter().map(|topic| topic.messages).sum::<u64>();
+        view.left_out.extend(findings.unusable.iter().map(|row| LeftOut {
+            topic: row.topic.clone(),
+            why: row.why.clone(),
+            messages: row.messages,
+        }));
+        view.skipped = view.left_out.iter().map(|topic| topic.messages).sum::<u64>();
         view.unguarded = findings.unguarded;
         view.damages.clone_from(&findings.damages);
         view.more_damages = findings.more_damages;
