@@ -23,6 +23,8 @@ pub enum Spoil {
     CutAnswer,
     /// A complete HTTP answer whose JSON ends in the middle.
     TruncateJson,
+    /// The node gets the request, and its answer has this JSON as its result instead.
+    Answer(&'static str),
 }
 
 /// Matches every method.
@@ -180,6 +182,12 @@ fn pass_on(mut client: &TcpStream, answer: &Message, spoil: Option<Spoil>) -> Re
         }
         Some(Spoil::TruncateJson) => {
             let body = answer.body[..answer.body.len() / 2].to_vec();
+            client.write_all(&Message { head: answer.head.clone(), body }.bytes())?;
+        }
+        Some(Spoil::Answer(result)) => {
+            let mut document: Value = serde_json::from_slice(&answer.body)?;
+            document["result"] = serde_json::from_str(result)?;
+            let body = serde_json::to_vec(&document)?;
             client.write_all(&Message { head: answer.head.clone(), body }.bytes())?;
         }
         Some(Spoil::Delay(pause)) => {

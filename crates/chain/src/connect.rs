@@ -113,6 +113,7 @@ impl Chain {
             confirmations: 1,
             contract: RwLock::new(Some(pin)),
             gas: Mutex::default(),
+            block_room: Mutex::default(),
         };
         Self { inner: Arc::new(inner) }
     }

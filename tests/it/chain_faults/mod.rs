@@ -13,6 +13,7 @@ mod mining;
 mod reorganisation;
 mod same_account;
 mod wiped;
+mod wrong_numbers;
 
 /// Why a test of this file is skipped.
 const NO_NODE: &str = "no anvil; tests/run installs it into target/peers";

@@ -164,7 +164,8 @@ mod tests {
     const MSG: Encoding = Encoding::Cdr { idl: false };
 
     fn described(encoding: Encoding, text: Option<&str>, hash: Option<&str>, folders: &Folders) -> (bool, String) {
-        let described = Described::of(TypeFacts { name: "std_msgs/msg/String", encoding, text, hash, md5sum: "*" }, folders);
+        let described =
+            Described::of(TypeFacts { name: "std_msgs/msg/String", encoding, text, hash, md5sum: "*" }, folders);
         (described.definition.is_some(), described.note.unwrap_or_default())
     }
 

@@ -165,7 +165,10 @@ mod tests {
         let folders = Folders::default();
         let (text, added) = folders.complete("a/msg/B", "builtin_interfaces/Time stamp\nint32 v").expect("built in");
         assert_eq!(added, ["builtin_interfaces/msg/Time"]);
-        assert_eq!(Definition::parse_ros2("a/msg/B", &text).map(|it| it.type_name().to_owned()).as_deref(), Ok("a/msg/B"));
+        assert_eq!(
+            Definition::parse_ros2("a/msg/B", &text).map(|it| it.type_name().to_owned()).as_deref(),
+            Ok("a/msg/B")
+        );
         assert_eq!(folders.complete("a/msg/B", &text).expect("whole"), (text, Vec::new()), "nothing is added twice");
         let (text, added) = folders.complete("a/msg/B", "std_msgs/Header h\ngeometry_msgs/Point p").expect("built in");
         assert_eq!(added.len(), 3, "{text}");

@@ -117,8 +117,7 @@ impl Reading {
         let text = reader.definition_text(row, record).await?;
         let (head, about) = (&record.head, importer::about(&record.head.tags));
         let (encoding, hash) = (importer::encoding(&head.tags), about.get(TYPE_HASH).map(|hash| &**hash));
-        let facts =
-            TypeFacts { name: &head.type_name, encoding, text: text.as_deref(), hash, md5sum: &head.md5sum };
+        let facts = TypeFacts { name: &head.type_name, encoding, text: text.as_deref(), hash, md5sum: &head.md5sum };
         let folders = Folders::of_prefixes(OsStr::new(&self.config.definitions));
         let mut described = block_in_place(|| Described::of(facts, &folders));
         if described.definition.as_ref().is_some_and(|definition| definition.is_ambiguous(&record.body)) {
