@@ -7,7 +7,7 @@ use std::fs;
 
 use authros::crypto::fault::CHECKS;
 use serde_json::Value;
-use support::{Authros, Home, count, heavy, skipped};
+use support::{Authros, Home, count, faulty, heavy, skipped};
 
 /// The story must hold whatever the number of robots and the length.
 fn expect_the_whole_story(told: &Value) {
@@ -88,11 +88,6 @@ fn without_json_it_is_a_story_with_figures_and_no_escape_codes() {
 }
 
 /// The build whose checks can be switched off individually is beside the product's own.
-fn faulty() -> Option<std::path::PathBuf> {
-    let built = std::path::Path::new(env!("CARGO_BIN_EXE_authros")).with_file_name("authros-faulty");
-    built.exists().then_some(built)
-}
-
 #[test]
 fn each_check_switched_off_makes_the_demo_say_that_it_is_not_ok() {
     let Some(program) = faulty() else {
