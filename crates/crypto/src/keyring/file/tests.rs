@@ -5,6 +5,7 @@ use std::sync::LazyLock;
 use proptest::prelude::*;
 
 use super::*;
+use crate::crypto::private_file::write_private;
 use crate::model::{Domain, ErrorKind};
 
 fn sample() -> Keyring {
