@@ -5,7 +5,7 @@ use std::path::Path;
 
 use authros::crypto::{
     Enrolment, EoaSecret, Keyring, OwnerKeyChange, Passphrase, ProviderName, SealRequest, SealedEnrolment, SmKeyPair,
-    UnlockedKeyring, notice_topic, provider, random_bytes, seal,
+    notice_topic, provider, random_bytes, seal,
 };
 use authros::gateway::{Code, GatewayError, Upload};
 use authros::model::head::Compression;
@@ -20,7 +20,7 @@ fn keyring(scene: &Scene) -> Keyring {
     let directory = scene.home.path().join("profiles").join("alice");
     let passphrase = std::fs::read_to_string(directory.join("passphrase")).expect("a passphrase");
     let passphrase = Passphrase::new(passphrase.trim_end().to_owned()).expect("long enough");
-    UnlockedKeyring::open(&directory.join("keyring"), &passphrase).expect("opens").keyring
+    Keyring::load(&directory.join("keyring"), &passphrase).expect("opens")
 }
 
 /// A notice to the robot that its owner's key is `to` from now on, signed by `signer` and, inside, by `account`.

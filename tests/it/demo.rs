@@ -7,7 +7,7 @@ use std::fs;
 
 use authros::crypto::fault::CHECKS;
 use serde_json::Value;
-use support::{Authros, Home, count, heavy, skipped};
+use support::{Authros, Home, count, faulty, heavy, skipped};
 
 /// The story must hold whatever the number of robots and the length.
 fn expect_the_whole_story(told: &Value) {
@@ -85,12 +85,6 @@ fn without_json_it_is_a_story_with_figures_and_no_escape_codes() {
         assert!(outcome.stdout.to_lowercase().contains(word), "no word of '{word}': {outcome}");
     }
     assert!(!outcome.stdout.contains('\u{1b}'), "{outcome}");
-}
-
-/// The build whose checks can be switched off individually is beside the product's own.
-fn faulty() -> Option<std::path::PathBuf> {
-    let built = std::path::Path::new(env!("CARGO_BIN_EXE_authros")).with_file_name("examples/authros-faulty");
-    built.exists().then_some(built)
 }
 
 #[test]

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use authros::crypto::{
-    EpochKey, IndexKey, Keyring, Passphrase, Provider, ProviderName, SealRequest, SmKeyPair, TopicKey, UnlockedKeyring,
-    epoch_key, filter_id, provider, random_bytes, seal, token, topic_id, topic_key,
+    EpochKey, IndexKey, Keyring, Passphrase, Provider, ProviderName, SealRequest, SmKeyPair, TopicKey, epoch_key,
+    filter_id, provider, random_bytes, seal, token, topic_id, topic_key,
 };
 use authros::gateway::{Applicant, Client, Context, Credentials, Endpoint, GatewayError, Trust, Upload};
 use authros::model::head::Compression;
@@ -61,7 +61,7 @@ impl Member {
         let directory = home.path().join("profiles").join(profile);
         let passphrase = std::fs::read_to_string(directory.join("passphrase")).expect("a passphrase");
         let passphrase = Passphrase::new(passphrase.trim_end().to_owned()).expect("a passphrase");
-        let keyring = UnlockedKeyring::open(&directory.join("keyring"), &passphrase).expect("opens").keyring;
+        let keyring = Keyring::load(&directory.join("keyring"), &passphrase).expect("opens");
         let epoch = keyring.networks.get(&domain).expect("registered").current;
         Self { keyring, domain, recorder: RecorderId(random_bytes().expect("random")), epoch }
     }

@@ -39,7 +39,7 @@ use std::time::{Duration, Instant};
 
 pub use accounts::Accounts;
 pub use anvil::Anvil;
-pub use authros::{Authros, Home};
+pub use authros::{Authros, Home, faulty};
 pub use cable::Cable;
 pub use conservation::Conservation;
 pub use console::{Console, Terminal};

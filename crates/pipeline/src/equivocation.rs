@@ -48,21 +48,26 @@ pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool, PipelineError> {
     let Some(held) = held.filter(|held| *held != claim.digest) else { return Ok(false) };
     let Some(row) = plant.ledger.record(held)? else { return Ok(false) };
     let name = format!("{TOLD}{}", claim.recorder);
-    let known = plant.ledger.setting(&name)?.and_then(|text| serde_json::from_str::<Vec<Digest>>(&text).ok());
-    let mut known = known.unwrap_or_default();
-    if known.contains(&claim.digest) || known.len() >= MOST {
+    let Claim { owner, recorder, topic, number, digest, signature } = claim;
+    let is_new = plant.ledger.change_setting(&name, |text| {
+        let known = text.and_then(|text| serde_json::from_str::<Vec<Digest>>(text).ok());
+        let mut known = known.unwrap_or_default();
+        let is_new = !known.contains(digest) && known.len() < MOST;
+        if is_new {
+            AuditLog::new(plant.ledger.clone()).append(AuditEntry {
+                at: Timestamp::now(),
+                profile: owner.to_string(),
+                action: "equivocation".to_owned(),
+                subject: format!("number {number} of topic {topic}, recorder {recorder}"),
+                outcome: format!("{held} signed {}; {digest} signed {signature}", row.signature),
+            })?;
+            known.push(*digest);
+        }
+        Ok::<_, PipelineError>((serde_json::to_string(&known).unwrap_or_default(), is_new))
+    })?;
+    if !is_new {
         return Ok(true);
     }
-    let Claim { owner, recorder, topic, number, digest, signature } = claim;
-    AuditLog::new(plant.ledger.clone()).append(AuditEntry {
-        at: Timestamp::now(),
-        profile: owner.to_string(),
-        action: "equivocation".to_owned(),
-        subject: format!("number {number} of topic {topic}, recorder {recorder}"),
-        outcome: format!("{held} signed {}; {digest} signed {signature}", row.signature),
-    })?;
-    known.push(*digest);
-    plant.ledger.put_setting(&name, &serde_json::to_string(&known).unwrap_or_default())?;
     plant.observer.alert(
         true,
         format!(

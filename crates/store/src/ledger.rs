@@ -107,6 +107,8 @@ struct Shared {
     clean: bool,
     writer: writer::Writer,
     readers: Mutex<Vec<Connection>>,
+    /// Held while a setting is read, changed and written.
+    settings: Mutex<()>,
     /// How many holders are holding records back.
     held: AtomicUsize,
     /// How often something was named at the word of an owner elsewhere.
@@ -139,6 +141,7 @@ impl Ledger {
                 clean,
                 writer,
                 readers,
+                settings: Mutex::default(),
                 held: AtomicUsize::new(0),
                 told: AtomicU64::new(0),
             }),

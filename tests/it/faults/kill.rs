@@ -2,12 +2,13 @@
 //! chain and on Redis and anvil: nothing acknowledged is lost, nothing is anchored twice, every store opens.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use crate::support::anvil::{call, word};
 use crate::support::{
-    Anvil, Authros, Conservation, Home, Redis, Running, count, hex, is_verified, long, poll, skipped, text, wait_until,
+    Anvil, Authros, Conservation, Home, Redis, Running, count, faulty, hex, is_verified, long, poll, skipped, text,
+    wait_until,
 };
 use authros::crypto::fault::POINTS;
 use rusqlite::{Connection, OpenFlags};
@@ -257,12 +258,6 @@ fn random_kills_on_the_embedded_vault_and_chain_lose_and_double_nothing() {
 fn random_kills_on_redis_and_anvil_lose_and_double_nothing() {
     let Some(field) = Field::on_redis_and_anvil() else { skipped!(NO_PEERS) };
     random_kills(field, "random kills, Redis and anvil");
-}
-
-/// The build with fail points is beside the product's own.
-pub fn faulty() -> Option<PathBuf> {
-    let built = PathBuf::from(env!("CARGO_BIN_EXE_authros")).with_file_name("examples/authros-faulty");
-    built.exists().then_some(built)
 }
 
 /// In the short form each place once, and those shared by both sides on one of them.

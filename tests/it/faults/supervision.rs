@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 use portable_pty::{CommandBuilder, PtySize, native_pty_system};
 use serde_json::json;
 
-use super::kill::{faulty, now};
+use super::kill::now;
 use crate::support::process::signal;
-use crate::support::{Anvil, Authros, Conservation, Home, Running, long, poll, skipped, wait_until};
+use crate::support::{Anvil, Authros, Conservation, Home, Running, faulty, long, poll, skipped, wait_until};
 
 const TOPICS: [&str; 2] = ["/robot1/odom", "/robot1/camera/compressed"];
 /// Every task of a site with one open profile and several lanes, except those that are threads.

@@ -1,5 +1,7 @@
 //! Small durable state: key-value settings, and the positions of those who walk the chain.
 
+use std::sync::PoisonError;
+
 use rusqlite::{OptionalExtension as _, params};
 
 use super::{Ledger, database::whole, rows};
@@ -17,6 +19,26 @@ impl Ledger {
             session.connection.prepare_cached("REPLACE INTO settings VALUES (?1, ?2)")?.execute([key, value])?;
             Ok(())
         })
+    }
+
+    /// Replaces the value under a key by what `change` makes of it, `None` if there is none; what it returns beside it is
+    /// returned. The door for every setting that more than one task reads, changes and writes: of several changes at
+    /// once none is lost. `change` itself may read, but makes no other change of a setting.
+    ///
+    /// # Errors
+    /// What `change` returns, or those of [`Self::put_setting`]; the previous value is then unchanged.
+    pub fn change_setting<T, E: From<StoreError>>(
+        &self,
+        key: &str,
+        change: impl FnOnce(Option<&str>) -> Result<(String, T), E>,
+    ) -> Result<T, E> {
+        let _one_at_a_time = self.shared.settings.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = self.setting(key)?;
+        let (value, answer) = change(before.as_deref())?;
+        if before.as_ref() != Some(&value) {
+            self.put_setting(key, &value)?;
+        }
+        Ok(answer)
     }
 
     /// The value under a key.

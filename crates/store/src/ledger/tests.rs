@@ -353,6 +353,29 @@ fn ids_are_prefixes_of_digests() {
 }
 
 #[test]
+fn of_changes_of_a_setting_at_once_none_is_lost() {
+    let (_home, ledger) = open();
+    let add = |name: u8| {
+        ledger.change_setting("list", |text| {
+            let text = format!("{}{}", text.unwrap_or_default(), char::from(name));
+            Ok::<_, StoreError>((text, ()))
+        })
+    };
+    std::thread::scope(|scope| {
+        for name in b'a'..=b'h' {
+            scope.spawn(move || (0..5).for_each(|_| add(name).expect("changed")));
+        }
+    });
+    let text = ledger.setting("list").expect("read").expect("there");
+    for name in b'a'..=b'h' {
+        assert_eq!(text.bytes().filter(|other| *other == name).count(), 5, "{text}");
+    }
+    let refused = ledger.change_setting("list", |_| Err::<(String, ()), _>(StoreError::Closed));
+    assert_eq!(refused, Err(StoreError::Closed));
+    assert_eq!(ledger.setting("list"), Ok(Some(text)));
+}
+
+#[test]
 fn small_state_is_kept() {
     let (home, ledger) = open();
     ledger.put_setting("watched/a", "[1]").expect("kept");

@@ -50,7 +50,7 @@ impl Devices {
             return Err(input("a robot has at most eight addresses of its gateway"));
         }
         // Until a new key is in place there is nobody whom robots would believe.
-        if owner.keyring().keyring.further.next_signing.is_some() {
+        if owner.keyring().keys().further.next_signing.is_some() {
             return Err(refused("the owner's key is being changed; try again when that is done"));
         }
         let subject = format!("{device}: {}", clean(&address, 255));

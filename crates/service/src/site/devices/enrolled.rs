@@ -4,7 +4,7 @@ use crate::pipeline::Plant;
 use crate::service::hub::Hub;
 use crate::site::parts::Parts;
 use serde::{Deserialize, Serialize};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use tokio::sync::watch;
 use tokio::task::block_in_place;
 
@@ -57,15 +57,13 @@ pub(in crate::site) struct Enrolments {
     pub(super) sealed: watch::Sender<()>,
     /// Notices are numbered one at a time.
     pub(super) sealing: Mutex<()>,
-    /// What is noted is changed one change at a time.
-    noting: Mutex<()>,
 }
 
 impl Enrolments {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         let Parts { plant, hub, .. } = parts.clone();
-        Self { plant, hub, sealed: watch::channel(()).0, sealing: Mutex::default(), noting: Mutex::default() }
+        Self { plant, hub, sealed: watch::channel(()).0, sealing: Mutex::default() }
     }
 }
 
@@ -106,10 +104,7 @@ impl Enrolments {
 
     /// Notes another device.
     pub(super) fn add(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
-        let _alone = self.noting.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut all = self.of(owner)?;
-        all.push(enrolled);
-        self.write(owner, &all)
+        self.change_all(owner, |all| all.push(enrolled))
     }
 
     /// Notes that a device was recalled.
@@ -124,15 +119,16 @@ impl Enrolments {
         device: SignerId,
         change: impl Fn(&mut Enrolled),
     ) -> Result<(), Failure> {
-        let _alone = self.noting.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut all = self.of(owner)?;
-        all.iter_mut().filter(|enrolled| enrolled.device == device).for_each(change);
-        self.write(owner, &all)
+        self.change_all(owner, |all| all.iter_mut().filter(|enrolled| enrolled.device == device).for_each(change))
     }
 
-    fn write(&self, owner: &Owner, all: &[Enrolled]) -> Result<(), Failure> {
-        let text = serde_json::to_string(all).unwrap_or_default();
-        Ok(block_in_place(|| self.plant.ledger.put_setting(&place(owner.address), &text))?)
+    fn change_all(&self, owner: &Owner, change: impl FnOnce(&mut Vec<Enrolled>)) -> Result<(), Failure> {
+        let changed = |text: Option<&str>| {
+            let mut all = read(text);
+            change(&mut all);
+            Ok((serde_json::to_string(&all).unwrap_or_default(), ()))
+        };
+        block_in_place(|| self.plant.ledger.change_setting(&place(owner.address), changed))
     }
 }
 
@@ -141,8 +137,11 @@ impl Enrolments {
 /// # Errors
 /// Errors of the ledger.
 pub(in crate::site) fn of_account(ledger: &Ledger, owner: Address) -> Result<Vec<Enrolled>, Failure> {
-    let text = ledger.setting(&place(owner))?;
-    Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
+    Ok(read(ledger.setting(&place(owner))?.as_deref()))
+}
+
+fn read(text: Option<&str>) -> Vec<Enrolled> {
+    text.and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
 }
 
 fn place(owner: Address) -> String {

@@ -28,7 +28,7 @@ impl Enrolments {
                 continue;
             }
             // Until a new key is in place there is nobody whom robots would believe.
-            if owner.keyring().keyring.further.next_signing.is_some() {
+            if owner.keyring().keys().further.next_signing.is_some() {
                 continue;
             }
             let keys = self.issue(owner, network, device)?;
