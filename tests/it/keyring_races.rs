@@ -82,7 +82,7 @@ fn two_commands_at_the_start_of_a_site_lose_no_epochs_key() {
 
 #[test]
 fn kills_while_a_keyring_is_saved_lose_no_epochs_key() {
-    let Some(program) = faulty() else { skipped!("no authros-faulty (tests/run builds it)") };
+    let Some(program) = faulty() else { skipped!("no authros-faulty (cargo test builds it with the examples)") };
     let field = Field::new();
     let end = Instant::now() + length(Duration::from_secs(45), Duration::from_secs(3600));
     let (mut epoch, cycles) = (1, if long() { 400 } else { 12 });
