@@ -43,7 +43,7 @@ impl View {
         self.proxy.as_ref().map_or(0, Proxy::spoilt)
     }
 
-    /// What it knows of grants, without what only its own clock says.
+    /// What it knows of grants.
     fn grants(&self) -> Vec<Value> {
         list(&self.authros.json(&["grants", "list"]), "grants")
     }
@@ -60,11 +60,12 @@ fn with_keys_of(first: &Home) -> Home {
     second
 }
 
-fn expect_alike(late: &View, direct: &View, state: &str) {
-    wait_until(SOON, &format!("the grant is {state} for the reader too"), || {
+fn expect_alike(late: &View, direct: &View, is_granted: bool) {
+    let words = if is_granted { "the grant has reached the reader" } else { "the revoke has reached the reader" };
+    wait_until(SOON, words, || {
         let known = late.grants();
-        let is_there = known.last().is_some_and(|grant| grant["state"] == state);
-        (is_there && known == direct.grants()).then_some(())
+        let has_one = known.iter().any(|grant| grant["state"] == "active");
+        (!known.is_empty() && has_one == is_granted && known == direct.grants()).then_some(())
     });
 }
 
@@ -75,7 +76,6 @@ fn nothing_is_missed_where_the_logs_come_from_a_node_that_is_behind() {
     let Some(node) = Anvil::start(&["--block-time", "0.2"]) else { skipped!(NO_NODE) };
     let home = Home::new();
     let owner = View::of(&home, &node, None, "1", false);
-    let owner_address = text(&owner.authros.json(&["identity", "show"]), "address");
     let contract = text(&owner.authros.json(&["chain", "status"]), "contract");
     let readers = Home::new();
     let reader = View::of(&readers, &node, Some(&contract), "0", false);
@@ -96,11 +96,11 @@ fn nothing_is_missed_where_the_logs_come_from_a_node_that_is_behind() {
             view.lag(blocks, every, refuses);
         }
         owner.authros.json(&["grant", &reader_address]);
-        expect_alike(&reader, &direct, "active");
+        expect_alike(&reader, &direct, true);
         owner.authros.capture(&["/robot1/odom"], 5);
         captured += 5;
         owner.authros.json(&["revoke", &reader_address]);
-        expect_alike(&reader, &direct, "revoked");
+        expect_alike(&reader, &direct, false);
         if long() && Instant::now() > end {
             break;
         }
@@ -109,11 +109,8 @@ fn nothing_is_missed_where_the_logs_come_from_a_node_that_is_behind() {
     let records = owner.authros.records(&["uploads", "list"]);
     assert_eq!(records.len(), captured, "each once");
     assert!(records.iter().all(|record| record["state"] == "verified"), "{records:?}");
-    for view in [&owner, &reader] {
-        let audit = view.authros.json(&["audit"]);
-        assert_eq!(audit["ok"], true, "{audit}");
-    }
-    assert!(!owner_address.is_empty());
+    let audit = owner.authros.json(&["audit"]);
+    assert_eq!(audit["ok"], true, "{audit}");
 }
 
 fn answer(result: Result<impl std::fmt::Debug, GatewayError>) -> Result<(), Code> {
