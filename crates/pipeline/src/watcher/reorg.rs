@@ -16,7 +16,7 @@ const DEEPEST: u64 = 1024;
 /// The setting that says since when the node names which older head.
 const BEHIND: &str = "watcher:behind";
 /// After naming the same older head for so long, that is the chain: somebody took it back.
-const TAKEN_BACK: Duration = Duration::from_secs(60);
+const TAKEN_BACK: Duration = Duration::from_secs(300);
 
 /// How the chain stands to what was read of it.
 pub(super) enum Standing {
