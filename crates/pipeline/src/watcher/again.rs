@@ -125,16 +125,19 @@ async fn look_at(
     Ok((found.completeness != Completeness::Whole).then_some(unsure))
 }
 
-/// An event of this block was missed. The order of events counts, so all is read again from there.
+/// An event of this block was missed, or is not on the chain. Their order counts, so all is read again from there.
 fn go_back_before(plant: &Plant, network: &Network, block: u64) -> Result<(), PipelineError> {
     let trail = plant.ledger.trail()?;
     let before = trail.iter().rev().find(|(number, _)| *number < block).copied();
-    plant.ledger.walk_back(CURSOR, before.unwrap_or_else(|| beginning(network)))?;
+    let before = before.unwrap_or_else(|| beginning(network));
+    // The cursor first: what is stored of blocks after it is taken back at any start.
+    plant.ledger.walk_back(CURSOR, before)?;
+    plant.ledger.take_back_rights(before.0 + 1)?;
     plant.observer.alert(
         false,
         format!(
-            "events of block {block} were missed: the node did not give them when it was first asked; the chain is read \
-             again from there, nothing is lost. Check that all nodes behind the URL are up to date"
+            "the events of block {block} as they were read differ from those on the chain: a node that is behind gives none; \
+             the chain is read again from there, nothing is lost. Check that all nodes behind the URL are up to date"
         ),
     );
     Ok(())

@@ -132,7 +132,7 @@ async fn rights_that_the_logs_did_not_tell_at_first_are_read_in_their_order() {
             watch_round(&process.plant, &process.network).await.expect("reads");
         }
         expect_as_on_the_chain(&process, &chain, &[own.address(), reader.address()]).await;
-        assert!(process.notes.with("were missed") > 0, "it is told");
+        assert!(process.notes.with("differ from those on the chain") > 0, "it is told");
     }
 }
 
@@ -228,6 +228,8 @@ async fn an_audit_finds_events_that_the_chain_does_not_have() {
     kept::keep(&process.plant.ledger, &[forged]).expect("stored");
     let found = audited(&process).await;
     assert!(found.tampered == 1 && found.findings[0].text.contains("Recalled"), "{:?}", found.findings);
+    process.round().await;
+    assert!(audited(&process).await.ok, "taken back");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -127,10 +127,10 @@ fn confirm(plant: &Plant, network: &Network, head: u64) -> Result<(), PipelineEr
 /// new one is complete: a right that ended in between must not come back for a moment.
 async fn read_on(plant: &Plant, network: &Network, head: BlockRef) -> Result<Reached, PipelineError> {
     let Some(directory) = block_in_place(|| as_of_the_cursor(plant, network))? else {
-        return scan(plant, network, head).await;
+        return scan(plant, network, head, None).await;
     };
     let beside = Network { directory: Arc::new(directory), ..network.clone() };
-    let reached = scan(plant, &beside, head).await;
+    let reached = scan(plant, &beside, head, Some(&network.directory)).await;
     let is_behind = || Ok::<_, PipelineError>(cursor_number(plant)? >= network.directory.newest());
     if matches!(reached, Ok(Reached::Head)) || block_in_place(is_behind)? {
         network.directory.become_like(&beside.directory);
@@ -161,8 +161,14 @@ fn as_of_the_cursor(plant: &Plant, network: &Network) -> Result<Option<Directory
     Ok(Some(network.directory.blank()))
 }
 
-/// Scans from the cursor to `head`: old blocks many at a time, the newest ones one by one.
-async fn scan(plant: &Plant, network: &Network, head: BlockRef) -> Result<Reached, PipelineError> {
+/// Scans from the cursor to `head`: old blocks many at a time, the newest ones one by one. A directory in use, `shown`,
+/// becomes that of `network` with the last of them, before anybody can see that they were read.
+async fn scan(
+    plant: &Plant,
+    network: &Network,
+    head: BlockRef,
+    shown: Option<&Directory>,
+) -> Result<Reached, PipelineError> {
     let first = first_block(network);
     let cursor = block_in_place(|| plant.ledger.cursor(CURSOR))?;
     let mut from = cursor.map_or(first, |(number, _)| (number + 1).max(first));
@@ -181,12 +187,13 @@ async fn scan(plant: &Plant, network: &Network, head: BlockRef) -> Result<Reache
         }
         let mut met: Vec<(u64, Hash)> = events.iter().map(|event| (event.block, event.block_hash)).collect();
         met.dedup();
-        block_in_place(|| write(plant, network, &events, (to, last.hash), met))?;
+        let shown = shown.filter(|_| to == head.number);
+        block_in_place(|| write(plant, network, &events, (to, last.hash), met, shown))?;
         block_in_place(|| foreign::look(plant, &events, head.number))?;
         below = Some((to, last.hash));
         from = to + 1;
     }
-    near::read(plant, network, (from, head.number), below).await
+    near::read(plant, network, (from, head.number), below, shown).await
 }
 
 /// Whether the chain still has this block.
@@ -195,13 +202,14 @@ async fn stands(network: &Network, block: Option<(u64, Hash)>) -> Result<bool, P
     Ok(network.chain.block(number).await?.is_some_and(|block| block.hash == hash))
 }
 
-/// Writes the events of blocks up to `to`; `met` are blocks on the way.
+/// Writes the events of blocks up to `to`; `met` are blocks on the way. `shown` then becomes the directory of `network`.
 fn write(
     plant: &Plant,
     network: &Network,
     events: &[EventAt],
     to: (u64, Hash),
     met: Vec<(u64, Hash)>,
+    shown: Option<&Directory>,
 ) -> Result<(), PipelineError> {
     let sightings: Vec<Sighting> = events.iter().filter_map(sighting).collect();
     let roots: Vec<RootSighting> = events.iter().filter_map(root_sighting).collect();
@@ -224,6 +232,9 @@ fn write(
         }
         kept?;
         fault::point("directory-kept");
+    }
+    if let Some(shown) = shown {
+        shown.become_like(&network.directory);
     }
     plant.ledger.walk_to(CURSOR, to, met)?;
     if changed {

@@ -6,7 +6,7 @@ use tokio::task::block_in_place;
 
 use crate::chain::{AT_ONCE, BlockEvents, BlockRef, Completeness, EventAt};
 use crate::model::Hash;
-use crate::pipeline::{Network, PipelineError, Plant};
+use crate::pipeline::{Directory, Network, PipelineError, Plant};
 
 use super::{Reached, again, foreign, write};
 
@@ -21,6 +21,7 @@ pub(super) async fn read(
     network: &Network,
     (from, to): (u64, u64),
     below: Option<(u64, Hash)>,
+    shown: Option<&Directory>,
 ) -> Result<Reached, PipelineError> {
     let (mut read, mut top, mut next) = (Vec::new(), below, from);
     let mut reached = Reached::Head;
@@ -45,7 +46,7 @@ pub(super) async fn read(
         next = last + 1;
     }
     if !read.is_empty() {
-        block_in_place(|| take(plant, network, &read, to))?;
+        block_in_place(|| take(plant, network, &read, to, shown))?;
     }
     Ok(reached)
 }
@@ -69,12 +70,19 @@ fn is_to_be_taken(plant: &Plant, found: &BlockEvents) -> Result<bool, PipelineEr
     Ok(true)
 }
 
-fn take(plant: &Plant, network: &Network, read: &[BlockEvents], head: u64) -> Result<(), PipelineError> {
+fn take(
+    plant: &Plant,
+    network: &Network,
+    read: &[BlockEvents],
+    head: u64,
+    shown: Option<&Directory>,
+) -> Result<(), PipelineError> {
     let Some(last) = read.last() else { return Ok(()) };
     // Before the cursor passes them, so that a restart knows them too.
     again::note(plant, read)?;
     let events: Vec<EventAt> = read.iter().flat_map(|block| block.events.iter().cloned()).collect();
     let met = read.iter().map(|read| (read.block.number, read.block.hash)).collect();
-    write(plant, network, &events, (last.block.number, last.block.hash), met)?;
+    let shown = shown.filter(|_| last.block.number == head);
+    write(plant, network, &events, (last.block.number, last.block.hash), met, shown)?;
     foreign::look(plant, &events, head)
 }
