@@ -1,7 +1,7 @@
 //! Several nodes behind one URL, some of them behind the others: nothing of the chain is missed, nothing is undone.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::SeqCst};
+use std::sync::{Arc, OnceLock};
 
 use async_trait::async_trait;
 use serde_json::{Value, json};
@@ -10,7 +10,7 @@ use super::*;
 use crate::chain::relay::{Relay, RelayError, RelayLine};
 use crate::chain::{Call, Chain, ChainOptions, Endpoint};
 use crate::crypto::EoaSecret;
-use crate::model::{Address, RecordState, Scope, SignerId};
+use crate::model::{Address, RecordState, Scope, SignerId, Token};
 use crate::pipeline::fixture::{Process, by_hand, identity, network};
 use crate::pipeline::record_audit::{RecordAudit, Scope as Audited, audit};
 use crate::store::AuditLog;
@@ -23,6 +23,9 @@ struct Lag {
     logs: AtomicU64,
     /// How far everything else is behind.
     blocks: AtomicU64,
+    /// A revoked grant, which no question may find in force again: where it is looked for, its owner and its grantee.
+    revoked: OnceLock<(Arc<Directory>, Address, Address)>,
+    came_back: AtomicBool,
 }
 
 fn quantity(value: &Value) -> Option<u64> {
@@ -32,6 +35,11 @@ fn quantity(value: &Value) -> Option<u64> {
 #[async_trait]
 impl Relay for Lag {
     async fn ask(&self, method: &str, parameters: Value) -> Result<Value, RelayError> {
+        if let Some((directory, owner, reader)) = self.revoked.get()
+            && directory.grant_between(*owner, *reader).is_some()
+        {
+            self.came_back.store(true, SeqCst);
+        }
         let head = self.chain.head().await.expect("head").number;
         let old = head - self.blocks.load(SeqCst);
         match method {
@@ -80,6 +88,11 @@ async fn newcomer(chain: &Chain) -> EoaSecret {
     eoa
 }
 
+fn grant_to(reader: &EoaSecret) -> Call {
+    let (grantee, envelope) = (reader.address(), vec![1; 120]);
+    Call::AuthorityGrant { grantee, epoch: 1, expiry: None, scope: Scope::All, envelope }
+}
+
 async fn lend(chain: &Chain, eoa: &EoaSecret, number: u8) {
     by_hand(chain, eoa, &Call::Lend { device: SignerId([number; 32]), until: None }).await;
 }
@@ -112,14 +125,7 @@ async fn rights_that_the_logs_did_not_tell_at_first_are_read_in_their_order() {
         let reader = newcomer(&chain).await;
         watch_round(&process.plant, &process.network).await.expect("reads");
         assert!(process.network.directory.identity(reader.address()).is_err(), "the answer was stale");
-        let grant = Call::AuthorityGrant {
-            grantee: reader.address(),
-            epoch: 1,
-            expiry: None,
-            scope: Scope::All,
-            envelope: vec![1; 120],
-        };
-        by_hand(&chain, &own, &grant).await;
+        by_hand(&chain, &own, &grant_to(&reader)).await;
         watch_round(&process.plant, &process.network).await.expect("reads");
         for number in 1..=10 {
             lend(&chain, &own, number).await;
@@ -134,6 +140,31 @@ async fn rights_that_the_logs_did_not_tell_at_first_are_read_in_their_order() {
         expect_as_on_the_chain(&process, &chain, &[own.address(), reader.address()]).await;
         assert!(process.notes.with("differ from those on the chain") > 0, "it is told");
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_right_that_ended_does_not_come_back_while_the_chain_is_read_again() {
+    let home = tempfile::tempdir().expect("folder");
+    let mut process = Process::on_embedded(home.path()).await;
+    let (lag, chain) = behind(&mut process).await;
+    let (own, reader) = (process.eoa.clone(), newcomer(&chain).await);
+    by_hand(&chain, &own, &grant_to(&reader)).await;
+    watch_round(&process.plant, &process.network).await.expect("reads");
+    lag.logs.store(1, SeqCst);
+    lend(&chain, &own, 1).await;
+    watch_round(&process.plant, &process.network).await.expect("reads");
+    lag.logs.store(0, SeqCst);
+    let revoke = Call::AuthorityRevoke { grantee: reader.address(), new_token: Token([9; 32]) };
+    by_hand(&chain, &own, &revoke).await;
+    watch_round(&process.plant, &process.network).await.expect("reads");
+    let directory = Arc::clone(&process.network.directory);
+    assert!(directory.grant_between(own.address(), reader.address()).is_none(), "revoked");
+    assert!(lag.revoked.set((directory, own.address(), reader.address())).is_ok());
+    lend(&chain, &own, 2).await;
+    watch_round(&process.plant, &process.network).await.expect("reads");
+    assert!(process.notes.with("differ from those on the chain") > 0, "it was read again");
+    assert!(!lag.came_back.load(SeqCst), "the grant was in force while the revoke was read again");
+    expect_as_on_the_chain(&process, &chain, &[own.address(), reader.address()]).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
