@@ -10,6 +10,7 @@ use authros_model as model;
 
 mod anchor_proof;
 mod artefact;
+mod block_events;
 mod call;
 mod connect;
 mod deploying;
@@ -40,6 +41,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 pub use self::anchor_proof::AnchorProof;
+pub use self::block_events::{AT_ONCE, BlockEvents, Completeness, NEAR};
 pub use self::call::{Call, LONGEST_ENVELOPE, MOST_WRAPS};
 pub use self::deploying::{DEFAULT_DELAY, LONGEST_DELAY, LONGEST_PAUSE, SHORTEST_DELAY};
 pub use self::embedded::check_embedded_chain;
@@ -181,6 +183,8 @@ pub struct Receipt {
     pub gas_used: u64,
     /// Why it failed, in plain words, if that can be determined.
     pub reason: Option<String>,
+    /// The contract's events in it.
+    pub events: Vec<EventAt>,
 }
 
 /// An event and its position.

@@ -14,6 +14,7 @@ use super::embedded::Transaction;
 use super::error::explain;
 use super::gas;
 use super::reader::reason;
+use super::watcher::RawLog;
 use super::{Call, Chain, ChainError, Receipt, SignedTransaction};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, bytes::hex};
@@ -137,7 +138,10 @@ impl Chain {
             why = reason(self, &value, block).await.map(|code| explain(&code));
         }
         let gas_used = u64::try_from(raw.gas_used).unwrap_or(u64::MAX);
-        Ok(Some(Receipt { block, block_hash: Hash(raw.block_hash.0), success, gas_used, reason: why }))
+        let contract = self.pin().map(|pin| pin.contract);
+        let own = raw.logs.iter().filter(|log| contract.is_some_and(|contract| contract.0 == log.address.0));
+        let events = own.map(|log| self.decode(log)).collect::<Result<_, _>>()?;
+        Ok(Some(Receipt { block, block_hash: Hash(raw.block_hash.0), success, gas_used, reason: why, events }))
     }
 
     async fn raw_receipt(&self, hash: Hash) -> Result<Option<(RawReceipt, Value)>, ChainError> {
@@ -195,4 +199,6 @@ pub(super) struct RawReceipt {
     gas_used: U256,
     pub status: Option<U64>,
     pub contract_address: Option<H160>,
+    #[serde(default)]
+    logs: Vec<RawLog>,
 }

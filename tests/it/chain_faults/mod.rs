@@ -8,6 +8,7 @@ mod answers;
 mod evidence;
 mod field;
 mod kept_keys;
+mod lagging;
 mod merkle_proof;
 mod mining;
 mod reorganisation;

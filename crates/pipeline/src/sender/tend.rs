@@ -9,7 +9,7 @@ use crate::chain::{Chain, Offered, Receipt, is_same_call};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, clean};
 use crate::pipeline::PipelineError;
-use crate::pipeline::watcher::CURSOR;
+use crate::pipeline::watcher::{CURSOR, unread};
 use crate::store::{OpenTransaction, Reissue, TransactionOutcome};
 
 use super::price::Priced;
@@ -159,6 +159,7 @@ impl Sender {
             match decided {
                 Decided::Own(receipt) | Decided::Kin(_, _, receipt) if receipt.block > seen => {}
                 Decided::Own(receipt) => {
+                    block_in_place(|| self.hold_against_what_was_read(&receipt))?;
                     refused.extend(refusal(&row, &receipt));
                     closings.push((row.hash, outcome(&receipt)));
                 }
@@ -172,6 +173,7 @@ impl Sender {
         for (row, decided) in others {
             match decided {
                 Decided::Kin(kin, raw, receipt) => {
+                    block_in_place(|| self.hold_against_what_was_read(&receipt))?;
                     refused.extend(refusal(&row, &receipt));
                     self.give_to_kin(chain, eoa, &row, kin, &raw, &receipt).await?;
                 }
@@ -182,6 +184,14 @@ impl Sender {
             }
         }
         Ok(refused)
+    }
+
+    /// The watcher has read the receipt's block: what the receipt says happened there must be known by now.
+    fn hold_against_what_was_read(&self, receipt: &Receipt) -> Result<(), PipelineError> {
+        if !unread::of(&self.ledger, &receipt.events)?.is_empty() {
+            unread::note(&self.ledger, receipt.block)?;
+        }
+        Ok(())
     }
 
     async fn look_up(&self, chain: &Chain, account: Address, row: &OpenTransaction) -> Result<Decided, PipelineError> {

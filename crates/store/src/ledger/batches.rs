@@ -185,6 +185,24 @@ impl Ledger {
         })
     }
 
+    /// Which of these roots, of batches of this ledger, it has not taken in: they still wait for a block.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn waiting_roots(&self, sightings: &[RootSighting]) -> Result<Vec<Hash>, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT 1 FROM batches WHERE root = ?1 AND count = ?2 AND block IS NULL";
+            let mut find = connection.prepare_cached(sql)?;
+            let mut waiting = Vec::new();
+            for sighting in sightings {
+                if find.exists(params![sighting.root.0, whole("count", sighting.count)?])? {
+                    waiting.push(sighting.root);
+                }
+            }
+            Ok(waiting)
+        })
+    }
+
     /// A record's place in its batch, if it is in one.
     ///
     /// # Errors

@@ -55,6 +55,19 @@ impl Ledger {
         })
     }
 
+    /// Deletes a key if it still has this value.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like; the key is then unchanged.
+    pub fn drop_setting(&self, key: &str, value: &str) -> Result<(), StoreError> {
+        let (key, value) = (key.to_owned(), value.to_owned());
+        self.write(move |session| {
+            let sql = "DELETE FROM settings WHERE key = ?1 AND value = ?2";
+            session.connection.prepare_cached(sql)?.execute([key, value])?;
+            Ok(())
+        })
+    }
+
     /// The last block (number and hash) that the walker `name` has finished.
     ///
     /// # Errors
