@@ -32,6 +32,7 @@ mod read_with_a_recalled_robot;
 mod read_with_replaced_keys;
 mod readmit_oneself;
 mod rekey_the_fleet_with_a_stolen_signing_key;
+mod rename_a_topic;
 mod run_a_copied_home;
 mod served;
 mod show_an_edited_time;
