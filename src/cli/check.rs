@@ -66,6 +66,9 @@ pub fn audit(audit: &RecordAudit) -> String {
     let (missing, tampered, gaps) = (audit.missing, audit.tampered, audit.gaps);
     lines.push(match audit.ok {
         true => "nothing missing, nothing tampered with".to_owned(),
+        false if audit.worst() == Some(ErrorKind::Refused) => {
+            format!("nothing missing, nothing tampered with; {} records have a false name", audit.false_names)
+        }
         false => format!("{missing} missing, {tampered} tampered, {gaps} numbers absent; keep a copy of the home"),
     });
     lines.join("\n")

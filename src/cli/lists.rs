@@ -10,14 +10,9 @@ use crate::pipeline::sender::LaneState;
 use crate::service::Failure;
 use crate::service::reply::{
     Caveat, ChainView, CheckView, DeployedView, Direction, GrantRow, IdentityView, KeysView, Provenance, RecordPage,
-    RecordView, ShownState, TopicRow,
+    RecordView, Refusal, ShownState, TopicRow,
 };
-use authros_output::{Output, table};
-
-fn pairs(rows: &[(&str, String)]) -> String {
-    let width = rows.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
-    rows.iter().map(|(name, value)| format!("{name:width$}  {value}")).collect::<Vec<_>>().join("\n")
-}
+use authros_output::{Output, pairs, table};
 
 fn yes(value: bool) -> String {
     if value { "yes" } else { "no" }.to_owned()
@@ -198,6 +193,7 @@ fn doubts(page: &RecordPage) -> Vec<String> {
     let altered =
         page.records.iter().filter_map(|record| Some(format!("{} ({})", record.id, record.differs.as_ref()?)));
     let altered: Vec<String> = altered.collect();
+    let misnamed = count(&|record| record.state == ShownState::Refused(Refusal::FalseName));
     let unread = count(&|record| record.state == ShownState::Verified(Caveat::Unread));
     let sealed = count(&|record| record.compared == Compared::Header);
     let mut lines = Vec::new();
@@ -205,6 +201,12 @@ fn doubts(page: &RecordPage) -> Vec<String> {
         let which = altered.join(", ");
         lines.push(format!(
             "the ledger was altered; the values from the records themselves are shown: {which}; run `authros audit`"
+        ));
+    }
+    if misnamed > 0 {
+        lines.push(format!(
+            "false name: the signers of {misnamed} wrote names into them that belong to other pseudonyms; what they wrote is \
+             not shown, `authros uploads show ID` names the signer"
         ));
     }
     if unread > 0 {

@@ -267,6 +267,7 @@ fn export_code(view: &ExportView, output: &Output) -> u8 {
     let words = [
         (refused.tampered, "differ from what was anchored"),
         (refused.missing, "are missing from the vault"),
+        (refused.false_names, "have a false name, written by their signers"),
         (refused.unanchored, "are not confirmed by the chain now (--unanchored writes them too)"),
         (refused.no_key, "cannot be opened with this profile's keys"),
         (refused.held, "are quarantined or discarded"),
@@ -278,6 +279,9 @@ fn export_code(view: &ExportView, output: &Output) -> u8 {
     }
     if refused.tampered + refused.missing > 0 {
         return ErrorKind::Tampered.exit_code();
+    }
+    if refused.false_names > 0 {
+        return ErrorKind::Refused.exit_code();
     }
     let left = refused.unanchored + refused.no_key + refused.no_definition + refused.unsuitable;
     if left > 0 || view.file.is_none() { ErrorKind::Incomplete.exit_code() } else { 0 }

@@ -33,6 +33,7 @@ mod read_with_replaced_keys;
 mod readmit_oneself;
 mod rekey_the_fleet_with_a_stolen_signing_key;
 mod run_a_command_by_completion;
+mod rename_a_topic;
 mod run_a_copied_home;
 mod served;
 mod show_an_edited_time;

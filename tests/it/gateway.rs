@@ -9,7 +9,7 @@ use std::net::{TcpListener, TcpStream};
 use std::time::{Duration, Instant};
 
 use authros::chain::AnchorProof;
-use authros::crypto::{Anchor, Expected, SmKeyPair, notice_topic, open, signer_id, topic_id};
+use authros::crypto::{Anchor, Expected, Names, SmKeyPair, notice_topic, open, signer_id, topic_id};
 use authros::gateway::{
     Client, Code, Credentials, DeviceNotice, GatewayError, Query, Request, Selection, Standing, Upload,
 };
@@ -166,7 +166,7 @@ async fn read_all(session: &mut Client, owner: &Member, reader: &Member) -> Vec<
                 digest: entry.digest,
             };
             assert!(proof.inclusion.expect("batched").proves(&leaf));
-            let expected = Expected::any_of(owner.domain, owner.address());
+            let expected = Expected::any_of(owner.domain, owner.address(), Names::Derived(owner.index().clone()));
             let (_, key) = owner.topic(TOPIC);
             let signer = &fetched.signer;
             let anchor = Anchor::Chain(entry.digest);

@@ -60,6 +60,12 @@ pub enum CryptoError {
     /// A record that is intact but is not the one requested.
     #[error("the record is not the one asked for: its {0} differs; the vault may have swapped it")]
     NotAsked(&'static str),
+    /// A record that is as it was sealed, but whose signer wrote a name into it that belongs to another pseudonym.
+    #[error(
+        "the record is not shown: its signer wrote a false {0} into it, which does not belong to the pseudonym it is \
+         filed under; `authros uploads show` names the signer: if it is a device of yours, recall it"
+    )]
+    FalseName(&'static str),
     /// The topic key does not open the record.
     #[error("this key does not open the record; ask its owner for a grant of its epoch and topic")]
     WrongKey,
@@ -176,6 +182,7 @@ impl CryptoError {
             Self::BadSignature
             | Self::BadAccountSignature
             | Self::BadCiphertext
+            | Self::FalseName(_)
             | Self::WrongKey
             | Self::NotAccepted { .. }
             | Self::WrongPassphrase(_)

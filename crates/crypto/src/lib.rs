@@ -77,7 +77,7 @@ pub use passphrase::Passphrase;
 pub use provider::{Provider, ProviderName, provider};
 pub use random::random_bytes;
 pub use record::{
-    Anchor, Expected, OpenedRecord, SealRequest, SealedRecord, Unchecked, check, check_alone, check_deleted,
+    Anchor, Expected, Names, OpenedRecord, SealRequest, SealedRecord, Unchecked, check, check_alone, check_deleted,
     check_many, open, seal,
 };
 pub use robot_policy::{LONGEST_POLICY, SignedPolicy};

@@ -1,5 +1,6 @@
 //! Sealing and opening of records (docs/format.md, section 4). Opening checks in one fixed order and shows nothing
-//! before the last check: parse, digest, signature, commitment, tags, what was requested. Where blobs come from and
+//! before the last check: parse, digest, signature, commitment, tags, what was requested,
+//! names that belong to their pseudonyms. Where blobs come from and
 //! whether a signer may sign for an owner is decided elsewhere.
 
 use zeroize::{Zeroize as _, Zeroizing};
@@ -15,11 +16,13 @@ use super::kdf::{Info, derived};
 use super::{CryptoError, Provider, SmKeyPair, TopicKey, random_bytes, signer_id};
 
 mod many;
+mod naming;
 mod opening;
 mod reveal;
 mod steps;
 
 pub use many::{Checked, Unchecked, check_alone, check_many};
+pub use naming::Names;
 pub use opening::{Anchor, Expected, OpenedRecord, check, check_deleted, open, open_front, open_in_steps};
 pub use reveal::{RecordSecret, Revealed, open_revealed, open_revealed_within, reveal_bytes};
 pub use steps::Step;

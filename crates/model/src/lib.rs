@@ -63,5 +63,5 @@ pub use retention::{Keeping, RetentionReport, RetentionRule, RetentionRules};
 pub use robot_policy::PolicyReport;
 pub use span::{SpanError, positive_span, time_span};
 pub use state::{RecordState, Verdict};
-pub use topic::{TopicName, TypeName};
+pub use topic::{TopicName, TypeName, is_record_topic};
 pub use topic_rule::{TopicPattern, TopicRule, TopicRules};

@@ -22,6 +22,18 @@ pub enum NameError {
     Type(String),
 }
 
+/// Prefix of the names under which the program files its own statements.
+const STATEMENTS: &str = "authros/";
+
+/// Whether a record may be filed under this name: a topic's, or that of the program's own statements (`authros/…`).
+pub fn is_record_topic(name: &str) -> bool {
+    let is_word = |part: &str| !part.is_empty() && part.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_');
+    match name.strip_prefix(STATEMENTS) {
+        Some(rest) => name.len() <= LONGEST_NAME && rest.split('/').all(is_word),
+        None => name.parse::<TopicName>().is_ok(),
+    }
+}
+
 fn is_part(part: &str) -> bool {
     let mut bytes = part.bytes();
     bytes.next().is_some_and(|b| b.is_ascii_alphabetic() || b == b'_')
@@ -104,6 +116,16 @@ mod tests {
             assert!(bad.parse::<TopicName>().is_err(), "{bad}");
         }
         assert!(format!("/{}", "a".repeat(300)).parse::<TopicName>().is_err());
+    }
+
+    #[test]
+    fn records_are_filed_under_topics_and_statements() {
+        for good in ["/odom", "authros/audit", "authros/keys/00ff"] {
+            assert!(is_record_topic(good), "{good}");
+        }
+        for bad in ["", "authros", "authros/", "authros//a", "authros/a b", "authros/a\n", "other/a", "/a\nb"] {
+            assert!(!is_record_topic(bad), "{bad}");
+        }
     }
 
     #[test]

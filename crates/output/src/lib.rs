@@ -129,8 +129,9 @@ pub fn log_line(at: Timestamp, level: NoticeLevel, source: &str, text: &str) -> 
     spelt_out(&serde_json::to_string(&line).unwrap_or_default()).into_owned()
 }
 
-/// Columns of text, each as wide as its widest cell.
+/// Columns of text, each as wide as its widest cell. A cell stays on its line, whatever is in it.
 pub fn table(head: &[&str], rows: &[Vec<String>]) -> String {
+    let rows: Vec<Vec<String>> = rows.iter().map(|row| row.iter().map(|cell| clean(cell, WIDEST)).collect()).collect();
     let width = |column: usize| {
         let cells = rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count());
         cells.chain(head.get(column).map(|cell| cell.chars().count())).max().unwrap_or(0)
@@ -143,6 +144,13 @@ pub fn table(head: &[&str], rows: &[Vec<String>]) -> String {
     let mut lines = vec![line(head.to_vec())];
     lines.extend(rows.iter().map(|row| line(row.iter().map(String::as_str).collect())));
     lines.join("\n")
+}
+
+/// Names with their values, one pair a line. A value stays on its line, whatever is in it.
+pub fn pairs(rows: &[(&str, String)]) -> String {
+    let width = rows.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
+    let line = |(name, value): &(&str, String)| format!("{:width$}  {}", clean(name, WIDEST), clean(value, WIDEST));
+    rows.iter().map(line).collect::<Vec<_>>().join("\n")
 }
 
 #[cfg(test)]
@@ -164,6 +172,14 @@ mod tests {
         assert!(message.chars().all(|character| is_shown(character) || character == '\n'), "{message:?}");
         let whole = log_line(Timestamp(1_700_000_000_000_000_000), NoticeLevel::Info, "site", "t");
         assert!(whole.contains("22:13:20.000Z"), "{whole}");
+    }
+
+    #[test]
+    fn foreign_text_makes_no_line_of_its_own() {
+        let hostile = || "/odom\nverified  by everybody\u{2028}x\r".to_owned();
+        let rows = [("topic", hostile()), ("type", "a/B".to_owned())];
+        assert_eq!(pairs(&rows), "topic  /odom\u{fffd}verified  by everybody\u{fffd}x\u{fffd}\ntype   a/B");
+        assert_eq!(table(&["topic"], &[vec![hostile()], vec!["/b".to_owned()]]).lines().count(), 3);
     }
 
     #[test]

@@ -1,14 +1,18 @@
 //! Compares a ledger's row with its record. A row is a note for lists and workers; what was captured, when and by whom
 //! is what the signed header says, and the sealed head if there is a key for it here. A row that says anything else is
-//! shown with the record's own values, and never as verified.
+//! shown with the record's own values, and never as verified. Names in a head that do not belong to the pseudonyms in
+//! the header are nobody's values: they are not shown at all.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
 
 use crate::crypto::record::open_front;
-use crate::crypto::{CryptoError, IndexKey, OpenedRecord, TopicKey, filter_id, filter_key, topic_filter_id, topic_id};
+use crate::crypto::{
+    CryptoError, IndexKey, Names, OpenedRecord, TopicKey, filter_id, filter_key, topic_filter_id, topic_id,
+};
 use crate::model::bytes::hex;
 use crate::model::head::SIMULATED;
 use crate::model::header::TAG_LENGTH;
@@ -45,6 +49,17 @@ pub enum ShownState {
     Kept(RecordState),
     /// Verified, with a remark.
     Verified(Caveat),
+    /// Not shown as what its signer says it is.
+    Refused(Refusal),
+}
+
+/// Why a record is not shown as what its signer says it is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Refusal {
+    /// Its signer wrote a name into it that belongs to another pseudonym.
+    #[serde(rename = "false name")]
+    FalseName,
 }
 
 /// A remark on a verified record.
@@ -68,6 +83,7 @@ impl ShownState {
             Self::Verified(Caveat::Deleted) => "deleted",
             Self::Verified(Caveat::Unread) => "unread",
             Self::Verified(Caveat::NamesUnchecked) => "verified, names unchecked",
+            Self::Refused(Refusal::FalseName) => "false name",
         }
     }
 
@@ -75,7 +91,7 @@ impl ShownState {
     pub fn from_word(word: &str) -> Option<Self> {
         let kept = RecordState::ALL.into_iter().map(Self::Kept);
         let more = [Caveat::Deleted, Caveat::Unread, Caveat::NamesUnchecked].into_iter().map(Self::Verified);
-        kept.chain(more).find(|state| state.word() == word)
+        kept.chain(more).chain([Self::Refused(Refusal::FalseName)]).find(|state| state.word() == word)
     }
 }
 
@@ -88,19 +104,22 @@ pub struct Shown {
     pub compared: Compared,
     /// The field in which ledger and record differ.
     pub differs: Option<&'static str>,
+    /// What its signer wrote a false name of; the names in the row are then the ledger's own.
+    pub false_name: Option<&'static str>,
 }
 
 impl Shown {
     /// A row taken from the ledger alone.
     pub fn unread(row: RecordRow) -> Self {
-        Self { row, compared: Compared::Nothing, differs: None }
+        Self { row, compared: Compared::Nothing, differs: None, false_name: None }
     }
 
     /// The record's state: as in the ledger, but never verified if it was not compared, and with a remark if its names
-    /// were not.
+    /// were not, or false.
     pub fn state(&self) -> ShownState {
         match (self.differs, self.compared, self.row.state) {
             (Some(_), ..) => ShownState::Kept(RecordState::Tampered),
+            _ if self.false_name.is_some() => ShownState::Refused(Refusal::FalseName),
             _ if self.row.deleted_at.is_some() => ShownState::Verified(Caveat::Deleted),
             (None, Compared::Nothing, RecordState::Verified) => ShownState::Verified(Caveat::Unread),
             (None, Compared::Header, RecordState::Verified) => ShownState::Verified(Caveat::NamesUnchecked),
@@ -111,8 +130,9 @@ impl Shown {
 
 /// What may open the sealed head of a row's record.
 pub trait Keys {
-    /// The key of the topic and epoch that a header names, if it is here.
-    fn topic_key(&self, header: &Header) -> Option<TopicKey>;
+    /// The key of the topic and epoch that a header names, if it is here, and what the names in the head are compared
+    /// with.
+    fn opening(&self, header: &Header) -> Option<(TopicKey, Names)>;
     /// IK of the record's owner, if it is here.
     fn index_key(&self, row: &RecordRow) -> Option<IndexKey>;
 }
@@ -188,37 +208,61 @@ impl Comparison<'_> {
         };
         let here = self.plant.ledger.recorder();
         let (compared, sealed) = match &sight {
-            Sight::Nothing => return Ok(Shown { row, compared: Compared::Nothing, differs: place }),
-            Sight::Broken(what) => return Ok(Shown { row, compared: Compared::Nothing, differs: Some(what) }),
+            Sight::Nothing => return Ok(Shown { differs: place, ..Shown::unread(row) }),
+            Sight::Broken(what) => return Ok(Shown { differs: Some(what), ..Shown::unread(row) }),
+            Sight::FalseName(header, _) => (Compared::Head, self.name_difference(&row, header)),
             Sight::Head(opened) => (Compared::Head, head_difference(&row, &opened.1, here)),
             Sight::Header(header) => match self.keys.index_key(&row) {
                 Some(index) => (Compared::Names, name_difference(&row, header, &index)),
                 None => (Compared::Header, None),
             },
         };
-        let Some((header, head)) = sight.parts() else { return Ok(Shown { row, compared, differs: place }) };
+        let false_name = if let Sight::FalseName(_, what) = &sight { Some(*what) } else { None };
+        let Some((header, head)) = sight.parts() else { return Ok(Shown { differs: place, ..Shown::unread(row) }) };
         let found = self.filters.iter().all(|choice| choice.is_in(header.topic_id, &header.filters));
         let differs = header_difference(&row, header).or(sealed).or(place).or((!found).then_some("tags"));
         take_over(&mut row, header, head);
-        Ok(Shown { row, compared, differs })
+        Ok(Shown { row, compared, differs, false_name })
+    }
+
+    fn name_difference(&self, row: &RecordRow, header: &Header) -> Option<&'static str> {
+        self.keys.index_key(row).and_then(|index| name_difference(row, header, &index))
     }
 
     /// What the first bytes of a record say; `whole` if its head must be among them.
     fn look(&self, row: &RecordRow, front: &[u8], whole: bool) -> Sight {
         let Ok((header, length)) = Header::parse(front) else { return Sight::Broken("stored bytes") };
-        let end = length.saturating_add(usize::try_from(header.head_length).unwrap_or(usize::MAX));
-        let key = if whole { self.keys.topic_key(&header) } else { None };
-        let Some(key) = key else { return Sight::Header(Box::new(header)) };
-        let longer = if front.len() < end { self.fronts_of(row.digest, end) } else { None };
-        match open_front(self.plant.provider, longer.as_deref().unwrap_or(front), &key) {
+        let opening = if whole { self.keys.opening(&header) } else { None };
+        let Some((key, names)) = opening else { return Sight::Header(Box::new(header)) };
+        let front = with_head(self.plant, row.digest, front, &header, length);
+        match open_front(self.plant.provider, &front, &key, &names) {
             Ok((header, head)) => Sight::Head(self.heads.keep(row.digest, header, head)),
             Err(CryptoError::WrongKey) => Sight::Header(Box::new(header)),
+            Err(CryptoError::FalseName(what)) => Sight::FalseName(Box::new(header), what),
             Err(_) => Sight::Broken("stored bytes"),
         }
     }
+}
 
-    fn fronts_of(&self, digest: Digest, length: usize) -> Option<Vec<u8>> {
-        self.plant.vault.fronts(&[digest], length).ok()?.into_iter().next().flatten()
+/// The first bytes of a record including its sealed head, as far as the vault has them; `length` is the header's.
+fn with_head<'a>(plant: &Plant, digest: Digest, front: &'a [u8], header: &Header, length: usize) -> Cow<'a, [u8]> {
+    let end = length.saturating_add(usize::try_from(header.head_length).unwrap_or(usize::MAX));
+    if front.len() >= end {
+        return Cow::Borrowed(front);
+    }
+    let longer = plant.vault.fronts(&[digest], end).ok().and_then(|found| found.into_iter().next().flatten());
+    longer.map_or(Cow::Borrowed(front), Cow::Owned)
+}
+
+/// What the signer of a record wrote a false name of, as far as there is a key for its head here; `front` is its first
+/// bytes.
+pub(super) fn false_name(plant: &Plant, keys: &dyn Keys, digest: Digest, front: &[u8]) -> Option<&'static str> {
+    let (header, length) = Header::parse(front).ok()?;
+    let (key, names) = keys.opening(&header)?;
+    let front = with_head(plant, digest, front, &header, length);
+    match open_front(plant.provider, &front, &key, &names) {
+        Err(CryptoError::FalseName(what)) => Some(what),
+        _ => None,
     }
 }
 
@@ -227,6 +271,8 @@ enum Sight {
     Nothing,
     Broken(&'static str),
     Header(Box<Header>),
+    /// Its head opens, but names in it belong to other pseudonyms than the header's.
+    FalseName(Box<Header>, &'static str),
     Head(Arc<(Header, Head)>),
 }
 
@@ -234,7 +280,7 @@ impl Sight {
     fn parts(&self) -> Option<(&Header, Option<&Head>)> {
         match self {
             Self::Nothing | Self::Broken(_) => None,
-            Self::Header(header) => Some((header, None)),
+            Self::Header(header) | Self::FalseName(header, _) => Some((header, None)),
             Self::Head(opened) => Some((&opened.0, Some(&opened.1))),
         }
     }

@@ -186,7 +186,7 @@ async fn disclosed(
     if let Some(definition) = reader.definition_text(row, &opened).await? {
         gathered.packing.definition(&definition, plant.provider);
     }
-    let key = Keys::topic_key(reader, header).ok_or(crate::crypto::CryptoError::WrongKey)?;
+    let (key, _) = Keys::opening(reader, header).ok_or(crate::crypto::CryptoError::WrongKey)?;
     let secret = RecordSecret::of(&key, header);
     open_revealed(plant.provider, record, &secret)?;
     disclose(secret, (&network.domain, &row.digest), &reader.reader.signing(), plant.provider).map_err(refused)

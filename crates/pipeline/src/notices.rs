@@ -12,8 +12,8 @@ use tokio::sync::watch;
 use tokio::task::block_in_place;
 
 use crate::crypto::{
-    Anchor, Enrolment, Expected, Fingerprint, GatewayAccess, IssuedKeys, LastNotice, Notice, Provider, SealedEnrolment,
-    SignedPolicy, notice_topic, open,
+    Anchor, Enrolment, Expected, Fingerprint, GatewayAccess, IssuedKeys, LastNotice, Names, Notice, Provider,
+    SealedEnrolment, SignedPolicy, notice_topic, open,
 };
 use crate::gateway::{Client, Code, Entry, Fetched, GatewayError, Query, Selection};
 use crate::model::{Header, RecordKind, RecorderId, RingSpan, Signature, Timestamp, clean};
@@ -262,11 +262,9 @@ pub fn open_notice(
     blob: &[u8],
     signature: &Signature,
 ) -> Result<(Header, Notice), PipelineError> {
-    let expected = Expected {
-        topic_id: Some(enrolment.notice_id),
-        topic: Some(notice_topic(&enrolment.device_id())),
-        ..Expected::any_of(enrolment.domain, enrolment.owner)
-    };
+    let names = Names::Given(notice_topic(&enrolment.device_id()));
+    let expected =
+        Expected { topic_id: Some(enrolment.notice_id), ..Expected::any_of(enrolment.domain, enrolment.owner, names) };
     let (signer, key) = (&enrolment.owner_key, &enrolment.notice_key);
     let opened = open(provider, blob, signature, signer, Anchor::Unanchored, key, &expected)?;
     let body = zeroize::Zeroizing::new(opened.body);

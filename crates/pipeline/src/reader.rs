@@ -9,8 +9,8 @@ use std::sync::{Arc, PoisonError};
 use tokio::task::block_in_place;
 
 use crate::crypto::{
-    Anchor, CryptoError, Expected, GrantedKeys, IndexKey, OpenedRecord, TopicKey, WrappedKeys, check, check_deleted,
-    open, topic_key, unwrap,
+    Anchor, CryptoError, Expected, GrantedKeys, IndexKey, Names, OpenedRecord, TopicKey, WrappedKeys, check,
+    check_deleted, open, topic_key, unwrap,
 };
 use crate::model::{Address, Digest, GrantTerms, Header, RecordKind, RecordState, TopicId, Verdict};
 use crate::store::{KeptEnvelope, RecordQuery, RecordRow, Retained};
@@ -130,8 +130,8 @@ impl Reader<'_> {
     /// Checks and decrypts a record.
     ///
     /// # Errors
-    /// `NotGranted`; `CryptoError` of kind `Tampered` if a check fails, `Refused` if no key of this reader opens it; a
-    /// missing blob counts as tampering too.
+    /// `NotGranted`; `CryptoError` of kind `Tampered` if a check fails, `Refused` if no key of this reader opens it or
+    /// its signer wrote a false name into it; a missing blob counts as tampering too.
     pub async fn open(&self, row: &RecordRow) -> Result<OpenedRecord, PipelineError> {
         self.authorise(row)?;
         let Some(blob) = self.blob(row)? else {
@@ -152,7 +152,7 @@ impl Reader<'_> {
         let anchor = self.anchor(row).await?;
         let signer = block_in_place(|| authority::signer_of(self.plant, self.network, row))?;
         let signer = signer.map_err(|why| PipelineError::NoRight { id: row.id.clone(), why: Box::new(why) })?;
-        let key = block_in_place(|| self.topic_key(row))?;
+        let (key, names) = block_in_place(|| self.opening_of(row.owner, row.epoch, row.topic_id))?;
         let expected = Expected {
             domain: self.network.domain,
             owner: row.owner,
@@ -160,7 +160,7 @@ impl Reader<'_> {
             epoch: Some(row.epoch),
             seq: Some(row.seq),
             topic_id: Some(row.topic_id),
-            topic: row.is_named().then(|| row.topic.clone()),
+            names,
         };
         let opened = open(self.plant.provider, blob, &row.signature, &signer, anchor, &key, &expected)?;
         let differs = |field| PipelineError::RowDiffers { id: row.id.clone(), field };
@@ -187,19 +187,21 @@ impl Reader<'_> {
     /// # Errors
     /// `CryptoError::WrongKey` if no grant of this reader carries it.
     pub fn topic_key(&self, row: &RecordRow) -> Result<TopicKey, PipelineError> {
-        self.key_for(row.owner, row.epoch, row.topic_id)
+        Ok(self.opening_of(row.owner, row.epoch, row.topic_id)?.0)
     }
 
-    fn key_for(&self, owner: Address, epoch: u64, topic: TopicId) -> Result<TopicKey, PipelineError> {
+    /// The key of a topic in an epoch, and what the names of its records are compared with: IK for an owner and for
+    /// readers of all topics, otherwise the name that the owner gave with the key.
+    fn opening_of(&self, owner: Address, epoch: u64, topic: TopicId) -> Result<(TopicKey, Names), PipelineError> {
         if owner == self.reader.address {
             let epoch_key =
                 self.reader.epoch_key(self.network.domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))?;
-            return Ok(topic_key(&epoch_key, &topic));
+            return Ok((topic_key(&epoch_key, &topic), Names::Derived(self.reader.index())));
         }
         if let Ok(ReadingRight::Granted(grant)) = self.right(owner, None) {
             let envelopes = self.envelopes(&grant)?;
-            if let Some(key) = envelopes.iter().find_map(|wrapped| find_key(&wrapped.keys, epoch, topic)) {
-                return Ok(key);
+            if let Some(found) = envelopes.iter().find_map(|wrapped| find_opening(&wrapped.keys, epoch, topic)) {
+                return Ok(found);
             }
         }
         Err(CryptoError::WrongKey.into())
@@ -282,8 +284,8 @@ fn first_good<T>(mut results: impl Iterator<Item = Result<T, PipelineError>>) ->
 }
 
 impl columns::Keys for Reader<'_> {
-    fn topic_key(&self, header: &Header) -> Option<TopicKey> {
-        self.key_for(header.owner, header.epoch, header.topic_id).ok()
+    fn opening(&self, header: &Header) -> Option<(TopicKey, Names)> {
+        self.opening_of(header.owner, header.epoch, header.topic_id).ok()
     }
 
     fn index_key(&self, row: &RecordRow) -> Option<IndexKey> {
@@ -304,15 +306,15 @@ pub fn is_held(row: &RecordRow) -> bool {
     matches!(row.state, RecordState::Quarantined | RecordState::Dropped)
 }
 
-fn find_key(keys: &GrantedKeys, epoch: u64, topic: TopicId) -> Option<TopicKey> {
+fn find_opening(keys: &GrantedKeys, epoch: u64, topic: TopicId) -> Option<(TopicKey, Names)> {
     match keys {
-        GrantedKeys::All { epochs, .. } => {
+        GrantedKeys::All { epochs, index_key } => {
             let found = epochs.iter().find(|(number, _)| *number == epoch);
-            found.map(|(_, key)| topic_key(key, &topic))
+            found.map(|(_, key)| (topic_key(key, &topic), Names::Derived(index_key.clone())))
         }
         GrantedKeys::Topics { keys } => {
             let found = keys.iter().find(|(number, _, id, _)| (*number, *id) == (epoch, topic));
-            found.map(|(_, _, _, key)| key.clone())
+            found.map(|(_, name, _, key)| (key.clone(), Names::Given(name.clone())))
         }
     }
 }

@@ -12,14 +12,12 @@ mod scrub;
 mod sequences;
 mod stored;
 
-use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::time::Instant;
 
 use tokio::runtime::Handle;
 
-use crate::crypto::IndexKey;
 use crate::model::{Address, ErrorKind, Timestamp};
 use crate::store::{AuditLog, StoreError};
 
@@ -27,10 +25,11 @@ pub use report::{FindingKind, RecordAudit, RecordFinding};
 pub use scrub::{Scrubbed, scrub_round};
 
 use self::report::Tally;
+use super::columns::Keys;
 use super::{Network, Plant, audit_head};
 
 /// The scope of an audit.
-#[derive(Debug, Clone, Default)]
+#[derive(Clone)]
 pub struct Scope {
     /// Also every stored byte and every signature.
     pub deep: bool,
@@ -38,8 +37,8 @@ pub struct Scope {
     pub since: Timestamp,
     /// Accounts of the home's profiles.
     pub accounts: Vec<Address>,
-    /// IK of the profiles whose keyrings are open: names are compared by their pseudonyms.
-    pub indices: HashMap<Address, IndexKey>,
+    /// Keys of the profiles whose keyrings are open: names are compared by their pseudonyms.
+    pub keys: Arc<dyn Keys + Send + Sync>,
     /// Counts the records that were given to the threads, which take a few at a time.
     pub looked_at: Arc<AtomicU64>,
 }

@@ -16,7 +16,7 @@ use super::{Network, Observer, Owner, Plant, Sender, anchoring_accounts, proof, 
 use crate::chain::{Call, Chain, ChainOptions, Endpoint};
 use crate::crypto::sm3::sm3;
 use crate::crypto::{
-    Anchor, Expected, Keyring, Passphrase, ProviderName, UnlockedKeyring, open, prove, provider, signer_id,
+    Anchor, Expected, Keyring, Names, Passphrase, ProviderName, UnlockedKeyring, open, prove, provider, signer_id,
 };
 use crate::model::{
     AnchorMode, Digest, Domain, ProfileName, RecordKind, RecordState, Signature, Timestamp, Token, TopicId,
@@ -144,7 +144,7 @@ pub(super) fn body_of(
         epoch: Some(row.epoch),
         seq: Some(row.seq),
         topic_id: Some(row.topic_id),
-        topic: Some(row.topic.clone()),
+        names: Names::Given(row.topic.clone()),
     };
     let topic = keys.topic(&row.topic).expect("covered");
     let (signer, key) = (keys.signing.public, &topic.key);

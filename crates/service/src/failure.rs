@@ -5,7 +5,7 @@ use crate::chain::ChainError;
 use crate::config::ConfigError;
 use crate::crypto::CryptoError;
 use crate::gateway::GatewayError;
-use crate::model::{ErrorKind, clean_lines};
+use crate::model::{ErrorKind, clean};
 use crate::pipeline::PipelineError;
 use crate::ros::RosError;
 use crate::store::StoreError;
@@ -14,7 +14,7 @@ macro_rules! failure_from {
     ($($error:ty),*) => {$(
         impl From<$error> for Failure {
             fn from(error: $error) -> Self {
-                Self::new(error.kind(), clean_lines(&error.to_string(), 600))
+                Self::new(error.kind(), clean(&error.to_string(), 600))
             }
         }
     )*};
@@ -25,7 +25,7 @@ impl From<StoreError> for Failure {
     /// A refused command does not continue when there is space again: it has to be repeated.
     fn from(error: StoreError) -> Self {
         let again = if matches!(error, StoreError::DiskFull { .. }) { ", then do it again" } else { "" };
-        Self::new(error.kind(), clean_lines(&format!("{error}{again}"), 600))
+        Self::new(error.kind(), clean(&format!("{error}{again}"), 600))
     }
 }
 
@@ -33,7 +33,7 @@ impl From<PipelineError> for Failure {
     fn from(error: PipelineError) -> Self {
         match error {
             PipelineError::Store(error) => error.into(),
-            error => Self::new(error.kind(), clean_lines(&error.to_string(), 600)),
+            error => Self::new(error.kind(), clean(&error.to_string(), 600)),
         }
     }
 }

@@ -44,7 +44,7 @@ pub use self::recordings::{
 };
 pub use self::records::{
     Caveat, CheckView, ContractAnswer, EvidenceView, ExportedFile, OpenedView, Provenance, RecordPage, RecordView,
-    ShownState, StampView, StampedView,
+    Refusal, ShownState, StampView, StampedView,
 };
 pub use self::robots::{RingPullView, RobotRow, RobotTopicRow, RobotView};
 pub use self::site::{HealthLevel, LifeLine, PartHealth, QueueView, SiteView};

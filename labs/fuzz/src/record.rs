@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use authros::crypto::{
-    Anchor, EpochKey, Expected, GrantedKeys, IndexKey, SealRequest, SealedRecord, TopicKey, WrappedKeys, check, open,
-    record, seal, unwrap, wrap,
+    Anchor, EpochKey, Expected, GrantedKeys, IndexKey, Names, SealRequest, SealedRecord, TopicKey, WrappedKeys, check,
+    open, record, seal, unwrap, wrap,
 };
 use authros::gateway::{Command, Request, Upload};
 use authros::model::head::Compression;
@@ -18,6 +18,8 @@ use crate::cast::{CAST, DOMAIN, provider};
 use crate::{Sample, masked, sample, way};
 
 const WAYS: u8 = 7;
+/// The topic of the valid upload.
+const TOPIC: &str = "/robot1/odom";
 /// A valid upload and a valid envelope: salts and signatures differ each time, so they are stored.
 const UPLOAD: &[u8] = include_bytes!("../corpus/record/upload");
 const ENVELOPE: &[u8] = include_bytes!("../corpus/record/envelope");
@@ -45,8 +47,8 @@ fn topic_key() -> TopicKey {
     TopicKey::new([6; 32])
 }
 
-fn expected() -> Expected {
-    Expected::any_of(DOMAIN, CAST.address())
+fn expected(topic: &str) -> Expected {
+    Expected::any_of(DOMAIN, CAST.address(), Names::Given(topic.to_owned()))
 }
 
 /// Signature and blob: checked and opened only if they are the valid ones.
@@ -61,7 +63,7 @@ fn upload(body: &[u8]) -> bool {
     assert_eq!(checked.is_ok(), is_genuine, "took what nobody signed, or refused what was signed");
     let digest = Digest(provider().sm3(&[&genuine(UPLOAD)[Signature::LENGTH..]]));
     for (anchor, verdict) in [(Anchor::Unanchored, Verdict::Unanchored), (Anchor::Chain(digest), Verdict::Verified)] {
-        let opened = open(provider(), blob, &upload.signature, signer, anchor, &topic_key(), &expected());
+        let opened = open(provider(), blob, &upload.signature, signer, anchor, &topic_key(), &expected(TOPIC));
         assert_eq!(opened.is_ok(), is_genuine, "opened what nobody sealed");
         assert!(opened.is_err() || opened.is_ok_and(|opened| opened.verdict == verdict));
     }
@@ -74,7 +76,7 @@ fn signed_anew(mask: &[u8]) -> bool {
     let digest = Digest(provider().sm3(&[&blob]));
     let signature = provider().sign(&CAST.owner.secret, &record::signed_bytes(&DOMAIN, &digest)).expect("signs");
     let (signer, key) = (&CAST.owner.public, topic_key());
-    let opened = open(provider(), &blob, &signature, signer, Anchor::Chain(digest), &key, &expected());
+    let opened = open(provider(), &blob, &signature, signer, Anchor::Chain(digest), &key, &expected(TOPIC));
     assert_eq!(opened.is_ok(), !changed, "opened what was not sealed");
     !changed
 }
@@ -93,12 +95,14 @@ fn sealed(bytes: &[u8]) -> bool {
     let with = |key: &TopicKey, expected: &Expected| {
         open(provider(), &record.blob, &record.signature, signer, anchor, key, expected)
     };
-    let opened = with(&topic_key(), &expected()).expect("the very record");
+    let opened = with(&topic_key(), &expected(&head.topic)).expect("the very record");
     assert_eq!((opened.verdict, &opened.head, &opened.body[..]), (Verdict::Verified, &head, body));
     assert_eq!(opened.header.encode(), record.blob[..opened.header.encode().len()]);
-    assert!(with(&TopicKey::new([7; 32]), &expected()).is_err(), "under another key");
-    let other = Expected { seq: Some(opened.header.seq ^ 1), ..expected() };
+    assert!(with(&TopicKey::new([7; 32]), &expected(&head.topic)).is_err(), "under another key");
+    let other = Expected { seq: Some(opened.header.seq ^ 1), ..expected(&head.topic) };
     assert!(with(&topic_key(), &other).is_err(), "as another number");
+    let other = expected(&format!("{}x", head.topic));
+    assert!(with(&topic_key(), &other).is_err(), "under another name");
     true
 }
 
@@ -165,7 +169,7 @@ pub fn samples() -> Vec<Sample> {
         &2u64.to_be_bytes(),
         &3u64.to_be_bytes(),
         &[0, 2],
-        &text("/robot1/odom"),
+        &text(TOPIC),
         &text("mission"),
         &text("survey"),
         b"the message",

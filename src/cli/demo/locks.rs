@@ -1,6 +1,8 @@
 //! Each check of the opening order proved on its own: a forgery that only this check can refuse.
 
-use crate::crypto::{Anchor, CryptoError, Expected, Provider, SealRequest, SmKeyPair, TopicKey, open, record, seal};
+use crate::crypto::{
+    Anchor, CryptoError, Expected, Names, Provider, SealRequest, SmKeyPair, TopicKey, open, record, seal,
+};
 use crate::model::head::Compression;
 use crate::model::{Digest, Head, Signature};
 use crate::pipeline::reader::Reader;
@@ -26,7 +28,7 @@ impl Genuine {
         let missing = || crate::pipeline::PipelineError::Missing(row.id.clone());
         let blob = plant.vault.get(row.digest)?.ok_or_else(missing)?;
         let key = Reader { plant, network, reader: owner }.topic_key(&row)?;
-        let expected = Expected::any_of(network.domain, owner.address);
+        let expected = Expected::any_of(network.domain, owner.address, Names::Derived(owner.index()));
         Ok(Self { blob, key, pair: owner.signing(), expected, row })
     }
 

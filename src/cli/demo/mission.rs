@@ -9,7 +9,7 @@ use super::listener::Listener;
 use super::locks::{self, Genuine};
 use super::{Robots, Story, Work};
 use crate::cli::connect::{Context, ProfileNeed};
-use crate::crypto::{Anchor, EpochKey, Expected, GrantedKeys, open, topic_key};
+use crate::crypto::{Anchor, EpochKey, Expected, GrantedKeys, Names, open, topic_key};
 use crate::model::head::SIMULATED;
 use crate::model::{Address, ErrorKind, ProfileName, Timestamp, TopicName, Verdict};
 use crate::pipeline::reader::Reader;
@@ -349,7 +349,8 @@ impl Mission {
         for row in rows {
             let asked = self.cura_b.client.ask(OpenShared { id: row.id.clone() }).await.is_ok();
             let blob = block_in_place(|| self.site.plant.vault.get(row.digest))?.ok_or_else(gone)?;
-            let expected = Expected::any_of(self.network.domain, self.cura_a.address);
+            let names = Names::Derived(self.cura_a.owner.index());
+            let expected = Expected::any_of(self.network.domain, self.cura_a.address, names);
             let signer = self.cura_a.owner.signing();
             let by_key = kept.iter().any(|(_, key)| {
                 let key = topic_key(key, &row.topic_id);

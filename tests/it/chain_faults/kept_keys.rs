@@ -3,8 +3,8 @@
 
 use authros::chain::{Chain, ChainOptions, Endpoint, Event, EventAt, Pin};
 use authros::crypto::{
-    Anchor, EpochKey, Expected, GrantedKeys, Keyring, Passphrase, Provider, ProviderName, domain, open, provider,
-    topic_key, unwrap,
+    Anchor, EpochKey, Expected, GrantedKeys, Keyring, Names, Passphrase, Provider, ProviderName, domain, open,
+    provider, topic_key, unwrap,
 };
 use authros::model::{Domain, GrantTerms, Identity, ProfileName, RecordKind, Timestamp};
 use authros::store::{Ledger, RecordQuery, RecordRow, Vault, open_vault};
@@ -139,7 +139,7 @@ impl Kept {
 
     fn opens(&self, row: &RecordRow) -> bool {
         let blob = self.vault.get(row.digest).expect("the vault answers").expect("it is there");
-        let expected = Expected::any_of(self.domain, row.owner);
+        let expected = Expected::any_of(self.domain, row.owner, Names::Given(TOPIC.to_owned()));
         let anchor = Anchor::Chain(row.digest);
         self.keys.iter().any(|key| {
             let key = topic_key(key, &row.topic_id);

@@ -177,7 +177,10 @@ fn refresh_provenance(state: &mut State) -> Vec<Effect> {
 
 /// Whether a record is in its final state.
 pub fn is_settled(state: ShownState) -> bool {
-    matches!(state, ShownState::Kept(RecordState::Verified) | ShownState::Verified(Caveat::NamesUnchecked))
+    matches!(
+        state,
+        ShownState::Kept(RecordState::Verified) | ShownState::Verified(Caveat::NamesUnchecked) | ShownState::Refused(_)
+    )
 }
 
 fn resize(state: &mut State, columns: u16, rows: u16) {

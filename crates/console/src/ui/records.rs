@@ -187,7 +187,7 @@ fn short_state(state: &str) -> &str {
 pub fn state_role(state: ShownState) -> Role {
     match state {
         ShownState::Kept(RecordState::Verified) | ShownState::Verified(Caveat::NamesUnchecked) => Role::Good,
-        ShownState::Kept(RecordState::Tampered) => Role::Bad,
+        ShownState::Kept(RecordState::Tampered) | ShownState::Refused(_) => Role::Bad,
         ShownState::Kept(RecordState::Quarantined | RecordState::Dropped | RecordState::RightEnded) => Role::Warning,
         ShownState::Kept(_) | ShownState::Verified(Caveat::Deleted | Caveat::Unread) => Role::Accent,
     }

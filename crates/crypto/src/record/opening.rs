@@ -9,7 +9,7 @@ use crate::model::head::Compression;
 use crate::model::wire::WireError;
 use crate::model::{Address, Digest, Domain, Head, Header, PublicKey, RecorderId, Signature, TopicId, Verdict};
 
-use super::{RecordKeys, Step, is_length, signed_bytes};
+use super::{Names, RecordKeys, Step, is_length, signed_bytes};
 
 /// What was requested; a record that differs is not shown.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -26,14 +26,14 @@ pub struct Expected {
     pub seq: Option<u64>,
     /// The topic's pseudonym, if requested.
     pub topic_id: Option<TopicId>,
-    /// The topic's name, compared with the sealed head, if known.
-    pub topic: Option<String>,
+    /// What the names in the sealed head are compared with.
+    pub names: Names,
 }
 
 impl Expected {
-    /// Any record of `owner`.
-    pub fn any_of(domain: Domain, owner: Address) -> Self {
-        Self { domain, owner, recorder: None, epoch: None, seq: None, topic_id: None, topic: None }
+    /// Any record of `owner` whose names pass.
+    pub fn any_of(domain: Domain, owner: Address, names: Names) -> Self {
+        Self { domain, owner, recorder: None, epoch: None, seq: None, topic_id: None, names }
     }
 }
 
@@ -153,8 +153,8 @@ pub(super) fn checked<'a>(
 /// Checks and opens a record; no plaintext is returned unless every check passed.
 ///
 /// # Errors
-/// [`CryptoError::DamagedRecord`], [`CryptoError::Tampered`], [`CryptoError::WrongKey`] or
-/// [`CryptoError::NotAsked`], from the first check that failed.
+/// [`CryptoError::DamagedRecord`], [`CryptoError::Tampered`], [`CryptoError::WrongKey`],
+/// [`CryptoError::NotAsked`] or [`CryptoError::FalseName`], from the first check that failed.
 pub fn open(
     provider: &dyn Provider,
     blob: &[u8],
@@ -188,7 +188,8 @@ pub fn open_in_steps(
     }
     done(Step::Keys);
     let (head, body) = unseal(provider, &keys, &parts, done)?;
-    compare(expected, &parts.header, &head)?;
+    compare(expected, &parts.header)?;
+    expected.names.check(&parts.header, &head)?;
     done(Step::Fields);
     let body = restore(&head, body)?;
     done(Step::Restore);
@@ -241,8 +242,13 @@ pub(super) fn open_by_keys(
 /// the holder of the topic key wrote them. Body, digest and signature are not checked.
 ///
 /// # Errors
-/// [`CryptoError::DamagedRecord`], [`CryptoError::WrongKey`] or [`CryptoError::Tampered`].
-pub fn open_front(provider: &dyn Provider, front: &[u8], topic_key: &TopicKey) -> Result<(Header, Head), CryptoError> {
+/// [`CryptoError::DamagedRecord`], [`CryptoError::WrongKey`], [`CryptoError::Tampered`] or [`CryptoError::FalseName`].
+pub fn open_front(
+    provider: &dyn Provider,
+    front: &[u8],
+    topic_key: &TopicKey,
+    names: &Names,
+) -> Result<(Header, Head), CryptoError> {
     let (header, length) = Header::parse(front).map_err(CryptoError::DamagedRecord)?;
     let short = || CryptoError::DamagedRecord(WireError::Short("sealed head"));
     let (prefix, rest) = front.split_at_checked(length).ok_or_else(short)?;
@@ -254,7 +260,9 @@ pub fn open_front(provider: &dyn Provider, front: &[u8], topic_key: &TopicKey) -
     let head = provider
         .gcm_open(&keys.head_key, &keys.head_nonce, prefix, sealed)
         .map_err(|_| CryptoError::Tampered("sealed head"))?;
-    Ok((header, Head::parse(&head).map_err(CryptoError::DamagedRecord)?))
+    let head = Head::parse(&head).map_err(CryptoError::DamagedRecord)?;
+    names.check(&header, &head)?;
+    Ok((header, head))
 }
 
 /// The message as it was captured; the head's plain length bounds the decompression.
@@ -267,7 +275,7 @@ fn restore(head: &Head, body: Vec<u8>) -> Result<Vec<u8>, CryptoError> {
     unpack(head.compression, &packed, length).map_err(CryptoError::DamagedRecord)
 }
 
-fn compare(expected: &Expected, header: &Header, head: &Head) -> Result<(), CryptoError> {
+fn compare(expected: &Expected, header: &Header) -> Result<(), CryptoError> {
     let differs = |wanted: Option<u64>, found| wanted.is_some_and(|wanted| wanted != found);
     let fields = [
         ("domain", expected.domain != header.domain),
@@ -276,7 +284,6 @@ fn compare(expected: &Expected, header: &Header, head: &Head) -> Result<(), Cryp
         ("recorder", expected.recorder.is_some_and(|wanted| wanted != header.recorder)),
         ("seq", differs(expected.seq, header.seq)),
         ("topic id", expected.topic_id.is_some_and(|wanted| wanted != header.topic_id)),
-        ("topic", expected.topic.as_ref().is_some_and(|wanted| *wanted != head.topic)),
     ];
     fields.into_iter().find(|(_, differs)| *differs).map_or(Ok(()), |(name, _)| Err(CryptoError::NotAsked(name)))
 }

@@ -64,7 +64,7 @@ impl Sample {
             epoch: Some(3),
             seq: Some(9),
             topic_id: Some(TopicId([8; 16])),
-            topic: Some("/robot1/odom".into()),
+            names: Names::Given("/robot1/odom".into()),
         }
     }
 
@@ -161,7 +161,9 @@ fn another_record_than_the_one_asked_for_is_not_shown() {
         open(sample.provider, &record.blob, &record.signature, public, anchor, &sample.key, &expected)
     };
     let base = Sample::expected;
-    assert!(asked(Expected::any_of(Domain([1; 32]), Address([2; 20]))).is_ok());
+    assert!(asked(Expected::any_of(Domain([1; 32]), Address([2; 20]), base().names)).is_ok());
+    let other = Expected { names: Names::Given("/robot2/odom".into()), ..base() };
+    assert!(matches!(asked(other), Err(CryptoError::FalseName("topic"))));
     for (expected, field) in [
         (Expected { domain: Domain([0; 32]), ..base() }, "domain"),
         (Expected { owner: Address([0; 20]), ..base() }, "owner"),
@@ -169,7 +171,6 @@ fn another_record_than_the_one_asked_for_is_not_shown() {
         (Expected { recorder: Some(RecorderId([0; 16])), ..base() }, "recorder"),
         (Expected { seq: Some(10), ..base() }, "seq"),
         (Expected { topic_id: Some(TopicId([0; 16])), ..base() }, "topic id"),
-        (Expected { topic: Some("/robot2/odom".into()), ..base() }, "topic"),
     ] {
         assert!(matches!(asked(expected), Err(CryptoError::NotAsked(found)) if found == field), "{field}");
     }

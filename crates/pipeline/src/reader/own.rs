@@ -3,7 +3,7 @@
 
 use super::{MOST_DEFINITIONS, Reader};
 use crate::crypto::sm3::sm3;
-use crate::crypto::{Anchor, Expected, OpenedRecord, open, signer_id};
+use crate::crypto::{Anchor, Expected, Names, OpenedRecord, open, signer_id};
 use crate::model::{PublicKey, RecordKind, SignerId};
 use crate::pipeline::PipelineError;
 use crate::store::{RecordQuery, RecordRow};
@@ -28,7 +28,8 @@ impl Reader<'_> {
         }
     }
 
-    /// Opens an own record with the key that signed it, of the owner or of a device; `None` if it does not open.
+    /// Opens an own record with the key that signed it, of the owner or of a device; `None` if it does not open, or
+    /// if its signer wrote a false name into it.
     ///
     /// # Errors
     /// Errors of the ledger.
@@ -37,7 +38,8 @@ impl Reader<'_> {
             return Ok(None);
         };
         let Ok(key) = self.topic_key(row) else { return Ok(None) };
-        let expected = Expected::any_of(self.network.domain, row.owner);
+        let names = Names::Derived(self.reader.index());
+        let expected = Expected::any_of(self.network.domain, row.owner, names);
         Ok(open(self.plant.provider, blob, &row.signature, &signer, Anchor::Unanchored, &key, &expected).ok())
     }
 

@@ -1,7 +1,6 @@
 //! Records: each row against its path, its batch and the chain; `deep` also against the stored bytes (`stored`). One
 //! thread reads pages, and one thread per core checks them.
 
-use std::collections::HashMap;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Mutex, PoisonError};
@@ -15,8 +14,8 @@ use super::stored::{look_at_headers, look_deep};
 use super::{Network, Plant, Scope};
 use crate::chain::ChainError;
 use crate::chain::merkle::root_of;
-use crate::crypto::IndexKey;
-use crate::model::{Address, Digest, RecordState};
+use crate::model::{Digest, RecordState};
+use crate::pipeline::columns::Keys;
 use crate::store::{AuditedRecord, StoreError};
 
 /// Rows per page.
@@ -39,7 +38,7 @@ pub(super) struct Bench<'a> {
     /// Whether the vault can be asked for headers.
     pub headers: bool,
     /// The keys for comparing names.
-    pub indices: Option<&'a HashMap<Address, IndexKey>>,
+    pub keys: Option<&'a (dyn Keys + Send + Sync)>,
 }
 
 /// Where the chain has a record that was uploaded individually.
@@ -65,7 +64,7 @@ pub(super) fn compare(
     tally: &mut Tally,
 ) -> Result<Reading, StoreError> {
     let headers = scope.deep || vault_answers(plant, tally)?;
-    let bench = Bench { plant, network, blind, deep: scope.deep, headers, indices: Some(&scope.indices) };
+    let bench = Bench { plant, network, blind, deep: scope.deep, headers, keys: Some(&*scope.keys) };
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS);
     let begun = Instant::now();
     let (pieces, waiting) = sync_channel::<Vec<Looked>>(threads);

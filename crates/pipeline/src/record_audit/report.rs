@@ -17,6 +17,8 @@ pub enum FindingKind {
     Tampered,
     /// Something required is missing.
     Missing,
+    /// A record is as it was sealed, but its signer wrote a name into it that belongs to another pseudonym.
+    FalseName,
     /// Sequence numbers of a topic are missing.
     Gap,
     /// A peer could not be queried.
@@ -29,6 +31,7 @@ impl FindingKind {
         match self {
             Self::Tampered => "tampered",
             Self::Missing => "missing",
+            Self::FalseName => "false name",
             Self::Gap => "gap",
             Self::Unreachable => "unreachable",
         }
@@ -61,6 +64,8 @@ pub struct RecordAudit {
     pub missing: u64,
     /// Items that differ from what was written, anchored or signed.
     pub tampered: u64,
+    /// Records whose signers wrote false names into them; everything else about them is as it was sealed.
+    pub false_names: u64,
     /// Missing sequence numbers.
     pub gaps: u64,
     /// Batches compared.
@@ -97,6 +102,8 @@ impl RecordAudit {
     pub fn worst(&self) -> Option<ErrorKind> {
         if self.tampered + self.missing + self.gaps > 0 {
             Some(ErrorKind::Tampered)
+        } else if self.false_names > 0 {
+            Some(ErrorKind::Refused)
         } else if self.ok {
             None
         } else {
@@ -126,6 +133,7 @@ pub(super) struct Tally {
     pub last: u64,
     tampered: u64,
     missing: u64,
+    false_names: u64,
     found: u64,
     findings: Vec<RecordFinding>,
     notes: Vec<String>,
@@ -144,6 +152,7 @@ impl Tally {
         match kind {
             FindingKind::Tampered => self.tampered += 1,
             FindingKind::Missing => self.missing += 1,
+            FindingKind::FalseName => self.false_names += 1,
             FindingKind::Gap | FindingKind::Unreachable => {}
         }
         self.found += 1;
@@ -172,6 +181,7 @@ impl Tally {
         self.last = self.last.max(other.last);
         self.tampered += other.tampered;
         self.missing += other.missing;
+        self.false_names += other.false_names;
         self.found += other.found;
         let room = MOST_TOLD.saturating_sub(self.findings.len());
         self.findings.extend(other.findings.into_iter().take(room));
@@ -198,6 +208,7 @@ impl Tally {
             bytes: self.bytes,
             missing: self.missing,
             tampered: self.tampered,
+            false_names: self.false_names,
             gaps: self.gaps,
             batches: self.batches,
             audit_lines: self.lines,
@@ -234,6 +245,10 @@ mod tests {
         assert_eq!((report.missing, report.tampered, report.ok), (80, 80, false));
         assert_eq!(report.worst(), Some(ErrorKind::Tampered));
         assert!(report.findings.iter().all(|finding| !finding.text.contains('\u{202e}')));
+        let mut misnamed = Tally::default();
+        misnamed.find(FindingKind::FalseName, "record 1", "a false topic");
+        let report = misnamed.report(false, 1.0, Reading { seconds: 1.0, threads: 1 }, 1.0);
+        assert_eq!((report.ok, report.tampered, report.worst()), (false, 0, Some(ErrorKind::Refused)));
         let mut silent = Tally::default();
         silent.find(FindingKind::Unreachable, "chain", "no answer");
         let report = silent.report(false, 1.0, Reading { seconds: 1.0, threads: 1 }, 1.0);

@@ -53,7 +53,7 @@ fn scrub(
     let digest = record.row.digest;
     let mut tally = Tally::default();
     look(
-        Bench { plant, network: Some(network), blind: false, deep: true, headers: true, indices: None },
+        Bench { plant, network: Some(network), blind: false, deep: true, headers: true, keys: None },
         &[(record, Uploaded::NotAsked)],
         &mut tally,
     )?;

@@ -41,7 +41,7 @@ pub(super) fn look_deep(bench: Bench<'_>, piece: &[Looked], tally: &mut Tally) -
         tally.bytes += u64::try_from(blob.len()).unwrap_or(0);
         let checked = if signer.is_some() { checked.next() } else { None };
         if let Ok((header, _)) = Header::parse(blob) {
-            compare_names(bench, &record.row, &header, tally);
+            compare_names(bench, &record.row, &header, blob, tally);
             compare_tags(bench, record, &header, tally)?;
         }
         match bytes_fault(bench, record, blob, checked) {
@@ -159,7 +159,7 @@ pub(super) fn look_at_headers(bench: Bench<'_>, piece: &[Looked], tally: &mut Ta
             continue;
         };
         match Header::parse(&front) {
-            Ok((header, _)) => compare(bench, record, &header, tally)?,
+            Ok((header, _)) => compare(bench, record, &header, &front, tally)?,
             Err(error) => {
                 tally.find(FindingKind::Tampered, &subject(record), &format!("its stored bytes were altered: {error}"));
             }
@@ -168,25 +168,44 @@ pub(super) fn look_at_headers(bench: Bench<'_>, piece: &[Looked], tally: &mut Ta
     Ok(())
 }
 
-/// Compares a row and the index of tags with the header.
-fn compare(bench: Bench<'_>, record: &AuditedRecord, header: &Header, tally: &mut Tally) -> Result<(), StoreError> {
+/// Compares a row and the index of tags with the header, and this with the sealed names.
+fn compare(
+    bench: Bench<'_>,
+    record: &AuditedRecord,
+    header: &Header,
+    front: &[u8],
+    tally: &mut Tally,
+) -> Result<(), StoreError> {
     if let Some(field) = header_fault(bench, &record.row, header) {
         tally.find(FindingKind::Tampered, &subject(record), &format!("its row and its header differ in their {field}"));
     }
-    compare_names(bench, &record.row, header, tally);
+    compare_names(bench, &record.row, header, front, tally);
     compare_tags(bench, record, header, tally)
 }
 
-/// Compares the names in a row with their pseudonyms in the header, if these can be computed.
-fn compare_names(bench: Bench<'_>, row: &RecordRow, header: &Header, tally: &mut Tally) {
-    let Some(indices) = bench.indices else { return };
-    match indices.get(&row.owner).map(|index| columns::name_difference(row, header, index)) {
-        None => tally.unnamed += 1,
-        Some(None) => {}
-        Some(Some(field)) => {
-            let subject = format!("record {} (number {})", row.id, row.seq);
-            tally.find(FindingKind::Tampered, &subject, &format!("its row and its header differ in their {field}"));
-        }
+/// Compares the names in a row, and those in the sealed head, with their pseudonyms in the header, if these can be
+/// computed; `front` is the record's first bytes.
+fn compare_names(bench: Bench<'_>, row: &RecordRow, header: &Header, front: &[u8], tally: &mut Tally) {
+    let Some(keys) = bench.keys else { return };
+    let Some(index) = keys.index_key(row) else {
+        tally.unnamed += 1;
+        return;
+    };
+    let subject = || format!("record {} (number {})", row.id, row.seq);
+    if let Some(field) = columns::name_difference(row, header, &index) {
+        tally.find(FindingKind::Tampered, &subject(), &format!("its row and its header differ in their {field}"));
+    }
+    // What this ledger sealed has the names that it was captured under.
+    if row.recorder == bench.plant.ledger.recorder() {
+        return;
+    }
+    if let Some(what) = columns::false_name(bench.plant, keys, row.digest, front) {
+        let text = format!(
+            "signer {} wrote a false {what} into it, which does not belong to the pseudonym it is filed under; it is \
+             not shown, and no other record is affected; if that is a device of yours, recall it",
+            row.signer
+        );
+        tally.find(FindingKind::FalseName, &subject(), &text);
     }
 }
 

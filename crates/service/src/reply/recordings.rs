@@ -82,6 +82,8 @@ pub struct Refused {
     pub missing: u64,
     /// Not confirmed on the chain.
     pub unanchored: u64,
+    /// Their signers wrote names into them that belong to other pseudonyms.
+    pub false_names: u64,
     /// No key of this profile opens them.
     pub no_key: u64,
     /// Own records in quarantine, or given up.
@@ -105,7 +107,7 @@ pub struct ExportView {
     pub bytes: u64,
     /// Records not written.
     pub refused: Refused,
-    /// Ids of the tampered or missing ones; the first 100.
+    /// Ids of those tampered with, missing, or with false names; the first 100.
     pub suspicious: Vec<String>,
     /// Per topic.
     pub topics: Vec<ExportedTopic>,

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::model::{Address, Digest, Hash, RecordKind, Timestamp, Verdict, base64_text};
-pub use crate::pipeline::columns::{Caveat, Compared, ShownState};
+pub use crate::pipeline::columns::{Caveat, Compared, Refusal, ShownState};
 use crate::ros::readable::Readable;
 
 /// One record in a list.
@@ -27,7 +27,8 @@ pub struct RecordView {
     /// Kind of record.
     pub kind: RecordKind,
     /// State; `unread` for a verified one whose bytes are not here for comparison, `verified, names unchecked` if only
-    /// the ledger vouches for the sealed names, for want of a key.
+    /// the ledger vouches for the sealed names, for want of a key; `false name` if its signer wrote a name into it that
+    /// belongs to another pseudonym: then topic and type are what the ledger knows of its pseudonyms.
     pub state: ShownState,
     /// SM3 of the stored bytes.
     pub digest: Digest,

@@ -147,7 +147,8 @@ impl Ledger {
         })
     }
 
-    /// Stores the meaning of a pseudonym (lower-case hex of a topic id, or of a type's filter id).
+    /// Stores the meaning of a pseudonym (lower-case hex of a topic id, or of a type's filter id); the caller must have
+    /// derived one from the other.
     ///
     /// # Errors
     /// [`StoreError::DiskFull`] and the like.
@@ -192,23 +193,30 @@ impl Ledger {
         })
     }
 
-    /// One record of each of an owner's streams whose topic or type is known only by its pseudonym.
+    /// Up to `most` records of each of an owner's streams whose topic or type is known only by its pseudonym.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn unnamed(&self, owner: Address) -> Result<Vec<Digest>, StoreError> {
+    pub fn unnamed(&self, owner: Address, most: usize) -> Result<Vec<Vec<Digest>>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
-                "SELECT (SELECT digest FROM counters c JOIN records r ON r.state = c.state AND r.stream = c.stream
-                     WHERE c.stream = s.key AND c.records > 0 LIMIT 1)
-                 FROM streams s JOIN topics t ON t.key = s.topic
+                "SELECT s.key FROM streams s JOIN topics t ON t.key = s.topic
                  WHERE t.owner = ?1 AND t.name = ''
                  AND NOT EXISTS (SELECT 1 FROM names WHERE names.owner = ?1 AND id = lower(hex(t.topic_id))
                      AND (s.type_name = ''
                          OR EXISTS (SELECT 1 FROM names type WHERE type.owner = ?1 AND type.id = s.type_name)))",
             )?;
-            let rows = statement.query_map([owner.0], |row| row.get::<_, Option<_>>(0))?;
-            Ok(rows.filter_map(Result::transpose).map(|digest| digest.map(Digest)).collect::<Result<_, _>>()?)
+            let streams: Vec<i64> = statement.query_map([owner.0], |row| row.get(0))?.collect::<Result<_, _>>()?;
+            let mut records = connection.prepare_cached(
+                "SELECT digest FROM counters c JOIN records r ON r.state = c.state AND r.stream = c.stream
+                 WHERE c.stream = ?1 AND c.records > 0 LIMIT ?2",
+            )?;
+            let most = i64::try_from(most).unwrap_or(i64::MAX);
+            let of = |stream: i64| {
+                let rows = records.query_map(params![stream, most], |row| row.get(0).map(Digest))?;
+                Ok(rows.collect::<Result<_, _>>()?)
+            };
+            streams.into_iter().map(of).collect()
         })
     }
 }

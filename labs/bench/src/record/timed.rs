@@ -7,7 +7,7 @@ use crate::account::{head, message};
 use authros_chain::merkle::{Inclusion, Leaf, Tree};
 use authros_crypto::compression::pack;
 use authros_crypto::record::{open_in_steps, seal_in_steps};
-use authros_crypto::{Anchor, Expected, Provider, SealRequest, SealedRecord, SmKeyPair, TopicKey};
+use authros_crypto::{Anchor, Expected, Names, Provider, SealRequest, SealedRecord, SmKeyPair, TopicKey};
 use authros_model::{Address, Domain, FilterId, Head, RecordKind, RecorderId, Timestamp, TopicId};
 use authros_service::Failure;
 use authros_service::failure::internal;
@@ -97,7 +97,8 @@ impl Kit {
         let leaf = Leaf { owner: OWNER, recorder: RECORDER, topic_id: TOPIC, seq: 1, digest: sealed.digest };
         let inclusion = inclusion(&leaf)?;
         let SealedRecord { blob, digest, signature, .. } = sealed;
-        let (record, expected) = ((&blob[..], signature, &self.signer.public), Expected::any_of(DOMAIN, OWNER));
+        let names = Names::Given(self.head.topic.clone());
+        let (record, expected) = ((&blob[..], signature, &self.signer.public), Expected::any_of(DOMAIN, OWNER, names));
         let mut clock = Clock::start();
         let proven = black_box(inclusion.proves(black_box(&leaf)));
         clock.done("proof");

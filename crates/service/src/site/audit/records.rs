@@ -12,6 +12,7 @@ use crate::pipeline::record_audit::{self, RecordAudit, Scope, scrub_round};
 use crate::service::event::NoticeLevel;
 use crate::service::reply::Failure;
 use crate::site::blocking;
+use crate::site::reading::view::OwnKeys;
 
 /// How often the scrubber does its share.
 const SHARE_EVERY: Duration = Duration::from_secs(5);
@@ -31,11 +32,11 @@ impl Audit {
         let runtime = Handle::current();
         let running = self.runs.begin_counted(profile, "this home", "auditing", "records");
         blocking(self, move |audit| {
-            let indices = audit.owners.all().into_iter().map(|owner| (owner.address, owner.index())).collect();
+            let keys = Arc::new(OwnKeys::of(&audit.owners));
             // How many are younger is known when they are read.
             running.run.expect(if since.is_none() { audit.plant.ledger.size()? } else { 0 });
             let (since, looked_at) = (since.unwrap_or_default(), running.run.counter());
-            let scope = Scope { deep, since, accounts: audit.owners.accounts(), indices, looked_at };
+            let scope = Scope { deep, since, accounts: audit.owners.accounts(), keys, looked_at };
             let chain = network.as_ref().map(|network| network.as_ref().map_err(|failure| failure.message.clone()));
             Ok(record_audit::audit(&audit.plant, chain, audit.log.lines(), &scope, &runtime)?)
         })

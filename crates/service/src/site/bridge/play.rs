@@ -366,6 +366,9 @@ impl<'a> Play<'a> {
                 self.missing += 1;
                 Ok(Taken::Done)
             }
+            (PipelineError::Crypto(CryptoError::FalseName(what)), _) => {
+                Ok(self.refuse(format!("its signer wrote a false {what} into it")))
+            }
             (_, ErrorKind::Tampered) => Ok(self.refuse("it differs from what was anchored and signed".to_owned())),
             (_, ErrorKind::Refused) => {
                 self.rights_at = Instant::now().checked_sub(RIGHTS).unwrap_or(self.rights_at);

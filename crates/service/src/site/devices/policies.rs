@@ -9,7 +9,7 @@ use tokio::task::block_in_place;
 use super::Devices;
 use super::enrolled::Enrolled;
 use crate::config::RobotPolicy;
-use crate::crypto::{Anchor, Expected, LONGEST_POLICY, Notice, OpenedRecord, SignedPolicy, open, topic_key};
+use crate::crypto::{Anchor, Expected, LONGEST_POLICY, Names, Notice, OpenedRecord, SignedPolicy, open, topic_key};
 use crate::model::{
     GapReport, PolicyReport, RecordKind, RecordState, SignerId, Timestamp, TopicId, clean, clean_lines,
 };
@@ -189,7 +189,8 @@ impl Devices {
         let (signer, blob) = (robot.key, self.plant.vault.get(row.digest).ok()??);
         let key = topic_key(&owner.epoch_key(network.domain, row.epoch)?, &row.topic_id);
         let topic_id: Option<TopicId> = Some(row.topic_id);
-        let expected = Expected { topic_id, ..Expected::any_of(network.domain, owner.address) };
+        let names = Names::Derived(owner.index());
+        let expected = Expected { topic_id, ..Expected::any_of(network.domain, owner.address, names) };
         open(self.plant.provider, &blob, &row.signature, &signer, Anchor::Unanchored, &key, &expected).ok()
     }
 }

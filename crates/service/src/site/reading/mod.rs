@@ -8,7 +8,7 @@ mod shared;
 mod statements;
 pub(super) mod view;
 use crate::config::Config;
-use crate::model::{ErrorKind, clean};
+use crate::model::{Address, Digest, ErrorKind, clean};
 use crate::paths::Home;
 use crate::pipeline::columns::Heads;
 use crate::pipeline::{Network, Plant};
@@ -20,7 +20,8 @@ use crate::site::chain::link::Link;
 use crate::site::contacts::Contacts;
 use crate::site::identity::owners::Owners;
 use crate::site::parts::Parts;
-use std::sync::Arc;
+use std::collections::HashSet;
+use std::sync::{Arc, Mutex};
 
 /// Records as people read them.
 pub(in crate::site) struct Reading {
@@ -33,13 +34,16 @@ pub(in crate::site) struct Reading {
     contacts: Arc<Contacts>,
     /// Heads of records opened for lists.
     heads: Heads,
+    /// Records that have no names to learn for a reader.
+    nameless: Mutex<HashSet<(Address, Digest)>>,
 }
 
 impl Reading {
     /// From the shared parts.
     pub fn new(parts: &Parts, contacts: &Arc<Contacts>) -> Self {
         let Parts { home, config, plant, log, owners, link, .. } = parts.clone();
-        Self { home, config, plant, log, owners, link, contacts: Arc::clone(contacts), heads: Heads::default() }
+        let (contacts, heads, nameless) = (Arc::clone(contacts), Heads::default(), Mutex::default());
+        Self { home, config, plant, log, owners, link, contacts, heads, nameless }
     }
 
     /// The network; if its chain cannot be asked now, what this home kept of it, to read own records by.

@@ -1,14 +1,22 @@
-//! Names of topics and types that arrived as pseudonyms: learned from one record of each stream by a reader who may
-//! open it.
+//! Names of topics and types that arrived as pseudonyms: learned from a record of each stream by a reader who may open
+//! it, and only if the pseudonym is the one derived from the name.
 
 use super::Reading;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 
+use crate::crypto::CryptoError;
 use crate::model::bytes::hex;
-use crate::model::{Address, ProfileName};
+use crate::model::{Address, Digest, ProfileName};
+use crate::pipeline::PipelineError;
+use crate::pipeline::columns::Keys;
 use crate::pipeline::reader::Reader;
 use crate::service::reply::Failure;
 use crate::site::blocking;
+
+/// Records of a stream that are opened to learn its names: among those of a stolen robot, some are false.
+const TRIES: usize = 8;
+/// Records that are not opened again for their names.
+const MOST_NAMELESS: usize = 8192;
 
 impl Reading {
     /// Learns what can be learned now of the profile's own topics: those of its robots arrive without names.
@@ -19,29 +27,65 @@ impl Reading {
         self.learn_names(&reader, owner.address).await
     }
 
-    /// Opens one record of each stream of `owner` that has no name yet, as far as the reader may.
+    /// Opens a record of each stream of `owner` that has no name yet, as far as the reader may.
     pub(in crate::site) async fn learn_names(
         self: &Arc<Self>,
         reader: &Reader<'_>,
         owner: Address,
     ) -> Result<(), Failure> {
-        let unnamed = blocking(self, move |reading| Ok(reading.plant.ledger.unnamed(owner)?)).await?;
-        for digest in unnamed {
-            let row = blocking(self, move |reading| Ok(reading.plant.ledger.record(digest)?)).await?;
-            let Some(row) = row else { continue };
-            // What cannot be opened keeps its pseudonym.
-            let Ok(opened) = reader.open(&row).await else { continue };
-            let (topic, type_name) = (opened.head.topic, opened.head.type_name);
-            blocking(self, move |reading| {
-                let ledger = &reading.plant.ledger;
-                ledger.name(row.owner, hex(&row.topic_id.0), topic)?;
-                if !row.type_name.is_empty() && row.type_name != type_name {
-                    ledger.name(row.owner, row.type_name, type_name)?;
+        let unnamed = blocking(self, move |reading| Ok(reading.plant.ledger.unnamed(owner, TRIES)?)).await?;
+        for stream in unnamed {
+            for digest in stream {
+                if self.learn_from(reader, digest).await? {
+                    break;
                 }
-                Ok(())
-            })
-            .await?;
+            }
         }
         Ok(())
+    }
+
+    /// Learns the names of one record; whether there was something to learn.
+    async fn learn_from(self: &Arc<Self>, reader: &Reader<'_>, digest: Digest) -> Result<bool, Failure> {
+        let tried = (reader.reader.address, digest);
+        if self.nameless.lock().unwrap_or_else(PoisonError::into_inner).contains(&tried) {
+            return Ok(false);
+        }
+        let row = blocking(self, move |reading| Ok(reading.plant.ledger.record(digest)?)).await?;
+        let Some(row) = row else { return Ok(false) };
+        let opened = match reader.open(&row).await {
+            Ok(opened) => opened,
+            Err(error) => {
+                if matches!(error, PipelineError::Crypto(CryptoError::FalseName(_))) {
+                    self.pass_over(tried);
+                }
+                return Ok(false);
+            }
+        };
+        let (topic, type_name) = (opened.head.topic, opened.head.type_name);
+        let with_type = !row.type_name.is_empty() && row.type_name != type_name;
+        // Without IK nobody knows whose pseudonym the type's is: its name stays with each record.
+        let with_type = with_type && reader.index_key(&row).is_some();
+        if !with_type {
+            self.pass_over(tried);
+        }
+        blocking(self, move |reading| {
+            let ledger = &reading.plant.ledger;
+            ledger.name(row.owner, hex(&row.topic_id.0), topic)?;
+            if with_type {
+                ledger.name(row.owner, row.type_name, type_name)?;
+            }
+            Ok(())
+        })
+        .await?;
+        Ok(true)
+    }
+
+    /// This reader opens a record no more for its names.
+    fn pass_over(&self, tried: (Address, Digest)) {
+        let mut nameless = self.nameless.lock().unwrap_or_else(PoisonError::into_inner);
+        if nameless.len() >= MOST_NAMELESS {
+            nameless.clear();
+        }
+        nameless.insert(tried);
     }
 }

@@ -218,8 +218,9 @@ fn view_of(opened: &Opened, owner: &Owner) -> OpenedView {
     let stated = statements::view(row.kind, &record.body);
     let fields = stated.as_ref().map_or(fields, statements::fields);
     let of_another = row.owner != owner.address;
+    let shown = Shown { compared: Compared::Head, ..Shown::unread(row.clone()) };
     OpenedView {
-        record: record_view(&Shown { row: row.clone(), compared: Compared::Head, differs: None }, of_another),
+        record: record_view(&shown, of_another),
         verdict: record.verdict,
         reason: opened.reason.clone(),
         caller_id: clean(&record.head.caller_id, 255),

@@ -8,8 +8,8 @@ use tokio::task::block_in_place;
 use super::view::{record_page, record_query, record_view};
 use crate::crypto::{keyfile, record};
 use crate::model::bytes::hex;
-use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId};
-use crate::pipeline::columns::{self, Caveat, ShownState};
+use crate::model::{Address, ProfileName, RecordState, Timestamp, TopicId, clean};
+use crate::pipeline::columns::{self, Caveat, Refusal, ShownState};
 use crate::pipeline::epoch::tag_choice;
 use crate::pipeline::retention::erasing::is_stated;
 use crate::pipeline::{Network, Owner, PipelineError, authority};
@@ -100,7 +100,7 @@ impl Reading {
         let id = id.to_owned();
         blocking(self, move |reading| {
             let row = reading.plant.ledger.record_by_id(&id)?;
-            Ok(row.ok_or_else(|| PipelineError::NoRecord(crate::model::clean(&id, 64)))?)
+            Ok(row.ok_or_else(|| PipelineError::NoRecord(clean(&id, 64)))?)
         })
         .await
     }
@@ -127,7 +127,8 @@ impl Reading {
         let shown = self.compared_one(&self.own_record(profile, id).await?, &self.own_keys())?;
         let row = &shown.row;
         let step = |word: &str, text: String| (word.to_owned(), text);
-        let of = if row.is_named() { row.topic.as_str() } else { "a topic whose name is unknown here" };
+        let topic = clean(&row.topic, 255);
+        let of = if row.is_named() { topic.as_str() } else { "a topic whose name is unknown here" };
         let mut steps = vec![
             step("message", format!("{} bytes of {of}, captured {}", row.bytes, moment(row.captured_at))),
             step("record", format!("epoch {}, seq {}, on disk {}", row.epoch, row.seq, moment(row.acknowledged_at))),
@@ -165,6 +166,9 @@ impl Reading {
         }
         steps.push(match (shown.differs, shown.state()) {
             (Some(field), state) => step(state.word(), altered(field)),
+            (None, state @ ShownState::Refused(Refusal::FalseName)) => {
+                step(state.word(), misnamed(shown.false_name.unwrap_or("name")))
+            }
             (None, state @ ShownState::Verified(Caveat::Unread)) => {
                 step(state.word(), "verified earlier; its bytes are not here to compare now".to_owned())
             }
@@ -266,6 +270,14 @@ fn altered(field: &str) -> String {
     format!(
         "the ledger was altered: its row differs from the record in its {field}; the record's own value is shown, \
          `authros audit` lists every such row"
+    )
+}
+
+/// The text for a record whose signer wrote a false name into it.
+fn misnamed(what: &str) -> String {
+    format!(
+        "its bytes are as they were sealed and signed, but its signer wrote a false {what} into it, which does not belong \
+         to the pseudonym it is filed under: what it says is not shown; if the signer is a device of yours, recall it"
     )
 }
 

@@ -7,12 +7,13 @@ use std::sync::Arc;
 use tokio::task::block_in_place;
 
 use super::super::super::reply::{RecordPage, RecordView};
-use crate::crypto::{IndexKey, TopicKey, topic_key};
+use crate::crypto::{IndexKey, Names, TopicKey, topic_key};
 use crate::model::{Address, Header, RecordKind, Verdict, clean};
 use crate::pipeline::columns::{Comparison, Keys, Shown};
 use crate::pipeline::{Network, Owner};
 use crate::service::command::UploadQuery;
 use crate::service::reply::Failure;
+use crate::site::identity::owners::Owners;
 use crate::store::{FilterChoice, RecordQuery, RecordRow};
 
 /// Widest topic or type shown, characters (ROS names are shorter than this).
@@ -21,10 +22,18 @@ const WIDEST: usize = 255;
 /// Keys of the profiles that are open here.
 pub(in crate::site) struct OwnKeys(HashMap<Address, Arc<Owner>>);
 
+impl OwnKeys {
+    /// Of the profiles whose keyrings were opened since the site began.
+    pub fn of(owners: &Owners) -> Self {
+        Self(owners.all().into_iter().map(|owner| (owner.address, owner)).collect())
+    }
+}
+
 impl Keys for OwnKeys {
-    fn topic_key(&self, header: &Header) -> Option<TopicKey> {
-        let key = self.0.get(&header.owner).and_then(|owner| owner.epoch_key(header.domain, header.epoch));
-        key.map(|key| topic_key(&key, &header.topic_id))
+    fn opening(&self, header: &Header) -> Option<(TopicKey, Names)> {
+        let owner = self.0.get(&header.owner)?;
+        let key = owner.epoch_key(header.domain, header.epoch)?;
+        Some((topic_key(&key, &header.topic_id), Names::Derived(owner.index())))
     }
 
     fn index_key(&self, row: &RecordRow) -> Option<IndexKey> {
@@ -41,7 +50,7 @@ pub(super) fn reason_of(verdict: Verdict, network: &Network) -> Option<String> {
 impl Reading {
     /// Keys of the profiles whose keyrings were opened since the site began.
     pub(in crate::site) fn own_keys(&self) -> OwnKeys {
-        OwnKeys(self.owners.all().into_iter().map(|owner| (owner.address, owner)).collect())
+        OwnKeys::of(&self.owners)
     }
 
     /// Rows ready to be shown; each must have the ids in `filters` by which they were found.

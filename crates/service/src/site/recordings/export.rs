@@ -7,7 +7,7 @@ use tokio::task::block_in_place;
 
 use super::writing::Draft;
 use super::{Recordings, Run};
-use crate::crypto::OpenedRecord;
+use crate::crypto::{CryptoError, OpenedRecord};
 use crate::model::{Address, Digest, ErrorKind, RecordKind, Scope, Timestamp, TopicPattern, Verdict, clean};
 use crate::pipeline::reader::{Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
@@ -208,6 +208,7 @@ impl<'a> Export<'a> {
     fn refuse(&mut self, row: &RecordRow, error: PipelineError) -> Result<(), Failure> {
         match (&error, error.kind()) {
             (PipelineError::Missing(_), _) => self.view.refused.missing += 1,
+            (PipelineError::Crypto(CryptoError::FalseName(_)), _) => self.view.refused.false_names += 1,
             (_, ErrorKind::Tampered) => self.view.refused.tampered += 1,
             (_, ErrorKind::Refused) => {
                 self.view.refused.no_key += 1;

@@ -191,7 +191,9 @@ impl Stays {
             Self::Deleted => "deleted by retention, or erased",
             Self::WithoutRight => "signed by a device that had no right to sign",
             Self::Missing => "the vault of the old home does not have its ciphertext",
-            Self::Closed => "no key of this profile opens it, or its signature is not valid",
+            Self::Closed => {
+                "no key of this profile opens it, its signature is not valid, or its signer wrote a false name into it"
+            }
         }
     }
 }
