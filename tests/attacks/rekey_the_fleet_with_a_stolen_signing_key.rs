@@ -9,7 +9,7 @@ use authros::crypto::{
 };
 use authros::gateway::{Code, GatewayError, Upload};
 use authros::model::head::Compression;
-use authros::model::{Digest, Head, PublicKey, RecordKind, RecorderId, Timestamp};
+use authros::model::{Digest, Head, PublicKey, RecordKind, RecorderPrefix, Timestamp};
 
 use crate::enrolled_robot::{Robot, Scene, session};
 use crate::support::{count, poll, wait_until};
@@ -44,7 +44,7 @@ fn notice(robot: &Enrolment, signer: &SmKeyPair, account: &EoaSecret, to: Public
         signer,
         epoch: robot.keys.now.epoch,
         topic_key: &robot.notice_key,
-        recorder: RecorderId(random_bytes().expect("random")),
+        recorder: RecorderPrefix::ledger(random_bytes().expect("random")),
         seq: 1,
         topic_id: robot.notice_id,
         kind: RecordKind::Key,

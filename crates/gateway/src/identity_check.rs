@@ -89,7 +89,8 @@ pub fn check_signed<C>(
     context.provider.verify(&caller.signing, &signed, &signature).map_err(Refusal::because(Code::Signature))
 }
 
-/// The records of an upload: of this network, owned by the caller, signed by the owner or a lent device.
+/// The records of an upload: of this network, owned by the caller, signed by the owner or a lent device; in a device's
+/// session, by that device. The header binds each number to its signer.
 ///
 /// # Errors
 /// [`Refusal`] with `Malformed`, `NotYours` or `Signature`, or the desk's; one bad record refuses all.
@@ -105,6 +106,10 @@ pub async fn check_records(
         let (header, _) = Header::parse(&upload.blob)?;
         if header.domain != context.domain || header.owner != caller.account {
             return Err(Refusal::new(Code::NotYours, format_args!("a record of {}", header.owner)));
+        }
+        if let Some(device) = caller.device.as_ref().filter(|device| device.id != header.signer) {
+            let text = format_args!("device {} sends a record that {} signed", device.id, header.signer);
+            return Err(Refusal::new(Code::NotYours, text));
         }
         let known = last.as_ref().filter(|(before, _)| before.signer == header.signer).map(|(_, key)| *key);
         let signer = match known {

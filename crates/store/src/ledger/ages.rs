@@ -34,7 +34,8 @@ pub(super) fn last_seen() -> String {
         format!("coalesce((SELECT max(captured_at) FROM records WHERE state = {} AND stream = s.key), 0)", state.code())
     });
     format!(
-        "SELECT signer, max(max({})) AS at FROM streams s WHERE kind = ?1 GROUP BY signer ORDER BY at DESC LIMIT ?2",
+        "SELECT r.signer, max(max({})) AS at FROM streams s JOIN topics t ON t.key = s.topic
+         JOIN recorders r ON r.key = t.recorder WHERE kind = ?1 GROUP BY r.signer ORDER BY at DESC LIMIT ?2",
         newest.collect::<Vec<_>>().join(", ")
     )
 }

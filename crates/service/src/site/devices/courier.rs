@@ -1,6 +1,7 @@
 //! What robots need from their owner where the gateway is not this home's: their notices, brought to the gateway where they
 //! ask for them. A function of the ledger: run again, it does what is left.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -12,7 +13,7 @@ use super::seat::Seat;
 use crate::crypto::enrolment::MOST_ADDRESSES;
 use crate::crypto::{GatewayAddresses, Notice, notice_topic};
 use crate::gateway::{Cabinet, Context, Upload};
-use crate::model::{ProfileName, RecordKind, clean};
+use crate::model::{ProfileName, RecordKind, RecorderId, clean};
 use crate::pipeline::authority::{Moment, may_sign};
 use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
@@ -115,12 +116,9 @@ impl Devices {
         enrolled: &Enrolled,
         gateway: &EnrolledGateway,
     ) -> Result<bool, Failure> {
-        // Numbers begin anew under the recorder of a home that was restored.
-        let recorder = self.plant.ledger.recorder();
-        let place = format!("carried:{}:{}:{}:{recorder}", owner.address, enrolled.device, gateway.key);
-        let newest: u64 =
-            block_in_place(|| self.plant.ledger.setting(&place))?.and_then(|text| text.parse().ok()).unwrap_or(0);
-        let waiting = block_in_place(|| self.notices_behind(owner, enrolled, newest))?;
+        let place =
+            |recorder: &RecorderId| format!("carried:{}:{}:{}:{recorder}", owner.address, enrolled.device, gateway.key);
+        let waiting = block_in_place(|| self.notices_behind(owner, enrolled, place))?;
         if waiting.is_empty() {
             return Ok(true);
         }
@@ -132,8 +130,9 @@ impl Devices {
             for window in waiting.chunks(WINDOW) {
                 let uploads = block_in_place(|| self.uploads(window))?;
                 client.upload(uploads).await?;
-                let last = window.last().map_or(newest, |row| row.seq);
-                block_in_place(|| self.plant.ledger.put_setting(&place, &last.to_string()))?;
+                for row in window {
+                    block_in_place(|| self.plant.ledger.put_setting(&place(&row.recorder), &row.seq.to_string()))?;
+                }
             }
             Ok::<_, Failure>(())
         };
@@ -147,21 +146,32 @@ impl Devices {
         Ok(true)
     }
 
-    /// The owner's notices to a robot with a higher number, in order.
-    fn notices_behind(&self, owner: &Owner, enrolled: &Enrolled, newest: u64) -> Result<Vec<RecordRow>, Failure> {
+    /// The owner's notices to a robot that its gateway does not have, oldest first. Numbers begin anew under the recorder of a
+    /// restored home and of a new key; what this ledger noted in `place` counts for each recorder alone.
+    fn notices_behind(
+        &self,
+        owner: &Owner,
+        enrolled: &Enrolled,
+        place: impl Fn(&RecorderId) -> String,
+    ) -> Result<Vec<RecordRow>, Failure> {
         let ledger = &self.plant.ledger;
         let query = RecordQuery {
             owner: Some(owner.address),
             topic_ids: Some(vec![owner.topic_id(&notice_topic(&enrolled.device))]),
-            recorder: Some(ledger.recorder()),
             kind: Some(RecordKind::Key),
             limit: MOST_NOTICES,
             newest_first: true,
             ..RecordQuery::default()
         };
         let mut rows = ledger.list(&query)?.rows;
-        rows.retain(|row| row.seq > newest);
-        rows.sort_unstable_by_key(|row| row.seq);
+        rows.retain(|row| ledger.recorder().has(&row.recorder));
+        let mut carried = BTreeMap::new();
+        for recorder in rows.iter().map(|row| row.recorder).collect::<BTreeSet<_>>() {
+            let newest = ledger.setting(&place(&recorder))?.and_then(|text| text.parse().ok()).unwrap_or(0_u64);
+            carried.insert(recorder, newest);
+        }
+        rows.retain(|row| carried.get(&row.recorder).is_none_or(|newest| row.seq > *newest));
+        rows.sort_unstable_by_key(|row| (row.acknowledged_at, row.seq));
         Ok(rows)
     }
 
