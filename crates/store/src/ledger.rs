@@ -56,7 +56,7 @@ use super::StoreError;
 use super::database::{self, Schema};
 use crate::model::RecorderPrefix;
 
-pub use ages::LastSeen;
+pub use ages::{LastSeen, NewestRecord};
 pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
 pub use chain_proofs::{HashedNode, KeptProof, ProofCounts, UnprovenBatch};
 pub use counts::{StateCounts, TopicCounts};

@@ -347,7 +347,12 @@ async fn records_are_refused_each_with_their_code() {
         "the name ended with the loan"
     );
     stage.desk.lend(&alice, &device);
-    client.upload(vec![record]).await.expect("unaltered it is accepted");
+    let own = refusal(client.upload(vec![record.clone()]).await);
+    assert_eq!(own, Some(Code::NotYours), "a device's session adds to no numbers but the device's");
+    client.upload(vec![alice.record(&device, 4, b"x")]).await.expect("its own");
+    let credentials = stage.enrol(&alice).await;
+    let mut owner = stage.connect(&credentials).await.expect("connects");
+    owner.upload(vec![record]).await.expect("unaltered it is accepted");
     expect_all(&cases);
 }
 

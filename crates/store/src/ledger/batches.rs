@@ -8,7 +8,7 @@ use super::edges::{By, may};
 use super::rows::{self, unsigned};
 use super::{Ledger, database::whole, rights};
 use crate::chain::merkle::{Inclusion, Leaf};
-use crate::model::{Address, Digest, Hash, RecordState, RecorderId, Timestamp, TopicId};
+use crate::model::{Address, Digest, Hash, RecordState, RecorderId, SignerId, Timestamp, TopicId};
 use crate::store::StoreError;
 
 /// A batch to be closed.
