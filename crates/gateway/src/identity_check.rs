@@ -3,7 +3,7 @@
 
 use crate::crypto::record::Checked;
 use crate::crypto::{Anchor, SmSecret, Unchecked, check_identity, check_many};
-use crate::model::{Digest, Header, ProfileName, PublicKey, Token};
+use crate::model::{Digest, Header, ProfileName, PublicKey, RecordKind, Token};
 
 use super::allocation::{AllocationRequest, examine};
 use super::code::{Code, Refusal};
@@ -129,13 +129,15 @@ pub async fn check_records(
     Ok(received)
 }
 
-/// Whatever else it got hold of, a device's session adds to the device's own numbers alone.
+/// Whatever else it got hold of, a device's session adds to the device's own numbers alone, and no notices: those are its
+/// owner's.
 fn check_own(caller: &Caller, received: &[Received]) -> Result<(), Refusal> {
     let Some(device) = &caller.device else { return Ok(()) };
-    match received.iter().find(|record| record.header.signer != device.id) {
+    let is_own = |header: &Header| header.signer == device.id && header.kind != RecordKind::Key;
+    match received.iter().find(|record| !is_own(&record.header)) {
         Some(other) => {
-            let text = format_args!("device {} sends a record that {} signed", device.id, other.header.signer);
-            Err(Refusal::new(Code::NotYours, text))
+            let (id, kind, signer) = (device.id, other.header.kind.word(), other.header.signer);
+            Err(Refusal::new(Code::NotYours, format_args!("device {id} sends a {kind} record that {signer} signed")))
         }
         None => Ok(()),
     }

@@ -168,7 +168,7 @@ fn another_record_than_the_one_asked_for_is_not_shown() {
         (Expected { domain: Domain([0; 32]), ..base() }, "domain"),
         (Expected { owner: Address([0; 20]), ..base() }, "owner"),
         (Expected { epoch: Some(4), ..base() }, "epoch"),
-        (Expected { recorder: Some(RecorderId([0; 16])), ..base() }, "recorder"),
+        (Expected { recorder: Some(crate::model::RecorderId([0; 16])), ..base() }, "recorder"),
         (Expected { seq: Some(10), ..base() }, "seq"),
         (Expected { topic_id: Some(TopicId([0; 16])), ..base() }, "topic id"),
         (Expected { topic: Some("/robot2/odom".into()), ..base() }, "topic"),

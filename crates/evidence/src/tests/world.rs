@@ -9,7 +9,7 @@ use authros_crypto::{
 };
 use authros_model::head::Compression;
 use authros_model::{
-    Address, Digest, Domain, Hash, Head, Header, Identity, RecordKind, RecorderPrefix, Timestamp, Token, TopicId,
+    Address, Digest, Domain, Hash, Head, Identity, RecordKind, RecorderPrefix, Timestamp, Token, TopicId,
 };
 use rlp::RlpStream;
 
@@ -163,7 +163,6 @@ impl World {
         let topic_key = TopicKey::new([6; 32]);
         let record = sealed(owner, &signer, &topic_key, 3, b"the message");
         let others = (0..4).map(|number| Hash([number; 32]));
-        let Header { recorder, topic_id, seq, .. } = record.header;
         let leaf = Leaf::of(&record.header, record.digest);
         let tree = Tree::new(others.chain([leaf.hash()]).collect()).expect("a tree");
         let (root, path) = (tree.root(), tree.path(4));

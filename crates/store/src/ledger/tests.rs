@@ -11,6 +11,7 @@ mod groups;
 mod incidents;
 mod model;
 mod numbered;
+mod own_numbers;
 mod pages;
 mod quarantine;
 mod rights;
@@ -27,12 +28,12 @@ pub(super) use self::numbered::numbered;
 use super::*;
 use crate::model::RecordState::{Confirmed, Stored, Submitted, Verified};
 use crate::model::{
-    Address, Digest, ErrorKind, Hash, IncidentName, LossReason, RecordKind, RecordState, Signature, SignerId,
-    Timestamp, TopicId,
+    Address, Digest, ErrorKind, Hash, IncidentName, LossReason, RecordKind, RecordState, RecorderId, Signature,
+    SignerId, Timestamp, TopicId,
 };
 
 /// A record of owner `owner` on topic `topic`; its digest is spread like a real one.
-fn record(owner: u8, topic: u8, seq: u64) -> NewRecord {
+pub(super) fn record(owner: u8, topic: u8, seq: u64) -> NewRecord {
     let name = [&[owner, topic][..], &seq.to_be_bytes()].concat();
     NewRecord {
         digest: Digest(Sm3::digest(&name).into()),
