@@ -18,7 +18,7 @@ use crate::{Outcome, judge};
 
 const TOPIC: &str = "/robot1/odom";
 /// The last number of a ledger, the last one of the format, one behind it, and some that come next.
-const NUMBERS: [u64; 6] = [i64::MAX as u64, (1 << 40) - 1, 1 << 40, (1 << 40) + 1, 5, 6];
+const NUMBERS: [u64; 6] = [u64::MAX >> 1, (1 << 40) - 1, 1 << 40, (1 << 40) + 1, 5, 6];
 /// How long another robot may take to follow its owner into the epoch that the recall began, seconds.
 const BOUND: u64 = 10;
 

@@ -5,7 +5,7 @@
 use zeroize::{Zeroize as _, Zeroizing};
 
 use crate::model::head::{Compression, MOST_TAGS};
-use crate::model::header::{LARGEST_BODY, LARGEST_HEAD, LARGEST_SEQ, MOST_FILTERS, TAG_LENGTH};
+use crate::model::header::{LARGEST_BODY, LARGEST_HEAD, LARGEST_SEQ, LARGEST_STORED, MOST_FILTERS, TAG_LENGTH};
 use crate::model::{
     Address, Commit, Digest, Domain, FilterId, Head, Header, RecordKind, RecorderPrefix, Salt, Signature, Timestamp,
     TopicId,
@@ -158,7 +158,10 @@ fn check_request(request: &SealRequest<'_>, head: usize) -> Result<(), CryptoErr
     if request.filters.len() > MOST_FILTERS || request.head.tags.len() > MOST_TAGS {
         return Err(CryptoError::Inconsistent("number of filters or tags"));
     }
-    if request.epoch == 0 || !(1..=LARGEST_SEQ).contains(&request.seq) {
+    if request.captured_at.0 > LARGEST_STORED {
+        return Err(CryptoError::Inconsistent("capture time"));
+    }
+    if !(1..=LARGEST_STORED).contains(&request.epoch) || !(1..=LARGEST_SEQ).contains(&request.seq) {
         return Err(CryptoError::Inconsistent("epoch, which begins at 1, or seq, which is 1 to 2^40,"));
     }
     if is_length(request.head, request.body) { Ok(()) } else { Err(CryptoError::Inconsistent("plain length")) }

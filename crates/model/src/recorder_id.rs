@@ -48,14 +48,14 @@ impl RecorderPrefix {
     }
 
     /// The recorder of the records that `signer` signs there.
-    pub fn of_signer(&self, signer: &SignerId) -> RecorderId {
+    pub fn of_signer(self, signer: &SignerId) -> RecorderId {
         let mut id = [0; RecorderId::LENGTH];
         id.iter_mut().zip(self.0.iter().chain(tag(signer))).for_each(|(place, byte)| *place = *byte);
         RecorderId(id)
     }
 
     /// Whether a recorder is one of this ledger's or ring's, whichever key signs.
-    pub fn has(&self, recorder: &RecorderId) -> bool {
+    pub fn has(self, recorder: &RecorderId) -> bool {
         recorder.0.starts_with(&self.0)
     }
 }

@@ -13,11 +13,12 @@ use crate::store::StoreError;
 use crate::store::database::whole;
 
 type StreamKey = (i64, u8, String);
+type TopicKey = (Address, SignerId, TopicId, Option<Foreign>);
 
 /// Keys of the names seen so far; only a cache of the tables.
 #[derive(Default)]
 pub(crate) struct Names {
-    topics: HashMap<(Address, SignerId, TopicId, Option<Foreign>), (i64, String)>,
+    topics: HashMap<TopicKey, (i64, String)>,
     streams: HashMap<StreamKey, i64>,
     filters: HashSet<(FilterId, i64)>,
 }

@@ -111,7 +111,7 @@ impl Devices {
     ) -> Result<Vec<(String, Pace)>, Failure> {
         let pace = |robot: &Enrolled| {
             let newest = self.plant.ledger.newest_of(owner.address, robot.device)?;
-            Ok((robot.name.to_string(), Pace::of(newest, epoch, begun)))
+            Ok::<_, Failure>((robot.name.to_string(), Pace::of(newest, epoch, begun)))
         };
         robots.iter().map(pace).collect()
     }
