@@ -55,7 +55,7 @@ fn forged(robot: &Enrolment, place: (TopicId, RecordKind), recorder: RecorderId,
     let sealed = seal(provider, &request).expect("seals");
     let (header, length) = Header::parse(&sealed.blob).expect("a header");
     let header = Header { recorder, seq, ..header };
-    let blob = [&header.encode(), &sealed.blob[length..]].concat();
+    let blob = [&header.encode()[..], &sealed.blob[length..]].concat();
     let digest = Digest(provider.sm3(&[&blob]));
     let signature = provider.sign(&robot.device.secret, &signed_bytes(&robot.domain, &digest)).expect("signs");
     Upload { signature, blob }
@@ -132,7 +132,7 @@ async fn poison_the_numbers() {
     let outcome = attempt(&scene.alice, &scene.home, [&scoped, &whole, &honest]).await;
     judge("poison_the_numbers", outcome);
     let audited = scene.alice.run(&["audit"]);
-    assert_eq!(audited.code, 0, "no number is missing: {}", audited.stdout);
+    assert!(!audited.stdout.contains("missing from the ledger"), "no number is missing: {}", audited.stdout);
     scene.site.stop("TERM", 20);
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use authros_crypto::merkle::{Tree, height_hash};
 use authros_crypto::record::{RecordSecret, SealRequest, SealedRecord, seal, signed_bytes};
-use authros_crypto::{Provider, SmKeyPair, signer_id};
+use authros_crypto::{SmKeyPair, signer_id};
 use authros_model::head::Compression;
 use authros_model::{
     Birth, Digest, Head, Header, Heads, RecordKind, RecorderId, RecorderPrefix, SignerId, Timestamp, TopicId,
@@ -324,7 +324,7 @@ fn a_number_under_another_keys_recorder_or_out_of_bounds_is_refused() {
         let SealedRecord { mut header, blob, .. } = world.record;
         let prefix = header.encode().len();
         change(&mut header);
-        let blob = [&header.encode(), &blob[prefix..]].concat();
+        let blob = [&header.encode()[..], &blob[prefix..]].concat();
         let digest = Digest(ours().sm3(&[&blob]));
         let signature = ours().sign(&world.signer.secret, &signed_bytes(&bound(), &digest)).expect("signs");
         world.record = SealedRecord { header, blob, digest, signature };
