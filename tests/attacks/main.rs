@@ -25,6 +25,7 @@ mod grow_the_directory;
 mod hold_all_handshake_places;
 mod parts;
 mod pass_off_an_old_chain;
+mod poison_the_numbers;
 mod read_the_core_dump;
 mod read_the_owner_with_a_scoped_robot;
 mod read_while_suspended;

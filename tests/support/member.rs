@@ -10,7 +10,7 @@ use authros::crypto::{
 use authros::gateway::{Applicant, Client, Context, Credentials, Endpoint, GatewayError, Trust, Upload};
 use authros::model::head::Compression;
 use authros::model::{
-    Address, Digest, Domain, Head, ProfileName, RecordKind, RecorderId, SignerId, Timestamp, Token, TopicId,
+    Address, Digest, Domain, Head, ProfileName, RecordKind, RecorderPrefix, SignerId, Timestamp, Token, TopicId,
 };
 use serde_json::Value;
 
@@ -51,7 +51,7 @@ impl Gateway {
 pub struct Member {
     pub keyring: Keyring,
     pub domain: Domain,
-    pub recorder: RecorderId,
+    pub recorder: RecorderPrefix,
     pub epoch: u64,
 }
 
@@ -63,7 +63,7 @@ impl Member {
         let passphrase = Passphrase::new(passphrase.trim_end().to_owned()).expect("a passphrase");
         let keyring = Keyring::load(&directory.join("keyring"), &passphrase).expect("opens");
         let epoch = keyring.networks.get(&domain).expect("registered").current;
-        Self { keyring, domain, recorder: RecorderId(random_bytes().expect("random")), epoch }
+        Self { keyring, domain, recorder: RecorderPrefix::ledger(random_bytes().expect("random")), epoch }
     }
 
     pub fn provider(&self) -> &'static dyn Provider {

@@ -7,7 +7,7 @@ use super::*;
 use crate::crypto::{SealRequest, SealedRecord, TopicKey, seal};
 use crate::gateway::Fetched;
 use crate::model::head::Compression;
-use crate::model::{Address, Head, RecorderId};
+use crate::model::{Address, Head, RecorderPrefix};
 use crate::pipeline::PipelineError;
 use crate::pipeline::mirror::{Anchors, Mirror};
 use crate::pipeline::statement::{Statement, state};
@@ -96,7 +96,7 @@ pub(super) fn elsewhere(owner: &Owner, seq: u64, body: &[u8], wrong: Option<&Top
         signer: &keys.signing,
         epoch: keys.epoch,
         topic_key: wrong.unwrap_or(&topic.key),
-        recorder: RecorderId([9; RecorderId::LENGTH]),
+        recorder: RecorderPrefix::ledger([9; 7]),
         seq,
         topic_id: topic.id,
         kind: RecordKind::Data,

@@ -4,7 +4,8 @@ use crate::pipeline::Plant;
 use crate::service::hub::Hub;
 use crate::site::parts::Parts;
 use serde::{Deserialize, Serialize};
-use std::sync::{Arc, Mutex};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::watch;
 use tokio::task::block_in_place;
 
@@ -57,13 +58,39 @@ pub(in crate::site) struct Enrolments {
     pub(super) sealed: watch::Sender<()>,
     /// Notices are numbered one at a time.
     pub(super) sealing: Mutex<()>,
+    /// Robots that lack a notice, and why.
+    untold: Mutex<BTreeMap<(Address, SignerId, Step), Untold>>,
+}
+
+/// A step of a notice on its way to a robot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Step {
+    /// Sealing and storing it here.
+    Seal,
+    /// Bringing it to a gateway elsewhere.
+    Carry,
+}
+
+/// A robot that a notice cannot reach.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(in crate::site) struct Untold {
+    /// N.
+    pub name: ProfileName,
+    /// Why.
+    pub why: String,
 }
 
 impl Enrolments {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         let Parts { plant, hub, .. } = parts.clone();
-        Self { plant, hub, sealed: watch::channel(()).0, sealing: Mutex::default() }
+        Self {
+            plant,
+            hub,
+            sealed: watch::channel(()).0,
+            sealing: Mutex::default(),
+            untold: Mutex::default(),
+        }
     }
 }
 
@@ -107,8 +134,28 @@ impl Enrolments {
         self.change_all(owner, |all| all.push(enrolled))
     }
 
+    /// Notes why a step of a robot's notices fails; `None` once it works or is not needed.
+    pub(super) fn note_untold(&self, owner: Address, robot: &Enrolled, step: Step, why: Option<String>) {
+        let mut untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
+        let place = (owner, robot.device, step);
+        match why {
+            Some(why) => drop(untold.insert(place, Untold { name: robot.name.clone(), why })),
+            None => drop(untold.remove(&place)),
+        }
+    }
+
+    /// The robots that lack a notice, of one owner or of all.
+    pub(in crate::site) fn untold(&self, owner: Option<Address>) -> Vec<Untold> {
+        let untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
+        let of = |whose: &Address| owner.is_none_or(|owner| owner == *whose);
+        untold.iter().filter(|((whose, ..), _)| of(whose)).map(|(_, untold)| untold.clone()).collect()
+    }
+
     /// Notes that a device was recalled.
     pub(super) fn note_recalled(&self, owner: &Owner, device: SignerId) -> Result<(), Failure> {
+        let mut untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
+        untold.retain(|(whose, of, _), _| (*whose, *of) != (owner.address, device));
+        drop(untold);
         self.change(owner, device, |enrolled| enrolled.ended = true)
     }
 
@@ -130,6 +177,13 @@ impl Enrolments {
         };
         block_in_place(|| self.plant.ledger.change_setting(&place(owner.address), changed))
     }
+}
+
+/// Which robots cannot be told what, in words.
+pub(in crate::site) fn words(untold: &[Untold]) -> String {
+    let each: Vec<String> =
+        untold.iter().map(|robot| format!("'{}' ({})", robot.name, clean(&robot.why, 300))).collect();
+    format!("FAILED to tell {}", each.join(", "))
 }
 
 /// The robots enrolled by an account, oldest first. Waits for the disk.

@@ -62,7 +62,17 @@ impl Sharing {
         network: &Network,
     ) -> Result<(), Failure> {
         self.foresee_expiry(owner, network, None)?;
-        block_in_place(|| self.enrolments.tell_devices(owner, network))?;
+        // A robot that cannot be told keeps no revocation from the chain.
+        let told = block_in_place(|| self.enrolments.tell_devices(owner, network));
+        self.settle_chain(owner, network).await.map_err(|failure| {
+            let message =
+                format!("the end of a grant of {} is not on the chain yet: {}", owner.profile, failure.message);
+            Failure { message, ..failure }
+        })?;
+        told
+    }
+
+    async fn settle_chain(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         if !self.owes(owner, network)? {
             return Ok(());
         }
@@ -182,10 +192,7 @@ impl Sharing {
                 let pause = resting.get(&owner.address).map_or(Duration::from_secs(2), |(_, pause)| *pause * 2);
                 let pause = pause.min(LONGEST_REST);
                 resting.insert(owner.address, (Instant::now() + pause, pause));
-                self.hub.notice(
-                    NoticeLevel::Error,
-                    &format!("the end of a grant of {} is not on the chain yet: {}", owner.profile, failure.message),
-                );
+                self.hub.notice(NoticeLevel::Error, &failure.message);
             }
         }
     }
