@@ -84,13 +84,7 @@ impl Enrolments {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         let Parts { plant, hub, .. } = parts.clone();
-        Self {
-            plant,
-            hub,
-            sealed: watch::channel(()).0,
-            sealing: Mutex::default(),
-            untold: Mutex::default(),
-        }
+        Self { plant, hub, sealed: watch::channel(()).0, sealing: Mutex::default(), untold: Mutex::default() }
     }
 }
 
