@@ -73,7 +73,13 @@ impl Relay for Lag {
 /// A process that sees its chain through nodes that lag; and the chain itself.
 async fn behind(process: &mut Process) -> (Arc<Lag>, Chain) {
     let chain = process.network.chain.clone();
-    let lag = Arc::new(Lag { chain: chain.clone(), logs: AtomicU64::new(0), blocks: AtomicU64::new(0) });
+    let lag = Arc::new(Lag {
+        chain: chain.clone(),
+        logs: AtomicU64::new(0),
+        blocks: AtomicU64::new(0),
+        revoked: OnceLock::new(),
+        came_back: AtomicBool::new(false),
+    });
     let endpoint = Endpoint::Relay(RelayLine(Arc::clone(&lag) as Arc<dyn Relay>));
     let options = ChainOptions { endpoint, contract: None, pinned: chain.pin(), confirmations: 1 };
     process.network = network(Chain::connect(options).await.expect("connects"));
