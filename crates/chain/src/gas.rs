@@ -4,7 +4,7 @@
 use super::{Call, ChainError};
 
 /// Gas for each byte of a call's data, in the dearest rules known (EIP-7623), and its copy in an event.
-const PER_BYTE: u64 = 60;
+const PER_BYTE: u64 = 70;
 /// An estimate above this multiple of the known cost is not believed.
 const BELIEVED: u64 = 4;
 
@@ -80,13 +80,12 @@ mod tests {
             let bytes = match call.as_str() {
                 "authorityGrant, 32 topics, envelope of 2000 bytes" => 2000 + 32 * 32,
                 "authorityGrant, all topics, envelope of 400 bytes" => 400,
-                "wrap for 32 grantees" => 32 * 500,
+                "wrap for 1 grantee" => 512,
+                "wrap for 32 grantees" => 32 * 512,
                 _ => 0,
             };
             let known = known_cost(function, &vec![1; bytes]);
-            if call != "wrap for 32 grantees" {
-                assert!(known >= gas, "{call}: {known} < {gas}");
-            }
+            assert!(known >= gas, "{call}: {known} < {gas}");
             assert!(known <= 5 * gas.max(40_000), "{call}: {known} is far above {gas}");
         }
     }
