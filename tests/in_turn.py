@@ -5,7 +5,7 @@ usage: tests/in_turn.py [WORD...]    only those whose name contains one of the w
 
 A flow (tests/it, tests/attacks, labs/bench/tests/bench) is a process of its own, and so are all unit tests of a crate
 and the checks of the contract. The longest begins first, by the seconds of the run before (target/tests.seconds). Of the flows that take
-`heavy()` one runs at a time, so that none holds a place while it waits for another. RUST_TEST_THREADS says how many
+`heavy()` two run at a time, so that none holds a place while it waits for another. RUST_TEST_THREADS says how many
 places there are.
 """
 
@@ -25,6 +25,8 @@ PLACES = int(os.environ.get("RUST_TEST_THREADS") or 2 * (os.cpu_count() or 1))
 # Flows are run one by one; of the others, all tests of a program are one job, with this many threads.
 FLOWS = ("it", "attacks", "bench")
 THREADS = "2"
+# So many flows that take `heavy()` run at a time; tests/support has as many locks.
+HEAVY = 2
 # How long something takes that never ran here.
 UNKNOWN = {"flow": 5, "heavy flow": 15, "unit tests": 40, "checks": 90}
 SLOWEST = 20
@@ -107,7 +109,6 @@ def jobs():
             flow = line.removesuffix(": test")
             kind = "heavy flow" if flow in heavy else "flow"
             found.append(Job(flow, [program, "--exact", flow, "--show-output"], folder, kind, known))
-    found.append(Job("examples", ["cargo", "test", "--workspace", "--doc", "--quiet"], ROOT, "unit tests", known))
     found.append(Job("contract", [os.path.join(ROOT, "contracts", "check")], ROOT, "checks", known))
     words = sys.argv[1:] or [""]
     wanted = [job for job in found if any(word in job.name for word in words)]
@@ -141,8 +142,8 @@ class Turns:
         """The longest job that may begin, a heavy one before others: their row is the longest. None at the end."""
         with self.lock:
             while self.waiting:
-                alone = any(job.is_heavy for job in self.running)
-                may = [job for job in self.waiting if not (job.is_heavy and alone)]
+                full = sum(job.is_heavy for job in self.running) >= HEAVY
+                may = [job for job in self.waiting if not (job.is_heavy and full)]
                 if may:
                     job = max(may, key=lambda job: job.is_heavy)
                     self.waiting.remove(job)

@@ -402,6 +402,12 @@ def parse_header(record):
     at += 8 * len(header["filters"])
     names = ("time", "head_length", "body_length", "salt", "commit")
     header.update(zip(names, fields(record[at:], 8, 4, 8, 24, 32)))
+    number = {name: int.from_bytes(header[name], "big") for name in ("epoch", "seq", "time")}
+    if not 1 <= number["epoch"] < 1 << 63 or not 1 <= number["seq"] <= 1 << 40 or number["time"] >= 1 << 63:
+        raise Refused("an epoch, number or time that no record has")
+    # Kind (1: a ledger, 2: a ring), seven random bytes, and a tag of the key that signs.
+    if header["recorder"][0] not in (1, 2) or header["recorder"][8:] != header["signer"][:8]:
+        raise Refused("its recorder is not of the key that signs")
     return header, at + 76
 
 
@@ -900,7 +906,7 @@ class Record:
         return "proven"
 
     def leaf(self):
-        return sm3(b"\0" + b"".join(self.header[n] for n in ("owner", "recorder", "topic_id", "seq")) + self.digest)
+        return sm3(b"\0" + b"".join(self.header[n] for n in ("owner", "signer", "recorder", "topic_id", "seq")) + self.digest)
 
     def existed(self):  # (d), except for the tokens
         anchor = json.loads(self.member("anchor.json") or b"{}").get("anchor", {})
@@ -968,18 +974,13 @@ def read_trust(path):
 
 
 def two_histories(records):
-    """Numbers that two records have: both believed, or both by the key that is the owner's for one of them."""
+    """Numbers that two records by one key have, which is the owner's for one of them."""
     numbered = {}
     for record, found in records:
         if found["bytes"] == "proven":
-            of = tuple(record.header[name] for name in ("owner", "recorder", "topic_id", "seq"))
-            numbered.setdefault(of, []).append((record.header["signer"], found["key"] in ("proven", "own_chain")))
-    twice = []
-    for of, ones in numbered.items():
-        believed = [signer for signer, is_believed in ones if is_believed]
-        if len(believed) > 1 or (believed and sum(signer == believed[0] for signer, _ in ones) > 1):
-            twice.append(of)
-    return twice
+            of = tuple(record.header[name] for name in ("owner", "signer", "recorder", "topic_id", "seq"))
+            numbered.setdefault(of, []).append(found["key"] in ("proven", "own_chain"))
+    return [of for of, ones in numbered.items() if len(ones) > 1 and any(ones)]
 
 
 def is_statement(found):
@@ -994,16 +995,16 @@ def completeness(bundle, records, twice):
     for record, found in records:
         if found["bytes"] != "proven":
             continue
-        of = tuple(record.header[name] for name in ("owner", "recorder", "topic_id"))
+        of = tuple(record.header[name] for name in ("owner", "signer", "recorder", "topic_id"))
         topics.setdefault(of, []).append((int.from_bytes(record.header["seq"], "big"), found))
         opened = believed(found) and found["opened"] != "refused" and hasattr(record, "body")
         if opened and (record.head["topic"], record.head["type"]) == ("authros/recorder", "authros/Heads"):
             if len(record.body) == 115 and record.body[:15] == b"AuthROS/heads/1":
-                heads[record.digest] = of[:2], record.header["seq"], record.body, found
-    for (owner, recorder, topic), ones in sorted(topics.items()):
+                heads[record.digest] = of[:3], record.header["seq"], record.body, found
+    for (owner, signer, recorder, topic), ones in sorted(topics.items()):
         numbers, claims = sorted({seq for seq, found in ones if believed(found)}), []
         for digest, of_topic, number, index, path in bundle.heights:
-            if of_topic == topic and digest in heads and heads[digest][0] == (owner, recorder):
+            if of_topic == topic and digest in heads and heads[digest][0] == (owner, signer, recorder):
                 _, seq, body, found = heads[digest]
                 count, leaf = int.from_bytes(body[15:19], "big"), sm3(b"\0AuthROS/height/1" + topic + struct.pack(">Q", number))
                 leads = index < count and root_of(leaf, index, count, path) == body[19:51]
@@ -1014,17 +1015,17 @@ def completeness(bundle, records, twice):
         own = any(found["key"] == "own_chain" for found in [found for _, found in ones] + [claim[2] for claim in claims[-1:]])
         first, last = (numbers[0], numbers[-1]) if numbers else (None, None)
         missing = last - first + 1 - len(numbers) + max(0, (named[-1] if named else 0) - last) if numbers else 0
-        refused = lies or any(one[:3] == (owner, recorder, topic) for one in twice)
+        refused = lies or any(one[:4] == (owner, signer, recorder, topic) for one in twice)
         standing = "refused" if refused else "unproven" if not numbers else "own_chain" if own else "proven"
         counted = [found for _, found in ones if believed(found)]
         own_statements = bool(counted) and all(is_statement(found) for found in counted)
         # The recorder of a ring numbers what was mostly not asked for, or fell out: no number of it is missing.
-        nothing_claimed = own_statements or recorder.startswith(b"authring")
+        nothing_claimed = own_statements or recorder[0] == 2
         to = named[-1] if named and not nothing_claimed else None
         if to is not None and not (numbers and first <= to == first - 1 + sum(one <= to for one in numbers)):
             to = None
         missing = 0 if nothing_claimed else missing
-        result.append({"owner": "0x" + owner.hex(), "recorder": recorder.hex(), "topic_id": topic.hex(), "standing": standing,
+        result.append({"owner": "0x" + owner.hex(), "signer": signer.hex(), "recorder": recorder.hex(), "topic_id": topic.hex(), "standing": standing,
                        "first": first, "last": last, "missing": missing,
                        "complete_to": to})
     return result

@@ -117,8 +117,8 @@ const BASH: &str = r#"_authros_words() {
     case "$before" in
 CASES    esac
     if [[ -n "$what" && "$begun" != -* ]]; then
-        local IFS=$'\n'
-        COMPREPLY=($(AUTHROS_HOME="${home:-$AUTHROS_HOME}" authros complete "$what" "$begun" 2>/dev/null))
+        mapfile -t COMPREPLY < <(AUTHROS_HOME="${home:-$AUTHROS_HOME}" authros complete "$what" "$begun" 2>/dev/null)
+        ((${#COMPREPLY[@]} == 0)) || mapfile -t COMPREPLY < <(printf '%q\n' "${COMPREPLY[@]}")
     else
         _authros "$@"
     fi

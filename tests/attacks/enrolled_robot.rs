@@ -55,16 +55,21 @@ pub struct Robot {
 impl Robot {
     /// Enrolled for some topics, or for all.
     pub fn enrol(scene: &Scene, name: &str, topics: &[&str]) -> Self {
+        let address = format!("127.0.0.1:{}", scene.port);
+        Self::enrol_at(&scene.alice, (&address, &scene.fingerprint), name, topics)
+    }
+
+    /// The same by an owner wherever she is, at the gateway with this address and fingerprint.
+    pub fn enrol_at(alice: &Authros, (address, fingerprint): (&str, &str), name: &str, topics: &[&str]) -> Self {
         let home = Home::new();
         let file = home.root().join("robot.enrolment").to_str().expect("UTF-8").to_owned();
-        let address = format!("127.0.0.1:{}", scene.port);
-        let mut arguments = vec!["agent", "enrol", "--gateway", &address, "--gateway-key", &scene.fingerprint];
+        let mut arguments = vec!["agent", "enrol", "--gateway", address, "--gateway-key", fingerprint];
         arguments.extend(["--name", name, "--out", &file]);
         arguments.extend(topics.iter().flat_map(|topic| ["--topic", topic]));
         // Earlier builds cover all topics unless told otherwise.
-        let asks = scene.alice.run(&["agent", "enrol", "--help"]).stdout.contains("--all-topics");
+        let asks = alice.run(&["agent", "enrol", "--help"]).stdout.contains("--all-topics");
         arguments.extend((asks && topics.is_empty()).then_some("--all-topics"));
-        let view = scene.alice.json(&arguments);
+        let view = alice.json(&arguments);
         Self { home, file, device: text(&view, "device") }
     }
 

@@ -74,8 +74,8 @@ fn lies(carol: &Member, mallory: &Member, records: &[(Digest, Fetched)]) -> Vec<
     let unsent = carol.record(&hers.signing, "/odom", 99, b"never sent");
     let digest = Digest(provider.sm3(&[&unsent.blob]));
     let (header, length) = Header::parse(&unsent.blob).expect("a record");
-    let Header { owner, recorder, topic_id, seq, .. } = header;
-    let root = Leaf { owner, recorder, topic_id, seq, digest }.hash();
+    let owner = header.owner;
+    let root = Leaf::of(&header, digest).hash();
     let inclusion = Some(Inclusion { index: 0, count: 1, path: Vec::new(), root });
     let (transaction, block_hash) = (Hash([1; 32]), Hash([2; 32]));
     let proof = AnchorProof { account: owner, transaction, block: 1, block_hash, inclusion }.encode();

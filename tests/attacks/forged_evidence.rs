@@ -57,7 +57,7 @@ impl Scene {
         let (header, _) = Header::parse(&sealed.blob).expect("a record");
         let digest = Digest(member.provider().sm3(&[&sealed.blob]));
         let Header { owner, recorder, topic_id, seq, .. } = header;
-        let leaf = Leaf { owner, recorder, topic_id, seq, digest }.hash();
+        let leaf = Leaf::of(&header, digest).hash();
         let root = Tree::new(vec![leaf]).expect("a tree").root();
         let (transaction, block, block_hash) = self.anchor(root).await;
         let pin = self.chain.pin().expect("pinned");

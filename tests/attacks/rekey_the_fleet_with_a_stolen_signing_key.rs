@@ -5,13 +5,14 @@ use std::path::Path;
 
 use authros::crypto::{
     Enrolment, EoaSecret, Keyring, OwnerKeyChange, Passphrase, ProviderName, SealRequest, SealedEnrolment, SmKeyPair,
-    UnlockedKeyring, notice_topic, provider, random_bytes, seal,
+    notice_topic, provider, random_bytes, seal,
 };
-use authros::gateway::{Code, GatewayError, Upload};
+use authros::gateway::{Client, Code, GatewayError, Upload};
 use authros::model::head::Compression;
-use authros::model::{Digest, Head, PublicKey, RecordKind, RecorderId, Timestamp};
+use authros::model::{Digest, Head, PublicKey, RecordKind, RecorderPrefix, Timestamp};
 
 use crate::enrolled_robot::{Robot, Scene, session};
+use crate::support::member::{Gateway, Member, connect};
 use crate::support::{count, poll, wait_until};
 use crate::{Outcome, judge};
 
@@ -20,7 +21,7 @@ fn keyring(scene: &Scene) -> Keyring {
     let directory = scene.home.path().join("profiles").join("alice");
     let passphrase = std::fs::read_to_string(directory.join("passphrase")).expect("a passphrase");
     let passphrase = Passphrase::new(passphrase.trim_end().to_owned()).expect("long enough");
-    UnlockedKeyring::open(&directory.join("keyring"), &passphrase).expect("opens").keyring
+    Keyring::load(&directory.join("keyring"), &passphrase).expect("opens")
 }
 
 /// A notice to the robot that its owner's key is `to` from now on, signed by `signer` and, inside, by `account`.
@@ -44,7 +45,7 @@ fn notice(robot: &Enrolment, signer: &SmKeyPair, account: &EoaSecret, to: Public
         signer,
         epoch: robot.keys.now.epoch,
         topic_key: &robot.notice_key,
-        recorder: RecorderId(random_bytes().expect("random")),
+        recorder: RecorderPrefix::ledger(random_bytes().expect("random")),
         seq: 1,
         topic_id: robot.notice_id,
         kind: RecordKind::Key,
@@ -54,6 +55,15 @@ fn notice(robot: &Enrolment, signer: &SmKeyPair, account: &EoaSecret, to: Public
         body: &body,
     };
     Upload::from(&seal(provider(ProviderName::RustCrypto), &request).expect("seals"))
+}
+
+/// A session of the owner herself.
+async fn owners_session(scene: &Scene, robot: &Enrolment) -> Client {
+    let address = format!("127.0.0.1:{}", scene.port);
+    let (id, domain) = (robot.gateway.fingerprint, robot.domain);
+    let gateway = Gateway { address, id, domain, account: String::new() };
+    let credentials = Member::of(&scene.home, "alice", domain).allocate(&gateway, "thief").await.expect("allocated");
+    connect(&gateway, &credentials).await
 }
 
 /// Whom the robot considers its owner, according to its files.
@@ -80,7 +90,12 @@ async fn rekey_the_fleet_with_a_stolen_signing_key() {
     let mut client = session(&stolen).await.expect("the robot's own session");
 
     let by_account = client.upload(vec![notice(&stolen, &thief, &owner.eoa, thief.public)]).await;
-    let by_key = client.upload(vec![notice(&stolen, &owner.signing, &account, thief.public)]).await;
+    let by_key = || vec![notice(&stolen, &owner.signing, &account, thief.public)];
+    let by_robot = client.upload(by_key()).await;
+    assert!(matches!(by_robot, Err(GatewayError::Refused(Code::NotYours))), "a robot sends only its own: {by_robot:?}");
+    // The thief of d_C who has a session of the owner's too.
+    let mut client = owners_session(&scene, &stolen).await;
+    let by_key = client.upload(by_key()).await;
     let passed_over = || agent.stderr().contains("ignored a notice");
     let obeyed = || believed(&robot) == thief.public;
     let heard = by_key.is_ok() || by_account.is_ok();

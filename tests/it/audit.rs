@@ -291,7 +291,11 @@ const EDITS: [Edit; 21] = [
     ),
     edit("deleted_at", "UPDATE records SET deleted_at = 1 WHERE n = {n}", ""),
     edit("streams.kind", "UPDATE streams SET kind = 3 WHERE key = {stream}", "kind"),
-    edit("streams.signer", "UPDATE streams SET signer = zeroblob(32) WHERE key = {stream}", ""),
+    edit(
+        "recorders.signer",
+        "UPDATE recorders SET signer = zeroblob(32) WHERE key = (SELECT recorder FROM topics WHERE key = {topic})",
+        "",
+    ),
     Edit {
         sealed: true,
         ..edit("streams.type_name", "UPDATE streams SET type_name = 'a/B' WHERE key = {stream}", "type")

@@ -16,7 +16,7 @@ use authros::term::stage::{Scene, Wish};
 use authros::ui::Theme;
 use support::figures::{self, Subject};
 use support::hostile::{Hostile, foreign, foreign_in_lines};
-use support::{Authros, Console, Home, Terminal, holds, list, long, poll, skipped, system_program, wait_until};
+use support::{Authros, Console, Home, Terminal, faulty, holds, list, long, poll, skipped, system_program, wait_until};
 
 const TOPIC: &str = "/robot1/odom";
 
@@ -26,11 +26,6 @@ fn one_robot(home: &Home) -> Authros {
 
 fn words(words: &[&str]) -> Vec<String> {
     words.iter().map(|&word| word.to_owned()).collect()
-}
-
-fn faulty() -> Option<std::path::PathBuf> {
-    let built = std::path::Path::new(env!("CARGO_BIN_EXE_authros")).with_file_name("authros-faulty");
-    built.exists().then_some(built)
 }
 
 #[test]
@@ -48,7 +43,7 @@ fn signals_end_it_with_their_code() {
 #[test]
 fn a_panic_of_the_drawing_thread_gives_the_terminal_back_and_says_where() {
     let Some(program) = faulty() else {
-        skipped!("authros-faulty is not built; tests/run builds it");
+        skipped!("authros-faulty is not built; cargo test builds it with the examples");
     };
     let home = Home::new();
     let authros = one_robot(&home).with_program(&program).with_variable("AUTHROS_FAULT", "renderer");

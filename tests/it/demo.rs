@@ -7,7 +7,7 @@ use std::fs;
 
 use authros::crypto::fault::CHECKS;
 use serde_json::Value;
-use support::{Authros, Home, count, heavy, skipped};
+use support::{Authros, Home, count, faulty, heavy, skipped};
 
 /// The story must hold whatever the number of robots and the length.
 fn expect_the_whole_story(told: &Value) {
@@ -87,16 +87,10 @@ fn without_json_it_is_a_story_with_figures_and_no_escape_codes() {
     assert!(!outcome.stdout.contains('\u{1b}'), "{outcome}");
 }
 
-/// The build whose checks can be switched off individually is beside the product's own.
-fn faulty() -> Option<std::path::PathBuf> {
-    let built = std::path::Path::new(env!("CARGO_BIN_EXE_authros")).with_file_name("authros-faulty");
-    built.exists().then_some(built)
-}
-
 #[test]
 fn each_check_switched_off_makes_the_demo_say_that_it_is_not_ok() {
     let Some(program) = faulty() else {
-        skipped!("authros-faulty is not built; tests/run builds it");
+        skipped!("authros-faulty is not built; cargo test builds it with the examples");
     };
     let _alone = heavy();
     let demo = |fault: &str, home: &Home| {
@@ -115,4 +109,9 @@ fn each_check_switched_off_makes_the_demo_say_that_it_is_not_ok() {
     let home = Home::new();
     let told = demo("", &home).wait(120).expect_code(0).document();
     assert_eq!(told["ok"], true, "with every check on: {told}");
+    // The product itself heeds none of it.
+    let home = Home::new();
+    let product = home.authros().with_variable("AUTHROS_FAULT", CHECKS[0]).with(&["--json"]);
+    let told = product.spawn(&["demo", "--seconds", "2", "--robots", "1"]).wait(180).expect_code(0).document();
+    assert_eq!(told["ok"], true, "{told}");
 }

@@ -158,13 +158,7 @@ async fn read_all(session: &mut Client, owner: &Member, reader: &Member) -> Vec<
             let fetched = session.fetch(&entry.digest).await.expect("a record");
             let (header, _) = Header::parse(&fetched.blob).expect("a record");
             let proof = AnchorProof::parse(&fetched.proof).expect("a proof");
-            let leaf = authros::chain::merkle::Leaf {
-                owner: header.owner,
-                recorder: header.recorder,
-                topic_id: header.topic_id,
-                seq: header.seq,
-                digest: entry.digest,
-            };
+            let leaf = authros::chain::merkle::Leaf::of(&header, entry.digest);
             assert!(proof.inclusion.expect("batched").proves(&leaf));
             let expected = Expected::any_of(owner.domain, owner.address(), Names::Derived(owner.index().clone()));
             let (_, key) = owner.topic(TOPIC);

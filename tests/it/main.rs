@@ -37,6 +37,7 @@ mod identity;
 mod incidents;
 mod joined;
 mod key_changes;
+mod keyring_races;
 mod keys;
 mod messages;
 mod metrics;

@@ -7,7 +7,7 @@ use crate::support;
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-use authros::crypto::{Passphrase, ProviderName, UnlockedKeyring, domain, provider};
+use authros::crypto::{Keyring, Passphrase, ProviderName, domain, provider};
 use authros::gateway::{
     Applicant, Client, Code, Context, Credentials, Endpoint, GatewayError, NetworkName, Relayed, Selection, Trust,
 };
@@ -141,7 +141,7 @@ fn only_the_gateway_whose_key_was_told_is_joined() {
 struct Operator {
     endpoint: Endpoint,
     trust: Trust,
-    keyring: UnlockedKeyring,
+    keyring: Keyring,
     network: NetworkName,
 }
 
@@ -151,7 +151,7 @@ impl Operator {
         let directory = home.path().join("profiles").join(profile.as_str());
         let words = std::fs::read_to_string(directory.join("passphrase")).expect("a passphrase");
         let words = Passphrase::new(words.lines().next().expect("a line").to_owned()).expect("usable");
-        let keyring = UnlockedKeyring::open(&directory.join("keyring"), &words).expect("opens");
+        let keyring = Keyring::load(&directory.join("keyring"), &words).expect("opens");
         let network = Client::inquire(std::slice::from_ref(&gate.address), PATIENCE).await.expect("tells");
         let domain = domain(network.chain_id, &network.genesis, &network.contract);
         let context = Context { provider: provider(ProviderName::RustCrypto), domain };
@@ -162,7 +162,7 @@ impl Operator {
 
     async fn connect(&mut self, name: &str) -> Client {
         let name: ProfileName = name.parse().expect("a name");
-        let keys = &self.keyring.keyring;
+        let keys = &self.keyring;
         let (signing, envelope) = (&keys.signing, keys.envelope.public);
         let applicant = Applicant { name: &name, signing, envelope, account: &keys.eoa };
         let (key, _) = Client::allocate(&self.endpoint, &mut self.trust, &applicant).await.expect("allocates");

@@ -15,8 +15,8 @@ const INPUT: i32 = 3;
 const USAGE: i32 = 2;
 const WATCHED: &str = "/robot1/odom";
 const UNWATCHED: &str = "/robot1/camera/compressed";
-/// "authring" in hex: the beginning of the recorder id of a ring.
-const RING: &str = "6175746872696e67";
+/// The beginning of the recorder id of a ring, in hex.
+const RING: &str = "02";
 
 /// A gateway in a home with the robot's owner.
 pub struct Site {

@@ -24,6 +24,12 @@ pub fn program_under_test() -> PathBuf {
     std::env::var_os("AUTHROS_TEST_BINARY").map_or_else(|| env!("CARGO_BIN_EXE_authros").into(), PathBuf::from)
 }
 
+/// The program whose checks can be switched off and whose fail points end it, if `tests/run` has built it.
+pub fn faulty() -> Option<PathBuf> {
+    let built = Path::new(env!("CARGO_BIN_EXE_authros")).with_file_name("examples/authros-faulty");
+    built.exists().then_some(built)
+}
+
 /// A fresh user account: an empty `HOME`, and in it the path of an AuthROS home that does not exist yet.
 #[derive(Debug)]
 pub struct Home {

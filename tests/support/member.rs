@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use authros::crypto::{
-    EpochKey, IndexKey, Keyring, Passphrase, Provider, ProviderName, SealRequest, SmKeyPair, TopicKey, UnlockedKeyring,
-    epoch_key, filter_id, provider, random_bytes, seal, token, topic_id, topic_key,
+    EpochKey, IndexKey, Keyring, Passphrase, Provider, ProviderName, SealRequest, SmKeyPair, TopicKey, epoch_key,
+    filter_id, provider, random_bytes, seal, token, topic_id, topic_key,
 };
 use authros::gateway::{Applicant, Client, Context, Credentials, Endpoint, GatewayError, Trust, Upload};
 use authros::model::head::Compression;
 use authros::model::{
-    Address, Digest, Domain, Head, ProfileName, RecordKind, RecorderId, SignerId, Timestamp, Token, TopicId,
+    Address, Digest, Domain, Head, ProfileName, RecordKind, RecorderPrefix, SignerId, Timestamp, Token, TopicId,
 };
 use serde_json::Value;
 
@@ -51,7 +51,7 @@ impl Gateway {
 pub struct Member {
     pub keyring: Keyring,
     pub domain: Domain,
-    pub recorder: RecorderId,
+    pub recorder: RecorderPrefix,
     pub epoch: u64,
 }
 
@@ -61,9 +61,9 @@ impl Member {
         let directory = home.path().join("profiles").join(profile);
         let passphrase = std::fs::read_to_string(directory.join("passphrase")).expect("a passphrase");
         let passphrase = Passphrase::new(passphrase.trim_end().to_owned()).expect("a passphrase");
-        let keyring = UnlockedKeyring::open(&directory.join("keyring"), &passphrase).expect("opens").keyring;
+        let keyring = Keyring::load(&directory.join("keyring"), &passphrase).expect("opens");
         let epoch = keyring.networks.get(&domain).expect("registered").current;
-        Self { keyring, domain, recorder: RecorderId(random_bytes().expect("random")), epoch }
+        Self { keyring, domain, recorder: RecorderPrefix::ledger(random_bytes().expect("random")), epoch }
     }
 
     pub fn provider(&self) -> &'static dyn Provider {

@@ -1,4 +1,5 @@
-//! A loopback proxy in front of a node's HTTP port, which interferes with chosen requests.
+//! A loopback proxy in front of a node's HTTP port, which interferes with chosen requests, or answers some of them as another
+//! node would that is behind.
 
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, Error, ErrorKind, Read, Write};
@@ -8,7 +9,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use serde_json::Value;
+use serde_json::{Value, json};
+
+use super::anvil::{call, number};
 
 /// The way to interfere with a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,6 +26,8 @@ pub enum Spoil {
     CutAnswer,
     /// A complete HTTP answer whose JSON ends in the middle.
     TruncateJson,
+    /// The node gets the request, and its answer has this JSON as its result instead.
+    Answer(&'static str),
 }
 
 /// Matches every method.
@@ -35,8 +40,23 @@ struct Rule {
     left: u64,
 }
 
+/// A second node behind the same URL, which has not the newest blocks yet.
+#[derive(Debug, Clone, Copy)]
+struct Late {
+    /// How many blocks it lacks.
+    blocks: u64,
+    /// Which of the questions for logs reach it: every so many.
+    every: u64,
+    /// Whether every question about blocks reaches it as well.
+    is_alone: bool,
+    /// Whether it refuses to give logs of a block that it lacks, rather than say that there are none.
+    refuses: bool,
+    asked: u64,
+}
+
 #[derive(Debug, Default)]
 struct Shared {
+    late: Mutex<Option<Late>>,
     rule: Mutex<Option<Rule>>,
     seen: Mutex<HashMap<String, u64>>,
     spoilt: AtomicU64,
@@ -79,9 +99,20 @@ impl Proxy {
         *rule = Some(Rule { method: method.to_owned(), how, left: times });
     }
 
+    /// From now on every `every`-th question for logs is answered by a node that lacks the newest `blocks` blocks.
+    pub fn answer_logs_late(&self, blocks: u64, every: u64, refuses: bool) {
+        *lock(&self.shared.late) = Some(Late { blocks, every, is_alone: false, refuses, asked: 0 });
+    }
+
+    /// From now on every question about blocks and logs is answered by a node that lacks the newest `blocks` blocks.
+    pub fn fall_behind(&self, blocks: u64) {
+        *lock(&self.shared.late) = Some(Late { blocks, every: 1, is_alone: true, refuses: true, asked: 0 });
+    }
+
     /// Forwards everything again.
     pub fn calm(&self) {
         *lock(&self.shared.rule) = None;
+        *lock(&self.shared.late) = None;
     }
 
     /// How many requests were interfered with.
@@ -119,6 +150,71 @@ impl Shared {
         self.spoilt.fetch_add(1, Ordering::SeqCst);
         Some(rule.how)
     }
+
+    /// The answer of the node that is behind, if this request reaches it.
+    fn late_answer(&self, upstream: u16, request: &Message) -> Option<Message> {
+        let document: Value = serde_json::from_slice(&request.body).ok()?;
+        let method = document["method"].as_str()?;
+        let late = {
+            let mut late = lock(&self.late);
+            let late = late.as_mut()?;
+            if method == "eth_getLogs" {
+                late.asked += 1;
+                if !late.asked.is_multiple_of(late.every) {
+                    return None;
+                }
+            }
+            *late
+        };
+        let mut body = json!({ "jsonrpc": "2.0", "id": document["id"] });
+        match late.answer(upstream, method, &document["params"])? {
+            Ok(result) => body["result"] = result,
+            Err(message) => body["error"] = json!({ "code": -32000, "message": message }),
+        }
+        self.spoilt.fetch_add(1, Ordering::SeqCst);
+        let head = vec!["HTTP/1.1 200 OK".to_owned(), "Content-Type: application/json".to_owned()];
+        Some(Message { head, body: body.to_string().into_bytes() })
+    }
+}
+
+impl Late {
+    /// The answer of the node that is behind; `None` for what both nodes answer alike.
+    fn answer(self, upstream: u16, method: &str, parameters: &Value) -> Option<Result<Value, &'static str>> {
+        let seen = number(&call(upstream, "eth_blockNumber", &json!([]))).saturating_sub(self.blocks);
+        let old = format!("{seen:#x}");
+        let of = |value: &Value| value.as_str().and_then(|text| u64::from_str_radix(text.strip_prefix("0x")?, 16).ok());
+        match method {
+            "eth_blockNumber" if self.is_alone => Some(Ok(json!(old))),
+            "eth_getBlockByNumber" if self.is_alone => Some(Ok(match of(&parameters[0]) {
+                Some(asked) if asked > seen => Value::Null,
+                asked => call(upstream, method, &json!([format!("{:#x}", asked.unwrap_or(seen)), parameters[1]])),
+            })),
+            "eth_getLogs" => Some(match &parameters[0]["blockHash"] {
+                Value::Null => Ok(late_logs(upstream, &parameters[0], seen)),
+                hash => {
+                    let block = call(upstream, "eth_getBlockByHash", &json!([hash, false]));
+                    match (of(&block["number"]).is_some_and(|block| block <= seen), self.refuses) {
+                        (true, _) => Ok(call(upstream, method, parameters)),
+                        (false, true) => Err("unknown block"),
+                        (false, false) => Ok(json!([])),
+                    }
+                }
+            }),
+            _ => None,
+        }
+    }
+}
+
+/// The logs of a range, as far as the node that is behind has its blocks.
+fn late_logs(upstream: u16, filter: &Value, seen: u64) -> Value {
+    if filter["fromBlock"].is_string() && number(&filter["fromBlock"]) > seen {
+        return json!([]);
+    }
+    let mut filter = filter.clone();
+    if filter["toBlock"].as_str().is_none_or(|to| !to.starts_with("0x")) || number(&filter["toBlock"]) > seen {
+        filter["toBlock"] = json!(format!("{seen:#x}"));
+    }
+    call(upstream, "eth_getLogs", &json!([filter]))
 }
 
 fn accept(listener: &TcpListener, upstream: u16, shared: &Arc<Shared>) {
@@ -145,6 +241,12 @@ fn serve(client: &TcpStream, upstream: u16, shared: &Shared) -> Result<(), Error
     let mut node: Option<BufReader<TcpStream>> = None;
     while let Some(request) = Message::read(&mut requests)? {
         let spoil = request.method().and_then(|method| shared.decide(&method));
+        if let Some(answer) = shared.late_answer(upstream, &request) {
+            if !pass_on(client, &answer, None)? {
+                return Ok(());
+            }
+            continue;
+        }
         if spoil == Some(Spoil::Refuse) {
             return Ok(());
         }
@@ -180,6 +282,12 @@ fn pass_on(mut client: &TcpStream, answer: &Message, spoil: Option<Spoil>) -> Re
         }
         Some(Spoil::TruncateJson) => {
             let body = answer.body[..answer.body.len() / 2].to_vec();
+            client.write_all(&Message { head: answer.head.clone(), body }.bytes())?;
+        }
+        Some(Spoil::Answer(result)) => {
+            let mut document: Value = serde_json::from_slice(&answer.body)?;
+            document["result"] = serde_json::from_str(result)?;
+            let body = serde_json::to_vec(&document)?;
             client.write_all(&Message { head: answer.head.clone(), body }.bytes())?;
         }
         Some(Spoil::Delay(pause)) => {

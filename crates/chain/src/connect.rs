@@ -1,7 +1,7 @@
 //! Connecting: which chain this is, whether it is the pinned one, and which contract is in use.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::time::Duration;
 
 use ethers::providers::{Provider, RpcError};
@@ -29,7 +29,12 @@ pub(super) struct Inner {
     pub consensus: &'static str,
     pub confirmations: u64,
     pub contract: RwLock<Option<Pin>>,
+    /// Estimates of calls that are made often.
     pub gas: Mutex<HashMap<(Address, &'static str), u64>>,
+    /// How much gas the newest block seen may hold.
+    pub block_room: Mutex<Option<u64>>,
+    /// Whether headers name the logs of their blocks, once that is known.
+    pub makes_blooms: OnceLock<bool>,
 }
 
 /// A block as a node returns it, as far as it is read.
@@ -47,13 +52,8 @@ pub(super) struct RawBlock {
     mix_hash: String,
     #[serde(default)]
     pub base_fee_per_gas: Option<U256>,
-}
-
-/// The position of a log.
-#[derive(Debug, Serialize, Deserialize)]
-#[serde(rename_all = "camelCase")]
-struct RawPlace {
-    block_number: U64,
+    #[serde(default)]
+    gas_limit: Option<U256>,
 }
 
 impl Chain {
@@ -89,6 +89,8 @@ impl Chain {
             confirmations: options.confirmations,
             contract: RwLock::new(None),
             gas: Mutex::default(),
+            block_room: Mutex::default(),
+            makes_blooms: OnceLock::new(),
         };
         let chain = Self { inner: Arc::new(inner) };
         chain.settle_contract(options.contract, options.pinned).await?;
@@ -107,6 +109,8 @@ impl Chain {
             confirmations: 1,
             contract: RwLock::new(Some(pin)),
             gas: Mutex::default(),
+            block_room: Mutex::default(),
+            makes_blooms: OnceLock::new(),
         };
         Self { inner: Arc::new(inner) }
     }
@@ -190,11 +194,8 @@ impl Chain {
     /// The block of the constructor's event; 0 if the node does not say, which only makes reading slower.
     async fn deployment_block(&self, contract: Address) -> Result<u64, ChainError> {
         let signature = artefact()?.event_signature("AdministratorChanged")?;
-        let filter = json!({
-            "address": contract.to_string(), "topics": [signature.to_string()], "fromBlock": "0x0", "toBlock": "latest",
-        });
-        match self.rpc::<Vec<RawPlace>>("eth_getLogs", json!([filter])).await {
-            Ok(logs) => Ok(logs.first().map_or(0, |log| log.block_number.as_u64())),
+        match self.first_with(contract, signature).await {
+            Ok(block) => Ok(block.unwrap_or(0)),
             Err(ChainError::Rejected { .. }) => Ok(0),
             Err(error) => Err(error),
         }
@@ -271,6 +272,11 @@ impl Chain {
 }
 
 impl RawBlock {
+    /// The gas that the block may hold; `None` if the node does not say, or says nonsense.
+    pub(super) fn room(&self) -> Option<u64> {
+        self.gas_limit.and_then(|limit| u64::try_from(limit).ok()).filter(|limit| *limit > 0)
+    }
+
     pub(super) fn reference(&self) -> BlockRef {
         let timestamp = self.timestamp.as_u64();
         BlockRef { number: self.number.as_u64(), hash: Hash(self.hash.0), timestamp }

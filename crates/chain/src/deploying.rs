@@ -5,6 +5,7 @@ use std::time::Duration;
 use ethers::types::TransactionRequest;
 
 use super::artefact::artefact;
+use super::gas;
 use super::sender::{sign_request, wallet};
 use super::{Chain, ChainError, Pin};
 use crate::crypto::EoaSecret;
@@ -39,9 +40,10 @@ impl Chain {
     pub async fn deploy_with(&self, eoa: &EoaSecret, delay: Duration) -> Result<Pin, ChainError> {
         let artefact = artefact()?;
         let data = artefact.creation(true, delay.as_secs())?;
-        let gas = self.estimate(eoa.address(), None, &data).await?;
+        let gas = gas::with_margin(self.estimate(eoa.address(), None, &data).await?);
         let nonce = self.nonce(eoa.address(), true).await?;
         let price = self.market().await?.offer();
+        let gas = gas.min(self.room().unwrap_or(u64::MAX));
         let creation = TransactionRequest::new().nonce(nonce).gas(gas).gas_price(price).data(data).value(0u64);
         let signed = sign_request(&wallet(eoa)?, creation.chain_id(self.chain_id()))?;
         let hash = self.broadcast(&signed.raw).await?;

@@ -87,6 +87,17 @@ pub enum ChainError {
     /// The account cannot pay.
     #[error("the account has too little ether for the transaction; send it some, or use a network without fees")]
     InsufficientFunds,
+    /// A block of this network has too little room for the transaction.
+    #[error(
+        "the transaction needs up to {needed} gas, and the node says that a block of this network holds {limit}; raise \
+         the network's block gas limit, or correct `chain.url`"
+    )]
+    BlockTooSmall {
+        /// The gas it needs.
+        needed: u64,
+        /// The gas that a block holds.
+        limit: u64,
+    },
     /// The node refused for another reason.
     #[error("the node refused {method}: {reason}")]
     Rejected {
@@ -173,6 +184,7 @@ impl ChainError {
             | Self::NonceTooLow
             | Self::Underpriced
             | Self::InsufficientFunds
+            | Self::BlockTooSmall { .. }
             | Self::Rejected { .. } => ErrorKind::Refused,
         }
     }

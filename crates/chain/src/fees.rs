@@ -5,7 +5,9 @@ use ethers::types::{H160, TransactionRequest, U256};
 use ethers::utils::rlp;
 use serde_json::json;
 
+use super::artefact::artefact;
 use super::connect::RawBlock;
+use super::gas;
 use super::sender::{sign_request, wallet};
 use super::{BlockRef, Call, Chain, ChainError, SignedTransaction};
 use crate::crypto::EoaSecret;
@@ -62,6 +64,7 @@ impl Chain {
     /// Errors of the node.
     pub async fn market(&self) -> Result<Market, ChainError> {
         let block: RawBlock = self.rpc("eth_getBlockByNumber", json!(["latest", false])).await?;
+        self.note_room(block.room());
         let quoted: U256 = self.rpc("eth_gasPrice", json!([])).await?;
         let base = block.base_fee_per_gas.filter(|base| !base.is_zero());
         let base = base.map(|base| self.small("eth_getBlockByNumber", base)).transpose()?;
@@ -117,20 +120,38 @@ impl Chain {
         sign_request(&wallet(eoa)?, request.chain_id(self.chain_id()))
     }
 
-    /// Signs the call in `raw` again, with another nonce or price. Nothing is sent.
+    /// Signs the call in `raw` again, with another nonce or price, and with gas that is estimated anew: the estimate of
+    /// then may be what keeps it out of a block. Nothing is sent.
     ///
     /// # Errors
-    /// [`ChainError::Input`] if `raw` is not a legacy transaction.
-    pub fn resign(
+    /// [`ChainError::Input`] if `raw` is not a legacy transaction, [`ChainError::BlockTooSmall`].
+    pub async fn resign(
         &self,
         eoa: &EoaSecret,
         raw: &[u8],
         nonce: u64,
         price: u128,
     ) -> Result<SignedTransaction, ChainError> {
-        let request = decode(raw)?.nonce(nonce).gas_price(price).chain_id(self.chain_id());
+        let request = decode(raw)?;
+        let data = request.data.clone().unwrap_or_default();
+        let gas = match function_of(&data) {
+            Some(function) => {
+                // It may fail because an earlier transaction of the lane is in no block yet.
+                let estimate = self.estimate(eoa.address(), Some(self.contract()?), &data).await.unwrap_or(0);
+                gas::limit(estimate, gas::known_cost(&function, &data), self.room())?
+            }
+            None => TRANSFER_GAS,
+        };
+        let request = request.nonce(nonce).gas_price(price).gas(gas).chain_id(self.chain_id());
         sign_request(&wallet(eoa)?, request)
     }
+}
+
+/// The name of the contract's function that call data is for.
+fn function_of(data: &[u8]) -> Option<String> {
+    let selector = data.get(..4)?;
+    let abi = &artefact().ok()?.abi;
+    abi.functions().find(|function| function.short_signature() == selector).map(|function| function.name.clone())
 }
 
 /// The gas terms of signed legacy bytes.

@@ -10,6 +10,7 @@ use authros_model as model;
 
 mod anchor_proof;
 mod artefact;
+mod block_events;
 mod call;
 mod connect;
 mod deploying;
@@ -18,6 +19,7 @@ mod embedded;
 mod error;
 mod event;
 mod fees;
+mod gas;
 mod genesis;
 mod reader;
 pub mod relay;
@@ -39,6 +41,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 pub use self::anchor_proof::AnchorProof;
+pub use self::block_events::{AT_ONCE, BlockEvents, Completeness, NEAR};
 pub use self::call::{Call, LONGEST_ENVELOPE, MOST_WRAPS};
 pub use self::deploying::{DEFAULT_DELAY, LONGEST_DELAY, LONGEST_PAUSE, SHORTEST_DELAY};
 pub use self::embedded::check_embedded_chain;
@@ -46,6 +49,7 @@ pub use self::error::{ChainError, SEAL_ANEW, explain};
 pub use self::event::Event;
 pub use self::fees::{Market, Offered, call_data, is_same_call, offered};
 pub use self::genesis::{Allocation, GUIDE, Genesis, GenesisKind};
+pub use self::reader::Nonces;
 pub use self::relay::{Relay, RelayError, RelayLine};
 pub use self::rhythm::MEASURED;
 pub use self::sealed_by::{SealedBy, SealerKind};
@@ -179,6 +183,8 @@ pub struct Receipt {
     pub gas_used: u64,
     /// Why it failed, in plain words, if that can be determined.
     pub reason: Option<String>,
+    /// The contract's events in it.
+    pub events: Vec<EventAt>,
 }
 
 /// An event and its position.

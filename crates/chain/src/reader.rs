@@ -11,6 +11,18 @@ use super::event::end;
 use super::{AccountState, Call, Chain, ChainError, ChainStatus, GrantState, QueryAnswer};
 use crate::model::{Address, Digest, Hash, Identity, Token, bytes::hex, bytes::unhex};
 
+/// The most transactions of one account that a node may hold: far above any node's pool.
+const MOST_PENDING: u64 = 100_000;
+
+/// The next nonces of an account.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Nonces {
+    /// After everything that is mined.
+    pub mined: u64,
+    /// After everything that the node holds.
+    pub pending: u64,
+}
+
 impl Chain {
     /// The chain's properties and, for `account`, its holdings.
     ///
@@ -63,6 +75,20 @@ impl Chain {
             answered => answered?,
         };
         Ok(nonce.as_u64())
+    }
+
+    /// Both next nonces of an account. They check each other: a node that answers one of them wrongly is not believed,
+    /// because a transaction signed for a nonce far ahead would never be mined.
+    ///
+    /// # Errors
+    /// [`ChainError::Answer`] if they contradict each other, or an error of the node.
+    pub async fn nonces(&self, account: Address) -> Result<Nonces, ChainError> {
+        let (mined, pending) = (self.nonce(account, false).await?, self.nonce(account, true).await?);
+        if (mined..=mined.saturating_add(MOST_PENDING)).contains(&pending) {
+            return Ok(Nonces { mined, pending });
+        }
+        let reason = format!("{mined} as the mined nonce and {pending} as the pending one contradict each other");
+        Err(self.misunderstood("eth_getTransactionCount", &reason))
     }
 
     /// Simulates a call without sending it.

@@ -12,7 +12,9 @@ use serde_json::{Value, json};
 
 use super::embedded::Transaction;
 use super::error::explain;
+use super::gas;
 use super::reader::reason;
+use super::watcher::RawLog;
 use super::{Call, Chain, ChainError, Receipt, SignedTransaction};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, bytes::hex};
@@ -20,8 +22,8 @@ use crate::model::{Address, Hash, bytes::hex};
 impl Chain {
     /// Signs a call as a legacy transaction. Nothing is sent.
     ///
-    /// Gas is estimated; for uploads and anchors once per account, then remembered until a transaction fails, so that
-    /// many can be signed in advance.
+    /// Gas is estimated and held against what the call is known to cost; for uploads and anchors once per account, then
+    /// remembered until a transaction fails, so that many can be signed in advance.
     ///
     /// # Errors
     /// [`ChainError::Reverted`] if the contract would refuse the call, [`ChainError::Input`], or an error of the node.
@@ -38,25 +40,35 @@ impl Chain {
         data: &[u8],
     ) -> Result<u64, ChainError> {
         let key = (from, call.name());
-        let known = self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).get(&key).copied();
-        if let Some(gas) = known {
-            return Ok(gas);
-        }
-        let gas = self.estimate(from, Some(to), data).await?;
+        let remembered = self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).get(&key).copied();
+        let estimate = match remembered {
+            Some(estimate) => estimate,
+            None => self.estimate(from, Some(to), data).await?,
+        };
         if matches!(call, Call::DataUpload { .. } | Call::Anchor { .. }) {
-            self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).insert(key, gas);
+            self.inner.gas.lock().unwrap_or_else(PoisonError::into_inner).insert(key, estimate);
         }
-        Ok(gas)
+        gas::limit(estimate, call.known_cost(data), self.room())
     }
 
-    /// The node's estimate plus a quarter.
+    /// Notes how much gas the newest block may hold.
+    pub(super) fn note_room(&self, room: Option<u64>) {
+        *self.inner.block_room.lock().unwrap_or_else(PoisonError::into_inner) = room;
+    }
+
+    /// How much gas a block may hold, as far as the node has said.
+    pub(super) fn room(&self) -> Option<u64> {
+        *self.inner.block_room.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The node's estimate.
     pub(super) async fn estimate(&self, from: Address, to: Option<Address>, data: &[u8]) -> Result<u64, ChainError> {
         let mut message = json!({ "from": from.to_string(), "data": format!("0x{}", hex(data)) });
         if let Some(to) = to {
             message["to"] = json!(to.to_string());
         }
         match self.rpc::<U64>("eth_estimateGas", json!([message])).await {
-            Ok(gas) => Ok(gas.as_u64().saturating_add(gas.as_u64() / 4)),
+            Ok(gas) => Ok(gas.as_u64()),
             Err(error @ ChainError::Rejected { .. }) => {
                 // Old nodes say only that it always fails: simulating the call gives the reason.
                 match to {
@@ -126,7 +138,10 @@ impl Chain {
             why = reason(self, &value, block).await.map(|code| explain(&code));
         }
         let gas_used = u64::try_from(raw.gas_used).unwrap_or(u64::MAX);
-        Ok(Some(Receipt { block, block_hash: Hash(raw.block_hash.0), success, gas_used, reason: why }))
+        let contract = self.pin().map(|pin| pin.contract);
+        let own = raw.logs.iter().filter(|log| contract.is_some_and(|contract| contract.0 == log.address.0));
+        let events = own.map(|log| self.decode(log)).collect::<Result<_, _>>()?;
+        Ok(Some(Receipt { block, block_hash: Hash(raw.block_hash.0), success, gas_used, reason: why, events }))
     }
 
     async fn raw_receipt(&self, hash: Hash) -> Result<Option<(RawReceipt, Value)>, ChainError> {
@@ -184,4 +199,6 @@ pub(super) struct RawReceipt {
     gas_used: U256,
     pub status: Option<U64>,
     pub contract_address: Option<H160>,
+    #[serde(default)]
+    logs: Vec<RawLog>,
 }

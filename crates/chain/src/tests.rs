@@ -1,5 +1,7 @@
 //! The crate as others use it, on the embedded chain.
 
+mod lagging;
+
 use std::path::Path;
 use std::time::{Duration, Instant};
 

@@ -222,10 +222,21 @@ where
 {
     let translate = |error: C::Error| match (error.as_error_response(), error.as_serde_error()) {
         (Some(answer), _) => TransportError::Answered(answer.clone()),
-        (None, Some(error)) => TransportError::Malformed(serde_json::Error::custom(clean(&error.to_string(), 200))),
+        (None, Some(reason)) => TransportError::Malformed(serde_json::Error::custom(clean(
+            &page(&error).unwrap_or(reason.to_string()),
+            200,
+        ))),
         (None, None) => TransportError::Broken(innermost(&error)),
     };
     client.request(method, parameters).await.map_err(translate)
+}
+
+/// What to say of a web page: its text tells nothing, and a fault of JSON is not what is wrong.
+fn page(error: &dyn std::error::Error) -> Option<String> {
+    let words = error.to_string();
+    let (_, body) = words.split_once("Response: ")?;
+    let is_page = body.trim_start().starts_with('<');
+    is_page.then(|| "a web page: what stands before the node refused the request".to_owned())
 }
 
 /// Uses a connection that is kept open, opening it first if necessary.

@@ -136,7 +136,7 @@ fn signed_text(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::{Address, Commit, Domain, RecordKind, RecorderId, Salt, SignerId, TopicId};
+    use crate::model::{Address, Commit, Domain, RecordKind, RecorderPrefix, Salt, SignerId, TopicId};
     use crate::{ProviderName, provider};
 
     fn header(seq: u64) -> Vec<u8> {
@@ -150,7 +150,7 @@ mod tests {
             owner,
             signer: SignerId([3; 32]),
             epoch: 1,
-            recorder: RecorderId([4; 16]),
+            recorder: RecorderPrefix::ledger([4; 7]).of_signer(&SignerId([3; 32])),
             seq,
             topic_id: TopicId([5; 16]),
             filters: Vec::new(),

@@ -143,6 +143,20 @@ pub enum CryptoError {
     /// A keyring whose bytes were altered.
     #[error("the keyring {0} is damaged; restore it from its backup")]
     DamagedKeyring(String),
+    /// A keyring file that is no longer the one that was read.
+    #[error(
+        "the keyring {path} was changed by another program after this one read it (it has generation {found}, read was \
+         {read}); nothing was written and no key is lost: run the command again, and if it still fails, stop the site of \
+         this home and start it again"
+    )]
+    Superseded {
+        /// The file.
+        path: String,
+        /// The generation that was read.
+        read: u64,
+        /// The generation of the file.
+        found: u64,
+    },
     /// A keyring that lacks an epoch.
     #[error("the keyring has no key for epoch {0} on this chain; it may be out of date, restore a newer one")]
     NoEpoch(u64),
@@ -172,7 +186,8 @@ impl CryptoError {
             | Self::WrongKey
             | Self::NotAccepted { .. }
             | Self::WrongPassphrase(_)
-            | Self::Locked(_) => ErrorKind::Refused,
+            | Self::Locked(_)
+            | Self::Superseded { .. } => ErrorKind::Refused,
             Self::DamagedRecord(_) | Self::Tampered(_) | Self::NotAsked(_) | Self::DamagedKeyring(_) => {
                 ErrorKind::Tampered
             }

@@ -49,6 +49,8 @@ mod differential_tests;
 #[cfg(test)]
 mod openssl_tests;
 #[cfg(test)]
+mod readme_tests;
+#[cfg(test)]
 mod vector_tests;
 
 pub use account::{AccountSignature, TypedStructure, keccak256, recover_account, sign_hash};

@@ -1,10 +1,10 @@
 //! Merkle batches: RFC 6962's tree with SM3 (docs/format.md, section 6).
 //!
-//! leaf = SM3(0x00 || owner || recorder || topic id || seq || D), node = SM3(0x01 || left || right);
+//! leaf = SM3(0x00 || owner || signer || recorder || topic id || seq || D), node = SM3(0x01 || left || right);
 //! seq is 8 bytes, big endian. The root goes on the chain; each record keeps its path.
 
 use super::sm3::{sm3, sm3_many};
-use crate::model::{Address, Digest, Hash, RecorderId, TopicId};
+use crate::model::{Address, Digest, Hash, Header, RecorderId, SignerId, TopicId};
 
 /// The most leaves in a batch.
 pub const MOST_LEAVES: usize = 16_384;
@@ -21,6 +21,8 @@ const STAMP: &[u8] = b"AuthROS/stamp/1";
 pub struct Leaf {
     /// The owner of the record.
     pub owner: Address,
+    /// SM3 of the key that signed it.
+    pub signer: SignerId,
     /// The recorder that numbered it.
     pub recorder: RecorderId,
     /// Its topic's pseudonym.
@@ -32,6 +34,12 @@ pub struct Leaf {
 }
 
 impl Leaf {
+    /// Of the record with this public header and digest.
+    pub fn of(header: &Header, digest: Digest) -> Self {
+        let Header { owner, signer, recorder, topic_id, seq, .. } = *header;
+        Self { owner, signer, recorder, topic_id, seq, digest }
+    }
+
     /// Its hash in the tree.
     pub fn hash(&self) -> Hash {
         Hash(sm3(&[&self.hashed()]))
@@ -45,7 +53,7 @@ impl Leaf {
     /// The bytes that its hash covers.
     fn hashed(&self) -> Vec<u8> {
         let seq = self.seq.to_be_bytes();
-        [LEAF, &self.owner.0, &self.recorder.0, &self.topic_id.0, &seq, &self.digest.0].concat()
+        [LEAF, &self.owner.0, &self.signer.0, &self.recorder.0, &self.topic_id.0, &seq, &self.digest.0].concat()
     }
 }
 
@@ -185,6 +193,7 @@ mod tests {
     fn leaf(number: u64) -> Leaf {
         Leaf {
             owner: Address([1; 20]),
+            signer: SignerId([8; 32]),
             recorder: RecorderId([2; 16]),
             topic_id: TopicId([3; 16]),
             seq: number + 1,
@@ -233,6 +242,7 @@ mod tests {
         let one = leaf(5);
         let others = [
             Leaf { owner: Address([9; 20]), ..one },
+            Leaf { signer: SignerId([9; 32]), ..one },
             Leaf { recorder: RecorderId([9; 16]), ..one },
             Leaf { topic_id: TopicId([9; 16]), ..one },
             Leaf { seq: 9, ..one },

@@ -56,6 +56,29 @@ pub fn create_private(path: &Path, bytes: &[u8]) -> Result<(), CryptoError> {
     replace(path, bytes, false)
 }
 
+/// Replaces a file by what `change` makes of its present bytes, `None` if there is no file; what it returns as `None`
+/// leaves the file as it is, and so does an error. The door for every file that more than one process or task reads,
+/// changes and writes: changes of files in one directory happen one after the other.
+///
+/// # Errors
+/// What `change` returns, or those of [`read_private`] and [`write_private`].
+pub fn change_private(
+    path: &Path,
+    most: usize,
+    change: impl FnOnce(Option<&[u8]>) -> Result<Option<Vec<u8>>, CryptoError>,
+) -> Result<(), CryptoError> {
+    let _lock = lock_directory(path)?;
+    let there = match read_private(path, most) {
+        Ok(bytes) => Some(bytes),
+        Err(CryptoError::Read { source, .. }) if source.kind() == ErrorKind::NotFound => None,
+        Err(error) => return Err(error),
+    };
+    match change(there.as_ref().map(|bytes| bytes.as_slice()))? {
+        Some(bytes) => write_private(path, &bytes),
+        None => Ok(()),
+    }
+}
+
 fn replace(path: &Path, bytes: &[u8], over: bool) -> Result<(), CryptoError> {
     let directory = directory_of(path);
     let write = CryptoError::write(path);
@@ -68,6 +91,21 @@ fn replace(path: &Path, bytes: &[u8], over: bool) -> Result<(), CryptoError> {
         _ => write(error.error),
     })?;
     File::open(&directory).and_then(|directory| directory.sync_all()).map_err(&write)
+}
+
+/// Locks the directory of a file until the handle is dropped or the process ends. Not the file itself, which a write
+/// replaces: two processes would then hold the locks of two files of the same name.
+fn lock_directory(path: &Path) -> Result<File, CryptoError> {
+    let directory = directory_of(path);
+    let write = CryptoError::write(path);
+    let handle = File::open(&directory).map_err(&write)?;
+    loop {
+        match handle.lock() {
+            Ok(()) => return Ok(handle),
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
+            Err(error) => return Err(write(error)),
+        }
+    }
 }
 
 /// Makes a directory with mode 0700, or checks that an existing one is closed to others.
@@ -127,6 +165,26 @@ mod tests {
         assert_eq!(fs::read_dir(home.path().join("keys")).expect("lists").count(), 1, "no temporary file stays");
         assert!(matches!(create_private(&path, b"three"), Err(CryptoError::Exists(_))));
         assert!(matches!(read_private(&path, 2), Err(CryptoError::Length { .. })));
+    }
+
+    #[test]
+    fn changes_of_a_file_come_one_after_the_other() {
+        let home = tempfile::tempdir().expect("directory");
+        let path = home.path().join("count");
+        write_private(&path, &[0]).expect("writes");
+        let count = || change_private(&path, 10, |there| Ok(there.map(|there| vec![there[0] + 1])));
+        std::thread::scope(|scope| {
+            for _ in 0..8 {
+                scope.spawn(|| (0..20).for_each(|_| count().expect("changes")));
+            }
+        });
+        assert_eq!(&**read_private(&path, 10).expect("reads"), &[160]);
+        assert!(change_private(&path, 10, |_| Err(CryptoError::Random)).is_err());
+        change_private(&path, 10, |_| Ok(None)).expect("nothing to do");
+        assert_eq!(&**read_private(&path, 10).expect("reads"), &[160]);
+        let made = |there: Option<&[u8]>| Ok(there.is_none().then(|| vec![7]));
+        change_private(&home.path().join("new"), 10, made).expect("makes");
+        assert_eq!(&**read_private(&home.path().join("new"), 10).expect("reads"), &[7]);
     }
 
     #[test]

@@ -6,9 +6,9 @@
 use zeroize::{Zeroize as _, Zeroizing};
 
 use crate::model::head::{Compression, MOST_TAGS};
-use crate::model::header::{LARGEST_BODY, LARGEST_HEAD, MOST_FILTERS, TAG_LENGTH};
+use crate::model::header::{LARGEST_BODY, LARGEST_HEAD, LARGEST_SEQ, LARGEST_STORED, MOST_FILTERS, TAG_LENGTH};
 use crate::model::{
-    Address, Commit, Digest, Domain, FilterId, Head, Header, RecordKind, RecorderId, Salt, Signature, Timestamp,
+    Address, Commit, Digest, Domain, FilterId, Head, Header, RecordKind, RecorderPrefix, Salt, Signature, Timestamp,
     TopicId,
 };
 
@@ -40,9 +40,9 @@ pub struct SealRequest<'a> {
     pub epoch: u64,
     /// The key it is sealed under.
     pub topic_key: &'a TopicKey,
-    /// The ledger that records it.
-    pub recorder: RecorderId,
-    /// From 1, per recorder and topic.
+    /// The ledger or ring that records it; with the signer it makes the recorder id.
+    pub recorder: RecorderPrefix,
+    /// From 1 to [`LARGEST_SEQ`], per owner, signer, recorder and topic.
     pub seq: u64,
     /// Pseudonym of the topic.
     pub topic_id: TopicId,
@@ -126,13 +126,14 @@ fn append(
 
 fn header(request: &SealRequest<'_>, head_length: usize) -> Result<(Header, RecordKeys), CryptoError> {
     let long = |what| CryptoError::Length { what, found: usize::MAX, allowed: "far less" };
+    let signer = signer_id(&request.signer.public);
     let mut header = Header {
         kind: request.kind,
         domain: request.domain,
         owner: request.owner,
-        signer: signer_id(&request.signer.public),
+        signer,
         epoch: request.epoch,
-        recorder: request.recorder,
+        recorder: request.recorder.of_signer(&signer),
         seq: request.seq,
         topic_id: request.topic_id,
         filters: request.filters.clone(),
@@ -160,8 +161,11 @@ fn check_request(request: &SealRequest<'_>, head: usize) -> Result<(), CryptoErr
     if request.filters.len() > MOST_FILTERS || request.head.tags.len() > MOST_TAGS {
         return Err(CryptoError::Inconsistent("number of filters or tags"));
     }
-    if request.epoch == 0 || request.seq == 0 {
-        return Err(CryptoError::Inconsistent("epoch or seq, which begin at 1,"));
+    if request.captured_at.0 > LARGEST_STORED {
+        return Err(CryptoError::Inconsistent("capture time"));
+    }
+    if !(1..=LARGEST_STORED).contains(&request.epoch) || !(1..=LARGEST_SEQ).contains(&request.seq) {
+        return Err(CryptoError::Inconsistent("epoch, which begins at 1, or seq, which is 1 to 2^40,"));
     }
     if is_length(request.head, request.body) { Ok(()) } else { Err(CryptoError::Inconsistent("plain length")) }
 }

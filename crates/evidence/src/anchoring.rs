@@ -62,8 +62,7 @@ fn unproven(text: impl Into<String>) -> Found<'static> {
 }
 
 fn find<'a>(check: &Check<'a>, digest: Digest, header: &Header, claim: &'a AnchorClaim) -> Found<'a> {
-    let Header { owner, recorder, topic_id, seq, .. } = *header;
-    let leaf = Leaf { owner, recorder, topic_id, seq, digest };
+    let leaf = Leaf::of(header, digest);
     if !check.known.leads(&leaf, claim) {
         return refused("its path does not lead to the root it names");
     }

@@ -4,7 +4,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use authros_model::{Address, RecorderId, TopicId};
+use authros_model::{Address, RecorderId, SignerId, TopicId};
 
 use crate::heights::{Claim, Height, birth, claims};
 use crate::report::{HeadsClaim, RecordReport, Standing, Stretch};
@@ -13,8 +13,8 @@ use crate::verify::Messages;
 /// The most gaps that are named.
 const MOST_GAPS: usize = 100;
 
-/// One topic of one recorder.
-type Topic = (Address, RecorderId, TopicId);
+/// One topic of one key in one recorder.
+type Topic = (Address, SignerId, RecorderId, TopicId);
 /// Its records by their numbers.
 type Numbered<'a> = BTreeMap<u64, Vec<&'a RecordReport>>;
 
@@ -22,16 +22,16 @@ type Numbered<'a> = BTreeMap<u64, Vec<&'a RecordReport>>;
 pub(crate) fn stretches(heights: &[Height], records: &[RecordReport], messages: &Messages) -> Vec<Stretch> {
     let mut topics: BTreeMap<Topic, Numbered<'_>> = BTreeMap::new();
     for record in records.iter().filter(|record| record.bytes.standing == Standing::Proven) {
-        let (Some(owner), Some(recorder), Some(topic), Some(seq)) =
-            (record.owner, record.recorder, record.topic_id, record.seq)
+        let (Some(owner), Some(signer), Some(recorder), Some(topic), Some(seq)) =
+            (record.owner, record.signer, record.recorder, record.topic_id, record.seq)
         else {
             continue;
         };
-        topics.entry((owner, recorder, topic)).or_default().entry(seq).or_default().push(record);
+        topics.entry((owner, signer, recorder, topic)).or_default().entry(seq).or_default().push(record);
     }
     let stretch = |(of, numbered): (Topic, Numbered<'_>)| {
         let mut stretch = stretch(of, &numbered, &claims(heights, records, messages, of));
-        if let Some((record, birth)) = birth(records, messages, (of.0, of.1)) {
+        if let Some((record, birth)) = birth(records, messages, (of.0, of.1, of.2)) {
             (stretch.born_at, stretch.predecessor) = (record.anchored_at, birth.predecessor);
         }
         let own = are_statements(&numbered);
@@ -39,8 +39,8 @@ pub(crate) fn stretches(heights: &[Height], records: &[RecordReport], messages: 
             // They were included for the sake of other topics: nobody claims that these are all.
             (stretch.gaps, stretch.missing, stretch.heads) = (Vec::new(), 0, None);
         }
-        stretch.text = if of.1.is_ring() { told_of_ring(&stretch) } else { told(&stretch, own) };
-        if of.1.is_ring() {
+        stretch.text = if of.2.is_ring() { told_of_ring(&stretch) } else { told(&stretch, own) };
+        if of.2.is_ring() {
             // What is not there fell out of the ring, or was not asked for: no number of it is missing.
             (stretch.gaps, stretch.missing, stretch.heads) = (Vec::new(), 0, None);
         }
@@ -55,13 +55,10 @@ fn are_statements(numbered: &Numbered<'_>) -> bool {
     believed.peek().is_some() && believed.all(|record| record.is_statement())
 }
 
-/// Whether these records of one number are two histories of one signer: either both are proven, or both have the key
-/// that is proven to be the owner's for one of them.
+/// Whether these records that one key signed with one number are two histories: there are two, and the key is proven to be
+/// the owner's for one of them.
 fn is_twice(records: &[&RecordReport]) -> bool {
-    let mut believed = records.iter().filter(|record| record.is_believed());
-    let Some(one) = believed.next() else { return false };
-    let same = |record: &&&RecordReport| record.digest != one.digest && record.signer == one.signer;
-    believed.next().is_some() || records.iter().any(|record| same(&record))
+    records.len() > 1 && records.iter().any(|record| record.is_believed())
 }
 
 /// Whether heads contradict themselves or each other: a path that does not lead to the root, a number that decreased.
@@ -70,7 +67,7 @@ fn contradict(claims: &[Claim<'_>]) -> bool {
     numbers().any(|number| number.is_none()) || numbers().zip(numbers().skip(1)).any(|(one, next)| next < one)
 }
 
-fn stretch((owner, recorder, topic_id): Topic, numbered: &Numbered<'_>, claims: &[Claim<'_>]) -> Stretch {
+fn stretch((owner, signer, recorder, topic_id): Topic, numbered: &Numbered<'_>, claims: &[Claim<'_>]) -> Stretch {
     let all = || numbered.values().flatten();
     let uncounted = all().filter(|record| !record.is_believed()).count() as u64;
     let heads = claims.last().and_then(|claim| {
@@ -98,6 +95,7 @@ fn stretch((owner, recorder, topic_id): Topic, numbered: &Numbered<'_>, claims: 
     gaps.truncate(MOST_GAPS);
     Stretch {
         owner,
+        signer,
         recorder,
         topic_id,
         standing,
@@ -133,7 +131,9 @@ fn told(stretch: &Stretch, own_statements: bool) -> String {
         text.push_str(&until(stretch, first, last));
     }
     if let Some(predecessor) = stretch.predecessor {
-        text.push_str(&format!("; its recorder follows {predecessor}, after a restore or on a copy"));
+        text.push_str(&format!(
+            "; its recorder follows {predecessor}, after a restore, on a copy, or with another key"
+        ));
     }
     if stretch.uncounted > 0 {
         text.push_str(&format!("; and {} records whose signer is not proven, not counted", stretch.uncounted));

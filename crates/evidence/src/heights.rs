@@ -1,7 +1,7 @@
 //! `heights.json`: the place of a topic's highest number in a recorder's head, which is a disclosed record.
 
 use authros_crypto::merkle::{LONGEST_PATH, height_hash, root_of};
-use authros_model::{Address, Birth, Digest, Hash, Heads, RecorderId, TopicId};
+use authros_model::{Address, Birth, Digest, Hash, Heads, RecorderId, SignerId, TopicId};
 use serde::{Deserialize, Serialize};
 
 use crate::BundleError;
@@ -79,12 +79,11 @@ pub(crate) fn claims<'a>(
     heights: &[Height],
     records: &'a [RecordReport],
     messages: &'a Messages,
-    (owner, recorder, topic): (Address, RecorderId, TopicId),
+    (owner, signer, recorder, topic): (Address, SignerId, RecorderId, TopicId),
 ) -> Vec<Claim<'a>> {
     let claim = |height: &Height| {
         let at = records.binary_search_by(|record| record.digest.cmp(&height.heads)).ok()?;
-        let record =
-            records.get(at).filter(|record| (record.owner, record.recorder) == (Some(owner), Some(recorder)))?;
+        let record = records.get(at).filter(|record| is_of(record, (owner, signer, recorder)))?;
         let heads = Heads::parse(statement(record, messages, Heads::TYPE)?).ok()?;
         let leaf = height_hash(&topic, height.number);
         let leads = root_of(leaf, height.index, u64::from(heads.count), &height.path) == Some(heads.root);
@@ -95,13 +94,18 @@ pub(crate) fn claims<'a>(
     claims
 }
 
+/// Whether this key signed a record for this owner in this recorder.
+fn is_of(record: &RecordReport, (owner, signer, recorder): (Address, SignerId, RecorderId)) -> bool {
+    (record.owner, record.signer, record.recorder) == (Some(owner), Some(signer), Some(recorder))
+}
+
 /// The trusted birth of a recorder, the first one.
 pub(crate) fn birth<'a>(
     records: &'a [RecordReport],
     messages: &'a Messages,
-    (owner, recorder): (Address, RecorderId),
+    of: (Address, SignerId, RecorderId),
 ) -> Option<(&'a RecordReport, Birth)> {
-    let own = records.iter().filter(|record| (record.owner, record.recorder) == (Some(owner), Some(recorder)));
+    let own = records.iter().filter(|record| is_of(record, of));
     let births = own.filter_map(|record| Some((record, Birth::parse(statement(record, messages, Birth::TYPE)?).ok()?)));
     births.min_by_key(|(record, _)| record.seq)
 }

@@ -144,14 +144,15 @@ impl<'a> Known<'a> {
 #[cfg(test)]
 mod tests {
     use authros_crypto::merkle::Tree;
-    use authros_model::{Digest, RecorderId, TopicId};
+    use authros_model::{Digest, RecorderId, SignerId, TopicId};
     use proptest::prelude::*;
 
     use super::*;
 
     fn leaf(seq: u64) -> Leaf {
         let digest = Digest([u8::try_from(seq % 251).expect("small"); 32]);
-        Leaf { owner: Address([1; 20]), recorder: RecorderId([2; 16]), topic_id: TopicId([3; 16]), seq, digest }
+        let (owner, signer) = (Address([1; 20]), SignerId([4; 32]));
+        Leaf { owner, signer, recorder: RecorderId([2; 16]), topic_id: TopicId([3; 16]), seq, digest }
     }
 
     /// A claim of leaf `seq`, altered in one of eight ways or not at all.

@@ -13,6 +13,8 @@ mod heights;
 mod known;
 mod manifest;
 mod packing;
+#[cfg(test)]
+mod readme_tests;
 mod report;
 mod signing;
 mod stamping;

@@ -143,11 +143,13 @@ pub struct Disclosed {
     pub tags: BTreeMap<String, String>,
 }
 
-/// (f) The records of one topic by one recorder.
+/// (f) The records of one topic by one key in one recorder.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Stretch {
     /// Their owner.
     pub owner: Address,
+    /// SM3 of the key that signed them.
+    pub signer: SignerId,
     /// The ledger.
     pub recorder: RecorderId,
     /// The topic.
@@ -170,7 +172,7 @@ pub struct Stretch {
     pub heads: Option<HeadsClaim>,
     /// When the recorder's birth was anchored, if that is in the bundle.
     pub born_at: Option<Timestamp>,
-    /// The recorder that it follows, after a restore, according to its birth.
+    /// The recorder that it follows, after a restore or a change of keys, according to its birth.
     pub predecessor: Option<RecorderId>,
     /// In words.
     pub text: String,

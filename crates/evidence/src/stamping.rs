@@ -55,8 +55,7 @@ impl<'a> Stamps<'a> {
         let Some(found) = self.roots.get(&inclusion.root) else {
             return absent("no authority's time stamp over its batch is in the bundle");
         };
-        let Header { owner, recorder, topic_id, seq, .. } = *header;
-        if !inclusion.proves(&Leaf { owner, recorder, topic_id, seq, digest }) {
+        if !inclusion.proves(&Leaf::of(header, digest)) {
             return (Level::new(Standing::Refused, "its path does not lead to the stamped root"), None);
         }
         let mut best = Finding::default();

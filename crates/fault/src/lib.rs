@@ -1,8 +1,22 @@
 //! Switches with a single purpose: to prove that the product notices faults and survives them.
 //!
-//! They exist only in the binary `authros-faulty`, built with the feature `fault`: `AUTHROS_FAULT` names a check to
-//! switch off, `AUTHROS_FAIL_POINT` a place where the process ends as if killed, or where a task panics. In every other
-//! build each check is always on, and a fail point does nothing.
+//! They work only in the program `authros-faulty`, which calls [`arm`]: there `AUTHROS_FAULT` names a check to switch off,
+//! and `AUTHROS_FAIL_POINT` a place where the process ends as if killed, or where a task panics. In every other program
+//! each check is always on and a fail point does nothing, and a release build has none of them.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+static ARMED: AtomicBool = AtomicBool::new(false);
+
+/// Lets this process heed the variables, unless it is a release build.
+pub fn arm() {
+    ARMED.store(true, Ordering::Release);
+}
+
+/// Known to be false when a release is compiled, so that nothing of what it guards is in there.
+fn is_armed() -> bool {
+    cfg!(debug_assertions) && ARMED.load(Ordering::Acquire)
+}
 
 /// The checks that can be named.
 pub const CHECKS: [&str; 9] =
@@ -37,49 +51,32 @@ pub const POINTS: [&str; 24] = [
     "block-sealed",
 ];
 
-/// Whether the check is switched off: never, in a build without the feature.
-#[cfg(not(feature = "fault"))]
-pub const fn is_off(_check: &str) -> bool {
-    false
-}
-
 /// Whether the check is switched off by `AUTHROS_FAULT`.
-#[cfg(feature = "fault")]
 pub fn is_off(check: &str) -> bool {
-    std::env::var("AUTHROS_FAULT").is_ok_and(|name| name == check)
+    is_armed() && std::env::var("AUTHROS_FAULT").is_ok_and(|name| name == check)
 }
-
-/// A place where the process may be made to end: does nothing in a build without the feature.
-#[cfg(not(feature = "fault"))]
-pub const fn point(_place: &str) {}
 
 /// Ends the process without any cleanup if `AUTHROS_FAIL_POINT` is `PLACE[:N]`, the N-th time it is reached, or panics
 /// once with `panic:PLACE[:N]`.
-#[cfg(feature = "fault")]
 pub fn point(place: &str) {
+    if !is_armed() {
+        return;
+    }
     if let Some(how) = planned::due(place) {
         planned::strike(how, place);
     }
 }
 
-/// Never, in a build without the feature.
-#[cfg(not(feature = "fault"))]
-pub async fn task_fails(_task: &str) {
-    std::future::pending().await
-}
-
 /// Panics half a second after a task began if `AUTHROS_FAIL_TASK` is `TASK[:N]` or `all[:N]`, in each of its first N
-/// runs.
-#[cfg(feature = "fault")]
+/// runs; else it never ends.
 pub async fn task_fails(task: &str) {
-    if planned::task_is_due(task) {
+    if is_armed() && planned::task_is_due(task) {
         tokio::time::sleep(std::time::Duration::from_millis(500)).await;
         planned::strike(planned::How::Panic, task);
     }
     std::future::pending().await
 }
 
-#[cfg(feature = "fault")]
 mod planned {
     use std::collections::HashMap;
     use std::sync::atomic::{AtomicU64, Ordering};

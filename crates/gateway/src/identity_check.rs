@@ -3,7 +3,7 @@
 
 use crate::crypto::record::Checked;
 use crate::crypto::{Anchor, SmSecret, Unchecked, check_identity, check_many};
-use crate::model::{Digest, Header, ProfileName, PublicKey, Token};
+use crate::model::{Digest, Header, ProfileName, PublicKey, RecordKind, Token};
 
 use super::allocation::{AllocationRequest, examine};
 use super::code::{Code, Refusal};
@@ -89,7 +89,8 @@ pub fn check_signed<C>(
     context.provider.verify(&caller.signing, &signed, &signature).map_err(Refusal::because(Code::Signature))
 }
 
-/// The records of an upload: of this network, owned by the caller, signed by the owner or a lent device.
+/// The records of an upload: of this network, owned by the caller, signed by the owner or a lent device; in a device's
+/// session, by that device. The header binds each number to its signer.
 ///
 /// # Errors
 /// [`Refusal`] with `Malformed`, `NotYours` or `Signature`, or the desk's; one bad record refuses all.
@@ -120,10 +121,26 @@ pub async fn check_records(
     let bytes: usize = uploads.iter().map(|upload| upload.blob.len()).sum();
     let few = uploads.len() <= AT_ONCE.0 && bytes <= AT_ONCE.1;
     let verify = move || verify_all(context, uploads, &signers);
-    if few {
-        return verify();
+    let received = match few {
+        true => verify()?,
+        false => tokio::task::spawn_blocking(verify).await.map_err(Refusal::because(Code::Internal))??,
+    };
+    check_own(caller, &received)?;
+    Ok(received)
+}
+
+/// Whatever else it got hold of, a device's session adds to the device's own numbers alone, and no notices: those are its
+/// owner's.
+fn check_own(caller: &Caller, received: &[Received]) -> Result<(), Refusal> {
+    let Some(device) = &caller.device else { return Ok(()) };
+    let is_own = |header: &Header| header.signer == device.id && header.kind != RecordKind::Key;
+    match received.iter().find(|record| !is_own(&record.header)) {
+        Some(other) => {
+            let (id, kind, signer) = (device.id, other.header.kind.word(), other.header.signer);
+            Err(Refusal::new(Code::NotYours, format_args!("device {id} sends a {kind} record that {signer} signed")))
+        }
+        None => Ok(()),
     }
-    tokio::task::spawn_blocking(verify).await.map_err(Refusal::because(Code::Internal))?
 }
 
 /// Whether each record is signed by the key beside it, in one go.

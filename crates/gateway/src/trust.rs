@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::crypto::CryptoError;
 use crate::crypto::error::shown;
-use crate::crypto::private_file::{read_private, write_private};
+use crate::crypto::private_file::{change_private, read_private};
 use crate::model::{Digest, SignerId};
 
 use super::error::GatewayError;
@@ -62,7 +62,8 @@ impl Trust {
         Ok(Self { pinned: Some(file.gateway), first_use: false, seen: Some(seen) })
     }
 
-    /// Saves it. Before a gateway has been met there is nothing to write.
+    /// Saves it. Before a gateway has been met there is nothing to write; a newer list of the same gateway that another
+    /// connection has seen stays.
     ///
     /// # Errors
     /// [`CryptoError::Write`].
@@ -70,7 +71,11 @@ impl Trust {
         let (Some(gateway), Some(seen)) = (self.pinned, self.seen) else { return Ok(()) };
         let file = File { gateway, list_version: seen.version, list_digest: seen.digest };
         let text = serde_json::to_vec_pretty(&file).map_err(|_| CryptoError::Internal("JSON"))?;
-        write_private(path, &text)
+        change_private(path, LONGEST, |there| {
+            let there = there.and_then(|there| serde_json::from_slice::<File>(there).ok());
+            let known = there.filter(|there| there.gateway == gateway && there.list_version >= seen.version);
+            Ok(known.is_none().then_some(text))
+        })
     }
 
     /// Judges a gateway that has just proven its identity key; remembers what it showed if it passes.
@@ -158,6 +163,7 @@ impl KeptTrust {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::crypto::private_file::write_private;
     use crate::gateway::session::SessionId;
     use crate::model::PublicKey;
 
@@ -199,6 +205,11 @@ mod tests {
         assert!(!again.first_use, "first use is over");
         assert!(matches!(again.judge(&agreed(2, 5, 5)), Err(GatewayError::NotTheGateway { .. })));
         assert!(matches!(again.judge(&agreed(1, 4, 5)), Err(GatewayError::RolledBack { .. })));
+        let newer =
+            Trust { seen: trust.seen.map(|seen| ListSummary { version: seen.version + 1, ..seen }), ..trust.clone() };
+        newer.save(&path).expect("writes");
+        trust.save(&path).expect("keeps what another connection has seen");
+        assert_eq!(Trust::load(&path).expect("reads").seen, newer.seen);
         write_private(&path, b"{}").expect("writes");
         assert!(Trust::load(&path).is_err());
     }

@@ -126,7 +126,7 @@ fixed_bytes! {
     TopicId(16) "";
     /// Pseudonym of a type or tag, for queries.
     FilterId(8) "";
-    /// Identifies the life of one ledger file; new for each ledger and each restore.
+    /// Identifies one signing key in the life of one ledger file; see [`super::RecorderPrefix`].
     RecorderId(16) "";
     /// SM3 of a signer's public key.
     SignerId(32) "";

@@ -1,4 +1,4 @@
-//! The ring that a robot keeps on its disk: how much of it, of which topics, the recorder ids of what is in it, and the
+//! The ring that a robot keeps on its disk: how much of it, of which topics, and the
 //! spans that its owner asks for.
 
 use std::fmt;
@@ -8,25 +8,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use super::wire::{Reader, WireError, put_text};
-use super::{ByteSize, RecorderId, Timestamp, TopicPattern, clean, time_span};
-
-/// First bytes of the recorder id of a ring.
-const RING: [u8; 8] = *b"authring";
-
-impl RecorderId {
-    /// The id of the recorder of a ring: `authring (8) || random (8)`, readable in the header of every record. The
-    /// numbers of such a recorder may be missing anywhere: a ring loses its oldest, and is asked for spans.
-    pub fn of_ring(random: [u8; 8]) -> Self {
-        let mut id = [0; Self::LENGTH];
-        id.iter_mut().zip(RING.iter().chain(&random)).for_each(|(place, byte)| *place = *byte);
-        Self(id)
-    }
-
-    /// Whether it is the recorder of a ring. One of a ledger is random, and is taken for one once in 2^64.
-    pub fn is_ring(&self) -> bool {
-        self.0.starts_with(&RING)
-    }
-}
+use super::{ByteSize, Timestamp, TopicPattern, clean, time_span};
 
 /// How much a ring keeps; whatever is reached first counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -190,14 +172,6 @@ mod tests {
         for bad in ["odom", "/a b", "[[\"/a\"]]", many.as_str()] {
             assert!(bad.parse::<TopicPatterns>().is_err(), "{bad}");
         }
-    }
-
-    #[test]
-    fn the_recorder_of_a_ring_is_told_from_others() {
-        let ring = RecorderId::of_ring([7; 8]);
-        // By hand: "authring" in ASCII.
-        assert_eq!(ring.to_string(), "6175746872696e670707070707070707");
-        assert!(ring.is_ring() && !RecorderId([7; 16]).is_ring() && !RecorderId([0; 16]).is_ring());
     }
 
     #[test]

@@ -19,6 +19,10 @@ pub const MOST_FILTERS: usize = 4;
 pub const LARGEST_HEAD: u32 = 64 * 1024;
 /// The largest sealed body accepted, bytes (64 MiB plus a tag).
 pub const LARGEST_BODY: u64 = 64 * 1024 * 1024 + 16;
+/// The highest sequence number, about a thousand records a second for 34 years: nobody can use up what is left.
+pub const LARGEST_SEQ: u64 = 1 << 40;
+/// The highest epoch and capture time: what a ledger can hold.
+pub const LARGEST_STORED: u64 = u64::MAX >> 1;
 /// The GCM tag at the end of each sealed part, bytes.
 pub const TAG_LENGTH: usize = 16;
 
@@ -95,9 +99,9 @@ pub struct Header {
     pub signer: SignerId,
     /// The epoch whose key seals it.
     pub epoch: u64,
-    /// The recorder.
+    /// The recorder; its id carries a tag of the signer.
     pub recorder: RecorderId,
-    /// From 1, per recorder and topic, across epochs.
+    /// From 1 to [`LARGEST_SEQ`], per owner, signer, recorder and topic, across epochs.
     pub seq: u64,
     /// Pseudonym of the topic.
     pub topic_id: TopicId,
@@ -178,7 +182,10 @@ impl Header {
         let tag = u32::try_from(TAG_LENGTH).unwrap_or(16);
         expect((tag..=LARGEST_HEAD).contains(&header.head_length), "head length")?;
         expect((u64::from(tag)..=LARGEST_BODY).contains(&header.body_length), "body length")?;
-        expect(header.epoch > 0 && header.seq > 0, "epoch or seq")?;
+        expect((1..=LARGEST_STORED).contains(&header.epoch), "epoch")?;
+        expect((1..=LARGEST_SEQ).contains(&header.seq), "seq, which is 1 to 2^40,")?;
+        expect(header.captured_at.0 <= LARGEST_STORED, "capture time")?;
+        expect(header.recorder.is_of(&header.signer), "recorder, which is not of the key that signs,")?;
         Ok(header)
     }
 }
@@ -196,6 +203,7 @@ fn expect(condition: bool, field: &'static str) -> Result<(), WireError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::RecorderPrefix;
     use proptest::prelude::*;
 
     fn sample(filters: usize) -> Header {
@@ -205,7 +213,7 @@ mod tests {
             owner: Address([2; 20]),
             signer: SignerId([3; 32]),
             epoch: 4,
-            recorder: RecorderId([5; 16]),
+            recorder: RecorderPrefix::ledger([5; 7]).of_signer(&SignerId([3; 32])),
             seq: 6,
             topic_id: TopicId([7; 16]),
             filters: vec![FilterId([8; 8]); filters],
@@ -235,6 +243,28 @@ mod tests {
             let mut bytes = sample(1).encode();
             bytes[8] = version;
             assert_eq!(Header::parse(&bytes), Err(WireError::Value("version")), "{version}");
+        }
+    }
+
+    #[test]
+    fn a_number_of_another_keys_recorder_or_out_of_bounds_is_refused() {
+        let sealed = |change: fn(&mut Header)| {
+            let mut header = sample(1);
+            change(&mut header);
+            Header::parse(&header.encode()).map(|_| ()).map_err(|error| error.to_string())
+        };
+        assert_eq!(sealed(|header| header.seq = LARGEST_SEQ), Ok(()));
+        let refused: [(fn(&mut Header), &str); 6] = [
+            (|header| header.seq = LARGEST_SEQ + 1, "seq"),
+            (|header| header.seq = u64::MAX >> 1, "seq"),
+            (|header| header.epoch = 1 << 63, "epoch"),
+            (|header| header.captured_at = Timestamp(1 << 63), "capture time"),
+            (|header| header.signer = SignerId([4; 32]), "recorder"),
+            (|header| header.recorder.0[0] = 0, "recorder"),
+        ];
+        for (change, field) in refused {
+            let error = sealed(change).expect_err(field);
+            assert!(error.starts_with(&format!("the {field}")), "{error}");
         }
     }
 

@@ -16,7 +16,7 @@ use crate::crypto::{
 use crate::model::bytes::hex;
 use crate::model::head::SIMULATED;
 use crate::model::header::TAG_LENGTH;
-use crate::model::{Digest, FilterId, Head, Header, RecordKind, RecordState, RecorderId};
+use crate::model::{Digest, FilterId, Head, Header, RecordKind, RecordState, RecorderPrefix};
 use crate::store::{FilterChoice, RecordRow, StoreError};
 
 use super::{Plant, proof};
@@ -321,11 +321,11 @@ fn is_length(sealed: u64, plain: u64) -> bool {
     sealed == plain || sealed <= plain - plain / 8
 }
 
-/// The field in which a row and the sealed head of its record differ; `here` is this ledger's recorder. A gateway that
+/// The field in which a row and the sealed head of its record differ; `here` is this ledger's prefix. A gateway that
 /// could not open a record stores its pseudonyms, its sealed length and no simulation mark.
-pub fn head_difference(row: &RecordRow, head: &Head, here: RecorderId) -> Option<&'static str> {
+pub fn head_difference(row: &RecordRow, head: &Head, here: RecorderPrefix) -> Option<&'static str> {
     let simulated = head.is_simulated();
-    let foreign = row.recorder != here;
+    let foreign = !here.has(&row.recorder);
     let fields = [
         ("topic", !row.is_named() || head.topic == row.topic),
         ("type", is_pseudonym(&row.type_name) || head.type_name == row.type_name),
@@ -336,7 +336,7 @@ pub fn head_difference(row: &RecordRow, head: &Head, here: RecorderId) -> Option
 }
 
 /// The field in which a row and an opened record differ.
-pub fn difference(row: &RecordRow, opened: &OpenedRecord, here: RecorderId) -> Option<&'static str> {
+pub fn difference(row: &RecordRow, opened: &OpenedRecord, here: RecorderPrefix) -> Option<&'static str> {
     header_difference(row, &opened.header).or_else(|| head_difference(row, &opened.head, here))
 }
 

@@ -164,10 +164,10 @@ impl Directory {
         self.state.write().unwrap_or_else(PoisonError::into_inner).applied = last;
     }
 
-    /// Takes over the whole state of another directory at once, after it was rebuilt without replaced blocks.
-    pub fn become_like(&self, other: Self) {
-        *self.state.write().unwrap_or_else(PoisonError::into_inner) =
-            other.state.into_inner().unwrap_or_else(PoisonError::into_inner);
+    /// Takes over the whole state of another directory at once, after it was rebuilt without replaced or missed blocks.
+    pub fn become_like(&self, other: &Self) {
+        let state = other.state.read().unwrap_or_else(PoisonError::into_inner).clone();
+        *self.state.write().unwrap_or_else(PoisonError::into_inner) = state;
     }
 
     /// The block of the last event that changed anything; 0 before the first.

@@ -30,16 +30,24 @@ struct Asked {
     span: RingSpan,
 }
 
-/// Held while the list is read and written: one task asks, another one takes what is done out.
-static CHANGING: Mutex<()> = Mutex::new(());
-
-fn all(ledger: &Ledger) -> Result<VecDeque<Asked>, StoreError> {
-    let text = ledger.setting(ASKED)?;
-    Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
+fn read(text: Option<&str>) -> VecDeque<Asked> {
+    text.and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
 }
 
-fn note(ledger: &Ledger, asked: &VecDeque<Asked>) -> Result<(), StoreError> {
-    ledger.put_setting(ASKED, &serde_json::to_string(asked).unwrap_or_default())
+fn all(ledger: &Ledger) -> Result<VecDeque<Asked>, StoreError> {
+    Ok(read(ledger.setting(ASKED)?.as_deref()))
+}
+
+/// Changes the list: one task asks, another one takes what is done out.
+fn change(
+    ledger: &Ledger,
+    change: impl FnOnce(&mut VecDeque<Asked>) -> Result<(), PipelineError>,
+) -> Result<(), PipelineError> {
+    ledger.change_setting(ASKED, |text| {
+        let mut asked = read(text);
+        change(&mut asked)?;
+        Ok((serde_json::to_string(&asked).unwrap_or_default(), ()))
+    })
 }
 
 /// Notes that the owner asks for a span, by the number of its notice; durable when this returns.
@@ -47,17 +55,17 @@ fn note(ledger: &Ledger, asked: &VecDeque<Asked>) -> Result<(), StoreError> {
 /// # Errors
 /// [`PipelineError::Refused`] if more is asked for already than is noted, errors of the ledger.
 pub fn ask(ledger: &Ledger, number: u64, span: &RingSpan) -> Result<(), PipelineError> {
-    let _alone = CHANGING.lock().unwrap_or_else(PoisonError::into_inner);
-    let mut asked = all(ledger)?;
-    // A restored home numbers its notices from 1 again.
-    if asked.iter().any(|known| known.number == number && known.span == *span) {
-        return Ok(());
-    }
-    if asked.len() >= MOST {
-        return Err(PipelineError::Refused(format!("{MOST} spans of the ring are asked for already")));
-    }
-    asked.push_back(Asked { number, span: span.clone() });
-    Ok(note(ledger, &asked)?)
+    change(ledger, |asked| {
+        // A restored home numbers its notices from 1 again.
+        if asked.iter().any(|known| known.number == number && known.span == *span) {
+            return Ok(());
+        }
+        if asked.len() >= MOST {
+            return Err(PipelineError::Refused(format!("{MOST} spans of the ring are asked for already")));
+        }
+        asked.push_back(Asked { number, span: span.clone() });
+        Ok(())
+    })
 }
 
 /// The spans asked for and not brought in yet, the oldest request first.
@@ -120,10 +128,10 @@ impl Pulls {
     pub fn step(&mut self) -> Result<Step, PipelineError> {
         let Some(mut work) = self.take_work()? else { return Ok(Step::Idle) };
         let Some(part) = work.parts.front().copied() else {
-            let _alone = CHANGING.lock().unwrap_or_else(PoisonError::into_inner);
-            let mut asked = all(&self.plant.ledger)?;
-            asked.retain(|known| *known != work.asked);
-            note(&self.plant.ledger, &asked)?;
+            change(&self.plant.ledger, |asked| {
+                asked.retain(|known| *known != work.asked);
+                Ok(())
+            })?;
             return Ok(Step::Done(work.asked.span, work.brought));
         };
         let records = self.ring().select(part, &work.asked.span);

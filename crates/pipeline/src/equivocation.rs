@@ -1,8 +1,8 @@
-//! Two signed records with the same number: a recorder that used (owner, recorder, topic, number) twice either lied or
+//! Two signed records with the same number: a key that used (owner, recorder, topic, number) twice either lied or
 //! ran twice. The first record stays; the other one is refused, reported, and stored in the audit log with both
 //! signatures, as evidence.
 
-use crate::model::{Address, Digest, RecorderId, Signature, Timestamp, TopicId};
+use crate::model::{Address, Digest, RecorderId, Signature, SignerId, Timestamp, TopicId};
 use crate::store::{AuditEntry, AuditLog, NewRecord};
 
 use super::{PipelineError, Plant};
@@ -17,6 +17,8 @@ const MOST: usize = 16;
 pub struct Claim {
     /// Its owner.
     pub owner: Address,
+    /// SM3 of the key that signed it.
+    pub signer: SignerId,
     /// The recorder.
     pub recorder: RecorderId,
     /// Its topic.
@@ -25,7 +27,7 @@ pub struct Claim {
     pub number: u64,
     /// Its digest.
     pub digest: Digest,
-    /// Its owner's or a device's signature over the digest.
+    /// That key's signature over the digest.
     pub signature: Signature,
 }
 
@@ -33,8 +35,8 @@ impl Claim {
     /// The claim of a record that came from elsewhere; `None` for one recorded here.
     pub fn of(record: &NewRecord) -> Option<Self> {
         let recorder = record.foreign?.recorder;
-        let (owner, topic, number) = (record.owner, record.topic_id, record.seq);
-        Some(Self { owner, recorder, topic, number, digest: record.digest, signature: record.signature })
+        let (owner, signer, topic, number) = (record.owner, record.signer, record.topic_id, record.seq);
+        Some(Self { owner, signer, recorder, topic, number, digest: record.digest, signature: record.signature })
     }
 }
 
@@ -44,31 +46,36 @@ impl Claim {
 /// # Errors
 /// Errors of the ledger.
 pub fn tell(plant: &Plant, claim: &Claim) -> Result<bool, PipelineError> {
-    let held = plant.ledger.holder(claim.owner, claim.recorder, claim.topic, claim.number)?;
+    let held = plant.ledger.holder(claim.owner, (claim.signer, claim.recorder), claim.topic, claim.number)?;
     let Some(held) = held.filter(|held| *held != claim.digest) else { return Ok(false) };
     let Some(row) = plant.ledger.record(held)? else { return Ok(false) };
     let name = format!("{TOLD}{}", claim.recorder);
-    let known = plant.ledger.setting(&name)?.and_then(|text| serde_json::from_str::<Vec<Digest>>(&text).ok());
-    let mut known = known.unwrap_or_default();
-    if known.contains(&claim.digest) || known.len() >= MOST {
+    let Claim { owner, signer, recorder, topic, number, digest, signature } = claim;
+    let is_new = plant.ledger.change_setting(&name, |text| {
+        let known = text.and_then(|text| serde_json::from_str::<Vec<Digest>>(text).ok());
+        let mut known = known.unwrap_or_default();
+        let is_new = !known.contains(digest) && known.len() < MOST;
+        if is_new {
+            AuditLog::new(plant.ledger.clone()).append(AuditEntry {
+                at: Timestamp::now(),
+                profile: owner.to_string(),
+                action: "equivocation".to_owned(),
+                subject: format!("number {number} of topic {topic}, recorder {recorder}, signer {signer}"),
+                outcome: format!("{held} signed {}; {digest} signed {signature}", row.signature),
+            })?;
+            known.push(*digest);
+        }
+        Ok::<_, PipelineError>((serde_json::to_string(&known).unwrap_or_default(), is_new))
+    })?;
+    if !is_new {
         return Ok(true);
     }
-    let Claim { owner, recorder, topic, number, digest, signature } = claim;
-    AuditLog::new(plant.ledger.clone()).append(AuditEntry {
-        at: Timestamp::now(),
-        profile: owner.to_string(),
-        action: "equivocation".to_owned(),
-        subject: format!("number {number} of topic {topic}, recorder {recorder}"),
-        outcome: format!("{held} signed {}; {digest} signed {signature}", row.signature),
-    })?;
-    known.push(*digest);
-    plant.ledger.put_setting(&name, &serde_json::to_string(&known).unwrap_or_default())?;
     plant.observer.alert(
         true,
         format!(
-            "equivocation: {owner} signed two records with number {number} of topic {topic} (recorder {recorder}): \
-             {held} is kept, {digest} refused; the audit log keeps both signatures. Either two copies of its home are \
-             running, or it is cheating"
+            "equivocation: the key {signer} of {owner} signed two records with number {number} of topic {topic} (recorder \
+             {recorder}): {held} is kept, {digest} refused; the audit log keeps both signatures. Either two copies of its \
+             home are running, or it is cheating"
         ),
     );
     Ok(true)
@@ -80,7 +87,7 @@ mod tests {
 
     use super::*;
     use crate::crypto::{ProviderName, provider};
-    use crate::model::{RecordKind, RecordState, SignerId};
+    use crate::model::{RecordKind, RecordState};
     use crate::pipeline::fixture::Notes;
     use crate::store::{AuditQuery, Foreign, Ledger, open_vault};
 

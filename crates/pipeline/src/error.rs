@@ -103,6 +103,17 @@ pub enum PipelineError {
     /// The chain kept changing while it was read.
     #[error("the chain changed while it was being read; it is read again; check that all nodes behind the URL agree")]
     Unsteady,
+    /// The node has not what it named, or what it had before.
+    #[error(
+        "the node names block {head} and does not give block {block}: it is behind, or several nodes answer at its URL and \
+         not all are up to date; nothing is decided by it until it has caught up; check that node"
+    )]
+    NodeBehind {
+        /// The block that is not there, or not whole.
+        block: u64,
+        /// The newest block, as the node says.
+        head: u64,
+    },
     /// The anchor of a record from a gateway is in a block that the chain here may get yet.
     #[error(
         "the node here does not have block {block} with the anchor of record {digest} yet; it is asked again; if it stays \
@@ -173,7 +184,9 @@ impl PipelineError {
             }
             Self::Deleted(..) | Self::Erased { .. } => ErrorKind::Refused,
             Self::UnknownEpoch(_) | Self::Uncovered(_) => ErrorKind::Refused,
-            Self::NotMined(_) | Self::Unsteady | Self::NotSeen { .. } => ErrorKind::Incomplete,
+            Self::NotMined(_) | Self::Unsteady | Self::NodeBehind { .. } | Self::NotSeen { .. } => {
+                ErrorKind::Incomplete
+            }
         }
     }
 }

@@ -208,8 +208,7 @@ impl ExportFolder {
 
     /// The leaf of the record in its batch.
     pub fn leaf(&self, digest: Digest) -> Leaf {
-        let Header { owner, recorder, topic_id, seq, .. } = self.header;
-        Leaf { owner, recorder, topic_id, seq, digest }
+        Leaf::of(&self.header, digest)
     }
 
     /// Everything that can be checked without a chain.

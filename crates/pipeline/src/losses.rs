@@ -7,10 +7,11 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use crate::model::{Address, GapReport, LossReason, RecordKind, RecordState, Timestamp, TopicId};
+use crate::model::{Address, GapReport, LossReason, RecordKind, RecordState, Timestamp};
 use crate::ros::Message;
 use crate::store::{GapRow, Loss, StateCounts, StoreError};
 
+use super::sealer::plan::Stream;
 use super::statement::{self, Speaker, Statement};
 use super::{Author, PipelineError, Plant};
 
@@ -165,7 +166,7 @@ impl Losses {
     ///
     /// # Errors
     /// Errors of sealing, vault and ledger; what is sealed so far stays.
-    pub fn tell(&self, plant: &Plant, by: Timestamp) -> Result<Vec<(Address, TopicId, u64)>, PipelineError> {
+    pub fn tell(&self, plant: &Plant, by: Timestamp) -> Result<Vec<(Stream, u64)>, PipelineError> {
         if plant.takes_records().is_err() {
             return Ok(Vec::new());
         }
@@ -197,7 +198,7 @@ fn merge(noted: &mut BTreeMap<Key, Loss>, key: Key, loss: Loss) {
 }
 
 /// `None` if there is no key to seal with now; it is reported later.
-fn tell_one(plant: &Plant, author: &Author, gap: &GapRow) -> Result<Option<(Address, TopicId, u64)>, PipelineError> {
+fn tell_one(plant: &Plant, author: &Author, gap: &GapRow) -> Result<Option<(Stream, u64)>, PipelineError> {
     let Some(keys) = author.sealing() else { return Ok(None) };
     let Some(topic) = keys.topic(&gap.topic) else { return Ok(None) };
     let Some(reason) = LossReason::from_word(&gap.reason) else { return Ok(None) };
@@ -225,5 +226,5 @@ fn tell_one(plant: &Plant, author: &Author, gap: &GapRow) -> Result<Option<(Addr
         let seq = row.seq;
         plant.ledger.close_gap(gap, row).map(|()| seq)
     })?;
-    Ok(Some((author.address, topic.id, seq)))
+    Ok(Some(((author.address, keys.signer, topic.id), seq)))
 }

@@ -85,8 +85,7 @@ impl Anchors {
             }
             return Ok(AnchorProof { block, block_hash, ..proof });
         };
-        let Header { owner, recorder, topic_id, seq, .. } = *header;
-        if !inclusion.proves(&Leaf { owner, recorder, topic_id, seq, digest }) {
+        if !inclusion.proves(&Leaf::of(header, digest)) {
             return Err(refused("its path does not lead to its root"));
         }
         let key = (proof.account, inclusion.root, inclusion.count, proof.transaction);
@@ -199,7 +198,7 @@ impl Mirror<'_> {
     pub fn unproven(&self, owner: Address, most: usize) -> Result<Vec<Digest>, PipelineError> {
         let rows = block_in_place(|| self.plant.ledger.in_state(Some(owner), RecordState::Stored, most))?;
         let here = self.plant.ledger.recorder();
-        Ok(rows.iter().filter(|row| row.recorder != here).map(|row| row.digest).collect())
+        Ok(rows.iter().filter(|row| !here.has(&row.recorder)).map(|row| row.digest).collect())
     }
 
     /// Imports one record. Its digest and its signature by the key that came with it have been checked already. Returns

@@ -1,7 +1,6 @@
 //! An owner: a profile whose keyring is open in this site.
 
-use std::collections::btree_map::Entry;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -22,26 +21,42 @@ pub struct Owner {
     pub address: Address,
     /// Seals in its name.
     pub author: Arc<Author>,
-    keyring: Mutex<UnlockedKeyring>,
+    keyring: Arc<Mutex<UnlockedKeyring>>,
     /// Envelopes opened so far, by SM3 of the envelope.
     pub(super) opened: Mutex<HashMap<Digest, Arc<WrappedKeys>>>,
     /// Changes of epochs, keys and grants happen one at a time.
-    pub changes: tokio::sync::Mutex<()>,
-    locked: AtomicBool,
+    pub changes: Arc<tokio::sync::Mutex<()>>,
+    locked: Arc<AtomicBool>,
 }
 
 impl Owner {
     /// An owner with an open keyring.
     pub fn new(profile: ProfileName, keyring: UnlockedKeyring) -> Self {
-        let address = keyring.keyring.eoa.address();
+        let address = keyring.keys().eoa.address();
         Self {
             profile,
             address,
             author: Arc::new(Author::new(address)),
-            keyring: Mutex::new(keyring),
+            keyring: Arc::new(Mutex::new(keyring)),
             opened: Mutex::default(),
-            changes: tokio::sync::Mutex::default(),
-            locked: AtomicBool::new(false),
+            changes: Arc::default(),
+            locked: Arc::default(),
+        }
+    }
+
+    /// The owner of the same keyring after its account changed. Both share the one copy of the keys, so neither can save
+    /// an older one over the other's.
+    #[must_use]
+    pub fn with_new_account(&self) -> Self {
+        let address = self.keyring().keys().eoa.address();
+        Self {
+            profile: self.profile.clone(),
+            address,
+            author: Arc::new(Author::new(address)),
+            keyring: Arc::clone(&self.keyring),
+            opened: Mutex::default(),
+            changes: Arc::clone(&self.changes),
+            locked: Arc::clone(&self.locked),
         }
     }
 
@@ -56,16 +71,20 @@ impl Owner {
     /// # Errors
     /// Errors of the random source; nothing is wiped then.
     pub fn lock(&self, provider: &dyn Provider) -> Result<(), CryptoError> {
-        self.keyring().strip(provider)?;
+        let mut keyring = self.keyring();
+        keyring.strip(provider)?;
         self.opened.lock().unwrap_or_else(PoisonError::into_inner).clear();
         self.locked.store(true, Ordering::Release);
         Ok(())
     }
 
-    /// Restores the keys that [`Self::lock`] wiped.
+    /// Restores the keys that [`Self::lock`] wiped. Keys that are not wiped stay: a copy of the file is never newer.
     pub fn unlock(&self, keyring: UnlockedKeyring) {
-        *self.keyring() = keyring;
-        self.locked.store(false, Ordering::Release);
+        let mut held = self.keyring();
+        if self.is_locked() {
+            *held = keyring;
+            self.locked.store(false, Ordering::Release);
+        }
     }
 
     /// The keyring itself.
@@ -75,47 +94,47 @@ impl Owner {
 
     /// The EOA's key.
     pub fn eoa(&self) -> EoaSecret {
-        self.keyring().keyring.eoa.clone()
+        self.keyring().keys().eoa.clone()
     }
 
     /// P_C with d_C.
     pub fn signing(&self) -> SmKeyPair {
-        self.keyring().keyring.signing.clone()
+        self.keyring().keys().signing.clone()
     }
 
     /// P_E with d_E.
     pub fn envelope(&self) -> SmKeyPair {
-        self.keyring().keyring.envelope.clone()
+        self.keyring().keys().envelope.clone()
     }
 
     /// P_E with d_E, and the pairs that replace it or that it replaced: they open what was encrypted to them.
     pub fn envelopes(&self) -> Vec<SmKeyPair> {
         let keyring = self.keyring();
-        let further = &keyring.keyring.further;
+        let further = &keyring.keys().further;
         let others = further.next_envelope.iter().chain(further.envelopes.iter().rev());
-        [&keyring.keyring.envelope].into_iter().chain(others).cloned().collect()
+        [&keyring.keys().envelope].into_iter().chain(others).cloned().collect()
     }
 
     /// The identity of the gateway that this owner keeps: P_C with d_C as of its founding.
     pub fn gateway_identity(&self) -> SmKeyPair {
         let keyring = self.keyring();
-        keyring.keyring.further.gateway.as_ref().unwrap_or(&keyring.keyring.signing).clone()
+        keyring.keys().further.gateway.as_ref().unwrap_or(&keyring.keys().signing).clone()
     }
 
     /// P_C and P_E.
     pub fn public_keys(&self) -> (PublicKey, PublicKey) {
         let keyring = self.keyring();
-        (keyring.keyring.signing.public, keyring.keyring.envelope.public)
+        (keyring.keys().signing.public, keyring.keys().envelope.public)
     }
 
     /// IK.
     pub fn index(&self) -> IndexKey {
-        self.keyring().keyring.index.clone()
+        self.keyring().keys().index.clone()
     }
 
     /// The pseudonym of a topic.
     pub fn topic_id(&self, topic: &str) -> TopicId {
-        topic_id(&self.keyring().keyring.index, topic)
+        topic_id(&self.keyring().keys().index, topic)
     }
 
     /// The keys that seal new records; `None` until an epoch was begun or resumed.
@@ -126,19 +145,15 @@ impl Owner {
     /// The key of an epoch of this owner on a network, if the keyring has it.
     pub fn epoch_key(&self, domain: Domain, epoch: u64) -> Option<EpochKey> {
         let keyring = self.keyring();
-        let secret = keyring.keyring.networks.get(&domain).and_then(|network| network.epochs.get(&epoch))?;
+        let secret = keyring.keys().networks.get(&domain).and_then(|network| network.epochs.get(&epoch))?;
         Some(epoch_key(&secret.sm4, secret.salt.expose(), &domain, &self.address, epoch))
     }
 
     /// Numbers of the epochs in the keyring, oldest first.
     pub fn epochs(&self, domain: Domain) -> Vec<u64> {
         let keyring = self.keyring();
-        keyring
-            .keyring
-            .networks
-            .get(&domain)
-            .map(|network| network.epochs.keys().copied().collect())
-            .unwrap_or_default()
+        let network = keyring.keys().networks.get(&domain);
+        network.map(|network| network.epochs.keys().copied().collect()).unwrap_or_default()
     }
 
     /// Token of an epoch in the keyring.
@@ -154,21 +169,14 @@ impl Owner {
     pub fn prepare_epoch(&self, domain: Domain, epoch: u64) -> Result<Token, PipelineError> {
         {
             let mut keyring = self.keyring();
-            let sm4 = keyring.keyring.sm4.clone();
-            let network = keyring
-                .keyring
-                .networks
-                .entry(domain)
-                .or_insert_with(|| NetworkKeys { epochs: BTreeMap::new(), current: 0 });
-            if let Entry::Vacant(place) = network.epochs.entry(epoch) {
-                place.insert(EpochSecret { salt: EpochSalt::generate()?, sm4, state: EpochState::Pending });
-                if let Err(error) = keyring.save() {
-                    // What is not on disk must not count as saved the next time.
-                    if let Some(network) = keyring.keyring.networks.get_mut(&domain) {
-                        network.epochs.remove(&epoch);
-                    }
-                    return Err(error.into());
-                }
+            let has_it = |network: &NetworkKeys| network.epochs.contains_key(&epoch);
+            if !keyring.keys().networks.get(&domain).is_some_and(has_it) {
+                keyring.change(|keys| {
+                    let secret =
+                        EpochSecret { salt: EpochSalt::generate()?, sm4: keys.sm4.clone(), state: EpochState::Pending };
+                    keys.networks.entry(domain).or_default().epochs.insert(epoch, secret);
+                    Ok(())
+                })?;
             }
         }
         self.token(domain, epoch).ok_or(PipelineError::UnknownEpoch(epoch))
@@ -203,7 +211,7 @@ impl Owner {
     /// Whether an epoch of this owner was seen on the chain.
     pub fn has_registered_epoch(&self, domain: Domain) -> bool {
         let keyring = self.keyring();
-        let network = keyring.keyring.networks.get(&domain);
+        let network = keyring.keys().networks.get(&domain);
         network.is_some_and(|network| network.epochs.values().any(|secret| matches!(secret.state, EpochState::Active)))
     }
 
@@ -213,13 +221,16 @@ impl Owner {
     /// Errors of saving the keyring.
     pub fn confirm_epoch(&self, domain: Domain, epoch: u64) -> Result<(), CryptoError> {
         let mut keyring = self.keyring();
-        let Some(network) = keyring.keyring.networks.get_mut(&domain) else { return Ok(()) };
-        let Some(secret) = network.epochs.get_mut(&epoch) else { return Ok(()) };
+        let Some(network) = keyring.keys().networks.get(&domain) else { return Ok(()) };
+        let Some(secret) = network.epochs.get(&epoch) else { return Ok(()) };
         if network.current == epoch && matches!(secret.state, EpochState::Active) {
             return Ok(());
         }
-        secret.state = EpochState::Active;
-        network.current = network.current.max(epoch);
-        keyring.save()
+        keyring.change(|keys| {
+            keys.confirm_epoch(&domain, epoch)?;
+            let network = keys.networks.entry(domain).or_default();
+            network.current = network.current.max(epoch);
+            Ok(())
+        })
     }
 }

@@ -5,6 +5,7 @@
 
 mod batches;
 mod bound;
+mod events;
 mod records;
 mod report;
 mod scrub;

@@ -1,5 +1,5 @@
 //! The highest numbers of a recorder, anchored while they change: a verifier of evidence then knows which number a
-//! topic had reached by that time. A restored ledger has a new recorder, which names its predecessor.
+//! topic had reached by that time. A restored ledger and a new key have a new recorder, which names its predecessor.
 
 use std::time::{Duration, Instant};
 
@@ -26,7 +26,7 @@ struct Noted {
 
 /// One note for each chain, owner and recorder: on another chain everything is stated again.
 fn place(plant: &Plant, owner: Address, keys: &EpochKeys) -> String {
-    format!("recorder-heads:{}:{owner}:{}", plant.ledger.recorder(), keys.domain)
+    format!("recorder-heads:{}:{owner}:{}", plant.ledger.recorder().of_signer(&keys.signer), keys.domain)
 }
 
 fn noted(ledger: &Ledger, place: &str) -> Result<Option<Noted>, StoreError> {
@@ -65,7 +65,7 @@ pub fn state(
         return Ok(None);
     }
     *seen = Some(Instant::now());
-    let heights = Heights { topics: plant.ledger.heights(owner, [TOPIC, audit_head::TOPIC])? };
+    let heights = Heights { topics: plant.ledger.heights(owner, keys.signer, [TOPIC, audit_head::TOPIC])? };
     let Some(root) = tree(&heights).map(|tree| tree.root()) else { return Ok(None) };
     let note = |root, heads| {
         let text = serde_json::to_string(&Noted { looked, root, heads }).unwrap_or_default();
@@ -99,7 +99,7 @@ fn stated(
         statement::state(plant, owner, keys, statement)
     };
     if before.is_none() {
-        let birth = Birth { predecessor: plant.ledger.predecessor()? };
+        let birth = Birth { predecessor: plant.ledger.predecessor(owner, keys.signer)? };
         put(Birth::TYPE, birth.encode())?;
     }
     let Some(listed) = put(Heights::TYPE, heights.encode())? else { return Ok(None) };

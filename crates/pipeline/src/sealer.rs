@@ -2,7 +2,7 @@
 //! worthwhile (`sealing`) and acknowledged in order again, with one fsync for all waiting records. What fails is kept
 //! and tried again; the rings fill meanwhile.
 
-mod plan;
+pub(super) mod plan;
 mod ringing;
 mod sealing;
 
@@ -168,7 +168,7 @@ impl Sealer {
         let by = Timestamp(Timestamp::now().0.saturating_sub(age));
         let told = self.losses.write(&self.plant).map_err(PipelineError::from);
         match told.and_then(|()| self.losses.tell(&self.plant, by)) {
-            Ok(told) => self.planner.seqs.extend(told.into_iter().map(|(owner, topic, seq)| ((owner, topic), seq))),
+            Ok(told) => self.planner.seqs.extend(told),
             Err(error) => {
                 // The ledger knows of a stream whose number was used all the same.
                 self.planner.seqs.clear();

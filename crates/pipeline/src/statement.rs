@@ -1,7 +1,7 @@
 //! Records that the site itself writes for an owner: sealed, stored and acknowledged like captured messages, then
 //! batched, anchored and verified by the same workers.
 
-use crate::crypto::{SealRequest, SmKeyPair, TopicKey, seal};
+use crate::crypto::{SealRequest, SmKeyPair, TopicKey, seal, signer_id};
 use crate::model::head::Compression;
 use crate::model::{Address, Digest, Domain, FilterId, Head, RecordKind, Timestamp, TopicId};
 use crate::store::{NewRecord, StoreError};
@@ -112,7 +112,7 @@ fn put_filtered<T>(
 ) -> Result<T, PipelineError> {
     let Statement { kind, topic, type_name, body } = statement;
     let Speaker { domain, owner, signing, epoch, topic_id, topic_key } = *speaker;
-    let seq = plant.ledger.next_seq(owner, topic_id)?;
+    let seq = plant.ledger.next_seq(owner, signer_id(&signing.public), topic_id)?;
     let head = head(topic, type_name, body.len());
     let request = SealRequest {
         domain,

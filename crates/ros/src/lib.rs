@@ -39,4 +39,6 @@ pub use robot::{DomainFleet, Fleet, FleetOptions, MOST_ROBOTS, RosrustFleet};
 pub use rosrust::RosrustPublisher;
 
 #[cfg(test)]
+mod readme_tests;
+#[cfg(test)]
 mod tests;

@@ -1,18 +1,16 @@
 //! Completions for a word of a command line, read from a home without a site: names of topics, contacts and profiles,
-//! ids of records. Bounded, cleaned, and silent if something is wrong.
+//! ids of records. Bounded, and silent if something is wrong. A word that a shell could read as anything but one plain
+//! word is never offered: names in a ledger may be a stranger's.
 
 use serde::Deserialize;
 
-use crate::model::{ProfileName, clean};
+use crate::model::{ContactName, ProfileName, TopicName};
 use crate::paths::Home;
 use crate::site::BOOK;
 use crate::store::Glance;
 
 /// The most words returned.
 const MOST: usize = 200;
-/// The longest word, characters.
-const LONGEST: usize = 255;
-
 /// The kind of word to complete.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Completed {
@@ -40,15 +38,55 @@ pub fn words(home: &Home, kind: Completed, begun: &str) -> Vec<String> {
         Completed::Contact => glance().and_then(|glance| contacts(&glance)),
         Completed::Profile => Some(home.profiles().iter().map(ProfileName::to_string).collect()),
     };
-    let fits = |word: &String| word.starts_with(begun) && !word.is_empty();
-    // A word with a space would be two words to the shell.
-    let one = |word: &String| !word.chars().any(|character| character.is_whitespace() || character.is_control());
-    let words = found.unwrap_or_default().into_iter().map(|word| clean(&word, LONGEST));
-    let lower = |word: &String| kind == Completed::Record && word.starts_with(&begun.to_ascii_lowercase());
-    words.filter(|word| one(word) && (fits(word) || lower(word))).take(MOST).collect()
+    let begins = |word: &str| match kind {
+        Completed::Record => word.starts_with(&begun.to_ascii_lowercase()) || word.starts_with(begun),
+        _ => word.starts_with(begun),
+    };
+    found.unwrap_or_default().into_iter().filter(|word| is_plain(kind, word) && begins(word)).take(MOST).collect()
+}
+
+/// Whether a word has the form of its kind: none of these forms has a character with a meaning to a shell.
+fn is_plain(kind: Completed, word: &str) -> bool {
+    match kind {
+        Completed::Topic => word.parse::<TopicName>().is_ok(),
+        Completed::Contact => word.parse::<ContactName>().is_ok(),
+        Completed::Profile => word.parse::<ProfileName>().is_ok(),
+        Completed::Record => !word.is_empty() && word.bytes().all(|byte| byte.is_ascii_hexdigit()),
+    }
 }
 
 fn contacts(glance: &Glance) -> Option<Vec<String>> {
     let book: Vec<Named> = serde_json::from_str(&glance.setting(BOOK).ok()??).ok()?;
     Some(book.into_iter().map(|contact| contact.name).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const KINDS: [Completed; 4] = [Completed::Topic, Completed::Contact, Completed::Record, Completed::Profile];
+
+    #[test]
+    fn names_that_a_shell_would_run_are_no_words() {
+        let hostile =
+            ["/x;touch${IFS}/tmp/pwned", "/x$(id)", "/`id`", "/*", "/a b", "/a\nb", "a&b", "~", "-rf", "", "'"];
+        for kind in KINDS {
+            assert!(hostile.iter().all(|word| !is_plain(kind, word)), "{kind:?}");
+        }
+        assert!(is_plain(Completed::Topic, "/robot1/odom") && is_plain(Completed::Contact, "bob.smith-2"));
+        assert!(is_plain(Completed::Record, "00ff") && is_plain(Completed::Profile, "default"));
+    }
+
+    #[test]
+    fn a_word_consists_of_characters_without_a_meaning_to_any_shell() {
+        let harmless = |character: char| character.is_ascii_alphanumeric() || "/_.-".contains(character);
+        let characters = (0_u8..=127).map(char::from).chain("\u{a0}\u{202e}\u{200b}\u{ff0f}ä".chars());
+        for character in characters.filter(|character| !harmless(*character)) {
+            for word in
+                [format!("/a{character}b"), format!("/{character}"), format!("a{character}"), character.to_string()]
+            {
+                assert!(KINDS.iter().all(|kind| !is_plain(*kind, &word)), "{word:?}");
+            }
+        }
+    }
 }

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 
 pub use self::restored::note_restored;
 use self::segment::{MAGIC, Segment};
-use crate::model::{Digest, RecorderId, RingLimits, RingSpan, Signature, Timestamp, TopicId};
+use crate::model::{Digest, RecorderPrefix, RingLimits, RingSpan, Signature, Timestamp, TopicId};
 use crate::store::{StoreError, files};
 
 /// Into how many files time and size are divided.
@@ -76,7 +76,7 @@ pub type KnownDefinition = (TopicId, u64, Digest);
 pub struct DiskRing {
     folder: PathBuf,
     limits: RingLimits,
-    recorder: RecorderId,
+    recorder: RecorderPrefix,
     /// By number; the last one is in use if there is a writer.
     segments: BTreeMap<u64, Segment>,
     writer: Option<File>,
@@ -97,7 +97,7 @@ impl DiskRing {
     ///
     /// # Errors
     /// [`StoreError::Home`] if the folder cannot be used.
-    pub fn open(folder: &Path, limits: RingLimits, recorder: RecorderId) -> Result<Self, StoreError> {
+    pub fn open(folder: &Path, limits: RingLimits, recorder: RecorderPrefix) -> Result<Self, StoreError> {
         files::private_directory(folder)?;
         let mut ring = Self {
             folder: folder.to_owned(),
@@ -137,7 +137,7 @@ impl DiskRing {
     }
 
     /// The recorder of what is added.
-    pub fn recorder(&self) -> RecorderId {
+    pub fn recorder(&self) -> RecorderPrefix {
         self.recorder
     }
 

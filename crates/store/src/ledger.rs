@@ -54,9 +54,9 @@ use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::StoreError;
 use super::database::{self, Schema};
-use crate::model::RecorderId;
+use crate::model::RecorderPrefix;
 
-pub use ages::LastSeen;
+pub use ages::{LastSeen, NewestRecord};
 pub use batches::{Anchors, BatchPlace, NewBatch, RootSighting, WaitingBatch};
 pub use chain_proofs::{HashedNode, KeptProof, ProofCounts, UnprovenBatch};
 pub use counts::{StateCounts, TopicCounts};
@@ -89,8 +89,6 @@ pub(super) use writer::Session;
 
 const SCHEMA: Schema = Schema { application: 0x4155_4c31, text: include_str!("ledger/schema.sql") };
 const READERS_KEPT: usize = 8;
-/// The setting that names the recorder of the ledger this one was copied from.
-const PREDECESSOR: &str = "recorder:predecessor";
 /// The setting that says up to which block a copied ledger's accounts may have anchored without it.
 pub const HISTORY: &str = "foreign:history";
 
@@ -102,11 +100,13 @@ pub struct Ledger {
 
 struct Shared {
     path: PathBuf,
-    recorder: RecorderId,
+    recorder: RecorderPrefix,
     /// Whether the previous process closed the file.
     clean: bool,
     writer: writer::Writer,
     readers: Mutex<Vec<Connection>>,
+    /// Held while a setting is read, changed and written.
+    settings: Mutex<()>,
     /// How many holders are holding records back.
     held: AtomicUsize,
     /// How often something was named at the word of an owner elsewhere.
@@ -122,7 +122,7 @@ impl Ledger {
         database::check_version(path, &SCHEMA)
     }
 
-    /// Opens the ledger file, or makes it with a random recorder id. After an unclean end its contents
+    /// Opens the ledger file, or makes it with a random prefix for its recorders. After an unclean end its contents
     /// are checked first (`quick_check`: about a second per million records).
     ///
     /// # Errors
@@ -139,14 +139,15 @@ impl Ledger {
                 clean,
                 writer,
                 readers,
+                settings: Mutex::default(),
                 held: AtomicUsize::new(0),
                 told: AtomicU64::new(0),
             }),
         })
     }
 
-    /// The random id created with this file; records carry it together with their sequence number.
-    pub fn recorder(&self) -> RecorderId {
+    /// The random prefix created with this file, of the recorders of its own records: one for each key that signs here.
+    pub fn recorder(&self) -> RecorderPrefix {
         self.shared.recorder
     }
 
@@ -238,14 +239,10 @@ impl std::fmt::Debug for Ledger {
 
 /// Its recorder, whether it was closed cleanly, and whether it is new. It is marked as open with the first change: a
 /// process that only reads writes nothing.
-fn begin(connection: &Connection, path: &Path) -> Result<(RecorderId, bool, bool), StoreError> {
-    let about = connection
-        .query_row("SELECT id, clean FROM about JOIN recorders ON recorders.key = about.recorder", [], |row| {
-            Ok((RecorderId(row.get(0)?), row.get::<_, bool>(1)?))
-        })
-        .optional()?;
-    match about {
-        Some((recorder, clean)) => {
+fn begin(connection: &Connection, path: &Path) -> Result<(RecorderPrefix, bool, bool), StoreError> {
+    match connection.query_row("SELECT clean FROM about", [], |row| row.get::<_, bool>(0)).optional()? {
+        Some(clean) => {
+            let recorder = own_prefix(connection)?;
             if !clean {
                 database::quick_check(connection, path)?;
             }
@@ -264,12 +261,7 @@ pub(super) fn renew(path: &Path) -> Result<(), StoreError> {
 fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     database::quick_check(connection, path)?;
     let transaction = connection.unchecked_transaction()?;
-    transaction.execute(
-        "REPLACE INTO settings SELECT ?1, lower(hex(id)) FROM about JOIN recorders ON recorders.key = about.recorder",
-        [PREDECESSOR],
-    )?;
-    transaction.execute("INSERT INTO recorders (id) VALUES (?1)", params![random_id(path)?])?;
-    transaction.execute("UPDATE about SET recorder = last_insert_rowid(), clean = 1", [])?;
+    transaction.execute("UPDATE about SET recorder = ?1, clean = 1", [random_prefix(path)?.as_bytes()])?;
     // The first of several restores counts: anything anchored since may be in another home.
     transaction.execute(
         "INSERT OR IGNORE INTO settings SELECT ?1, max(block) FROM cursors HAVING max(block) IS NOT NULL",
@@ -282,18 +274,21 @@ fn renew_in(connection: &Connection, path: &Path) -> Result<(), StoreError> {
     Ok(connection.execute_batch("PRAGMA wal_checkpoint(TRUNCATE)")?)
 }
 
-fn random_id(path: &Path) -> Result<[u8; RecorderId::LENGTH], StoreError> {
-    let mut id = [0; RecorderId::LENGTH];
-    getrandom::fill(&mut id)
+fn random_prefix(path: &Path) -> Result<RecorderPrefix, StoreError> {
+    let mut random = [0; RecorderPrefix::LENGTH - 1];
+    getrandom::fill(&mut random)
         .map_err(|error| StoreError::Database { file: path.to_owned(), detail: error.to_string() })?;
-    Ok(id)
+    Ok(RecorderPrefix::ledger(random))
 }
 
-fn name_recorder(connection: &Connection, path: &Path) -> Result<RecorderId, StoreError> {
-    let id = random_id(path)?;
-    let transaction = connection.unchecked_transaction()?;
-    transaction.execute("INSERT INTO recorders (id) VALUES (?1)", params![id])?;
-    transaction.execute("INSERT INTO about VALUES (1, last_insert_rowid(), 0)", [])?;
-    transaction.commit()?;
-    Ok(RecorderId(id))
+/// The prefix of this ledger's own recorders.
+fn own_prefix(connection: &Connection) -> Result<RecorderPrefix, StoreError> {
+    let prefix: Vec<u8> = connection.prepare_cached("SELECT recorder FROM about")?.query_row([], |row| row.get(0))?;
+    Ok(RecorderPrefix::from_slice(&prefix).ok_or_else(|| rows::out_of_range(0))?)
+}
+
+fn name_recorder(connection: &Connection, path: &Path) -> Result<RecorderPrefix, StoreError> {
+    let prefix = random_prefix(path)?;
+    connection.execute("INSERT INTO about VALUES (1, ?1, 0)", [prefix.as_bytes()])?;
+    Ok(prefix)
 }

@@ -11,7 +11,7 @@ use authros_crypto::{
     random_bytes, seal, token, topic_id, topic_key,
 };
 use authros_model::head::Compression;
-use authros_model::{Address, Digest, Domain, Head, RecordKind, RecorderId, Timestamp, Token, TopicId};
+use authros_model::{Address, Digest, Domain, Head, RecordKind, RecorderPrefix, Timestamp, Token, TopicId};
 use authros_service::Failure;
 use authros_service::failure::internal;
 
@@ -32,7 +32,7 @@ pub struct Account {
     envelope: SmKeyPair,
     key: TopicKey,
     topic_id: TopicId,
-    recorder: RecorderId,
+    recorder: RecorderPrefix,
     seq: AtomicU64,
     nonce: AtomicU64,
 }
@@ -68,7 +68,7 @@ impl Account {
             envelope: SmKeyPair::generate(provider)?,
             key: topic_key(&epoch, &topic_id),
             topic_id,
-            recorder: RecorderId(random_bytes()?),
+            recorder: RecorderPrefix::ledger(random_bytes()?),
             seq: AtomicU64::new(1),
             nonce: AtomicU64::new(nonce),
         })
@@ -116,8 +116,8 @@ impl Account {
             head: &head,
             body,
         };
-        let SealedRecord { blob, digest, .. } = seal(self.provider, &request)?;
-        let leaf = Leaf { owner: self.address, recorder: self.recorder, topic_id: self.topic_id, seq, digest };
+        let SealedRecord { header, blob, digest, .. } = seal(self.provider, &request)?;
+        let leaf = Leaf::of(&header, digest);
         Ok(Sealed { leaf, captured_at, blob })
     }
 }

@@ -4,7 +4,7 @@ use authros::chain::merkle::{Leaf, Tree};
 use authros::crypto::{SealRequest, TopicKey, keyfile, record, seal, signature_der};
 use authros::model::head::Compression;
 use authros::model::wire::Reader;
-use authros::model::{Digest, Hash, Head, RecordKind, RecorderId, SignerId, Timestamp, TopicId};
+use authros::model::{Digest, Hash, Head, RecordKind, RecorderPrefix, SignerId, Timestamp, TopicId};
 use authros::pipeline::export_folder::{AnchorWord, ClaimedAnchor, ClaimedProof, ExportFolder};
 
 use crate::cast::{CAST, DOMAIN, provider};
@@ -73,7 +73,7 @@ fn claimed(digest: Digest, signer: SignerId, leaf: &Leaf, anchor: ClaimedAnchor)
 
 /// Valid encodings of every kind.
 pub fn samples() -> Vec<Sample> {
-    let (recorder, topic_id, body) = (RecorderId([2; 16]), TopicId([3; 16]), b"message".to_vec());
+    let (recorder, topic_id, body) = (RecorderPrefix::ledger([2; 7]), TopicId([3; 16]), b"message".to_vec());
     let head = Head {
         topic: "/a".to_owned(),
         type_name: "std_msgs/String".to_owned(),
@@ -101,7 +101,7 @@ pub fn samples() -> Vec<Sample> {
         body: &body,
     };
     let sealed = seal(provider(), &request).expect("sealed");
-    let leaf = Leaf { owner: CAST.address(), recorder, topic_id, seq: 9, digest: sealed.digest };
+    let leaf = Leaf::of(&sealed.header, sealed.digest);
     let tree = Tree::new(vec![Hash([1; 32]), leaf.hash(), Hash([2; 32])]).expect("a tree");
     let anchor = ClaimedAnchor {
         mode: AnchorWord::Batch,

@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 use authros::chain::AnchorProof;
 use authros::chain::merkle::{Inclusion, LONGEST_PATH, Leaf, Tree, root_of};
 use authros::model::wire::Reader;
-use authros::model::{Address, Digest, Hash, RecorderId, TopicId};
+use authros::model::{Address, Digest, Hash, RecorderId, SignerId, TopicId};
 
 use crate::cast::provider;
 use crate::{Sample, masked, sample, way};
@@ -31,6 +31,7 @@ pub fn run(data: &[u8]) -> bool {
 fn leaf(number: u64) -> Leaf {
     Leaf {
         owner: Address([1; 20]),
+        signer: SignerId([4; 32]),
         recorder: RecorderId([2; 16]),
         topic_id: TopicId([3; 16]),
         seq: number + 1,
@@ -42,10 +43,17 @@ fn leaf(number: u64) -> Leaf {
 static BATCH: LazyLock<Tree> =
     LazyLock::new(|| Tree::new((0..COUNT).map(|number| leaf(number).hash()).collect()).expect("within bounds"));
 
-/// Leaf (92), index (8), count (8), path.
+/// Leaf (124), index (8), count (8), path.
 fn encode(leaf: &Leaf, index: u64, count: u64, path: &[Hash]) -> Vec<u8> {
-    let mut out =
-        [&leaf.owner.0[..], &leaf.recorder.0, &leaf.topic_id.0, &leaf.seq.to_be_bytes(), &leaf.digest.0].concat();
+    let mut out = [
+        &leaf.owner.0[..],
+        &leaf.signer.0,
+        &leaf.recorder.0,
+        &leaf.topic_id.0,
+        &leaf.seq.to_be_bytes(),
+        &leaf.digest.0,
+    ]
+    .concat();
     out.extend_from_slice(&index.to_be_bytes());
     out.extend_from_slice(&count.to_be_bytes());
     out.extend(path.iter().flat_map(|hash| hash.0));
@@ -56,6 +64,7 @@ fn decode(bytes: &[u8]) -> Option<(Leaf, u64, u64, Vec<Hash>)> {
     let mut reader = Reader::new(bytes);
     let leaf = Leaf {
         owner: Address(reader.array("owner").ok()?),
+        signer: SignerId(reader.array("signer").ok()?),
         recorder: RecorderId(reader.array("recorder").ok()?),
         topic_id: TopicId(reader.array("topic id").ok()?),
         seq: reader.u64("seq").ok()?,

@@ -10,8 +10,8 @@ use authros::gateway::{Command, Request, Upload};
 use authros::model::head::Compression;
 use authros::model::wire::Reader;
 use authros::model::{
-    Address, Digest, FilterId, GrantTerms, Head, Header, RecordKind, RecorderId, Scope, Signature, Timestamp, TopicId,
-    Verdict,
+    Address, Digest, FilterId, GrantTerms, Head, Header, RecordKind, RecorderPrefix, Scope, Signature, Timestamp,
+    TopicId, Verdict,
 };
 
 use crate::cast::{CAST, DOMAIN, provider};
@@ -132,7 +132,7 @@ fn made(bytes: &[u8]) -> Option<(SealedRecord, Head, &[u8])> {
         signer: &CAST.owner,
         epoch,
         topic_key: &topic_key(),
-        recorder: RecorderId([4; 16]),
+        recorder: RecorderPrefix::ledger([4; 7]),
         seq,
         topic_id: TopicId([8; 16]),
         kind,

@@ -112,7 +112,7 @@ pub fn never_anchored(plant: &Plant, one: &Genuine) -> Result<(RecordRow, Vec<u8
         signer: &one.pair,
         epoch: header.epoch,
         topic_key: &one.key,
-        recorder: header.recorder,
+        recorder: header.recorder.prefix(),
         seq: header.seq,
         topic_id: header.topic_id,
         kind: header.kind,

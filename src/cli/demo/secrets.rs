@@ -54,7 +54,7 @@ impl Mission {
 
     fn keys_of(&self, owner: &crate::pipeline::Owner, named: &mut Named) {
         let keyring = owner.keyring();
-        let keys = &keyring.keyring;
+        let keys = keyring.keys();
         let mut add = |what: &str, bytes: &[u8]| named.push((format!("{what} of {}", owner.profile), bytes.to_vec()));
         add("EOA key", keys.eoa.expose());
         add("signing key", keys.signing.secret.expose());

@@ -58,15 +58,15 @@ fn export(field: &Field, record: &Value) -> Exported {
     Exported { directory, proof: serde_json::from_slice(&proof).expect("JSON") }
 }
 
-/// The leaf that binds a blob's digest to owner, recorder, topic and number.
+/// The leaf that binds a blob's digest to owner, signer, recorder, topic and number.
 fn leaf_of(exported: &Exported) -> Vec<u8> {
     let Exported { directory, proof } = exported;
     let digest = sm3_of_file(&directory.join("record.bin"));
     let part = |name: &str| unhex(&text(proof, name));
-    let parts = [part("owner"), part("recorder"), part("topic_id")];
-    assert_eq!(parts.each_ref().map(Vec::len), [20, 16, 16], "{proof}");
+    let parts = [part("owner"), part("signer"), part("recorder"), part("topic_id")];
+    assert_eq!(parts.each_ref().map(Vec::len), [20, 32, 16, 16], "{proof}");
     let seq = count(proof, "seq").to_be_bytes();
-    sm3(directory, &[&[0], &parts[0], &parts[1], &parts[2], &seq, &digest])
+    sm3(directory, &[&[0], &parts[0], &parts[1], &parts[2], &parts[3], &seq, &digest])
 }
 
 fn expect_proven(field: &Field, record: &Value, anchors: &[Anchor]) {

@@ -8,11 +8,13 @@ mod answers;
 mod evidence;
 mod field;
 mod kept_keys;
+mod lagging;
 mod merkle_proof;
 mod mining;
 mod reorganisation;
 mod same_account;
 mod wiped;
+mod wrong_numbers;
 
 /// Why a test of this file is skipped.
 const NO_NODE: &str = "no anvil; tests/run installs it into target/peers";

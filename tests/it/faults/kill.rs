@@ -2,12 +2,13 @@
 //! chain and on Redis and anvil: nothing acknowledged is lost, nothing is anchored twice, every store opens.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use crate::support::anvil::{call, word};
 use crate::support::{
-    Anvil, Authros, Conservation, Home, Redis, Running, count, hex, is_verified, long, poll, skipped, text, wait_until,
+    Anvil, Authros, Conservation, Home, Redis, Running, count, faulty, hex, is_verified, long, poll, skipped, text,
+    wait_until,
 };
 use authros::crypto::fault::POINTS;
 use rusqlite::{Connection, OpenFlags};
@@ -259,16 +260,13 @@ fn random_kills_on_redis_and_anvil_lose_and_double_nothing() {
     random_kills(field, "random kills, Redis and anvil");
 }
 
-/// The build with fail points is beside the product's own.
-pub fn faulty() -> Option<PathBuf> {
-    let built = PathBuf::from(env!("CARGO_BIN_EXE_authros")).with_file_name("authros-faulty");
-    built.exists().then_some(built)
-}
-
 /// In the short form each place once, and those shared by both sides on one of them.
 fn kills_at(field: Option<Field>, places: &[&str], what: &str) {
     let (Some(program), Some(mut field)) = (faulty(), field) else {
-        crate::support::tell_skipped(what, "no authros-faulty (tests/run builds it), or no redis-server or anvil");
+        crate::support::tell_skipped(
+            what,
+            "no authros-faulty (cargo test builds it with the examples), or no redis-server or anvil",
+        );
         return;
     };
     let mut dice = Dice::thrown();

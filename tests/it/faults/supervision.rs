@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 use portable_pty::{CommandBuilder, PtySize, native_pty_system};
 use serde_json::json;
 
-use super::kill::{faulty, now};
+use super::kill::now;
 use crate::support::process::signal;
-use crate::support::{Anvil, Authros, Conservation, Home, Running, long, poll, skipped, wait_until};
+use crate::support::{Anvil, Authros, Conservation, Home, Running, faulty, long, poll, skipped, wait_until};
 
 const TOPICS: [&str; 2] = ["/robot1/odom", "/robot1/camera/compressed"];
 /// Every task of a site with one open profile and several lanes, except those that are threads.
@@ -57,7 +57,9 @@ fn settle(home: &Home, authros: &Authros, observer: Conservation) {
 
 #[test]
 fn every_task_that_panics_is_begun_again_and_nothing_is_lost() {
-    let Some(program) = faulty() else { skipped!("authros-faulty is not built; tests/run builds it") };
+    let Some(program) = faulty() else {
+        skipped!("authros-faulty is not built; cargo test builds it with the examples")
+    };
     let (home, authros, observer) = under_load();
     // Twice each, and the sealer once more after an acknowledgement, where nothing may be sealed again.
     let failing = authros.with_program(&program).with_variable("AUTHROS_FAIL_TASK", "all:2");
@@ -88,7 +90,9 @@ fn every_task_that_panics_is_begun_again_and_nothing_is_lost() {
 /// A panic in the middle of sealing, storing or verifying means another try, not another loss.
 #[test]
 fn a_panic_in_the_middle_of_a_records_life_is_one_more_try() {
-    let Some(program) = faulty() else { skipped!("authros-faulty is not built; tests/run builds it") };
+    let Some(program) = faulty() else {
+        skipped!("authros-faulty is not built; cargo test builds it with the examples")
+    };
     let (home, authros, observer) = under_load();
     let all = ["sealed:4", "checked:2", "block-due:3", "vault-put:4", "batch-closed:2", "signed-kept:2", "mined:2"];
     for place in if long() { &all[..] } else { &all[..3] } {

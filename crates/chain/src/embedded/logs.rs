@@ -68,6 +68,12 @@ fn too_many(what: &str) -> Fault {
 /// # Errors
 /// [`Fault`] -32005 if that is more than one answer holds, or for a malformed filter.
 pub fn answer(node: &Node, parameters: &Parameters) -> Reply {
+    let named = parameters.at(0, |filter| Some(filter.get("blockHash").and_then(read_hash)))?;
+    if let Some(hash) = named
+        && node.file.number_of(hash)?.is_none()
+    {
+        return Err(Fault::new(-32000, "unknown block"));
+    }
     let filter = parameters.at(0, |value| read_filter(node, value))?;
     let to = filter.to.min(node.head.number);
     if (to + 1).saturating_sub(filter.from) > MOST_BLOCKS {

@@ -111,7 +111,6 @@ fn next_frame(stage: &Stage, painter: &mut Painter, budget: &Budget) -> Option<S
         scene = due(stage, scene, budget)?;
         let most = if scene.wish == Wish::Data { budget.most_at_once() } else { None };
         scene.wish = Wish::None;
-        #[cfg(feature = "fault")]
         fail_for_the_test(&scene);
         let bytes = painter.paint_at_most(&mut scene, most);
         if painter.is_behind() {
@@ -124,7 +123,6 @@ fn next_frame(stage: &Stage, painter: &mut Painter, budget: &Budget) -> Option<S
 }
 
 /// A panic in the thread that draws, to prove that the terminal is restored: on the screen Log.
-#[cfg(feature = "fault")]
 fn fail_for_the_test(scene: &Scene) {
     let asked = scene.state.screen == crate::app::Screen::Log && authros_fault::is_off("renderer");
     assert!(!asked, "asked for by AUTHROS_FAULT");

@@ -1,5 +1,8 @@
 //! A keyring on disk: a public header, then the secrets under SM4-GCM with the header as AAD. `file_key` says how the
 //! passphrase becomes their key.
+//!
+//! Every write raises the generation in the header by one, and only over the very write that was read: of two copies in
+//! memory, the one that did not see the other's keys never replaces them.
 
 use std::path::{Path, PathBuf};
 
@@ -7,10 +10,11 @@ use subtle::ConstantTimeEq as _;
 use zeroize::Zeroizing;
 
 use crate::crypto::error::shown;
+use crate::crypto::fault;
 use crate::crypto::file_key::{FileKey, SaveKeys, put_work, read_work};
 use crate::crypto::passphrase::Work;
 use crate::crypto::private_file::{
-    check_private_directory, create_private, directory_of, make_private_directory, read_private, write_private,
+    change_private, check_private_directory, create_private, directory_of, make_private_directory, read_private,
 };
 use crate::crypto::{CryptoError, Passphrase, Provider, ProviderName, Sm4Key, SmKeyPair, provider, random_bytes};
 use crate::model::wire::{Reader, WireError};
@@ -26,13 +30,29 @@ const LABEL: &str = "AuthROS/keyring/1";
 /// The largest keyring accepted, bytes: about 290,000 epochs.
 const LARGEST: usize = 16 * 1024 * 1024;
 /// Length of the header, bytes.
-const HEADER: usize = 258;
+const HEADER: usize = 266;
+
+/// Identifies one write of a keyring file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Stamp {
+    /// 1 for a new file, and one more with each write.
+    generation: u64,
+    /// Differs between writes of the same generation.
+    save_salt: [u8; 24],
+}
+
+impl Stamp {
+    /// Of the write that replaces this one.
+    fn next(self) -> Result<Self, CryptoError> {
+        Ok(Self { generation: self.generation.saturating_add(1), save_salt: random_bytes()? })
+    }
+}
 
 /// The header, in the order of writing.
 struct FileHeader {
+    stamp: Stamp,
     work: Work,
     salt: [u8; 32],
-    save_salt: [u8; 24],
     public: PublicIdentity,
     commit: [u8; 32],
     length: usize,
@@ -43,9 +63,10 @@ impl FileHeader {
         let mut out = Vec::with_capacity(HEADER);
         out.extend_from_slice(&MAGIC);
         out.push(VERSION);
+        out.extend_from_slice(&self.stamp.generation.to_be_bytes());
+        out.extend_from_slice(&self.stamp.save_salt);
         put_work(&mut out, self.work);
         out.extend_from_slice(&self.salt);
-        out.extend_from_slice(&self.save_salt);
         out.extend_from_slice(&self.public.address.0);
         out.extend_from_slice(&self.public.signing.0);
         out.extend_from_slice(&self.public.envelope.0);
@@ -56,9 +77,9 @@ impl FileHeader {
 
     fn read(reader: &mut Reader<'_>) -> Result<Self, WireError> {
         Ok(Self {
+            stamp: Stamp { generation: reader.u64("generation")?, save_salt: reader.array("salt of the save")? },
             work: read_work(reader)?,
             salt: reader.array("salt")?,
-            save_salt: reader.array("salt")?,
             public: PublicIdentity {
                 address: Address(reader.array("address")?),
                 signing: PublicKey(reader.array("signing key")?),
@@ -70,16 +91,15 @@ impl FileHeader {
     }
 }
 
-fn seal(keyring: &Keyring, key: &FileKey) -> Result<Vec<u8>, CryptoError> {
+fn seal(keyring: &Keyring, key: &FileKey, stamp: Stamp) -> Result<Vec<u8>, CryptoError> {
     let mut sealed = body::encode(keyring);
-    let save_salt = random_bytes()?;
-    let keys = SaveKeys::derive(key, &save_salt, LABEL);
+    let keys = SaveKeys::derive(key, &stamp.save_salt, LABEL);
     let length = sealed.len() + 16;
     if length + HEADER > LARGEST {
         return Err(CryptoError::Length { what: "keyring", found: length, allowed: "at most 16 MiB" });
     }
     let public = keyring.public();
-    let header = FileHeader { work: key.work, salt: key.salt, save_salt, public, commit: keys.commit, length };
+    let header = FileHeader { stamp, work: key.work, salt: key.salt, public, commit: keys.commit, length };
     let header = header.encode();
     provider(ProviderName::RustCrypto).gcm_seal(&keys.key, &keys.nonce, &header, &mut sealed)?;
     Ok([&header[..], &sealed].concat())
@@ -101,6 +121,10 @@ fn split(bytes: &[u8]) -> Result<Parts<'_>, Refusal> {
     let sealed = reader.take(header.length, "sealed keys")?;
     reader.end()?;
     Ok((header, bytes.get(..HEADER).unwrap_or_default(), sealed))
+}
+
+fn stamp_of(bytes: &[u8], path: &Path) -> Result<Stamp, CryptoError> {
+    split(bytes).map(|(header, _, _)| header.stamp).map_err(|refusal| refusal.of(path))
 }
 
 /// Why a file did not open.
@@ -128,7 +152,7 @@ impl From<WireError> for Refusal {
 
 fn open(bytes: &[u8], key: &FileKey) -> Result<Keyring, Refusal> {
     let (header, aad, sealed) = split(bytes)?;
-    let keys = SaveKeys::derive(key, &header.save_salt, LABEL);
+    let keys = SaveKeys::derive(key, &header.stamp.save_salt, LABEL);
     if !bool::from(keys.commit.ct_eq(&header.commit)) {
         return Err(Refusal::Passphrase);
     }
@@ -156,15 +180,6 @@ pub fn read_public(path: &Path) -> Result<PublicIdentity, CryptoError> {
 }
 
 impl Keyring {
-    /// Writes the keyring, replacing what was there; derives the passphrase's key (about 0.3 s).
-    ///
-    /// # Errors
-    /// [`CryptoError::Write`] or [`CryptoError::OpenToOthers`].
-    pub fn save(&self, path: &Path, passphrase: &Passphrase) -> Result<(), CryptoError> {
-        make_private_directory(&directory_of(path))?;
-        write_private(path, &seal(self, &FileKey::new(passphrase)?)?)
-    }
-
     /// Reads and opens a keyring; derives the passphrase's key (about 0.3 s).
     ///
     /// # Errors
@@ -174,12 +189,14 @@ impl Keyring {
     }
 }
 
-/// A keyring in memory with its file's key, so that later saves need no derivation.
+/// A keyring in memory with its file's key, so that later saves need no derivation. Changes go through [`Self::change`]
+/// alone, so memory never holds keys that the file lacks.
 pub struct UnlockedKeyring {
-    /// The keys; call [`Self::save`] after changing them.
-    pub keyring: Keyring,
+    keyring: Keyring,
     path: PathBuf,
     key: FileKey,
+    /// The write of the file that `keyring` is a copy of.
+    stamp: Stamp,
     /// Keys are missing from `keyring`, so it must not be saved over the file.
     stripped: bool,
 }
@@ -205,20 +222,21 @@ impl UnlockedKeyring {
         Ok(())
     }
 
-    /// A second handle on the same file, with the keys as they are now.
-    pub fn duplicate(&self) -> Self {
-        Self { keyring: self.keyring.clone(), path: self.path.clone(), key: self.key.clone(), stripped: self.stripped }
+    /// The keys.
+    pub fn keys(&self) -> &Keyring {
+        &self.keyring
     }
 
     /// Writes a new keyring file, never over one that exists.
     ///
     /// # Errors
-    /// [`CryptoError::Write`], also if the file exists, or [`CryptoError::OpenToOthers`].
+    /// [`CryptoError::Exists`], [`CryptoError::Write`] or [`CryptoError::OpenToOthers`].
     pub fn create(keyring: Keyring, path: &Path, passphrase: &Passphrase) -> Result<Self, CryptoError> {
         make_private_directory(&directory_of(path))?;
         let key = FileKey::new(passphrase)?;
-        create_private(path, &seal(&keyring, &key)?)?;
-        Ok(Self { keyring, path: path.to_owned(), key, stripped: false })
+        let stamp = Stamp { generation: 1, save_salt: random_bytes()? };
+        create_private(path, &seal(&keyring, &key, stamp)?)?;
+        Ok(Self { keyring, path: path.to_owned(), key, stamp, stripped: false })
     }
 
     /// Reads and opens a keyring file.
@@ -231,31 +249,56 @@ impl UnlockedKeyring {
         let (header, _, _) = split(&bytes).map_err(|refusal| refusal.of(path))?;
         let key = FileKey::with(passphrase, header.work, header.salt)?;
         let keyring = open(&bytes, &key).map_err(|refusal| refusal.of(path))?;
-        Ok(Self { keyring, path: path.to_owned(), key, stripped: false })
+        Ok(Self { keyring, path: path.to_owned(), key, stamp: header.stamp, stripped: false })
     }
 
-    /// Writes the keyring back in one step.
+    /// Changes the keys, in the file first and then here; if `change` or the write fails, neither is changed.
     ///
     /// # Errors
-    /// [`CryptoError::Write`], [`CryptoError::Locked`]; the old file is then still intact.
-    pub fn save(&self) -> Result<(), CryptoError> {
-        if self.stripped {
-            return Err(CryptoError::Locked(shown(&self.path)));
-        }
-        write_private(&self.path, &seal(&self.keyring, &self.key)?)
+    /// What `change` returns; [`CryptoError::Superseded`] if the file is not the one that was read,
+    /// [`CryptoError::Locked`], [`CryptoError::Read`] or [`CryptoError::Write`].
+    pub fn change<T>(&mut self, change: impl FnOnce(&mut Keyring) -> Result<T, CryptoError>) -> Result<T, CryptoError> {
+        let mut keyring = self.keyring.clone();
+        let value = change(&mut keyring)?;
+        self.write(&keyring, &self.key.clone())?;
+        self.keyring = keyring;
+        Ok(value)
     }
 
     /// Changes the passphrase and saves.
     ///
     /// # Errors
-    /// See [`Self::save`].
+    /// See [`Self::change`].
     pub fn change_passphrase(&mut self, passphrase: &Passphrase) -> Result<(), CryptoError> {
+        let key = FileKey::new(passphrase)?;
+        self.write(&self.keyring.clone(), &key)?;
+        self.key = key;
+        Ok(())
+    }
+
+    /// The only way over an existing file.
+    fn write(&mut self, keyring: &Keyring, key: &FileKey) -> Result<(), CryptoError> {
         if self.stripped {
             return Err(CryptoError::Locked(shown(&self.path)));
         }
-        let key = FileKey::new(passphrase)?;
-        write_private(&self.path, &seal(&self.keyring, &key)?)?;
-        self.key = key;
+        let (path, read, next) = (&self.path, self.stamp, self.stamp.next()?);
+        let bytes = seal(keyring, key, next)?;
+        let written = change_private(path, LARGEST, |there| {
+            let there = there.ok_or_else(|| CryptoError::read(path)(std::io::ErrorKind::NotFound.into()))?;
+            let there = stamp_of(there, path)?;
+            if there != read {
+                let (read, found) = (read.generation, there.generation);
+                return Err(CryptoError::Superseded { path: shown(path), read, found });
+            }
+            fault::point("keyring-compared");
+            Ok(Some(bytes))
+        });
+        // A write can fail after the file was replaced, if its directory is not synced: the file is still ours.
+        if written.is_ok() || read_private(path, LARGEST).and_then(|there| stamp_of(&there, path)).ok() == Some(next) {
+            self.stamp = next;
+        }
+        written?;
+        fault::point("keyring-written");
         Ok(())
     }
 

@@ -41,7 +41,7 @@ impl Sample {
             signer: &self.signer,
             epoch: 3,
             topic_key: &self.key,
-            recorder: RecorderId([4; 16]),
+            recorder: RecorderPrefix::ledger([4; 7]),
             seq: 9,
             topic_id: TopicId([8; 16]),
             kind: RecordKind::Data,
@@ -60,7 +60,7 @@ impl Sample {
         Expected {
             domain: Domain([1; 32]),
             owner: Address([2; 20]),
-            recorder: Some(RecorderId([4; 16])),
+            recorder: None,
             epoch: Some(3),
             seq: Some(9),
             topic_id: Some(TopicId([8; 16])),
@@ -69,7 +69,9 @@ impl Sample {
     }
 
     fn open(&self, blob: &[u8], signature: &Signature, anchor: Anchor) -> Result<OpenedRecord, CryptoError> {
-        open(self.provider, blob, signature, &self.signer.public, anchor, &self.key, &Self::expected())
+        let recorder = Some(RecorderPrefix::ledger([4; 7]).of_signer(&signer_id(&self.signer.public)));
+        let expected = Expected { recorder, ..Self::expected() };
+        open(self.provider, blob, signature, &self.signer.public, anchor, &self.key, &expected)
     }
 }
 
@@ -168,7 +170,7 @@ fn another_record_than_the_one_asked_for_is_not_shown() {
         (Expected { domain: Domain([0; 32]), ..base() }, "domain"),
         (Expected { owner: Address([0; 20]), ..base() }, "owner"),
         (Expected { epoch: Some(4), ..base() }, "epoch"),
-        (Expected { recorder: Some(RecorderId([0; 16])), ..base() }, "recorder"),
+        (Expected { recorder: Some(crate::model::RecorderId([0; 16])), ..base() }, "recorder"),
         (Expected { seq: Some(10), ..base() }, "seq"),
         (Expected { topic_id: Some(TopicId([0; 16])), ..base() }, "topic id"),
     ] {

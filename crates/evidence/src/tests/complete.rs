@@ -3,9 +3,12 @@
 use std::collections::BTreeMap;
 
 use authros_crypto::merkle::{Tree, height_hash};
-use authros_crypto::record::{RecordSecret, SealRequest, SealedRecord, seal};
+use authros_crypto::record::{RecordSecret, SealRequest, SealedRecord, seal, signed_bytes};
+use authros_crypto::{SmKeyPair, signer_id};
 use authros_model::head::Compression;
-use authros_model::{Birth, Digest, Head, Heads, RecordKind, RecorderId, Timestamp, TopicId};
+use authros_model::{
+    Birth, Digest, Head, Header, Heads, RecordKind, RecorderId, RecorderPrefix, SignerId, Timestamp, TopicId,
+};
 
 use super::second::agree;
 use super::world::{BLOCK, TIME, World, bound, genesis, ours, pair, sealed, sealed_by, word};
@@ -38,7 +41,7 @@ fn statement(world: &World, seq: u64, type_name: &str, body: &[u8]) -> SealedRec
         signer: &world.signer,
         epoch: 1,
         topic_key: &world.topic_key,
-        recorder: RecorderId([4; 16]),
+        recorder: RecorderPrefix::ledger([4; 7]),
         seq,
         topic_id: TopicId([9; 16]),
         kind: RecordKind::Audit,
@@ -233,7 +236,7 @@ fn with_a_head_held_back_an_older_one_counts_and_with_none_nothing_is_claimed() 
 
 #[test]
 fn the_numbers_of_a_ring_have_no_holes_and_nothing_is_claimed_of_others() {
-    let (mut case, ring) = (Case::of(&[3], &[]), RecorderId::of_ring([6; 8]));
+    let (mut case, ring) = (Case::of(&[3], &[]), RecorderPrefix::ring([6; 7]));
     for seq in [20, 37, 38, 39] {
         let whose = (case.world.owner, &case.world.signer, &case.world.topic_key);
         let record = sealed_by(ring, whose, seq, (b"before the button", 17, Compression::None));
@@ -242,7 +245,7 @@ fn the_numbers_of_a_ring_have_no_holes_and_nothing_is_claimed_of_others() {
     let members = case.members();
     agree(&members, &World::trust(), Outcome::Holds);
     let report = verify(&Bundle::of_members(&members, ours()).expect("reads"), Some(&World::trust()), ours());
-    let stretch = report.complete.iter().find(|stretch| stretch.recorder == ring).expect("the ring's");
+    let stretch = report.complete.iter().find(|stretch| ring.has(&stretch.recorder)).expect("the ring's");
     assert_eq!((stretch.missing, stretch.gaps.len(), stretch.standing), (0, 0, Standing::Proven));
     let begun = "of a robot's ring every number of 20, 37-39; other numbers of a ring fell out";
     assert!(stretch.text.starts_with(begun), "{}", stretch.text);
@@ -274,7 +277,57 @@ fn a_birth_names_the_recorder_that_it_follows() {
     case.put(record, true);
     let stretch = case.told(Outcome::Holds);
     assert_eq!((stretch.predecessor, stretch.born_at), (birth.predecessor, Some(Timestamp::from_seconds(TIME))));
-    assert!(
-        stretch.text.ends_with("its recorder follows 03030303030303030303030303030303, after a restore or on a copy")
-    );
+    assert!(stretch.text.ends_with(
+        "its recorder follows 03030303030303030303030303030303, after a restore, on a copy, or with another key"
+    ));
+}
+
+/// A robot that the owner lent, and one that signs under an id which begins like that of the owner's recorder.
+#[test]
+fn a_number_belongs_to_the_key_that_signs() {
+    let mut case = Case::of(&[3, 4], &[]);
+    let (owner, robot) = (case.world.owner, pair());
+    let mut loan = [0; 32];
+    loan[31] = 1;
+    loan[15..23].copy_from_slice(&12u64.to_be_bytes());
+    case.world.put(Slot::loan(owner, &signer_id(&robot.public).0), loan);
+    for seq in [3, 1 << 40] {
+        case.put(sealed(owner, &robot, &case.world.topic_key, seq, b"of the robot"), false);
+    }
+    let mut packing = case.packing();
+    packing.key(&robot.public).expect("a point");
+    let members = packing.sign(genesis(), owner, &case.world.keys, ours()).expect("signs");
+    agree(&members, &World::trust(), Outcome::Holds);
+    let report = verify(&Bundle::of_members(&members, ours()).expect("reads"), Some(&World::trust()), ours());
+    let of = |key: &SmKeyPair| {
+        let signer = signer_id(&key.public);
+        let stretch = report.complete.iter().find(|stretch| stretch.signer == signer).expect("its stretch");
+        (stretch.standing, stretch.first, stretch.last, stretch.missing, stretch.twice.len())
+    };
+    assert_eq!(of(&case.world.signer), (Standing::Proven, Some(3), Some(4), 0, 0), "nothing of the owner's is missing");
+    assert_eq!(of(&robot), (Standing::Proven, Some(3), Some(1 << 40), (1 << 40) - 4, 0));
+}
+
+/// Headers that no honest program writes, signed all the same.
+#[test]
+fn a_number_under_another_keys_recorder_or_out_of_bounds_is_refused() {
+    let changes: [fn(&mut Header); 6] = [
+        |header| header.recorder = RecorderPrefix::ledger([4; 7]).of_signer(&SignerId([7; 32])),
+        |header| header.recorder.0[0] = 3,
+        |header| header.seq = (1 << 40) + 1,
+        |header| header.seq = u64::MAX >> 1,
+        |header| header.epoch = 1 << 63,
+        |header| header.captured_at = Timestamp(1 << 63),
+    ];
+    for change in changes {
+        let mut world = World::new();
+        let SealedRecord { mut header, blob, .. } = world.record;
+        let prefix = header.encode().len();
+        change(&mut header);
+        let blob = [&header.encode()[..], &blob[prefix..]].concat();
+        let digest = Digest(ours().sm3(&[&blob]));
+        let signature = ours().sign(&world.signer.secret, &signed_bytes(&bound(), &digest)).expect("signs");
+        world.record = SealedRecord { header, blob, digest, signature };
+        agree(&world.members(), &World::trust(), Outcome::Refused);
+    }
 }

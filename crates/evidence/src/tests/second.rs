@@ -117,12 +117,12 @@ fn reasons(told: &serde_json::Value) -> Vec<String> {
 
 /// What both say about a topic.
 fn completeness(stretch: &Stretch) -> serde_json::Value {
-    let Stretch { owner, recorder, topic_id, standing, first, last, missing, heads, gaps, .. } = stretch;
+    let Stretch { owner, signer, recorder, topic_id, standing, first, last, missing, heads, gaps, .. } = stretch;
     let whole =
         |number: &u64| first.is_some_and(|first| first <= *number) && gaps.iter().all(|(from, _)| from > number);
     let number = heads.map(|heads| heads.number).filter(whole);
     serde_json::json!({
-        "owner": owner.to_string().to_lowercase(), "recorder": recorder, "topic_id": topic_id, "standing": standing,
+        "owner": owner.to_string().to_lowercase(), "signer": signer, "recorder": recorder, "topic_id": topic_id, "standing": standing,
         "first": first, "last": last, "missing": missing, "complete_to": number,
     })
 }

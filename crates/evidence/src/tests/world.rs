@@ -9,7 +9,7 @@ use authros_crypto::{
 };
 use authros_model::head::Compression;
 use authros_model::{
-    Address, Digest, Domain, Hash, Head, Header, Identity, RecordKind, RecorderId, Timestamp, Token, TopicId,
+    Address, Digest, Domain, Hash, Head, Identity, RecordKind, RecorderPrefix, Timestamp, Token, TopicId,
 };
 use rlp::RlpStream;
 
@@ -163,8 +163,7 @@ impl World {
         let topic_key = TopicKey::new([6; 32]);
         let record = sealed(owner, &signer, &topic_key, 3, b"the message");
         let others = (0..4).map(|number| Hash([number; 32]));
-        let Header { recorder, topic_id, seq, .. } = record.header;
-        let leaf = Leaf { owner, recorder, topic_id, seq, digest: record.digest };
+        let leaf = Leaf::of(&record.header, record.digest);
         let tree = Tree::new(others.chain([leaf.hash()]).collect()).expect("a tree");
         let (root, path) = (tree.root(), tree.path(4));
         let anchor = Anchoring::Batch { account: anchorer, root, index: 4, count: 5, path };
@@ -287,12 +286,12 @@ pub fn sealed_as(
     seq: u64,
     body: (&[u8], u64, Compression),
 ) -> SealedRecord {
-    sealed_by(RecorderId([4; 16]), (owner, signer, topic_key), seq, body)
+    sealed_by(RecorderPrefix::ledger([4; 7]), (owner, signer, topic_key), seq, body)
 }
 
 /// The same, numbered by this recorder.
 pub fn sealed_by(
-    recorder: RecorderId,
+    recorder: RecorderPrefix,
     (owner, signer, topic_key): (Address, &SmKeyPair, &TopicKey),
     seq: u64,
     (body, plain_length, compression): (&[u8], u64, Compression),

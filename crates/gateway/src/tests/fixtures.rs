@@ -16,8 +16,8 @@ use authros_gateway::session::Session;
 use authros_gateway::{Code, Receipt, SignedStandings, Stood};
 use authros_model::head::Compression;
 use authros_model::{
-    Address, Digest, Domain, FilterId, Hash, Head, Identity, ProfileName, PublicKey, RecordKind, RecorderId, Signature,
-    SignerId, Timestamp, Token, TopicId,
+    Address, Digest, Domain, FilterId, Hash, Head, Identity, ProfileName, PublicKey, RecordKind, RecorderId,
+    RecorderPrefix, Signature, SignerId, Timestamp, Token, TopicId,
 };
 
 pub(crate) fn context() -> Context {
@@ -83,7 +83,7 @@ impl Member {
             signer,
             epoch: 1,
             topic_key: &TopicKey::new([6; 32]),
-            recorder: RecorderId([4; 16]),
+            recorder: RecorderPrefix::ledger([4; 7]),
             seq,
             topic_id: TopicId([8; 16]),
             kind: RecordKind::Data,

@@ -72,8 +72,8 @@ fn entry(record: &Received) -> Entry {
 }
 
 fn anchor_of(record: &Received) -> AnchorProof {
-    let Header { owner, recorder, topic_id, seq, .. } = record.header;
-    let root = Leaf { owner, recorder, topic_id, seq, digest: record.digest }.hash();
+    let Header { owner, .. } = record.header;
+    let root = Leaf::of(&record.header, record.digest).hash();
     let inclusion = Inclusion { index: 0, count: 1, path: Vec::new(), root };
     let (transaction, block_hash) = (Hash([1; 32]), Hash([2; 32]));
     AnchorProof { account: owner, transaction, block: 3, block_hash, inclusion: Some(inclusion) }

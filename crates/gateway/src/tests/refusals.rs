@@ -322,8 +322,15 @@ async fn records_are_refused_each_with_their_code() {
     let digest = Digest(context().provider.sm3(&[&foreign.blob]));
     let signed = crate::crypto::record::signed_bytes(&away().domain, &digest);
     foreign.signature = context().provider.sign(&alice.signing.secret, &signed).expect("signs");
+    let mut squatted = record.clone();
+    // The recorder comes after the epoch: that of another key.
+    squatted.blob[111..119].copy_from_slice(&[9; 8]);
+    let digest = Digest(context().provider.sm3(&[&squatted.blob]));
+    let signed = crate::crypto::record::signed_bytes(&context().domain, &digest);
+    squatted.signature = context().provider.sign(&alice.signing.secret, &signed).expect("signs");
     let with = |signature| Upload { signature, ..record.clone() };
     let mut uploads = vec![
+        ("a number under another key's recorder".to_owned(), Code::Malformed, squatted),
         ("a recalled device's record".to_owned(), Code::Signature, alice.record(&device, 3, b"x")),
         ("another user's signature on a record".to_owned(), Code::Signature, alice.record(&bob.signing, 3, b"x")),
         ("another user's record".to_owned(), Code::NotYours, bob.record(&bob.signing, 3, b"x")),
@@ -347,7 +354,12 @@ async fn records_are_refused_each_with_their_code() {
         "the name ended with the loan"
     );
     stage.desk.lend(&alice, &device);
-    client.upload(vec![record]).await.expect("unaltered it is accepted");
+    let own = refusal(client.upload(vec![record.clone()]).await);
+    assert_eq!(own, Some(Code::NotYours), "a device's session adds to no numbers but the device's");
+    client.upload(vec![alice.record(&device, 4, b"x")]).await.expect("its own");
+    let credentials = stage.enrol(&alice).await;
+    let mut owner = stage.connect(&credentials).await.expect("connects");
+    owner.upload(vec![record]).await.expect("unaltered it is accepted");
     expect_all(&cases);
 }
 

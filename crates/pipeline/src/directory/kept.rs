@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::{Directory, Extension, Granted};
-use crate::chain::Event;
+use crate::chain::{Event, EventAt};
 use crate::model::{Address, Hash, Identity, Token};
 use crate::store::{KeptEnvelope, KeptRight, Ledger, RightEvent, RightKind, StoreError};
 
@@ -58,7 +58,17 @@ impl Told {
         RightEvent { block, place, kind, owner, grantee, epoch, token, event, envelope }
     }
 
-    fn from_row(row: &KeptRight) -> Option<Self> {
+    /// Whether this is what was stored of an event on the chain.
+    pub(crate) fn is_of(&self, at: &EventAt) -> bool {
+        let mut event = at.event.clone();
+        if let Event::Granted { envelope, .. } | Event::Wrapped { envelope, .. } = &mut event {
+            envelope.clear();
+        }
+        self.transaction == at.transaction && self.event == event
+    }
+
+    /// From a row; without its envelope.
+    pub(crate) fn from_row(row: &KeptRight) -> Option<Self> {
         let Written { transaction, proven, event } = serde_json::from_str(&row.event).ok()?;
         Some(Self { block: row.block, place: row.place, transaction, event, proven })
     }

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use super::*;
 use crate::crypto::{EpochKey, IndexKey, ProviderName, SealingKey, SmKeyPair, provider};
-use crate::model::{Domain, RecordKind, RecordState, RecorderId, RingLimits, Timestamp, Token, TopicPatterns};
+use crate::model::{Domain, RecordKind, RecordState, RecorderPrefix, RingLimits, Timestamp, Token, TopicPatterns};
 use crate::pipeline::epoch::EpochKeys;
 use crate::pipeline::fixture::{Notes, message};
 use crate::pipeline::recorder::CapturedMessage;
@@ -50,7 +50,7 @@ impl Robot {
         let author = Arc::new(Author::new(Address([5; 20])));
         author.seal_under(Arc::clone(&keys));
         let limits = RingLimits { time: Duration::from_secs(3600), bytes: 1 << 24 };
-        let ring = DiskRing::open(&home.join("ring"), limits, RecorderId::of_ring([6; 8])).expect("a ring");
+        let ring = DiskRing::open(&home.join("ring"), limits, RecorderPrefix::ring([6; 7])).expect("a ring");
         let (rings, losses) = (Arc::new(Rings::new(1 << 24)), Arc::new(Losses::default()));
         let recorder = Recorder::new(Arc::clone(&rings), Arc::clone(&losses), Arc::clone(&plant.observer));
         Self { plant, notes, author, keys, ring: Arc::new(Mutex::new(ring)), rings, losses, recorder }

@@ -84,9 +84,8 @@ impl Line<'_> {
         let Ok(AnchorProof { inclusion: Some(inclusion), .. }) = AnchorProof::parse(proof) else { return false };
         let Ok(Some(blob)) = self.outbox.plant.vault.get(row.digest) else { return false };
         let Ok((header, _)) = Header::parse(&blob) else { return false };
-        let Header { owner, recorder, topic_id, seq, .. } = header;
         let digest = Digest(self.outbox.plant.provider.sm3(&[&blob]));
-        digest == row.digest && inclusion.proves(&Leaf { owner, recorder, topic_id, seq, digest })
+        digest == row.digest && inclusion.proves(&Leaf::of(&header, digest))
     }
 
     fn decide(&self, verified: &[Digest], unknown: &[Digest], tampered: &[Digest]) -> Result<(), PipelineError> {

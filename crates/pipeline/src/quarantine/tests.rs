@@ -75,7 +75,7 @@ fn every_topic_and_minute_is_counted_once_and_in_order() {
         let body = super::super::tests::body_of(plant.provider, &keys, row, &blob);
         found.push((row.digest, QuarantineReport::parse(&body).expect("a report")));
     }
-    let stream = (owner.address, plant.ledger.recorder());
+    let stream = (owner.address, plant.ledger.recorder().of_signer(&owner.sealing().expect("keys").signer));
     for (topic, minute, digests, seqs) in
         [(1, 10, vec![one, two], (1, 2)), (2, 10, vec![other], (1, 1)), (1, 11, vec![later], (3, 3))]
     {

@@ -7,7 +7,7 @@ use tokio::runtime::Handle;
 use tokio::task::JoinSet;
 
 use super::report::{FindingKind, Tally};
-use super::{Network, Plant, Scope};
+use super::{Network, Plant, Scope, events};
 use crate::chain::{Chain, ChainError, Event, EventAt};
 use crate::model::{Address, Digest, Hash};
 use crate::pipeline::proof::is_root_in;
@@ -48,7 +48,7 @@ pub(super) fn compare(
         }
     }
     if let Some(network) = asked
-        && let Err(error) = runtime.block_on(walk(ledger, network, scope, tally))?
+        && let Err(error) = runtime.block_on(walk(plant, network, scope, tally))?
     {
         tally.find(FindingKind::Unreachable, "chain", &format!("not all of its events were read: {error}"));
     }
@@ -72,20 +72,20 @@ async fn compare_page(
     }
     while let Some(answer) = answers.join_next().await {
         let Ok((answer, batch)) = answer else { continue };
-        let text = match answer {
+        match answer {
             Ok(None) => continue,
-            Ok(Some(text)) => text,
+            Ok(Some(_)) => {}
             Err(error) => return Ok(Err(error)),
-        };
-        // The chain may have been replaced below us: what the ledger says now counts.
-        let now = ledger.audit_batches(batch.key - 1, 1)?.pop().filter(|now| now.key == batch.key);
-        if let Some(now) = now.filter(|now| *now != batch) {
-            match differs(&network.chain, &now).await {
-                Ok(text) => text.iter().for_each(|text| tally.find(FindingKind::Tampered, &name(&now.root), text)),
-                Err(error) => return Ok(Err(error)),
-            }
-        } else {
-            tally.find(FindingKind::Tampered, &name(&batch.root), &text);
+        }
+        // The chain may have been replaced below us, or a node have answered that is behind: what the ledger and the next
+        // answer say now counts.
+        let now = ledger.audit_batches(batch.key - 1, 1)?.pop().filter(|now| now.key == batch.key).unwrap_or(batch);
+        if now.block.is_none() {
+            continue;
+        }
+        match differs(&network.chain, &now).await {
+            Ok(text) => text.iter().for_each(|text| tally.find(FindingKind::Tampered, &name(&now.root), text)),
+            Err(error) => return Ok(Err(error)),
         }
     }
     Ok(Ok(()))
@@ -121,13 +121,14 @@ async fn differs(chain: &Chain, batch: &AuditedBatch) -> Result<Option<String>, 
     }
 }
 
-/// Searches the chain's events for anchors by this home's accounts.
+/// Reads all of the contract's events: anchors by this home's accounts, and what the watcher should have taken in.
 async fn walk(
-    ledger: &Ledger,
+    plant: &Plant,
     network: &Network,
     scope: &Scope,
     tally: &mut Tally,
 ) -> Result<Result<(), ChainError>, StoreError> {
+    let ledger = &plant.ledger;
     let mut own: HashSet<Address> = scope.accounts.iter().copied().collect();
     own.extend(ledger.signing_accounts()?);
     let mut walk = Walk { own, previous: HashMap::new(), copied_at: ledger.copied_at()?, elsewhere: 0 };
@@ -139,7 +140,12 @@ async fn walk(
     while from <= head {
         let to = head.min(from + STRIDE - 1);
         match network.chain.events(from, to).await {
-            Ok(events) => walk.take(ledger, &events, tally)?,
+            Ok(events) => {
+                walk.take(ledger, &events, tally)?;
+                if let Err(error) = events::compare(plant, network, (from, to), &events, tally).await? {
+                    return Ok(Err(error));
+                }
+            }
             Err(error) => return Ok(Err(error)),
         }
         from = to + 1;

@@ -22,8 +22,9 @@ pub(super) fn compare(plant: &Plant, scope: &Scope, tally: &mut Tally) -> Result
         let holes = plant.ledger.holes(&sequence, MOST_HOLES)?;
         let words: Vec<String> = holes.iter().take(MOST_HOLES).map(|(from, to)| span(*from, *to)).collect();
         let text = format!(
-            "{lost} of the numbers 1 to {} of {} are missing from the ledger: {}",
+            "{lost} of the numbers 1 to {} that the key {} gave for {} are missing from the ledger: {}",
             sequence.last,
+            sequence.signer,
             sequence.owner,
             words.join(", ")
         );

@@ -110,7 +110,7 @@ fn what_was_just_looked_at_waits_and_a_note_from_the_future_does_not() {
 fn a_restored_ledger_has_a_recorder_that_names_the_one_it_follows() {
     let folder = tempfile::tempdir().expect("a folder");
     let home = Home::at(folder.path());
-    let before = home.plant.ledger.recorder();
+    let before = home.plant.ledger.recorder().of_signer(&home.keys().signer);
     home.say("/odom");
     home.state(NOW);
     home.state(NOW).expect("stated");
@@ -118,7 +118,7 @@ fn a_restored_ledger_has_a_recorder_that_names_the_one_it_follows() {
     copied.ledger.close().expect("closed");
     crate::store::snapshot::renew_ledger(&folder.path().join("ledger.db")).expect("a copy's ledger");
     let home = Home { plant: plant(folder.path()), owner };
-    assert_ne!(home.plant.ledger.recorder(), before);
+    assert_ne!(home.plant.ledger.recorder().of_signer(&home.keys().signer), before);
     assert_eq!(home.state(NOW), None, "it recorded nothing yet");
     home.say("/odom");
     home.state(NOW);

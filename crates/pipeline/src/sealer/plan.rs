@@ -4,7 +4,7 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use crate::model::{Address, Digest, Domain, RecorderId, TopicId};
+use crate::model::{Address, Digest, Domain, RecorderPrefix, SignerId, TopicId};
 use crate::pipeline::epoch::{EpochKeys, TopicKeys};
 use crate::pipeline::packing::{Packing, Try};
 use crate::pipeline::recorder::CapturedMessage;
@@ -13,8 +13,8 @@ use crate::pipeline::{PipelineError, Plant};
 /// The most definition hashes remembered.
 const MOST_HASHES: usize = 1024;
 
-/// The author and topic of a sequence.
-pub type Stream = (Address, TopicId);
+/// The owner, signer and topic of a sequence.
+pub type Stream = (Address, SignerId, TopicId);
 
 /// A stored definition: once for each topic and epoch of an owner.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -62,8 +62,8 @@ pub struct Task<'a> {
     pub keys: Arc<EpochKeys>,
     /// The topic's keys.
     pub topic: Arc<TopicKeys>,
-    /// The recorder that numbers it.
-    pub recorder: RecorderId,
+    /// The ledger or ring that numbers it.
+    pub recorder: RecorderPrefix,
     /// Its seq.
     pub seq: u64,
     /// SM3 of the message's definition.
@@ -138,7 +138,7 @@ impl Planner {
             };
             let definition = self.definition_digest(plant, &item.message.topic, &item.message.definition);
             let add = |planner: &Self, plan: &mut Plan<'a>, content| {
-                let seq = planner.next_seq(plant, (item.author.address, topic.id), plan)?;
+                let seq = planner.next_seq(plant, (item.author.address, keys.signer, topic.id), plan)?;
                 let (keys, topic) = (Arc::clone(&keys), Arc::clone(&topic));
                 plan.tasks.push(Task { item, content, keys, topic, recorder, seq, definition });
                 Ok::<(), PipelineError>(())
@@ -202,7 +202,7 @@ impl Planner {
     fn next_seq(&self, plant: &Plant, stream: Stream, plan: &mut Plan<'_>) -> Result<u64, PipelineError> {
         let seq = match plan.seqs.get(&stream).or_else(|| self.seqs.get(&stream)) {
             Some(last) => last + 1,
-            None => plant.ledger.next_seq(stream.0, stream.1)?,
+            None => plant.ledger.next_seq(stream.0, stream.1, stream.2)?,
         };
         plan.seqs.insert(stream, seq);
         Ok(seq)

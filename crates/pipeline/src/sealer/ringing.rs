@@ -77,7 +77,7 @@ impl Sealer {
             };
             let definition = self.planner.definition_digest(&self.plant, &item.message.topic, &item.message.definition);
             let known = (topic.id, keys.epoch, definition);
-            let place = (item.author.address, topic.id);
+            let place = (item.author.address, keys.signer, topic.id);
             let planned = |task: &Task<'_>| known_definition(task) == Some(known);
             let mut contents = Vec::with_capacity(2);
             if !ring.has_definition(&known) && !plan.tasks.iter().any(planned) {

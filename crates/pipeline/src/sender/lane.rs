@@ -103,10 +103,9 @@ impl Lane<'_> {
     /// # Errors
     /// Errors of chain and ledger.
     pub async fn next_nonce(&self) -> Result<u64, PipelineError> {
-        let pending = self.chain.nonce(self.account, true).await?;
-        let mined = self.chain.nonce(self.account, false).await?;
+        let pending = self.chain.nonces(self.account).await?.pending;
         let open = block_in_place(|| self.sender.ledger.lane_count(self.account))?;
-        Ok(open.highest.map_or(0, |nonce| nonce + 1).max(pending).max(mined))
+        Ok(open.highest.map_or(0, |nonce| nonce + 1).max(pending))
     }
 
     /// The most that gas may cost now, wei.

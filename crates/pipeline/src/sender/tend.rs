@@ -9,7 +9,7 @@ use crate::chain::{Chain, Offered, Receipt, is_same_call};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, clean};
 use crate::pipeline::PipelineError;
-use crate::pipeline::watcher::CURSOR;
+use crate::pipeline::watcher::{CURSOR, unread};
 use crate::store::{OpenTransaction, Reissue, TransactionOutcome};
 
 use super::price::Priced;
@@ -124,11 +124,11 @@ impl Sender {
             }
             return Ok(Vec::new());
         }
-        let mined = chain.nonce(account, false).await?;
-        let (used, waiting): (Vec<_>, Vec<_>) = open.into_iter().partition(|row| row.nonce < mined);
+        let nonces = chain.nonces(account).await?;
+        let (used, waiting): (Vec<_>, Vec<_>) = open.into_iter().partition(|row| row.nonce < nonces.mined);
         cell.memory().missing.retain(|hash, _| used.iter().any(|row| row.hash == *hash));
         let refused = self.decide(chain, eoa, used).await?;
-        let paused = waiting::Round { sender: self, chain, eoa, account, mined, rows: &waiting }.run().await?;
+        let paused = waiting::Round { sender: self, chain, eoa, account, nonces, rows: &waiting }.run().await?;
         self.settle(account, paused);
         Ok(refused)
     }
@@ -159,6 +159,7 @@ impl Sender {
             match decided {
                 Decided::Own(receipt) | Decided::Kin(_, _, receipt) if receipt.block > seen => {}
                 Decided::Own(receipt) => {
+                    block_in_place(|| self.hold_against_what_was_read(&receipt))?;
                     refused.extend(refusal(&row, &receipt));
                     closings.push((row.hash, outcome(&receipt)));
                 }
@@ -172,6 +173,7 @@ impl Sender {
         for (row, decided) in others {
             match decided {
                 Decided::Kin(kin, raw, receipt) => {
+                    block_in_place(|| self.hold_against_what_was_read(&receipt))?;
                     refused.extend(refusal(&row, &receipt));
                     self.give_to_kin(chain, eoa, &row, kin, &raw, &receipt).await?;
                 }
@@ -182,6 +184,14 @@ impl Sender {
             }
         }
         Ok(refused)
+    }
+
+    /// The watcher has read the receipt's block: what the receipt says happened there must be known by now.
+    fn hold_against_what_was_read(&self, receipt: &Receipt) -> Result<(), PipelineError> {
+        if !unread::of(&self.ledger, &receipt.events)?.is_empty() {
+            unread::note(&self.ledger, receipt.block)?;
+        }
+        Ok(())
     }
 
     async fn look_up(&self, chain: &Chain, account: Address, row: &OpenTransaction) -> Result<Decided, PipelineError> {
@@ -226,7 +236,7 @@ impl Sender {
         }
         let lane = self.lane(chain, eoa).await;
         let raw = block_in_place(|| self.ledger.raw_transaction(row.hash))?.unwrap_or_default();
-        let signed = chain.resign(eoa, &raw, lane.next_nonce().await?, lane.price().await?)?;
+        let signed = chain.resign(eoa, &raw, lane.next_nonce().await?, lane.price().await?).await?;
         let reissue = Reissue { hash: signed.hash, nonce: signed.nonce, raw: signed.raw.clone() };
         block_in_place(|| self.ledger.reissue(row.hash, reissue))?;
         drop(lane);

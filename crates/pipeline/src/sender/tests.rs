@@ -111,7 +111,7 @@ async fn a_replaced_transaction_that_was_mined_after_all_is_recognised() {
     let nonce = next(&process).await;
     let (old, raw) = keep(&process, nonce, &Process::upload(0)).await;
     // At a price: this account holds nothing, so the more expensive one can never be mined.
-    let dearer = process.network.chain.resign(&process.eoa, &raw, nonce, 5).expect("signs");
+    let dearer = process.network.chain.resign(&process.eoa, &raw, nonce, 5).await.expect("signs");
     let reissue = Reissue { hash: dearer.hash, nonce, raw: dearer.raw };
     process.plant.ledger.reissue(old, reissue.clone()).expect("replaced");
     assert!(process.plant.ledger.reissue(old, reissue).is_err(), "only an open one is replaced");
@@ -157,7 +157,7 @@ async fn what_offered_far_too_much_is_offered_again_for_less() {
     process.store(0..1);
     let nonce = next(&process).await;
     let (old, raw) = keep(&process, nonce, &Process::upload(0)).await;
-    let dear = process.network.chain.resign(&process.eoa, &raw, nonce, 1_000).expect("signs");
+    let dear = process.network.chain.resign(&process.eoa, &raw, nonce, 1_000).await.expect("signs");
     let reissue = Reissue { hash: dear.hash, nonce, raw: dear.raw };
     process.plant.ledger.reissue(old, reissue).expect("replaced");
     // The price is 0 now, so the very first bytes come out again.

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use tokio::task::block_in_place;
 
-use crate::chain::{Chain, ChainError, Market, Offered, offered};
+use crate::chain::{Chain, ChainError, Market, Nonces, Offered, SignedTransaction, offered};
 use crate::crypto::EoaSecret;
 use crate::model::{Address, Hash, clean};
 use crate::pipeline::PipelineError;
@@ -40,8 +40,8 @@ pub(super) struct Round<'a> {
     pub chain: &'a Chain,
     pub eoa: &'a EoaSecret,
     pub account: Address,
-    /// The next nonce that the chain will use.
-    pub mined: u64,
+    /// The next nonces that the chain will use, and that the node has not been given.
+    pub nonces: Nonces,
     pub rows: &'a [OpenTransaction],
 }
 
@@ -53,7 +53,7 @@ impl Round<'_> {
         let cell = self.sender.cell(self.account);
         let still = cell.memory().see_head(market.head.number);
         let passed_by = cell.memory().see_front(first.hash, market.head.number);
-        let held = self.chain.nonce(self.account, true).await?.max(self.mined);
+        let held = self.nonces.pending;
         let hole = self.fill_holes(&cell, &market, held).await?;
         let (replaced, dear) = self.raise(&cell, &market, passed_by).await?;
         let refused = self.repeat(&cell, &market, held, &replaced).await?;
@@ -151,7 +151,11 @@ impl Round<'_> {
     }
 
     async fn replace(&self, row: &OpenTransaction, raw: &[u8], price: u128) -> Result<(), PipelineError> {
-        let signed = self.chain.resign(self.eoa, raw, row.nonce, price)?;
+        let signed = self.chain.resign(self.eoa, raw, row.nonce, price).await?;
+        self.put_in_place(row, signed).await
+    }
+
+    async fn put_in_place(&self, row: &OpenTransaction, signed: SignedTransaction) -> Result<(), PipelineError> {
         let reissue = Reissue { hash: signed.hash, nonce: signed.nonce, raw: signed.raw.clone() };
         block_in_place(|| self.sender.ledger.reissue(row.hash, reissue))?;
         self.sender.hand_in(self.chain, self.account, signed.hash, &signed.raw).await;
@@ -188,7 +192,10 @@ impl Round<'_> {
                     lost = Some(error);
                     continue;
                 }
-                Err(error) => return Ok(Some(PauseReason::Refused { why: clean(&error.to_string(), 200) })),
+                Err(error) => {
+                    self.renew(market, row, &raw).await?;
+                    return Ok(Some(PauseReason::Refused { why: clean(&error.to_string(), 200) }));
+                }
             }
             answered = true;
             cell.memory().sent(row.hash);
@@ -197,6 +204,17 @@ impl Round<'_> {
             Some(error) => Err(error.into()),
             None => Ok(None),
         }
+    }
+
+    /// The node refuses these bytes: the same call is signed again by what gas and price are now, and takes their place
+    /// if that makes a difference. The node does not hold the old ones, so the price need not rise.
+    async fn renew(&self, market: &Market, row: &OpenTransaction, raw: &[u8]) -> Result<(), PipelineError> {
+        let Priced::At(price) = self.sender.policy.fresh(market) else { return Ok(()) };
+        let signed = self.chain.resign(self.eoa, raw, row.nonce, price).await?;
+        if signed.hash == row.hash {
+            return Ok(());
+        }
+        self.put_in_place(row, signed).await
     }
 
     /// The account cannot pay the price offered: if the market is far lower by now, less is offered.

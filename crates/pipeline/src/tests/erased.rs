@@ -36,8 +36,7 @@ fn stated(line: &Line, by: &SmKeyPair, digest: &Digest, header: &[u8]) -> Erased
 
 /// What an honest gateway has left of a record that was anchored alone in its batch and erased.
 async fn left(line: &Line, sealed: &SealedRecord) -> ErasedRecord {
-    let Header { owner, recorder, topic_id, seq, .. } = sealed.header;
-    let root = Leaf { owner, recorder, topic_id, seq, digest: sealed.digest }.hash();
+    let root = Leaf::of(&sealed.header, sealed.digest).hash();
     let previous = line.network.chain.anchor_head(line.owner.address).await.expect("answered");
     let call = Call::Anchor { root, count: 1, previous };
     let sent = line.sender.send(&line.network.chain, &line.owner.eoa(), call, "anchor").await;

@@ -7,7 +7,7 @@ use super::*;
 use crate::crypto::{SealRequest, SealedRecord, TopicKey, seal};
 use crate::gateway::Fetched;
 use crate::model::head::Compression;
-use crate::model::{Address, FilterId, Head, RecorderId};
+use crate::model::{Address, FilterId, Head, RecorderPrefix};
 use crate::pipeline::PipelineError;
 use crate::pipeline::mirror::{Anchors, Mirror};
 use crate::pipeline::statement::{Statement, state};
@@ -107,7 +107,7 @@ pub(super) fn sealed_elsewhere(
         signer: &keys.signing,
         epoch: keys.epoch,
         topic_key: wrong.unwrap_or(&topic.key),
-        recorder: RecorderId([9; RecorderId::LENGTH]),
+        recorder: RecorderPrefix::ledger([9; 7]),
         seq,
         topic_id: topic.id,
         kind: RecordKind::Data,

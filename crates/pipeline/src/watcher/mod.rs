@@ -1,11 +1,20 @@
 //! Follows the chain: which records are in a block, which blocks have enough confirmations, who was registered, granted
 //! and revoked. A function of the ledger's cursor; a restart runs it again.
+//!
+//! Several nodes may answer at one URL, some of them behind the others. So the newest blocks are read one by one
+//! ([`near`]), what is not sure is read again ([`again`]), and a node that is behind is no reorg ([`reorg`]).
 
+mod again;
 pub mod foreign;
+#[cfg(test)]
+mod lagging_tests;
+mod near;
 mod reorg;
 #[cfg(test)]
 mod tests;
+pub(crate) mod unread;
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::task::block_in_place;
@@ -15,9 +24,10 @@ use crate::crypto::fault;
 use crate::model::Hash;
 use crate::store::{RootSighting, Sighting};
 
+use self::reorg::Standing;
 use super::directory::{Told, kept};
 use super::stages::Milestone;
-use super::{Network, PipelineError, Plant};
+use super::{Directory, Network, PipelineError, Plant};
 
 /// Name of the scan position in the ledger.
 pub const CURSOR: &str = "watcher";
@@ -25,6 +35,18 @@ pub const CURSOR: &str = "watcher";
 const CHUNK: u64 = 2_000;
 /// How often a part of the chain is read again because it changed meanwhile.
 const ATTEMPTS: usize = 5;
+/// How long to wait for a node that is behind before it is asked again.
+const PAUSE: Duration = Duration::from_millis(200);
+
+/// How far a scan came.
+enum Reached {
+    /// The head.
+    Head,
+    /// Not to the head: the chain changed while it was read.
+    Changed,
+    /// Not to the head: whoever was asked does not have this block, or not all of it.
+    Before(u64),
+}
 
 /// Binds the ledger to the contract and reads the directory back from it; if nothing was stored yet, or it cannot be
 /// read, it is scanned from the contract's first block.
@@ -57,56 +79,121 @@ fn first_block(network: &Network) -> u64 {
 }
 
 /// Scans all blocks after the cursor; returns the head it reached. After a reorg it first goes back to where the chains
-/// diverge.
+/// diverge, and after an event that was missed to the block before it.
 ///
 /// # Errors
 /// Errors of chain and ledger; the cursor stays where the last chunk was written. `ChainError::Swapped` if another
-/// chain answers now, or the same one without its history.
+/// chain answers now, or the same one without its history; `NodeBehind` if the node has not what it had before.
 pub async fn watch_round(plant: &Plant, network: &Network) -> Result<BlockRef, PipelineError> {
+    let mut obstacle = PipelineError::Unsteady;
     for _ in 0..ATTEMPTS {
         let head = network.chain.head().await?;
-        network.directory.saw_head_of(head.timestamp);
-        reorg::follow(plant, network).await?;
-        if !scan(plant, network, head).await? {
+        if let Standing::Behind { read } = reorg::follow(plant, network, head).await? {
+            obstacle = PipelineError::NodeBehind { block: read, head: head.number };
+            tokio::time::sleep(PAUSE).await;
             continue;
         }
-        let deep = (head.number + 1).saturating_sub(network.confirmations);
-        let confirmed = block_in_place(|| plant.ledger.confirm(deep))?;
-        if !confirmed.is_empty() {
-            if let Some(stages) = plant.observer.stages() {
-                stages.reached(Milestone::Confirmed, confirmed);
+        network.directory.saw_head_of(head.timestamp);
+        again::look(plant, network, head.number).await?;
+        match read_on(plant, network, head).await? {
+            Reached::Head => {}
+            Reached::Changed => continue,
+            Reached::Before(block) => {
+                obstacle = PipelineError::NodeBehind { block, head: head.number };
+                tokio::time::sleep(PAUSE).await;
+                continue;
             }
-            fault::point("confirmed");
-            plant.observer.records_changed();
         }
+        confirm(plant, network, head.number)?;
         return Ok(head);
     }
-    Err(PipelineError::Unsteady)
+    Err(obstacle)
 }
 
-/// Scans from the cursor to `head`; `false` if the chain changed while it was read.
-async fn scan(plant: &Plant, network: &Network, head: BlockRef) -> Result<bool, PipelineError> {
+fn confirm(plant: &Plant, network: &Network, head: u64) -> Result<(), PipelineError> {
+    let deep = (head + 1).saturating_sub(network.confirmations);
+    let confirmed = block_in_place(|| plant.ledger.confirm(deep))?;
+    if !confirmed.is_empty() {
+        if let Some(stages) = plant.observer.stages() {
+            stages.reached(Milestone::Confirmed, confirmed);
+        }
+        fault::point("confirmed");
+        plant.observer.records_changed();
+    }
+    Ok(())
+}
+
+/// Scans up to `head`. If the cursor went back, the directory is built anew beside the one in use, which stays until the
+/// new one is complete: a right that ended in between must not come back for a moment.
+async fn read_on(plant: &Plant, network: &Network, head: BlockRef) -> Result<Reached, PipelineError> {
+    let Some(directory) = block_in_place(|| as_of_the_cursor(plant, network))? else {
+        return scan(plant, network, head, None).await;
+    };
+    let beside = Network { directory: Arc::new(directory), ..network.clone() };
+    let reached = scan(plant, &beside, head, Some(&network.directory)).await;
+    let is_behind = || Ok::<_, PipelineError>(cursor_number(plant)? >= network.directory.newest());
+    if matches!(reached, Ok(Reached::Head)) || block_in_place(is_behind)? {
+        network.directory.become_like(&beside.directory);
+        plant.observer.directory_changed();
+    }
+    reached
+}
+
+fn cursor_number(plant: &Plant) -> Result<u64, PipelineError> {
+    Ok(plant.ledger.cursor(CURSOR)?.map_or(0, |(number, _)| number))
+}
+
+/// The directory without what was read after the cursor; `None` if the one in use is that. If it cannot be read back, all
+/// of it is scanned again.
+fn as_of_the_cursor(plant: &Plant, network: &Network) -> Result<Option<Directory>, PipelineError> {
+    let Some((number, _)) = plant.ledger.cursor(CURSOR)? else { return Ok(None) };
+    if network.directory.newest() <= number {
+        return Ok(None);
+    }
+    plant.ledger.take_back_rights(number + 1)?;
+    let fresh = network.directory.blank();
+    if kept::read_back(&plant.ledger, &fresh)? {
+        return Ok(Some(fresh));
+    }
+    plant.ledger.forget_rights()?;
+    let (number, hash) = beginning(network);
+    plant.ledger.set_cursor(CURSOR, number, hash)?;
+    Ok(Some(network.directory.blank()))
+}
+
+/// Scans from the cursor to `head`: old blocks many at a time, the newest ones one by one. A directory in use, `shown`,
+/// becomes that of `network` with the last of them, before anybody can see that they were read.
+async fn scan(
+    plant: &Plant,
+    network: &Network,
+    head: BlockRef,
+    shown: Option<&Directory>,
+) -> Result<Reached, PipelineError> {
     let first = first_block(network);
     let cursor = block_in_place(|| plant.ledger.cursor(CURSOR))?;
     let mut from = cursor.map_or(first, |(number, _)| (number + 1).max(first));
     let mut below = cursor.filter(|(number, _)| *number >= first);
-    while from <= head.number {
-        let to = head.number.min(from + CHUNK - 1);
-        let Some(last) = network.chain.block(to).await? else { return Ok(false) };
+    let near = network.chain.first_near(head.number);
+    while from < near {
+        let to = (near - 1).min(from + CHUNK - 1);
+        let Some(last) = network.chain.block(to).await? else { return Ok(Reached::Changed) };
         if !stands(network, below).await? {
-            return Ok(false);
+            return Ok(Reached::Changed);
         }
         let events = network.chain.events(from, to).await?;
         // The same block at the top means that nothing below changed while it was read.
         if !stands(network, Some((to, last.hash))).await? {
-            return Ok(false);
+            return Ok(Reached::Changed);
         }
-        block_in_place(|| write(plant, network, &events, (to, last.hash)))?;
+        let mut met: Vec<(u64, Hash)> = events.iter().map(|event| (event.block, event.block_hash)).collect();
+        met.dedup();
+        let shown = shown.filter(|_| to == head.number);
+        block_in_place(|| write(plant, network, &events, (to, last.hash), met, shown))?;
         block_in_place(|| foreign::look(plant, &events, head.number))?;
         below = Some((to, last.hash));
         from = to + 1;
     }
-    Ok(true)
+    near::read(plant, network, (from, head.number), below, shown).await
 }
 
 /// Whether the chain still has this block.
@@ -115,7 +202,15 @@ async fn stands(network: &Network, block: Option<(u64, Hash)>) -> Result<bool, P
     Ok(network.chain.block(number).await?.is_some_and(|block| block.hash == hash))
 }
 
-fn write(plant: &Plant, network: &Network, events: &[EventAt], to: (u64, Hash)) -> Result<(), PipelineError> {
+/// Writes the events of blocks up to `to`; `met` are blocks on the way. `shown` then becomes the directory of `network`.
+fn write(
+    plant: &Plant,
+    network: &Network,
+    events: &[EventAt],
+    to: (u64, Hash),
+    met: Vec<(u64, Hash)>,
+    shown: Option<&Directory>,
+) -> Result<(), PipelineError> {
     let sightings: Vec<Sighting> = events.iter().filter_map(sighting).collect();
     let roots: Vec<RootSighting> = events.iter().filter_map(root_sighting).collect();
     if !sightings.is_empty() || !roots.is_empty() {
@@ -138,8 +233,9 @@ fn write(plant: &Plant, network: &Network, events: &[EventAt], to: (u64, Hash)) 
         kept?;
         fault::point("directory-kept");
     }
-    let mut met: Vec<(u64, Hash)> = events.iter().map(|event| (event.block, event.block_hash)).collect();
-    met.dedup();
+    if let Some(shown) = shown {
+        shown.become_like(&network.directory);
+    }
     plant.ledger.walk_to(CURSOR, to, met)?;
     if changed {
         fault::point("walked");

@@ -1,33 +1,85 @@
-//! Replaced blocks: everything read from them is undone, from where the chains diverge.
+//! Replaced blocks: everything read from them is undone, from where the chains diverge. A block that the node does not
+//! have is not replaced: the node is behind, and is waited for.
+
+use std::time::Duration;
 
 use tokio::task::block_in_place;
 
-use crate::chain::ChainError;
+use crate::chain::{BlockRef, ChainError, NEAR};
 use crate::model::Hash;
 use crate::pipeline::{Network, PipelineError, Plant};
 
-use super::{CURSOR, beginning, first_block, restore, stands};
-use crate::pipeline::directory::kept;
+use super::{CURSOR, again, beginning, first_block, stands};
 
 /// If a reorg leaves nothing of this many blocks, it is not a reorg.
 const DEEPEST: u64 = 1024;
+/// The setting that says since when the node names which older head.
+const BEHIND: &str = "watcher:behind";
+/// After naming the same older head for so long, that is the chain: somebody took it back.
+const TAKEN_BACK: Duration = Duration::from_secs(300);
 
-/// Whether the chain still holds the newest block seen; if not, goes back to the last block that both chains have. A
-/// chain without that history is another one.
-pub(super) async fn follow(plant: &Plant, network: &Network) -> Result<(), PipelineError> {
+/// How the chain stands to what was read of it.
+pub(super) enum Standing {
+    /// It holds the newest block that was read; or it was gone back.
+    Holds,
+    /// The node does not have block `read`, which was read before.
+    Behind {
+        /// The newest block that was read.
+        read: u64,
+    },
+}
+
+/// Whether the chain still holds the newest block seen; if another one is in its place, goes back to the last block that
+/// both chains have. A chain without that history is another one.
+pub(super) async fn follow(plant: &Plant, network: &Network, head: BlockRef) -> Result<Standing, PipelineError> {
     let newest =
         block_in_place(|| Ok::<_, PipelineError>(plant.ledger.trail_end()?.max(plant.ledger.cursor(CURSOR)?)))?;
-    let Some((number, _)) = newest else { return Ok(()) };
-    if number < first_block(network) || stands(network, newest).await? {
-        return Ok(());
+    let Some((number, _)) = newest.filter(|(number, _)| *number >= first_block(network)) else {
+        return Ok(Standing::Holds);
+    };
+    if number <= head.number && stands(network, newest).await? {
+        block_in_place(|| again::no_longer(plant, BEHIND))?;
+        return Ok(Standing::Holds);
     }
-    network.chain.identify().await?;
+    let identified = network.chain.identify().await;
     let trail = block_in_place(|| plant.ledger.trail())?;
+    let is_replaced = is_replaced(plant, network, head, &trail).await?;
+    // A node that is behind may not have the contract yet.
+    let may_lack_it = head.number < first_block(network) + NEAR;
+    let lacks_it = matches!(identified, Err(ChainError::Swapped { what: "contract code hash", .. }));
+    if is_replaced || !(may_lack_it && lacks_it) {
+        identified?;
+    }
+    if !is_replaced {
+        return Ok(Standing::Behind { read: number });
+    }
     let common = last_common(network, &trail).await?;
     if common.is_none() && !trail.is_empty() {
         only_young(network, &trail).await?;
     }
-    go_back(plant, network, common.unwrap_or_else(|| beginning(network)), number).await
+    go_back(plant, network, common.unwrap_or_else(|| beginning(network)), number).await?;
+    Ok(Standing::Holds)
+}
+
+/// Whether another block is where one was read, and not just none; or none for so long that the chain was taken back.
+async fn is_replaced(
+    plant: &Plant,
+    network: &Network,
+    head: BlockRef,
+    trail: &[(u64, Hash)],
+) -> Result<bool, PipelineError> {
+    if network.chain.is_exact() {
+        return Ok(true);
+    }
+    let highest = trail.iter().rev().find(|(number, _)| *number <= head.number);
+    if let Some((number, hash)) = highest
+        && let Some(there) = network.chain.block(*number).await?
+        && there.hash != *hash
+    {
+        return Ok(true);
+    }
+    let waited = block_in_place(|| again::waited(plant, BEHIND, (head.number, head.hash)))?;
+    Ok(waited >= TAKEN_BACK)
 }
 
 /// No block that was ever seen is there any more. On a short history that is a deep reorg; if blocks far below the head
@@ -59,18 +111,14 @@ async fn last_common(network: &Network, trail: &[(u64, Hash)]) -> Result<Option<
     Ok(agree.checked_sub(1).and_then(|last| trail.get(last).copied()))
 }
 
-/// Undoes what was read after `common`. Each step may be interrupted: the cursor moves last, so the next round finds
-/// the same reorg.
+/// Undoes what was read after `common`; rights follow as the cursor is behind them. Each step may be interrupted: the
+/// cursor moves last, so the next round finds the same reorg.
 async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: u64) -> Result<(), PipelineError> {
     let from = common.0 + 1;
     network.times.forget_from(from);
     let deep = block_in_place(|| plant.ledger.verified_from(from))?;
     // Confirmed ones first: those the verifier advances meanwhile are then among the verified ones.
     let moved = block_in_place(|| Ok::<_, PipelineError>(plant.ledger.unmine(from)? + plant.ledger.unverify(from)?))?;
-    if network.directory.newest() >= from {
-        block_in_place(|| undo_rights(plant, network, from))?;
-        plant.observer.directory_changed();
-    }
     block_in_place(|| plant.ledger.walk_back(CURSOR, common))?;
     let depth = was_at.saturating_sub(common.0);
     let text = format!("the chain replaced its last {depth} blocks; {moved} records are anchored again");
@@ -85,18 +133,4 @@ async fn go_back(plant: &Plant, network: &Network, common: (u64, Hash), was_at: 
     }
     plant.observer.records_changed();
     Ok(())
-}
-
-/// The directory as it was before `from`; readers see the old one until the new one is complete. If it cannot be read
-/// back, all of it is scanned again.
-fn undo_rights(plant: &Plant, network: &Network, from: u64) -> Result<(), PipelineError> {
-    plant.ledger.take_back_rights(from)?;
-    let fresh = network.directory.blank();
-    if kept::read_back(&plant.ledger, &fresh)? {
-        network.directory.become_like(fresh);
-        return Ok(());
-    }
-    network.directory.become_like(network.directory.blank());
-    plant.ledger.forget_rights()?;
-    restore(plant, network)
 }

@@ -240,17 +240,16 @@ impl<R: BufRead + Seek> BagReader<R> {
 
     fn message(&mut self, fields: &Fields<'_>, body: Vec<u8>, guarded: bool) -> Option<RecordedMessage> {
         self.met += 1;
-        let channel = fields.u32("conn").and_then(|number| self.connections.get(&number));
-        let message = channel.zip(fields.time("time"));
-        let message = message.map(|(channel, time)| {
-            let channel = Arc::clone(channel);
-            RecordedMessage { channel, time, sent: None, body }
-        });
-        match message {
-            None => self.findings.messages_skipped += 1,
-            Some(_) => self.findings.unguarded += u64::from(!guarded),
-        }
-        message
+        let Some(channel) = fields.u32("conn").and_then(|number| self.connections.get(&number)) else {
+            self.findings.leave_out("", "no record of the bag describes its connection");
+            return None;
+        };
+        let Some(time) = fields.time("time") else {
+            self.findings.leave_out(&channel.topic, "it has no time");
+            return None;
+        };
+        self.findings.unguarded += u64::from(!guarded);
+        Some(RecordedMessage { channel: Arc::clone(channel), time, sent: None, body })
     }
 
     /// Continues at the next chunk after `from`; what lies between is reported as skipped.

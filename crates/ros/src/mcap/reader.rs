@@ -51,6 +51,30 @@ struct ChunkHead {
     length: u64,
 }
 
+/// Where a schema or channel is described.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Place {
+    /// In the summary at the end, which is read first: it counts until the data says anything.
+    Summary,
+    /// Among the data: from there on.
+    Data,
+}
+
+/// A schema or channel as last described.
+#[derive(Debug)]
+struct Latest<T> {
+    record: T,
+    place: Place,
+}
+
+/// A channel as last described.
+#[derive(Debug)]
+struct KnownChannel {
+    latest: Latest<ChannelRecord>,
+    /// The channel with its schema, or why its messages cannot be used.
+    usable: Result<Arc<Channel>, String>,
+}
+
 /// Reads an MCAP file. `R` should be buffered.
 #[derive(Debug)]
 pub struct McapReader<R> {
@@ -58,8 +82,9 @@ pub struct McapReader<R> {
     length: u64,
     position: u64,
     chunk: Chunk,
-    schemas: HashMap<u16, Schema>,
-    channels: HashMap<u16, Option<Arc<Channel>>>,
+    schemas: HashMap<u16, Latest<Schema>>,
+    channels: HashMap<u16, KnownChannel>,
+    /// Bytes of all schemas and channels that were kept.
     texts: usize,
     /// Where chunks begin, according to the summary.
     places: BTreeSet<u64>,
@@ -172,7 +197,7 @@ impl<R: BufRead + Seek> McapReader<R> {
                 }
                 Some(Code::Statistics) => self.counted = Fields(&content).u64(),
                 _ => {
-                    self.learn(code, &content);
+                    self.learn(code, &content, Place::Summary);
                 }
             }
             at += LEAD + length;
@@ -210,36 +235,71 @@ impl<R: BufRead + Seek> McapReader<R> {
         Ok(())
     }
 
-    /// Adds a schema or a channel; `false` if it is damaged. If a number occurs twice the first one counts.
-    fn learn(&mut self, code: u8, content: &[u8]) -> bool {
-        self.texts += content.len();
-        if self.texts > MOST_CHANNEL_BYTES && code <= Code::Channel as u8 {
-            return false;
-        }
+    /// Adds a schema or a channel; `false` if it is damaged. What is described again counts from there on, and is damage
+    /// if it differs: the same number would stand for two things.
+    fn learn(&mut self, code: u8, content: &[u8], place: Place) -> bool {
         match Code::from_byte(code) {
-            Some(Code::Schema) => match schema(Fields(content)) {
-                Some((number, schema)) => {
-                    self.schemas.entry(number).or_insert(schema);
-                    true
-                }
-                None => false,
-            },
-            Some(Code::Channel) => match ChannelRecord::parse(Fields(content)) {
-                Some(record) if self.channels.len() < MOST_CHANNELS => {
-                    let number = record.number;
-                    if !self.channels.contains_key(&number) {
-                        if !record.is_kept() {
-                            self.findings.note(self.position, "a channel's metadata is too long to keep");
-                        }
-                        let channel = self.schemas.get(&record.schema).and_then(|schema| record.with(schema));
-                        self.channels.insert(number, channel.map(Arc::new));
-                    }
-                    true
-                }
-                _ => false,
-            },
+            Some(Code::Schema) => {
+                schema(Fields(content)).is_some_and(|(number, schema)| self.learn_schema(number, schema, place))
+            }
+            Some(Code::Channel) => {
+                ChannelRecord::parse(Fields(content)).is_some_and(|record| self.learn_channel(record, place))
+            }
             _ => true,
         }
+    }
+
+    fn learn_schema(&mut self, number: u16, schema: Schema, place: Place) -> bool {
+        if let Some(known) = self.schemas.get_mut(&number) {
+            if known.record == schema {
+                known.place = place;
+                return true;
+            }
+            let text =
+                format!("schema {number} is {} before and {} here", shown(&known.record.name), shown(&schema.name));
+            self.contradiction(&text, place);
+        }
+        self.texts += schema.size();
+        if self.texts > MOST_CHANNEL_BYTES {
+            return false;
+        }
+        for channel in self.channels.values_mut().filter(|channel| channel.latest.record.schema == number) {
+            channel.usable = channel.latest.record.with(Some(&schema)).map(Arc::new);
+        }
+        self.schemas.insert(number, Latest { record: schema, place });
+        true
+    }
+
+    fn learn_channel(&mut self, record: ChannelRecord, place: Place) -> bool {
+        let number = record.number;
+        if let Some(known) = self.channels.get_mut(&number) {
+            if known.latest.record == record {
+                known.latest.place = place;
+                return true;
+            }
+            let (before, here) = (shown(known.latest.record.topic()), shown(record.topic()));
+            self.contradiction(&format!("channel {number} is {before} before and {here} here"), place);
+        } else if self.channels.len() >= MOST_CHANNELS {
+            return false;
+        }
+        self.texts += record.size();
+        if self.texts > MOST_CHANNEL_BYTES {
+            return false;
+        }
+        if !record.is_kept() {
+            self.findings.note(self.position, "a channel's metadata is too long to keep");
+        }
+        let usable = record.with(self.schemas.get(&record.schema).map(|schema| &schema.record)).map(Arc::new);
+        self.channels.insert(number, KnownChannel { latest: Latest { record, place }, usable });
+        true
+    }
+
+    fn contradiction(&mut self, text: &str, place: Place) {
+        let rule = match place {
+            Place::Summary => "the file contradicts itself",
+            Place::Data => "the file contradicts itself; from here on the newer description counts",
+        };
+        self.findings.note(self.position, &format!("{text}: {rule}"));
     }
 
     /// Reads the next record of the file: fills the chunk, or returns a message outside any chunk.
@@ -274,7 +334,7 @@ impl<R: BufRead + Seek> McapReader<R> {
             }
             Some(Code::Schema | Code::Channel) if length <= LONGEST_RECORD => {
                 let content = read_at(&mut self.file, data, length)?;
-                if !self.learn(code.map_or(0, |code| code as u8), &content) {
+                if !self.learn(code.map_or(0, |code| code as u8), &content, Place::Data) {
                     self.findings.note(start, "a schema or channel that cannot be used was skipped");
                 }
             }
@@ -291,18 +351,32 @@ impl<R: BufRead + Seek> McapReader<R> {
 
     fn message(&mut self, mut fields: Fields<'_>, guarded: bool) -> Option<RecordedMessage> {
         self.met += 1;
-        let channel = fields.u16().and_then(|number| self.channels.get(&number).cloned().flatten());
-        let (sequence, time) = (fields.u32(), fields.u64().filter(|time| *time <= LATEST));
-        let sent = fields.u64().map(Timestamp).zip(sequence);
-        let message = channel.zip(time).zip(sent);
-        match message {
-            None => self.findings.messages_skipped += 1,
-            Some(_) => self.findings.unguarded += u64::from(!guarded),
+        let channel = match fields.u16().map(|number| (number, self.channels.get(&number))) {
+            Some((_, Some(KnownChannel { usable: Ok(channel), .. }))) => Arc::clone(channel),
+            Some((_, Some(KnownChannel { usable: Err(why), latest }))) => {
+                self.findings.leave_out(latest.record.topic(), why);
+                return None;
+            }
+            Some((number, None)) => {
+                self.findings.leave_out("", &format!("its channel {number} is not described anywhere in the file"));
+                return None;
+            }
+            None => {
+                self.findings.leave_out("", "its record is too short");
+                return None;
+            }
+        };
+        let (Some(sequence), Some(logged), Some(sent)) = (fields.u32(), fields.u64(), fields.u64()) else {
+            self.findings.leave_out(&channel.topic, "its record is too short");
+            return None;
+        };
+        if logged > LATEST {
+            self.findings.leave_out(&channel.topic, "its time lies after the year 2262");
+            return None;
         }
-        message.map(|((channel, logged), (time, sequence))| {
-            let (sent, body) = (Some(Sent { time, sequence }), fields.0.to_vec());
-            RecordedMessage { channel, time: Timestamp(logged), sent, body }
-        })
+        self.findings.unguarded += u64::from(!guarded);
+        let sent = Some(Sent { time: Timestamp(sent), sequence });
+        Some(RecordedMessage { channel, time: Timestamp(logged), sent, body: fields.0.to_vec() })
     }
 
     /// Continues at the next chunk listed in the summary; what lies between is reported as skipped.
@@ -388,7 +462,7 @@ impl<R: BufRead + Seek> McapReader<R> {
                 Some((code, content)) if code == Code::Message as u8 => {
                     Some(self.message(Fields(content), chunk.guarded))
                 }
-                Some((code, content)) if self.learn(code, content) => Some(None),
+                Some((code, content)) if self.learn(code, content, Place::Data) => Some(None),
                 _ => None,
             };
             let at = chunk.bytes.len() - fields.0.len();
@@ -413,5 +487,129 @@ impl<R: BufRead + Seek> McapReader<R> {
         }
         chunk.bytes.clear();
         self.chunk = Chunk { bytes: chunk.bytes, ..Chunk::default() };
+    }
+}
+
+/// A name of the file in a finding.
+fn shown(name: &str) -> String {
+    format!("'{}'", crate::model::clean(name, 80))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use super::super::record::{put_length, put_record, put_text};
+    use super::*;
+
+    fn put_schema(out: &mut Vec<u8>, number: u16, name: &str, encoding: &str, text: &str) {
+        put_record(out, Code::Schema, |out| {
+            out.extend_from_slice(&number.to_le_bytes());
+            [name, encoding, text].iter().for_each(|field| put_text(out, field));
+        });
+    }
+
+    fn put_channel(out: &mut Vec<u8>, number: u16, schema: u16, topic: &str, encoding: &str) {
+        put_record(out, Code::Channel, |out| {
+            out.extend_from_slice(&number.to_le_bytes());
+            out.extend_from_slice(&schema.to_le_bytes());
+            [topic, encoding].iter().for_each(|field| put_text(out, field));
+            put_length(out, 0);
+        });
+    }
+
+    fn put_message(out: &mut Vec<u8>, channel: u16, time: u64, body: &str) {
+        put_record(out, Code::Message, |out| {
+            out.extend_from_slice(&channel.to_le_bytes());
+            out.extend_from_slice(&1_u32.to_le_bytes());
+            [time, 7].iter().for_each(|time| out.extend_from_slice(&time.to_le_bytes()));
+            out.extend_from_slice(body.as_bytes());
+        });
+    }
+
+    /// Topic, type, definition and body of each message, and what was found beside them.
+    fn read(records: impl FnOnce(&mut Vec<u8>)) -> (Vec<String>, Findings) {
+        let mut bytes = MAGIC.to_vec();
+        records(&mut bytes);
+        put_record(&mut bytes, Code::DataEnd, |out| out.extend_from_slice(&[0; 4]));
+        put_record(&mut bytes, Code::Footer, |out| out.extend_from_slice(&[0; 20]));
+        bytes.extend_from_slice(MAGIC);
+        let mut reader = McapReader::open(Cursor::new(bytes)).expect("MCAP");
+        let mut messages = Vec::new();
+        while let Some(message) = reader.next_message().expect("read") {
+            let RecordedMessage { channel, body, .. } = message;
+            let body = String::from_utf8(body).expect("text");
+            messages.push(format!("{} {} {} {body}", channel.topic, channel.type_name, channel.definition));
+        }
+        (messages, reader.findings().clone())
+    }
+
+    fn texts(findings: &Findings) -> Vec<&str> {
+        findings.damages.iter().map(|damage| damage.text.as_str()).collect()
+    }
+
+    #[test]
+    fn a_channel_described_again_counts_from_there_on_and_is_damage_if_it_differs() {
+        let (messages, findings) = read(|out| {
+            put_schema(out, 1, "a/msg/B", "ros2msg", "int8 x");
+            put_channel(out, 1, 1, "/left", "cdr");
+            put_message(out, 1, 1, "left0");
+            put_channel(out, 1, 1, "/left", "cdr");
+            put_message(out, 1, 2, "left1");
+            put_channel(out, 1, 1, "/right", "cdr");
+            put_message(out, 1, 3, "right0");
+        });
+        let expected = ["/left a/msg/B int8 x left0", "/left a/msg/B int8 x left1", "/right a/msg/B int8 x right0"];
+        assert_eq!(messages, expected);
+        let told = texts(&findings);
+        assert!(matches!(told[..], [one] if one.contains("channel 1 is '/left' before and '/right' here")), "{told:?}");
+    }
+
+    #[test]
+    fn a_schema_described_again_counts_for_all_its_channels_from_there_on() {
+        let (messages, findings) = read(|out| {
+            put_schema(out, 3, "a/msg/B", "ros2msg", "int8 x");
+            put_channel(out, 1, 3, "/t", "cdr");
+            put_message(out, 1, 1, "0");
+            put_schema(out, 3, "a/msg/C", "ros2msg", "int8 y");
+            put_message(out, 1, 2, "1");
+        });
+        assert_eq!(messages, ["/t a/msg/B int8 x 0", "/t a/msg/C int8 y 1"]);
+        let told = texts(&findings);
+        assert!(matches!(told[..], [one] if one.contains("schema 3 is 'a/msg/B' before")), "{told:?}");
+    }
+
+    #[test]
+    fn a_body_in_cdr_is_kept_without_a_definition_and_what_is_left_out_has_topic_reason_and_count() {
+        let (messages, findings) = read(|out| {
+            put_schema(out, 1, "std_msgs/msg/String", "", "");
+            put_schema(out, 2, "Json", "jsonschema", "{}");
+            put_channel(out, 1, 1, "/known", "cdr");
+            put_channel(out, 2, 2, "/json", "json");
+            put_channel(out, 3, 0, "/untyped", "cdr");
+            put_channel(out, 4, 9, "/lost", "cdr");
+            for (channel, time) in [(1, 1), (2, 1), (2, 2), (3, 1), (4, 1), (7, 1), (1, u64::MAX)] {
+                put_message(out, channel, time, "x");
+            }
+        });
+        assert_eq!(messages, ["/known std_msgs/msg/String  x"]);
+        let rows: Vec<_> =
+            findings.unusable.iter().map(|row| (row.topic.as_str(), row.why.as_str(), row.messages)).collect();
+        let expected = [
+            ("/json", "its encoding 'json' is not of ROS", 2),
+            ("/untyped", "its channel names no type (schema 0)", 1),
+            ("/lost", "its schema 9 is not in the file", 1),
+            ("", "its channel 7 is not described anywhere in the file", 1),
+            ("/known", "its time lies after the year 2262", 1),
+        ];
+        assert_eq!(rows, expected);
+        assert_eq!((findings.messages_skipped(), findings.is_whole()), (6, false));
+    }
+
+    #[test]
+    fn a_list_of_what_is_left_out_is_bounded() {
+        let mut findings = Findings::default();
+        (0..2000).for_each(|number| findings.leave_out(&format!("/t{number}"), "why"));
+        assert_eq!((findings.messages_skipped(), findings.unusable.len()), (2000, 256));
     }
 }

@@ -106,6 +106,13 @@ pub(super) struct Schema {
     pub text: Arc<str>,
 }
 
+impl Schema {
+    /// Bytes of its texts.
+    pub fn size(&self) -> usize {
+        self.name.len() + self.encoding.len() + self.text.len() + 64
+    }
+}
+
 /// A schema record: its number (never 0) and its content.
 pub(super) fn schema(mut fields: Fields<'_>) -> Option<(u16, Schema)> {
     let number = fields.u16().filter(|number| *number > 0)?;
@@ -135,32 +142,55 @@ impl ChannelRecord {
         Some(Self { number, schema, topic, encoding, about })
     }
 
+    /// Bytes of its texts.
+    pub fn size(&self) -> usize {
+        let about = self.about.iter().map(|(key, value)| key.len() + value.len());
+        self.topic.len() + self.encoding.len() + about.sum::<usize>() + 128
+    }
+
     /// Whether all its metadata is kept.
     pub fn is_kept(&self) -> bool {
         let others = || self.about.iter().filter(|(key, _)| !OWN.contains(&key.as_str()));
         others().count() <= MOST_ABOUT && others().all(|entry| kept(entry).is_some())
     }
 
-    /// The channel, if its encoding is one of ROS and matches its schema.
-    pub fn with(self, schema: &Schema) -> Option<Channel> {
+    /// The channel's topic.
+    pub fn topic(&self) -> &Arc<str> {
+        &self.topic
+    }
+
+    /// The channel with its schema; or why its messages cannot be used. Bodies in CDR are kept also without a
+    /// definition: they are what is to be proven.
+    pub fn with(&self, schema: Option<&Schema>) -> Result<Channel, String> {
+        let Some(schema) = schema else {
+            return Err(match (&*self.encoding, self.schema) {
+                ("ros1" | "cdr", 0) => String::from("its channel names no type (schema 0)"),
+                ("ros1" | "cdr", number) => format!("its schema {number} is not in the file"),
+                _ => self.foreign(),
+            });
+        };
         let encoding = match (&*self.encoding, &*schema.encoding) {
-            ("ros1", "ros1msg") => Encoding::Ros1,
-            ("cdr", "ros2msg") => Encoding::Cdr { idl: false },
+            ("ros1", "ros1msg" | "") => Encoding::Ros1,
+            ("cdr", "ros2msg" | "") => Encoding::Cdr { idl: false },
             ("cdr", "ros2idl" | "omgidl") => Encoding::Cdr { idl: true },
-            _ => return None,
+            ("ros1" | "cdr", other) => return Err(format!("its schema's encoding '{other}' is not of ROS")),
+            _ => return Err(self.foreign()),
         };
         let about = |key: &str| self.about.get(key).cloned();
+        let definition = if schema.encoding.is_empty() { "".into() } else { Arc::clone(&schema.text) };
         let computed = || match encoding {
-            Encoding::Ros1 => crate::ros::md5sum(&schema.name, &schema.text).ok().map(Arc::from),
-            Encoding::Cdr { .. } => None,
+            Encoding::Ros1 if !definition.is_empty() => {
+                crate::ros::md5sum(&schema.name, &definition).ok().map(Arc::from)
+            }
+            Encoding::Ros1 | Encoding::Cdr { .. } => None,
         };
-        Some(Channel {
+        Ok(Channel {
             md5sum: about("md5sum").filter(|sum| &**sum != "*").or_else(computed).unwrap_or_else(|| "*".into()),
             caller_id: about("callerid").unwrap_or_default(),
             latching: about("latching").is_some_and(|value| matches!(&*value, "1" | "true")),
-            topic: self.topic,
+            topic: Arc::clone(&self.topic),
             type_name: Arc::clone(&schema.name),
-            definition: Arc::clone(&schema.text),
+            definition,
             encoding,
             about: self
                 .about
@@ -170,6 +200,10 @@ impl ChannelRecord {
                 .take(MOST_ABOUT)
                 .collect(),
         })
+    }
+
+    fn foreign(&self) -> String {
+        format!("its encoding '{}' is not of ROS", self.encoding)
     }
 }
 
@@ -205,7 +239,9 @@ pub(super) fn put_schema(out: &mut Vec<u8>, number: u16, channel: &Channel) {
     put_record(out, Code::Schema, |out| {
         out.extend_from_slice(&number.to_le_bytes());
         put_text(out, &channel.type_name);
-        put_text(out, schema_encoding(channel.encoding));
+        // Without a definition it is no text in any language, as rosbag2 writes it.
+        let is_described = !channel.definition.is_empty() || channel.encoding == Encoding::Ros1;
+        put_text(out, if is_described { schema_encoding(channel.encoding) } else { "" });
         put_text(out, &channel.definition);
     });
 }

@@ -59,6 +59,8 @@ pub(super) struct Cursor<'a> {
     at: usize,
     /// `None` if numbers are packed.
     cdr: Option<Cdr>,
+    /// Whether something was read that no writer writes: padding that is not zero, a wide text that is not UTF-16.
+    odd: bool,
 }
 
 /// A part of a body that stated its length in bytes: its end.
@@ -68,7 +70,7 @@ pub(super) struct Part(Option<usize>);
 
 impl<'a> Cursor<'a> {
     pub fn new(body: &'a [u8], cdr: Option<Cdr>) -> Self {
-        Self { body, at: if cdr.is_some() { ENCAPSULATION } else { 0 }, cdr }
+        Self { body, at: if cdr.is_some() { ENCAPSULATION } else { 0 }, cdr, odd: false }
     }
 
     /// Bytes read so far.
@@ -101,7 +103,11 @@ impl<'a> Cursor<'a> {
         let Some(cdr) = self.cdr else { return Ok(()) };
         let size = size.min(if cdr.second { 4 } else { 8 });
         let over = (self.at - ENCAPSULATION) % size;
-        if over > 0 { self.take(size - over, "number").map(drop) } else { Ok(()) }
+        if over > 0 {
+            let padding = self.take(size - over, "number")?;
+            self.odd |= padding.iter().any(|byte| *byte != 0);
+        }
+        Ok(())
     }
 
     /// The bytes of a number, least significant first.
@@ -144,7 +150,14 @@ impl<'a> Cursor<'a> {
             u16::try_from(whole).map_err(|_| WireError::Value("wide text"))
         };
         let units = bytes.chunks_exact(size).map(unit).collect::<Result<Vec<u16>, _>>()?;
-        Ok(String::from_utf16_lossy(&units))
+        let text = String::from_utf16_lossy(&units);
+        self.odd |= text.contains('\u{fffd}');
+        Ok(text)
+    }
+
+    /// Whether something was read that no writer writes.
+    pub fn is_odd(&self) -> bool {
+        self.odd
     }
 
     /// Begins a message.

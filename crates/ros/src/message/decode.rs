@@ -66,16 +66,37 @@ impl Definition {
         }
         let walk = |cdr| Walk::new(&self.layouts, Cursor::new(body, Some(cdr)), limits);
         let cdr = Cdr::of(body)?;
-        let wide = |field: &Field| field.kind == Kind::Primitive(Primitive::Wide);
-        if !self.layouts.iter().any(|layout| layout.fields.iter().any(wide)) {
+        if !self.has_wide_texts() {
             return Ok(walk(cdr));
         }
-        let fits = |cdr: &Cdr| {
+        Ok(walk(self.fitting(body, cdr, limits).first().copied().unwrap_or(cdr)))
+    }
+
+    fn has_wide_texts(&self) -> bool {
+        let wide = |field: &Field| field.kind == Kind::Primitive(Primitive::Wide);
+        self.layouts.iter().any(|layout| layout.fields.iter().any(wide))
+    }
+
+    /// The layouts of wide texts that fit the body to its end. If in some of them everything is as a writer writes it,
+    /// only those.
+    fn fitting(&self, body: &[u8], cdr: Cdr, limits: Limits) -> Vec<Cdr> {
+        let fit = |cdr: Cdr| {
             let limits = Limits { elements: 0, ..limits };
-            let mut walk = Walk { limits, ..walk(*cdr) };
-            self.root().is_some_and(|root| walk.message(root).is_ok()) && walk.cursor.is_at_end()
+            let mut walk = Walk::new(&self.layouts, Cursor::new(body, Some(cdr)), limits);
+            let fits = self.root().is_some_and(|root| walk.message(root).is_ok()) && walk.cursor.is_at_end();
+            fits.then(|| (cdr, walk.cursor.is_odd()))
         };
-        Ok(walk(cdr.ways().into_iter().find(fits).unwrap_or(cdr)))
+        let found: Vec<(Cdr, bool)> = cdr.ways().into_iter().filter_map(fit).collect();
+        let any_sound = found.iter().any(|(_, odd)| !odd);
+        found.into_iter().filter(|(_, odd)| !(any_sound && *odd)).map(|(cdr, _)| cdr).collect()
+    }
+
+    /// Whether a body can be read in more than one way that fits, because middlewares write wide texts differently.
+    pub fn is_ambiguous(&self, body: &[u8]) -> bool {
+        if !self.cdr || !self.has_wide_texts() {
+            return false;
+        }
+        Cdr::of(body).is_ok_and(|cdr| self.fitting(body, cdr, Limits::default()).len() > 1)
     }
 
     /// The picture in `body`, if this is `sensor_msgs/CompressedImage`.

@@ -8,6 +8,7 @@ mod hash;
 mod line;
 mod schema;
 
+pub(super) use built_in::text_of as interface;
 pub use folder::{Folders, Source};
 
 use super::definition::{Definition, Field, Kind, Layout, element_size};

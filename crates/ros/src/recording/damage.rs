@@ -7,6 +7,9 @@ use crate::model::clean;
 /// The most damaged places listed; further ones are counted.
 const MOST_DAMAGES: usize = 64;
 
+/// The most rows of unusable messages; those of further topics share one row without a name.
+const MOST_UNUSABLE: usize = 256;
+
 /// A place that could not be read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Damage {
@@ -16,6 +19,17 @@ pub struct Damage {
     pub text: String,
 }
 
+/// Messages of one topic that are present but cannot be used, for one reason.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Unusable {
+    /// Their topic, cleaned; empty if the file does not name it.
+    pub topic: String,
+    /// Why, cleaned.
+    pub why: String,
+    /// How many.
+    pub messages: u64,
+}
+
 /// The skipped parts of a recording.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Findings {
@@ -23,9 +37,8 @@ pub struct Findings {
     pub damages: Vec<Damage>,
     /// The number of further ones.
     pub more_damages: u64,
-    /// Messages that are present but unusable: of a channel that is not described anywhere, or not in an encoding of
-    /// ROS.
-    pub messages_skipped: u64,
+    /// Messages that are present but unusable, by topic and reason.
+    pub unusable: Vec<Unusable>,
     /// Messages that no checksum covers: the file does not show whether they were altered.
     pub unguarded: u64,
 }
@@ -40,6 +53,24 @@ impl Findings {
         }
     }
 
+    /// Counts a message that is present but unusable.
+    pub(crate) fn leave_out(&mut self, topic: &str, why: &str) {
+        let (topic, why) = (clean(topic, 255), clean(why, 200));
+        if let Some(row) = self.unusable.iter_mut().find(|row| row.topic == topic && row.why == why) {
+            row.messages += 1;
+        } else if self.unusable.len() < MOST_UNUSABLE {
+            self.unusable.push(Unusable { topic, why, messages: 1 });
+        } else if let Some(row) = self.unusable.last_mut() {
+            let why = String::from("there are too many topics and reasons to list");
+            *row = Unusable { topic: String::new(), why, messages: row.messages + 1 };
+        }
+    }
+
+    /// How many messages are present but unusable.
+    pub fn messages_skipped(&self) -> u64 {
+        self.unusable.iter().map(|row| row.messages).sum()
+    }
+
     /// Compares how many messages the file's own index counts with how many were found, if nothing else reports a loss.
     pub(crate) fn compare(&mut self, end: u64, counted: Option<u64>, met: u64) {
         let Some(counted) = counted.filter(|counted| self.damages.is_empty() && *counted != met) else { return };
@@ -48,6 +79,6 @@ impl Findings {
 
     /// Whether the whole recording was read.
     pub fn is_whole(&self) -> bool {
-        self.damages.is_empty() && self.messages_skipped == 0
+        self.damages.is_empty() && self.unusable.is_empty()
     }
 }

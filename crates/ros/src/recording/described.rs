@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::Encoding;
 use crate::ros::RosError;
-use crate::ros::message::{Definition, Folders, Source, type_hash};
+use crate::ros::message::{Definition, Folders, Source, common_definition, type_hash};
 
 /// MCAP's name for the hash of a channel's type.
 pub const TYPE_HASH: &str = "topic_type_hash";
@@ -16,8 +16,10 @@ pub struct TypeFacts<'a> {
     pub name: &'a str,
     /// How bodies are serialised.
     pub encoding: Encoding,
-    /// The text of its definition, if one was found.
+    /// The text of its definition, if one was found. An empty one is none, unless its messages are empty too.
     pub text: Option<&'a str>,
+    /// Its md5sum (ROS 1); `*` or empty if nobody said.
+    pub md5sum: &'a str,
     /// Its hash, as given in the recording.
     pub hash: Option<&'a str>,
 }
@@ -34,8 +36,11 @@ pub struct Described {
 impl Described {
     /// The definition that came with the recording; for ROS 2 otherwise one found in `folders`, or built in.
     pub fn of(facts: TypeFacts<'_>, folders: &Folders) -> Self {
-        match own(facts) {
-            Ok(definition) => Self { definition: Some(Arc::new(definition)), note: differs(facts) },
+        let facts = TypeFacts { text: facts.text.filter(|text| says_something(text, facts)), ..facts };
+        match own(facts).or_else(|error| completed(facts, folders).ok_or(error)) {
+            Ok((definition, note)) => {
+                Self { definition: Some(Arc::new(definition)), note: note.or_else(|| differs(facts)) }
+            }
             Err(_) if facts.encoding != Encoding::Ros1 && folders.may_know(facts.name) => {
                 match elsewhere(facts, folders) {
                     Ok((definition, source)) => Self {
@@ -50,20 +55,51 @@ impl Described {
     }
 }
 
-fn own(facts: TypeFacts<'_>) -> Result<Definition, RosError> {
+/// The md5sum of an empty definition.
+const NOTHING: &str = "d41d8cd98f00b204e9800998ecf8427e";
+
+/// Whether a text defines the type: an empty one does so only for a type without fields.
+fn says_something(text: &str, facts: TypeFacts<'_>) -> bool {
+    !text.trim().is_empty() || facts.encoding == Encoding::Ros1 && facts.md5sum == NOTHING
+}
+
+/// The definition that came with the message.
+fn own(facts: TypeFacts<'_>) -> Result<(Definition, Option<String>), RosError> {
     let no_fields = |reason: &str| Err(RosError::no_fields(facts.name, reason));
-    match (facts.encoding, facts.text) {
+    let definition = match (facts.encoding, facts.text) {
         (Encoding::Cdr { .. }, None) => no_fields(
             "its definition is in no record that can be read here; give the directory where its package is installed \
              (ros.definitions, AMENT_PREFIX_PATH)",
         ),
-        (Encoding::Ros1, None) => no_fields("its definition is in no record that can be read here; write it as .bin"),
+        (Encoding::Ros1, None) => {
+            no_fields("its publisher sent no definition, or it is in no record that can be read here; write it as .bin")
+        }
         (Encoding::Ros1, Some(text)) => Definition::parse(facts.name, text),
         (Encoding::Cdr { idl: false }, Some(text)) => Definition::parse_ros2(facts.name, text),
         (Encoding::Cdr { idl: true }, Some(_)) => no_fields(
             "the recording describes its type in IDL, which is not supported; give the directory where its package is \
              installed (ros.definitions, AMENT_PREFIX_PATH)",
         ),
+    };
+    Ok((definition?, None))
+}
+
+/// The definition that came with the message, completed with what it lacks; and a note about where that is from.
+fn completed(facts: TypeFacts<'_>, folders: &Folders) -> Option<(Definition, Option<String>)> {
+    match (facts.encoding, facts.text) {
+        (Encoding::Ros1, None) => {
+            let text = common_definition(facts.name, facts.md5sum)?;
+            let note = "its publisher sent no definition; fields are read by the definition built into this program, \
+                        whose md5sum matches";
+            Some((Definition::parse(facts.name, &text).ok()?, Some(note.to_owned())))
+        }
+        (Encoding::Cdr { idl: false }, Some(text)) => {
+            let (text, added) = folders.complete(facts.name, text).ok().filter(|(_, added)| !added.is_empty())?;
+            let added = crate::model::clean(&added.join(", "), 200);
+            let note = format!("its definition lacks {added}: taken from this machine or built into this program");
+            Some((Definition::parse_ros2(facts.name, &text).ok()?, Some(note)))
+        }
+        _ => None,
     }
 }
 
@@ -128,13 +164,14 @@ mod tests {
     const MSG: Encoding = Encoding::Cdr { idl: false };
 
     fn described(encoding: Encoding, text: Option<&str>, hash: Option<&str>, folders: &Folders) -> (bool, String) {
-        let described = Described::of(TypeFacts { name: "std_msgs/msg/String", encoding, text, hash }, folders);
+        let described =
+            Described::of(TypeFacts { name: "std_msgs/msg/String", encoding, text, hash, md5sum: "*" }, folders);
         (described.definition.is_some(), described.note.unwrap_or_default())
     }
 
     /// A type that is not built in.
     fn own_kind(encoding: Encoding, text: Option<&str>) -> (bool, String) {
-        let facts = TypeFacts { name: "a/msg/Own", encoding, text, hash: None };
+        let facts = TypeFacts { name: "a/msg/Own", encoding, text, hash: None, md5sum: "*" };
         let described = Described::of(facts, &Folders::default());
         (described.definition.is_some(), described.note.unwrap_or_default())
     }
@@ -187,5 +224,30 @@ mod tests {
         put("string<=5 data");
         let (found, note) = said(MSG, None, Some(STRING));
         assert!(found && note.contains("built into"), "{note}");
+    }
+    #[test]
+    fn an_empty_text_is_no_definition_unless_its_messages_are_empty() {
+        let of = |name, md5sum, text| {
+            let facts = TypeFacts { name, encoding: Encoding::Ros1, text, hash: None, md5sum };
+            let described = Described::of(facts, &Folders::default());
+            (described.definition.is_some(), described.note.unwrap_or_default())
+        };
+        let (known, note) = of("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1", Some(""));
+        assert!(known && note.contains("sent no definition") && note.contains("md5sum matches"), "{note}");
+        assert_eq!(of("std_msgs/Empty", NOTHING, Some("")), (true, String::new()));
+        for (name, md5sum) in [("std_msgs/String", "*"), ("a/Own", "00000000000000000000000000000001")] {
+            let (known, note) = of(name, md5sum, Some(""));
+            assert!(!known && note.contains("sent no definition"), "{note}");
+        }
+        let (known, note) = described(MSG, Some(""), None, &Folders::default());
+        assert!(known && note.contains("built into this program"), "a CDR body without a definition: {note}");
+    }
+
+    #[test]
+    fn nested_types_are_completed_from_where_types_are_looked_for() {
+        let (known, note) = own_kind(MSG, Some("builtin_interfaces/Time stamp\nint32 v"));
+        assert!(known && note.contains("lacks builtin_interfaces/msg/Time"), "{note}");
+        let (known, note) = own_kind(MSG, Some("c/Missing x"));
+        assert!(!known && note.contains("c/msg/Missing"), "{note}");
     }
 }

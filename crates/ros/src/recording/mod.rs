@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 pub use compression::ChunkCompression;
 pub(super) use compression::{pack, unpack};
-pub use damage::{Damage, Findings};
+pub use damage::{Damage, Findings, Unusable};
 pub use described::{Described, TYPE_HASH, TypeFacts};
 pub use open::{Recording, RecordingFormat, RecordingWriter};
 pub(super) use place::{go_to, read_at};

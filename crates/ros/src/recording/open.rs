@@ -13,6 +13,9 @@ use crate::ros::RosError;
 use crate::ros::bag::{self, BagReader, BagWriter};
 use crate::ros::mcap::{self, McapReader, McapWriter};
 
+/// The most entries of a folder that are looked at.
+const MOST_ENTRIES: usize = 4096;
+
 /// Bytes read ahead.
 const BUFFER: usize = 256 * 1024;
 
@@ -59,8 +62,33 @@ fn other_than_a_recording(magic: &[u8]) -> String {
             format!("a bag of version {version}; only 2.0 is supported, convert it with `rosbag fix` of ROS 1")
         }
         None if magic.is_empty() => "an empty file".to_owned(),
+        None if magic.starts_with(b"SQLite format 3\0") => format!("an SQLite file: {CONVERT}"),
+        None if magic.starts_with(&[0x28, 0xb5, 0x2f, 0xfd]) => unpacked("zstd", "zstd -d"),
+        None if magic.starts_with(&[0x1f, 0x8b]) => unpacked("gzip", "gunzip -k"),
         None => "neither a bag nor MCAP".to_owned(),
     }
+}
+
+/// What helps with rosbag2's own files.
+const CONVERT: &str = "if rosbag2 wrote it, make an MCAP of its folder (`ros2 bag convert -i FOLDER -o OPTIONS.yaml` with \
+                       `storage_id: mcap`) and import that";
+
+fn unpacked(format: &str, command: &str) -> String {
+    format!("compressed with {format}; unpack it with `{command}` and import what comes out")
+}
+
+/// What a folder is, if a person gave one for a recording.
+fn folder(path: &Path) -> String {
+    let Ok(entries) = std::fs::read_dir(path) else { return "a folder that cannot be read".to_owned() };
+    let names: Vec<_> = entries.flatten().take(MOST_ENTRIES).map(|entry| entry.file_name()).collect();
+    let ends = |end: &str| names.iter().any(|name| name.to_string_lossy().ends_with(end));
+    if !ends("metadata.yaml") {
+        return "a folder; give the recording itself".to_owned();
+    }
+    if ends(".mcap") {
+        return "a folder of rosbag2; import its .mcap files one by one, in the order of their numbers".to_owned();
+    }
+    format!("a folder of rosbag2 without an MCAP file: {CONVERT}")
 }
 
 /// A recording being read, message by message in file order.
@@ -78,6 +106,9 @@ impl Recording {
     /// [`RosError::Recording`] if it cannot be read or is not a recording.
     pub fn open(path: &Path) -> Result<Self, RosError> {
         let unreadable = |error: std::io::Error| RosError::recording(&format!("{}: {error}", path.display()));
+        if path.is_dir() {
+            return Err(RosError::recording(&format!("{} is {}", path.display(), folder(path))));
+        }
         let mut file = BufReader::with_capacity(BUFFER, File::open(path).map_err(unreadable)?);
         let mut magic = Vec::new();
         file.by_ref().take(16).read_to_end(&mut magic).map_err(unreadable)?;
@@ -191,5 +222,20 @@ mod tests {
         assert!(other_than_a_recording(b"#ROSBAG V1.1\n").contains("version 1.1"));
         assert_eq!(other_than_a_recording(b""), "an empty file");
         assert_eq!(other_than_a_recording(b"PK\x03\x04"), "neither a bag nor MCAP");
+        assert!(other_than_a_recording(b"SQLite format 3\0").contains("ros2 bag convert"));
+        assert!(other_than_a_recording(&[0x28, 0xb5, 0x2f, 0xfd, 0]).contains("zstd -d"));
+        assert!(other_than_a_recording(&[0x1f, 0x8b, 8]).contains("gunzip"));
+    }
+
+    #[test]
+    fn a_folder_is_named_as_what_it_is() {
+        let directory = tempfile::tempdir().expect("temporary directory");
+        let said = || Recording::open(directory.path()).err().map(|error| error.to_string()).unwrap_or_default();
+        assert!(said().contains("give the recording itself"), "{}", said());
+        std::fs::write(directory.path().join("metadata.yaml"), "").expect("written");
+        std::fs::write(directory.path().join("run_0.db3"), "").expect("written");
+        assert!(said().contains("ros2 bag convert"), "{}", said());
+        std::fs::write(directory.path().join("run_0.mcap"), "").expect("written");
+        assert!(said().contains("one by one"), "{}", said());
     }
 }

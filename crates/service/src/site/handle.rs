@@ -135,14 +135,18 @@ impl Site {
                 self.sharing.extend(&owner()?, &grantee, expires).await.map(ask::ExtendGrant::told)
             }
             Command::Revoke { grantee } => {
-                self.sharing.revoke(&owner()?, self.contacts.resolve(&grantee)?).await.map(ask::Revoke::told)
+                let owner = owner()?;
+                let revoked = self.sharing.revoke(&owner, self.contacts.resolve(&grantee)?).await?;
+                self.devices.lead(&owner, revoked).await.map(ask::Revoke::told)
             }
             Command::ListGrants => self.sharing.rows(&owner()?).await.map(ask::ListGrants::told),
             Command::LendDevice { device, until } => {
                 self.devices.lend(&owner()?, device, until).await.map(ask::LendDevice::told)
             }
             Command::RecallDevice { device } => {
-                self.devices.recall(&owner()?, &device).await.map(ask::RecallDevice::told)
+                let owner = owner()?;
+                let recalled = self.devices.recall(&owner, &device).await?;
+                self.devices.lead(&owner, recalled).await.map(ask::RecallDevice::told)
             }
             Command::AddDeviceTopics { device, topics } => {
                 self.devices.add_topics(&owner()?, &device, &topics).await.map(ask::AddDeviceTopics::told)

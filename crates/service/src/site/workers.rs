@@ -125,23 +125,27 @@ async fn watch(site: Arc<Site>) {
                     site.parts.hub.confirmed.notify_one();
                 }
                 site.lanes.tend(&network).await;
-                network.chain.next_block(head.number, watcher::PATIENCE).await.err().map(|error| error.to_string())
+                network.chain.next_block(head.number, watcher::PATIENCE).await.err().map(|error| away(&error))
             }
             Err(PipelineError::Chain(error @ ChainError::Swapped { .. })) => {
                 site.parts.link.lose_chain(error.into());
                 continue;
             }
-            Err(error) => Some(error.to_string()),
+            Err(error @ PipelineError::NodeBehind { .. }) => {
+                Some(format!("the chain's node is behind; anchoring is waiting, nothing is lost: {error}"))
+            }
+            Err(error) => Some(away(&error)),
         };
         if let Some(problem) = pause {
             site.parts.link.answers(false);
-            site.parts.hub.notice(
-                NoticeLevel::Error,
-                &format!("the chain does not answer; anchoring is waiting, nothing is lost: {problem}"),
-            );
+            site.parts.hub.notice(NoticeLevel::Error, &problem);
             tokio::time::sleep(Duration::from_secs(2)).await;
         }
     }
+}
+
+fn away(error: &dyn std::fmt::Display) -> String {
+    format!("the chain does not answer; anchoring is waiting, nothing is lost: {error}")
 }
 
 async fn verify(site: Arc<Site>) {

@@ -13,7 +13,7 @@ fn limits(seconds: u64, bytes: u64) -> RingLimits {
 }
 
 fn ring(folder: &Path, limits: RingLimits) -> DiskRing {
-    DiskRing::open(folder, limits, RecorderId::of_ring([1; 8])).expect("a ring")
+    DiskRing::open(folder, limits, RecorderPrefix::ring([1; 7])).expect("a ring")
 }
 
 fn topic_id(topic: &str) -> TopicId {

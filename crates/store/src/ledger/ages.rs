@@ -1,7 +1,7 @@
 //! How old waiting records are, and when each signer was last heard of: a few look-ups in the index of states for each
 //! stream, whatever the number of records.
 
-use rusqlite::params;
+use rusqlite::{OptionalExtension as _, params};
 
 use super::Ledger;
 use crate::model::{Address, RecordKind, RecordState, SignerId, Timestamp};
@@ -20,6 +20,17 @@ pub struct LastSeen {
 const UNANCHORED: [RecordState; 4] =
     [RecordState::Sealed, RecordState::Stored, RecordState::Batched, RecordState::Submitted];
 
+/// The newest record of a signer, as far as it is here.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct NewestRecord {
+    /// The epoch that seals it.
+    pub epoch: u64,
+    /// When it was captured, by its recorder's clock.
+    pub captured_at: Timestamp,
+    /// When it was written to disk here.
+    pub acknowledged_at: Timestamp,
+}
+
 /// Accounts with records here; once each.
 pub(super) const OWNERS: &str = "SELECT DISTINCT owner FROM topics LIMIT ?1";
 /// When an owner's oldest record of a kind and state was captured.
@@ -34,7 +45,8 @@ pub(super) fn last_seen() -> String {
         format!("coalesce((SELECT max(captured_at) FROM records WHERE state = {} AND stream = s.key), 0)", state.code())
     });
     format!(
-        "SELECT signer, max(max({})) AS at FROM streams s WHERE kind = ?1 GROUP BY signer ORDER BY at DESC LIMIT ?2",
+        "SELECT r.signer, max(max({})) AS at FROM streams s JOIN topics t ON t.key = s.topic
+         JOIN recorders r ON r.key = t.recorder WHERE kind = ?1 GROUP BY r.signer ORDER BY at DESC LIMIT ?2",
         newest.collect::<Vec<_>>().join(", ")
     )
 }
@@ -83,6 +95,27 @@ impl Ledger {
                 Ok(LastSeen { signer: SignerId(row.get(0)?), at: Timestamp(at.cast_unsigned()) })
             })?;
             Ok(rows.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// The record that a signer captured last for an owner, of those with the highest number of their topic.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn newest_of(&self, owner: Address, signer: SignerId) -> Result<Option<NewestRecord>, StoreError> {
+        self.read(|connection| {
+            let mut statement = connection.prepare_cached(
+                "SELECT x.epoch, x.captured_at, x.acknowledged_at FROM topics t
+                 JOIN recorders r ON r.key = t.recorder
+                 JOIN records x ON x.topic = t.key AND x.seq = (SELECT max(seq) FROM records WHERE topic = t.key)
+                 WHERE t.owner = ?1 AND r.signer = ?2 ORDER BY x.captured_at DESC LIMIT 1",
+            )?;
+            let found = statement.query_row(params![owner.0, signer.0], |row| {
+                let time = |column| super::rows::unsigned(row, column).map(Timestamp);
+                let epoch = super::rows::unsigned(row, 0)?;
+                Ok(NewestRecord { epoch, captured_at: time(1)?, acknowledged_at: time(2)? })
+            });
+            Ok(found.optional()?)
         })
     }
 

@@ -6,17 +6,19 @@ use std::collections::{HashMap, HashSet};
 use rusqlite::{Connection, OptionalExtension as _, params};
 
 use super::edges::{By, may};
-use super::{Foreign, Ledger, NewRecord, Session};
+use super::{Foreign, Ledger, NewRecord, Session, own_prefix};
+use crate::model::header::LARGEST_SEQ;
 use crate::model::{Address, Digest, FilterId, RecordState, SignerId, Timestamp, TopicId};
 use crate::store::StoreError;
 use crate::store::database::whole;
 
-type StreamKey = (i64, u8, String, SignerId);
+type StreamKey = (i64, u8, String);
+type TopicKey = (Address, SignerId, TopicId, Option<Foreign>);
 
 /// Keys of the names seen so far; only a cache of the tables.
 #[derive(Default)]
 pub(crate) struct Names {
-    topics: HashMap<(Address, TopicId, Option<Foreign>), (i64, String)>,
+    topics: HashMap<TopicKey, (i64, String)>,
     streams: HashMap<StreamKey, i64>,
     filters: HashSet<(FilterId, i64)>,
 }
@@ -31,19 +33,21 @@ impl Names {
 }
 
 impl Ledger {
-    /// The highest acknowledged sequence number of a topic for this ledger's recorder, plus 1.
+    /// The highest acknowledged sequence number of a topic that `signer` gave in this ledger, plus 1. Records from
+    /// elsewhere never count.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
-    pub fn next_seq(&self, owner: Address, topic: TopicId) -> Result<u64, StoreError> {
+    pub fn next_seq(&self, owner: Address, signer: SignerId, topic: TopicId) -> Result<u64, StoreError> {
+        let recorder = self.recorder().of_signer(&signer);
         self.read(|connection| {
             let highest: Option<i64> = connection
                 .prepare_cached(
                     "SELECT max(seq) FROM records WHERE topic =
-                     (SELECT key FROM topics WHERE owner = ?1 AND topic_id = ?2
-                      AND recorder = (SELECT recorder FROM about))",
+                     (SELECT key FROM topics WHERE owner = ?1 AND topic_id = ?2 AND keeper IS NULL
+                      AND recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?4))",
                 )?
-                .query_row(params![owner.0, topic.0], |row| row.get(0))?;
+                .query_row(params![owner.0, topic.0, recorder.0, signer.0], |row| row.get(0))?;
             Ok(highest.map_or(1, |seq| seq.cast_unsigned() + 1))
         })
     }
@@ -52,7 +56,8 @@ impl Ledger {
     /// holds is unchanged.
     ///
     /// # Errors
-    /// [`StoreError::Conflict`] if the sequence number is another record's or the topic id has another name,
+    /// [`StoreError::Conflict`] if the sequence number is another record's or out of bounds, the topic id has another
+    /// name, or a record from elsewhere carries a recorder of this ledger,
     /// [`StoreError::IllegalEdge`] if a record cannot begin in its state, [`StoreError::DiskFull`] and the like; then
     /// nothing is acknowledged.
     pub fn append(&self, records: Vec<NewRecord>) -> Result<(), StoreError> {
@@ -64,7 +69,7 @@ impl Ledger {
     }
 
     /// Whether [`Ledger::append`] would accept these records; checked before their bytes go into the vault. Only
-    /// records from elsewhere are looked up: this ledger's own numbers cannot collide.
+    /// records from elsewhere are looked up: none of them can have a number of this ledger's own recorders.
     ///
     /// # Errors
     /// [`StoreError::Conflict`] if it would not, or an error from reading the ledger.
@@ -182,10 +187,30 @@ fn move_sql(from: RecordState, to: RecordState) -> &'static str {
     }
 }
 
+/// Whether a record may have its number: within bounds, and of this ledger's own recorders only if it was recorded here.
+/// `false` if it was, and came back.
+fn check_number(connection: &Connection, record: &NewRecord) -> Result<bool, StoreError> {
+    let refused = |detail: String| Err(StoreError::Conflict { digest: record.digest, detail });
+    if !(1..=LARGEST_SEQ).contains(&record.seq) {
+        return refused(format!("its number {} is not one of 1 to 2^40", record.seq));
+    }
+    let Some(foreign) = record.foreign else { return Ok(true) };
+    if !own_prefix(connection)?.has(&foreign.recorder) {
+        return Ok(true);
+    }
+    if connection.prepare_cached("SELECT 1 FROM records WHERE digest = ?1")?.exists([record.digest.0])? {
+        return Ok(false);
+    }
+    refused("it came from elsewhere and carries a recorder id of this ledger".to_owned())
+}
+
 /// Adds a record, unless it is known.
 pub(super) fn add(session: &mut Session<'_>, record: &NewRecord, now: i64) -> Result<(), StoreError> {
     if !matches!(record.state, RecordState::Sealed | RecordState::Stored | RecordState::Quarantined) {
         return Err(StoreError::IllegalEdge { from: RecordState::Captured, to: record.state });
+    }
+    if !check_number(session.connection, record)? {
+        return Ok(());
     }
     let topic = topic_key(session, record)?;
     let seq = whole("sequence number", record.seq)?;
@@ -257,7 +282,7 @@ fn is_known(connection: &Connection, record: &NewRecord, topic: i64, seq: i64) -
 }
 
 fn topic_key(session: &mut Session<'_>, record: &NewRecord) -> Result<i64, StoreError> {
-    let known = (record.owner, record.topic_id, record.foreign);
+    let known = (record.owner, record.signer, record.topic_id, record.foreign);
     let found = match session.names.topics.entry(known) {
         Entry::Occupied(found) => found.into_mut(),
         Entry::Vacant(place) => place.insert(find_topic(session.connection, record)?),
@@ -279,13 +304,18 @@ fn check_name(record: &NewRecord, name: &str) -> Result<(), StoreError> {
 }
 
 fn check_one(connection: &Connection, record: &NewRecord) -> Result<(), StoreError> {
+    if !check_number(connection, record)? {
+        return Ok(());
+    }
     let recorder = record.foreign.map(|foreign| foreign.recorder.0);
     let topic: Option<(i64, String)> = connection
         .prepare_cached(
             "SELECT key, name FROM topics WHERE owner = ?1 AND topic_id = ?2
-             AND recorder = (SELECT key FROM recorders WHERE id = ?3)",
+             AND recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?4)",
         )?
-        .query_row(params![record.owner.0, record.topic_id.0, recorder], |row| Ok((row.get(0)?, row.get(1)?)))
+        .query_row(params![record.owner.0, record.topic_id.0, recorder, record.signer.0], |row| {
+            Ok((row.get(0)?, row.get(1)?))
+        })
         .optional()?;
     if let Some((_, name)) = topic.as_ref().filter(|(_, name)| !name.is_empty()) {
         check_name(record, name)?;
@@ -296,7 +326,7 @@ fn check_one(connection: &Connection, record: &NewRecord) -> Result<(), StoreErr
 }
 
 fn find_topic(connection: &Connection, record: &NewRecord) -> Result<(i64, String), StoreError> {
-    let recorder = recorder_key(connection, record.foreign)?;
+    let recorder = recorder_key(connection, record)?;
     let keeper = record.foreign.map(|foreign| foreign.keeper.0);
     connection
         .prepare_cached(
@@ -310,34 +340,34 @@ fn find_topic(connection: &Connection, record: &NewRecord) -> Result<(i64, Strin
     Ok(found)
 }
 
-fn recorder_key(connection: &Connection, foreign: Option<Foreign>) -> Result<i64, StoreError> {
-    let Some(foreign) = foreign else {
-        return Ok(connection.prepare_cached("SELECT recorder FROM about")?.query_row([], |row| row.get(0))?);
+fn recorder_key(connection: &Connection, record: &NewRecord) -> Result<i64, StoreError> {
+    let recorder = match record.foreign {
+        Some(foreign) => foreign.recorder,
+        None => own_prefix(connection)?.of_signer(&record.signer),
     };
+    let values = params![recorder.0, record.signer.0];
     connection
-        .prepare_cached("INSERT INTO recorders (id) VALUES (?1) ON CONFLICT DO NOTHING")?
-        .execute([foreign.recorder.0])?;
+        .prepare_cached("INSERT INTO recorders (id, signer) VALUES (?1, ?2) ON CONFLICT DO NOTHING")?
+        .execute(values)?;
     let key = connection
-        .prepare_cached("SELECT key FROM recorders WHERE id = ?1")?
-        .query_row([foreign.recorder.0], |row| row.get(0))?;
+        .prepare_cached("SELECT key FROM recorders WHERE id = ?1 AND signer = ?2")?
+        .query_row(values, |row| row.get(0))?;
     Ok(key)
 }
 
 fn stream_key(session: &mut Session<'_>, record: &NewRecord, topic: i64) -> Result<i64, StoreError> {
-    let known: StreamKey = (topic, record.kind.code(), record.type_name.clone(), record.signer);
+    let known: StreamKey = (topic, record.kind.code(), record.type_name.clone());
     if let Some(key) = session.names.streams.get(&known) {
         return Ok(*key);
     }
-    let values = params![topic, known.1, known.2, record.signer.0];
+    let values = params![topic, known.1, known.2];
     session
         .connection
-        .prepare_cached(
-            "INSERT INTO streams (topic, kind, type_name, signer) VALUES (?1, ?2, ?3, ?4) ON CONFLICT DO NOTHING",
-        )?
+        .prepare_cached("INSERT INTO streams (topic, kind, type_name) VALUES (?1, ?2, ?3) ON CONFLICT DO NOTHING")?
         .execute(values)?;
     let key = session
         .connection
-        .prepare_cached("SELECT key FROM streams WHERE topic = ?1 AND kind = ?2 AND type_name = ?3 AND signer = ?4")?
+        .prepare_cached("SELECT key FROM streams WHERE topic = ?1 AND kind = ?2 AND type_name = ?3")?
         .query_row(values, |row| row.get(0))?;
     session.names.streams.insert(known, key);
     Ok(key)

@@ -8,7 +8,7 @@ use super::edges::{By, may};
 use super::rows::{self, unsigned};
 use super::{Ledger, database::whole, rights};
 use crate::chain::merkle::{Inclusion, Leaf};
-use crate::model::{Address, Digest, Hash, RecordState, RecorderId, Timestamp, TopicId};
+use crate::model::{Address, Digest, Hash, RecordState, RecorderId, SignerId, Timestamp, TopicId};
 use crate::store::StoreError;
 
 /// A batch to be closed.
@@ -156,7 +156,7 @@ impl Ledger {
     pub fn stored_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
-                "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner FROM streams
+                "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM streams
                  JOIN topics ON topics.key = streams.topic JOIN recorders ON recorders.key = topics.recorder
                  JOIN records INDEXED BY records_by_state ON state = ?2 AND stream = streams.key
                  WHERE coalesce(topics.keeper, topics.owner) = ?1 ORDER BY streams.key, captured_at LIMIT ?3",
@@ -164,8 +164,8 @@ impl Ledger {
             let limit = i64::try_from(limit).unwrap_or(i64::MAX);
             let rows = statement.query_map(params![keeper.0, RecordState::Stored.code(), limit], |row| {
                 let (recorder, topic_id) = (RecorderId(row.get(0)?), TopicId(row.get(1)?));
-                let owner = Address(row.get(4)?);
-                Ok(Leaf { owner, recorder, topic_id, seq: unsigned(row, 2)?, digest: Digest(row.get(3)?) })
+                let (owner, signer) = (Address(row.get(4)?), SignerId(row.get(5)?));
+                Ok(Leaf { owner, signer, recorder, topic_id, seq: unsigned(row, 2)?, digest: Digest(row.get(3)?) })
             })?;
             Ok(rows.collect::<Result<_, _>>()?)
         })
@@ -182,6 +182,24 @@ impl Ledger {
         let sightings = sightings.to_vec();
         self.write(move |session| {
             sightings.iter().try_fold(0, |changed, sighting| Ok(changed + see(session.connection, sighting)?))
+        })
+    }
+
+    /// Which of these roots, of batches of this ledger, it has not taken in: they still wait for a block.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn waiting_roots(&self, sightings: &[RootSighting]) -> Result<Vec<Hash>, StoreError> {
+        self.read(|connection| {
+            let sql = "SELECT 1 FROM batches WHERE root = ?1 AND count = ?2 AND block IS NULL";
+            let mut find = connection.prepare_cached(sql)?;
+            let mut waiting = Vec::new();
+            for sighting in sightings {
+                if find.exists(params![sighting.root.0, whole("count", sighting.count)?])? {
+                    waiting.push(sighting.root);
+                }
+            }
+            Ok(waiting)
         })
     }
 

@@ -190,8 +190,9 @@ impl Ledger {
 
 fn signers(connection: &Connection, batch: i64) -> Result<Vec<(Address, SignerId)>, StoreError> {
     let mut statement = connection.prepare_cached(
-        "SELECT DISTINCT topics.owner, streams.signer FROM leaves JOIN records ON records.n = leaves.record
-         JOIN streams ON streams.key = records.stream JOIN topics ON topics.key = streams.topic WHERE leaves.batch = ?1",
+        "SELECT DISTINCT topics.owner, recorders.signer FROM leaves JOIN records ON records.n = leaves.record
+         JOIN streams ON streams.key = records.stream JOIN topics ON topics.key = streams.topic
+         JOIN recorders ON recorders.key = topics.recorder WHERE leaves.batch = ?1",
     )?;
     let rows = statement.query_map([batch], |row| Ok((Address(row.get(0)?), SignerId(row.get(1)?))))?;
     Ok(rows.collect::<Result<_, _>>()?)

@@ -174,6 +174,37 @@ impl Ledger {
         })
     }
 
+    /// Every event of blocks `from` to `to`, in the chain's order.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn rights_in(&self, from: u64, to: u64) -> Result<Vec<KeptRight>, StoreError> {
+        let (from, to) = (whole("block", from)?, whole("block", to)?);
+        self.read(|connection| {
+            let sql = "SELECT block, place, event, revoked FROM rights WHERE block BETWEEN ?1 AND ?2
+                       ORDER BY block, place";
+            let mut statement = connection.prepare_cached(sql)?;
+            Ok(statement.query_map([from, to], kept)?.collect::<Result<_, _>>()?)
+        })
+    }
+
+    /// Which of these events, by block and index, are not stored.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn unknown_rights(&self, places: &[(u64, u64)]) -> Result<Vec<(u64, u64)>, StoreError> {
+        self.read(|connection| {
+            let mut find = connection.prepare_cached("SELECT 1 FROM rights WHERE block = ?1 AND place = ?2")?;
+            let mut unknown = Vec::new();
+            for (block, place) in places {
+                if !find.exists([whole("block", *block)?, whole("place", *place)?])? {
+                    unknown.push((*block, *place));
+                }
+            }
+            Ok(unknown)
+        })
+    }
+
     /// Deletes all events, so that they are read again.
     ///
     /// # Errors

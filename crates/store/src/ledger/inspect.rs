@@ -8,7 +8,7 @@ use rusqlite::{Connection, OptionalExtension as _, Row, params};
 use super::rows::{self, RecordRow, Stream, unsigned};
 use super::{Ledger, database::whole};
 use crate::chain::merkle::Inclusion;
-use crate::model::{Address, Digest, FilterId, Hash, RecorderId, Timestamp, TopicId, clean};
+use crate::model::{Address, Digest, FilterId, Hash, RecorderId, SignerId, Timestamp, TopicId, clean};
 use crate::store::StoreError;
 
 /// The setting that records the state of a restored ledger's backup.
@@ -88,6 +88,8 @@ pub struct Sequence {
     pub name: String,
     /// The account that anchors it instead of its owner.
     pub keeper: Option<Address>,
+    /// Whose key signs them.
+    pub signer: SignerId,
     /// Who gave the numbers.
     pub recorder: RecorderId,
     /// Records.
@@ -271,14 +273,14 @@ impl Ledger {
         })
     }
 
-    /// The record with a sequence number of a topic, by `recorder`.
+    /// The record with a sequence number of a topic, signed by `signer` in `recorder`.
     ///
     /// # Errors
     /// [`StoreError::Database`] and the like.
     pub fn holder(
         &self,
         owner: Address,
-        recorder: RecorderId,
+        (signer, recorder): (SignerId, RecorderId),
         topic: TopicId,
         number: u64,
     ) -> Result<Option<Digest>, StoreError> {
@@ -286,9 +288,10 @@ impl Ledger {
         self.read(|connection| {
             let sql = "SELECT digest FROM records JOIN topics ON topics.key = records.topic
                        JOIN recorders ON recorders.key = topics.recorder
-                       WHERE topics.owner = ?1 AND recorders.id = ?2 AND topics.topic_id = ?3 AND seq = ?4";
+                       WHERE topics.owner = ?1 AND recorders.id = ?2 AND topics.topic_id = ?3 AND seq = ?4
+                       AND recorders.signer = ?5";
             let mut statement = connection.prepare_cached(sql)?;
-            let digest = statement.query_row(params![owner.0, recorder.0, topic.0, number], |row| row.get(0));
+            let digest = statement.query_row(params![owner.0, recorder.0, topic.0, number, signer.0], |row| row.get(0));
             Ok(digest.optional()?.map(Digest))
         })
     }
@@ -299,10 +302,10 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn sequences(&self) -> Result<Vec<Sequence>, StoreError> {
         self.read(|connection| {
-            let sql = "SELECT topics.key, owner, coalesce(nullif(name, ''), lower(hex(topic_id))), keeper, held, low, high,
-                       (SELECT id FROM recorders WHERE key = topics.recorder)
+            let sql = "SELECT topics.key, owner, coalesce(nullif(name, ''), lower(hex(topic_id))), keeper, held, low, high, id, signer
                        FROM (SELECT topic, count(*) AS held, min(seq) AS low, max(seq) AS high FROM records GROUP BY topic)
-                       JOIN topics ON topics.key = topic ORDER BY topics.key";
+                       JOIN topics ON topics.key = topic JOIN recorders ON recorders.key = topics.recorder
+                       ORDER BY topics.key";
             let mut statement = connection.prepare_cached(sql)?;
             let rows = statement.query_map([], |row| {
                 Ok(Sequence {
@@ -314,6 +317,7 @@ impl Ledger {
                     first: unsigned(row, 5)?,
                     last: unsigned(row, 6)?,
                     recorder: RecorderId(row.get(7)?),
+                    signer: SignerId(row.get(8)?),
                 })
             })?;
             Ok(rows.collect::<Result<_, _>>()?)

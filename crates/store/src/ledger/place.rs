@@ -48,6 +48,9 @@ fn place(path: &Path) -> Result<String, StoreError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::{Address, Digest, SignerId, TopicId};
+    use crate::store::NewRecord;
+    use crate::store::ledger::tests::record;
 
     #[test]
     fn a_copy_that_is_opened_elsewhere_numbers_under_a_recorder_of_its_own() {
@@ -56,14 +59,20 @@ mod tests {
         let (ledger, copied) = Ledger::open_in_place(&path).expect("made");
         let recorder = ledger.recorder();
         assert!(!copied);
+        let (owner, signer) = (Address([1; 20]), SignerId([1; 32]));
+        ledger.append(vec![record(1, 1, 1)]).expect("recorded");
         ledger.close().expect("closed");
         std::fs::copy(&path, &copy).expect("copied");
         let (ledger, copied) = Ledger::open_in_place(&path).expect("opened again");
         assert!(!copied && ledger.recorder() == recorder, "the first is as it was");
-        assert_eq!(ledger.predecessor().expect("read"), None);
+        assert_eq!(ledger.predecessor(owner, signer).expect("read"), None);
         let (other, copied) = Ledger::open_in_place(&copy).expect("the copy is opened");
         assert!(copied && other.recorder() != recorder);
-        assert_eq!(other.predecessor().expect("read"), Some(recorder), "it says whose copy it is");
+        let before = recorder.of_signer(&signer);
+        assert_eq!(other.predecessor(owner, signer).expect("read"), Some(before), "it says whose copy it is");
+        assert_eq!(other.next_seq(owner, signer, TopicId([1; 16])), Ok(1), "and numbers anew");
+        other.append(vec![NewRecord { digest: Digest([9; 32]), ..record(1, 1, 1) }]).expect("recorded");
+        assert_eq!(other.predecessor(owner, signer).expect("read"), Some(before));
         let renewed = other.recorder();
         other.close().expect("closed");
         let (other, copied) = Ledger::open_in_place(&copy).expect("the copy is opened again");

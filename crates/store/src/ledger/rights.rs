@@ -28,8 +28,9 @@ pub struct WaitingSigner {
 }
 
 /// The streams of one signer and owner that an account anchors.
-const STREAMS: &str = "SELECT s.key FROM streams s JOIN topics t ON t.key = s.topic
-     WHERE coalesce(t.keeper, t.owner) = ?1 AND t.owner = ?2 AND s.signer = ?3";
+const STREAMS: &str =
+    "SELECT s.key FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
+     WHERE coalesce(t.keeper, t.owner) = ?1 AND t.owner = ?2 AND r.signer = ?3";
 
 impl Ledger {
     /// The signers of the records that `keeper` anchors and that are stored, in a closed batch, or waiting for a right.
@@ -39,10 +40,11 @@ impl Ledger {
     pub fn waiting_signers(&self, keeper: Address) -> Result<Vec<WaitingSigner>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
-                "SELECT t.owner, s.signer, max(c.state = ?2), max(c.state <> ?2)
-                 FROM streams s JOIN topics t ON t.key = s.topic JOIN counters c ON c.stream = s.key
+                "SELECT t.owner, r.signer, max(c.state = ?2), max(c.state <> ?2)
+                 FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
+                 JOIN counters c ON c.stream = s.key
                  WHERE coalesce(t.keeper, t.owner) = ?1 AND c.records > 0 AND c.state IN (?2, ?3, ?4)
-                 GROUP BY t.owner, s.signer",
+                 GROUP BY t.owner, r.signer",
             )?;
             let [held, stored, batched] =
                 [RecordState::RightEnded, RecordState::Stored, RecordState::Batched].map(RecordState::code);
@@ -111,7 +113,7 @@ impl Ledger {
     pub fn passed_over_leaves(&self, keeper: Address, limit: usize) -> Result<Vec<Leaf>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(
-                "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner FROM passed_over
+                "SELECT recorders.id, topics.topic_id, seq, digest, topics.owner, recorders.signer FROM passed_over
                  JOIN records ON n = passed_over.record JOIN topics ON topics.key = records.topic
                  JOIN recorders ON recorders.key = topics.recorder
                  WHERE state = ?2 AND coalesce(topics.keeper, topics.owner) = ?1 ORDER BY n LIMIT ?3",
@@ -120,7 +122,8 @@ impl Ledger {
             let found = statement.query_map(params![keeper.0, RecordState::Stored.code(), limit], |row| {
                 let (recorder, topic_id) = (RecorderId(row.get(0)?), TopicId(row.get(1)?));
                 let (seq, digest, owner) = (rows::unsigned(row, 2)?, Digest(row.get(3)?), Address(row.get(4)?));
-                Ok(Leaf { owner, recorder, topic_id, seq, digest })
+                let signer = SignerId(row.get(5)?);
+                Ok(Leaf { owner, signer, recorder, topic_id, seq, digest })
             })?;
             Ok(found.collect::<Result<_, _>>()?)
         })

@@ -36,7 +36,7 @@ pub struct NewRecord {
     pub owner: Address,
     /// Pseudonym of its topic.
     pub topic_id: TopicId,
-    /// Number within (recorder, topic), from 1.
+    /// Number within (owner, signer, recorder, topic), from 1.
     pub seq: u64,
     /// `None` if this ledger recorded it and its owner anchors it.
     pub foreign: Option<Foreign>,
@@ -118,7 +118,7 @@ pub struct RecordRow {
     pub recorder: RecorderId,
     /// Pseudonym of its topic.
     pub topic_id: TopicId,
-    /// Number within (recorder, topic), from 1.
+    /// Number within (owner, signer, recorder, topic), from 1.
     pub seq: u64,
     /// The epoch it is sealed under.
     pub epoch: u64,
@@ -193,7 +193,7 @@ pub(super) fn streams(connection: &Connection, which: &Which) -> Result<Vec<Stre
         Which::Key(key) => (" WHERE s.key = ?1", Some(Value::from(*key))),
     };
     let mut statement = connection.prepare_cached(&format!(
-        "SELECT s.key, t.owner, r.id, t.topic_id, {TOPIC_NAME}, s.kind, coalesce(type_name.name, s.type_name), s.signer
+        "SELECT s.key, t.owner, r.id, t.topic_id, {TOPIC_NAME}, s.kind, coalesce(type_name.name, s.type_name), r.signer
          FROM streams s JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder {LEARNED_NAME}
          LEFT JOIN names type_name ON type_name.owner = t.owner AND type_name.id = s.type_name{condition}"
     ))?;
@@ -252,8 +252,8 @@ impl RecordRow {
 
     /// The fields that its batch binds.
     pub fn leaf(&self) -> Leaf {
-        let Self { owner, recorder, topic_id, seq, digest, .. } = *self;
-        Leaf { owner, recorder, topic_id, seq, digest }
+        let Self { owner, signer, recorder, topic_id, seq, digest, .. } = *self;
+        Leaf { owner, signer, recorder, topic_id, seq, digest }
     }
 }
 

@@ -1,8 +1,11 @@
 -- The ledger: one row per record, and what moves it along its path.
 
 -- The one row about this file. `clean` is 0 while a process has it open.
-CREATE TABLE about (one INTEGER PRIMARY KEY CHECK (one = 1), recorder INTEGER NOT NULL, clean INTEGER NOT NULL);
-CREATE TABLE recorders (key INTEGER PRIMARY KEY, id BLOB NOT NULL UNIQUE);
+-- `recorder` is the prefix of the ids of its own recorders.
+CREATE TABLE about (one INTEGER PRIMARY KEY CHECK (one = 1), recorder BLOB NOT NULL, clean INTEGER NOT NULL);
+
+-- Who numbers: a ledger or ring, with the key that signs there. A number belongs to owner, signer, recorder and topic.
+CREATE TABLE recorders (key INTEGER PRIMARY KEY, id BLOB NOT NULL, signer BLOB NOT NULL, UNIQUE (id, signer));
 
 -- Names that many records share. `keeper` is the account that anchors a topic's records for its owner; NULL where the
 -- owner does.
@@ -13,7 +16,7 @@ CREATE TABLE topics (
 CREATE INDEX topics_by_keeper ON topics (keeper) WHERE keeper IS NOT NULL;
 CREATE TABLE streams (
     key INTEGER PRIMARY KEY, topic INTEGER NOT NULL, kind INTEGER NOT NULL, type_name TEXT NOT NULL,
-    signer BLOB NOT NULL, UNIQUE (topic, kind, type_name, signer)
+    UNIQUE (topic, kind, type_name)
 );
 
 -- `deleted_at` is set when retention deletes the ciphertext.

@@ -1,5 +1,7 @@
 //! Small durable state: key-value settings, and the positions of those who walk the chain.
 
+use std::sync::PoisonError;
+
 use rusqlite::{OptionalExtension as _, params};
 
 use super::{Ledger, database::whole, rows};
@@ -19,6 +21,26 @@ impl Ledger {
         })
     }
 
+    /// Replaces the value under a key by what `change` makes of it, `None` if there is none; what it returns beside it is
+    /// returned. The door for every setting that more than one task reads, changes and writes: of several changes at
+    /// once none is lost. `change` itself may read, but makes no other change of a setting.
+    ///
+    /// # Errors
+    /// What `change` returns, or those of [`Self::put_setting`]; the previous value is then unchanged.
+    pub fn change_setting<T, E: From<StoreError>>(
+        &self,
+        key: &str,
+        change: impl FnOnce(Option<&str>) -> Result<(String, T), E>,
+    ) -> Result<T, E> {
+        let _one_at_a_time = self.shared.settings.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = self.setting(key)?;
+        let (value, answer) = change(before.as_deref())?;
+        if before.as_ref() != Some(&value) {
+            self.put_setting(key, &value)?;
+        }
+        Ok(answer)
+    }
+
     /// The value under a key.
     ///
     /// # Errors
@@ -30,6 +52,19 @@ impl Ledger {
                 .query_row([key], |row| row.get(0))
                 .optional()?;
             Ok(value)
+        })
+    }
+
+    /// Deletes a key if it still has this value.
+    ///
+    /// # Errors
+    /// [`StoreError::DiskFull`] and the like; the key is then unchanged.
+    pub fn drop_setting(&self, key: &str, value: &str) -> Result<(), StoreError> {
+        let (key, value) = (key.to_owned(), value.to_owned());
+        self.write(move |session| {
+            let sql = "DELETE FROM settings WHERE key = ?1 AND value = ?2";
+            session.connection.prepare_cached(sql)?.execute([key, value])?;
+            Ok(())
         })
     }
 

@@ -45,6 +45,23 @@ impl Ledger {
         })
     }
 
+    /// Which of these anchors, of records of this ledger, it has not taken in: their records still wait for a block.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`] and the like.
+    pub fn waiting_digests(&self, sightings: &[Sighting]) -> Result<Vec<Digest>, StoreError> {
+        self.read(|connection| {
+            let mut waiting = Vec::new();
+            for sighting in sightings {
+                let found = standing(connection, sighting)?.filter(|found| found.block.is_none());
+                if found.is_some_and(|found| may(By::Sight, found.state, RecordState::Mined)) {
+                    waiting.push(sighting.digest);
+                }
+            }
+            Ok(waiting)
+        })
+    }
+
     /// Mined records in blocks up to this one are now confirmed; returns when each was captured, unordered.
     ///
     /// # Errors

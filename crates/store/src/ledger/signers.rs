@@ -28,10 +28,11 @@ impl Ledger {
     pub fn signer_topics(&self, owner: Address, own: SignerId) -> Result<Vec<SignerTopic>, StoreError> {
         self.read(|connection| {
             let mut statement = connection.prepare_cached(&format!(
-                "SELECT s.signer, {TOPIC_NAME} AS topic, c.state, sum(c.records) FROM streams s
-                     JOIN topics t ON t.key = s.topic JOIN counters c ON c.stream = s.key {LEARNED_NAME}
-                     WHERE t.owner = ?1 AND s.kind = ?2 AND s.signer <> ?3 AND c.records > 0
-                     GROUP BY s.signer, {TOPIC_NAME}, c.state"
+                "SELECT r.signer, {TOPIC_NAME} AS topic, c.state, sum(c.records) FROM streams s
+                     JOIN topics t ON t.key = s.topic JOIN recorders r ON r.key = t.recorder
+                     JOIN counters c ON c.stream = s.key {LEARNED_NAME}
+                     WHERE t.owner = ?1 AND s.kind = ?2 AND r.signer <> ?3 AND c.records > 0
+                     GROUP BY r.signer, {TOPIC_NAME}, c.state"
             ))?;
             let mut found: BTreeMap<(SignerId, String), BTreeMap<RecordState, u64>> = BTreeMap::new();
             let mut rows = statement.query(params![owner.0, RecordKind::Data.code(), own.0])?;

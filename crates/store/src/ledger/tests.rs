@@ -11,6 +11,7 @@ mod groups;
 mod incidents;
 mod model;
 mod numbered;
+mod own_numbers;
 mod pages;
 mod quarantine;
 mod rights;
@@ -27,12 +28,12 @@ pub(super) use self::numbered::numbered;
 use super::*;
 use crate::model::RecordState::{Confirmed, Stored, Submitted, Verified};
 use crate::model::{
-    Address, Digest, ErrorKind, Hash, IncidentName, LossReason, RecordKind, RecordState, Signature, SignerId,
-    Timestamp, TopicId,
+    Address, Digest, ErrorKind, Hash, IncidentName, LossReason, RecordKind, RecordState, RecorderId, Signature,
+    SignerId, Timestamp, TopicId,
 };
 
 /// A record of owner `owner` on topic `topic`; its digest is spread like a real one.
-fn record(owner: u8, topic: u8, seq: u64) -> NewRecord {
+pub(super) fn record(owner: u8, topic: u8, seq: u64) -> NewRecord {
     let name = [&[owner, topic][..], &seq.to_be_bytes()].concat();
     NewRecord {
         digest: Digest(Sm3::digest(&name).into()),
@@ -108,7 +109,7 @@ fn the_recorder_id_and_clean_flag_live_with_the_file() {
     ledger.append(vec![record(1, 1, 1)]).expect("acknowledged");
     ledger.close().expect("closed");
     assert_eq!(other.append(vec![record(1, 1, 2)]), Err(StoreError::Closed));
-    assert_eq!(other.next_seq(Address([1; 20]), TopicId([1; 16])), Ok(2), "reading still works");
+    assert_eq!(other.next_seq(Address([1; 20]), SignerId([1; 32]), TopicId([1; 16])), Ok(2), "reading still works");
     let flag = |ledger: &Ledger| {
         ledger.read(|c| Ok(c.query_row("SELECT clean FROM about", [], |row| row.get::<_, bool>(0))?)).expect("flag")
     };
@@ -155,7 +156,7 @@ fn appending_twice_changes_nothing_and_contradictions_are_refused() {
     for bad in [twin, renamed] {
         let refused = ledger.append(vec![record(1, 2, 1), bad]);
         assert!(matches!(refused, Err(StoreError::Conflict { .. })), "{refused:?}");
-        assert_eq!(ledger.next_seq(Address([1; 20]), TopicId([2; 16])), Ok(1), "all or none");
+        assert_eq!(ledger.next_seq(Address([1; 20]), SignerId([1; 32]), TopicId([2; 16])), Ok(1), "all or none");
     }
     let mined = NewRecord { state: RecordState::Mined, ..record(1, 1, 2) };
     assert!(matches!(ledger.append(vec![mined]), Err(StoreError::IllegalEdge { .. })));
@@ -209,7 +210,7 @@ fn a_full_disk_acknowledges_nothing_and_takes_all_later() {
         (2..=9).map(|seq| NewRecord { local_copy: Some(vec![1; 50_000]), ..record(1, 1, seq) }).collect();
     let error = ledger.append(large.clone()).expect_err("full");
     assert!(matches!(error, StoreError::DiskFull { .. }) && error.to_string().contains("ledger.db"), "{error}");
-    assert_eq!(ledger.next_seq(Address([1; 20]), TopicId([1; 16])), Ok(2));
+    assert_eq!(ledger.next_seq(Address([1; 20]), SignerId([1; 32]), TopicId([1; 16])), Ok(2));
     limit(1_000_000).expect("grown");
     ledger.append(large).expect("acknowledged");
     assert_eq!(ledger.counts(None).expect("counts").captured(), 9);
@@ -353,6 +354,29 @@ fn ids_are_prefixes_of_digests() {
 }
 
 #[test]
+fn of_changes_of_a_setting_at_once_none_is_lost() {
+    let (_home, ledger) = open();
+    let add = |name: u8| {
+        ledger.change_setting("list", |text| {
+            let text = format!("{}{}", text.unwrap_or_default(), char::from(name));
+            Ok::<_, StoreError>((text, ()))
+        })
+    };
+    std::thread::scope(|scope| {
+        for name in b'a'..=b'h' {
+            scope.spawn(move || (0..5).for_each(|_| add(name).expect("changed")));
+        }
+    });
+    let text = ledger.setting("list").expect("read").expect("there");
+    for name in b'a'..=b'h' {
+        assert_eq!(text.bytes().filter(|other| *other == name).count(), 5, "{text}");
+    }
+    let refused = ledger.change_setting("list", |_| Err::<(String, ()), _>(StoreError::Closed));
+    assert_eq!(refused, Err(StoreError::Closed));
+    assert_eq!(ledger.setting("list"), Ok(Some(text)));
+}
+
+#[test]
 fn small_state_is_kept() {
     let (home, ledger) = open();
     ledger.put_setting("watched/a", "[1]").expect("kept");
@@ -414,7 +438,8 @@ fn whatever_was_acknowledged_is_there_after_a_crash() {
         for _ in 0..15 {
             thread::sleep(std::time::Duration::from_millis(7));
             let crash = tempfile::tempdir().expect("temporary directory");
-            let acknowledged = (1..=3).map(|w| ledger.next_seq(Address([w; 20]), TopicId([1; 16])).expect("seq"));
+            let acknowledged =
+                (1..=3).map(|w| ledger.next_seq(Address([w; 20]), SignerId([w; 32]), TopicId([1; 16])).expect("seq"));
             let acknowledged: Vec<u64> = acknowledged.collect();
             let (from, to) = (path.to_owned(), crash.path().to_owned());
             let copied = ledger.write(move |_| {
@@ -424,7 +449,8 @@ fn whatever_was_acknowledged_is_there_after_a_crash() {
             copied.expect("copied");
             let after = Ledger::open(&crash.path().join("ledger.db")).expect("opens");
             for (writer, next) in (1u8..).zip(acknowledged) {
-                let found = after.next_seq(Address([writer; 20]), TopicId([1; 16])).expect("seq");
+                let found =
+                    after.next_seq(Address([writer; 20]), SignerId([writer; 32]), TopicId([1; 16])).expect("seq");
                 assert!(found >= next, "writer {writer}: {found} after the crash, {next} before");
                 for seq in 1..next {
                     let row = after.record(record(writer, 1, seq).digest).expect("read").expect("acknowledged");

@@ -51,8 +51,8 @@ impl Ledger {
                 .prepare_cached(
                     "SELECT EXISTS (SELECT 1 FROM topics t JOIN streams s ON s.topic = t.key
                      WHERE t.owner = ?1 AND t.topic_id = ?2
-                     AND t.recorder = (SELECT key FROM recorders WHERE id = ?3)
-                     AND s.kind = ?4 AND s.type_name = ?5 AND s.signer = ?6)",
+                     AND t.recorder = (SELECT key FROM recorders WHERE id = ?3 AND signer = ?6)
+                     AND s.kind = ?4 AND s.type_name = ?5)",
                 )?
                 .query_row(params![owner.0, topic.0, recorder.0, kind.code(), type_name, signer.0], |row| row.get(0))?;
             Ok(found)

@@ -6,7 +6,7 @@ use std::hint::black_box;
 use super::work::{Piece, piece};
 use authros_chain::merkle::{Inclusion, Leaf, Tree};
 use authros_crypto::{Provider, SmKeyPair};
-use authros_model::{Address, Digest, RecorderId, Signature, TopicId};
+use authros_model::{Address, Digest, RecorderId, Signature, SignerId, TopicId};
 use authros_service::Failure;
 use authros_service::failure::internal;
 
@@ -28,6 +28,7 @@ impl Batch {
         let one = |(by, records): (&'static str, u32)| {
             let leaf = |number: u32| Leaf {
                 owner: Address([2; 20]),
+                signer: SignerId([3; 32]),
                 recorder: RecorderId([4; 16]),
                 topic_id: TopicId([5; 16]),
                 seq: u64::from(number) + 1,

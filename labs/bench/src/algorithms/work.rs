@@ -10,7 +10,7 @@ use authros_crypto::{
     Provider, ProviderName, SealRequest, SmKeyPair, TopicKey, provider, random_bytes, seal, sm3_many,
     verify_as_stranger,
 };
-use authros_model::{Address, Domain, Head, RecordKind, RecorderId, Signature, Timestamp, TopicId};
+use authros_model::{Address, Domain, Head, RecordKind, RecorderPrefix, Signature, Timestamp, TopicId};
 use authros_service::Failure;
 
 /// Bytes of additional data, like a short header.
@@ -148,7 +148,7 @@ impl Subject {
                 signer: &self.signer,
                 epoch: 1,
                 topic_key: &TopicKey::new([3; 32]),
-                recorder: RecorderId([4; 16]),
+                recorder: RecorderPrefix::ledger([4; 7]),
                 seq: 1,
                 topic_id: TopicId([5; 16]),
                 kind: RecordKind::Data,

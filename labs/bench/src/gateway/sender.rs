@@ -3,7 +3,7 @@
 use crate::account::head;
 use authros_crypto::{EoaSecret, Provider, SealRequest, SmKeyPair, TopicKey, random_bytes, seal};
 use authros_gateway::Upload;
-use authros_model::{Address, Domain, RecordKind, RecorderId, Timestamp, Token, TopicId};
+use authros_model::{Address, Domain, RecordKind, RecorderPrefix, Timestamp, Token, TopicId};
 use authros_service::Failure;
 
 /// The sender, and the gateway's identity.
@@ -34,7 +34,7 @@ impl Sender {
 
     /// This many records of this many bytes of message.
     pub fn seal_all(&self, count: usize, bytes: usize) -> Result<Vec<Upload>, Failure> {
-        let (recorder, topic_id) = (RecorderId(random_bytes()?), TopicId(random_bytes()?));
+        let (recorder, topic_id) = (RecorderPrefix::ledger(random_bytes()?), TopicId(random_bytes()?));
         let (head, body) = (head(bytes), vec![0x5a; bytes]);
         let one = |seq: u64| {
             let request = SealRequest {

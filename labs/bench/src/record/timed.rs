@@ -8,7 +8,7 @@ use authros_chain::merkle::{Inclusion, Leaf, Tree};
 use authros_crypto::compression::pack;
 use authros_crypto::record::{open_in_steps, seal_in_steps};
 use authros_crypto::{Anchor, Expected, Names, Provider, SealRequest, SealedRecord, SmKeyPair, TopicKey};
-use authros_model::{Address, Domain, FilterId, Head, RecordKind, RecorderId, Timestamp, TopicId};
+use authros_model::{Address, Domain, FilterId, Head, RecordKind, RecorderPrefix, Timestamp, TopicId};
 use authros_service::Failure;
 use authros_service::failure::internal;
 
@@ -16,7 +16,6 @@ use authros_service::failure::internal;
 const BATCH: u64 = 256;
 const DOMAIN: Domain = Domain([1; 32]);
 const OWNER: Address = Address([2; 20]);
-const RECORDER: RecorderId = RecorderId([3; 16]);
 const TOPIC: TopicId = TopicId([4; 16]);
 
 /// Microseconds of each step, in the order in which they were first done.
@@ -76,7 +75,7 @@ impl Kit {
             signer: &self.signer,
             epoch: 1,
             topic_key: &self.key,
-            recorder: RECORDER,
+            recorder: RecorderPrefix::ledger([3; 7]),
             seq: 1,
             topic_id: TOPIC,
             kind: RecordKind::Data,
@@ -94,7 +93,7 @@ impl Kit {
 
     /// Checks, proves and opens.
     pub fn open(&self, sealed: &SealedRecord) -> Result<Lap, Failure> {
-        let leaf = Leaf { owner: OWNER, recorder: RECORDER, topic_id: TOPIC, seq: 1, digest: sealed.digest };
+        let leaf = Leaf::of(&sealed.header, sealed.digest);
         let inclusion = inclusion(&leaf)?;
         let SealedRecord { blob, digest, signature, .. } = sealed;
         let names = Names::Given(self.head.topic.clone());

@@ -5,6 +5,7 @@ use std::sync::LazyLock;
 use proptest::prelude::*;
 
 use super::*;
+use crate::crypto::private_file::write_private;
 use crate::model::{Domain, ErrorKind};
 
 fn sample() -> Keyring {
@@ -23,9 +24,11 @@ fn quick_key() -> FileKey {
     FileKey { work: Work::WRITTEN, salt: [1; 32], key: Zeroizing::new([2; 32]) }
 }
 
+const STAMP: Stamp = Stamp { generation: 7, save_salt: [3; 24] };
+
 static SAMPLE: LazyLock<(Keyring, Vec<u8>)> = LazyLock::new(|| {
     let keyring = sample();
-    let bytes = seal(&keyring, &quick_key()).expect("seals");
+    let bytes = seal(&keyring, &quick_key(), STAMP).expect("seals");
     (keyring, bytes)
 });
 
@@ -41,7 +44,7 @@ static WITH_FURTHER: LazyLock<Keyring> = LazyLock::new(|| {
 
 #[test]
 fn further_pairs_come_back() {
-    let bytes = seal(&WITH_FURTHER, &quick_key()).expect("seals");
+    let bytes = seal(&WITH_FURTHER, &quick_key(), STAMP).expect("seals");
     assert!(open(&bytes, &quick_key()).is_ok_and(|opened| opened == *WITH_FURTHER));
     let mut one = SAMPLE.0.clone();
     for take in 0..4 {
@@ -95,11 +98,10 @@ fn saved_loaded_changed_and_saved_again() {
 
     let mut unlocked = UnlockedKeyring::open(&path, &passphrase("correct horse")).expect("opens");
     assert_eq!(unlocked.keyring, keyring);
-    unlocked.keyring.start_epoch(&Domain([1; 32])).expect("starts");
     let before = fs::read(&path).expect("reads");
-    unlocked.save().expect("saves");
+    unlocked.change(|keys| keys.start_epoch(&Domain([1; 32]))).expect("saves");
     let after = fs::read(&path).expect("reads");
-    assert_ne!(before[18..HEADER], after[18..HEADER], "each save has its own salt");
+    assert_ne!(before[17..41], after[17..41], "each save has its own salt");
     let loaded = Keyring::load(&path, &passphrase("correct horse")).expect("loads");
     assert_eq!(loaded, unlocked.keyring);
     assert_eq!(fs::metadata(&path).expect("there").permissions().mode() & 0o777, 0o600);
@@ -129,14 +131,16 @@ fn open_permissions_are_refused_on_load_and_on_save() {
     chmod(&closed, 0o755);
     let error = read_public(&path).expect_err("refused");
     assert!(error.to_string().contains("chmod 700"), "{error}");
-    assert!(keyring.save(&path, &passphrase("correct horse")).is_err());
+    let other = closed.join("b.keyring");
+    assert!(UnlockedKeyring::create(keyring.clone(), &other, &passphrase("correct horse")).is_err());
 }
 
 #[test]
 fn a_directory_that_cannot_be_written_is_the_homes_fault() {
     let (keyring, _) = &*SAMPLE;
     let path = Path::new("/proc/nowhere/a.keyring");
-    assert_eq!(keyring.save(path, &passphrase("correct horse")).expect_err("refused").kind(), ErrorKind::Home);
+    let created = UnlockedKeyring::create(keyring.clone(), path, &passphrase("correct horse"));
+    assert_eq!(created.expect_err("refused").kind(), ErrorKind::Home);
 }
 
 #[test]
@@ -206,9 +210,94 @@ fn a_stripped_keyring_keeps_what_seals_and_never_takes_the_files_place() {
     assert_eq!(left.envelope.public, keyring.envelope.public);
     assert!(left.further.envelopes.is_empty() && left.further.next_envelope.is_none(), "and those before and after it");
     assert!(left.sm4 != keyring.sm4 && left.networks[&domain].epochs.is_empty(), "K_C and the epochs are gone");
-    assert!(matches!(unlocked.save(), Err(CryptoError::Locked(_))));
+    assert!(matches!(unlocked.change(|_| Ok(())), Err(CryptoError::Locked(_))));
     assert!(matches!(unlocked.change_passphrase(&passphrase), Err(CryptoError::Locked(_))));
-    assert!(matches!(unlocked.duplicate().save(), Err(CryptoError::Locked(_))));
     assert_eq!(std::fs::read(&path).expect("a file"), before);
     assert_eq!(UnlockedKeyring::open(&path, &passphrase).expect("opens").keyring, keyring);
+}
+
+/// An opened keyring file in a folder of its own.
+fn opened_twice(home: &Path) -> (UnlockedKeyring, UnlockedKeyring) {
+    let path = home.join("profiles/a/keyring");
+    let one = UnlockedKeyring::create(sample(), &path, &passphrase("correct horse")).expect("creates");
+    (one, UnlockedKeyring::open(&path, &passphrase("correct horse")).expect("opens"))
+}
+
+fn generation(path: &Path) -> u64 {
+    stamp_of(&fs::read(path).expect("reads"), path).expect("a keyring").generation
+}
+
+#[test]
+fn of_two_copies_only_the_one_that_knows_the_file_replaces_it() {
+    let home = tempfile::tempdir().expect("directory");
+    let (mut one, mut two) = opened_twice(home.path());
+    let path = one.path().to_owned();
+    let begin = |keys: &mut Keyring| keys.start_epoch(&Domain([1; 32]));
+    let epoch = one.change(begin).expect("saves");
+    let (before, keys) = (fs::read(&path).expect("reads"), one.keys().clone());
+
+    for refused in [two.change(begin).map(drop), two.change_passphrase(&passphrase("battery staple"))] {
+        let error = refused.expect_err("out of date");
+        assert!(matches!(error, CryptoError::Superseded { read: 1, found: 2, .. }), "{error}");
+        assert_eq!(error.kind(), ErrorKind::Refused);
+        assert!(error.to_string().contains("run the command again"), "{error}");
+    }
+    assert_eq!(fs::read(&path).expect("reads"), before, "the file is untouched");
+    assert!(!two.keys().networks[&Domain([1; 32])].epochs.contains_key(&epoch), "and so is the copy");
+
+    one.change(begin).expect("the other one goes on");
+    let mut anew = UnlockedKeyring::open(&path, &passphrase("correct horse")).expect("opens");
+    assert_eq!(anew.keys().networks[&Domain([1; 32])].epochs[&epoch], keys.networks[&Domain([1; 32])].epochs[&epoch]);
+    anew.change(begin).expect("saves");
+    assert!(one.change(begin).is_err(), "now this one is out of date");
+}
+
+#[test]
+fn a_file_of_the_same_generation_that_another_wrote_is_another() {
+    let home = tempfile::tempdir().expect("directory");
+    let (mut one, mut two) = opened_twice(home.path());
+    let (path, first) = (one.path().to_owned(), fs::read(one.path()).expect("reads"));
+    one.change(|_| Ok(())).expect("saves");
+    write_private(&path, &first).expect("an older copy is put back");
+    assert!(one.change(|_| Ok(())).is_err(), "older than what was written");
+    two.change(|_| Ok(())).expect("saves");
+    assert_eq!(generation(&path), 2);
+    assert!(one.change(|_| Ok(())).is_err(), "generation 2, but not its own");
+    fs::remove_file(&path).expect("removed");
+    assert!(matches!(two.change(|_| Ok(())), Err(CryptoError::Read { .. })), "a file that is gone");
+    assert!(!path.exists());
+}
+
+#[test]
+fn the_generation_only_grows_and_an_altered_one_does_not_open() {
+    let home = tempfile::tempdir().expect("directory");
+    let (mut one, _) = opened_twice(home.path());
+    let path = one.path().to_owned();
+    assert_eq!(generation(&path), 1);
+    one.change(|_| Ok(())).expect("saves");
+    one.change_passphrase(&passphrase("battery staple")).expect("saves");
+    assert!(one.change(|_| Err::<(), _>(CryptoError::Random)).is_err());
+    assert_eq!(generation(&path), 3, "a change that fails writes nothing");
+    let bytes = fs::read(&path).expect("reads");
+    for at in 9..17 {
+        let mut altered = bytes.clone();
+        altered[at] ^= 1;
+        write_private(&path, &altered).expect("writes");
+        let refused = Keyring::load(&path, &passphrase("battery staple")).expect_err("refused");
+        assert!(matches!(refused, CryptoError::DamagedKeyring(_)), "byte {at}: {refused}");
+    }
+}
+
+#[test]
+fn copies_that_save_at_once_lose_nothing() {
+    let home = tempfile::tempdir().expect("directory");
+    let (one, two) = opened_twice(home.path());
+    let path = one.path().to_owned();
+    let saved: Vec<usize> = std::thread::scope(|scope| {
+        let work = |mut copy: UnlockedKeyring| move || (0..20).filter(|_| copy.change(|_| Ok(())).is_ok()).count();
+        let threads = [one, two].map(|copy| scope.spawn(work(copy)));
+        threads.into_iter().map(|thread| thread.join().expect("ends")).collect()
+    });
+    assert!(saved == [20, 0] || saved == [0, 20], "one of them, and never in turns: {saved:?}");
+    assert_eq!(generation(&path), 21);
 }

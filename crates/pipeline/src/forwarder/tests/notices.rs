@@ -8,7 +8,7 @@ use crate::crypto::{
 };
 use crate::gateway::{Entry, Fetched};
 use crate::model::head::Compression;
-use crate::model::{Head, RecorderId, RingSpan, SignerId, Timestamp, Token};
+use crate::model::{Head, RecorderPrefix, RingSpan, SignerId, Timestamp, Token};
 use crate::pipeline::notices::{Notices, PolicyTaker};
 use crate::pipeline::{Author, disk_ring};
 
@@ -63,7 +63,7 @@ pub(super) fn record(
     (seq, epoch): (u64, u64),
     notice: &Notice,
 ) -> Upload {
-    numbered(scene, signer, device, (RecorderId([8; 16]), seq, epoch, Timestamp(seq)), notice)
+    numbered(scene, signer, device, (RecorderPrefix::ledger([8; 7]), seq, epoch, Timestamp(seq)), notice)
 }
 
 /// The same with the owner's recorder and time.
@@ -71,7 +71,7 @@ fn numbered(
     scene: &Scene,
     signer: &SmKeyPair,
     device: SignerId,
-    (recorder, seq, epoch, captured_at): (RecorderId, u64, u64, Timestamp),
+    (recorder, seq, epoch, captured_at): (RecorderPrefix, u64, u64, Timestamp),
     notice: &Notice,
 ) -> Upload {
     let (name, body) = (notice_topic(&device), notice.encode());
@@ -142,7 +142,8 @@ async fn only_the_owners_newest_notice_to_this_device_is_obeyed() {
 
     let mut again = SealedEnrolment::open(&given, &passphrase).expect("opens");
     again.catch_up(&kept).expect("reads");
-    let last = LastNotice { recorder: RecorderId([8; 16]), number: 11, at: Timestamp(11) };
+    let recorder = RecorderPrefix::ledger([8; 7]).of_signer(&signer_id(&scene.alice.signing.public));
+    let last = LastNotice { recorder, number: 11, at: Timestamp(11) };
     assert_eq!((again.enrolment.keys.now.epoch, again.enrolment.last_notice), (5, Some(last)));
 }
 
@@ -261,7 +262,7 @@ async fn after_a_restore_an_owner_is_obeyed_at_once_and_what_is_older_never() {
     let own = signer_id(&scene.device.public);
     let topics = "/camera/**".parse().expect("a pattern");
     let span = RingSpan { since: Timestamp(1), until: Timestamp(100), topics };
-    let (before, restored) = (RecorderId([8; 16]), RecorderId([7; 16]));
+    let (before, restored) = (RecorderPrefix::ledger([8; 7]), RecorderPrefix::ledger([7; 7]));
     let sealed = SealedEnrolment::new(enrolment(&scene), &passphrase).expect("stretches");
     let (kept, author) = (scene.home.path().join("kept"), Arc::new(Author::new(scene.alice.account())));
     author.obey(&sealed.enrolment);

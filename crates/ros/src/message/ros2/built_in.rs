@@ -12,7 +12,7 @@ fn sections(text: &'static str) -> impl Iterator<Item = (&'static str, &'static 
 }
 
 /// The own lines of a type that is named as `package/msg/Type`.
-pub(super) fn text_of(name: &str) -> Option<&'static str> {
+pub(in super::super) fn text_of(name: &str) -> Option<&'static str> {
     TEXTS.get(name).copied()
 }
 

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use super::super::definition::{LONGEST_DEFINITION, MOST_TYPES};
 use super::built_in;
 use super::line::{Line, parse_line, plain};
-use super::schema::full_name;
+use super::schema::{full_name, sections};
 use crate::ros::RosError;
 
 /// Where a type's own lines were found.
@@ -48,29 +48,45 @@ impl Folders {
     /// # Errors
     /// [`RosError::NoFields`] if a definition is missing, cannot be read or is broken.
     pub fn text_of(&self, type_name: &str) -> Result<(String, Source), RosError> {
+        let root = full_name(type_name, None)
+            .ok_or_else(|| RosError::no_fields(type_name, "its type is not package/msg/Type"))?;
+        let (own, source) = self.own_lines(&root).ok_or_else(|| missing(type_name, &root))?;
+        let (whole, _) = self.complete(type_name, &own)?;
+        Ok((whole, source))
+    }
+
+    /// A type's text, completed with the sections of nested types that it lacks; and the names of these types.
+    ///
+    /// # Errors
+    /// See [`Folders::text_of`].
+    pub fn complete(&self, type_name: &str, text: &str) -> Result<(String, Vec<String>), RosError> {
         let failed = |reason: String| RosError::no_fields(type_name, &reason);
-        let missing = |name: &str| {
-            failed(format!(
-                "{name}.msg is neither in the installed ROS 2 (ros.definitions) nor built into this program"
-            ))
-        };
         let root = full_name(type_name, None).ok_or_else(|| failed("its type is not package/msg/Type".into()))?;
-        let (mut whole, source) = self.own_lines(&root).ok_or_else(|| missing(&root))?;
-        let mut waiting = nested_in(&root, &whole).map_err(|reason| failed(format!("{reason} in {root}.msg")))?;
-        let mut known = BTreeSet::from([root]);
+        let mut own: Vec<(String, Vec<&str>)> = sections(&root, text).map_err(failed)?.into_iter().collect();
+        own.sort();
+        let mut known: BTreeSet<String> = own.iter().map(|(name, _)| name.clone()).collect();
+        let mut waiting = Vec::new();
+        for (name, lines) in &own {
+            waiting.extend(nested_in(name, &lines.join("\n")).map_err(|reason| failed(format!("{reason} in {name}")))?);
+        }
+        let (mut whole, mut added) = (text.to_owned(), Vec::new());
         while let Some(name) = waiting.pop() {
             if !known.insert(name.clone()) {
                 continue;
             }
-            let (text, _) = self.own_lines(&name).ok_or_else(|| missing(&name))?;
+            let (text, _) = self.own_lines(&name).ok_or_else(|| missing(type_name, &name))?;
+            if !whole.ends_with('\n') {
+                whole.push('\n');
+            }
             whole.push_str(&format!("{}\nMSG: {}\n", "=".repeat(80), name.replacen("/msg/", "/", 1)));
             whole.push_str(&text);
             waiting.extend(nested_in(&name, &text).map_err(|reason| failed(format!("{reason} in {name}.msg")))?);
             if known.len() > MOST_TYPES || whole.len() > LONGEST_DEFINITION {
                 return Err(failed("its definition is too long".into()));
             }
+            added.push(name);
         }
-        Ok((whole, source))
+        Ok((whole, added))
     }
 
     /// The lines of one type, with an end of line at their end.
@@ -87,6 +103,11 @@ impl Folders {
         let file = format!("{name}.msg");
         self.0.iter().find_map(|prefix| read(&prefix.join("share").join(package).join(kind).join(&file)))
     }
+}
+
+fn missing(type_name: &str, name: &str) -> RosError {
+    let reason = format!("{name}.msg is neither in the installed ROS 2 (ros.definitions) nor built into this program");
+    RosError::no_fields(type_name, &reason)
 }
 
 fn read(path: &Path) -> Option<String> {
@@ -138,5 +159,19 @@ mod tests {
         assert!(text.contains("MSG: builtin_interfaces/Time\nint32 sec\n"), "{text}");
         put("one", "b", "Other", "c/Missing x");
         assert!(folders.text_of("a/Root").expect_err("missing").to_string().contains("c/msg/Missing"));
+    }
+    #[test]
+    fn a_text_is_completed_with_the_nested_types_that_it_lacks() {
+        let folders = Folders::default();
+        let (text, added) = folders.complete("a/msg/B", "builtin_interfaces/Time stamp\nint32 v").expect("built in");
+        assert_eq!(added, ["builtin_interfaces/msg/Time"]);
+        assert_eq!(
+            Definition::parse_ros2("a/msg/B", &text).map(|it| it.type_name().to_owned()).as_deref(),
+            Ok("a/msg/B")
+        );
+        assert_eq!(folders.complete("a/msg/B", &text).expect("whole"), (text, Vec::new()), "nothing is added twice");
+        let (text, added) = folders.complete("a/msg/B", "std_msgs/Header h\ngeometry_msgs/Point p").expect("built in");
+        assert_eq!(added.len(), 3, "{text}");
+        assert!(folders.complete("a/msg/B", "c/Missing x").is_err());
     }
 }

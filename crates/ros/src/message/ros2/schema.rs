@@ -62,7 +62,7 @@ impl Schema {
 }
 
 /// Splits the text at its `MSG:` lines; a type given twice keeps its first text.
-fn sections<'a>(type_name: &str, text: &'a str) -> Result<Texts<'a>, String> {
+pub(super) fn sections<'a>(type_name: &str, text: &'a str) -> Result<Texts<'a>, String> {
     let mut found: Vec<(String, Vec<&str>)> = vec![(type_name.to_owned(), Vec::new())];
     let mut after_rule = false;
     for line in text.lines() {

@@ -8,7 +8,7 @@ use tokio::task::block_in_place;
 
 use crate::config::RingSettings;
 use crate::crypto::random_bytes;
-use crate::model::{RecorderId, TopicName, TopicPatterns, clean};
+use crate::model::{RecorderPrefix, TopicName, TopicPatterns, clean};
 use crate::pipeline::disk_ring::{Brought, Pulls, SharedRing, Step};
 use crate::pipeline::{Author, Observer as _};
 use crate::service::reply::Failure;
@@ -41,7 +41,7 @@ impl AgentRing {
     /// If its folder cannot be used.
     pub fn begin(site: &Site, author: &Author, settings: RingSettings) -> Result<Self, Failure> {
         let RingSettings { limits, topics } = settings;
-        let recorder = RecorderId::of_ring(random_bytes()?);
+        let recorder = RecorderPrefix::ring(random_bytes()?);
         let ring = block_in_place(|| DiskRing::open(&site.parts.home.ring(), limits, recorder))?;
         let ring: SharedRing = Arc::new(Mutex::new(ring));
         site.sealer.fill(&ring);

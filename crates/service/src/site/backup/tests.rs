@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use super::*;
 use crate::crypto::sealed_stream::SealedReader;
-use crate::model::{Digest, RecorderId, RingLimits, RingSpan, Signature, Timestamp, TopicId, TopicPatterns};
+use crate::model::{Digest, RecorderPrefix, RingLimits, RingSpan, Signature, Timestamp, TopicId, TopicPatterns};
 use crate::site::contacts::Contacts;
 use crate::site::reading::Reading;
 use crate::site::testing::{Ground, PASSPHRASE, profile};
@@ -88,7 +88,7 @@ async fn the_moment_waits_for_what_deletes_ciphertext() {
 const LIMITS: RingLimits = RingLimits { time: Duration::from_secs(3600), bytes: RingLimits::LEAST };
 
 fn ring(folder: &Path) -> DiskRing {
-    DiskRing::open(folder, LIMITS, RecorderId::of_ring([1; 8])).expect("a ring")
+    DiskRing::open(folder, LIMITS, RecorderPrefix::ring([1; 7])).expect("a ring")
 }
 
 /// A message whose bytes say which it is.

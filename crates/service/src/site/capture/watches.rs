@@ -1,6 +1,6 @@
 //! Watch lists: the topics that each profile captures until it unwatches them, across restarts.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use tokio::task::block_in_place;
 
@@ -17,36 +17,27 @@ pub(in crate::site) struct Watches {
     plant: Plant,
     recorder: Arc<Recorder>,
     ros: Arc<RosSide>,
-    /// Changes are made one at a time.
-    changing: Mutex<()>,
 }
 
 impl Watches {
     /// Lists followed by `recorder`.
     pub fn new(parts: &Parts, recorder: &Arc<Recorder>, ros: &Arc<RosSide>) -> Self {
-        Self {
-            plant: parts.plant.clone(),
-            recorder: Arc::clone(recorder),
-            ros: Arc::clone(ros),
-            changing: Mutex::default(),
-        }
+        Self { plant: parts.plant.clone(), recorder: Arc::clone(recorder), ros: Arc::clone(ros) }
     }
 
     /// The list of a profile.
     pub fn of(&self, profile: &ProfileName) -> Result<List, Failure> {
-        let text = self.plant.ledger.setting(&key(profile))?;
-        Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
+        Ok(read(self.plant.ledger.setting(&key(profile))?.as_deref()))
     }
 
     /// Reads, changes and stores a watch list; of several simultaneous changes none is lost.
     pub fn change(&self, profile: &ProfileName, change: impl FnOnce(&mut List)) -> Result<(), Failure> {
-        block_in_place(|| {
-            let _one_at_a_time = self.changing.lock().unwrap_or_else(PoisonError::into_inner);
-            let mut watches = self.of(profile)?;
+        let changed = |text: Option<&str>| {
+            let mut watches = read(text);
             change(&mut watches);
-            let text = serde_json::to_string(&watches).unwrap_or_default();
-            Ok(self.plant.ledger.put_setting(&key(profile), &text)?)
-        })
+            Ok((serde_json::to_string(&watches).unwrap_or_default(), ()))
+        };
+        block_in_place(|| self.plant.ledger.change_setting(&key(profile), changed))
     }
 
     /// The recorder stops watching for the owner, until it is restored.
@@ -65,6 +56,10 @@ impl Watches {
         }
         self.ros.wishes_changed();
     }
+}
+
+fn read(text: Option<&str>) -> List {
+    text.and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
 }
 
 fn key(profile: &ProfileName) -> String {

@@ -1,18 +1,19 @@
 //! What robots need from their owner where the gateway is not this home's: their notices, brought to the gateway where they
 //! ask for them. A function of the ledger: run again, it does what is left.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::task::block_in_place;
 
 use super::Devices;
-use super::enrolled::{Enrolled, EnrolledGateway};
+use super::enrolled::{Enrolled, EnrolledGateway, Step};
 use super::seat::Seat;
 use crate::crypto::enrolment::MOST_ADDRESSES;
 use crate::crypto::{GatewayAddresses, Notice, notice_topic};
 use crate::gateway::{Cabinet, Context, Upload};
-use crate::model::{ProfileName, RecordKind, clean};
+use crate::model::{ProfileName, RecordKind, RecorderId, clean};
 use crate::pipeline::authority::{Moment, may_sign};
 use crate::pipeline::{Network, Owner};
 use crate::service::event::NoticeLevel;
@@ -50,7 +51,7 @@ impl Devices {
             return Err(input("a robot has at most eight addresses of its gateway"));
         }
         // Until a new key is in place there is nobody whom robots would believe.
-        if owner.keyring().keyring.further.next_signing.is_some() {
+        if owner.keyring().keys().further.next_signing.is_some() {
             return Err(refused("the owner's key is being changed; try again when that is done"));
         }
         let subject = format!("{device}: {}", clean(&address, 255));
@@ -100,30 +101,31 @@ impl Devices {
         let mut away = Vec::new();
         for enrolled in self.enrolments.of(owner)?.iter().filter(is_lent) {
             let Some(gateway) = enrolled.gateway.as_ref().filter(|gateway| Some(gateway.key) != here) else { continue };
-            if away.contains(&gateway.key) || !self.carry(owner, network, enrolled, gateway).await? {
+            let waiting = block_in_place(|| self.notices_behind(owner, enrolled, gateway))?;
+            let why = match away.contains(&gateway.key) {
+                _ if waiting.is_empty() => None,
+                true => Some("its gateway cannot be reached now".to_owned()),
+                false => self.carry(owner, network, (enrolled, gateway), &waiting).await.err(),
+            };
+            if why.is_some() {
                 away.push(gateway.key);
             }
+            self.enrolments.note_untold(owner.address, enrolled, Step::Carry, why);
         }
         Ok(!away.is_empty())
     }
 
-    /// Brings a robot's notices to its gateway, oldest first. Returns whether it has all of them.
+    /// Brings a robot's notices to its gateway, oldest first.
+    ///
+    /// # Errors
+    /// Why it does not have all of them.
     async fn carry(
         &self,
         owner: &Arc<Owner>,
         network: &Network,
-        enrolled: &Enrolled,
-        gateway: &EnrolledGateway,
-    ) -> Result<bool, Failure> {
-        // Numbers begin anew under the recorder of a home that was restored.
-        let recorder = self.plant.ledger.recorder();
-        let place = format!("carried:{}:{}:{}:{recorder}", owner.address, enrolled.device, gateway.key);
-        let newest: u64 =
-            block_in_place(|| self.plant.ledger.setting(&place))?.and_then(|text| text.parse().ok()).unwrap_or(0);
-        let waiting = block_in_place(|| self.notices_behind(owner, enrolled, newest))?;
-        if waiting.is_empty() {
-            return Ok(true);
-        }
+        (enrolled, gateway): (&Enrolled, &EnrolledGateway),
+        waiting: &[RecordRow],
+    ) -> Result<(), String> {
         let context = Context { provider: self.plant.provider, domain: network.domain };
         let brought = async {
             let (name, token) = (courier(owner)?, self.known_token(owner, network)?);
@@ -132,36 +134,46 @@ impl Devices {
             for window in waiting.chunks(WINDOW) {
                 let uploads = block_in_place(|| self.uploads(window))?;
                 client.upload(uploads).await?;
-                let last = window.last().map_or(newest, |row| row.seq);
-                block_in_place(|| self.plant.ledger.put_setting(&place, &last.to_string()))?;
+                for row in window {
+                    let place = carried(owner, enrolled, gateway, row.recorder);
+                    block_in_place(|| self.plant.ledger.put_setting(&place, &row.seq.to_string()))?;
+                }
             }
             Ok::<_, Failure>(())
         };
-        if let Err(failure) = brought.await {
-            let addresses = clean(&gateway.addresses.join(", "), 600);
-            let text =
-                format!("'{}' cannot be served at the gateway {addresses} now: {}", enrolled.name, failure.message);
-            self.hub.notice(NoticeLevel::Warning, &text);
-            return Ok(false);
-        }
-        Ok(true)
+        let Err(failure) = brought.await else { return Ok(()) };
+        let addresses = clean(&gateway.addresses.join(", "), 600);
+        let text = format!("'{}' cannot be served at the gateway {addresses} now: {}", enrolled.name, failure.message);
+        self.hub.notice(NoticeLevel::Warning, &text);
+        Err(format!("its gateway {addresses}: {}", failure.message))
     }
 
-    /// The owner's notices to a robot with a higher number, in order.
-    fn notices_behind(&self, owner: &Owner, enrolled: &Enrolled, newest: u64) -> Result<Vec<RecordRow>, Failure> {
+    /// The owner's notices to a robot that its gateway does not have, oldest first. Numbers begin anew under the recorder of
+    /// a restored home and of a new key.
+    fn notices_behind(
+        &self,
+        owner: &Owner,
+        enrolled: &Enrolled,
+        gateway: &EnrolledGateway,
+    ) -> Result<Vec<RecordRow>, Failure> {
         let ledger = &self.plant.ledger;
         let query = RecordQuery {
             owner: Some(owner.address),
             topic_ids: Some(vec![owner.topic_id(&notice_topic(&enrolled.device))]),
-            recorder: Some(ledger.recorder()),
             kind: Some(RecordKind::Key),
             limit: MOST_NOTICES,
             newest_first: true,
             ..RecordQuery::default()
         };
         let mut rows = ledger.list(&query)?.rows;
-        rows.retain(|row| row.seq > newest);
-        rows.sort_unstable_by_key(|row| row.seq);
+        rows.retain(|row| ledger.recorder().has(&row.recorder));
+        let mut newest = BTreeMap::new();
+        for recorder in rows.iter().map(|row| row.recorder).collect::<BTreeSet<_>>() {
+            let text = ledger.setting(&carried(owner, enrolled, gateway, recorder))?;
+            newest.insert(recorder, text.and_then(|text| text.parse().ok()).unwrap_or(0_u64));
+        }
+        rows.retain(|row| newest.get(&row.recorder).is_none_or(|newest| row.seq > *newest));
+        rows.sort_unstable_by_key(|row| (row.acknowledged_at, row.seq));
         Ok(rows)
     }
 
@@ -174,6 +186,11 @@ impl Devices {
         }
         Ok(uploads)
     }
+}
+
+/// The setting with the number of the newest notice, under a recorder, that a robot's gateway has.
+fn carried(owner: &Owner, enrolled: &Enrolled, gateway: &EnrolledGateway, recorder: RecorderId) -> String {
+    format!("carried:{}:{}:{}:{recorder}", owner.address, enrolled.device, gateway.key)
 }
 
 /// The name under which an owner's site brings notices to gateways: its own, whatever profiles there are called.

@@ -4,6 +4,7 @@ use crate::pipeline::Plant;
 use crate::service::hub::Hub;
 use crate::site::parts::Parts;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::watch;
 use tokio::task::block_in_place;
@@ -57,15 +58,33 @@ pub(in crate::site) struct Enrolments {
     pub(super) sealed: watch::Sender<()>,
     /// Notices are numbered one at a time.
     pub(super) sealing: Mutex<()>,
-    /// What is noted is changed one change at a time.
-    noting: Mutex<()>,
+    /// Robots that lack a notice, and why.
+    untold: Mutex<BTreeMap<(Address, SignerId, Step), Untold>>,
+}
+
+/// A step of a notice on its way to a robot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Step {
+    /// Sealing and storing it here.
+    Seal,
+    /// Bringing it to a gateway elsewhere.
+    Carry,
+}
+
+/// A robot that a notice cannot reach.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(in crate::site) struct Untold {
+    /// N.
+    pub name: ProfileName,
+    /// Why.
+    pub why: String,
 }
 
 impl Enrolments {
     /// From the shared parts.
     pub fn new(parts: &Parts) -> Self {
         let Parts { plant, hub, .. } = parts.clone();
-        Self { plant, hub, sealed: watch::channel(()).0, sealing: Mutex::default(), noting: Mutex::default() }
+        Self { plant, hub, sealed: watch::channel(()).0, sealing: Mutex::default(), untold: Mutex::default() }
     }
 }
 
@@ -106,14 +125,31 @@ impl Enrolments {
 
     /// Notes another device.
     pub(super) fn add(&self, owner: &Owner, enrolled: Enrolled) -> Result<(), Failure> {
-        let _alone = self.noting.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut all = self.of(owner)?;
-        all.push(enrolled);
-        self.write(owner, &all)
+        self.change_all(owner, |all| all.push(enrolled))
+    }
+
+    /// Notes why a step of a robot's notices fails; `None` once it works or is not needed.
+    pub(super) fn note_untold(&self, owner: Address, robot: &Enrolled, step: Step, why: Option<String>) {
+        let mut untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
+        let place = (owner, robot.device, step);
+        match why {
+            Some(why) => drop(untold.insert(place, Untold { name: robot.name.clone(), why })),
+            None => drop(untold.remove(&place)),
+        }
+    }
+
+    /// The robots that lack a notice, of one owner or of all.
+    pub(in crate::site) fn untold(&self, owner: Option<Address>) -> Vec<Untold> {
+        let untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
+        let of = |whose: &Address| owner.is_none_or(|owner| owner == *whose);
+        untold.iter().filter(|((whose, ..), _)| of(whose)).map(|(_, untold)| untold.clone()).collect()
     }
 
     /// Notes that a device was recalled.
     pub(super) fn note_recalled(&self, owner: &Owner, device: SignerId) -> Result<(), Failure> {
+        let mut untold = self.untold.lock().unwrap_or_else(PoisonError::into_inner);
+        untold.retain(|(whose, of, _), _| (*whose, *of) != (owner.address, device));
+        drop(untold);
         self.change(owner, device, |enrolled| enrolled.ended = true)
     }
 
@@ -124,16 +160,24 @@ impl Enrolments {
         device: SignerId,
         change: impl Fn(&mut Enrolled),
     ) -> Result<(), Failure> {
-        let _alone = self.noting.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut all = self.of(owner)?;
-        all.iter_mut().filter(|enrolled| enrolled.device == device).for_each(change);
-        self.write(owner, &all)
+        self.change_all(owner, |all| all.iter_mut().filter(|enrolled| enrolled.device == device).for_each(change))
     }
 
-    fn write(&self, owner: &Owner, all: &[Enrolled]) -> Result<(), Failure> {
-        let text = serde_json::to_string(all).unwrap_or_default();
-        Ok(block_in_place(|| self.plant.ledger.put_setting(&place(owner.address), &text))?)
+    fn change_all(&self, owner: &Owner, change: impl FnOnce(&mut Vec<Enrolled>)) -> Result<(), Failure> {
+        let changed = |text: Option<&str>| {
+            let mut all = read(text);
+            change(&mut all);
+            Ok((serde_json::to_string(&all).unwrap_or_default(), ()))
+        };
+        block_in_place(|| self.plant.ledger.change_setting(&place(owner.address), changed))
     }
+}
+
+/// Which robots cannot be told what, in words.
+pub(in crate::site) fn words(untold: &[Untold]) -> String {
+    let each: Vec<String> =
+        untold.iter().map(|robot| format!("'{}' ({})", robot.name, clean(&robot.why, 300))).collect();
+    format!("FAILED to tell {}", each.join(", "))
 }
 
 /// The robots enrolled by an account, oldest first. Waits for the disk.
@@ -141,8 +185,11 @@ impl Enrolments {
 /// # Errors
 /// Errors of the ledger.
 pub(in crate::site) fn of_account(ledger: &Ledger, owner: Address) -> Result<Vec<Enrolled>, Failure> {
-    let text = ledger.setting(&place(owner))?;
-    Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
+    Ok(read(ledger.setting(&place(owner))?.as_deref()))
+}
+
+fn read(text: Option<&str>) -> Vec<Enrolled> {
+    text.and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
 }
 
 fn place(owner: Address) -> String {

@@ -3,6 +3,7 @@
 mod courier;
 pub(super) mod enrolled;
 pub(super) mod enrolling;
+mod following;
 #[cfg(test)]
 mod loan_tests;
 mod policies;

@@ -2,8 +2,7 @@
 
 use std::sync::PoisonError;
 
-use super::enrolled::Enrolled;
-use super::enrolled::Enrolments;
+use super::enrolled::{Enrolled, Enrolments, Step, words};
 use crate::crypto::{IssuedKeys, Notice, OwnerKeyChange, notice_key, notice_topic};
 use crate::model::{PublicKey, RecordKind, RingSpan, Timestamp};
 use crate::pipeline::authority::{Moment, may_sign};
@@ -15,30 +14,48 @@ use crate::service::reply::Failure;
 const TYPE: &str = "authros/Keys";
 
 impl Enrolments {
-    /// Seals a notice for each lent robot that does not know what it should seal under. A function of ledger and
-    /// keyring: called again, it does what is left.
+    /// Seals a notice for each lent robot that does not know what it should seal under, whatever happens to the others. A
+    /// function of ledger and keyring: called again, it does what is left.
     ///
     /// # Errors
-    /// Errors of ledger and vault.
+    /// If some cannot be told: the first one's error, with the names of all.
     pub(in crate::site) fn tell_devices(&self, owner: &Owner, network: &Network) -> Result<(), Failure> {
         let sealing = owner.sealing().is_some_and(|keys| keys.domain == network.domain);
-        for device in self.of(owner)?.iter().filter(|_| sealing) {
+        // Until a new key is in place there is nobody whom robots would believe.
+        if !sealing || owner.keyring().keys().further.next_signing.is_some() {
+            return Ok(());
+        }
+        let mut first = None;
+        for device in &self.of(owner)? {
             let now = Moment::newest(network.directory.now());
             if device.ended || may_sign(&network.directory, owner.address, device.device, now).is_err() {
+                self.note_untold(owner.address, device, Step::Seal, None);
+                self.note_untold(owner.address, device, Step::Carry, None);
                 continue;
             }
-            // Until a new key is in place there is nobody whom robots would believe.
-            if owner.keyring().keyring.further.next_signing.is_some() {
-                continue;
-            }
-            let keys = self.issue(owner, network, device)?;
-            let told = self.plant.ledger.setting(&place(owner, device))?;
-            if told.as_deref() != Some(summary(&keys).as_str()) {
-                let epoch = keys.now.epoch;
-                self.seal_notice(owner, network, device, epoch, &Notice::Keys(keys.clone()))?;
-                self.note_told(owner, device, &keys)?;
-                self.hub.stored.notify_waiters();
-            }
+            let told = self.tell_device(owner, network, device);
+            self.note_untold(
+                owner.address,
+                device,
+                Step::Seal,
+                told.as_ref().err().map(|failure| failure.message.clone()),
+            );
+            first = first.or(told.err());
+        }
+        match first {
+            Some(failure) => Err(Failure { message: words(&self.untold(Some(owner.address))), ..failure }),
+            None => Ok(()),
+        }
+    }
+
+    fn tell_device(&self, owner: &Owner, network: &Network, device: &Enrolled) -> Result<(), Failure> {
+        let keys = self.issue(owner, network, device)?;
+        let told = self.plant.ledger.setting(&place(owner, device))?;
+        if told.as_deref() != Some(summary(&keys).as_str()) {
+            let epoch = keys.now.epoch;
+            self.seal_notice(owner, network, device, epoch, &Notice::Keys(keys.clone()))?;
+            self.note_told(owner, device, &keys)?;
+            self.hub.stored.notify_waiters();
         }
         Ok(())
     }

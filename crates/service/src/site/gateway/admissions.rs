@@ -18,6 +18,7 @@ use crate::model::{Address, Party, ProfileName, Timestamp};
 use crate::service::event::Part;
 use crate::service::failure::{input, internal, refused};
 use crate::service::reply::{AdmittedView, Failure};
+use crate::store::Ledger;
 
 /// Where the list is stored in the ledger.
 const LIST: &str = "gateway admitted";
@@ -69,17 +70,20 @@ impl Admissions {
     /// locks nobody out.
     fn list(&self) -> Result<Vec<Admitted>, Failure> {
         let ledger = &self.plant.ledger;
+        let unread = |_| input("the list of admitted owners in the ledger cannot be read; restore a backup");
         if let Some(text) = block_in_place(|| ledger.setting(LIST))? {
-            return serde_json::from_str(&text)
-                .map_err(|_| input("the list of admitted owners in the ledger cannot be read; restore a backup"));
+            return serde_json::from_str(&text).map_err(unread);
         }
-        let bound: BTreeSet<Address> =
-            block_in_place(|| ledger.bound_names())?.into_iter().map(|(_, owner)| owner).collect();
-        let since = Timestamp::now();
-        let by = "had a name here before admission was introduced";
-        let list = bound.into_iter().map(|owner| Admitted { owner, since, by: by.to_owned() }).collect();
-        self.write(&list)?;
-        Ok(list)
+        // Somebody may be admitted meanwhile.
+        let first = |text: Option<&str>| {
+            let list = match text {
+                Some(text) => serde_json::from_str(text).map_err(unread)?,
+                None => bound(ledger)?,
+            };
+            let text = serde_json::to_string(&list).map_err(|error| internal(error.to_string()))?;
+            Ok::<_, Failure>((text, list))
+        };
+        block_in_place(|| ledger.change_setting(LIST, first))
     }
 
     fn write(&self, list: &Vec<Admitted>) -> Result<(), Failure> {
@@ -168,4 +172,11 @@ impl Admissions {
         });
         open.into_iter().chain(kept).collect()
     }
+}
+
+/// Everybody who has a name at this gateway.
+fn bound(ledger: &Ledger) -> Result<Vec<Admitted>, Failure> {
+    let owners: BTreeSet<Address> = ledger.bound_names()?.into_iter().map(|(_, owner)| owner).collect();
+    let (since, by) = (Timestamp::now(), "had a name here before admission was introduced");
+    Ok(owners.into_iter().map(|owner| Admitted { owner, since, by: by.to_owned() }).collect())
 }

@@ -12,7 +12,7 @@ use crate::crypto::{
 };
 use crate::gateway::{ErasedRecord, Fetched};
 use crate::model::head::Compression;
-use crate::model::{Domain, Hash, Head, RecordKind, RecorderId, Signature, Timestamp, Token, TopicId};
+use crate::model::{Domain, Hash, Head, RecordKind, RecorderPrefix, Signature, Timestamp, Token, TopicId};
 use crate::pipeline::Owner;
 use crate::site::gateway::GatewayDesk;
 use crate::site::testing::{registered, site_of};
@@ -148,7 +148,7 @@ fn record(network: &Network, owner: &Owner, signer: &SmKeyPair, seq: u64) -> Sea
         signer,
         epoch: 1,
         topic_key: &TopicKey::new([6; 32]),
-        recorder: RecorderId([4; 16]),
+        recorder: RecorderPrefix::ledger([4; 7]),
         seq,
         topic_id: TOPIC,
         kind: RecordKind::Data,
@@ -177,8 +177,7 @@ async fn by_hand(network: &Network, eoa: &EoaSecret, call: &Call) -> (Hash, u64,
 
 /// The record with the proof of its anchor, alone in its batch.
 async fn anchored(network: &Network, by: &EoaSecret, sealed: &SealedRecord, signer: &SmKeyPair) -> Fetched {
-    let Header { owner, recorder, topic_id, seq, .. } = sealed.header;
-    let root = Leaf { owner, recorder, topic_id, seq, digest: sealed.digest }.hash();
+    let root = Leaf::of(&sealed.header, sealed.digest).hash();
     let previous = network.chain.anchor_head(by.address()).await.expect("answered");
     let (transaction, block, block_hash) = by_hand(network, by, &Call::Anchor { root, count: 1, previous }).await;
     let inclusion = Some(Inclusion { index: 0, count: 1, path: Vec::new(), root });

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use tokio::task::block_in_place;
 
 use super::pairs::NewPairs;
-use crate::crypto::{Fingerprint, SmKeyPair, keyfile};
+use crate::crypto::{Fingerprint, Keyring, SmKeyPair, keyfile};
 use crate::model::RecordState;
 use crate::pipeline::{Network, Owner};
 use crate::service::command::{KeyKind, SecretBytes, SecretText};
@@ -53,7 +53,7 @@ impl Profiles {
         let loaded = match kind {
             KeyKind::Sm4 => self.load_sm4(owner, path, registered.is_some()).await,
             KeyKind::Sm2 => self.load_sm2(owner, path, registered.as_ref()).await,
-            KeyKind::Eoa => self.load_eoa(owner, path, passphrase, registered.is_some()).await,
+            KeyKind::Eoa => self.load_eoa(owner, path, passphrase).await,
         };
         let owner = self.log.end(owner, "load key", &word, loaded).await?;
         self.hub.changed(Part::Identity);
@@ -68,9 +68,12 @@ impl Profiles {
     ) -> Result<Arc<Owner>, Failure> {
         let key = blocking(self, move |_| Ok(keyfile::load_sm4(&path)?)).await?;
         {
-            let mut keyring = owner.keyring();
-            keyring.keyring.sm4 = key;
-            block_in_place(|| keyring.save())?;
+            let _one_at_a_time = owner.changes.lock().await;
+            let loaded = |keys: &mut Keyring| {
+                keys.sm4 = key;
+                Ok(())
+            };
+            block_in_place(|| owner.keyring().change(loaded))?;
         }
         if registered {
             self.sharing.rotate(owner, "a new SM4 key was loaded").await?;
@@ -120,9 +123,11 @@ impl Profiles {
         owner: &Arc<Owner>,
         path: PathBuf,
         passphrase: Option<SecretText>,
-        registered: bool,
     ) -> Result<Arc<Owner>, Failure> {
-        if registered {
+        // Registered meanwhile, the account and the keys of its epochs would be lost.
+        let _one_at_a_time = owner.changes.lock().await;
+        self.is_current(owner)?;
+        if self.registered_network(owner).await?.is_some() {
             return Err(refused(format!(
                 "profile '{}' is registered as {}; an EOA is an identity, so create another profile for another EOA",
                 owner.profile, owner.address
@@ -134,13 +139,13 @@ impl Profiles {
         }
         let key =
             blocking(self, move |_| Ok(keyfile::load_eoa(&path, passphrase.as_ref().map(SecretText::expose))?)).await?;
-        {
-            let mut keyring = owner.keyring();
-            keyring.keyring.eoa = key;
-            keyring.keyring.networks.clear();
-            block_in_place(|| keyring.save())?;
-        }
-        Ok(self.reopen(owner))
+        let loaded = |keys: &mut Keyring| {
+            keys.eoa = key;
+            keys.networks.clear();
+            Ok(())
+        };
+        block_in_place(|| owner.keyring().change(loaded))?;
+        Ok(self.put_in_place(owner.with_new_account()))
     }
 
     /// Exports one key, in the format of other tools.
@@ -163,7 +168,7 @@ impl Profiles {
     ) -> Result<Vec<u8>, Failure> {
         let (sm4, signing, eoa) = {
             let keyring = owner.keyring();
-            (keyring.keyring.sm4.clone(), keyring.keyring.signing.clone(), keyring.keyring.eoa.clone())
+            (keyring.keys().sm4.clone(), keyring.keys().signing.clone(), keyring.keys().eoa.clone())
         };
         match kind {
             KeyKind::Sm4 => Ok(keyfile::sm4_hex(&sm4).as_bytes().to_vec()),

@@ -20,6 +20,7 @@ impl Profiles {
     /// Wipes the keys for reading, granting and revoking. A running change of epochs or grants is waited for a moment:
     /// without its keys it could not be finished.
     pub(in crate::site) async fn lock(self: &Arc<Self>, profile: &ProfileName) -> Result<IdentityView, Failure> {
+        let _not_opened = self.owners.opening(profile).await;
         if let Some(owner) = self.owners.get(profile).filter(|owner| !owner.is_locked()) {
             {
                 // One that hangs is cut off: what it leaves open is resumed at the next unlock.

@@ -103,6 +103,7 @@ impl Profiles {
         secret: SecretText,
     ) -> Result<IdentityView, Failure> {
         let path = self.home.keyring(&profile);
+        let _one_at_a_time = self.owners.opening(&profile).await;
         if path.exists() {
             return Err(refused(format!(
                 "profile '{profile}' already exists; `authros --profile {profile} identity show` shows it"
@@ -125,14 +126,15 @@ impl Profiles {
         profile: ProfileName,
         secret: SecretText,
     ) -> Result<IdentityView, Failure> {
-        let there = self.owners.get(&profile);
-        if there.as_ref().is_none_or(|owner| owner.is_locked()) {
+        if self.owners.get(&profile).is_none_or(|owner| owner.is_locked()) {
+            let _one_at_a_time = self.owners.opening(&profile).await;
             let path = self.home.keyring(&profile);
             let passphrase = Passphrase::new(secret.expose().to_owned())?;
             let opened = blocking(self, move |_| Ok(UnlockedKeyring::open(&path, &passphrase)?)).await;
             let outcome = if opened.is_ok() { "done" } else { "refused" };
             self.log.write(&profile, "unlock", "keyring", outcome).await?;
-            match there {
+            // Opened by another request meanwhile, the owner keeps the keys it has.
+            match self.owners.get(&profile) {
                 Some(owner) => owner.unlock(opened?),
                 None => drop(self.open(profile.clone(), opened?)),
             }
@@ -159,6 +161,8 @@ impl Profiles {
         }
         let (old, new) = (Passphrase::new(old.expose().to_owned())?, Passphrase::new(new.expose().to_owned())?);
         self.log.write(profile, "change passphrase", "keyring", "begun").await?;
+        // Nor is it opened with the old passphrase meanwhile: what was read before could never be saved again.
+        let not_opened = self.owners.opening(profile).await;
         let owner = self.owners.get(profile).filter(|owner| !owner.is_locked());
         // No save of the keyring under the old passphrase may come after it.
         let _one_at_a_time = match &owner {
@@ -167,6 +171,7 @@ impl Profiles {
         };
         let open = owner.clone();
         let changed = blocking(self, move |_| {
+            let _until_written = not_opened;
             // Also for an open keyring: the caller has to know the current one.
             let mut kept = UnlockedKeyring::open(&path, &old)?;
             match &open {
@@ -179,9 +184,14 @@ impl Profiles {
         self.log.ended(profile, "change passphrase", "keyring", changed).await
     }
 
-    /// Puts an open keyring into the site, replacing the profile's previous one.
+    /// Puts an open keyring into the site. The caller holds [`Owners::opening`] and has seen that none is open.
     pub(super) fn open(self: &Arc<Self>, profile: ProfileName, keyring: UnlockedKeyring) -> Arc<Owner> {
-        let owner = Arc::new(Owner::new(profile, keyring));
+        self.put_in_place(Owner::new(profile, keyring))
+    }
+
+    /// Puts an owner into the site, replacing the profile's previous one, which has the same keyring.
+    pub(super) fn put_in_place(self: &Arc<Self>, owner: Owner) -> Arc<Owner> {
+        let owner = Arc::new(owner);
         self.pins.introduce(&owner);
         self.owners.insert(&owner);
         self.seal_as_before(&owner);
@@ -201,10 +211,15 @@ impl Profiles {
         }
     }
 
-    /// Opens an owner again after its account changed.
-    pub(super) fn reopen(self: &Arc<Self>, owner: &Arc<Owner>) -> Arc<Owner> {
-        let keyring = owner.keyring().duplicate();
-        self.open(owner.profile.clone(), keyring)
+    /// Refuses to go on with an owner whose account was replaced while it was waited for.
+    pub(super) fn is_current(&self, owner: &Arc<Owner>) -> Result<(), Failure> {
+        if self.owners.is_open(owner) {
+            return Ok(());
+        }
+        Err(refused(format!(
+            "the account of profile '{}' was replaced meanwhile, so nothing was done; run the command again",
+            owner.profile
+        )))
     }
 
     /// The public side of a profile; needs no passphrase.

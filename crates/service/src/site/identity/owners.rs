@@ -1,7 +1,7 @@
 //! The profiles of the home, and the owners behind those whose keyrings were opened here.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
 use tokio::sync::mpsc;
 use tokio::task::block_in_place;
@@ -17,6 +17,8 @@ use crate::service::reply::Failure;
 pub(in crate::site) struct Owners {
     home: Home,
     open: RwLock<BTreeMap<ProfileName, Arc<Owner>>>,
+    /// Profiles that are being opened, locked or given another passphrase.
+    opening: Mutex<BTreeMap<ProfileName, Arc<tokio::sync::Mutex<()>>>>,
     /// Receives each owner as it is opened.
     opened: mpsc::UnboundedSender<Arc<Owner>>,
 }
@@ -24,7 +26,18 @@ pub(in crate::site) struct Owners {
 impl Owners {
     /// Nobody yet; `opened` receives each owner that is opened.
     pub fn new(home: Home, opened: mpsc::UnboundedSender<Arc<Owner>>) -> Self {
-        Self { home, open: RwLock::default(), opened }
+        Self { home, open: RwLock::default(), opening: Mutex::default(), opened }
+    }
+
+    /// Waits until nobody else opens, locks or newly protects the keyring of a profile, and keeps others from it while
+    /// held: a keyring that is read twice has two copies, of which one is out of date with the first change.
+    pub async fn opening(&self, profile: &ProfileName) -> tokio::sync::OwnedMutexGuard<()> {
+        let lock = {
+            let mut opening = self.opening.lock().unwrap_or_else(PoisonError::into_inner);
+            opening.retain(|_, lock| Arc::strong_count(lock) > 1);
+            Arc::clone(opening.entry(profile.clone()).or_default())
+        };
+        lock.lock_owned().await
     }
 
     /// Adds an opened owner, replacing the profile's previous one.

@@ -9,7 +9,7 @@ use std::time::Duration;
 use tokio::task::block_in_place;
 
 use crate::chain::Call;
-use crate::crypto::{SmKeyPair, open_transport_key, prove, seal_transport_key, signer_id};
+use crate::crypto::{Keyring, SmKeyPair, open_transport_key, prove, seal_transport_key, signer_id};
 use crate::gateway::Cabinet;
 use crate::model::{RecordState, SignerId};
 use crate::pipeline::{Network, Owner};
@@ -52,13 +52,12 @@ impl Profiles {
         }
         {
             let mut keyring = owner.keyring();
-            let before = keyring.keyring.clone();
-            keyring.keyring.further.next_signing = new.signing;
-            keyring.keyring.further.next_envelope = new.envelope;
-            if let Err(error) = block_in_place(|| keyring.save()) {
-                keyring.keyring = before;
-                return Err(error.into());
-            }
+            let noted = |keys: &mut Keyring| {
+                keys.further.next_signing = new.signing;
+                keys.further.next_envelope = new.envelope;
+                Ok(())
+            };
+            block_in_place(|| keyring.change(noted))?;
         }
         match network {
             Some(network) => self.finish_pairs(owner, network).await,
@@ -74,7 +73,7 @@ impl Profiles {
     ) -> Result<(), Failure> {
         let (signing, envelope, moves) = {
             let keyring = owner.keyring();
-            let (ring, further) = (&keyring.keyring, &keyring.keyring.further);
+            let (ring, further) = (keyring.keys(), &keyring.keys().further);
             if further.next_signing.is_none() && further.next_envelope.is_none() {
                 return Ok(());
             }
@@ -141,23 +140,21 @@ impl Profiles {
         let founded = block_in_place(|| Cabinet::founded_in(&self.home.gateway()));
         {
             let mut keyring = owner.keyring();
-            let before = keyring.keyring.clone();
-            let ring = &mut keyring.keyring;
-            if let Some(next) = ring.further.next_signing.take() {
-                let former = std::mem::replace(&mut ring.signing, next);
-                // Robots and joined sites have pinned the gateway's identity: it stays.
-                if ring.further.gateway.is_none() && founded == Some(signer_id(&former.public)) {
-                    ring.further.gateway = Some(former);
+            let taken_over = |keys: &mut Keyring| {
+                if let Some(next) = keys.further.next_signing.take() {
+                    let former = std::mem::replace(&mut keys.signing, next);
+                    // Robots and joined sites have pinned the gateway's identity: it stays.
+                    if keys.further.gateway.is_none() && founded == Some(signer_id(&former.public)) {
+                        keys.further.gateway = Some(former);
+                    }
                 }
-            }
-            if let Some(next) = ring.further.next_envelope.take() {
-                let former = std::mem::replace(&mut ring.envelope, next);
-                ring.further.envelopes.push(former);
-            }
-            if let Err(error) = block_in_place(|| keyring.save()) {
-                keyring.keyring = before;
-                return Err(error.into());
-            }
+                if let Some(next) = keys.further.next_envelope.take() {
+                    let former = std::mem::replace(&mut keys.envelope, next);
+                    keys.further.envelopes.push(former);
+                }
+                Ok(())
+            };
+            block_in_place(|| keyring.change(taken_over))?;
         }
         let Some(network) = network else { return Ok(()) };
         block_in_place(|| self.reseal_kept(owner))?;

@@ -14,6 +14,7 @@ impl Profiles {
     pub(in crate::site) async fn register(self: &Arc<Self>, owner: &Arc<Owner>) -> Result<IdentityView, Failure> {
         let network = self.connection.network_or_deploy(owner).await?;
         let _one_at_a_time = owner.changes.lock().await;
+        self.is_current(owner)?;
         if network.directory.identity(owner.address).is_err() {
             self.connection.fund(&network.chain, owner).await?;
             self.send_registration(owner, &network).await?;

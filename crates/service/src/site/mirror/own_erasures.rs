@@ -9,6 +9,7 @@ use super::remote::Remote;
 use super::{Broken, Joined};
 use crate::gateway::command::erasure::MOST_ERASURES;
 use crate::gateway::{Client, Code, ErasureNotice, ErasureOutcome, GatewayError};
+use crate::model::bytes::hex;
 use crate::model::{Address, Digest, PublicKey, clean};
 use crate::pipeline::retention::erasing;
 use crate::pipeline::retention::told::{is_owners, notice_of};
@@ -110,7 +111,7 @@ impl Joined {
         }
         let keeper = remote.keeper(network)?;
         // Numbers are the ledger's own: those of a restored home begin anew.
-        let ledger = self.plant.ledger.recorder();
+        let ledger = hex(self.plant.ledger.recorder().as_bytes());
         let name = format!("erasures told:{}:{ledger}:{keeper}:{}", network.domain, owner.address);
         let mut known = told.load(self, &name)?;
         told.begin(Instant::now());

@@ -116,12 +116,15 @@ impl Reading {
         }
         let text = reader.definition_text(row, record).await?;
         let (head, about) = (&record.head, importer::about(&record.head.tags));
-        // A ROS 2 publisher describes nothing; an empty text would say that its messages are empty.
-        let text = text.filter(|text| !text.is_empty() || !about.contains_key(crate::ros::ros2::WRITER));
         let (encoding, hash) = (importer::encoding(&head.tags), about.get(TYPE_HASH).map(|hash| &**hash));
-        let facts = TypeFacts { name: &head.type_name, encoding, text: text.as_deref(), hash };
+        let facts = TypeFacts { name: &head.type_name, encoding, text: text.as_deref(), hash, md5sum: &head.md5sum };
         let folders = Folders::of_prefixes(OsStr::new(&self.config.definitions));
-        Ok(block_in_place(|| Described::of(facts, &folders)))
+        let mut described = block_in_place(|| Described::of(facts, &folders));
+        if described.definition.as_ref().is_some_and(|definition| definition.is_ambiguous(&record.body)) {
+            let ambiguity = "its wide texts fit in more than one form (middlewares differ), so values may be wrong";
+            described.note = Some(described.note.map_or(ambiguity.into(), |note| format!("{note}; {ambiguity}")));
+        }
+        Ok(described)
     }
 
     async fn path_to(self: &Arc<Self>, owner: &Arc<Owner>, id: &str, records: usize) -> Result<PathView, Failure> {

@@ -85,11 +85,12 @@ impl Recordings {
     ) -> Result<ImportView, Failure> {
         self.sealer.begin()?;
         let file = clean(&path.display().to_string(), 300);
-        if self.runs.has(&owner.profile, &file) {
+        // Begun before it is asked: of two at once, one sees the other.
+        let running = self.begin_run(&owner.profile, path, "reading");
+        if !running.is_first() {
             return Err(refused(format!("{file} is already being imported; wait for that to finish")));
         }
         self.log.begin(owner, action, &file).await?;
-        let running = self.begin_run(&owner.profile, path, "reading");
         // Ends the import as a capture is ended: by the same command.
         let control = Arc::new(CaptureSession::new(&[], None, Vec::new()));
         self.capture.note(&owner.profile, &control);
@@ -211,7 +212,12 @@ impl Recordings {
         view.file = clean(&wishes.path.display().to_string(), 300);
         view.digest = Some(digest);
         view.left_out = left_out_list(left_out);
-        view.skipped = findings.messages_skipped + view.left_out.iter().map(|topic| topic.messages).sum::<u64>();
+        view.left_out.extend(findings.unusable.iter().map(|row| LeftOut {
+            topic: row.topic.clone(),
+            why: row.why.clone(),
+            messages: row.messages,
+        }));
+        view.skipped = view.left_out.iter().map(|topic| topic.messages).sum::<u64>();
         view.unguarded = findings.unguarded;
         view.damages.clone_from(&findings.damages);
         view.more_damages = findings.more_damages;

@@ -62,7 +62,17 @@ impl Sharing {
         network: &Network,
     ) -> Result<(), Failure> {
         self.foresee_expiry(owner, network, None)?;
-        block_in_place(|| self.enrolments.tell_devices(owner, network))?;
+        // A robot that cannot be told keeps no revocation from the chain.
+        let told = block_in_place(|| self.enrolments.tell_devices(owner, network));
+        self.settle_chain(owner, network).await.map_err(|failure| {
+            let message =
+                format!("the end of a grant of {} is not on the chain yet: {}", owner.profile, failure.message);
+            Failure { message, ..failure }
+        })?;
+        told
+    }
+
+    async fn settle_chain(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         if !self.owes(owner, network)? {
             return Ok(());
         }
@@ -120,29 +130,34 @@ impl Sharing {
 
     /// Notes that `grantee` is to lose the grant, whatever happens now.
     pub(in crate::site) fn owe_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
-        let mut owed = self.read_owed(owner)?;
-        if !owed.contains(&grantee) {
-            owed.push(grantee);
-        }
-        self.write_owed(owner, &owed)
+        self.change_owed(owner, |owed| {
+            if !owed.contains(&grantee) {
+                owed.push(grantee);
+            }
+        })
     }
 
     /// The revocation is on the chain, or a new grant takes its place.
     pub(in crate::site) fn settle_revocation(&self, owner: &Owner, grantee: Address) -> Result<(), Failure> {
-        let mut owed = self.read_owed(owner)?;
-        owed.retain(|other| *other != grantee);
-        self.write_owed(owner, &owed)
+        self.change_owed(owner, |owed| owed.retain(|other| *other != grantee))
     }
 
     fn read_owed(&self, owner: &Owner) -> Result<Vec<Address>, Failure> {
-        let text = block_in_place(|| self.plant.ledger.setting(&owed_key(owner)))?;
-        Ok(text.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default())
+        Ok(read(block_in_place(|| self.plant.ledger.setting(&owed_key(owner)))?.as_deref()))
     }
 
-    fn write_owed(&self, owner: &Owner, owed: &[Address]) -> Result<(), Failure> {
-        let text = serde_json::to_string(owed).unwrap_or_default();
-        Ok(block_in_place(|| self.plant.ledger.put_setting(&owed_key(owner), &text))?)
+    fn change_owed(&self, owner: &Owner, change: impl FnOnce(&mut Vec<Address>)) -> Result<(), Failure> {
+        let changed = |text: Option<&str>| {
+            let mut owed = read(text);
+            change(&mut owed);
+            Ok((serde_json::to_string(&owed).unwrap_or_default(), ()))
+        };
+        block_in_place(|| self.plant.ledger.change_setting(&owed_key(owner), changed))
     }
+}
+
+fn read(text: Option<&str>) -> Vec<Address> {
+    text.and_then(|text| serde_json::from_str(text).ok()).unwrap_or_default()
 }
 
 fn owed_key(owner: &Owner) -> String {
@@ -177,10 +192,7 @@ impl Sharing {
                 let pause = resting.get(&owner.address).map_or(Duration::from_secs(2), |(_, pause)| *pause * 2);
                 let pause = pause.min(LONGEST_REST);
                 resting.insert(owner.address, (Instant::now() + pause, pause));
-                self.hub.notice(
-                    NoticeLevel::Error,
-                    &format!("the end of a grant of {} is not on the chain yet: {}", owner.profile, failure.message),
-                );
+                self.hub.notice(NoticeLevel::Error, &failure.message);
             }
         }
     }

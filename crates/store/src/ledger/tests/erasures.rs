@@ -35,8 +35,9 @@ fn move_to(ledger: &Ledger, record: &NewRecord, state: RecordState) {
 /// Takes a record as its owner told of it, anchored alone in block 10.
 fn take(ledger: &Ledger, record: &NewRecord, statement: Vec<u8>) -> Result<ToldErased, StoreError> {
     ledger.walk_to("watcher", (10, Hash([60; 32])), Vec::new()).expect("walked");
-    let NewRecord { owner, topic_id, seq, digest, .. } = *record;
-    let tree = Tree::new(Leaf::hashes(&[Leaf { owner, recorder: THERE, topic_id, seq, digest }])).expect("a leaf");
+    let NewRecord { owner, signer, topic_id, seq, digest, .. } = *record;
+    let leaf = Leaf { owner, signer, recorder: THERE, topic_id, seq, digest };
+    let tree = Tree::new(Leaf::hashes(&[leaf])).expect("a leaf");
     let (root, transaction, block_hash) = (tree.root(), Hash([50; 32]), Hash([60; 32]));
     let inclusion = Inclusion { index: 0, count: 1, path: tree.path(0), root };
     let anchor = RootSighting { account: Address([8; 20]), root, count: 1, transaction, block: 10, block_hash };

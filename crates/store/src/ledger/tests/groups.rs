@@ -97,7 +97,7 @@ proptest! {
             prop_assert!(answer != Err(StoreError::Closed));
             let Ask::Append(count) = ask else { continue };
             let count = if kept { *count } else { 0 };
-            prop_assert_eq!(ledger.next_seq(Address([2; 20]), TopicId([topic; 16])), Ok(count + 1));
+            prop_assert_eq!(ledger.next_seq(Address([2; 20]), SignerId([2; 32]), TopicId([topic; 16])), Ok(count + 1));
             expected += count;
         }
         prop_assert_eq!(ledger.counts(None).expect("counts").captured(), expected);

@@ -8,7 +8,7 @@ use super::*;
 use crate::crypto::record::RecordSecret;
 use crate::crypto::{ProviderName, SealRequest, SmKeyPair, TopicKey, domain, provider, seal};
 use crate::model::head::Compression;
-use crate::model::{Address, Digest, Hash, Head, RecordKind, RecorderId, Timestamp, TopicId};
+use crate::model::{Address, Digest, Hash, Head, RecordKind, RecorderPrefix, Timestamp, TopicId};
 
 const HOSTILE: &str = "</td></table><script>alert('x')</script>\"onload=&amp;\u{202e}";
 
@@ -35,7 +35,7 @@ fn told(type_name: &str, definition: &str, body: &[u8]) -> (Bundle, Report) {
         signer: &keys,
         epoch: 1,
         topic_key: &topic_key,
-        recorder: RecorderId([5; 16]),
+        recorder: RecorderPrefix::ledger([5; 7]),
         seq: 1,
         topic_id: TopicId([6; 16]),
         kind: RecordKind::Data,

@@ -13,7 +13,7 @@ pub(super) struct Batch {
 
 fn leaf(new: &NewRecord) -> Leaf {
     let recorder = crate::model::RecorderId([0; 16]);
-    Leaf { owner: new.owner, recorder, topic_id: new.topic_id, seq: new.seq, digest: new.digest }
+    Leaf { owner: new.owner, signer: new.signer, recorder, topic_id: new.topic_id, seq: new.seq, digest: new.digest }
 }
 
 impl Model {
