@@ -140,7 +140,8 @@ pub fn incident(view: &IncidentView) -> String {
         format!("{} ({}): {} to {to}", view.name, state(view), view.since),
         format!("{} records, {} bytes, held from retention", view.records, view.bytes),
     ];
-    lines.extend(view.notes.iter().map(|note| format!("{}  {}", note.at, note.text)));
+    // Further lines of a note are indented: none of them looks like a note of its own.
+    lines.extend(view.notes.iter().map(|note| format!("{}  {}", note.at, note.text.replace('\n', "\n    "))));
     let row = |one: &SpanCoverageView| {
         let [records, lost, quarantined, deleted] =
             [one.records, one.lost, one.quarantined, one.deleted].map(|count| count.to_string());

@@ -7,7 +7,7 @@ use authros::crypto::{
 };
 use authros::gateway::Upload;
 use authros::model::head::Compression;
-use authros::model::{Digest, Head, RecordKind, RecorderId, Timestamp};
+use authros::model::{Digest, Head, RecordKind, RecorderPrefix, Timestamp};
 use serde_json::Value;
 
 use crate::enrolled_robot::{Robot, Scene, session};
@@ -25,13 +25,13 @@ const LINES: &str =
 struct Thief {
     robot: Enrolment,
     index: IndexKey,
-    recorder: RecorderId,
+    recorder: RecorderPrefix,
 }
 
 impl Thief {
     fn of(robot: Enrolment) -> Self {
         let index = robot.index.clone().expect("a robot of all topics");
-        Self { robot, index, recorder: RecorderId(random_bytes().expect("random")) }
+        Self { robot, index, recorder: RecorderPrefix::ledger(random_bytes().expect("random")) }
     }
 
     /// A record filed under one topic and type whose head names others; the beginning of its digest.

@@ -254,13 +254,16 @@ fn with_head<'a>(plant: &Plant, digest: Digest, front: &'a [u8], header: &Header
     longer.map_or(Cow::Borrowed(front), Cow::Owned)
 }
 
-/// What the signer of a record wrote a false name of, as far as there is a key for its head here; `front` is its first
-/// bytes.
-pub(super) fn false_name(plant: &Plant, keys: &dyn Keys, digest: Digest, front: &[u8]) -> Option<&'static str> {
+/// What the signer of a record wrote a false name of; `front` is its first bytes.
+pub(super) fn false_name(
+    plant: &Plant,
+    (key, names): &(TopicKey, Names),
+    digest: Digest,
+    front: &[u8],
+) -> Option<&'static str> {
     let (header, length) = Header::parse(front).ok()?;
-    let (key, names) = keys.opening(&header)?;
     let front = with_head(plant, digest, front, &header, length);
-    match open_front(plant.provider, &front, &key, &names) {
+    match open_front(plant.provider, &front, key, names) {
         Err(CryptoError::FalseName(what)) => Some(what),
         _ => None,
     }

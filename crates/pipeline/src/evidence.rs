@@ -11,6 +11,7 @@ use authros_evidence::{
 use tokio::task::block_in_place;
 
 use crate::chain::{Chain, ChainError, SealerKind};
+use crate::crypto::CryptoError;
 use crate::crypto::record::{RecordSecret, open_revealed};
 use crate::crypto::signer_id;
 use crate::model::{Address, Digest, ErrorKind, Hash, Header, PublicKey, SignerId};
@@ -149,7 +150,7 @@ fn stored(
             None => Err(PipelineError::Missing(row.id.clone())),
         };
     };
-    let (header, _) = Header::parse(&record).map_err(crate::crypto::CryptoError::DamagedRecord)?;
+    let (header, _) = Header::parse(&record).map_err(CryptoError::DamagedRecord)?;
     if let Some(field) = columns::header_difference(row, &header) {
         return Err(PipelineError::RowDiffers { id: row.id.clone(), field });
     }
@@ -182,11 +183,17 @@ async fn disclosed(
     gathered: &mut Gathered,
 ) -> Result<Disclosure, PipelineError> {
     let (plant, network) = (reader.plant, reader.network);
-    let opened = reader.open(row).await?;
+    let opened = reader.open(row).await.map_err(|error| match error {
+        PipelineError::Crypto(CryptoError::FalseName(what)) => PipelineError::Refused(format!(
+            "record {} is not disclosed: its signer wrote a false {what} into it; reveal others, or none",
+            row.id
+        )),
+        error => error,
+    })?;
     if let Some(definition) = reader.definition_text(row, &opened).await? {
         gathered.packing.definition(&definition, plant.provider);
     }
-    let (key, _) = Keys::opening(reader, header).ok_or(crate::crypto::CryptoError::WrongKey)?;
+    let (key, _) = Keys::opening(reader, header).ok_or(CryptoError::WrongKey)?;
     let secret = RecordSecret::of(&key, header);
     open_revealed(plant.provider, record, &secret)?;
     disclose(secret, (&network.domain, &row.digest), &reader.reader.signing(), plant.provider).map_err(refused)

@@ -13,7 +13,7 @@ use tokio::task::block_in_place;
 
 use crate::chain::AnchorProof;
 use crate::chain::merkle::Leaf;
-use crate::crypto::{SealedRecord, signer_id};
+use crate::crypto::{CryptoError, SealedRecord, signer_id};
 use crate::gateway::{Entry, Fetched, Standing};
 use crate::model::{Address, Digest, Hash, Header, RecordState, Timestamp};
 use crate::store::{NewRecord, RecordRow, RootSighting, Sighting, StoreError};
@@ -271,7 +271,13 @@ impl Mirror<'_> {
         block: Option<u64>,
     ) -> Result<(), PipelineError> {
         let asked = RecordRow { block, ..row_of(&header, digest, &fetched) };
-        let opened = self.opener().open_bytes(&asked, &fetched.blob).await?;
+        let opened = self.opener().open_bytes(&asked, &fetched.blob).await.map_err(|error| match error {
+            PipelineError::Crypto(CryptoError::FalseName(what)) => {
+                let why = format!("its signer wrote a false {what} into it");
+                PipelineError::NotTakenIn { digest, why }
+            }
+            error => error,
+        })?;
         let sealed = SealedRecord { header, blob: fetched.blob, digest, signature: fetched.signature };
         let row = NewRecord::foreign(sealed, self.keeper).named(&opened.head);
         let claim = Claim::of(&row);

@@ -5,6 +5,7 @@ mod chain_proofs;
 mod erased;
 mod flipped;
 mod keeping;
+mod misnamed;
 mod rights;
 
 use std::path::Path;

@@ -48,8 +48,8 @@ fn act(errand: &Errand) -> Option<String> {
         Tag::CreateIdentity => "identity create".to_owned(),
         Tag::Unlock => "keys list --passphrase-file FILE".to_owned(),
         Tag::Register => "register".to_owned(),
-        Tag::Watch(topic) => format!("topics watch {topic}"),
-        Tag::Unwatch(topic) => format!("topics unwatch {topic}"),
+        Tag::Watch(topic) => format!("topics watch {}", quoted(topic)),
+        Tag::Unwatch(topic) => format!("topics unwatch {}", quoted(topic)),
         Tag::Grant(_) | Tag::Extend(_) | Tag::Revoke(_) => of_right(command)?,
         Tag::LoadKey(_) | Tag::ExportKey(_) => of_key(command)?,
         Tag::Rotate => "keys rotate".to_owned(),
@@ -57,14 +57,14 @@ fn act(errand: &Errand) -> Option<String> {
         Tag::BackUp => "keys backup --out FILE".to_owned(),
         Tag::Administer(_) => of_administrator(command)?,
         Tag::Deploy => "chain deploy".to_owned(),
-        Tag::Pin(topic) => format!("topics pin {topic}"),
+        Tag::Pin(topic) => format!("topics pin {}", quoted(topic)),
         Tag::Unpin(topic) => {
             let Command::UnpinTopic { caller_id, .. } = command else { return None };
-            format!("topics unpin {topic} {}", quoted(caller_id))
+            format!("topics unpin {} {}", quoted(topic), quoted(caller_id))
         }
-        Tag::Release(topic) => format!("quarantine release --topic {topic}"),
-        Tag::Discard(topic) => format!("quarantine discard --topic {topic} --yes"),
-        Tag::Publishers(topic) => format!("topics pins --topic {topic}"),
+        Tag::Release(topic) => format!("quarantine release --topic {}", quoted(topic)),
+        Tag::Discard(topic) => format!("quarantine discard --topic {} --yes", quoted(topic)),
+        Tag::Publishers(topic) => format!("topics pins --topic {}", quoted(topic)),
         Tag::Show(id) => format!("uploads show {id}"),
         Tag::Open(id) => format!("shared open {id}"),
         Tag::Check(id) => format!("shared check {id}"),

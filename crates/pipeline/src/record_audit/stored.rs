@@ -199,7 +199,11 @@ fn compare_names(bench: Bench<'_>, row: &RecordRow, header: &Header, front: &[u8
     if bench.plant.ledger.recorder().has(&row.recorder) {
         return;
     }
-    if let Some(what) = columns::false_name(bench.plant, keys, row.digest, front) {
+    let Some(opening) = keys.opening(header) else {
+        tally.unnamed += 1;
+        return;
+    };
+    if let Some(what) = columns::false_name(bench.plant, &opening, row.digest, front) {
         let text = format!(
             "signer {} wrote a false {what} into it, which does not belong to the pseudonym it is filed under; it is \
              not shown, and no other record is affected; if that is a device of yours, recall it",

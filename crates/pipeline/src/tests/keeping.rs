@@ -7,7 +7,7 @@ use super::*;
 use crate::crypto::{SealRequest, SealedRecord, TopicKey, seal};
 use crate::gateway::Fetched;
 use crate::model::head::Compression;
-use crate::model::{Address, Head, RecorderPrefix};
+use crate::model::{Address, FilterId, Head, RecorderPrefix};
 use crate::pipeline::PipelineError;
 use crate::pipeline::mirror::{Anchors, Mirror};
 use crate::pipeline::statement::{Statement, state};
@@ -88,6 +88,17 @@ pub(super) fn head(body: &[u8]) -> Head {
 
 /// A record of the owner that another ledger numbered; sealed with the wrong key, if one is given.
 pub(super) fn elsewhere(owner: &Owner, seq: u64, body: &[u8], wrong: Option<&TopicKey>) -> SealedRecord {
+    sealed_elsewhere(owner, seq, Vec::new(), (&head(body), body), wrong)
+}
+
+/// The same with these filters, head and body.
+pub(super) fn sealed_elsewhere(
+    owner: &Owner,
+    seq: u64,
+    filters: Vec<FilterId>,
+    (head, body): (&Head, &[u8]),
+    wrong: Option<&TopicKey>,
+) -> SealedRecord {
     let keys = owner.sealing().expect("keys");
     let topic = keys.topic("/robot1/odom").expect("covered");
     let request = SealRequest {
@@ -100,9 +111,9 @@ pub(super) fn elsewhere(owner: &Owner, seq: u64, body: &[u8], wrong: Option<&Top
         seq,
         topic_id: topic.id,
         kind: RecordKind::Data,
-        filters: Vec::new(),
+        filters,
         captured_at: Timestamp(seq),
-        head: &head(body),
+        head,
         body,
     };
     seal(provider(ProviderName::default()), &request).expect("sealed")
