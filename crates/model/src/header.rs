@@ -248,13 +248,14 @@ mod tests {
 
     #[test]
     fn a_number_of_another_keys_recorder_or_out_of_bounds_is_refused() {
-        let sealed = |change: fn(&mut Header)| {
+        type Change = fn(&mut Header);
+        let sealed = |change: Change| {
             let mut header = sample(1);
             change(&mut header);
             Header::parse(&header.encode()).map(|_| ()).map_err(|error| error.to_string())
         };
         assert_eq!(sealed(|header| header.seq = LARGEST_SEQ), Ok(()));
-        let refused: [(fn(&mut Header), &str); 6] = [
+        let refused: [(Change, &str); 6] = [
             (|header| header.seq = LARGEST_SEQ + 1, "seq"),
             (|header| header.seq = u64::MAX >> 1, "seq"),
             (|header| header.epoch = 1 << 63, "epoch"),

@@ -9,11 +9,12 @@ use serde_json::{Value, json};
 use super::*;
 use crate::chain::relay::{Relay, RelayError, RelayLine};
 use crate::chain::{Call, Chain, ChainOptions, Endpoint};
-use crate::crypto::EoaSecret;
-use crate::model::{Address, RecordState, Scope, SignerId, Token};
+use crate::crypto::{EoaSecret, IndexKey, Names, TopicKey};
+use crate::model::{Address, Header, RecordState, Scope, SignerId, Timestamp, Token};
+use crate::pipeline::columns::Keys;
 use crate::pipeline::fixture::{Process, by_hand, identity, network};
 use crate::pipeline::record_audit::{RecordAudit, Scope as Audited, audit};
-use crate::store::AuditLog;
+use crate::store::{AuditLog, RecordRow};
 
 /// A chain as it is seen through nodes that lag. Their headers name no logs, and what they do not have they call empty:
 /// the worst there is.
@@ -214,12 +215,32 @@ async fn a_node_that_names_an_older_head_is_waited_for_and_nothing_is_undone() {
     watch_round(&process.plant, &process.network).await.expect("it has caught up");
 }
 
+/// No keyring is open.
+struct Locked;
+
+impl Keys for Locked {
+    fn opening(&self, _header: &Header) -> Option<(TopicKey, Names)> {
+        None
+    }
+
+    fn index_key(&self, _row: &RecordRow) -> Option<IndexKey> {
+        None
+    }
+}
+
 async fn audited(process: &Process) -> RecordAudit {
     let (plant, network) = (process.plant.clone(), process.network.clone());
     let runtime = tokio::runtime::Handle::current();
     let work = move || {
         let log = AuditLog::new(plant.ledger.clone());
-        audit(&plant, Some(Ok(&network)), &log, &Audited::default(), &runtime)
+        let scope = Audited {
+            deep: false,
+            since: Timestamp(0),
+            accounts: Vec::new(),
+            keys: Arc::new(Locked),
+            looked_at: Arc::default(),
+        };
+        audit(&plant, Some(Ok(&network)), &log, &scope, &runtime)
     };
     tokio::task::spawn_blocking(work).await.expect("ends").expect("answers")
 }
