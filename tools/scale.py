@@ -12,7 +12,7 @@ from math import ceil
 SITE_RATE = 4_000  # messages of 1 KiB a second, captured to verified, held on two cores
 GATEWAY_RATE = 16_000  # records of 1 KiB a second and core that a gateway takes
 PICTURES_RATE = 120  # pictures of 58 KB a second, captured to verified, held on two cores
-BATCH_GAS = 56_803  # a batch of 1 to 16,384 records
+BATCH_GAS = 56_825  # a batch of 1 to 16,384 records
 SINGLE_GAS = 64_786  # one record by itself
 
 # Given by the format and the code.

@@ -22,7 +22,12 @@ pub struct Scene {
 
 impl Scene {
     pub fn new() -> Self {
-        let (home, port) = (Home::new(), free_port());
+        Self::in_home(Home::new())
+    }
+
+    /// The gateway joins the site of this home, if one runs.
+    pub fn in_home(home: Home) -> Self {
+        let port = free_port();
         let authros = home.profile("keeper").with(&["--json"]);
         let mut site = authros.spawn(&["gateway", "serve", "--listen", &format!("127.0.0.1:{port}")]);
         let said = site.wait_for_text("\"gateway\"", 120);

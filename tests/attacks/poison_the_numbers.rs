@@ -126,7 +126,11 @@ async fn attempt(alice: &Authros, home: &Home, robots: [&Robot; 3]) -> Outcome {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn poison_the_numbers() {
-    let scene = Scene::new();
+    let home = Home::new();
+    let capturing = home.profile("alice").with(&["--robots", "1"]);
+    capturing.enrol();
+    let capturing = capturing.serve(&home);
+    let scene = Scene::in_home(home);
     let scoped = Robot::enrol(&scene, "scout-1", &[TOPIC]);
     let (whole, honest) = (Robot::enrol(&scene, "scout-2", &[]), Robot::enrol(&scene, "scout-3", &[]));
     let outcome = attempt(&scene.alice, &scene.home, [&scoped, &whole, &honest]).await;
@@ -134,12 +138,17 @@ async fn poison_the_numbers() {
     let audited = scene.alice.run(&["audit"]);
     assert!(!audited.stdout.contains("missing from the ledger"), "no number is missing: {}", audited.stdout);
     scene.site.stop("TERM", 20);
+    capturing.stop("TERM", 20);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn poison_the_numbers_of_an_owner_elsewhere() {
     let (gate, home) = (Gate::new(), Home::new());
-    let alice = home.profile("alice").with(&gate.options()).with(&["--robots", "1"]);
+    let alice = home
+        .profile("alice")
+        .with(&["--robots", "1"])
+        .with_variable("AUTHROS_SITE", &gate.gateway.address)
+        .with_variable("AUTHROS_GATEWAY_KEY", gate.key());
     let address = alice.enrol();
     gate.home.authros().json(&["gateway", "admit", &address]);
     let site = alice.serve(&home);

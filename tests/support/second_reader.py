@@ -177,7 +177,7 @@ def main(folder, ek, ik):
     assert by_type == header["filters"][0], "filter of the type"
 
     anchor = proof["anchor"]
-    leaf = sm3(b"\0" + b"".join(header[name] for name in ("owner", "recorder", "topic_id", "seq")) + digest)
+    leaf = sm3(b"\0" + b"".join(header[name] for name in ("owner", "signer", "recorder", "topic_id", "seq")) + digest)
     if anchor["mode"] == "batch":
         path = [unhex(step) for step in anchor["path"]]
         assert root_of(leaf, anchor["index"], anchor["count"], path) == unhex(anchor["root"]), "path"

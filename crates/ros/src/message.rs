@@ -4,7 +4,7 @@
 //! This never changes captured bodies: decoding is only for display, and both definition and body are treated as
 //! hostile (cycles, depth, counts without bytes, types without size).
 
-mod common;
+mod built_in;
 mod cursor;
 mod decode;
 mod definition;
@@ -15,7 +15,7 @@ mod nesting;
 mod ros2;
 mod value;
 
-pub use common::common_definition;
+pub use built_in::built_in_definition;
 pub use decode::{Limits, Picture};
 pub use definition::{Definition, LONGEST_DEFINITION};
 pub use matrix::layout;

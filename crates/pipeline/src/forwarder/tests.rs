@@ -5,7 +5,7 @@ use tokio::time::sleep;
 
 use super::*;
 use crate::crypto::SmKeyPair;
-use crate::gateway::{Standing, Upload};
+use crate::gateway::{Client, Standing, Upload};
 use crate::gateway_stage::{Member, Stage, context, notice_of, pair};
 use crate::model::{Header, RecordKind, RecordState};
 use crate::pipeline::fixture::Notes;
@@ -87,6 +87,13 @@ impl Scene {
             patience: Duration::from_secs(2),
             home: self.home.path().to_owned(),
         }
+    }
+
+    /// A session of the owner herself: the device's brings no notices.
+    async fn owner(&self) -> Client {
+        let home = Member { name: "alice-home".parse().expect("a name"), ..Member::new("alice", 0x11) };
+        let credentials = self.stage.enrol(&home).await;
+        self.stage.connect(&credentials).await.expect("connects")
     }
 
     fn access(&self) -> GatewayAccess {

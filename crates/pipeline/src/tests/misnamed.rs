@@ -11,6 +11,14 @@ use crate::pipeline::reader::Reader;
 const BODY: &[u8] = b"where it is";
 
 impl Line {
+    /// One whose owner has begun an epoch.
+    async fn sealing() -> Self {
+        let line = Self::new().await;
+        line.owner.prepare_epoch(line.network.domain, 1).expect("prepared");
+        line.owner.seal_under(line.network.domain, 1).expect("seals");
+        line
+    }
+
     /// A record in the pseudonym of `/robot1/odom`.
     fn filed(&self, seq: u64, filters: Vec<FilterId>, head: &Head) -> SealedRecord {
         sealed_elsewhere(&self.owner, seq, filters, (head, BODY), None)
@@ -40,7 +48,7 @@ impl Line {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_false_name_is_shown_nowhere_and_an_honest_record_beside_it_is() {
-    let line = Line::new().await;
+    let line = Line::sealing().await;
     let index = line.owner.index();
     let honest = elsewhere(&line.owner, 1, BODY, None);
     let topic = Head { topic: "/emergency_stop_released".to_owned(), ..head(BODY) };
@@ -77,7 +85,7 @@ async fn a_false_name_is_shown_nowhere_and_an_honest_record_beside_it_is() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_mirror_names_the_record_that_it_does_not_take_for_its_name() {
-    let line = Line::new().await;
+    let line = Line::sealing().await;
     let forged = line.filed(1, Vec::new(), &Head { topic: "/other".to_owned(), ..head(BODY) });
     let digest = forged.digest;
     let refused = taken(&line, forged).await.expect_err("refused");

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::Encoding;
 use crate::ros::RosError;
-use crate::ros::message::{Definition, Folders, Source, common_definition, type_hash};
+use crate::ros::message::{Definition, Folders, Source, built_in_definition, type_hash};
 
 /// MCAP's name for the hash of a channel's type.
 pub const TYPE_HASH: &str = "topic_type_hash";
@@ -88,7 +88,7 @@ fn own(facts: TypeFacts<'_>) -> Result<(Definition, Option<String>), RosError> {
 fn completed(facts: TypeFacts<'_>, folders: &Folders) -> Option<(Definition, Option<String>)> {
     match (facts.encoding, facts.text) {
         (Encoding::Ros1, None) => {
-            let text = common_definition(facts.name, facts.md5sum)?;
+            let text = built_in_definition(facts.name, facts.md5sum)?;
             let note = "its publisher sent no definition; fields are read by the definition built into this program, \
                         whose md5sum matches";
             Some((Definition::parse(facts.name, &text).ok()?, Some(note.to_owned())))

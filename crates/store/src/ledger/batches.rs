@@ -191,11 +191,15 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn waiting_roots(&self, sightings: &[RootSighting]) -> Result<Vec<Hash>, StoreError> {
         self.read(|connection| {
-            let sql = "SELECT 1 FROM batches WHERE root = ?1 AND count = ?2 AND block IS NULL";
+            // An anchor that did not count is no reason to read its block again.
+            let sql = "SELECT 1 FROM batches WHERE root = ?1 AND count = ?2 AND block IS NULL
+                       AND NOT EXISTS (SELECT 1 FROM leaves JOIN passed_over ON passed_over.record = leaves.record
+                                       WHERE leaves.batch = batches.key AND passed_over.block = ?3)";
             let mut find = connection.prepare_cached(sql)?;
             let mut waiting = Vec::new();
             for sighting in sightings {
-                if find.exists(params![sighting.root.0, whole("count", sighting.count)?])? {
+                let (count, block) = (whole("count", sighting.count)?, whole("block", sighting.block)?);
+                if find.exists(params![sighting.root.0, count, block])? {
                     waiting.push(sighting.root);
                 }
             }

@@ -51,10 +51,15 @@ impl Ledger {
     /// [`StoreError::Database`] and the like.
     pub fn waiting_digests(&self, sightings: &[Sighting]) -> Result<Vec<Digest>, StoreError> {
         self.read(|connection| {
+            // An anchor that did not count is no reason to read its block again.
+            let sql =
+                "SELECT 1 FROM passed_over JOIN records ON n = record WHERE digest = ?1 AND passed_over.block = ?2";
+            let mut passed_over = connection.prepare_cached(sql)?;
             let mut waiting = Vec::new();
             for sighting in sightings {
                 let found = standing(connection, sighting)?.filter(|found| found.block.is_none());
-                if found.is_some_and(|found| may(By::Sight, found.state, RecordState::Mined)) {
+                let is_open = found.is_some_and(|found| may(By::Sight, found.state, RecordState::Mined));
+                if is_open && !passed_over.exists(params![sighting.digest.0, whole("block", sighting.block)?])? {
                     waiting.push(sighting.digest);
                 }
             }

@@ -135,7 +135,7 @@ async fn an_address_added_by_the_owner_is_used_and_one_added_by_a_thief_is_not()
         robot.enrolment.gateway
     };
 
-    let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
+    let mut owner = scene.owner().await;
     let GatewayAccess { addresses, fingerprint, .. } = at_both(&scene, &second);
     // A thief of d_C alone cuts no robot off, and its gateway stays the one that it was enrolled at.
     let thief = EoaSecret::generate().expect("an account");

@@ -118,7 +118,7 @@ async fn only_the_owners_newest_notice_to_this_device_is_obeyed() {
     let mut forwarder = scene.forwarder().with_errand(Box::new(notices));
     let (stored, epoch) = (Arc::clone(&scene.stored), || author.sealing().expect("keys").epoch);
 
-    let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
+    let mut owner = scene.owner().await;
     let own = signer_id(&scene.device.public);
     // Before the robot connects: found in the list.
     let early = notice(&scene, &scene.alice.signing, own, 3, 3);
@@ -166,7 +166,7 @@ async fn another_key_of_the_owner_needs_the_old_one_and_the_account() {
         robot.enrolment.owner_key
     };
 
-    let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
+    let mut owner = scene.owner().await;
     let (own, old) = (signer_id(&scene.device.public), scene.alice.signing.clone());
     // The gateway accepts what they sign, so it is the robot that refuses.
     let (new, thief) = (pair(0x77), pair(0x78));
@@ -217,7 +217,7 @@ async fn a_ring_is_asked_for_by_its_owner_alone_and_each_request_counts_once() {
         let topics = "/camera/**".parse().expect("a pattern");
         RingSpan { since: Timestamp(since), until: Timestamp(100), topics }
     };
-    let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
+    let mut owner = scene.owner().await;
     let own = signer_id(&scene.device.public);
     let asked = |seq: u64, signer: &SmKeyPair, device: SignerId| {
         record(&scene, signer, device, (seq, 1), &Notice::Pull(span(seq)))
@@ -326,7 +326,7 @@ async fn policies_come_from_the_owner_alone() {
     let notices = Notices::new(context().provider, observer, Arc::clone(&author), sealed, kept, policies);
     let mut forwarder = scene.forwarder().with_errand(Box::new(notices));
     let stored = Arc::clone(&scene.stored);
-    let mut owner = scene.stage.connect(&scene.credentials).await.expect("connects");
+    let mut owner = scene.owner().await;
     let own = signer_id(&scene.device.public);
     let policy = |version| {
         let signed = SignedPolicy::sign(&context().domain, &scene.alice.eoa, own, version, "").expect("signs");

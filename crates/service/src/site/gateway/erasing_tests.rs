@@ -255,6 +255,7 @@ async fn nothing_is_erased_at_the_word_of_anybody_but_its_owner() {
     // The same record as mallory's own, in a batch of mallory's.
     let mut header = copy.header.clone();
     (header.owner, header.signer) = (mallory.address, signer_id(&mallory.signing().public));
+    header.recorder = header.recorder.prefix().of_signer(&header.signer);
     let text = [b"AuthROS/signature/1".as_slice(), &header.domain.0, &copy.digest.0].concat();
     let signature = provider.sign(&mallory.signing().secret, &text).expect("signs");
     let stolen = SealedRecord { header, blob: Vec::new(), digest: copy.digest, signature };

@@ -13,7 +13,7 @@ const HEADER: (&str, &str) = ("std_msgs/Header", include_str!("../msg/Header.msg
 const MOST: usize = 64;
 
 /// The full definition of a common message type, if there is one with this md5sum (32 hex characters).
-pub fn common_definition(type_name: &str, sum: &str) -> Option<String> {
+pub fn built_in_definition(type_name: &str, sum: &str) -> Option<String> {
     let mut whole = own_text(type_name)?;
     let mut known = BTreeSet::from([type_name.to_owned()]);
     let mut waiting = nested(type_name, &whole);
@@ -80,11 +80,11 @@ mod tests {
             ("geometry_msgs/Twist", "9f195f881246fdfa2798d1d3eebca84a"),
             ("tf2_msgs/TFMessage", "94810edda583a504dfda3829e70d7eec"),
         ] {
-            let text = common_definition(name, sum).unwrap_or_else(|| panic!("{name} is not known"));
+            let text = built_in_definition(name, sum).unwrap_or_else(|| panic!("{name} is not known"));
             assert_eq!(md5sum(name, &text).as_deref(), Ok(sum));
         }
-        assert_eq!(common_definition("std_msgs/String", "d41d8cd98f00b204e9800998ecf8427e"), None, "another md5sum");
-        assert_eq!(common_definition("a/B", "992ce8a1687cec8c8bd883ec73ca41d1"), None);
-        assert_eq!(common_definition("no slash", "x"), None);
+        assert_eq!(built_in_definition("std_msgs/String", "d41d8cd98f00b204e9800998ecf8427e"), None, "another md5sum");
+        assert_eq!(built_in_definition("a/B", "992ce8a1687cec8c8bd883ec73ca41d1"), None);
+        assert_eq!(built_in_definition("no slash", "x"), None);
     }
 }
