@@ -17,6 +17,8 @@ use crate::support::{Authros, Home, count, text, wait_until};
 use crate::{Outcome, judge};
 
 const TOPIC: &str = "/robot1/odom";
+/// What the robot records that nobody stole.
+const HONEST_TOPIC: &str = "/robot1/camera/compressed";
 /// The last number of a ledger, the last one of the format, one behind it, and some that come next.
 const NUMBERS: [u64; 6] = [u64::MAX >> 1, (1 << 40) - 1, 1 << 40, (1 << 40) + 1, 5, 6];
 /// How long another robot may take to follow its owner into the epoch that the recall began, seconds.
@@ -83,43 +85,55 @@ fn topics_of(owner: &Member, other: &Robot) -> Vec<(String, TopicId)> {
 }
 
 /// The recorder of what the owner's own key signed.
-fn recorder_of(alice: &Authros, owner: &Member) -> RecorderId {
-    let signer = authros::crypto::signer_id(&owner.keyring.signing.public).to_string();
-    let record = wait_until(60, "a record of the owner's site", || {
-        alice.records_so_far(&["uploads", "list"])?.into_iter().find(|record| text(record, "signer") == signer)
-    });
-    text(&record, "recorder").parse().expect("an id")
+fn recorder_of(alice: &Authros, home: &Home, owner: &Member) -> RecorderId {
+    let signer = authros::crypto::signer_id(&owner.keyring.signing.public);
+    wait_until(60, "a record that the owner signed", || {
+        let of_kind = |kind| alice.records_so_far(&["uploads", "list", "--kind", kind]).unwrap_or_default();
+        let mut records = ["data", "key", "audit"].into_iter().flat_map(of_kind);
+        records.find_map(|record| {
+            let id = text(&record, "id");
+            let folder = home.root().join(&id);
+            let place = folder.to_str().expect("UTF-8");
+            alice.run(&["uploads", "export", &id, "--dir", place]);
+            let blob = std::fs::read(folder.join("record.bin")).ok()?;
+            let (header, _) = Header::parse(&blob).expect("a header");
+            (header.signer == signer).then_some(header.recorder)
+        })
+    })
 }
 
-/// The highest epoch in the records of a device.
-fn epoch_of(alice: &Authros, device: &str) -> Option<u64> {
-    let records = alice.records_so_far(&["uploads", "list"])?;
-    records.iter().filter(|record| text(record, "signer") == device).map(|record| count(record, "epoch")).max()
+/// The highest epoch in the records of the robot that nobody stole.
+fn epoch_of_honest(alice: &Authros) -> Option<u64> {
+    let records = alice.records_so_far(&["uploads", "list", "--topic", HONEST_TOPIC])?;
+    records.iter().map(|record| count(record, "epoch")).max()
 }
 
 /// The thief tries with a robot of one topic and with one of all topics; then the owner's site goes on, and the recall
-/// reaches the other robot in time.
-async fn attempt(alice: &Authros, home: &Home, robots: [&Robot; 3]) -> Outcome {
+/// reaches the other robot in time. `captures`: whether the owner's site does.
+async fn attempt(alice: &Authros, home: &Home, robots: [&Robot; 3], captures: bool) -> Outcome {
     let [scoped, whole, honest] = robots;
     let stolen = [scoped.stolen(), whole.stolen()];
-    alice.capture(&[TOPIC], 3);
+    let capture = || captures.then(|| alice.capture(&[TOPIC], 3));
+    let agent = honest.spawn(&["--topic", HONEST_TOPIC]);
+    wait_until(120, "the other robot records", || epoch_of_honest(alice));
+    capture();
+    // Each robot is told of it, in a record that the owner signs.
+    alice.json(&["keys", "rotate"]);
     let owner = Member::of(home, "alice", stolen[0].domain);
-    let (recorder, topics) = (recorder_of(alice, &owner), topics_of(&owner, honest));
-    let agent = honest.spawn(&["--topic", TOPIC]);
-    wait_until(120, "the other robot records", || epoch_of(alice, &honest.device));
+    let (recorder, topics) = (recorder_of(alice, home, &owner), topics_of(&owner, honest));
     let mut parts = Parts::default();
     for robot in &stolen {
         poison(&mut parts, robot, recorder, &topics).await;
     }
-    alice.capture(&[TOPIC], 3);
+    capture();
     let recalled: Value = alice.json(&["devices", "recall", &whole.device]);
     let epoch = count(&recalled, "epoch");
     let begun = std::time::Instant::now();
     wait_until(BOUND, "the other robot seals under the epoch of the recall", || {
-        epoch_of(alice, &honest.device).filter(|sealed| *sealed >= epoch)
+        epoch_of_honest(alice).filter(|sealed| *sealed >= epoch)
     });
     println!("the other robot followed {} ms after the recall was told", begun.elapsed().as_millis());
-    alice.capture(&[TOPIC], 3);
+    capture();
     agent.stop("TERM", 30);
     parts.outcome()
 }
@@ -133,7 +147,7 @@ async fn poison_the_numbers() {
     let scene = Scene::in_home(home);
     let scoped = Robot::enrol(&scene, "scout-1", &[TOPIC]);
     let (whole, honest) = (Robot::enrol(&scene, "scout-2", &[]), Robot::enrol(&scene, "scout-3", &[]));
-    let outcome = attempt(&scene.alice, &scene.home, [&scoped, &whole, &honest]).await;
+    let outcome = attempt(&scene.alice, &scene.home, [&scoped, &whole, &honest], true).await;
     judge("poison_the_numbers", outcome);
     let audited = scene.alice.run(&["audit"]);
     assert!(!audited.stdout.contains("missing from the ledger"), "no number is missing: {}", audited.stdout);
@@ -155,7 +169,7 @@ async fn poison_the_numbers_of_an_owner_elsewhere() {
     let at = (&gate.gateway.address[..], gate.key());
     let scoped = Robot::enrol_at(&alice, at, "scout-1", &[TOPIC]);
     let (whole, honest) = (Robot::enrol_at(&alice, at, "scout-2", &[]), Robot::enrol_at(&alice, at, "scout-3", &[]));
-    let outcome = attempt(&alice, &home, [&scoped, &whole, &honest]).await;
+    let outcome = attempt(&alice, &home, [&scoped, &whole, &honest], false).await;
     judge("poison_the_numbers_of_an_owner_elsewhere", outcome);
     site.stop("TERM", 20);
 }

@@ -170,9 +170,10 @@ async fn another_key_of_the_owner_needs_the_old_one_and_the_account() {
     let (own, old) = (signer_id(&scene.device.public), scene.alice.signing.clone());
     // The gateway accepts what they sign, so it is the robot that refuses.
     let (new, thief) = (pair(0x77), pair(0x78));
+    let mut telling = scene.stage.connect(&scene.credentials).await.expect("connects");
     for other in [&new, &thief] {
         scene.stage.desk.lend(&scene.alice, other);
-        owner
+        telling
             .device(&old, crate::gateway::DeviceNotice { key: other.public, ..notice_of(&scene.device) })
             .await
             .expect("told");
