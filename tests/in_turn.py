@@ -25,7 +25,7 @@ PLACES = int(os.environ.get("RUST_TEST_THREADS") or 2 * (os.cpu_count() or 1))
 # Flows are run one by one; of the others, all tests of a program are one job, with this many threads.
 FLOWS = ("it", "attacks", "bench")
 THREADS = "2"
-# So many flows that take `heavy()` run at a time; tests/support has as many locks.
+# How many flows that take `heavy()` run at a time; tests/support has as many locks.
 HEAVY = 2
 # How long something takes that never ran here.
 UNKNOWN = {"flow": 5, "heavy flow": 15, "unit tests": 40, "checks": 90}
