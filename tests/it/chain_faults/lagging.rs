@@ -140,6 +140,8 @@ async fn a_gateway_whose_node_is_behind_refuses_instead_of_serving_on() {
     let (alice, bob) = (home.profile("alice"), home.profile("bob"));
     let (alice, bob) = (alice.with(&["--chain", &url]), bob.with(&["--chain", &url]));
     let (_, bob_address) = (alice.enrol(), bob.enrol());
+    // The grant is told when its block was read, and with it all these.
+    node.mine(150);
     alice.json(&["grant", &bob_address]);
     let owner = Member::of(&home, "alice", gateway.domain);
     let reader = Member::of(&home, "bob", gateway.domain);
@@ -147,7 +149,6 @@ async fn a_gateway_whose_node_is_behind_refuses_instead_of_serving_on() {
     let mut session = connect(&gateway, &credentials).await;
     let selection = Selection::all(owner.address());
     let query = Query { selection, from: Timestamp(0), until: Timestamp(u64::MAX), cursor: 0, limit: 10 };
-    node.mine(150);
     let granted = Instant::now();
     while ask(&mut session, &query).await.is_err() {
         assert!(granted.elapsed() < Duration::from_secs(30), "granted, and fresh");
