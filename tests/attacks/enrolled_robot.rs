@@ -1,12 +1,14 @@
 //! A gateway, an owner and her robots, and a thief who has a robot's enrolment with its passphrase, but nothing of
 //! hers.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
 use authros::crypto::{Enrolment, Passphrase, ProviderName, SealedEnrolment, provider};
 use authros::gateway::{Client, Context, Credentials, Endpoint, GatewayError, Query, Selection, Trust};
-use authros::model::Timestamp;
+use authros::model::head::Compression;
+use authros::model::{Digest, Head, Timestamp};
 use serde_json::Value;
 
 use crate::support::{Authros, Home, Running, free_port, text};
@@ -95,6 +97,21 @@ impl Robot {
         let passphrase = std::fs::read_to_string(format!("{}.passphrase", self.file)).expect("a passphrase");
         let passphrase = Passphrase::new(passphrase.trim_end().to_owned()).expect("long enough");
         SealedEnrolment::open(Path::new(&self.file), &passphrase).expect("opens").enrolment
+    }
+}
+
+/// What a thief seals as the head of a record.
+pub fn head(topic: String, type_name: &str, body: &[u8]) -> Head {
+    Head {
+        topic,
+        type_name: type_name.to_owned(),
+        md5sum: String::new(),
+        definition: Digest([0; 32]),
+        caller_id: String::new(),
+        boot_id: [0; 16],
+        compression: Compression::None,
+        plain_length: body.len() as u64,
+        tags: BTreeMap::new(),
     }
 }
 

@@ -5,11 +5,10 @@
 use authros::crypto::record::signed_bytes;
 use authros::crypto::{Enrolment, Provider, ProviderName, SealRequest, notice_topic, provider, random_bytes, seal};
 use authros::gateway::{Code, Upload};
-use authros::model::head::Compression;
-use authros::model::{Digest, Head, Header, RecordKind, RecorderId, RecorderPrefix, SignerId, Timestamp, TopicId};
+use authros::model::{Digest, Header, RecordKind, RecorderId, RecorderPrefix, SignerId, Timestamp, TopicId};
 use serde_json::Value;
 
-use crate::enrolled_robot::{Robot, Scene, session};
+use crate::enrolled_robot::{Robot, Scene, head, session};
 use crate::parts::Parts;
 use crate::support::gate::Gate;
 use crate::support::member::Member;
@@ -28,17 +27,7 @@ const BOUND: u64 = 10;
 fn forged(robot: &Enrolment, place: (TopicId, RecordKind), recorder: RecorderId, seq: u64) -> Upload {
     let provider: &dyn Provider = provider(ProviderName::RustCrypto);
     let body = b"a number is taken";
-    let head = Head {
-        topic: TOPIC.to_owned(),
-        type_name: "std_msgs/String".to_owned(),
-        md5sum: String::new(),
-        definition: Digest([0; 32]),
-        caller_id: String::new(),
-        boot_id: [0; 16],
-        compression: Compression::None,
-        plain_length: body.len() as u64,
-        tags: std::collections::BTreeMap::new(),
-    };
+    let head = head(TOPIC.to_owned(), "std_msgs/String", body);
     let request = SealRequest {
         domain: robot.domain,
         owner: robot.owner,
@@ -117,7 +106,7 @@ async fn attempt(alice: &Authros, home: &Home, robots: [&Robot; 3], captures: bo
     let agent = honest.spawn(&["--topic", HONEST_TOPIC]);
     wait_until(120, "the other robot records", || epoch_of_honest(alice));
     capture();
-    // Each robot is told of it, in a record that the owner signs.
+    // Each robot gets a notice of it, a record that the owner signs.
     alice.json(&["keys", "rotate"]);
     let owner = Member::of(home, "alice", stolen[0].domain);
     let (recorder, topics) = (recorder_of(alice, home, &owner), topics_of(&owner, honest));

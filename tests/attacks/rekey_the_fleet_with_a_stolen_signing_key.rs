@@ -8,10 +8,9 @@ use authros::crypto::{
     notice_topic, provider, random_bytes, seal,
 };
 use authros::gateway::{Client, Code, GatewayError, Upload};
-use authros::model::head::Compression;
-use authros::model::{Digest, Head, PublicKey, RecordKind, RecorderPrefix, Timestamp};
+use authros::model::{PublicKey, RecordKind, RecorderPrefix, Timestamp};
 
-use crate::enrolled_robot::{Robot, Scene, session};
+use crate::enrolled_robot::{Robot, Scene, head, session};
 use crate::support::member::{Gateway, Member, connect};
 use crate::support::{count, poll, wait_until};
 use crate::{Outcome, judge};
@@ -28,17 +27,7 @@ fn keyring(scene: &Scene) -> Keyring {
 fn notice(robot: &Enrolment, signer: &SmKeyPair, account: &EoaSecret, to: PublicKey) -> Upload {
     let change = OwnerKeyChange::sign(&robot.domain, account, robot.owner_key, to).expect("signs");
     let body = [&[1], &change.encode()[..]].concat();
-    let head = Head {
-        topic: notice_topic(&robot.device_id()),
-        type_name: "authros/Keys".to_owned(),
-        md5sum: String::new(),
-        definition: Digest([0; 32]),
-        caller_id: String::new(),
-        boot_id: [0; 16],
-        compression: Compression::None,
-        plain_length: body.len() as u64,
-        tags: std::collections::BTreeMap::new(),
-    };
+    let head = head(notice_topic(&robot.device_id()), "authros/Keys", &body);
     let request = SealRequest {
         domain: robot.domain,
         owner: robot.owner,

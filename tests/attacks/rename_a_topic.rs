@@ -6,11 +6,10 @@ use authros::crypto::{
     topic_key,
 };
 use authros::gateway::Upload;
-use authros::model::head::Compression;
-use authros::model::{Digest, Head, RecordKind, RecorderPrefix, Timestamp};
+use authros::model::{Head, RecordKind, RecorderPrefix, Timestamp};
 use serde_json::Value;
 
-use crate::enrolled_robot::{Robot, Scene, session};
+use crate::enrolled_robot::{Robot, Scene, head, session};
 use crate::judge;
 use crate::parts::Parts;
 use crate::support::{count, list, text};
@@ -38,17 +37,7 @@ impl Thief {
     fn seal(&self, seq: u64, filed: (&str, &str), written: (&str, &str)) -> (String, Upload) {
         let SealingKey::Epoch(epoch) = &self.robot.keys.now.key else { panic!("a robot of all topics") };
         let (id, body) = (topic_id(&self.index, filed.0), b"\x01");
-        let head = Head {
-            topic: written.0.to_owned(),
-            type_name: written.1.to_owned(),
-            md5sum: String::new(),
-            definition: Digest([0; 32]),
-            caller_id: "/robot1".to_owned(),
-            boot_id: [0; 16],
-            compression: Compression::None,
-            plain_length: body.len() as u64,
-            tags: std::collections::BTreeMap::new(),
-        };
+        let head = Head { caller_id: "/robot1".to_owned(), ..head(written.0.to_owned(), written.1, body) };
         let request = SealRequest {
             domain: self.robot.domain,
             owner: self.robot.owner,

@@ -1,4 +1,4 @@
-//! Whether a record may bear the names in its sealed head. Whoever holds a topic key writes both the names and the
+//! Whether a record may bear the names in its sealed head. The holder of a topic key writes both the names and the
 //! pseudonyms of the header; a name counts only if the pseudonym is the one derived from it.
 
 use crate::crypto::{CryptoError, IndexKey, filter_id, filter_key, topic_filter_id, topic_id};
@@ -94,7 +94,7 @@ mod tests {
         refused(read(id(odom), vec![of_type, of_other], odom, kind), "tags");
         let of_other_topic = topic_filter_id(&filter_key(&index(), &id("/a")), "type", kind);
         refused(read(id(odom), vec![of_other_topic], odom, kind), "type");
-        // Whoever has IK derives a pseudonym from any text; only graph names and statements name a topic.
+        // The holder of IK can derive a pseudonym from any text; only graph names and statements name a topic.
         for text in ["/x;touch${IFS}y", "/odom\nverified", "", "odom", "authros/", "authros/a\tb"] {
             refused(read(id(text), vec![], text, kind), "topic");
         }

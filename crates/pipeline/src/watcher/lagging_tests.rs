@@ -24,7 +24,7 @@ struct Lag {
     logs: AtomicU64,
     /// How far everything else is behind.
     blocks: AtomicU64,
-    /// A revoked grant, which no question may find in force again: where it is looked for, its owner and its grantee.
+    /// A revoked grant, which no question may find in force again: the directory to search, its owner and its grantee.
     revoked: OnceLock<(Arc<Directory>, Address, Address)>,
     came_back: AtomicBool,
 }

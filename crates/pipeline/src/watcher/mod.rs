@@ -35,7 +35,7 @@ pub const CURSOR: &str = "watcher";
 const CHUNK: u64 = 2_000;
 /// How often a part of the chain is read again because it changed meanwhile.
 const ATTEMPTS: usize = 5;
-/// How long to wait for a node that is behind before it is asked again.
+/// How long to wait before asking a node again that is behind.
 const PAUSE: Duration = Duration::from_millis(200);
 
 /// How far a scan came.
@@ -44,7 +44,7 @@ enum Reached {
     Head,
     /// Not to the head: the chain changed while it was read.
     Changed,
-    /// Not to the head: whoever was asked does not have this block, or not all of it.
+    /// Not to the head: the node that answered does not have this block, or not all of it.
     Before(u64),
 }
 
@@ -55,10 +55,16 @@ enum Reached {
 /// Errors of the ledger.
 pub fn restore(plant: &Plant, network: &Network) -> Result<(), PipelineError> {
     plant.ledger.bind_contract(network.domain)?;
+    read_back(plant, network, &network.directory)
+}
+
+/// Fills an empty directory with what was stored up to the cursor. If nothing was, or it cannot be read, the scan begins
+/// anew.
+fn read_back(plant: &Plant, network: &Network, directory: &Directory) -> Result<(), PipelineError> {
     if let Some((number, _)) = plant.ledger.cursor(CURSOR)? {
         // What was stored of blocks after the cursor is read again: they may have been replaced meanwhile.
         plant.ledger.take_back_rights(number + 1)?;
-        if kept::read_back(&plant.ledger, &network.directory)? {
+        if kept::read_back(&plant.ledger, directory)? {
             return Ok(());
         }
     }
@@ -150,15 +156,9 @@ fn as_of_the_cursor(plant: &Plant, network: &Network) -> Result<Option<Directory
     if network.directory.newest() <= number {
         return Ok(None);
     }
-    plant.ledger.take_back_rights(number + 1)?;
     let fresh = network.directory.blank();
-    if kept::read_back(&plant.ledger, &fresh)? {
-        return Ok(Some(fresh));
-    }
-    plant.ledger.forget_rights()?;
-    let (number, hash) = beginning(network);
-    plant.ledger.set_cursor(CURSOR, number, hash)?;
-    Ok(Some(network.directory.blank()))
+    read_back(plant, network, &fresh)?;
+    Ok(Some(fresh))
 }
 
 /// Scans from the cursor to `head`: old blocks many at a time, the newest ones one by one. A directory in use, `shown`,

@@ -1,5 +1,5 @@
 //! Whether robots follow their owner into a new epoch. A robot that goes on under an older one still writes for a reader
-//! who was to lose access, so whoever ended that access is told.
+//! who was to lose access, so the command that ended that access says so.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};

@@ -50,7 +50,7 @@ async fn unlocks_at_once_are_one_and_each_checks_its_passphrase() {
     let mut owners = Vec::new();
     for (epoch, unlocked) in (1..).zip(unlocks) {
         let owner = unlocked.await.expect("ends").expect("opens");
-        owner.prepare_epoch(DOMAIN, epoch).expect("saved, whoever was first");
+        owner.prepare_epoch(DOMAIN, epoch).expect("saved, in either order");
         owners.push(owner);
     }
     assert!(owners.iter().all(|owner| Arc::ptr_eq(owner, &owners[0])), "one owner");
