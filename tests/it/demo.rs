@@ -23,10 +23,10 @@ fn expect_the_whole_story(told: &Value) {
     assert!(pictures > 0 && pictures < opened, "{told}");
     assert_eq!(told["refused_stranger"], true, "{told}");
     assert_eq!(told["refused_tampered"], true, "{told}");
-    // Three registrations, a grant, a revoke, about one batch a second (of 20 records and more), and four that may come
-    // early.
+    // Three registrations, a grant, a revoke, four batches that may come early, and one batch a second: of 20 records a
+    // robot and more, or of a quarter of that where the machine is slow.
     let transactions = count(&told["chain"], "transactions");
-    assert!(transactions >= 7 && transactions < 11 + captured / 10, "{told}");
+    assert!(transactions >= 7 && transactions < 11 + captured / 5, "{told}");
     assert!(count(&told["chain"], "gas") > 21_000 * count(&told["chain"], "transactions"), "{told}");
     assert_eq!(told["ok"], true, "{told}");
 }
