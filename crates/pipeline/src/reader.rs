@@ -283,21 +283,28 @@ fn first_good<T>(mut results: impl Iterator<Item = Result<T, PipelineError>>) ->
     Some(first.or_else(|error| results.find_map(Result::ok).ok_or(error)))
 }
 
+impl Reader<'_> {
+    /// IK of an owner: the reader's own, or the one that a grant of all topics carries.
+    pub fn index_of(&self, owner: Address) -> Option<IndexKey> {
+        if owner == self.reader.address {
+            return Some(self.reader.index());
+        }
+        let Ok(ReadingRight::Granted(grant)) = self.right(owner, None) else { return None };
+        let index = |wrapped: Arc<WrappedKeys>| match &wrapped.keys {
+            GrantedKeys::All { index_key, .. } => Some(index_key.clone()),
+            GrantedKeys::Topics { .. } => None,
+        };
+        self.envelopes(&grant).unwrap_or_default().into_iter().find_map(index)
+    }
+}
+
 impl columns::Keys for Reader<'_> {
     fn opening(&self, header: &Header) -> Option<(TopicKey, Names)> {
         self.opening_of(header.owner, header.epoch, header.topic_id).ok()
     }
 
     fn index_key(&self, row: &RecordRow) -> Option<IndexKey> {
-        if row.owner == self.reader.address {
-            return Some(self.reader.index());
-        }
-        let Ok(ReadingRight::Granted(grant)) = self.right(row.owner, None) else { return None };
-        let index = |wrapped: Arc<WrappedKeys>| match &wrapped.keys {
-            GrantedKeys::All { index_key, .. } => Some(index_key.clone()),
-            GrantedKeys::Topics { .. } => None,
-        };
-        self.envelopes(&grant).unwrap_or_default().into_iter().find_map(index)
+        self.index_of(row.owner)
     }
 }
 
