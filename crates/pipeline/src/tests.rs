@@ -2,6 +2,7 @@
 
 mod asking;
 mod chain_proofs;
+mod definitions;
 mod erased;
 mod flipped;
 mod keeping;
