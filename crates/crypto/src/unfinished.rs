@@ -56,6 +56,14 @@ impl UnfinishedFolder {
         Err(io::Error::other("a new folder in it is removed again and again by another process"))
     }
 
+    /// Removes it with its contents.
+    ///
+    /// # Errors
+    /// Errors of the file system.
+    pub fn close(self) -> io::Result<()> {
+        self.folder.close()
+    }
+
     /// Its path.
     pub fn path(&self) -> &Path {
         self.folder.path()

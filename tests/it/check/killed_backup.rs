@@ -5,7 +5,8 @@ use std::fs;
 use std::path::Path;
 
 use super::all_verified;
-use crate::support::{Home, Running, faulty, files_below, heavy, poll, skipped};
+use crate::support::authros::files_below;
+use crate::support::{Home, Running, faulty, heavy, poll, skipped};
 
 const TOPIC: &str = "/robot1/odom";
 const UNFINISHED: &str = ".authros-new-";
