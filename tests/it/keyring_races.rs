@@ -138,6 +138,7 @@ fn an_older_keyring_gets_what_it_lacks_from_the_chain() {
     assert_eq!(field.epochs_of_the_keyring(), [1], "it knows the first epoch alone");
     // Without the keys on the chain this site ends at once, and so does each command that unlocks.
     let site = field.alice.serve(&field.home);
+    wait_until(60, "the chain returns the keys", || (field.epochs_of_the_keyring().len() == 5).then_some(()));
     assert_eq!(field.epoch_with_all_keys(), 5);
     let now = field.alice.json(&["keys", "list"]);
     assert_eq!((&now["envelope_key"], &now["epochs"]), (&newest["envelope_key"], &newest["epochs"]));
