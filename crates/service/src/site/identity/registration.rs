@@ -78,10 +78,8 @@ impl Profiles {
     /// Brings the keyring to what the chain has of this owner's pairs and epochs. The caller holds the owner's changes.
     async fn take_up(self: &Arc<Self>, owner: &Arc<Owner>, network: &Network) -> Result<(), Failure> {
         let newer = block_in_place(|| recovery::recover_pairs(&self.plant, network, owner));
-        let newer = newer.unwrap_or_else(|error| {
-            self.hub.notice(NoticeLevel::Error, &error.to_string());
-            false
-        });
+        self.sharing.note_pairs(owner, newer.as_ref().err().map(ToString::to_string));
+        let newer = newer.unwrap_or(false);
         self.sharing.take_up_epoch(owner, network)?;
         if newer {
             self.finish_pairs(owner, network).await?;

@@ -18,7 +18,11 @@ const MOST_NAMED: usize = 8;
 
 /// What open profiles lack.
 #[derive(Default)]
-pub(super) struct Missing(Mutex<BTreeMap<ProfileName, Lack>>);
+pub(super) struct Missing {
+    epochs: Mutex<BTreeMap<ProfileName, Lack>>,
+    /// Why newer SM2 pairs of the chain are not in the keyring.
+    pairs: Mutex<BTreeMap<ProfileName, String>>,
+}
 
 /// What one profile lacks.
 struct Lack {
@@ -46,7 +50,11 @@ impl Lack {
 
 impl Missing {
     fn all(&self) -> MutexGuard<'_, BTreeMap<ProfileName, Lack>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.epochs.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn pairs(&self) -> MutexGuard<'_, BTreeMap<ProfileName, String>> {
+        self.pairs.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -127,10 +135,22 @@ impl Sharing {
         Ok(())
     }
 
+    /// Notes why a profile lacks newer SM2 pairs that the chain has; `None` if it has them.
+    pub(in crate::site) fn note_pairs(&self, owner: &Owner, why: Option<String>) {
+        let mut pairs = self.missing.pairs();
+        match why {
+            Some(why) => {
+                self.hub.notice(NoticeLevel::Error, &why);
+                pairs.insert(owner.profile.clone(), why);
+            }
+            None => drop(pairs.remove(&owner.profile)),
+        }
+    }
+
     /// What open profiles lack, in words; `None` if they have all keys.
     pub(in crate::site) fn missing_text(&self) -> Option<String> {
-        let all = self.missing.all();
-        let texts: Vec<String> = all.iter().map(|(profile, lack)| lack.text(profile)).collect();
+        let mut texts: Vec<String> = self.missing.pairs().values().cloned().collect();
+        texts.extend(self.missing.all().iter().map(|(profile, lack)| lack.text(profile)));
         (!texts.is_empty()).then(|| texts.join("; "))
     }
 }

@@ -152,3 +152,42 @@ async fn a_key_from_the_chain_is_believed_only_if_the_token_commits_to_it() {
     assert_eq!(still, [2, 3], "nothing is believed");
     site.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn pairs_that_nobody_handed_over_are_told_and_those_handed_over_are_taken() {
+    let (site, _folder) = site_with_chain();
+    let alice = registered(&site, "alice").await;
+    let (sharing, network) = (&site.sharing, site.network().await.expect("a network"));
+    let sm2 = sharing.plant.provider;
+    let token = alice.token(network.domain, 1).expect("its token");
+    // As another machine of the same owner does, whose keyring this one is an older copy of.
+    let elsewhere = async |pair: &crate::crypto::SmKeyPair, envelope: Vec<u8>| {
+        let signing = alice.signing();
+        let proven = crate::crypto::prove(sm2, &network.domain, &alice.address, &signing, &pair.public, token);
+        let call = crate::chain::Call::RotateKeys { identity: proven.expect("proven"), envelope };
+        let sent = sharing.sender.send(&network.chain, &alice.eoa(), call, "rotateKeys").await;
+        sharing.link.scanned(sent.expect("on the chain").1.block).await;
+    };
+    let (first, second) = (
+        crate::crypto::SmKeyPair::generate(sm2).expect("a pair"),
+        crate::crypto::SmKeyPair::generate(sm2).expect("a pair"),
+    );
+    let former = alice.envelope();
+    let handed = |pair: &crate::crypto::SmKeyPair, to: &crate::crypto::SmKeyPair| {
+        let signing = alice.signing();
+        crate::crypto::hand_over(sm2, &network.domain, &alice.eoa(), (&signing, pair), &to.public).expect("wrapped")
+    };
+    // A change whose envelope nobody can open.
+    elsewhere(&first, vec![1; 200]).await;
+    site.profiles.resume(&alice).await.expect("it goes on");
+    let told = sharing.missing_text().expect("told");
+    assert!(told.contains("newer SM2 keys"), "{told}");
+    assert_eq!(alice.envelope(), former);
+
+    elsewhere(&first, handed(&first, &former)).await;
+    elsewhere(&second, handed(&second, &first)).await;
+    site.profiles.resume(&alice).await.expect("it takes them");
+    assert_eq!((alice.envelope(), sharing.missing_text()), (second, None));
+    assert!(alice.envelopes().contains(&former) && alice.envelopes().contains(&first), "what was opens still");
+    site.stop().await;
+}
