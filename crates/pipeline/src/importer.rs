@@ -10,10 +10,10 @@ use super::ring::Rings;
 use super::session::TopicFigures;
 use super::{Author, CaptureSession};
 use crate::model::topic::LONGEST_NAME;
-use crate::model::{Timestamp, TopicRule, TopicRules};
+use crate::model::{RecordKind, Timestamp, TopicRule, TopicRules};
 use crate::ros::recording::tags::{CHANNEL, PUBLISHED, SEQUENCE};
 pub use crate::ros::recording::tags::{ENCODING, FORMER, FORMER_RECORD, FORMER_SIGNER, MCAP};
-use crate::ros::recording::{Channel, Encoding, RecordedMessage, Sent};
+use crate::ros::recording::{Beside, Channel, Encoding, RecordedMessage, Sent};
 use crate::ros::{Message, Origin};
 
 /// Bytes of the ring that imports may fill.
@@ -49,6 +49,8 @@ pub fn encoding(tags: &BTreeMap<String, String>) -> Encoding {
     match tags.get(ENCODING).map(String::as_str) {
         Some("cdr") => Encoding::Cdr { idl: false },
         Some("cdr-idl") => Encoding::Cdr { idl: true },
+        Some("mcap-attachment") => Encoding::Beside(Beside::Attachment),
+        Some("mcap-metadata") => Encoding::Beside(Beside::Metadata),
         _ => Encoding::Ros1,
     }
 }
@@ -65,6 +67,14 @@ pub fn sent(tags: &BTreeMap<String, String>, recorded: Timestamp) -> Option<Sent
     let sequence = tags.get(SEQUENCE)?.parse().ok()?;
     let time = tags.get(PUBLISHED).and_then(|time| time.parse().ok()).map_or(recorded, Timestamp);
     Some(Sent { time, sequence })
+}
+
+/// The kind of record that holds what is encoded like this.
+pub fn kind_of(encoding: Encoding) -> RecordKind {
+    match encoding {
+        Encoding::Ros1 | Encoding::Cdr { .. } => RecordKind::Data,
+        Encoding::Beside(_) => RecordKind::Attachment,
+    }
 }
 
 fn tags_of(sent: Sent, recorded: Timestamp) -> Vec<(String, String)> {
@@ -112,11 +122,14 @@ impl Stream {
 /// What the tags say of a recording's channel.
 fn channel_tags(channel: &Channel, topic: &Arc<str>) -> Vec<(String, String)> {
     let mut tags = vec![(SOURCE.0.to_owned(), SOURCE.1.to_owned())];
-    match channel.encoding {
-        Encoding::Ros1 => {}
-        Encoding::Cdr { idl: false } => tags.push((ENCODING.to_owned(), "cdr".to_owned())),
-        Encoding::Cdr { idl: true } => tags.push((ENCODING.to_owned(), "cdr-idl".to_owned())),
-    }
+    let encoding = match channel.encoding {
+        Encoding::Ros1 => None,
+        Encoding::Cdr { idl: false } => Some("cdr"),
+        Encoding::Cdr { idl: true } => Some("cdr-idl"),
+        Encoding::Beside(Beside::Attachment) => Some("mcap-attachment"),
+        Encoding::Beside(Beside::Metadata) => Some("mcap-metadata"),
+    };
+    tags.extend(encoding.map(|encoding| (ENCODING.to_owned(), encoding.to_owned())));
     tags.extend(channel.about.iter().map(|(key, value)| (format!("{CHANNEL}{key}"), value.to_string())));
     if channel.topic != *topic {
         tags.push((RECORDED_TOPIC.to_owned(), channel.topic.to_string()));
@@ -142,7 +155,8 @@ impl<'a> Importer<'a> {
             self.sessions.insert(Arc::clone(&message.channel), Stream::new(&message.channel, topic, tags));
         }
         let tags = message.sent.map(|sent| tags_of(sent, message.time)).unwrap_or_default();
-        let rule = self.rules.of(topic).cloned();
+        let has_rule = kind_of(message.channel.encoding) == RecordKind::Data;
+        let rule = self.rules.of(topic).filter(|_| has_rule).cloned();
         self.offer(message, topic, (tags, rule), goes_on)
     }
 
@@ -193,6 +207,7 @@ impl<'a> Importer<'a> {
         let mut item = CapturedMessage {
             author,
             message,
+            kind: kind_of(channel.encoding),
             simulated: false,
             sessions: vec![session],
             doubt: None,

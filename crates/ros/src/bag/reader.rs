@@ -108,7 +108,7 @@ impl<R: BufRead + Seek> BagReader<R> {
                 return Ok(Some(message));
             }
             if self.ended {
-                self.findings.compare(self.length, self.counted.take(), self.met);
+                self.findings.compare(self.length, "messages", self.counted.take(), self.met);
                 return Ok(None);
             }
             if let Some(message) = self.advance().map_err(|error| RosError::unreadable(&error))? {
@@ -127,7 +127,10 @@ impl<R: BufRead + Seek> BagReader<R> {
         if fields.bytes("encryptor").is_some_and(|name| !name.is_empty()) {
             return Err(RosError::recording("it is encrypted; decrypt it with `rosbag decrypt` first"));
         }
-        let Some(mut at) = fields.u64("index_pos").filter(|at| *at > 0) else { return Ok(()) };
+        let Some(mut at) = fields.u64("index_pos").filter(|at| *at > 0) else {
+            self.findings.unfinished = true;
+            return Ok(());
+        };
         if at > self.length {
             self.findings.note(self.length, &format!("the bag is cut off: its index should start at byte {at}"));
         }
@@ -157,17 +160,30 @@ impl<R: BufRead + Seek> BagReader<R> {
         Ok(counts.map(|count| u64::from(u32::from_le_bytes(*count))).sum())
     }
 
-    /// Adds a connection; if a number occurs twice the last one counts, as in rosbag.
+    /// Adds a connection; `false` if it is damaged. If a number is described twice, the later description counts from there
+    /// on, and is damage if it differs: rosbag goes by the index alone, so the number would stand for two things.
     fn learn(&mut self, fields: &Fields<'_>, data: &[u8]) -> bool {
-        let Some((number, channel)) = connection(fields, data).filter(|_| data.len() <= LONGEST_CONNECTION) else {
+        let Some((number, channel, is_whole)) = connection(fields, data).filter(|_| data.len() <= LONGEST_CONNECTION)
+        else {
             return false;
         };
-        if self.connections.get(&number).is_some_and(|known| **known == channel) {
-            return true;
+        if let Some(known) = self.connections.get(&number) {
+            if **known == channel {
+                return true;
+            }
+            let [before, here] = [&known.topic, &channel.topic].map(|topic| crate::model::clean(topic, 80));
+            let text = format!(
+                "connection {number} is '{before}' before and '{here}' here: the file contradicts itself; from here on the newer \
+                 description counts"
+            );
+            self.findings.note(self.position, &text);
         }
         self.connection_bytes += channel.size();
         if self.connections.len() >= MOST_CHANNELS || self.connection_bytes > MOST_CHANNEL_BYTES {
             return false;
+        }
+        if !is_whole {
+            self.findings.note(self.position, "fields of a connection's header are too long to keep");
         }
         self.connections.insert(number, Arc::new(channel));
         true
