@@ -107,6 +107,8 @@ pub struct McapReader<R> {
     /// When the last message was recorded; before the first, when the summary says that it begins.
     latest: Timestamp,
     ended: bool,
+    /// Whether the file's last bytes are its footer, by which a summary is found.
+    has_footer: bool,
 }
 
 impl<R: BufRead + Seek> McapReader<R> {
@@ -132,6 +134,7 @@ impl<R: BufRead + Seek> McapReader<R> {
             besides: Tally::default(),
             latest: Timestamp(0),
             ended: false,
+            has_footer: false,
         };
         if read_at(&mut reader.file, 0, position).map_err(unreadable)? != MAGIC {
             return Err(RosError::recording("it does not start like MCAP"));
@@ -198,6 +201,7 @@ impl<R: BufRead + Seek> McapReader<R> {
             }
             _ => None,
         };
+        self.has_footer = start.is_some();
         let Some((mut at, checksum)) = start.filter(|(start, _)| *start > 0) else { return Ok(()) };
         // The checksum covers the summary and the footer up to itself.
         if checksum != 0 && self.checksum_of(at, footer + LEAD + 16)? != checksum {
@@ -210,29 +214,35 @@ impl<R: BufRead + Seek> McapReader<R> {
                 break;
             }
             let content = read_at(&mut self.file, at + LEAD, length)?;
-            match Code::from_byte(code) {
+            let is_sound = match Code::from_byte(code) {
                 Some(Code::ChunkIndex) => {
                     let mut fields = Fields(&content);
                     let place = fields.u64().and(fields.u64()).and(fields.u64());
                     self.places.extend(place.filter(|_| self.places.len() < MOST_PLACES));
+                    place.is_some()
                 }
                 Some(Code::Statistics) => self.read_statistics(Fields(&content)),
-                _ => {
-                    self.learn(code, &content, Place::Summary);
-                }
+                _ => self.learn(code, &content, Place::Summary),
+            };
+            if !is_sound {
+                self.findings.note(at, "a record of the summary at the end is damaged");
             }
             at += LEAD + length;
+        }
+        if at != footer {
+            self.findings.note(at, "the summary at the end is damaged: it does not end where the footer begins");
         }
         Ok(())
     }
 
-    fn read_statistics(&mut self, mut fields: Fields<'_>) {
+    fn read_statistics(&mut self, mut fields: Fields<'_>) -> bool {
         self.messages.counted = fields.u64();
         let attached = fields.u16().and(fields.u32()).and(fields.u32());
         let metadata = fields.u32();
         self.besides.counted = attached.zip(metadata).map(|(files, records)| u64::from(files) + u64::from(records));
         let begins = fields.u32().and(fields.u64());
         self.latest = Timestamp(begins.filter(|time| *time <= LATEST).unwrap_or_default());
+        begins.is_some()
     }
 
     /// CRC-32 of the file between two positions.
@@ -254,6 +264,9 @@ impl<R: BufRead + Seek> McapReader<R> {
     /// After the last record of data. If messages had no checksum of their own, that of all data is compared.
     fn end_data(&mut self, start: u64, length: u64) -> std::io::Result<()> {
         self.ended = true;
+        if !self.has_footer {
+            self.findings.note(self.length, "the file is damaged at its end: there is no footer behind the data");
+        }
         let content = read_at(&mut self.file, start + LEAD, length.min(4))?;
         let checksum = Fields(&content).u32().filter(|checksum| *checksum != 0);
         let Some(checksum) = checksum.filter(|_| self.findings.unguarded > 0) else { return Ok(()) };

@@ -127,4 +127,6 @@ pub struct RecordedMessage {
 #[cfg(test)]
 mod altered_tests;
 #[cfg(test)]
+mod beside_tests;
+#[cfg(test)]
 mod tests;

@@ -182,8 +182,9 @@ impl Recordings {
             let is_message = kind_of(message.channel.encoding) == RecordKind::Data;
             let named = if is_message { names.resolve(recorded) } else { Ok(Arc::clone(recorded)) };
             // Patterns choose topics; what is beside the messages has none, and belongs to the recording as a whole.
-            let mut either = [Ok(recorded), named.as_ref()].into_iter().flatten();
-            if !wishes.topics.is_empty() && !(is_message && either.any(|name| is_wanted(&wishes.topics, name))) {
+            let names_of = [Some(recorded), named.as_ref().ok()];
+            let is_chosen = || is_message && names_of.into_iter().flatten().any(|name| is_wanted(&wishes.topics, name));
+            if !wishes.topics.is_empty() && !is_chosen() {
                 continue;
             }
             let topic = match (named, fault(&message.channel)) {
