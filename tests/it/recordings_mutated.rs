@@ -143,6 +143,12 @@ fn rename(bytes: &mut [u8], chance: &mut Chance) -> &'static str {
     "a topic's name"
 }
 
+/// Whether each message is among the others, as often at least; both are ordered.
+fn is_within(messages: &[(u64, String)], others: &[(u64, String)]) -> bool {
+    let mut others = others.iter();
+    messages.iter().all(|message| others.any(|other| other == message))
+}
+
 /// Why what is sealed of an altered file is false; `None` if it is true, or told.
 fn falsehood(path: &Path, read: &Read, original: &Topics) -> Option<String> {
     let (sealed, findings) = ours(path)?;
@@ -165,7 +171,15 @@ fn falsehood(path: &Path, read: &Read, original: &Topics) -> Option<String> {
         return strange.map(|topic| format!("under {topic} is sealed what was not recorded, and others give up"));
     }
     let names: BTreeSet<&String> = ways.iter().flat_map(Topics::keys).chain(sealed.keys()).collect();
-    let is_true = |topic: &&String| ways.iter().any(|way| way.get(*topic) == sealed.get(*topic)) || left_out(topic);
+    // Others may read less than is there, or nothing: then what is sealed must be what was recorded, and no less than they read.
+    let is_more = |topic: &String| {
+        let of = |topics: &Topics| topics.get(topic).cloned().unwrap_or_default();
+        let unknown = findings.unguarded > 0 && ways.iter().all(|way| !way.contains_key(topic));
+        unknown || is_within(&of(&sealed), &of(original)) && ways.iter().any(|way| is_within(&of(way), &of(&sealed)))
+    };
+    let is_true = |topic: &&String| {
+        ways.iter().any(|way| way.get(*topic) == sealed.get(*topic)) || left_out(topic) || is_more(topic)
+    };
     let topic = names.into_iter().find(|topic| !is_true(topic))?;
     let messages = |topics: &Topics| topics.get(topic).map_or(0, Vec::len);
     let others: Vec<usize> = ways.iter().map(messages).collect();

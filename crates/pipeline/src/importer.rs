@@ -9,11 +9,12 @@ use super::recorder::CapturedMessage;
 use super::ring::Rings;
 use super::session::TopicFigures;
 use super::{Author, CaptureSession};
+use crate::model::header::{LARGEST_BODY, TAG_LENGTH};
 use crate::model::topic::LONGEST_NAME;
 use crate::model::{RecordKind, Timestamp, TopicRule, TopicRules};
 use crate::ros::recording::tags::{CHANNEL, PUBLISHED, SEQUENCE};
 pub use crate::ros::recording::tags::{ENCODING, FORMER, FORMER_RECORD, FORMER_SIGNER, MCAP};
-use crate::ros::recording::{Beside, Channel, Encoding, RecordedMessage, Sent};
+use crate::ros::recording::{Beside, Channel, Encoding, RecordedMessage, Sent, TOO_LARGE};
 use crate::ros::{Message, Origin};
 
 /// Bytes of the ring that imports may fill.
@@ -35,8 +36,16 @@ pub const LATCHING: &str = "latching";
 /// Tag of messages whose topic was recorded under a name that is not a graph name: that name.
 pub const RECORDED_TOPIC: &str = "recorded_topic";
 
-/// Why a channel cannot be imported; `None` if it can.
-pub fn fault(channel: &Channel) -> Option<&'static str> {
+/// The largest body that a record holds, bytes.
+const LARGEST: u64 = LARGEST_BODY - TAG_LENGTH as u64;
+
+/// Why a message cannot be imported; `None` if it can. What no record can hold must not reach the sealer, which tries again
+/// until it succeeds.
+pub fn fault(message: &RecordedMessage) -> Option<&'static str> {
+    let channel = &message.channel;
+    if message.body.len() as u64 > LARGEST {
+        return Some(TOO_LARGE);
+    }
     let long = channel.type_name.len() > LONGEST_NAME || channel.caller_id.len() > LONGEST_NAME;
     if long || channel.md5sum.len() > LONGEST_MD5 {
         return Some("its type's name, md5sum or publisher's name is too long");

@@ -11,8 +11,8 @@ use super::record::{Fields, LONGEST_CONNECTION, LONGEST_HEADER, Op, connection, 
 use super::search::{chunk_compression, next_chunk};
 use crate::ros::RosError;
 use crate::ros::recording::{
-    Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, go_to,
-    read_at, unpack,
+    Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, TOO_LARGE,
+    go_to, read_at, unpack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
@@ -270,7 +270,12 @@ impl<R: BufRead + Seek> BagReader<R> {
                     self.findings.note(start, "a connection record that cannot be used was skipped");
                 }
             }
-            Some(Op::Message) if length <= LONGEST_MESSAGE as u64 && self.position <= self.length => {
+            Some(Op::Message) if self.position <= self.length && length > LONGEST_MESSAGE as u64 => {
+                self.met += 1;
+                let channel = fields.u32("conn").and_then(|number| self.connections.get(&number));
+                self.findings.leave_out(channel.map_or("", |channel| &*channel.topic), TOO_LARGE);
+            }
+            Some(Op::Message) if self.position <= self.length => {
                 let body = read_at(&mut self.file, data, length)?;
                 return Ok(self.message(&fields, body, false));
             }
@@ -321,8 +326,12 @@ impl<R: BufRead + Seek> BagReader<R> {
 
     fn message(&mut self, fields: &Fields<'_>, body: Vec<u8>, guarded: bool) -> Option<RecordedMessage> {
         self.met += 1;
-        let Some(channel) = fields.u32("conn").and_then(|number| self.connections.get(&number)) else {
-            self.findings.leave_out("", "no record of the bag describes its connection");
+        let Some(number) = fields.u32("conn") else {
+            self.findings.leave_out("", "it names no connection");
+            return None;
+        };
+        let Some(channel) = self.connections.get(&number) else {
+            self.findings.leave_out("", &format!("no record of the bag describes its connection {number}"));
             return None;
         };
         let Some(time) = fields.time("time") else {
@@ -411,7 +420,7 @@ impl<R: BufRead + Seek> BagReader<R> {
                 return None;
             };
             let found = match Fields::parse(header).map(|fields| (fields.op(), fields)) {
-                Some((Some(Op::Message), fields)) if data.len() <= LONGEST_MESSAGE => {
+                Some((Some(Op::Message), fields)) => {
                     if let Some(messages) = &mut self.chunk_messages {
                         messages.add(&fields, chunk.at);
                     }

@@ -12,7 +12,7 @@ use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{
     Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, Sent,
-    go_to, read_at, unpack,
+    TOO_LARGE, go_to, read_at, unpack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
@@ -391,7 +391,13 @@ impl<R: BufRead + Seek> McapReader<R> {
                     self.findings.note(start, "a schema or channel that cannot be used was skipped");
                 }
             }
-            Some(Code::Message | Code::Schema | Code::Channel) => {
+            Some(Code::Message) => {
+                self.messages.met += 1;
+                let number = Fields(&read_at(&mut self.file, data, 2)?).u16();
+                let channel = number.and_then(|number| self.channels.get(&number));
+                self.findings.leave_out(channel.map_or("", |known| &**known.latest.record.topic()), TOO_LARGE);
+            }
+            Some(Code::Schema | Code::Channel) => {
                 self.findings.note(start, &format!("a record of {length} bytes was skipped: it is too large"));
             }
             _ if self.places.contains(&start) => {

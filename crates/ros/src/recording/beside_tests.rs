@@ -130,6 +130,70 @@ fn a_bag_that_describes_a_connection_twice_differently_contradicts_itself() {
     assert!(text.contains("connection 0 is '/left' before and '/righ' here"), "{findings:?}");
 }
 
+/// What is told of a bag of two publishers without checksums, altered.
+fn told_of_bag(change: impl FnOnce(&mut Vec<u8>)) -> Vec<String> {
+    let (left, right) = (channel("/left", "/l"), channel("/righ", "/rr"));
+    let messages = [message(&left, 1_000_000_007, b"left"), message(&right, 2_000_000_009, b"righ")];
+    let mut bytes = write(RecordingFormat::Bag, ChunkCompression::None, &messages);
+    change(&mut bytes);
+    let (_, findings) = read(RecordingFormat::Bag, &bytes).expect("read");
+    findings.damages.into_iter().map(|damage| damage.text).collect()
+}
+
+fn place_of(bytes: &[u8], what: &[u8]) -> usize {
+    bytes.windows(what.len()).position(|at| at == what).expect("there")
+}
+
+#[test]
+fn a_bags_index_must_be_of_its_messages_though_no_checksum_covers_them() {
+    assert_eq!(told_of_bag(|_| ()), Vec::<String>::new());
+    let altered = |told: &[String]| told.iter().any(|text| text.contains("is not of the messages before it"));
+    let told = told_of_bag(|bytes| {
+        let place = place_of(bytes, b"time=") + 5;
+        bytes[place] ^= 4;
+    });
+    assert!(altered(&told), "another time: {told:?}");
+    let told = told_of_bag(|bytes| {
+        let place = place_of(bytes, b"op=\x02") + 4 + 4 + 5;
+        assert_eq!(bytes[place..place + 4], [0; 4], "the first message's connection");
+        bytes[place] = 1;
+    });
+    assert!(altered(&told), "another publisher: {told:?}");
+    let told = told_of_bag(|bytes| {
+        let place = place_of(bytes, b"op=\x04");
+        bytes[place + 3] = 3;
+    });
+    assert!(told.iter().any(|text| text.contains("is missing behind its chunk")), "no index: {told:?}");
+    let told = told_of_bag(|bytes| {
+        let place = place_of(bytes, b"chunk_pos=") + 10;
+        bytes[place] ^= 1;
+    });
+    assert!(told.iter().any(|text| text.contains("names a chunk at byte")), "no chunk there: {told:?}");
+}
+
+#[test]
+fn a_message_that_no_record_can_hold_is_left_out_by_its_topic() {
+    let words = channel("/words", "");
+    let mut bytes = write(RecordingFormat::Mcap, ChunkCompression::None, &[message(&words, 1, b"word")]);
+    // A message of the file's channel 0 outside of any chunk, behind all chunks.
+    let end = place_of(&bytes, &[15, 4, 0, 0, 0, 0, 0, 0, 0]);
+    let mut content = vec![0; 22];
+    content.resize(22 + LONGEST_MESSAGE + 64, 7);
+    let lead = [&[5][..], &(content.len() as u64).to_le_bytes()].concat();
+    drop(bytes.splice(end..end, [lead, content].concat()));
+    let (found, findings) = told(&bytes);
+    assert_eq!((found, findings.messages_skipped()), (1, 1));
+    assert!(findings.unusable[0].topic == "/words" && findings.unusable[0].why == TOO_LARGE, "{findings:?}");
+}
+
+#[test]
+fn what_is_kept_of_a_channel_fits_into_the_head_of_a_record() {
+    let long = |number: usize| (format!("k{number}").into(), "v".repeat(8000).into());
+    let (kept, whole) = kept_about((0..12).map(long));
+    assert!(!whole && kept.len() == 4, "{}", kept.len());
+    assert!(kept_about((0..4).map(long)).1);
+}
+
 #[test]
 fn a_bags_connection_header_comes_out_as_it_went_in() {
     let about = |entries: &[(&str, &str)]| -> BTreeMap<Arc<str>, Arc<str>> {

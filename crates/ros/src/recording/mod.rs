@@ -39,15 +39,22 @@ pub(super) const MOST_CHANNEL_BYTES: usize = 64 << 20;
 /// Name of the topic that a bag's connection header gives, where that is not the connection's own; empty if it gives none.
 pub const BAG_TOPIC: &str = "bag.topic";
 
-/// The longest of a channel's further data, bytes; and the most entries.
+/// Why a message is left out that no record can hold.
+pub const TOO_LARGE: &str = "it is larger than a record may be (64 MiB)";
+
+/// The longest of a channel's further data, bytes; the most entries; the most bytes of all of them, which go into the head of
+/// each record.
 const LONGEST_ABOUT: usize = 8 * 1024;
 const MOST_ABOUT: usize = 12;
+const MOST_ABOUT_BYTES: usize = 32 * 1024;
 
 /// A channel's further data as far as it is kept, and whether that is all.
 pub(super) fn kept_about(all: impl IntoIterator<Item = (Arc<str>, Arc<str>)>) -> (BTreeMap<Arc<str>, Arc<str>>, bool) {
-    let (mut kept, mut whole) = (BTreeMap::new(), true);
+    let (mut kept, mut whole, mut bytes) = (BTreeMap::new(), true, 0);
     for (key, value) in all {
-        if key.len() + value.len() <= LONGEST_ABOUT && kept.len() < MOST_ABOUT {
+        let size = key.len() + value.len();
+        if size <= LONGEST_ABOUT && kept.len() < MOST_ABOUT && bytes + size <= MOST_ABOUT_BYTES {
+            bytes += size;
             kept.insert(key, value);
         } else {
             whole = false;

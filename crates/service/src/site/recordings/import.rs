@@ -187,7 +187,7 @@ impl Recordings {
             if !wishes.topics.is_empty() && !is_chosen() {
                 continue;
             }
-            let topic = match (named, fault(&message.channel)) {
+            let topic = match (named, fault(&message)) {
                 (Ok(topic), None) => topic,
                 (Err(why), _) | (_, Some(why)) => {
                     *left_out.entry((Arc::clone(recorded), why)).or_default() += 1;
