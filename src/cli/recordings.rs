@@ -213,7 +213,7 @@ fn imported(view: &ImportView) -> String {
     }
     if view.unguarded > 0 {
         text.push_str(&format!(
-            "\n{} messages have no checksum in this file, so alterations before the import cannot be detected",
+            "\n{} messages or attachments have no checksum in this file, so alterations before the import cannot be detected",
             view.unguarded
         ));
     }
@@ -221,7 +221,7 @@ fn imported(view: &ImportView) -> String {
 }
 
 fn import_code(view: &ImportView, output: &Output) -> u8 {
-    if view.verified < view.imported {
+    if view.topics.iter().any(|topic| topic.verified < topic.imported) {
         output.note(
             "authros: some records differ from what was anchored; `authros uploads list --state tampered` lists them",
         );
@@ -231,6 +231,12 @@ fn import_code(view: &ImportView, output: &Output) -> u8 {
     if damages > 0 {
         output
             .note(&format!("authros: the recording is damaged in {damages} places; everything readable was imported"));
+    }
+    if view.unfinished {
+        output.note(
+            "authros: the bag has no index: its recorder was killed before it closed it; what could be read was imported, and \
+             messages after that may be missing",
+        );
     }
     if view.skipped > 0 {
         output.note(&format!("authros: {} messages were left out", view.skipped));
@@ -242,11 +248,14 @@ fn import_code(view: &ImportView, output: &Output) -> u8 {
         output.note("authros: all of it was imported before, nothing was sealed twice");
     }
     let whole = damages == 0 && view.skipped == 0 && view.lost == 0 && !view.ended_early;
-    let nothing = view.imported == 0 && view.already == 0;
-    if nothing && view.skipped == 0 {
-        output.note("authros: there are no messages to import");
+    let nothing = view.imported + view.already + view.attachments == 0;
+    let is_empty = whole && view.found == 0;
+    if is_empty {
+        output.note("authros: it contains no messages, so there was nothing to import");
+    } else if nothing && view.skipped == 0 {
+        output.note("authros: it contains no messages of these topics; name others with --topic");
     }
-    if whole && !nothing { 0 } else { ErrorKind::Incomplete.exit_code() }
+    if whole && (is_empty || !nothing) { 0 } else { ErrorKind::Incomplete.exit_code() }
 }
 
 fn exported(view: &ExportView) -> String {
@@ -257,6 +266,9 @@ fn exported(view: &ExportView) -> String {
         .collect();
     let list = table(&["topic", "type", "messages"], &rows);
     match &view.file {
+        Some(file) if view.attachments > 0 => {
+            format!("{list}\n{} messages and {} attachments written to {file}", view.messages, view.attachments)
+        }
         Some(file) => format!("{list}\n{} messages written to {file}", view.messages),
         None => "nothing written: no readable record matches".to_owned(),
     }
@@ -273,9 +285,17 @@ fn export_code(view: &ExportView, output: &Output) -> u8 {
         (refused.held, "are quarantined or discarded"),
         (refused.no_definition, "have no readable definition of their type"),
         (refused.unsuitable, "do not fit this format"),
+        (refused.attachments, "are attachments to a recording, which only MCAP has room for (--mcap)"),
     ];
     for (count, why) in words.into_iter().filter(|(count, _)| *count > 0) {
         output.note(&format!("authros: {count} records {why}: not written"));
+    }
+    if !view.given.is_empty() {
+        output.note(&format!(
+            "authros: the definitions of {} are as the publishing nodes gave them: the type hash proves names and types of fields, \
+             not comments, constants or default values",
+            view.given.join(", ")
+        ));
     }
     if refused.tampered + refused.missing > 0 {
         return ErrorKind::Tampered.exit_code();
@@ -283,6 +303,6 @@ fn export_code(view: &ExportView, output: &Output) -> u8 {
     if refused.false_names > 0 {
         return ErrorKind::Refused.exit_code();
     }
-    let left = refused.unanchored + refused.no_key + refused.no_definition + refused.unsuitable;
+    let left = refused.unanchored + refused.no_key + refused.no_definition + refused.unsuitable + refused.attachments;
     if left > 0 || view.file.is_none() { ErrorKind::Incomplete.exit_code() } else { 0 }
 }

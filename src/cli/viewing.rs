@@ -42,7 +42,7 @@ pub fn opened(view: &OpenedView) -> String {
     let verdict = view.verdict.word().to_uppercase();
     let mut lines = vec![
         format!("{}  {}  seq {}  {verdict}{held}", record.id, record.topic, record.seq),
-        format!("{} from {} captured {}", record.type_name, view.caller_id, in_milliseconds(record.captured_at)),
+        format!("{}{} captured {}", record.type_name, from(&view.caller_id), in_milliseconds(record.captured_at)),
         format!("{} bytes, sealed as {} ({})", record.bytes, view.stored, compressed(&view.compression)),
     ];
     lines.extend(view.tags.iter().map(|(key, value)| format!("tag {key} = {value}")));
@@ -55,6 +55,11 @@ pub fn opened(view: &OpenedView) -> String {
     }
     lines.extend(view.fields.iter().map(|(path, text)| format!("  {path}: {text}")));
     lines.join("\n")
+}
+
+/// Statements and attachments are of no publisher.
+fn from(caller_id: &str) -> String {
+    if caller_id.is_empty() { String::new() } else { format!(" from {caller_id}") }
 }
 
 fn compressed(word: &str) -> String {

@@ -51,6 +51,8 @@ mod playing;
 mod real_chain;
 mod real_redis;
 mod real_ros;
+mod recordings;
+mod recordings_mutated;
 mod remote;
 mod restart;
 mod rights;

@@ -69,7 +69,9 @@ fn expect_described(network: &Network, start: impl Fn() -> Running) {
         alice.records(&["uploads", "list", "--topic", TOPIC]).iter().all(is_verified).then_some(())
     });
     let recording = home.root().join("out.mcap");
-    alice.json_within(240, &["shared", "export", "--mcap", recording.to_str().expect("UTF-8"), "--topic", TOPIC]);
+    let export = ["shared", "export", "--mcap", recording.to_str().expect("UTF-8"), "--topic", TOPIC];
+    let view = alice.json_within(240, &export);
+    assert_eq!(list(&view, "given"), [TOPIC], "whose word its comments, constants and default values are: {view}");
     if !others_can_read() {
         skipped!("no mcap in target/peers; tests/run installs it");
     }

@@ -109,7 +109,7 @@ def named():
 
 
 def header(topic, message, caller):
-    return {
+    about = {
         "topic": topic,
         "type": message._type,
         "md5sum": message._md5sum,
@@ -117,6 +117,11 @@ def header(topic, message, caller):
         "callerid": caller,
         "latching": "1" if topic == LATCHED else "0",
     }
+    if caller == "/driver":
+        # As some recorders leave it out, with a field that no recorder of ours knows.
+        del about["topic"]
+        about["tcp_nodelay"] = "1"
+    return about
 
 
 def write(path, compression, count):
@@ -130,12 +135,14 @@ def record(path, compression, all_messages):
 
 
 def listed(path):
-    """One entry for each message: topic, type, md5sum, caller, definition, time, bytes."""
+    """One entry for each message: topic, type, md5sum, caller, definition, time, bytes, latching, and the topic in the
+    connection's own header."""
     entries = []
     with rosbag.Bag(path) as bag:
         for topic, raw, time, about in bag.read_messages(raw=True, return_connection_header=True):
             text = lambda name: about.get(name, b"").decode()
             entry = [topic, raw[0], raw[2], text("callerid"), text("message_definition"), time.to_nsec(), raw[1].hex()]
+            entry += [name in about and text(name) for name in ("latching", "topic", "tcp_nodelay")]
             entries.append(entry)
     json.dump(entries, sys.stdout)
 

@@ -46,7 +46,7 @@ pub use console::{Console, Terminal};
 pub use process::{Outcome, Running};
 pub use proxy::{Proxy, Spoil};
 pub use redis::Redis;
-pub use ros::{Roscore, list_bag, make_bag, read_bag, robot_recording, write_bag};
+pub use ros::{Roscore, list_bag, make_bag, odd_bags, read_bag, robot_recording, write_bag};
 use serde_json::Value;
 pub use two::{Two, two_profiles};
 pub use wire::Wire;

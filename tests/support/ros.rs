@@ -174,6 +174,14 @@ pub fn write_bag(bag: &Path, compression: &str, count: usize) {
     super::process::output_of("/usr/bin/python3", &[BAG_SCRIPT, "write", bag, compression, &count.to_string()]);
 }
 
+/// Runs the script that writes and reads odd bags: `write` or `read`, with its folder and the seconds it may take.
+pub fn odd_bags(act: &str, folder: &Path, seconds: u64) -> String {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/support/odd_bags.py");
+    let mut command = std::process::Command::new("/usr/bin/python3");
+    command.args(["-B", script, act]).arg(folder);
+    super::Running::start(command).wait(seconds).expect_code(0).stdout
+}
+
 /// Runs the script that writes bags with ROS's own library: `simulated FILE COUNT SEED`, `named FILE`.
 pub fn make_bag(arguments: &[&str]) {
     super::process::output_of("/usr/bin/python3", &[&[BAG_SCRIPT], arguments].concat());
@@ -194,7 +202,8 @@ pub fn robot_recording() -> Option<PathBuf> {
     Some(path)
 }
 
-/// All messages of a bag, read by ROS's own library: topic, type, md5sum, caller id, definition, nanoseconds, hex.
+/// All messages of a bag, read by ROS's own library: topic, type, md5sum, caller id, definition, nanoseconds, hex,
+/// and of the connection's header `latching`, `topic` and `tcp_nodelay`, each `false` if it is absent.
 pub fn list_bag(bag: &Path) -> Vec<Value> {
     let output = super::process::output_of("/usr/bin/python3", &[BAG_SCRIPT, "list", bag.to_str().expect("UTF-8")]);
     serde_json::from_str(&output).expect("a list as JSON")

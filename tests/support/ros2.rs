@@ -233,3 +233,20 @@ impl Listener {
         poll(seconds, met).unwrap_or_else(|| panic!("{publishers} publishers: {:?}", self.said("publishers")));
     }
 }
+
+/// What mcap finds in a recording beside its messages; `tests/peers/mcap_beside.py` names the fields.
+pub fn beside_by_others(recording: &Path) -> Vec<Value> {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/mcap_beside.py");
+    let mut command = Command::new(python_with("mcap").expect("asked before"));
+    command.args(["-B", script]).arg(recording);
+    let read = Running::start(command).wait(60).expect_code(0).document();
+    read.as_array().expect("a list").clone()
+}
+
+/// Runs the script that writes and reads odd MCAP files: `write` or `read`, with its folder and the seconds it may take.
+pub fn odd_mcaps(act: &str, folder: &Path, seconds: u64) -> String {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/peers/odd_mcap.py");
+    let mut command = Command::new(python_with("mcap").expect("asked before"));
+    command.args(["-B", script, act]).arg(folder);
+    Running::start(command).wait(seconds).expect_code(0).stdout
+}

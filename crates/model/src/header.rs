@@ -47,10 +47,12 @@ pub enum RecordKind {
     /// A home's statements about itself: the head of its audit log, the birth of its recorder and its highest sequence
     /// numbers.
     Audit,
+    /// What a recording holds beside its messages: a file attached to it, or names and values about it.
+    Attachment,
 }
 
 impl RecordKind {
-    const ALL: [Self; 8] = [
+    const ALL: [Self; 9] = [
         Self::Data,
         Self::Definition,
         Self::Gap,
@@ -59,6 +61,7 @@ impl RecordKind {
         Self::Retention,
         Self::Succession,
         Self::Audit,
+        Self::Attachment,
     ];
 
     /// The byte in the header.
@@ -69,6 +72,11 @@ impl RecordKind {
     /// From the byte in the header.
     pub fn from_code(code: u8) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.code() == code)
+    }
+
+    /// Whether it holds what its owner recorded or imported, rather than what a site says about that.
+    pub fn is_content(self) -> bool {
+        matches!(self, Self::Data | Self::Attachment)
     }
 
     /// One word for screens and JSON.
@@ -82,6 +90,7 @@ impl RecordKind {
             Self::Retention => "retention",
             Self::Succession => "succession",
             Self::Audit => "audit",
+            Self::Attachment => "attachment",
         }
     }
 }
@@ -275,7 +284,7 @@ mod tests {
             assert_eq!(RecordKind::from_code(kind.code()), Some(kind));
         }
         assert_eq!(RecordKind::from_code(0), None);
-        assert_eq!(RecordKind::from_code(9), None);
+        assert_eq!(RecordKind::from_code(10), None);
     }
 
     proptest! {

@@ -345,8 +345,8 @@ pub fn name_difference(row: &RecordRow, header: &Header, index: &IndexKey) -> Op
     if row.is_named() && topic_id(index, &row.topic) != header.topic_id {
         return Some("topic");
     }
-    // Only messages from publishers have filters.
-    if !matches!(header.kind, RecordKind::Data | RecordKind::Definition) {
+    // Only what was recorded has filters.
+    if !header.kind.is_content() && header.kind != RecordKind::Definition {
         return None;
     }
     // Robots enrolled for some topics compute their ids with a key of the topic.

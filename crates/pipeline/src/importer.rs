@@ -9,11 +9,12 @@ use super::recorder::CapturedMessage;
 use super::ring::Rings;
 use super::session::TopicFigures;
 use super::{Author, CaptureSession};
+use crate::model::header::{LARGEST_BODY, TAG_LENGTH};
 use crate::model::topic::LONGEST_NAME;
-use crate::model::{Timestamp, TopicRule, TopicRules};
+use crate::model::{RecordKind, Timestamp, TopicRule, TopicRules};
 use crate::ros::recording::tags::{CHANNEL, PUBLISHED, SEQUENCE};
 pub use crate::ros::recording::tags::{ENCODING, FORMER, FORMER_RECORD, FORMER_SIGNER, MCAP};
-use crate::ros::recording::{Channel, Encoding, RecordedMessage, Sent};
+use crate::ros::recording::{Beside, Channel, Encoding, RecordedMessage, Sent, TOO_LARGE};
 use crate::ros::{Message, Origin};
 
 /// Bytes of the ring that imports may fill.
@@ -35,8 +36,16 @@ pub const LATCHING: &str = "latching";
 /// Tag of messages whose topic was recorded under a name that is not a graph name: that name.
 pub const RECORDED_TOPIC: &str = "recorded_topic";
 
-/// Why a channel cannot be imported; `None` if it can.
-pub fn fault(channel: &Channel) -> Option<&'static str> {
+/// The largest body that a record holds, bytes.
+const LARGEST: u64 = LARGEST_BODY - TAG_LENGTH as u64;
+
+/// Why a message cannot be imported; `None` if it can. What no record can hold must not reach the sealer, which tries again
+/// until it succeeds.
+pub fn fault(message: &RecordedMessage) -> Option<&'static str> {
+    let channel = &message.channel;
+    if message.body.len() as u64 > LARGEST {
+        return Some(TOO_LARGE);
+    }
     let long = channel.type_name.len() > LONGEST_NAME || channel.caller_id.len() > LONGEST_NAME;
     if long || channel.md5sum.len() > LONGEST_MD5 {
         return Some("its type's name, md5sum or publisher's name is too long");
@@ -49,6 +58,8 @@ pub fn encoding(tags: &BTreeMap<String, String>) -> Encoding {
     match tags.get(ENCODING).map(String::as_str) {
         Some("cdr") => Encoding::Cdr { idl: false },
         Some("cdr-idl") => Encoding::Cdr { idl: true },
+        Some("mcap-attachment") => Encoding::Beside(Beside::Attachment),
+        Some("mcap-metadata") => Encoding::Beside(Beside::Metadata),
         _ => Encoding::Ros1,
     }
 }
@@ -65,6 +76,14 @@ pub fn sent(tags: &BTreeMap<String, String>, recorded: Timestamp) -> Option<Sent
     let sequence = tags.get(SEQUENCE)?.parse().ok()?;
     let time = tags.get(PUBLISHED).and_then(|time| time.parse().ok()).map_or(recorded, Timestamp);
     Some(Sent { time, sequence })
+}
+
+/// The kind of record that holds what is encoded like this.
+pub fn kind_of(encoding: Encoding) -> RecordKind {
+    match encoding {
+        Encoding::Ros1 | Encoding::Cdr { .. } => RecordKind::Data,
+        Encoding::Beside(_) => RecordKind::Attachment,
+    }
 }
 
 fn tags_of(sent: Sent, recorded: Timestamp) -> Vec<(String, String)> {
@@ -112,11 +131,14 @@ impl Stream {
 /// What the tags say of a recording's channel.
 fn channel_tags(channel: &Channel, topic: &Arc<str>) -> Vec<(String, String)> {
     let mut tags = vec![(SOURCE.0.to_owned(), SOURCE.1.to_owned())];
-    match channel.encoding {
-        Encoding::Ros1 => {}
-        Encoding::Cdr { idl: false } => tags.push((ENCODING.to_owned(), "cdr".to_owned())),
-        Encoding::Cdr { idl: true } => tags.push((ENCODING.to_owned(), "cdr-idl".to_owned())),
-    }
+    let encoding = match channel.encoding {
+        Encoding::Ros1 => None,
+        Encoding::Cdr { idl: false } => Some("cdr"),
+        Encoding::Cdr { idl: true } => Some("cdr-idl"),
+        Encoding::Beside(Beside::Attachment) => Some("mcap-attachment"),
+        Encoding::Beside(Beside::Metadata) => Some("mcap-metadata"),
+    };
+    tags.extend(encoding.map(|encoding| (ENCODING.to_owned(), encoding.to_owned())));
     tags.extend(channel.about.iter().map(|(key, value)| (format!("{CHANNEL}{key}"), value.to_string())));
     if channel.topic != *topic {
         tags.push((RECORDED_TOPIC.to_owned(), channel.topic.to_string()));
@@ -142,7 +164,8 @@ impl<'a> Importer<'a> {
             self.sessions.insert(Arc::clone(&message.channel), Stream::new(&message.channel, topic, tags));
         }
         let tags = message.sent.map(|sent| tags_of(sent, message.time)).unwrap_or_default();
-        let rule = self.rules.of(topic).cloned();
+        let has_rule = kind_of(message.channel.encoding) == RecordKind::Data;
+        let rule = self.rules.of(topic).filter(|_| has_rule).cloned();
         self.offer(message, topic, (tags, rule), goes_on)
     }
 
@@ -193,6 +216,7 @@ impl<'a> Importer<'a> {
         let mut item = CapturedMessage {
             author,
             message,
+            kind: kind_of(channel.encoding),
             simulated: false,
             sessions: vec![session],
             doubt: None,

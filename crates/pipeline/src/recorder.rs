@@ -5,7 +5,7 @@ use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
-use crate::model::{Address, Doubt, LossReason, Timestamp, TopicRule, TopicRules, TypeName, clean};
+use crate::model::{Address, Doubt, LossReason, RecordKind, Timestamp, TopicRule, TopicRules, TypeName, clean};
 use crate::ros::{CaptureNotice, Message, MessageSink, Origin};
 
 use super::losses::{Losses, Lost};
@@ -20,6 +20,8 @@ pub struct CapturedMessage {
     pub author: Arc<Author>,
     /// The message.
     pub message: Arc<Message>,
+    /// The kind of record it becomes: a captured message, or what a recording holds beside its messages.
+    pub kind: RecordKind,
     /// Whether a simulated robot sent it.
     pub simulated: bool,
     /// Sessions waiting for it.
@@ -252,7 +254,9 @@ impl Recorder {
         let ring = !watched && doubt.is_none();
         let author = Arc::clone(&interest.author);
         let rule = interest.rule.clone();
-        let item = CapturedMessage { author, message: Arc::clone(message), simulated, sessions, doubt, rule, ring };
+        let message_of = Arc::clone(message);
+        let kind = RecordKind::Data;
+        let item = CapturedMessage { author, message: message_of, kind, simulated, sessions, doubt, rule, ring };
         if let Err(refused) = self.rings.push(&message.topic, item) {
             self.losses.note(&refused.author, Lost::message(message), self.losses.cause());
             refused.sessions.iter().for_each(|session| session.dropped(&message.topic, refused.doubt.is_some()));

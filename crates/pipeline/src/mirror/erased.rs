@@ -8,7 +8,7 @@ use tokio::task::block_in_place;
 use crate::chain::AnchorProof;
 use crate::crypto::{ErasedStatement, SealedRecord, check_deleted, signer_id};
 use crate::gateway::ErasedRecord;
-use crate::model::{Address, Digest, Header, RecordKind, RecordState};
+use crate::model::{Address, Digest, Header, RecordState};
 use crate::pipeline::authority::{Moment, SigningRight, may_sign};
 use crate::pipeline::{Network, PipelineError, Plant};
 use crate::store::{NewRecord, StoreError, TakenErased};
@@ -75,8 +75,8 @@ pub async fn prove_erased(
     let ErasedRecord { record, statement } = erased;
     let (_, length) = Header::parse(&record.blob).map_err(|_| refused("its header is none"))?;
     let header = check_deleted(plant.provider, &record.blob, digest, &record.signature, &record.signer)?;
-    if length != record.blob.len() || header.kind != RecordKind::Data {
-        return Err(refused("what is left of it is not the header of a message"));
+    if length != record.blob.len() || !header.kind.is_content() {
+        return Err(refused("what is left of it is not the header of a message or an attachment"));
     }
     if header.domain != network.domain {
         return Err(refused("it does not belong to the network"));

@@ -23,9 +23,9 @@ pub struct Erased {
     pub missing: u64,
 }
 
-/// Whether a record can be erased: an own message, verified, and not deleted yet.
+/// Whether a record can be erased: an own message or attachment, verified, and not deleted yet.
 pub fn can_be(row: &RecordRow) -> bool {
-    row.kind == RecordKind::Data && row.state == RecordState::Verified && row.deleted_at.is_none()
+    row.kind.is_content() && row.state == RecordState::Verified && row.deleted_at.is_none()
 }
 
 /// Names these records of an owner, each of which [`can_be`] erased, as erased. One caller at a time.

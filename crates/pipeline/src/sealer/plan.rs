@@ -4,7 +4,7 @@
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use crate::model::{Address, Digest, Domain, RecorderPrefix, SignerId, TopicId};
+use crate::model::{Address, Digest, Domain, RecordKind, RecorderPrefix, SignerId, TopicId};
 use crate::pipeline::epoch::{EpochKeys, TopicKeys};
 use crate::pipeline::packing::{Packing, Try};
 use crate::pipeline::recorder::CapturedMessage;
@@ -136,14 +136,23 @@ impl Planner {
                 plan.keyless.push(item);
                 continue;
             };
-            let definition = self.definition_digest(plant, &item.message.topic, &item.message.definition);
+            // Only messages have a definition.
+            let has_definition = item.kind == RecordKind::Data;
+            let definition = match has_definition {
+                true => self.definition_digest(plant, &item.message.topic, &item.message.definition),
+                false => Digest([0; 32]),
+            };
             let add = |planner: &Self, plan: &mut Plan<'a>, content| {
                 let seq = planner.next_seq(plant, (item.author.address, keys.signer, topic.id), plan)?;
                 let (keys, topic) = (Arc::clone(&keys), Arc::clone(&topic));
                 plan.tasks.push(Task { item, content, keys, topic, recorder, seq, definition });
                 Ok::<(), PipelineError>(())
             };
-            if let Some(unsent) = self.unsent(plant, &plan, item, (&*keys, topic.id, definition))? {
+            let unsent = match has_definition {
+                true => self.unsent(plant, &plan, item, (&*keys, topic.id, definition))?,
+                false => None,
+            };
+            if let Some(unsent) = unsent {
                 plan.definitions.insert(unsent);
                 add(self, &mut plan, Content::Definition(unsent))?;
             }

@@ -44,7 +44,7 @@ impl Task<'_> {
     fn kind(&self) -> RecordKind {
         match self.content {
             Content::Definition(_) => RecordKind::Definition,
-            Content::Message(_) => RecordKind::Data,
+            Content::Message(_) => self.item.kind,
         }
     }
 

@@ -103,6 +103,7 @@ impl Line {
         CapturedMessage {
             author,
             message,
+            kind: RecordKind::Data,
             simulated: false,
             sessions: Vec::new(),
             doubt: None,

@@ -1,19 +1,23 @@
 //! Reads a bag chunk by chunk, in file order. A chunk is decompressed and its checksum compared before any of its
 //! messages is returned; a damaged one is skipped as a whole.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::io::{BufRead, Read, Seek, SeekFrom};
 use std::sync::Arc;
 
 use super::MAGIC;
+use super::index::{ChunkMessages, ENTRY, chunk_position};
 use super::record::{Fields, LONGEST_CONNECTION, LONGEST_HEADER, Op, connection, sized};
 use super::search::{chunk_compression, next_chunk};
 use crate::ros::RosError;
 use crate::ros::recording::{
-    Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, go_to,
-    read_at, unpack,
+    Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, TOO_LARGE,
+    go_to, read_at, unpack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
+
+/// The most positions of chunks that are remembered from the index.
+const MOST_PLACES: usize = 1 << 20;
 
 /// The chunk being read.
 #[derive(Debug, Default)]
@@ -48,6 +52,10 @@ pub struct BagReader<R> {
     /// Where the next record begins.
     position: u64,
     chunk: Chunk,
+    /// The messages of the chunk read last, if it was whole, until its index is met.
+    chunk_messages: Option<ChunkMessages>,
+    /// Where chunks begin that were not met yet, according to the index at the end.
+    places: BTreeSet<u64>,
     connections: HashMap<u32, Arc<Channel>>,
     connection_bytes: usize,
     findings: Findings,
@@ -77,6 +85,8 @@ impl<R: BufRead + Seek> BagReader<R> {
             length,
             position: MAGIC.len() as u64,
             chunk: Chunk::default(),
+            chunk_messages: None,
+            places: BTreeSet::new(),
             connections: HashMap::new(),
             connection_bytes: 0,
             findings: Findings::default(),
@@ -108,7 +118,11 @@ impl<R: BufRead + Seek> BagReader<R> {
                 return Ok(Some(message));
             }
             if self.ended {
-                self.findings.compare(self.length, self.counted.take(), self.met);
+                if let Some(place) = std::mem::take(&mut self.places).first() {
+                    let text = format!("the index at the end names a chunk at byte {place}, but there is none");
+                    self.findings.note(self.length, &text);
+                }
+                self.findings.compare(self.length, "messages", self.counted.take(), self.met);
                 return Ok(None);
             }
             if let Some(message) = self.advance().map_err(|error| RosError::unreadable(&error))? {
@@ -127,25 +141,40 @@ impl<R: BufRead + Seek> BagReader<R> {
         if fields.bytes("encryptor").is_some_and(|name| !name.is_empty()) {
             return Err(RosError::recording("it is encrypted; decrypt it with `rosbag decrypt` first"));
         }
-        let Some(mut at) = fields.u64("index_pos").filter(|at| *at > 0) else { return Ok(()) };
+        let Some(mut at) = fields.u64("index_pos").filter(|at| *at > 0) else {
+            self.findings.unfinished = true;
+            return Ok(());
+        };
         if at > self.length {
             self.findings.note(self.length, &format!("the bag is cut off: its index should start at byte {at}"));
         }
         let mut counted = 0_u64;
         while let Found::Record { header, data, length } = self.look(at).map_err(unreadable)? {
             let Some(fields) = Fields::parse(&header) else { return Ok(()) };
-            if fields.op() == Some(Op::ChunkInfo) {
-                counted += self.counted_in(data, length).map_err(unreadable)?;
-                at = data + length;
-                self.counted = (at == self.length).then_some(counted);
-                continue;
+            let is_sound = match fields.op() {
+                Some(Op::ChunkInfo) => {
+                    counted += self.counted_in(data, length).map_err(unreadable)?;
+                    self.counted = (data + length == self.length).then_some(counted);
+                    let place = chunk_position(&fields, length);
+                    self.places.extend(place.filter(|_| self.places.len() < MOST_PLACES));
+                    place.is_some()
+                }
+                Some(Op::Connection) => {
+                    let most = length.min(LONGEST_CONNECTION as u64 + 1);
+                    let bytes = read_at(&mut self.file, data, most).map_err(unreadable)?;
+                    self.learn(&fields, &bytes)
+                }
+                _ => break,
+            };
+            if !is_sound {
+                self.findings.note(at, "a record of the index at the end is damaged");
             }
-            if fields.op() != Some(Op::Connection) {
-                break;
-            }
-            let bytes = read_at(&mut self.file, data, length.min(LONGEST_CONNECTION as u64 + 1)).map_err(unreadable)?;
-            self.learn(&fields, &bytes);
             at = data + length;
+        }
+        if at < self.length {
+            self.findings.note(at, "the index at the end is damaged from here on");
+        } else if at > self.length && self.findings.damages.is_empty() {
+            self.findings.note(self.length, "the bag is cut off in its index");
         }
         Ok(())
     }
@@ -157,17 +186,30 @@ impl<R: BufRead + Seek> BagReader<R> {
         Ok(counts.map(|count| u64::from(u32::from_le_bytes(*count))).sum())
     }
 
-    /// Adds a connection; if a number occurs twice the last one counts, as in rosbag.
+    /// Adds a connection; `false` if it is damaged. If a number is described twice, the later description counts from there
+    /// on, and is damage if it differs: rosbag goes by the index alone, so the number would stand for two things.
     fn learn(&mut self, fields: &Fields<'_>, data: &[u8]) -> bool {
-        let Some((number, channel)) = connection(fields, data).filter(|_| data.len() <= LONGEST_CONNECTION) else {
+        let Some((number, channel, is_whole)) = connection(fields, data).filter(|_| data.len() <= LONGEST_CONNECTION)
+        else {
             return false;
         };
-        if self.connections.get(&number).is_some_and(|known| **known == channel) {
-            return true;
+        if let Some(known) = self.connections.get(&number) {
+            if **known == channel {
+                return true;
+            }
+            let [before, here] = [&known.topic, &channel.topic].map(|topic| crate::model::clean(topic, 80));
+            let text = format!(
+                "connection {number} is '{before}' before and '{here}' here: the file contradicts itself; from here on the newer \
+                 description counts"
+            );
+            self.findings.note(self.position, &text);
         }
         self.connection_bytes += channel.size();
         if self.connections.len() >= MOST_CHANNELS || self.connection_bytes > MOST_CHANNEL_BYTES {
             return false;
+        }
+        if !is_whole {
+            self.findings.note(self.position, "fields of a connection's header are too long to keep");
         }
         self.connections.insert(number, Arc::new(channel));
         true
@@ -204,6 +246,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         let start = self.position;
         let (header, data, length) = match self.look(start)? {
             Found::End => {
+                self.end_chunk_messages(start);
                 self.ended = true;
                 return Ok(None);
             }
@@ -215,19 +258,24 @@ impl<R: BufRead + Seek> BagReader<R> {
         };
         let Some(fields) = Fields::parse(&header) else { return Ok(None) };
         self.position = data + length;
+        if fields.op() != Some(Op::Index) {
+            self.end_chunk_messages(start);
+        }
         match fields.op() {
             Some(Op::Chunk) => self.read_chunk(&fields, start, data, length)?,
-            Some(Op::Index) if fields.u32("ver") == Some(1) => {
-                // Some recorders wrote a wrong length here; like rosbag, go by the count.
-                self.position = data + u64::from(fields.u32("count").unwrap_or(0)) * 12;
-            }
+            Some(Op::Index) => self.read_index_record(&fields, start, data)?,
             Some(Op::Connection) if length <= LONGEST_CONNECTION as u64 => {
                 let bytes = read_at(&mut self.file, data, length)?;
                 if !self.learn(&fields, &bytes) {
                     self.findings.note(start, "a connection record that cannot be used was skipped");
                 }
             }
-            Some(Op::Message) if length <= LONGEST_MESSAGE as u64 && self.position <= self.length => {
+            Some(Op::Message) if self.position <= self.length && length > LONGEST_MESSAGE as u64 => {
+                self.met += 1;
+                let channel = fields.u32("conn").and_then(|number| self.connections.get(&number));
+                self.findings.leave_out(channel.map_or("", |channel| &*channel.topic), TOO_LARGE);
+            }
+            Some(Op::Message) if self.position <= self.length => {
                 let body = read_at(&mut self.file, data, length)?;
                 return Ok(self.message(&fields, body, false));
             }
@@ -238,10 +286,52 @@ impl<R: BufRead + Seek> BagReader<R> {
         Ok(None)
     }
 
+    /// The index of one connection behind a chunk must be of the chunk's messages.
+    fn read_index_record(&mut self, fields: &Fields<'_>, start: u64, data: u64) -> std::io::Result<()> {
+        let version = fields.u32("ver").filter(|version| *version == 1);
+        let Some((connection, count)) = version.and(fields.u32("conn")).zip(fields.u32("count")) else {
+            if self.position > self.length {
+                return self.search(start, data, "it is cut off or damaged here");
+            }
+            self.chunk_messages = None;
+            self.findings.note(start, "the index of a chunk is damaged here");
+            return Ok(());
+        };
+        // Some recorders wrote a wrong length here; like rosbag, go by the count.
+        let size = u64::from(count) * ENTRY as u64;
+        self.position = data + size;
+        if self.position > self.length {
+            return self.search(start, data, "it is cut off or damaged here");
+        }
+        let Some(mut messages) = self.chunk_messages.take() else { return Ok(()) };
+        let agrees = messages.count(connection) == u64::from(count)
+            && messages.take(connection, &read_at(&mut self.file, data, size)?);
+        if agrees {
+            self.chunk_messages = Some(messages);
+        } else {
+            let text =
+                format!("the index of connection {connection} is not of the messages before it: one was altered");
+            self.findings.note(start, &text);
+        }
+        Ok(())
+    }
+
+    /// No index of the last chunk follows. A recorder that was killed may not have come to write it.
+    fn end_chunk_messages(&mut self, at: u64) {
+        let left = self.chunk_messages.take().and_then(|messages| messages.left());
+        if let Some(connection) = left.filter(|_| !self.findings.unfinished) {
+            self.findings.note(at, &format!("the index of connection {connection} is missing behind its chunk"));
+        }
+    }
+
     fn message(&mut self, fields: &Fields<'_>, body: Vec<u8>, guarded: bool) -> Option<RecordedMessage> {
         self.met += 1;
-        let Some(channel) = fields.u32("conn").and_then(|number| self.connections.get(&number)) else {
-            self.findings.leave_out("", "no record of the bag describes its connection");
+        let Some(number) = fields.u32("conn") else {
+            self.findings.leave_out("", "it names no connection");
+            return None;
+        };
+        let Some(channel) = self.connections.get(&number) else {
+            self.findings.leave_out("", &format!("no record of the bag describes its connection {number}"));
             return None;
         };
         let Some(time) = fields.time("time") else {
@@ -254,6 +344,7 @@ impl<R: BufRead + Seek> BagReader<R> {
 
     /// Continues at the next chunk after `from`; what lies between is reported as skipped.
     fn search(&mut self, damaged: u64, from: u64, why: &str) -> std::io::Result<()> {
+        self.chunk_messages = None;
         let next = next_chunk(&mut self.file, from)?;
         let end = next.unwrap_or(self.length);
         let skipped = end.saturating_sub(damaged);
@@ -264,6 +355,7 @@ impl<R: BufRead + Seek> BagReader<R> {
     }
 
     fn read_chunk(&mut self, fields: &Fields<'_>, start: u64, data: u64, length: u64) -> std::io::Result<()> {
+        self.places.remove(&start);
         let size = fields.u32("size").map_or(0, u64::from);
         let Some(compression) = chunk_compression(fields) else {
             self.findings.note(start, "a chunk with an unknown compression was skipped");
@@ -291,6 +383,7 @@ impl<R: BufRead + Seek> BagReader<R> {
         let guarded = unpacked.as_ref().is_ok_and(|guarded| *guarded);
         self.chunk = Chunk { bytes, at: 0, position: data, cut: missing && !whole, guarded };
         if whole && !missing {
+            self.chunk_messages = Some(ChunkMessages::default());
             return Ok(());
         }
         if missing && !self.is_followed(data)? {
@@ -327,7 +420,10 @@ impl<R: BufRead + Seek> BagReader<R> {
                 return None;
             };
             let found = match Fields::parse(header).map(|fields| (fields.op(), fields)) {
-                Some((Some(Op::Message), fields)) if data.len() <= LONGEST_MESSAGE => {
+                Some((Some(Op::Message), fields)) => {
+                    if let Some(messages) = &mut self.chunk_messages {
+                        messages.add(&fields, chunk.at);
+                    }
                     Some(self.message(&fields, data.to_vec(), chunk.guarded))
                 }
                 Some((Some(Op::Connection), fields)) if self.learn(&fields, data) => Some(None),
@@ -348,6 +444,7 @@ impl<R: BufRead + Seek> BagReader<R> {
 
     /// The rest of a chunk cannot be read.
     fn end_chunk(&mut self, mut chunk: Chunk) {
+        self.chunk_messages = None;
         if !chunk.cut {
             let left = chunk.bytes.len() - chunk.at;
             let text = format!("the last {left} bytes of a chunk were skipped: they are not bag records");

@@ -1,10 +1,9 @@
 //! The records of a bag: a header of named fields, then data; all lengths 32 bits, little endian.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::model::Timestamp;
-use crate::ros::recording::{Channel, Encoding};
+use crate::ros::recording::{BAG_TOPIC, Channel, Encoding, kept_about};
 
 /// The longest header of a record, bytes: the fields of a bag's own records are short.
 pub(super) const LONGEST_HEADER: usize = 64 * 1024;
@@ -73,6 +72,13 @@ impl<'a> Fields<'a> {
         Some(Timestamp(u64::from(seconds) * 1_000_000_000 + u64::from(nanoseconds)))
     }
 
+    /// The fields of a connection's header that a channel has no field for.
+    fn others(&self) -> impl Iterator<Item = (Arc<str>, Arc<str>)> {
+        let text = |bytes: &[u8]| -> Arc<str> { String::from_utf8_lossy(bytes).into() };
+        let others = self.fields.iter().map(move |(name, value)| (text(name), text(value)));
+        others.filter(|(name, _)| !OWN.contains(&&**name) && &**name != BAG_TOPIC)
+    }
+
     pub fn op(&self) -> Option<Op> {
         match self.bytes("op")? {
             [code] => Op::from_code(*code),
@@ -87,20 +93,31 @@ pub(super) fn sized(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     rest.split_at_checked(usize::try_from(u32::from_le_bytes(*length)).ok()?)
 }
 
-/// A connection record: its number, and its description of the publisher.
-pub(super) fn connection(fields: &Fields<'_>, data: &[u8]) -> Option<(u32, Channel)> {
+/// Fields of a connection's header that a channel has fields for.
+const OWN: [&str; 6] = ["topic", "type", "md5sum", "message_definition", "callerid", "latching"];
+
+/// A connection record: its number, its description of the publisher, and whether all of it is kept.
+pub(super) fn connection(fields: &Fields<'_>, data: &[u8]) -> Option<(u32, Channel, bool)> {
     let about = Fields::parse(data)?;
+    let topic = fields.text("topic")?;
+    let latching = about.text("latching");
+    let named = about.text("topic").unwrap_or_default();
+    let mut others: Vec<(Arc<str>, Arc<str>)> = Vec::new();
+    others.extend(latching.iter().filter(|value| ***value != *"1").map(|value| ("latching".into(), Arc::clone(value))));
+    others.extend((named != topic).then(|| (BAG_TOPIC.into(), named)));
+    others.extend(about.others());
+    let (others, is_whole) = kept_about(others);
     let channel = Channel {
-        topic: fields.text("topic")?,
+        topic: Arc::clone(&topic),
         type_name: about.text("type")?,
         md5sum: about.text("md5sum")?,
         definition: about.text("message_definition")?,
         caller_id: about.text("callerid").unwrap_or_default(),
-        latching: about.bytes("latching").is_some_and(|value| value == b"1"),
+        latching: latching.as_ref().is_some_and(|value| &**value == "1"),
         encoding: Encoding::Ros1,
-        about: BTreeMap::new(),
+        about: others,
     };
-    Some((fields.u32("conn")?, channel))
+    Some((fields.u32("conn")?, channel, is_whole))
 }
 
 /// Appends a header of fields with its length.
@@ -124,18 +141,27 @@ pub(super) fn put_length(out: &mut Vec<u8>, length: usize) {
 pub(super) fn put_connection(out: &mut Vec<u8>, number: u32, channel: &Channel) {
     let number = number.to_le_bytes();
     put_fields(out, &[("op", &[Op::Connection as u8]), ("conn", &number), ("topic", channel.topic.as_bytes())]);
-    let mut about: Vec<(&str, &[u8])> = vec![
-        ("topic", channel.topic.as_bytes()),
+    let named = channel.about.get(BAG_TOPIC).unwrap_or(&channel.topic);
+    let mut about: Vec<(&str, &[u8])> = Vec::with_capacity(8);
+    if !named.is_empty() {
+        about.push(("topic", named.as_bytes()));
+    }
+    about.extend([
         ("type", channel.type_name.as_bytes()),
         ("md5sum", channel.md5sum.as_bytes()),
         ("message_definition", channel.definition.as_bytes()),
-    ];
+    ]);
     if !channel.caller_id.is_empty() {
         about.push(("callerid", channel.caller_id.as_bytes()));
     }
-    if channel.latching {
-        about.push(("latching", b"1"));
+    match channel.about.get("latching") {
+        Some(value) => about.push(("latching", value.as_bytes())),
+        None if channel.latching => about.push(("latching", b"1")),
+        None => {}
     }
+    let is_writable = |name: &str| !OWN.contains(&name) && name != BAG_TOPIC && !name.is_empty() && !name.contains('=');
+    let others = channel.about.iter().filter(|(name, _)| is_writable(name));
+    about.extend(others.map(|(name, value)| (&**name, value.as_bytes())));
     put_fields(out, &about);
 }
 

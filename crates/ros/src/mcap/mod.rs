@@ -3,10 +3,12 @@
 //! The profile `ros1` is fully read and written; ROS 2 messages are taken as raw CDR with their schema. The content of
 //! a file is untrusted.
 
+mod beside;
 mod reader;
 mod record;
 mod writer;
 
+pub use beside::{AttachedFile, Beside, BesideContent, TOPIC as BESIDE};
 pub use reader::McapReader;
 pub use writer::McapWriter;
 

@@ -6,12 +6,13 @@ use std::io::{BufRead, Read, Seek, SeekFrom};
 use std::sync::Arc;
 
 use super::MAGIC;
+use super::beside::{Beside, BesideContent, TOPIC};
 use super::record::{ChannelRecord, Code, Fields, Schema, schema};
 use crate::model::Timestamp;
 use crate::ros::RosError;
 use crate::ros::recording::{
     Channel, ChunkCompression, Findings, LARGEST_CHUNK, MOST_CHANNEL_BYTES, MOST_CHANNELS, RecordedMessage, Sent,
-    go_to, read_at, unpack,
+    TOO_LARGE, go_to, read_at, unpack,
 };
 use crate::ros::tcpros::LONGEST_MESSAGE;
 
@@ -26,6 +27,9 @@ const LONGEST_CHUNK_HEAD: u64 = 128;
 
 /// The most chunks whose position is remembered from the summary, to continue after damage.
 const MOST_PLACES: usize = 1 << 20;
+
+/// Bytes of an attachment too large to read, which begin with its name.
+const BEGINNING: u64 = 1024;
 
 /// The latest time of a record, nanoseconds.
 const LATEST: u64 = i64::MAX as u64;
@@ -75,6 +79,13 @@ struct KnownChannel {
     usable: Result<Arc<Channel>, String>,
 }
 
+/// A count in the summary, if there is one, and what was found.
+#[derive(Debug, Default)]
+struct Tally {
+    counted: Option<u64>,
+    met: u64,
+}
+
 /// Reads an MCAP file. `R` should be buffered.
 #[derive(Debug)]
 pub struct McapReader<R> {
@@ -89,11 +100,15 @@ pub struct McapReader<R> {
     /// Where chunks begin, according to the summary.
     places: BTreeSet<u64>,
     findings: Findings,
-    /// How many messages the summary counts.
-    counted: Option<u64>,
-    /// How many were found.
-    met: u64,
+    /// How many messages the summary counts, and how many were found.
+    messages: Tally,
+    /// The same of attachments and metadata.
+    besides: Tally,
+    /// When the last message was recorded; before the first, when the summary says that it begins.
+    latest: Timestamp,
     ended: bool,
+    /// Whether the file's last bytes are its footer, by which a summary is found.
+    has_footer: bool,
 }
 
 impl<R: BufRead + Seek> McapReader<R> {
@@ -115,9 +130,11 @@ impl<R: BufRead + Seek> McapReader<R> {
             texts: 0,
             places: BTreeSet::new(),
             findings: Findings::default(),
-            counted: None,
-            met: 0,
+            messages: Tally::default(),
+            besides: Tally::default(),
+            latest: Timestamp(0),
             ended: false,
+            has_footer: false,
         };
         if read_at(&mut reader.file, 0, position).map_err(unreadable)? != MAGIC {
             return Err(RosError::recording("it does not start like MCAP"));
@@ -136,7 +153,7 @@ impl<R: BufRead + Seek> McapReader<R> {
         (self.position.min(self.length), self.length)
     }
 
-    /// The next readable message; `None` at the end.
+    /// The next readable message, attachment or metadata record; `None` at the end.
     ///
     /// # Errors
     /// [`RosError::Recording`] if the file itself cannot be read.
@@ -146,12 +163,19 @@ impl<R: BufRead + Seek> McapReader<R> {
                 return Ok(Some(message));
             }
             if self.ended {
-                self.findings.compare(self.length, self.counted.take(), self.met);
+                self.compare();
                 return Ok(None);
             }
             if let Some(message) = self.advance().map_err(|error| RosError::unreadable(&error))? {
                 return Ok(Some(message));
             }
+        }
+    }
+
+    fn compare(&mut self) {
+        for (what, tally) in [("messages", &mut self.messages), ("attachments and metadata records", &mut self.besides)]
+        {
+            self.findings.compare(self.length, what, tally.counted.take(), tally.met);
         }
     }
 
@@ -177,6 +201,7 @@ impl<R: BufRead + Seek> McapReader<R> {
             }
             _ => None,
         };
+        self.has_footer = start.is_some();
         let Some((mut at, checksum)) = start.filter(|(start, _)| *start > 0) else { return Ok(()) };
         // The checksum covers the summary and the footer up to itself.
         if checksum != 0 && self.checksum_of(at, footer + LEAD + 16)? != checksum {
@@ -189,20 +214,35 @@ impl<R: BufRead + Seek> McapReader<R> {
                 break;
             }
             let content = read_at(&mut self.file, at + LEAD, length)?;
-            match Code::from_byte(code) {
+            let is_sound = match Code::from_byte(code) {
                 Some(Code::ChunkIndex) => {
                     let mut fields = Fields(&content);
                     let place = fields.u64().and(fields.u64()).and(fields.u64());
                     self.places.extend(place.filter(|_| self.places.len() < MOST_PLACES));
+                    place.is_some()
                 }
-                Some(Code::Statistics) => self.counted = Fields(&content).u64(),
-                _ => {
-                    self.learn(code, &content, Place::Summary);
-                }
+                Some(Code::Statistics) => self.read_statistics(Fields(&content)),
+                _ => self.learn(code, &content, Place::Summary),
+            };
+            if !is_sound {
+                self.findings.note(at, "a record of the summary at the end is damaged");
             }
             at += LEAD + length;
         }
+        if at != footer {
+            self.findings.note(at, "the summary at the end is damaged: it does not end where the footer begins");
+        }
         Ok(())
+    }
+
+    fn read_statistics(&mut self, mut fields: Fields<'_>) -> bool {
+        self.messages.counted = fields.u64();
+        let attached = fields.u16().and(fields.u32()).and(fields.u32());
+        let metadata = fields.u32();
+        self.besides.counted = attached.zip(metadata).map(|(files, records)| u64::from(files) + u64::from(records));
+        let begins = fields.u32().and(fields.u64());
+        self.latest = Timestamp(begins.filter(|time| *time <= LATEST).unwrap_or_default());
+        begins.is_some()
     }
 
     /// CRC-32 of the file between two positions.
@@ -224,6 +264,9 @@ impl<R: BufRead + Seek> McapReader<R> {
     /// After the last record of data. If messages had no checksum of their own, that of all data is compared.
     fn end_data(&mut self, start: u64, length: u64) -> std::io::Result<()> {
         self.ended = true;
+        if !self.has_footer {
+            self.findings.note(self.length, "the file is damaged at its end: there is no footer behind the data");
+        }
         let content = read_at(&mut self.file, start + LEAD, length.min(4))?;
         let checksum = Fields(&content).u32().filter(|checksum| *checksum != 0);
         let Some(checksum) = checksum.filter(|_| self.findings.unguarded > 0) else { return Ok(()) };
@@ -332,13 +375,29 @@ impl<R: BufRead + Seek> McapReader<R> {
                 let content = read_at(&mut self.file, data, length)?;
                 return Ok(self.message(Fields(&content), false));
             }
+            Some(code @ (Code::Attachment | Code::Metadata)) => {
+                let Some(kind) = Beside::of_code(code) else { return Ok(None) };
+                if length > LONGEST_MESSAGE as u64 {
+                    let beginning = read_at(&mut self.file, data, BEGINNING)?;
+                    self.leave_out_beside(kind, &kind.name_of(&beginning), length);
+                    return Ok(None);
+                }
+                let content = read_at(&mut self.file, data, length)?;
+                return Ok(self.beside(kind, start, &content, false));
+            }
             Some(Code::Schema | Code::Channel) if length <= LONGEST_RECORD => {
                 let content = read_at(&mut self.file, data, length)?;
                 if !self.learn(code.map_or(0, |code| code as u8), &content, Place::Data) {
                     self.findings.note(start, "a schema or channel that cannot be used was skipped");
                 }
             }
-            Some(Code::Message | Code::Schema | Code::Channel) => {
+            Some(Code::Message) => {
+                self.messages.met += 1;
+                let number = Fields(&read_at(&mut self.file, data, 2)?).u16();
+                let channel = number.and_then(|number| self.channels.get(&number));
+                self.findings.leave_out(channel.map_or("", |known| &**known.latest.record.topic()), TOO_LARGE);
+            }
+            Some(Code::Schema | Code::Channel) => {
                 self.findings.note(start, &format!("a record of {length} bytes was skipped: it is too large"));
             }
             _ if self.places.contains(&start) => {
@@ -349,8 +408,41 @@ impl<R: BufRead + Seek> McapReader<R> {
         Ok(None)
     }
 
+    /// An attachment or metadata record, as it is in the file.
+    fn beside(&mut self, kind: Beside, at: u64, content: &[u8], guarded: bool) -> Option<RecordedMessage> {
+        self.besides.met += 1;
+        let word = kind.word();
+        let Some(parsed) = kind.parse(content) else {
+            self.findings.note(at, &format!("a damaged {word} of {} bytes was skipped", content.len()));
+            return None;
+        };
+        let sound = Beside::is_sound(&parsed, content);
+        if sound == Some(false) {
+            let text = format!("the {word} {} was skipped: its checksum does not match", shown(parsed.name()));
+            self.findings.note(at, &text);
+            return None;
+        }
+        self.findings.unguarded += u64::from(!guarded && sound.is_none());
+        // Metadata has no time: it belongs to what was recorded before it.
+        let time = match parsed {
+            BesideContent::File(file) => file.logged_at,
+            BesideContent::Metadata { .. } => self.latest,
+        };
+        Some(RecordedMessage { channel: Arc::new(kind.channel()), time, sent: None, body: content.to_vec() })
+    }
+
+    fn leave_out_beside(&mut self, kind: Beside, name: &str, length: u64) {
+        self.besides.met += 1;
+        let why = format!(
+            "the {} {} of {length} bytes is too large: a record holds at most {LONGEST_MESSAGE}",
+            kind.word(),
+            shown(name)
+        );
+        self.findings.leave_out(TOPIC, &why);
+    }
+
     fn message(&mut self, mut fields: Fields<'_>, guarded: bool) -> Option<RecordedMessage> {
-        self.met += 1;
+        self.messages.met += 1;
         let channel = match fields.u16().map(|number| (number, self.channels.get(&number))) {
             Some((_, Some(KnownChannel { usable: Ok(channel), .. }))) => Arc::clone(channel),
             Some((_, Some(KnownChannel { usable: Err(why), latest }))) => {
@@ -375,6 +467,7 @@ impl<R: BufRead + Seek> McapReader<R> {
             return None;
         }
         self.findings.unguarded += u64::from(!guarded);
+        self.latest = Timestamp(logged);
         let sent = Some(Sent { time: Timestamp(sent), sequence });
         Some(RecordedMessage { channel, time: Timestamp(logged), sent, body: fields.0.to_vec() })
     }
@@ -458,11 +551,15 @@ impl<R: BufRead + Seek> McapReader<R> {
         while self.chunk.at < self.chunk.bytes.len() {
             let chunk = std::mem::take(&mut self.chunk);
             let mut fields = Fields(chunk.bytes.get(chunk.at..).unwrap_or_default());
-            let message = match fields.record() {
-                Some((code, content)) if code == Code::Message as u8 => {
+            let record = fields.record();
+            let beside = record.and_then(|(code, _)| Code::from_byte(code)).and_then(Beside::of_code);
+            let message = match (record, beside) {
+                (Some((code, content)), _) if code == Code::Message as u8 => {
                     Some(self.message(Fields(content), chunk.guarded))
                 }
-                Some((code, content)) if self.learn(code, content, Place::Data) => Some(None),
+                // MCAP has them outside of chunks; wherever they are, they are there.
+                (Some((_, content)), Some(kind)) => Some(self.beside(kind, chunk.position, content, chunk.guarded)),
+                (Some((code, content)), None) if self.learn(code, content, Place::Data) => Some(None),
                 _ => None,
             };
             let at = chunk.bytes.len() - fields.0.len();

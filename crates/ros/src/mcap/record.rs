@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::ros::recording::{Channel, Encoding};
+use crate::ros::recording::{Channel, Encoding, kept_about};
 
 /// The kind of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -16,7 +16,11 @@ pub(super) enum Code {
     Chunk = 6,
     MessageIndex = 7,
     ChunkIndex = 8,
+    Attachment = 9,
+    AttachmentIndex = 10,
     Statistics = 11,
+    Metadata = 12,
+    MetadataIndex = 13,
     SummaryOffset = 14,
     DataEnd = 15,
 }
@@ -33,7 +37,11 @@ impl Code {
             Self::Chunk,
             Self::MessageIndex,
             Self::ChunkIndex,
+            Self::Attachment,
+            Self::AttachmentIndex,
             Self::Statistics,
+            Self::Metadata,
+            Self::MetadataIndex,
             Self::SummaryOffset,
             Self::DataEnd,
         ];
@@ -41,12 +49,10 @@ impl Code {
     }
 }
 
-/// Those of a channel's metadata that have a field here.
-const OWN: [&str; 3] = ["md5sum", "callerid", "latching"];
-
-/// The longest other metadata, bytes; and the most entries.
-const LONGEST_ABOUT: usize = 8 * 1024;
-const MOST_ABOUT: usize = 12;
+/// Whether an entry of a channel's metadata is said by a field here.
+fn is_own(key: &str, value: &str) -> bool {
+    matches!((key, value), ("md5sum" | "callerid", _) | ("latching", "1"))
+}
 
 /// Parses consecutive fields; `None` if the bytes end too early.
 #[derive(Debug, Clone, Copy)]
@@ -88,6 +94,16 @@ impl<'a> Fields<'a> {
 
     pub fn text(&mut self) -> Option<Arc<str>> {
         self.sized().map(|bytes| String::from_utf8_lossy(bytes).into())
+    }
+
+    /// Names with values, in their order, behind the length of them all.
+    pub fn map(&mut self) -> Option<Vec<(Arc<str>, Arc<str>)>> {
+        let mut map = Fields(self.sized()?);
+        let mut entries = Vec::new();
+        while !map.0.is_empty() {
+            entries.push((map.text()?, map.text()?));
+        }
+        Some(entries)
     }
 
     /// A record: its code and its content.
@@ -133,12 +149,7 @@ impl ChannelRecord {
     pub fn parse(mut fields: Fields<'_>) -> Option<Self> {
         let (number, schema) = (fields.u16()?, fields.u16()?);
         let (topic, encoding) = (fields.text()?, fields.text()?);
-        let mut map = Fields(fields.sized()?);
-        let mut about = BTreeMap::new();
-        while !map.0.is_empty() {
-            let key = map.text()?.to_string();
-            about.insert(key, map.text()?);
-        }
+        let about = fields.map()?.into_iter().map(|(key, value)| (key.to_string(), value)).collect();
         Some(Self { number, schema, topic, encoding, about })
     }
 
@@ -150,8 +161,12 @@ impl ChannelRecord {
 
     /// Whether all its metadata is kept.
     pub fn is_kept(&self) -> bool {
-        let others = || self.about.iter().filter(|(key, _)| !OWN.contains(&key.as_str()));
-        others().count() <= MOST_ABOUT && others().all(|entry| kept(entry).is_some())
+        kept_about(self.others()).1
+    }
+
+    fn others(&self) -> impl Iterator<Item = (Arc<str>, Arc<str>)> {
+        let others = self.about.iter().filter(|(key, value)| !is_own(key, value));
+        others.map(|(key, value)| (key.as_str().into(), Arc::clone(value)))
     }
 
     /// The channel's topic.
@@ -182,7 +197,7 @@ impl ChannelRecord {
             Encoding::Ros1 if !definition.is_empty() => {
                 crate::ros::md5sum(&schema.name, &definition).ok().map(Arc::from)
             }
-            Encoding::Ros1 | Encoding::Cdr { .. } => None,
+            Encoding::Ros1 | Encoding::Cdr { .. } | Encoding::Beside(_) => None,
         };
         Ok(Channel {
             md5sum: about("md5sum").filter(|sum| &**sum != "*").or_else(computed).unwrap_or_else(|| "*".into()),
@@ -192,23 +207,13 @@ impl ChannelRecord {
             type_name: Arc::clone(&schema.name),
             definition,
             encoding,
-            about: self
-                .about
-                .iter()
-                .filter(|(key, _)| !OWN.contains(&key.as_str()))
-                .filter_map(kept)
-                .take(MOST_ABOUT)
-                .collect(),
+            about: kept_about(self.others()).0,
         })
     }
 
     fn foreign(&self) -> String {
         format!("its encoding '{}' is not of ROS", self.encoding)
     }
-}
-
-fn kept((key, value): (&String, &Arc<str>)) -> Option<(Arc<str>, Arc<str>)> {
-    (key.len() + value.len() <= LONGEST_ABOUT).then(|| (key.as_str().into(), Arc::clone(value)))
 }
 
 /// Appends a record whose content is written by `fill`.
@@ -252,6 +257,7 @@ pub(super) fn schema_encoding(encoding: Encoding) -> &'static str {
         Encoding::Ros1 => "ros1msg",
         Encoding::Cdr { idl: false } => "ros2msg",
         Encoding::Cdr { idl: true } => "ros2idl",
+        Encoding::Beside(_) => "",
     }
 }
 
@@ -261,7 +267,7 @@ pub(super) fn put_channel(out: &mut Vec<u8>, number: u16, schema: u16, channel: 
     if !channel.caller_id.is_empty() {
         about.push(("callerid", &channel.caller_id));
     }
-    if channel.latching {
+    if channel.latching && !channel.about.contains_key("latching") {
         about.push(("latching", "1"));
     }
     about.retain(|(key, value)| *key != "md5sum" || *value != "*");

@@ -5,6 +5,7 @@ use std::io::{Seek, Write};
 use std::sync::Arc;
 
 use super::MAGIC;
+use super::beside::{Beside, BesideContent};
 use super::record::{Code, put_channel, put_length, put_record, put_schema, put_text, schema_encoding};
 use crate::model::Timestamp;
 use crate::ros::RosError;
@@ -26,6 +27,14 @@ struct ChunkIndex {
     size: u64,
 }
 
+/// An attachment's or metadata record's line in the summary.
+#[derive(Debug)]
+struct BesideIndex {
+    kind: Beside,
+    /// The content of its index record.
+    line: Vec<u8>,
+}
+
 /// Writes an MCAP file.
 #[derive(Debug)]
 pub struct McapWriter<W> {
@@ -42,6 +51,7 @@ pub struct McapWriter<W> {
     all: Option<(Timestamp, Timestamp)>,
     index: BTreeMap<u16, Vec<(Timestamp, u64)>>,
     chunks: Vec<ChunkIndex>,
+    besides: Vec<BesideIndex>,
     begun: bool,
 }
 
@@ -68,6 +78,7 @@ impl<W: Write + Seek> McapWriter<W> {
             all: None,
             index: BTreeMap::new(),
             chunks: Vec::new(),
+            besides: Vec::new(),
             begun: false,
         };
         writer.put(MAGIC)?;
@@ -102,10 +113,10 @@ impl<W: Write + Seek> McapWriter<W> {
         self.write_sent(channel, time, Sent { time, sequence }, body)
     }
 
-    /// Writes one message as it was sent.
+    /// Writes one message as it was sent; an attachment or metadata record as it is.
     ///
     /// # Errors
-    /// [`RosError::Recording`] if it cannot be written or is too large.
+    /// [`RosError::Recording`] if it cannot be written, is too large, or is not such a record.
     pub fn write_sent(
         &mut self,
         channel: &Arc<Channel>,
@@ -115,6 +126,9 @@ impl<W: Write + Seek> McapWriter<W> {
     ) -> Result<(), RosError> {
         if body.len() > LONGEST_MESSAGE {
             return Err(RosError::recording("a message is too large"));
+        }
+        if let Encoding::Beside(kind) = channel.encoding {
+            return self.write_beside(kind, body);
         }
         self.put_header(if channel.encoding == Encoding::Ros1 { "ros1" } else { "ros2" })?;
         let number = self.number(channel)?;
@@ -132,6 +146,34 @@ impl<W: Write + Seek> McapWriter<W> {
             out.extend_from_slice(body);
         });
         if self.chunk.len() >= CHUNK_THRESHOLD { self.end_chunk() } else { Ok(()) }
+    }
+
+    fn write_beside(&mut self, kind: Beside, body: &[u8]) -> Result<(), RosError> {
+        let Some(content) = kind.parse(body) else {
+            return Err(RosError::recording(&format!("what is to be written is no {} of MCAP", kind.word())));
+        };
+        self.put_header("")?;
+        // What came before it stays before it.
+        self.end_chunk()?;
+        let position = self.position;
+        let mut record = Vec::with_capacity(body.len() + 16);
+        put_record(&mut record, kind.code(), |out| out.extend_from_slice(body));
+        self.put(&record)?;
+        let mut line = Vec::new();
+        line.extend_from_slice(&position.to_le_bytes());
+        line.extend_from_slice(&(record.len() as u64).to_le_bytes());
+        match content {
+            BesideContent::File(file) => {
+                for number in [file.logged_at.0, file.created_at, file.data.len() as u64] {
+                    line.extend_from_slice(&number.to_le_bytes());
+                }
+                put_text(&mut line, &file.name);
+                put_text(&mut line, &file.media_type);
+            }
+            BesideContent::Metadata { name, .. } => put_text(&mut line, &name),
+        }
+        self.besides.push(BesideIndex { kind, line });
+        Ok(())
     }
 
     /// The number of a channel; a new one and its schema go into the chunk first.
@@ -209,7 +251,8 @@ impl<W: Write + Seek> McapWriter<W> {
         let start = self.position;
         let mut summary = Vec::new();
         let mut groups = Vec::new();
-        for code in [Code::Schema, Code::Channel, Code::Statistics, Code::ChunkIndex] {
+        let codes = [Code::Schema, Code::Channel, Code::Statistics, Code::ChunkIndex];
+        for code in codes.into_iter().chain([Code::AttachmentIndex, Code::MetadataIndex]) {
             let at = summary.len();
             self.put_group(&mut summary, code);
             groups.push((code, start + at as u64, (summary.len() - at) as u64));
@@ -256,7 +299,15 @@ impl<W: Write + Seek> McapWriter<W> {
                 }
             }
             Code::Statistics => self.put_statistics(out),
+            Code::AttachmentIndex => self.put_beside_index(out, code, Beside::Attachment),
+            Code::MetadataIndex => self.put_beside_index(out, code, Beside::Metadata),
             _ => self.chunks.iter().for_each(|chunk| put_chunk_index(out, chunk, self.compression_word())),
+        }
+    }
+
+    fn put_beside_index(&self, out: &mut Vec<u8>, code: Code, kind: Beside) {
+        for index in self.besides.iter().filter(|index| index.kind == kind) {
+            put_record(out, code, |out| out.extend_from_slice(&index.line));
         }
     }
 
@@ -267,7 +318,10 @@ impl<W: Write + Seek> McapWriter<W> {
             out.extend_from_slice(&self.counts.values().sum::<u64>().to_le_bytes());
             out.extend_from_slice(&u16::try_from(self.schemas.len()).unwrap_or(u16::MAX).to_le_bytes());
             out.extend_from_slice(&count(self.channels.len()));
-            out.extend_from_slice(&[0; 8]);
+            for kind in [Beside::Attachment, Beside::Metadata] {
+                let of_kind = self.besides.iter().filter(|index| index.kind == kind);
+                out.extend_from_slice(&count(of_kind.count()));
+            }
             out.extend_from_slice(&count(self.chunks.len()));
             out.extend_from_slice(&first.0.to_le_bytes());
             out.extend_from_slice(&last.0.to_le_bytes());

@@ -228,4 +228,33 @@ proptest! {
             }
         }
     }
+
+    #[test]
+    fn numbers_are_the_same_after_an_answer_is_parsed(
+        wide in prop::collection::vec(any::<f64>(), 1..20),
+        narrow in any::<f32>(),
+        most in any::<u64>(),
+        least in any::<i64>(),
+    ) {
+        let wide: Vec<f64> = wide.into_iter().filter(|number| number.is_finite()).collect();
+        let narrow = if narrow.is_finite() { narrow } else { 0.1 };
+        let mut body = u32::try_from(wide.len()).expect("few").to_le_bytes().to_vec();
+        wide.iter().for_each(|number| body.extend(number.to_le_bytes()));
+        body.extend(narrow.to_le_bytes());
+        body.extend(most.to_le_bytes());
+        body.extend(least.to_le_bytes());
+        let shown = decode("float64[] wide\nfloat32 narrow\nuint64 most\nint64 least", &body).expect("decoded").to_json();
+        // As between a site and who asks it: printed, parsed, printed and parsed by the reader.
+        let mut answer = shown.to_string();
+        for _ in 0..2 {
+            answer = serde_json::from_str::<serde_json::Value>(&answer).expect("JSON").to_string();
+        }
+        let read: serde_json::Value = serde_json::from_str(&answer).expect("JSON");
+        let bits = |value: &serde_json::Value| value.as_f64().map(f64::to_bits);
+        for (place, number) in wide.iter().enumerate() {
+            prop_assert_eq!(bits(&read["wide"][place]), Some(number.to_bits()));
+        }
+        prop_assert_eq!(bits(&read["narrow"]), Some(f64::from(narrow).to_bits()));
+        prop_assert_eq!((read["most"].as_u64(), read["least"].as_i64()), (Some(most), Some(least)));
+    }
 }

@@ -39,8 +39,10 @@ pub struct Findings {
     pub more_damages: u64,
     /// Messages that are present but unusable, by topic and reason.
     pub unusable: Vec<Unusable>,
-    /// Messages that no checksum covers: the file does not show whether they were altered.
+    /// Messages, attachments and metadata records that no checksum covers: the file does not show whether they were altered.
     pub unguarded: u64,
+    /// Whether the recorder was killed before it wrote the index: nothing shows whether the end is missing.
+    pub unfinished: bool,
 }
 
 impl Findings {
@@ -71,10 +73,10 @@ impl Findings {
         self.unusable.iter().map(|row| row.messages).sum()
     }
 
-    /// Compares how many messages the file's own index counts with how many were found, if nothing else reports a loss.
-    pub(crate) fn compare(&mut self, end: u64, counted: Option<u64>, met: u64) {
+    /// Compares how many messages, or `what` else, the file's own index counts with how many were found, if nothing else reports a loss.
+    pub(crate) fn compare(&mut self, end: u64, what: &str, counted: Option<u64>, met: u64) {
         let Some(counted) = counted.filter(|counted| self.damages.is_empty() && *counted != met) else { return };
-        self.note(end, &format!("the file's index counts {counted} messages, but {met} could be read"));
+        self.note(end, &format!("the file's index counts {counted} {what}, but {met} could be read"));
     }
 
     /// Whether the whole recording was read.

@@ -76,6 +76,7 @@ fn own(facts: TypeFacts<'_>) -> Result<(Definition, Option<String>), RosError> {
         }
         (Encoding::Ros1, Some(text)) => Definition::parse(facts.name, text),
         (Encoding::Cdr { idl: false }, Some(text)) => Definition::parse_ros2(facts.name, text),
+        (Encoding::Beside(_), _) => no_fields("it is an attachment to a recording, not a message"),
         (Encoding::Cdr { idl: true }, Some(_)) => no_fields(
             "the recording describes its type in IDL, which is not supported; give the directory where its package is \
              installed (ros.definitions, AMENT_PREFIX_PATH)",

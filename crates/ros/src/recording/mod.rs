@@ -20,6 +20,7 @@ pub use described::{Described, TYPE_HASH, TypeFacts};
 pub use open::{Recording, RecordingFormat, RecordingWriter};
 pub(super) use place::{go_to, read_at};
 
+pub use super::mcap::{AttachedFile, BESIDE, Beside, BesideContent};
 use super::tcpros::LONGEST_MESSAGE;
 use crate::model::Timestamp;
 
@@ -35,6 +36,33 @@ pub(super) const MOST_CHANNELS: usize = 16_384;
 /// The most bytes of all channels' texts together.
 pub(super) const MOST_CHANNEL_BYTES: usize = 64 << 20;
 
+/// Name of the topic that a bag's connection header gives, where that is not the connection's own; empty if it gives none.
+pub const BAG_TOPIC: &str = "bag.topic";
+
+/// Why a message is left out that no record can hold.
+pub const TOO_LARGE: &str = "it is larger than a record may be (64 MiB)";
+
+/// The longest of a channel's further data, bytes; the most entries; the most bytes of all of them, which go into the head of
+/// each record.
+const LONGEST_ABOUT: usize = 8 * 1024;
+const MOST_ABOUT: usize = 12;
+const MOST_ABOUT_BYTES: usize = 32 * 1024;
+
+/// A channel's further data as far as it is kept, and whether that is all.
+pub(super) fn kept_about(all: impl IntoIterator<Item = (Arc<str>, Arc<str>)>) -> (BTreeMap<Arc<str>, Arc<str>>, bool) {
+    let (mut kept, mut whole, mut bytes) = (BTreeMap::new(), true, 0);
+    for (key, value) in all {
+        let size = key.len() + value.len();
+        if size <= LONGEST_ABOUT && kept.len() < MOST_ABOUT && bytes + size <= MOST_ABOUT_BYTES {
+            bytes += size;
+            kept.insert(key, value);
+        } else {
+            whole = false;
+        }
+    }
+    (kept, whole)
+}
+
 /// How the message bodies of a channel are serialised.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Encoding {
@@ -45,6 +73,8 @@ pub enum Encoding {
         /// Whether the schema is IDL.
         idl: bool,
     },
+    /// No message: MCAP's own bytes of what the recording holds beside its messages.
+    Beside(Beside),
 }
 
 /// A recording's description of the messages of one publisher on one topic.
@@ -64,7 +94,9 @@ pub struct Channel {
     pub latching: bool,
     /// How bodies are serialised.
     pub encoding: Encoding,
-    /// MCAP's further metadata, such as the QoS offered; bounded.
+    /// What the recording says of it beyond these fields: MCAP's metadata such as the QoS offered, the other fields of a
+    /// bag's connection header; bounded. `latching` is here if it is not `1`, [`BAG_TOPIC`] if a bag's header names
+    /// another topic or none.
     pub about: BTreeMap<Arc<str>, Arc<str>>,
 }
 
@@ -101,5 +133,7 @@ pub struct RecordedMessage {
 
 #[cfg(test)]
 mod altered_tests;
+#[cfg(test)]
+mod beside_tests;
 #[cfg(test)]
 mod tests;

@@ -65,6 +65,12 @@ fn other_than_a_recording(magic: &[u8]) -> String {
         None if magic.starts_with(b"SQLite format 3\0") => format!("an SQLite file: {CONVERT}"),
         None if magic.starts_with(&[0x28, 0xb5, 0x2f, 0xfd]) => unpacked("zstd", "zstd -d"),
         None if magic.starts_with(&[0x1f, 0x8b]) => unpacked("gzip", "gunzip -k"),
+        None if magic.starts_with(b"BZh") => unpacked("bzip2", "bunzip2 -k"),
+        None if magic.starts_with(b"rosbag2_bagfile_") => {
+            "the description of a folder of rosbag2; import the .mcap files beside it one by one, in the order of their \
+             numbers"
+                .to_owned()
+        }
         None => "neither a bag nor MCAP".to_owned(),
     }
 }
@@ -225,6 +231,8 @@ mod tests {
         assert!(other_than_a_recording(b"SQLite format 3\0").contains("ros2 bag convert"));
         assert!(other_than_a_recording(&[0x28, 0xb5, 0x2f, 0xfd, 0]).contains("zstd -d"));
         assert!(other_than_a_recording(&[0x1f, 0x8b, 8]).contains("gunzip"));
+        assert!(other_than_a_recording(b"BZh91AY&SY").contains("bunzip2"));
+        assert!(other_than_a_recording(b"rosbag2_bagfile_information:").contains("one by one"));
     }
 
     #[test]

@@ -37,12 +37,16 @@ pub struct ImportView {
     pub file: String,
     /// SM3 of the file.
     pub digest: Option<Digest>,
+    /// Messages, attachments and metadata records that the file or home holds, wanted or not.
+    pub found: u64,
     /// Messages sealed now.
     pub imported: u64,
     /// Of these, verified: re-read from the vault, digest equal to the chain, signature valid.
     pub verified: u64,
     /// Messages sealed by an earlier import of the same file or home; they are not sealed twice.
     pub already: u64,
+    /// Attachments and metadata records of the file sealed now or earlier; [`Self::topics`] has them under a name of their own.
+    pub attachments: u64,
     /// Messages given up because their profile has no keys in force.
     pub lost: u64,
     /// Unusable messages: left out, of an undescribed channel, or damaged.
@@ -51,6 +55,8 @@ pub struct ImportView {
     pub left_out: Vec<LeftOut>,
     /// Messages without a checksum in the file: it cannot show whether they were altered.
     pub unguarded: u64,
+    /// Whether the recorder was killed before it wrote the file's index, so that the end may be missing.
+    pub unfinished: bool,
     /// What could not be read, and why.
     pub damages: Vec<Damage>,
     /// Further places of damage.
@@ -92,6 +98,8 @@ pub struct Refused {
     pub no_definition: u64,
     /// The format cannot hold them (messages of ROS 2 in a bag).
     pub unsuitable: u64,
+    /// Attachments and metadata records, which a bag has no room for, or which are not as MCAP has them.
+    pub attachments: u64,
 }
 
 /// The result of an export.
@@ -103,12 +111,17 @@ pub struct ExportView {
     pub format: RecordingFormat,
     /// Messages written.
     pub messages: u64,
+    /// Attachments and metadata records written.
+    pub attachments: u64,
     /// Bytes of their bodies.
     pub bytes: u64,
     /// Records not written.
     pub refused: Refused,
     /// Ids of those tampered with, missing, or with false names; the first 100.
     pub suspicious: Vec<String>,
+    /// Topics whose definitions their publishing nodes of ROS 2 gave: a type hash proves names and types of fields, not
+    /// comments, constants or default values. Cleaned.
+    pub given: Vec<String>,
     /// Per topic.
     pub topics: Vec<ExportedTopic>,
 }

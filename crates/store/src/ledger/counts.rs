@@ -63,6 +63,8 @@ pub struct StateCounts {
     pub others: BTreeMap<RecordState, u64>,
     /// Data records per topic, ordered by (topic, owner).
     pub topics: Vec<TopicCounts>,
+    /// Pseudonyms under which attachments to recordings are filed.
+    pub attachments: Vec<TopicId>,
 }
 
 impl TopicCounts {
@@ -189,6 +191,9 @@ impl Tally {
     }
 
     fn add(&mut self, stream: &Stream, state: RecordState, records: u64, bytes: u64) {
+        if stream.kind == RecordKind::Attachment && !self.counts.attachments.contains(&stream.topic_id) {
+            self.counts.attachments.push(stream.topic_id);
+        }
         if stream.kind != RecordKind::Data {
             *self.counts.others.entry(state).or_default() += records;
             return;

@@ -32,6 +32,9 @@ impl Form {
     }
 }
 
+/// Why what a recording holds beside its messages is not played.
+pub(super) const NO_MESSAGE: &str = "it is an attachment to a recording, not a message";
+
 /// The publishing end.
 pub(super) enum Target {
     Graph(Box<Stage>),
@@ -47,6 +50,7 @@ impl Target {
         match (self, encoding) {
             (Self::Graph(_), Encoding::Cdr { .. }) => Some("ROS 2 messages are not translated into ROS 1"),
             (Self::Domain(_), Encoding::Ros1) => Some("a message of ROS 1 is not translated into ROS 2"),
+            (_, Encoding::Beside(_)) => Some(NO_MESSAGE),
             (Self::Graph(_), Encoding::Ros1) | (Self::Domain(_), Encoding::Cdr { .. }) => None,
         }
     }

@@ -9,7 +9,7 @@ use tokio::task::block_in_place;
 use super::pacing::{Missed, Patience};
 use super::{Broken, Joined};
 use crate::gateway::{Client, Code, Entry, ErasedRecord, GatewayError, Query, Selection, Standing, Stood};
-use crate::model::{Address, Hash, RecordKind, Timestamp};
+use crate::model::{Address, Hash, Timestamp};
 use crate::pipeline::PipelineError;
 use crate::pipeline::mirror::Mirror;
 use crate::service::event::{NoticeLevel, Part};
@@ -195,7 +195,7 @@ impl Joined {
         erased: ErasedRecord,
     ) -> Result<(), Broken> {
         let anchored = matches!(entry.standing, Standing::Anchored | Standing::Verified);
-        if !anchored || entry.kind != RecordKind::Data {
+        if !anchored || !entry.kind.is_content() {
             return Ok(());
         }
         match mirror.take_erased(source, entry.digest, erased).await {

@@ -80,6 +80,10 @@ impl Reading {
         let opened = self.opened(owner, id, "export message").await?;
         block_in_place(|| {
             let mut view = view_of(&opened, owner);
+            if opened.row.kind == RecordKind::Attachment {
+                view.file = Some(attached(kind, &opened, &view)?);
+                return Ok(view);
+            }
             view.file = Some(match (kind, &opened.described.definition) {
                 (Some(Exported::Bin), _) => opened.record.body,
                 (None, _) => own_picture(&opened).unwrap_or(opened.record.body),
@@ -200,6 +204,19 @@ fn without_definition(row: &RecordRow, described: &Described) -> Failure {
     Failure::new(ErrorKind::Input, format!("{} can only be written as .bin: {why}", row.id))
 }
 
+/// What an attachment to a recording becomes as a file: its description, or the file that was attached.
+fn attached(kind: Option<Exported>, opened: &Opened, view: &OpenedView) -> Result<Vec<u8>, Failure> {
+    if kind == Some(Exported::Json) {
+        return Ok(serde_json::to_vec_pretty(&view.message).unwrap_or_default());
+    }
+    let content = statements::content(&opened.row.type_name, &opened.record.body).map(<[u8]>::to_vec);
+    content.ok_or_else(|| {
+        let text =
+            format!("{} is not an attachment as MCAP has them; write it as .json to see what is known", opened.row.id);
+        Failure::new(ErrorKind::Input, text)
+    })
+}
+
 /// A picture's own bytes, if the message is one.
 fn own_picture(opened: &Opened) -> Option<Vec<u8>> {
     let picture = opened.described.definition.as_ref()?.compressed_image(&opened.record.body)?;
@@ -215,7 +232,7 @@ fn view_of(opened: &Opened, owner: &Owner) -> OpenedView {
         Err(error) => (None, Some(error.to_string())),
     };
     let fields = decoded.as_ref().map(|value| value.flatten(MOST_FIELDS)).unwrap_or_default();
-    let stated = statements::view(row.kind, &record.body);
+    let stated = statements::view(row.kind, &row.type_name, &record.body);
     let fields = stated.as_ref().map_or(fields, statements::fields);
     let of_another = row.owner != owner.address;
     let shown = Shown { compared: Compared::Head, ..Shown::unread(row.clone()) };

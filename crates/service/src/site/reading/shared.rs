@@ -122,6 +122,7 @@ impl Reading {
                     let owner = *owner;
                     let counts = blocking(self, move |reading| Ok(reading.plant.ledger.counts(Some(owner))?)).await?;
                     ids.extend(counts.topics.iter().filter_map(|topic| topic.topic_id));
+                    ids.extend(counts.attachments);
                 }
             }
         }

@@ -1,6 +1,6 @@
 //! An export: what this profile may read, each record checked and verified before it is written.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
 use tokio::task::block_in_place;
@@ -11,7 +11,7 @@ use crate::crypto::{CryptoError, OpenedRecord};
 use crate::model::{Address, Digest, ErrorKind, RecordKind, Scope, Timestamp, TopicPattern, Verdict, clean};
 use crate::pipeline::reader::{Reader, is_held};
 use crate::pipeline::{Network, Owner, PipelineError, authority, importer};
-use crate::ros::recording::{Channel, RecordingFormat, RecordingWriter};
+use crate::ros::recording::{Channel, Encoding, RecordingFormat, RecordingWriter};
 use crate::service::command::ExportWishes;
 use crate::service::failure::{input, internal};
 use crate::service::reply::{ExportView, ExportedTopic, Failure, Refused};
@@ -34,6 +34,8 @@ struct Export<'a> {
     channels: HashMap<Channel, Arc<Channel>>,
     definitions: HashMap<(Address, Digest), Option<Arc<str>>>,
     topics: BTreeMap<(String, String), u64>,
+    /// Topics whose definitions a node gave.
+    given: BTreeSet<String>,
     view: ExportView,
 }
 
@@ -97,32 +99,37 @@ impl Recordings {
         for address in scopes.keys() {
             self.reading.learn_names(&reader, *address).await?;
         }
-        let mut query = RecordQuery {
-            owners: Some(scopes.keys().copied().collect()),
-            topic_ids: Some(self.reading.readable_topics(scopes).await?),
-            kind: Some(RecordKind::Data),
-            since: wishes.since,
-            until: wishes.until,
-            limit: PAGE,
-            ..RecordQuery::default()
-        };
+        let readable = self.reading.readable_topics(scopes).await?;
         let (draft, file) = block_in_place(|| Draft::begin(&wishes.path))?;
         let mut export = Export::begin(wishes, RecordingWriter::begin(wishes.format, wishes.compression, file)?);
         let mut seen = 0;
-        loop {
-            let asked = query.clone();
-            let page = blocking(self, move |recordings| Ok(recordings.plant.ledger.list(&asked)?)).await?;
-            for row in &page.rows {
-                export.take(&reader, row).await?;
-                seen += 1;
-                run.at(seen, 0, export.view.messages);
-            }
-            if self.life.is_stopping() {
-                return Err(internal("the site stopped before the recording was complete; repeat the command"));
-            }
-            match page.next {
-                Some(next) => query.after = Some(next),
-                None => break,
+        // Messages first: a file's profile is that of the first. Patterns choose topics, and attachments have none.
+        let kinds = [RecordKind::Data, RecordKind::Attachment];
+        for kind in kinds.into_iter().filter(|kind| wishes.topics.is_empty() || *kind == RecordKind::Data) {
+            let mut query = RecordQuery {
+                owners: Some(scopes.keys().copied().collect()),
+                topic_ids: Some(readable.clone()),
+                kind: Some(kind),
+                since: wishes.since,
+                until: wishes.until,
+                limit: PAGE,
+                ..RecordQuery::default()
+            };
+            loop {
+                let asked = query.clone();
+                let page = blocking(self, move |recordings| Ok(recordings.plant.ledger.list(&asked)?)).await?;
+                for row in &page.rows {
+                    export.take(&reader, row).await?;
+                    seen += 1;
+                    run.at(seen, 0, export.view.messages);
+                }
+                if self.life.is_stopping() {
+                    return Err(internal("the site stopped before the recording was complete; repeat the command"));
+                }
+                query.after = page.next;
+                if query.after.is_none() {
+                    break;
+                }
             }
         }
         block_in_place(|| export.finish(draft))
@@ -135,13 +142,16 @@ impl<'a> Export<'a> {
             file: None,
             format: wishes.format,
             messages: 0,
+            attachments: 0,
             bytes: 0,
             refused: Refused::default(),
             suspicious: Vec::new(),
+            given: Vec::new(),
             topics: Vec::new(),
         };
-        let (channels, definitions, topics) = (HashMap::new(), HashMap::new(), BTreeMap::new());
-        Self { wishes, writer, channels, definitions, topics, view }
+        let (channels, definitions) = (HashMap::new(), HashMap::new());
+        let (topics, given) = (BTreeMap::new(), BTreeSet::new());
+        Self { wishes, writer, channels, definitions, topics, given, view }
     }
 
     fn is_wanted(&self, topic: &str) -> bool {
@@ -171,15 +181,23 @@ impl<'a> Export<'a> {
             return Ok(());
         }
         let encoding = importer::encoding(&opened.head.tags);
-        if !self.wishes.format.holds(encoding) || !fits(self.wishes.format, opened.header.captured_at) {
-            self.view.refused.unsuitable += 1;
+        let is_message = opened.header.kind == RecordKind::Data;
+        let format = self.wishes.format;
+        if !is_as_its_kind(encoding, &opened) || !format.holds(encoding) || !fits(format, opened.header.captured_at) {
+            let refused = &mut self.view.refused;
+            *if is_message { &mut refused.unsuitable } else { &mut refused.attachments } += 1;
             return Ok(());
         }
-        let Some(definition) = self.definition(reader, row, &opened).await? else {
+        let definition = if is_message { self.definition(reader, row, &opened).await? } else { Some("".into()) };
+        let Some(definition) = definition else {
             self.view.refused.no_definition += 1;
             return Ok(());
         };
         let head = &opened.head;
+        let is_recorded = head.tags.get(importer::SOURCE.0).is_some_and(|source| source == importer::SOURCE.1);
+        if matches!(encoding, Encoding::Cdr { .. }) && !is_recorded && !definition.is_empty() {
+            self.given.insert(clean(&head.topic, 255));
+        }
         let channel = self.channel(Channel {
             topic: head.tags.get(importer::RECORDED_TOPIC).unwrap_or(&head.topic).as_str().into(),
             type_name: head.type_name.as_str().into(),
@@ -193,7 +211,7 @@ impl<'a> Export<'a> {
         let time = opened.header.captured_at;
         let sent = importer::sent(&head.tags, time);
         block_in_place(|| self.writer.write(&channel, time, sent, &opened.body))?;
-        self.view.messages += 1;
+        *if is_message { &mut self.view.messages } else { &mut self.view.attachments } += 1;
         self.view.bytes += opened.body.len() as u64;
         *self.topics.entry((head.topic.clone(), head.type_name.clone())).or_default() += 1;
         Ok(())
@@ -249,8 +267,9 @@ impl<'a> Export<'a> {
             type_name: clean(&type_name, 255),
             messages,
         };
+        self.view.given = std::mem::take(&mut self.given).into_iter().collect();
         self.view.topics = std::mem::take(&mut self.topics).into_iter().map(topic).collect();
-        if self.view.messages == 0 {
+        if self.view.messages + self.view.attachments == 0 {
             return Ok(self.view);
         }
         self.writer.finish()?;
@@ -258,6 +277,15 @@ impl<'a> Export<'a> {
         self.view.file = Some(clean(&self.wishes.path.display().to_string(), 300));
         Ok(self.view)
     }
+}
+
+/// Whether a record's content is what its kind says: an attachment as MCAP has it, or a message.
+fn is_as_its_kind(encoding: Encoding, opened: &OpenedRecord) -> bool {
+    let is_sound = match encoding {
+        Encoding::Beside(kind) => kind.parse(&opened.body).is_some(),
+        Encoding::Ros1 | Encoding::Cdr { .. } => true,
+    };
+    is_sound && importer::kind_of(encoding) == opened.header.kind
 }
 
 /// Whether the format can represent the record's time.

@@ -12,10 +12,10 @@ use crate::config::Config;
 use crate::crypto::OpenedRecord;
 use crate::model::{Digest, RecordKind, RecordState, Timestamp, TopicId, clean};
 use crate::paths::Home;
-use crate::pipeline::importer::{FORMER_RECORD, FORMER_SIGNER, Importer, LATCHING};
+use crate::pipeline::importer::{self, FORMER_RECORD, FORMER_SIGNER, Importer, LATCHING};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::{CaptureSession, Network, Owner, Plant};
-use crate::ros::recording::{Channel, Encoding, RecordedMessage};
+use crate::ros::recording::{Beside, Channel, Encoding, RecordedMessage};
 use crate::service::command::HomeWishes;
 use crate::service::failure::{input, refused};
 use crate::service::reply::{Failure, ImportView, ImportedTopic};
@@ -124,14 +124,11 @@ impl Recordings {
         let mut importer = Importer::new(&self.rings, Arc::clone(&owner.author), &self.config.topic_rules, Vec::new());
         let (mut view, mut already) = (ImportView::default(), BTreeMap::<String, u64>::new());
         let mut left_out = BTreeMap::<(Arc<str>, &'static str), u64>::new();
-        let mut query = RecordQuery {
-            owner: Some(owner.address),
-            kind: Some(RecordKind::Data),
-            limit: PAGE,
-            ..RecordQuery::default()
-        };
+        let mut query = RecordQuery { owner: Some(owner.address), limit: PAGE, ..RecordQuery::default() };
         run.step("importing");
         let mut done = 0;
+        let mut kinds = [RecordKind::Data, RecordKind::Attachment].into_iter();
+        query.kind = kinds.next();
         'pages: loop {
             let page = old.plant.ledger.list(&query)?;
             for row in &page.rows {
@@ -149,16 +146,19 @@ impl Recordings {
                     }
                 }
                 done += 1;
-                run.at(done, of, importer.offered());
+                run.at(done.min(of), of, importer.offered());
             }
             query.after = page.next;
             if query.after.is_none() {
-                break;
+                query.kind = kinds.next();
+                if query.kind.is_none() {
+                    break;
+                }
             }
         }
+        view.found = done;
         view.file = clean(&old.plant.ledger.path().parent().unwrap_or(Path::new("")).display().to_string(), 300);
         view.left_out = left_out_list(left_out);
-        view.already = already.values().sum();
         let topic = |(topic, already)| ImportedTopic { topic, already, ..ImportedTopic::default() };
         view.topics = already.into_iter().map(topic).collect();
         Ok(ReadOut { view, sessions: importer.finish(), whole: None })
@@ -198,6 +198,14 @@ impl Stays {
     }
 }
 
+/// Which kind of attachment a record is, by its tags.
+fn beside(tags: &BTreeMap<String, String>) -> Encoding {
+    match importer::encoding(tags) {
+        beside @ Encoding::Beside(_) => beside,
+        Encoding::Ros1 | Encoding::Cdr { .. } => Encoding::Beside(Beside::Attachment),
+    }
+}
+
 /// What an import finds in a record of the other home.
 enum Found {
     /// A message to seal, with its tags.
@@ -232,7 +240,10 @@ impl Moving<'_> {
         if self.is_here(&opened)? {
             return Ok(Found::Here(opened.head.topic));
         }
-        let definition = self.definition(row, &opened)?;
+        let definition = match opened.header.kind {
+            RecordKind::Data => self.definition(row, &opened)?,
+            _ => "".into(),
+        };
         let OpenedRecord { header, head, body, digest, .. } = opened;
         let channel = Channel {
             topic: head.topic.as_str().into(),
@@ -241,8 +252,8 @@ impl Moving<'_> {
             definition,
             caller_id: head.caller_id.as_str().into(),
             latching: head.tags.contains_key(LATCHING),
-            // What it is, and what a recording says of it, is in the tags.
-            encoding: Encoding::Ros1,
+            // What a message is, and what a recording says of it, is in the tags.
+            encoding: if header.kind == RecordKind::Data { Encoding::Ros1 } else { beside(&head.tags) },
             about: BTreeMap::new(),
         };
         let mut tags: Vec<(String, String)> = head.tags.into_iter().collect();
@@ -258,7 +269,7 @@ impl Moving<'_> {
         let mut query = RecordQuery {
             owner: Some(self.here.reader.address),
             topic: Some(opened.head.topic.clone()),
-            kind: Some(RecordKind::Data),
+            kind: Some(opened.header.kind),
             since: Some(time),
             until: Some(Timestamp(time.0.saturating_add(1))),
             limit: PAGE,

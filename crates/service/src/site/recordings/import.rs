@@ -14,12 +14,12 @@ use serde::{Deserialize, Serialize};
 use super::sealed_before::SealedBefore;
 use super::{Recordings, Run};
 use crate::crypto::Sm3Hasher;
-use crate::model::{Address, Digest, ErrorKind, TopicPattern, clean};
-use crate::pipeline::importer::{Importer, fault};
+use crate::model::{Address, Digest, ErrorKind, RecordKind, TopicPattern, clean};
+use crate::pipeline::importer::{Importer, fault, kind_of};
 use crate::pipeline::reader::Reader;
 use crate::pipeline::recorded_names::RecordedNames;
 use crate::pipeline::{CaptureSession, Network, Owner};
-use crate::ros::recording::Recording;
+use crate::ros::recording::{BESIDE, Recording};
 use crate::service::command::ImportWishes;
 use crate::service::event::NoticeLevel;
 use crate::service::failure::{input, refused};
@@ -127,8 +127,11 @@ impl Recordings {
             }
         }
         view.topics = topics.into_values().collect();
-        view.imported = view.topics.iter().map(|topic| topic.imported).sum();
-        view.verified = view.topics.iter().map(|topic| topic.verified).sum();
+        let (beside, messages): (Vec<_>, Vec<_>) = view.topics.iter().partition(|topic| topic.topic == BESIDE);
+        view.imported = messages.iter().map(|topic| topic.imported).sum();
+        view.verified = messages.iter().map(|topic| topic.verified).sum();
+        view.already = messages.iter().map(|topic| topic.already).sum();
+        view.attachments = beside.iter().map(|topic| topic.imported + topic.already).sum();
         if let Some((digest, mut standings)) = whole.filter(|_| !view.ended_early && view.lost == 0) {
             standings.values_mut().for_each(|standing| *standing = Standing::Whole);
             let address = owner.address;
@@ -174,12 +177,17 @@ impl Recordings {
         let (mut names, mut left_out) = (RecordedNames::default(), BTreeMap::new());
         let (mut view, mut already) = (ImportView::default(), BTreeMap::<String, u64>::new());
         while let Some(message) = recording.next_message()? {
+            view.found += 1;
             let recorded = &message.channel.topic;
-            let named = names.resolve(recorded);
-            if ![Ok(recorded), named.as_ref()].into_iter().flatten().any(|name| is_wanted(&wishes.topics, name)) {
+            let is_message = kind_of(message.channel.encoding) == RecordKind::Data;
+            let named = if is_message { names.resolve(recorded) } else { Ok(Arc::clone(recorded)) };
+            // Patterns choose topics; what is beside the messages has none, and belongs to the recording as a whole.
+            let names_of = [Some(recorded), named.as_ref().ok()];
+            let is_chosen = || is_message && names_of.into_iter().flatten().any(|name| is_wanted(&wishes.topics, name));
+            if !wishes.topics.is_empty() && !is_chosen() {
                 continue;
             }
-            let topic = match (named, fault(&message.channel)) {
+            let topic = match (named, fault(&message)) {
                 (Ok(topic), None) => topic,
                 (Err(why), _) | (_, Some(why)) => {
                     *left_out.entry((Arc::clone(recorded), why)).or_default() += 1;
@@ -218,10 +226,11 @@ impl Recordings {
             messages: row.messages,
         }));
         view.skipped = view.left_out.iter().map(|topic| topic.messages).sum::<u64>();
+        view.found += findings.messages_skipped();
         view.unguarded = findings.unguarded;
+        view.unfinished = findings.unfinished;
         view.damages.clone_from(&findings.damages);
         view.more_damages = findings.more_damages;
-        view.already = already.values().sum();
         let topic = |(topic, already)| ImportedTopic { topic, already, ..ImportedTopic::default() };
         view.topics = already.into_iter().map(topic).collect();
         let whole = (!wishes.again).then_some((digest, standings));
@@ -244,7 +253,7 @@ pub(super) fn left_out_list(counts: BTreeMap<(Arc<str>, &'static str), u64>) -> 
 }
 
 fn is_wanted(patterns: &[TopicPattern], topic: &str) -> bool {
-    patterns.is_empty() || patterns.iter().any(|pattern| pattern.matches(topic))
+    patterns.iter().any(|pattern| pattern.matches(topic))
 }
 
 fn digest_of(path: &Path, run: &Run, goes_on: &dyn Fn() -> bool) -> Result<Digest, Failure> {

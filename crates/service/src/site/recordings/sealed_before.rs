@@ -7,6 +7,7 @@ use std::sync::Arc;
 use super::import::RECORDING;
 use crate::crypto::sm3::sm3;
 use crate::model::{RecordKind, Timestamp};
+use crate::pipeline::importer::kind_of;
 use crate::pipeline::reader::Reader;
 use crate::ros::recording::RecordedMessage;
 use crate::service::reply::Failure;
@@ -38,7 +39,7 @@ impl<'a> SealedBefore<'a> {
     pub fn take(&mut self, topic: &Arc<str>, message: &RecordedMessage) -> Result<bool, Failure> {
         let key = (Arc::clone(topic), message.time);
         if !self.met.contains_key(&key) {
-            let contents = self.contents(topic, message.time)?;
+            let contents = self.contents(topic, kind_of(message.channel.encoding), message.time)?;
             self.met.insert(key.clone(), contents);
         }
         let left = self.met.get_mut(&key).and_then(|contents| contents.get_mut(&sm3(&[&message.body])));
@@ -49,11 +50,11 @@ impl<'a> SealedBefore<'a> {
         }))
     }
 
-    fn contents(&self, topic: &str, time: Timestamp) -> Result<Contents, Failure> {
+    fn contents(&self, topic: &str, kind: RecordKind, time: Timestamp) -> Result<Contents, Failure> {
         let mut query = RecordQuery {
             owner: Some(self.reader.reader.address),
             topic: Some(topic.to_owned()),
-            kind: Some(RecordKind::Data),
+            kind: Some(kind),
             since: Some(time),
             until: Some(Timestamp(time.0.saturating_add(1))),
             limit: PAGE,

@@ -116,8 +116,8 @@ fn chosen(reader: &Reader<'_>, wishes: &ErasureWishes) -> Result<Vec<RecordRow>,
     let (ledger, owner) = (&reader.plant.ledger, reader.reader.address);
     let mut rows = Vec::new();
     for id in &wishes.records {
-        let row = ledger.record_by_id(id)?.filter(|row| row.owner == owner && row.kind == RecordKind::Data);
-        let unknown = || input(format!("there is no message '{}' of this profile here", clean(id, 70)));
+        let row = ledger.record_by_id(id)?.filter(|row| row.owner == owner && row.kind.is_content());
+        let unknown = || input(format!("there is no message or attachment '{}' of this profile here", clean(id, 70)));
         rows.push(row.ok_or_else(unknown)?);
     }
     if !wishes.records.is_empty() {
@@ -128,23 +128,41 @@ fn chosen(reader: &Reader<'_>, wishes: &ErasureWishes) -> Result<Vec<RecordRow>,
     if wishes.topic.is_none() && wishes.recording.is_none() {
         return Err(input("choose what to erase: --topic or --recording, with --since and --until, or --record"));
     }
+    // A recording is its messages and what it holds beside them; a topic has nothing beside its messages.
+    let kinds = [RecordKind::Data, RecordKind::Attachment];
+    for kind in kinds.into_iter().filter(|kind| wishes.topic.is_none() || *kind == RecordKind::Data) {
+        rows.extend(chosen_of(reader, wishes, kind)?);
+        if rows.len() > MOST {
+            return Err(too_many());
+        }
+    }
+    Ok(rows)
+}
+
+fn too_many() -> Failure {
+    input(format!("these are more than {MOST} records; choose a shorter span and repeat it"))
+}
+
+/// The chosen records of a kind, by topic or recording.
+fn chosen_of(reader: &Reader<'_>, wishes: &ErasureWishes, kind: RecordKind) -> Result<Vec<RecordRow>, Failure> {
+    let mut rows = Vec::new();
     let mut query = RecordQuery {
-        owner: Some(owner),
+        owner: Some(reader.reader.address),
         topic: wishes.topic.as_ref().map(ToString::to_string),
-        kind: Some(RecordKind::Data),
+        kind: Some(kind),
         since: wishes.since,
         until: wishes.until,
         limit: PAGE,
         ..RecordQuery::default()
     };
     loop {
-        let page = ledger.list(&query)?;
+        let page = reader.plant.ledger.list(&query)?;
         match &wishes.recording {
             Some(recording) => rows.extend(imported(reader, page.rows, recording)?),
             None => rows.extend(page.rows),
         }
         if rows.len() > MOST {
-            return Err(input(format!("these are more than {MOST} records; choose a shorter span and repeat it")));
+            return Err(too_many());
         }
         let Some(next) = page.next else { return Ok(rows) };
         query.after = Some(next);

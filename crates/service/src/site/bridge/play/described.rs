@@ -14,7 +14,7 @@ use crate::service::reply::Failure;
 use crate::site::bridge::feed::Item;
 use crate::site::bridge::offer::offer;
 use crate::site::bridge::stage::source_of;
-use crate::site::bridge::target::Form;
+use crate::site::bridge::target::{Form, NO_MESSAGE};
 
 impl Play<'_> {
     /// How a record is played, or why it is not.
@@ -40,6 +40,7 @@ impl Play<'_> {
         let form = match encoding {
             Encoding::Ros1 => self.of_one(item, &record, topic, latching).await?,
             Encoding::Cdr { .. } => of_two(&record, topic),
+            Encoding::Beside(_) => Err(NO_MESSAGE.to_owned()),
         };
         // Publishers of one node share its name; those of ROS 2 have ids of their own.
         let writer = record.head.tags.get(&format!("{CHANNEL}{WRITER}")).unwrap_or(&record.head.caller_id);
