@@ -73,7 +73,7 @@ impl Anvil {
         self.fund(eoa.address(), 1_000_000_000 * GWEI).await;
         chain.deploy(&eoa).await.expect("deploys");
         by_hand(&chain, &eoa, &identity(&chain, &eoa)).await;
-        let process = Process::new(chain, eoa, Policy { cap }).await;
+        let process = Process::new(chain, eoa, Policy { cap, floor: 0 }).await;
         process.store(0..records);
         process
     }
@@ -139,7 +139,7 @@ async fn an_empty_account_waits_for_ether() {
     process.rounds_until("one is confirmed", |process| process.count(RecordState::Confirmed) == 1).await;
     node.fund(process.eoa.address(), 0).await;
     process.anchor(5).await;
-    assert_eq!(paused(&process), Some(PauseReason::NoEther), "told at once");
+    assert!(matches!(paused(&process), Some(PauseReason::NoEther(_))), "told at once");
     process.round().await;
     assert_eq!((process.count(RecordState::Submitted), process.notes.with("too little ether")), (5, 1));
     node.fund(process.eoa.address(), 1_000_000_000 * GWEI).await;
@@ -187,7 +187,110 @@ async fn ether_goes_from_one_account_to_another() {
     process.sender.transfer(chain, &process.eoa, other, 3 * GWEI, "gift").await.expect("sent");
     assert_eq!(chain.wealth(other).await, Ok(3 * GWEI));
     let too_much = process.sender.transfer(chain, &process.eoa, other, u128::MAX / 2, "gift").await;
-    assert!(matches!(too_much, Err(PipelineError::NoEther(account)) if account == process.eoa.address()));
+    assert!(matches!(too_much, Err(PipelineError::NoEther(lacking)) if lacking.account == process.eoa.address()));
     process.round().await;
     assert_eq!(process.sender.state_of(process.eoa.address()).expect("state").open, 0, "nothing was kept of it");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_cancelled_transaction_gives_its_records_back() {
+    let Some(node) = Anvil::start("a_cancelled_transaction_gives_its_records_back", &[]) else { return };
+    let process = node.process(None, 3).await;
+    let (chain, account) = (process.network.chain.clone(), process.eoa.address());
+    node.call("evm_setAutomine", json!([false])).await;
+    process.anchor(3).await;
+    let first = process.plant.ledger.open_lane(account).expect("open")[0].clone();
+    let cancelled = process.sender.cancel(&chain, &process.eoa, first.nonce).await.expect("cancelled");
+    assert_eq!((cancelled.anchors, cancelled.purpose.as_str()), (true, "dataUpload"));
+    assert_eq!((process.count(RecordState::Stored), process.count(RecordState::Submitted)), (1, 2));
+    let replaced = process.plant.ledger.raw_transaction(first.hash).expect("read").expect("kept");
+    let old = crate::chain::offered(&replaced).expect("offer").price;
+    assert!((cancelled.price.0 - old) * 8 >= old, "an eighth more: {old} {}", cancelled.price);
+    // A cancelled one can be cancelled again, at a higher price.
+    let again = process.sender.cancel(&chain, &process.eoa, first.nonce).await.expect("cancelled");
+    assert!(again.price > cancelled.price && !again.anchors);
+    let error = process.sender.cancel(&chain, &process.eoa, first.nonce + 77).await.expect_err("not ours");
+    assert!(error.to_string().contains("no transaction with nonce"), "{error}");
+    node.call("evm_setAutomine", json!([true])).await;
+    node.call("evm_mine", json!([])).await;
+    assert!(process.sender.wait_cancelled(&chain, &process.eoa, &again).await.expect("mined").is_some());
+    let error = process.sender.cancel(&chain, &process.eoa, first.nonce).await.expect_err("mined");
+    assert!(error.to_string().contains("nonce"), "{error}");
+    process.work_until("all are confirmed", |process| process.count(RecordState::Confirmed) == 3).await;
+    assert!(process.anchored(0..3).await.into_iter().all(|times| times == 1));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn whoever_waits_for_a_cancelled_call_is_told() {
+    let Some(node) = Anvil::start("whoever_waits_for_a_cancelled_call_is_told", &[]) else { return };
+    let process = node.process(None, 0).await;
+    let chain = process.network.chain.clone();
+    node.call("evm_setAutomine", json!([false])).await;
+    let call = Call::Lend { device: crate::model::SignerId([5; 32]), until: None };
+    let cancelling = async {
+        let nonce = loop {
+            let open = process.plant.ledger.open_lane(process.eoa.address()).expect("open");
+            match open.first() {
+                Some(row) => break row.nonce,
+                None => tokio::time::sleep(Duration::from_millis(20)).await,
+            }
+        };
+        process.sender.cancel(&chain, &process.eoa, nonce).await.expect("cancelled");
+        node.call("evm_setAutomine", json!([true])).await;
+        node.call("evm_mine", json!([])).await;
+    };
+    let (sent, ()) = tokio::join!(process.sender.send(&chain, &process.eoa, call, "lend"), cancelling);
+    assert!(matches!(sent, Err(PipelineError::Cancelled(ref purpose)) if purpose == "lend"), "{sent:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_act_that_cannot_be_paid_says_what_is_lacking_and_keeps_nothing() {
+    let Some(node) = Anvil::start("an_act_that_cannot_be_paid_says_what_is_lacking_and_keeps_nothing", &[]) else {
+        return;
+    };
+    let process = node.process(None, 0).await;
+    node.fund(process.eoa.address(), 7).await;
+    let call = Call::Lend { device: crate::model::SignerId([5; 32]), until: None };
+    let error = process.sender.send(&process.network.chain, &process.eoa, call, "lend").await.expect_err("poor");
+    assert!(matches!(&error, PipelineError::NoEther(lacking) if lacking.held.0 == 7 && lacking.needed.0 > 1_000_000));
+    let text = error.to_string();
+    assert!(text.contains(&process.eoa.address().to_string()) && text.contains("it has 7 wei and needs"), "{text}");
+    assert_eq!(process.sender.state_of(process.eoa.address()).expect("state").open, 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_that_is_behind_its_own_head_raises_no_alarm_about_money() {
+    let name = "a_node_that_is_behind_its_own_head_raises_no_alarm_about_money";
+    let Some(node) = Anvil::start(name, &[]) else { return };
+    let process = node.process(None, 1).await;
+    process.sender.see_head(1_000_000).expect("noted");
+    node.fund(process.eoa.address(), 0).await;
+    process.anchor(1).await;
+    assert!(
+        matches!(paused(&process), Some(PauseReason::CatchingUp { highest: 1_000_000, .. })),
+        "{:?}",
+        paused(&process)
+    );
+    assert_eq!((process.notes.with("ether"), process.notes.with("catching up")), (0, 0));
+    node.fund(process.eoa.address(), 1_000_000_000 * GWEI).await;
+    expect_all_once(&process, 1).await;
+    assert_eq!(process.notes.with("resumes"), 0, "nothing was told");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_floor_that_was_raised_is_offered_by_what_waits() {
+    let Some(node) = Anvil::start("a_floor_that_was_raised_is_offered_by_what_waits", &[]) else { return };
+    let process = node.process(Some(50 * GWEI), 2).await;
+    node.call("evm_setAutomine", json!([false])).await;
+    process.anchor(2).await;
+    process.sender.note_needed(40 * GWEI);
+    process
+        .rounds_until("both are offered at what was needed", |process| {
+            let open = process.plant.ledger.open_transactions(process.eoa.address()).expect("open");
+            open.iter().all(|row| crate::chain::offered(&row.raw).is_ok_and(|offer| offer.price == 40 * GWEI))
+        })
+        .await;
+    node.call("evm_setAutomine", json!([true])).await;
+    node.call("evm_mine", json!([])).await;
+    expect_all_once(&process, 2).await;
 }
