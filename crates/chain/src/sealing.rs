@@ -5,11 +5,16 @@ use serde_json::{Value, json};
 
 use super::{Chain, ChainError, Consensus};
 use crate::model::{Address, bytes::unhex};
+use authros_evidence::validators_in;
+
+/// The newest intervals between blocks that are looked at.
+const INTERVALS: usize = 2;
 
 /// Who seals the blocks of a chain, and how often.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Sealing {
-    /// The least time between two blocks, milliseconds; known for the embedded proof of authority.
+    /// The least time between two blocks, milliseconds, under proof of authority: as the embedded chain was founded, or
+    /// as seen between a node's newest blocks.
     pub period: Option<u64>,
     /// Difficulty of the newest block under proof of work, decimal.
     pub difficulty: Option<String>,
@@ -36,7 +41,7 @@ impl Chain {
         }
         match self.inner.consensus {
             "pow" => Ok(Sealing { difficulty: self.difficulty().await?, ..Sealing::default() }),
-            "poa" => Ok(Sealing { sealers: self.signers().await?, ..Sealing::default() }),
+            "poa" => Ok(Sealing { sealers: self.signers().await?, period: self.period().await?, ..Sealing::default() }),
             _ => Ok(Sealing::default()),
         }
     }
@@ -47,24 +52,50 @@ impl Chain {
         Ok(difficulty.and_then(|hex| u128::from_str_radix(hex, 16).ok()).map(|difficulty| difficulty.to_string()))
     }
 
-    /// As geth's clique or Besu answers; otherwise those listed in a Clique genesis block.
+    /// The shortest of the newest intervals between two blocks, milliseconds. The first block has no time of its own.
+    async fn period(&self) -> Result<Option<u64>, ChainError> {
+        let mut later = self.head().await?;
+        let mut shortest = None;
+        for _ in 0..INTERVALS {
+            let number = later.number.saturating_sub(1);
+            let Some(earlier) = self.block(number).await?.filter(|_| number > 0) else { break };
+            let interval = later.timestamp.saturating_sub(earlier.timestamp).saturating_mul(1_000);
+            shortest = Some(shortest.map_or(interval, |least: u64| least.min(interval)));
+            later = earlier;
+        }
+        Ok(shortest.filter(|interval| *interval > 0))
+    }
+
+    /// As geth's clique, Besu or GoQuorum answers; otherwise those named by the newest header (QBFT, IBFT) or listed in a
+    /// Clique genesis block.
     async fn signers(&self) -> Result<Vec<Address>, ChainError> {
         let asked = [
             ("clique_getSigners", json!([])),
             ("qbft_getValidatorsByBlockNumber", json!(["latest"])),
             ("ibft_getValidatorsByBlockNumber", json!(["latest"])),
+            ("istanbul_getValidators", json!(["latest"])),
         ];
         for (method, parameters) in asked {
             match self.rpc::<Vec<String>>(method, parameters).await {
-                Ok(signers) => {
+                Ok(signers) if !signers.is_empty() => {
                     return Ok(signers.iter().filter_map(|text| text.to_lowercase().parse().ok()).collect());
                 }
                 Err(error @ ChainError::Unreachable { .. }) => return Err(error),
-                Err(_) => {}
+                Ok(_) | Err(_) => {}
             }
         }
-        let genesis: Value = self.rpc("eth_getBlockByNumber", json!(["0x0", false])).await?;
-        Ok(genesis.get("extraData").and_then(Value::as_str).and_then(unhex).map_or(Vec::new(), |extra| listed(&extra)))
+        let named = validators_in(&self.extra_data("latest").await?);
+        if !named.is_empty() {
+            return Ok(named);
+        }
+        let genesis = self.extra_data("0x0").await?;
+        let named = validators_in(&genesis);
+        Ok(if named.is_empty() { listed(&genesis) } else { named })
+    }
+
+    async fn extra_data(&self, block: &str) -> Result<Vec<u8>, ChainError> {
+        let block: Value = self.rpc("eth_getBlockByNumber", json!([block, false])).await?;
+        Ok(block.get("extraData").and_then(Value::as_str).and_then(unhex).unwrap_or_default())
     }
 }
 
