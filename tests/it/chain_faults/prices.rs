@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use super::NO_NODE;
 use super::field::{Field, Mode, TOPIC};
-use crate::support::{Anvil, Home, Proxy, count, heavy, list, poll, skipped, text, wait_until};
+use crate::support::{Anvil, Home, Proxy, count, list, long, poll, skipped, text, wait_until};
 
 const GWEI: u64 = 1_000_000_000;
 
@@ -17,16 +17,13 @@ fn price_of(node: &Anvil, record: &Value) -> u64 {
     crate::support::anvil::number(&transaction["gasPrice"])
 }
 
-/// Contract, registration and anchors: each is offered at a higher price until it is taken, within the cap.
-#[test]
-fn what_blocks_pass_by_is_raised_although_the_quote_stays() {
-    let _alone = heavy();
-    let Some(node) = Anvil::start(&["--block-time", "1"]) else { skipped!(NO_NODE) };
+/// Registers and captures through a node whose signers want 5 gwei, with a cap of 10.
+fn expect_raised(node: &Anvil, options: &[&str]) {
     let proxy = Proxy::before(node.port());
     proxy.swallow_below(5 * GWEI);
     let home = Home::new();
     let authros = home.authros().with(&["--chain", &proxy.http(), "--robots", "1", "--anchor-mode", "each"]);
-    let authros = authros.with_variable("AUTHROS_MAX_FEE", "10");
+    let authros = authros.with(options).with_variable("AUTHROS_MAX_FEE", "10");
     authros.json(&["identity", "create"]);
     let registered = authros.json_within(400, &["register"]);
     assert_eq!(registered["registered"], true, "{registered}");
@@ -34,9 +31,27 @@ fn what_blocks_pass_by_is_raised_although_the_quote_stays() {
     let summary = authros.json_within(400, &["capture", "--topic", TOPIC, "--count", "5"]);
     assert_eq!((count(&summary, "captured"), count(&summary, "verified")), (5, 5), "{summary}");
     for record in authros.records(&["uploads", "list"]) {
-        let price = price_of(&node, &record);
+        let price = price_of(node, &record);
         assert!((5 * GWEI..=10 * GWEI).contains(&price), "{price} wei per gas");
     }
+}
+
+#[test]
+fn what_blocks_pass_by_is_raised_although_the_quote_stays() {
+    let Some(node) = Anvil::start(&[]) else { skipped!(NO_NODE) };
+    let deployer = Home::new();
+    let pin = deployer.authros().with(&["--chain", &node.http(), "--robots", "0"]).json(&["chain", "deploy"]);
+    node.set_interval(1);
+    expect_raised(&node, &["--contract", &text(&pin, "contract")]);
+}
+
+#[test]
+fn a_deployment_that_blocks_pass_by_is_raised_too() {
+    if !long() {
+        return; // Takes over a minute: `tests/run --long`.
+    }
+    let Some(node) = Anvil::start(&["--block-time", "1"]) else { skipped!(NO_NODE) };
+    expect_raised(&node, &[]);
 }
 
 #[test]
