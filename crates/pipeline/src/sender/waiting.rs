@@ -130,15 +130,16 @@ impl Round<'_> {
                 continue;
             }
             let Some((raw, old)) = self.offer_of(cell, row)? else { continue };
-            let is_outbid = is_outbid(old.price, market) || old.price < policy.floor;
+            let (is_outbid, is_below) = (is_outbid(old.price, market), old.price < policy.floor);
             let is_late = is_cheap && market.offer() > old.price;
-            if !(is_outbid || is_late || is_passed_by) || !cell.memory().is_quiet(row.hash, QUIET) {
+            let is_wanted = (is_outbid || is_below || is_late) && cell.memory().is_quiet(row.hash, QUIET);
+            if !is_wanted && !is_passed_by {
                 continue;
             }
             let price = match policy.replacement(old.price, market) {
                 Priced::At(price) => price,
                 // What it offers may still be enough, only not soon.
-                Priced::Capped { .. } if is_passed_by && !is_outbid => continue,
+                Priced::Capped { .. } if !is_outbid && !is_late => continue,
                 Priced::Capped { needed, cap } => {
                     return Ok((replaced, Some(PauseReason::capped(needed, cap))));
                 }
