@@ -62,8 +62,12 @@ impl Anvil {
 
     /// A registered account with ether, and stored records.
     async fn process(&self, cap: Option<u128>, records: u64) -> Process {
+        self.process_at(&self.url, cap, records).await
+    }
+
+    async fn process_at(&self, url: &str, cap: Option<u128>, records: u64) -> Process {
         let options = ChainOptions {
-            endpoint: Endpoint::Node { url: self.url.clone() },
+            endpoint: Endpoint::Node { url: url.to_owned() },
             contract: None,
             pinned: None,
             confirmations: 1,
@@ -77,6 +81,67 @@ impl Anvil {
         process.store(0..records);
         process
     }
+}
+
+/// A port before the node's that answers a transaction offering less than `least` wei per gas, and drops it.
+struct Dear {
+    url: String,
+    least: Arc<std::sync::atomic::AtomicU64>,
+}
+
+impl Dear {
+    fn before(node: &Anvil) -> Self {
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+        let url = format!("http://{}", listener.local_addr().expect("its address"));
+        let least = Arc::new(std::sync::atomic::AtomicU64::new(0));
+        let (upstream, limit) = (node.url.trim_start_matches("http://").to_owned(), Arc::clone(&least));
+        std::thread::spawn(move || {
+            for stream in listener.incoming() {
+                let (stream, upstream, limit) = (stream.expect("accepted"), upstream.clone(), Arc::clone(&limit));
+                // A client that goes away ends it.
+                std::thread::spawn(move || drop(answer_one(stream, &upstream, &limit)));
+            }
+        });
+        Self { url, least }
+    }
+}
+
+fn answer_one(
+    mut client: std::net::TcpStream,
+    upstream: &str,
+    least: &std::sync::atomic::AtomicU64,
+) -> std::io::Result<()> {
+    use std::io::Read as _;
+    let mut reader = BufReader::new(client.try_clone()?);
+    let (mut length, mut line) = (0, String::new());
+    while reader.read_line(&mut line)? > 2 {
+        let lower = line.to_lowercase();
+        length = lower.strip_prefix("content-length:").map_or(length, |text| text.trim().parse().expect("a length"));
+        line.clear();
+    }
+    let mut body = vec![0; length];
+    reader.read_exact(&mut body)?;
+    let request: Value = serde_json::from_slice(&body)?;
+    let raw = request["params"][0].as_str().filter(|_| request["method"] == "eth_sendRawTransaction");
+    let raw = raw.map(|text| crate::model::bytes::unhex(text).expect("hex"));
+    let is_poor = |raw: &Vec<u8>| {
+        let price = crate::chain::offered(raw).expect("an offer").price;
+        price < u128::from(least.load(std::sync::atomic::Ordering::SeqCst))
+    };
+    let told = if let Some(raw) = raw.filter(is_poor) {
+        let hash = Hash(crate::crypto::keccak256(&[&raw])).to_string();
+        json!({ "jsonrpc": "2.0", "id": request["id"], "result": hash }).to_string()
+    } else {
+        let mut node = std::net::TcpStream::connect(upstream)?;
+        let head =
+            format!("POST / HTTP/1.1\r\nHost: n\r\nContent-Type: application/json\r\nContent-Length: {length}\r\n");
+        node.write_all(&[head.as_bytes(), b"Connection: close\r\n\r\n", &body].concat())?;
+        let mut answer = String::new();
+        node.read_to_string(&mut answer)?;
+        answer.split_once("\r\n\r\n").expect("an answer").1.to_owned()
+    };
+    let head = "HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nConnection: close\r\nContent-Length: ";
+    client.write_all(format!("{head}{}\r\n\r\n{told}", told.len()).as_bytes())
 }
 
 fn paused(process: &Process) -> Option<PauseReason> {
@@ -293,4 +358,31 @@ async fn a_floor_that_was_raised_is_offered_by_what_waits() {
     node.call("evm_setAutomine", json!([true])).await;
     node.call("evm_mine", json!([])).await;
     expect_all_once(&process, 2).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_blocks_pass_by_is_raised_until_it_is_taken_and_the_rest_follows() {
+    let name = "what_blocks_pass_by_is_raised_until_it_is_taken_and_the_rest_follows";
+    let Some(node) = Anvil::start(name, &["--block-time", "0.1"]) else { return };
+    let dear = Dear::before(&node);
+    let process = node.process_at(&dear.url, Some(20 * GWEI), 3).await;
+    let quoted = process.network.chain.market().await.expect("market").offer();
+    let least = u64::try_from(quoted * 2).expect("small");
+    dear.least.store(least, std::sync::atomic::Ordering::SeqCst);
+    process.anchor(3).await;
+    process
+        .rounds_until("it is told", |process| {
+            matches!(paused(process), Some(PauseReason::PassedBy { blocks: 6.., .. }))
+        })
+        .await;
+    expect_all_once(&process, 3).await;
+    for row in 0..3 {
+        let record = process.plant.ledger.record(crate::pipeline::fixture::digest(row)).expect("read").expect("kept");
+        let raw = process.plant.ledger.raw_transaction(record.transaction.expect("one")).expect("read").expect("kept");
+        let price = crate::chain::offered(&raw).expect("offer").price;
+        assert!((u128::from(least)..=20 * GWEI).contains(&price), "{price}");
+    }
+    process.rounds_until("it goes on", |process| paused(process).is_none()).await;
+    assert_eq!((process.notes.with("not taken into"), process.notes.with("resumes")), (1, 1));
+    assert!(process.sender.policy().floor >= u128::from(least), "the next ones offer it from the start");
 }
