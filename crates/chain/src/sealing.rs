@@ -129,6 +129,77 @@ mod tests {
         }
     }
 
+    /// A node that gives blocks with this extra data and mix hash, every second one, and what `method` answers.
+    fn foreign(extra: String, mix: String, method: Option<(&'static str, Value)>) -> String {
+        use std::io::{BufRead as _, Read as _, Write as _};
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+        let url = format!("http://{}", listener.local_addr().expect("its address"));
+        std::thread::spawn(move || {
+            for stream in listener.incoming() {
+                let mut stream = stream.expect("accepted");
+                let mut reader = std::io::BufReader::new(stream.try_clone().expect("twice"));
+                let (mut length, mut line) = (0, String::new());
+                while reader.read_line(&mut line).expect("a head") > 2 {
+                    let lower = line.to_lowercase();
+                    length =
+                        lower.strip_prefix("content-length:").map_or(length, |n| n.trim().parse().expect("a length"));
+                    line.clear();
+                }
+                let mut body = vec![0; length];
+                reader.read_exact(&mut body).expect("a body");
+                let asked: Value = serde_json::from_slice(&body).expect("JSON");
+                let name = asked["method"].as_str().expect("a method");
+                let result = match (name, &method) {
+                    ("eth_chainId", _) => json!("0x7"),
+                    ("web3_clientVersion", _) => json!("Geth/v1.10.3-quorum-v22.7.6"),
+                    ("eth_getBlockByNumber", _) => {
+                        let text = asked["params"][0].as_str().expect("a block").trim_start_matches("0x");
+                        let number = u64::from_str_radix(text, 16).unwrap_or(9);
+                        // The newest came late.
+                        let time = if number == 0 { 0 } else { 1_000 + number * 5 + if number == 9 { 60 } else { 0 } };
+                        json!({ "number": format!("{number:#x}"), "hash": crate::model::Hash([9; 32]).to_string(),
+                            "timestamp": format!("{time:#x}"), "difficulty": "0x1", "extraData": extra, "mixHash": mix })
+                    }
+                    (name, Some((known, answer))) if name == *known => answer.clone(),
+                    _ => Value::Null,
+                };
+                let told = match (name, result) {
+                    (_, Value::Null) => json!({ "error": { "code": -32601, "message": "the method does not exist" } }),
+                    (_, result) => json!({ "result": result }),
+                };
+                let mut told = told;
+                (told["jsonrpc"], told["id"]) = (json!("2.0"), asked["id"].clone());
+                let told = told.to_string();
+                let head = "HTTP/1.1 200 OK\r\nContent-Type: application/json\r\nConnection: close\r\nContent-Length: ";
+                drop(stream.write_all(format!("{head}{}\r\n\r\n{told}", told.len()).as_bytes()));
+            }
+        });
+        url
+    }
+
+    async fn sealing_of(url: String) -> Sealing {
+        let options = ChainOptions { endpoint: Endpoint::Node { url }, contract: None, pinned: None, confirmations: 1 };
+        Chain::connect(options).await.expect("connects").sealing().await.expect("told")
+    }
+
+    /// A network of validators is told by a method of its node, or else by its headers; the period by its blocks.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn validators_and_period_are_read_from_what_there_is() {
+        let blocks: Value = serde_json::from_str(include_str!("../../evidence/src/tests/besu.json")).expect("JSON");
+        let of = |name: &str, field: &str| blocks[name][field].as_str().expect("text").to_owned();
+        for (name, count) in [("ibft2", 4), ("qbft", 1)] {
+            let found = sealing_of(foreign(of(name, "extraData"), of(name, "mixHash"), None)).await;
+            assert_eq!((found.sealers.len(), found.period), (count, Some(5_000)), "{name}: {found:?}");
+        }
+        let method =
+            Some(("istanbul_getValidators", json!([Address([5; 20]).to_string(), Address([6; 20]).to_string()])));
+        let found = sealing_of(foreign(of("qbft", "extraData"), of("qbft", "mixHash"), method)).await;
+        assert_eq!(found.sealers, [Address([5; 20]), Address([6; 20])]);
+        let clique = format!("0x{}{}{}", "01".repeat(32), "07".repeat(20), "00".repeat(65));
+        let found = sealing_of(foreign(clique, crate::model::Hash([0; 32]).to_string(), None)).await;
+        assert_eq!((found.sealers, found.period), (vec![Address([7; 20])], Some(5_000)));
+    }
+
     #[tokio::test(flavor = "multi_thread")]
     async fn both_kinds_run_the_same_and_tell_what_they_are() {
         let three = Consensus::Poa { signers: 3, period: Duration::from_millis(50) };

@@ -28,8 +28,8 @@ pub(super) struct Needed {
 /// The newest block of the node so far.
 #[derive(Debug, Default)]
 pub(super) struct Heads {
-    /// Its number; `None` before the first look.
-    highest: Option<u64>,
+    /// Its number; 0 before the first look.
+    highest: u64,
     /// Since when the node has been below it.
     behind: Option<Instant>,
 }
@@ -37,10 +37,10 @@ pub(super) struct Heads {
 impl Heads {
     /// Notes the node's newest block; returns the one that it had before, if it is behind that.
     fn see(&mut self, number: u64, patience: Duration) -> Option<u64> {
-        let highest = self.highest.unwrap_or(number);
+        let highest = self.highest;
         let since = *self.behind.get_or_insert_with(Instant::now);
         if number >= highest || since.elapsed() > patience {
-            (self.highest, self.behind) = (Some(number), None);
+            (self.highest, self.behind) = (number, None);
             return None;
         }
         Some(highest)
@@ -66,13 +66,8 @@ impl Sender {
     }
 
     /// Notes the node's newest block; returns the one that it had before, if it is behind that.
-    pub(super) fn see_head(&self, number: u64) -> Result<Option<u64>, PipelineError> {
-        let read = block_in_place(|| self.ledger.cursor(CURSOR))?;
-        let mut heads = self.heads.lock().unwrap_or_else(PoisonError::into_inner);
-        if heads.highest.is_none() {
-            heads.highest = read.map(|(block, _)| block);
-        }
-        Ok(heads.see(number, CATCHING_UP))
+    pub(super) fn see_head(&self, number: u64) -> Option<u64> {
+        self.heads.lock().unwrap_or_else(PoisonError::into_inner).see(number, CATCHING_UP)
     }
 
     /// Why the account cannot pay so much. A node that is behind its own earlier head does not know what it holds.
@@ -82,8 +77,11 @@ impl Sender {
         account: Address,
         needed: u128,
     ) -> Result<PauseReason, PipelineError> {
+        // Before the head is asked for; where the chain became shorter, the watcher goes back itself.
+        let read = block_in_place(|| self.ledger.cursor(CURSOR))?.map(|(block, _)| block);
         let block = chain.head().await?.number;
-        if let Some(highest) = self.see_head(block)? {
+        let seen = self.see_head(block).max(read.filter(|read| *read > block));
+        if let Some(highest) = seen {
             return Ok(PauseReason::CatchingUp { block, highest });
         }
         let held = Wei(chain.wealth(account).await?);

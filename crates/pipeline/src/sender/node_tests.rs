@@ -328,7 +328,7 @@ async fn a_node_that_is_behind_its_own_head_raises_no_alarm_about_money() {
     let name = "a_node_that_is_behind_its_own_head_raises_no_alarm_about_money";
     let Some(node) = Anvil::start(name, &[]) else { return };
     let process = node.process(None, 1).await;
-    process.sender.see_head(1_000_000).expect("noted");
+    process.sender.see_head(1_000_000);
     node.fund(process.eoa.address(), 0).await;
     process.anchor(1).await;
     assert!(
